@@ -1,0 +1,84 @@
+"""3-vectors and symmetric matrices written out in scalars.
+
+Small arrays are slow under a scan on CPU; scalars of one run become contiguous arrays over runs
+when mapped. So a 3-vector is three scalars and a symmetric matrix is the tuple of its upper
+triangle, row by row, and products are unrolled while tracing, skipping what is zero.
+"""
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+
+from sinsjax.types import Scalar, Vec3
+
+Entries = Mapping[tuple[int, int], Scalar]
+"""The non-zero entries of a square matrix, by row and column."""
+
+Triangle = tuple[Scalar, ...]
+"""Upper triangle of a symmetric matrix, row by row."""
+
+
+def add(a: Vec3, b: Vec3) -> Vec3:
+    """Sum a + b."""
+    return Vec3(a.x + b.x, a.y + b.y, a.z + b.z)
+
+
+def scale(factor: Scalar, a: Vec3) -> Vec3:
+    """Product of a scalar and a vector."""
+    return Vec3(factor * a.x, factor * a.y, factor * a.z)
+
+
+def dot(a: Vec3, b: Vec3) -> Scalar:
+    """Inner product of a and b."""
+    return a.x * b.x + a.y * b.y + a.z * b.z
+
+
+def cross(a: Vec3, b: Vec3) -> Vec3:
+    """Cross product of a and b."""
+    return Vec3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
+
+
+@cache
+def triangle_index(n: int) -> dict[tuple[int, int], int]:
+    """Where entry (i, j) of an n x n symmetric matrix lies in its `Triangle`."""
+    upper = [(i, j) for i in range(n) for j in range(i, n)]
+    return {entry: k for k, (i, j) in enumerate(upper) for entry in ((i, j), (j, i))}
+
+
+def triangle_size(n: int) -> int:
+    """Number of entries in the upper triangle of an n x n matrix."""
+    return n * (n + 1) // 2
+
+
+def diagonal_triangle(diagonal: Sequence[Scalar]) -> Triangle:
+    """A diagonal matrix as a `Triangle`."""
+    n = len(diagonal)
+    zero = 0.0 * diagonal[0]
+    return tuple(diagonal[i] if i == j else zero for i in range(n) for j in range(i, n))
+
+
+def times_plus_identity(entries: Entries, x: Sequence[Scalar]) -> tuple[Scalar, ...]:
+    """(I + A) x for the non-zero ``entries`` of A; entries that are plain zeros are skipped."""
+    out = list(x)
+    for (i, j), a in entries.items():
+        if not (isinstance(a, float) and a == 0):
+            out[i] = out[i] + a * x[j]
+    return tuple(out)
+
+
+def congruence(entries: Entries, p: Triangle, n: int) -> Triangle:
+    """(I + A) P (I + A)' for the non-zero ``entries`` of A and symmetric P (n x n)."""
+    at = triangle_index(n)
+    columns = [times_plus_identity(entries, [p[at[i, j]] for i in range(n)]) for j in range(n)]
+    # The product is symmetric: row i of M (I + A)' is needed from its diagonal on only.
+    out = [times_plus_identity(entries, [columns[j][i] for j in range(n)]) for i in range(n)]
+    return tuple(out[i][j] for i in range(n) for j in range(i, n))
+
+
+def solve3(p: Triangle, b: Vec3) -> Vec3:
+    """Solve the symmetric 3 x 3 system P x = b in closed form (cofactors)."""
+    a, h, g, d, f, c = p
+    ca, ch, cg = d * c - f * f, g * f - h * c, h * f - g * d
+    cd, cf, cc = a * c - g * g, g * h - a * f, a * d - h * h
+    inverse_determinant = 1 / (a * ca + h * ch + g * cg)
+    rows = (Vec3(ca, ch, cg), Vec3(ch, cd, cf), Vec3(cg, cf, cc))
+    return scale(inverse_determinant, Vec3(*(dot(row, b) for row in rows)))

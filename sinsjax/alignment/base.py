@@ -1,0 +1,71 @@
+"""What every alignment method is: a handful of pure functions of one run.
+
+A method is built once from what decides the program (model, options, sample time) and is then fed
+numbers. Methods never import one another; whoever drives them sees only this shape.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from sinsjax.earth import Earth, Place
+from sinsjax.types import Navigation, Quat, Sample, Scalar
+
+
+class Site(NamedTuple):
+    """Where a run takes place.
+
+    Attributes:
+        earth: Earth model.
+        place: its rates, curvatures and gravity at the starting latitude.
+        latitude: rad.
+    """
+
+    earth: Earth
+    place: Place
+    latitude: Scalar
+
+
+class Options(NamedTuple):
+    """Choices that decide the program of a method, not its numbers (hashable).
+
+    Attributes:
+        dt: sample time, s.
+        specific_force: in A(t): "measured" (turned to n by the computed attitude) or "gravity"
+            (the constant (0, 0, g)).
+        position: "fixed" or "integrated".
+    """
+
+    dt: float
+    specific_force: str = "measured"
+    position: str = "fixed"
+
+
+class AttitudeCovariance(NamedTuple):
+    """Covariance of the misalignment, upper triangle in rad^2, NaN for methods without one."""
+
+    ee: Scalar
+    en: Scalar
+    eu: Scalar
+    nn: Scalar
+    nu: Scalar
+    uu: Scalar
+
+
+class Method(NamedTuple):
+    """An alignment method.
+
+    Attributes:
+        init: (params, navigation) -> state.
+        step: (params, site, state, sample, n) -> state after the n-th sample, n from 1.
+        navigation: state -> navigation solution.
+        attitude: state -> best attitude, i.e. with the estimated misalignment taken out.
+        covariance: state -> `AttitudeCovariance` of that attitude.
+        normalise: state -> state with its quaternion scaled to unit length.
+    """
+
+    init: Callable[[Any, Navigation], Any]
+    step: Callable[[Any, Site, Any, Sample, Scalar], Any]
+    navigation: Callable[[Any], Navigation]
+    attitude: Callable[[Any], Quat]
+    covariance: Callable[[Any], AttitudeCovariance]
+    normalise: Callable[[Any], Any]

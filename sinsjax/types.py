@@ -1,0 +1,77 @@
+"""The values that flow between modules, and the one error that a user's mistake raises.
+
+Everything here describes *one* run. Batching adds leading axes to the leaves; nothing here knows.
+"""
+
+from typing import NamedTuple
+
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
+
+Scalar = Float[ArrayLike, ""]
+Flag = Bool[ArrayLike, ""]
+Count = Int[ArrayLike, ""]
+
+
+class InputError(ValueError):
+    """A user's mistake: one line that names the file and the key or row, and what is wrong."""
+
+
+class Vec3(NamedTuple):
+    """A 3-vector as three scalars, so that a batch of runs becomes contiguous arrays."""
+
+    x: Scalar
+    y: Scalar
+    z: Scalar
+
+
+class Quat(NamedTuple):
+    """A unit quaternion, scalar first; ``q_nb`` takes body vectors to navigation vectors."""
+
+    w: Scalar
+    x: Scalar
+    y: Scalar
+    z: Scalar
+
+
+class Sample(NamedTuple):
+    """One inertial sample, ready for the mechanisation.
+
+    Attributes:
+        turn: body rotation over the sample as a quaternion (coning included).
+        dv: velocity increment in the body frame at the sample's start (rotation and sculling
+            included), m/s.
+    """
+
+    turn: Quat
+    dv: Vec3
+
+
+class Navigation(NamedTuple):
+    """The navigation solution of one run.
+
+    Attributes:
+        q: attitude quaternion, body to navigation frame (ENU).
+        ve: east velocity, m/s.
+        vn: north velocity, m/s.
+        latitude: radians.
+        longitude: radians.
+    """
+
+    q: Quat
+    ve: Scalar
+    vn: Scalar
+    latitude: Scalar
+    longitude: Scalar
+
+
+__all__ = [
+    "Array",
+    "Count",
+    "Flag",
+    "InputError",
+    "Navigation",
+    "Quat",
+    "Sample",
+    "Scalar",
+    "Vec3",
+]
