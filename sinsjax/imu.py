@@ -19,16 +19,16 @@ class SensorErrors(NamedTuple):
     Attributes:
         gyro_bias: (3,) rad/s.
         accel_bias: (3,) m/s^2.
-        gyro_noise: standard deviation of one angle increment, rad.
-        accel_noise: standard deviation of one velocity increment, m/s.
+        gyro_noise: (3,) standard deviation of one angle increment, rad.
+        accel_noise: (3,) standard deviation of one velocity increment, m/s.
         gyro_matrix: (3, 3) scale factors on, misalignments off the diagonal; zero is perfect.
         accel_matrix: (3, 3) likewise.
     """
 
     gyro_bias: Array
     accel_bias: Array
-    gyro_noise: Scalar
-    accel_noise: Scalar
+    gyro_noise: Array
+    accel_noise: Array
     gyro_matrix: Array
     accel_matrix: Array
 
@@ -36,7 +36,7 @@ class SensorErrors(NamedTuple):
 def perfect() -> SensorErrors:
     """Sensors without error: what a recorded file is read with."""
     return SensorErrors(
-        jnp.zeros(3), jnp.zeros(3), jnp.zeros(()), jnp.zeros(()), jnp.zeros((3, 3)), jnp.zeros((3, 3))
+        *(jnp.zeros(3),) * 4, jnp.zeros((3, 3)), jnp.zeros((3, 3))
     )
 
 

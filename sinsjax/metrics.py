@@ -32,12 +32,14 @@ class Criteria(NamedTuple):
         window_start: statistics use record times in (start, end], s.
         window_end: s.
         consistency_after: record times after this one count for the P above error shares, s.
+        steady_after: record times after this one are the steady process, s.
     """
 
     bands: Array
     window_start: Scalar
     window_end: Scalar
     consistency_after: Scalar
+    steady_after: Scalar
 
 
 class Window(NamedTuple):
@@ -55,15 +57,16 @@ class Metrics(NamedTuple):
     Attributes:
         outside_until: for each band, end of the last record interval outside it, s.
         window: sums of phi (e, n, u), pitch, roll and yaw.
-        above: record times at which P_UU exceeded phi_u^2, and (phi_u - floor)^2.
-        judged: record times after `Criteria.consistency_after`.
+        above: record times at which P_UU exceeded phi_u^2, at which it exceeded
+            (phi_u - floor)^2, and phi_u^2 again in the steady process.
+        judged: record times that each of these counts looked at.
         last: the latest observation.
     """
 
     outside_until: Array
     window: Window
-    above: tuple[Scalar, Scalar]
-    judged: Scalar
+    above: tuple[Scalar, Scalar, Scalar]
+    judged: tuple[Scalar, Scalar, Scalar]
     last: Observation
 
 
@@ -75,7 +78,7 @@ class Outcome(NamedTuple):
         outside_until: as in `Metrics`.
         mean: window means of phi (e, n, u), pitch, roll, yaw.
         std: window standard deviations of the same.
-        above_share: share of judged records with P_UU above phi_u^2, and (phi_u - floor)^2.
+        above_share: `Metrics.above` over `Metrics.judged`.
         nees: phi' P^-1 phi over the attitude states.
         nis_u: (phi_u - floor)^2 / P_UU.
         floor: rad, the floor phi_u was compared with.
@@ -85,7 +88,7 @@ class Outcome(NamedTuple):
     outside_until: Array
     mean: tuple[Scalar, ...]
     std: tuple[Scalar, ...]
-    above_share: tuple[Scalar, Scalar]
+    above_share: tuple[Scalar, Scalar, Scalar]
     nees: Scalar
     nis_u: Scalar
     floor: Scalar
@@ -102,7 +105,8 @@ def start(criteria: Criteria, first: Observation) -> Metrics:
     zero = jnp.zeros_like(first.phi.x)
     six = (zero,) * 6
     window = Window(zero, six, six, six)
-    return Metrics(jnp.zeros_like(criteria.bands) + zero, window, (zero, zero), zero, first)
+    three = (zero,) * 3
+    return Metrics(jnp.zeros_like(criteria.bands) + zero, window, three, three, first)
 
 
 def accumulate(
@@ -119,7 +123,9 @@ def accumulate(
     """
     error = now.phi.z - floor
     variance = now.sigma.z**2
-    judged = time > criteria.consistency_after
+    after = time > criteria.consistency_after
+    judged = (after, after, time > criteria.steady_after)
+    above = (variance > now.phi.z**2, variance > error**2, variance > now.phi.z**2)
     # NaN is outside every band.
     inside = jnp.abs(error) <= criteria.bands
     return Metrics(
@@ -129,11 +135,8 @@ def accumulate(
             now,
             (time > criteria.window_start) & (time <= criteria.window_end),
         ),
-        above=(
-            metrics.above[0] + (judged & (variance > now.phi.z**2)),
-            metrics.above[1] + (judged & (variance > error**2)),
-        ),
-        judged=metrics.judged + judged,
+        above=tuple(n + (j & a) for n, j, a in zip(metrics.above, judged, above, strict=True)),
+        judged=tuple(n + j for n, j in zip(metrics.judged, judged, strict=True)),
         last=now,
     )
 
@@ -174,7 +177,7 @@ def finish(metrics: Metrics, covariance: AttitudeCovariance, floor: Scalar) -> O
         outside_until=metrics.outside_until,
         mean=mean,
         std=std,
-        above_share=(metrics.above[0] / metrics.judged, metrics.above[1] / metrics.judged),
+        above_share=tuple(a / n for a, n in zip(metrics.above, metrics.judged, strict=True)),
         nees=dot(phi, solve3(tuple(covariance), phi)),
         nis_u=(phi.z - floor) ** 2 / covariance.uu,
         floor=floor,

@@ -146,7 +146,7 @@ def stream(
     def silent() -> Array:
         return jnp.zeros((samples, 6), jnp.float32)
 
-    noisy = (world.errors.gyro_noise > 0) | (world.errors.accel_noise > 0)
+    noisy = jnp.any(world.errors.gyro_noise > 0) | jnp.any(world.errors.accel_noise > 0)
     normal = jax.lax.cond(noisy, drawn, silent)
     measured = imu.measure(ideal, world.errors, normal, dt)
     # Nothing is known before the first sample: it stands in for its predecessor.

@@ -1,0 +1,282 @@
+"""Results as tables: from the engine's arrays to Parquet, and back.
+
+A directory of results holds ``summary/`` and perhaps ``curves/`` (Parquet datasets, one part a
+chunk), ``study.toml`` (the resolved study) and ``manifest.json`` (versions, parts, timing). A part
+is written under a temporary name, synced and renamed; its bytes depend on the study alone.
+"""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.dataset as ds
+import pyarrow.parquet as pq
+
+from sinsjax import columns
+from sinsjax.batch import Chunk
+from sinsjax.columns import Column
+from sinsjax.config import fingerprint, study_to_toml
+from sinsjax.metrics import Observation
+from sinsjax.records.files import replacing
+from sinsjax.scenario import record_times, reset_times
+from sinsjax.studies import Study
+from sinsjax.types import InputError
+from sinsjax.units import ARCMIN, DEG
+
+_DIVERGED = 10 * DEG
+_OWN = ("summary", "curves", "figures", "study.toml", "manifest.json")
+
+
+class Tables:
+    """Turns chunks of a study's runs into tables."""
+
+    def __init__(self, study: Study, *, has_truth: bool = True) -> None:
+        """Prepare the columns that repeat from chunk to chunk.
+
+        Args:
+            study: whose runs.
+            has_truth: False for a record without a reference: what needs one is null.
+        """
+        self._study = study
+        self._has_truth = has_truth
+        self._bands = columns.bands(study.study.settle_bands_arcmin)
+        self._times = record_times(study)
+        times = reset_times(study)
+        swept = study.variant_values()
+        fixed = {
+            "method": study.values("method"),
+            "reset_count": [len(t) for t in times],
+            "reset_cycle_s": study.values("reset_cycle_s"),
+            "reset_times_s": [list(t) for t in times],
+            **{f"phi_{a}0_deg": study.values(f"phi_{a}0_deg") for a in "enu"},
+        }
+        known = {c.name: c for c in columns.IDENTITY}
+        extra = [columns.axis_column(k, v) for k, v in swept.items() if k not in known]
+        self.summary_columns: tuple[Column, ...] = (
+            *columns.IDENTITY,
+            *extra,
+            *columns.OBSERVED,
+            *(columns.settle_column(b) for b in self._bands),
+            *columns.JUDGED,
+        )
+        kinds = {c.name: c.dtype for c in self.summary_columns}
+        self._by_variant = {
+            name: pa.array(values, kinds[name]) for name, values in (swept | fixed).items()
+        }
+        starts = study.record.start_s if study.record else [0.0] * study.n_draws
+        self._start_s = np.asarray(starts)
+
+    def summary(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
+        """One row a run.
+
+        Args:
+            chunk: engine results.
+            variant_ids: (variants of the part,) their numbers in the study.
+        """
+        variant = variant_ids[chunk.variant]
+        out = chunk.outcome
+        values: dict[str, Any] = {
+            "run_id": chunk.draw * self._study.n_variants + variant,
+            "draw_id": chunk.draw,
+            "variant_id": variant,
+            "start_s": self._start_s[chunk.draw],
+        }
+        values |= {name: column.take(variant) for name, column in self._by_variant.items()}
+        values |= self._observed(out.last)
+        for i, name in enumerate(c.name for c in map(columns.settle_column, self._bands)):
+            values[name] = self._known(_settled(out.outside_until[:, i], self._times[-1]))
+        for suffix, statistics in (("_mean", out.mean), ("_std", out.std)):
+            for axis, value in zip("enu", statistics[:3], strict=True):
+                values[f"phi_{axis}{suffix}_arcmin"] = self._known(value / ARCMIN)
+            for angle, value in zip(("pitch", "roll", "yaw"), statistics[3:], strict=True):
+                values[f"{angle}{suffix}_deg"] = _nullable(value / DEG)
+        shares = ("error", "floor_error", "error_steady")
+        for name, value in zip(shares, out.above_share, strict=True):
+            values[f"p_above_{name}_share"] = self._known(value)
+        values["floor_arcmin"] = self._known(out.floor / ARCMIN)
+        values["nees"] = self._known(out.nees)
+        values["nis_u"] = self._known(out.nis_u)
+        values["status"] = self._status(chunk)
+        return _table(self.summary_columns, values)
+
+    def curves(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
+        """One row a run and record time; `Chunk.curves` must be there."""
+        assert chunk.curves is not None
+        run_id = chunk.draw * self._study.n_variants + variant_ids[chunk.variant]
+        records = len(self._times)
+        values = {"run_id": np.repeat(run_id, records), "time_s": np.tile(self._times, len(run_id))}
+        return _table(columns.CURVES, values | self._observed(chunk.curves))
+
+    def _observed(self, seen: Observation) -> dict[str, pa.Array]:
+        values = {f"phi_{a}_arcmin": self._known(v / ARCMIN) for a, v in _axes(seen.phi)}
+        values |= {f"sigma_{a}_arcmin": _nullable(v / ARCMIN) for a, v in _axes(seen.sigma)}
+        angles = {"pitch": seen.pitch, "roll": seen.roll, "yaw": seen.yaw}
+        return values | {f"{name}_deg": _nullable(v / DEG) for name, v in angles.items()}
+
+    def _known(self, values: Any) -> pa.Array:
+        """Values that need a truth: null without one, and where they are no number."""
+        return _nullable(values if self._has_truth else np.full(np.shape(values), np.nan))
+
+    def _status(self, chunk: Chunk) -> pa.Array:
+        out = chunk.outcome
+        last = out.last
+        attitude = np.stack([last.pitch, last.roll, last.yaw])
+        broken = ~np.isfinite(attitude).all(axis=0)
+        if not self._has_truth:
+            return pa.array(np.where(broken, "nonfinite", None))
+        band = self._bands.index(columns.ALWAYS_BAND_ARCMIN)
+        settled = np.isfinite(_settled(out.outside_until[:, band], self._times[-1]))
+        diverged = np.abs(last.phi.z - out.floor) > _DIVERGED
+        kinds = np.select([broken, settled, diverged], [3, 0, 2], default=1)
+        return pa.array(np.asarray(columns.STATUSES)[kinds])
+
+
+def _axes(vector: Any) -> Any:
+    return zip("enu", vector, strict=True)
+
+
+def _settled(outside_until: np.ndarray, end: float) -> np.ndarray:
+    """Settling times; NaN where the last record is still outside."""
+    return np.where(outside_until >= end * (1 - 1e-12), np.nan, outside_until)
+
+
+def _nullable(values: Any) -> pa.Array:
+    flat = np.asarray(values, dtype=float).ravel()
+    return pa.array(flat, mask=~np.isfinite(flat))
+
+
+def _table(layout: tuple[Column, ...], values: dict[str, Any]) -> pa.Table:
+    arrays = [pa.array(values[c.name]).cast(c.dtype) for c in layout]
+    return pa.Table.from_arrays(arrays, schema=columns.schema(layout))
+
+
+class Store:
+    """A directory that a study's results are streamed to."""
+
+    def __init__(self, directory: Path, study: Study, *, overwrite: bool = False) -> None:
+        """Make the directory ready; what it held of earlier results is removed.
+
+        Args:
+            directory: where; made if missing.
+            study: whose results.
+            overwrite: whether earlier results may be removed.
+
+        Raises:
+            InputError: the directory holds results, or cannot be written.
+        """
+        self.directory = directory
+        self._study = study
+        self._parts: list[dict[str, Any]] = []
+        try:
+            check_free(directory, overwrite=overwrite)
+            directory.mkdir(parents=True, exist_ok=True)
+            for name in _OWN:
+                path = directory / name
+                shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+            (directory / "figures").mkdir()
+            _write_text(directory / "study.toml", study_to_toml(study))
+        except OSError as error:
+            raise InputError(_unwritable(directory, error)) from error
+
+    def write(self, dataset: str, name: str, table: pa.Table, *, seconds: float) -> None:
+        """Write one part of a dataset.
+
+        Args:
+            dataset: "summary" or "curves".
+            name: of the part, without extension.
+            table: its rows.
+            seconds: what computing them took, for the manifest.
+
+        Raises:
+            InputError: the directory cannot be written.
+        """
+        path = self.directory / dataset / f"{name}.parquet"
+        try:
+            path.parent.mkdir(exist_ok=True)
+        except OSError as error:
+            raise InputError(_unwritable(path, error)) from error
+        with replacing(path) as file:
+            pq.write_table(table, file, compression="zstd")
+        relative = path.relative_to(self.directory).as_posix()
+        self._parts.append({"file": relative, "rows": table.num_rows, "seconds": round(seconds, 4)})
+
+    def finish(self, facts: dict[str, Any]) -> None:
+        """Write the manifest.
+
+        Args:
+            facts: versions, timing and whatever else is worth keeping.
+        """
+        manifest = {
+            "schema": columns.SCHEMA_VERSION,
+            "fingerprint": fingerprint(self._study),
+            "seed": self._study.study.seed,
+            "runs": self._study.n_draws * self._study.n_variants,
+            **facts,
+            "parts": self._parts,
+        }
+        _write_text(self.directory / "manifest.json", json.dumps(manifest, indent=1) + "\n")
+
+
+def check_free(directory: Path, *, overwrite: bool) -> None:
+    """Refuse a directory that holds results, unless they may be removed.
+
+    Raises:
+        InputError: it does, or it is a file.
+    """
+    if directory.exists() and not directory.is_dir():
+        raise InputError(f"{directory}: is a file, not a directory")
+    if not overwrite and any((directory / name).exists() for name in _OWN):
+        raise InputError(f"{directory}: holds results already (give --overwrite to replace them)")
+
+
+def read_summary(directory: Path) -> pa.Table:
+    """All rows of the summary, by run_id.
+
+    Raises:
+        InputError: the directory holds no results.
+    """
+    return _dataset(directory, "summary").to_table().sort_by("run_id")
+
+
+def read_curves(directory: Path, run_ids: list[int] | None = None) -> pa.Table:
+    """Rows of the curves, by run_id and time; empty where none were stored.
+
+    Args:
+        directory: of the results.
+        run_ids: which runs; None for all.
+    """
+    if not (directory / "curves").is_dir():
+        return columns.schema(columns.CURVES).empty_table()
+    wanted = None if run_ids is None else ds.field("run_id").isin(run_ids)
+    table = _dataset(directory, "curves").to_table(filter=wanted)
+    return table.sort_by([("run_id", "ascending"), ("time_s", "ascending")])
+
+
+def read_manifest(directory: Path) -> dict[str, Any]:
+    """The manifest of a directory of results."""
+    try:
+        return json.loads((directory / "manifest.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{directory}: holds no readable manifest.json ({error})") from error
+
+
+def _dataset(directory: Path, name: str) -> ds.Dataset:
+    path = directory / name
+    if not path.is_dir():
+        raise InputError(f"{directory}: holds no results (no {name}/ in it)")
+    try:
+        return ds.dataset(path, format="parquet")
+    except (OSError, pa.ArrowInvalid) as error:
+        raise InputError(f"{path}: cannot be read: {error}".splitlines()[0]) from error
+
+
+def _write_text(path: Path, text: str) -> None:
+    with replacing(path) as file:
+        file.write(text.encode())
+
+
+def _unwritable(path: Path, error: OSError) -> str:
+    return f"{path}: cannot be written: {error.strerror or error}"
