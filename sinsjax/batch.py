@@ -17,7 +17,6 @@ from jax.sharding import Mesh, PartitionSpec
 
 from sinsjax.metrics import Observation, Outcome
 from sinsjax.simulate import Draw, Fan, Params, Static, World, simulate
-from sinsjax.types import Array
 
 LANES = 64
 """Runs a tile. Results are bit-equal for any chunk and device count only at one lane count."""
@@ -157,12 +156,12 @@ def chunks(group: Group, *, devices: int = 1, tiles_a_chunk: int = 32) -> Iterat
         runs = np.minimum(np.arange(begin, begin + size * LANES), total - 1)
         kept = min(total - begin, size * LANES)
         outcome, curves = call(group.world, tiles_of(group, runs))
-        flat = jax.tree.map(lambda a: _flatten(a)[:kept], outcome)
+        runs = runs[:kept]
         if curves is not None:
-            curves = jax.tree.map(lambda a: _flatten(np.moveaxis(a, 1, 2))[:kept], curves)
-        yield Chunk(runs[:kept] // variants, runs[:kept] % variants, flat, curves)
+            curves = jax.tree.map(lambda a: np.moveaxis(np.asarray(a), 1, 2), curves)
+        yield Chunk(runs // variants, runs % variants, *_first_runs((outcome, curves), kept))
 
 
-def _flatten(a: Array) -> np.ndarray:
-    """(tiles, lanes, ...) to (runs, ...)."""
-    return np.asarray(a).reshape(-1, *a.shape[2:])
+def _first_runs(tree: Any, count: int) -> Any:
+    """Leaves (tiles, lanes, ...) to (count, ...)."""
+    return jax.tree.map(lambda a: np.asarray(a).reshape(-1, *a.shape[2:])[:count], tree)

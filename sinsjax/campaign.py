@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import pyarrow as pa
@@ -11,10 +11,11 @@ import pyarrow as pa
 from sinsjax import columns, results, runtime
 from sinsjax.batch import chunks
 from sinsjax.records import Layout, read_record, read_reference
-from sinsjax.scenario import Part, Tape, parts
+from sinsjax.scenario import Part, parts
 from sinsjax.sections import Record
 from sinsjax.studies import Study
 from sinsjax.types import InputError
+from sinsjax.worlds import Tape
 
 
 class Results(NamedTuple):
@@ -90,7 +91,7 @@ def carry_out(
     curves: bool | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
-    facts: dict[str, Any] | None = None,
+    source: Path | None = None,
 ) -> None:
     """Run a study into a directory, a Parquet part a chunk.
 
@@ -101,7 +102,7 @@ def carry_out(
         curves: whether curves are kept; None takes the study's word.
         overwrite: whether earlier results are removed.
         progress: told after every chunk.
-        facts: more lines for the manifest.
+        source: the study's file, named in the manifest.
 
     Raises:
         InputError: a record that does not fit, or a directory that cannot be used. Nothing is
@@ -118,7 +119,8 @@ def carry_out(
             store.write("curves", piece.name, piece.curves, seconds=piece.seconds)
     store.finish(
         {
-            **(facts or {}),
+            "config": None if source is None else source.name,
+            "record": None if tape is None else Path(tape.record.source).name,
             "versions": runtime.versions(),
             "devices": len(jax.devices()),
             "started_unix_s": round(started, 3),

@@ -78,9 +78,7 @@ JUDGED = (
     Column("nis_u", _F, "", "(phi_u - floor)^2 / P_UU at the end"),
     Column("p_above_error_share", _F, "", "share of records with P_UU > phi_u^2"),
     Column("p_above_floor_error_share", _F, "", "share of records with P_UU > (phi_u - floor)^2"),
-    Column(
-        "p_above_error_steady_share", _F, "", "share of steady records with P_UU > phi_u^2"
-    ),
+    Column("p_above_error_steady_share", _F, "", "share of steady records with P_UU > phi_u^2"),
     Column("status", _S, "", "ok, not_settled, diverged or nonfinite"),
 )
 """Columns of a run's verdict; without truth or reference those that need it are null."""

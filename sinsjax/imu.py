@@ -35,9 +35,7 @@ class SensorErrors(NamedTuple):
 
 def perfect() -> SensorErrors:
     """Sensors without error: what a recorded file is read with."""
-    return SensorErrors(
-        *(jnp.zeros(3),) * 4, jnp.zeros((3, 3)), jnp.zeros((3, 3))
-    )
+    return SensorErrors(*(jnp.zeros(3),) * 4, jnp.zeros((3, 3)), jnp.zeros((3, 3)))
 
 
 def noise(seed: Count, draw_id: Count, block: Count) -> Array:
@@ -53,18 +51,19 @@ def noise(seed: Count, draw_id: Count, block: Count) -> Array:
 
 def measure(ideal: Array, errors: SensorErrors, normal: Array, dt: Scalar) -> Array:
     """Measured increments (n, 6) from ideal ones and standard normal numbers of the same shape."""
-    gyro, accel = ideal[:, :3], ideal[:, 3:]
-    normal = normal.astype(ideal.dtype)
-    gyro = gyro + _apply(errors.gyro_matrix, gyro) + errors.gyro_bias * dt
-    accel = accel + _apply(errors.accel_matrix, accel) + errors.accel_bias * dt
-    gyro = gyro + errors.gyro_noise * normal[:, :3]
-    accel = accel + errors.accel_noise * normal[:, 3:]
-    return jnp.concatenate([gyro, accel], axis=1)
+    bias = jnp.concatenate([errors.gyro_bias, errors.accel_bias]) * dt
+    sigma = jnp.concatenate([errors.gyro_noise, errors.accel_noise])
+    scaled = jnp.concatenate(
+        [_times(errors.gyro_matrix, ideal[:, :3]), _times(errors.accel_matrix, ideal[:, 3:])],
+        axis=1,
+    )
+    return ideal + scaled + bias[None] + sigma[None] * normal.astype(ideal.dtype)
 
 
-def _apply(matrix: Array, rows: Array) -> Array:
-    # A plain sum: a library matrix product may order its additions by shape.
-    return sum(rows[:, j : j + 1] * matrix[:, j] for j in range(3))
+def _times(matrix: Array, rows: Array) -> Array:
+    """Matrix times each row; a plain sum, since a library product may order additions by shape."""
+    terms = [rows[:, j : j + 1] * matrix[None, :, j] for j in range(3)]
+    return terms[0] + terms[1] + terms[2]
 
 
 def compensate(increments: Array, previous: Array) -> Sample:
@@ -82,9 +81,12 @@ def compensate(increments: Array, previous: Array) -> Sample:
     Returns:
         `Sample` with leaves of shape (n,).
     """
-    before = jnp.concatenate([previous[None], increments[:-1]])
-    theta, dv = Vec3(*increments[:, :3].T), Vec3(*increments[:, 3:].T)
-    theta_before, dv_before = Vec3(*before[:, :3].T), Vec3(*before[:, 3:].T)
+    return jax.vmap(_one_sample)(increments, jnp.concatenate([previous[None], increments[:-1]]))
+
+
+def _one_sample(now: Array, before: Array) -> Sample:
+    theta, dv = Vec3(*now[:3]), Vec3(*now[3:])
+    theta_before, dv_before = Vec3(*before[:3]), Vec3(*before[3:])
     coning = scale(1 / 12, cross(theta_before, theta))
     rotation = cross(theta, dv)
     sculling = scale(1 / 12, add(cross(theta_before, dv), cross(dv_before, theta)))

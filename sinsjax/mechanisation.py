@@ -26,9 +26,7 @@ def step(nav: Navigation, sample: Sample, place: Place, dt: Scalar) -> tuple[Nav
     """
     turn_e = nav.ve * place.curvature_e
     wu = place.rate_u + turn_e * place.tan_latitude
-    half_turn = scale(
-        -0.5 * dt, Vec3(-nav.vn * place.curvature_n, place.rate_n + turn_e, wu)
-    )
+    half_turn = scale(-0.5 * dt, Vec3(-nav.vn * place.curvature_n, place.rate_n + turn_e, wu))
     f_dt = rotate(nav.q, sample.dv)
     f_dt = add(f_dt, cross(half_turn, f_dt))
     coriolis = (place.rate_u + wu) * dt

@@ -21,10 +21,10 @@ from sinsjax.columns import Column
 from sinsjax.config import fingerprint, study_to_toml
 from sinsjax.metrics import Observation
 from sinsjax.records.files import replacing
-from sinsjax.scenario import record_times, reset_times
 from sinsjax.studies import Study
 from sinsjax.types import InputError
 from sinsjax.units import ARCMIN, DEG
+from sinsjax.worlds import record_times
 
 _DIVERGED = 10 * DEG
 _OWN = ("summary", "curves", "figures", "study.toml", "manifest.json")
@@ -44,7 +44,7 @@ class Tables:
         self._has_truth = has_truth
         self._bands = columns.bands(study.study.settle_bands_arcmin)
         self._times = record_times(study)
-        times = reset_times(study)
+        times = study.reset_times()
         swept = study.variant_values()
         fixed = {
             "method": study.values("method"),

@@ -38,7 +38,7 @@ def normalise(q: Quat) -> Quat:
 def rotate(q: Quat, v: Vec3) -> Vec3:
     """The vector q v q*, for a unit quaternion."""
     u = Vec3(q.x, q.y, q.z)
-    t = scale(2, cross(u, v))
+    t = scale(2.0, cross(u, v))
     return add(add(v, scale(q.w, t)), cross(u, t))
 
 

@@ -119,6 +119,34 @@ def begin(static: Static, world: World, params: Params) -> Run:
     return Run(state, metrics.start(world.criteria, first))
 
 
+def measured(world: World, draw: Draw, first: Count, *, samples: int, dt: float) -> Array:
+    """What the sensors of one draw put out.
+
+    Args:
+        world: shared.
+        draw: whose sensors.
+        first: number of the first sample, a multiple of the noise block.
+        samples: how many.
+        dt: sample time, s.
+
+    Returns:
+        (samples, 6) measured increments, rad and m/s.
+    """
+    ideal = jax.lax.dynamic_slice(world.tape, (draw.start + first, 0), (samples, 6))
+    blocks = -(-samples // imu.NOISE_BLOCK)
+    numbers = first // imu.NOISE_BLOCK + jnp.arange(blocks)
+
+    def drawn() -> Array:
+        normal = jax.vmap(imu.noise, in_axes=(None, None, 0))(world.seed, draw.draw_id, numbers)
+        return normal.reshape(-1, 6)[:samples]
+
+    def silent() -> Array:
+        return jnp.zeros((samples, 6), jnp.float32)
+
+    noisy = jnp.any(world.errors.gyro_noise > 0) | jnp.any(world.errors.accel_noise > 0)
+    return imu.measure(ideal, world.errors, jax.lax.cond(noisy, drawn, silent), dt)
+
+
 def stream(
     world: World, draw: Draw, previous: Array, first: Count, *, samples: int, dt: float
 ) -> tuple[Sample, Array]:
@@ -135,23 +163,10 @@ def stream(
     Returns:
         `Sample` with leaves (samples,), and the last increments (6,) for the next call.
     """
-    ideal = jax.lax.dynamic_slice(world.tape, (draw.start + first, 0), (samples, 6))
-    blocks = -(-samples // imu.NOISE_BLOCK)
-    numbers = first // imu.NOISE_BLOCK + jnp.arange(blocks)
-
-    def drawn() -> Array:
-        normal = jax.vmap(imu.noise, in_axes=(None, None, 0))(world.seed, draw.draw_id, numbers)
-        return normal.reshape(-1, 6)[:samples]
-
-    def silent() -> Array:
-        return jnp.zeros((samples, 6), jnp.float32)
-
-    noisy = jnp.any(world.errors.gyro_noise > 0) | jnp.any(world.errors.accel_noise > 0)
-    normal = jax.lax.cond(noisy, drawn, silent)
-    measured = imu.measure(ideal, world.errors, normal, dt)
+    increments = measured(world, draw, first, samples=samples, dt=dt)
     # Nothing is known before the first sample: it stands in for its predecessor.
-    before = jnp.where(first == 0, measured[0], previous)
-    return imu.compensate(measured, before), measured[-1]
+    before = jnp.where(first == 0, increments[0], previous)
+    return imu.compensate(increments, before), increments[-1]
 
 
 def end(static: Static, world: World, run: Run) -> Outcome:
@@ -207,9 +222,7 @@ def advance(
         time = n * static.options.dt
         return Run(
             state,
-            metrics.accumulate(
-                run.metrics, world.criteria, now, floor=world.floor, time=time
-            ),
+            metrics.accumulate(run.metrics, world.criteria, now, floor=world.floor, time=time),
         )
 
     step = fan.over_runs(one_step, 0, 0, fan.shared, None)
@@ -239,14 +252,16 @@ def over_blocks(
     """
     size = lcm(static.record_every, imu.NOISE_BLOCK) // static.record_every
     whole, rest = divmod(static.records, size)
-    carry, out = jax.lax.scan(
-        lambda c, block: step(c, block * size, size), carry, jnp.arange(whole)
-    )
-    out = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), out)
+    pieces = []
+    if whole:
+        carry, out = jax.lax.scan(
+            lambda c, block: step(c, block * size, size), carry, jnp.arange(whole)
+        )
+        pieces.append(jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), out))
     if rest:
-        carry, tail = step(carry, jnp.asarray(whole * size), rest)
-        out = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), out, tail)
-    return carry, out
+        carry, out = step(carry, jnp.asarray(whole * size), rest)
+        pieces.append(out)
+    return carry, jax.tree.map(lambda *parts: jnp.concatenate(parts), *pieces)
 
 
 def simulate(
@@ -274,16 +289,14 @@ def simulate(
             return stream(world, draw, previous, first, samples=n, dt=static.options.dt)
 
         def one_truth(draw: Draw, previous: Array) -> Array:
-            return jax.lax.dynamic_slice_in_dim(world.truth[draw.row], record, records)
+            return jax.lax.dynamic_slice_in_dim(jnp.asarray(world.truth)[draw.row], record, records)
 
         samples, previous = fan.over_draws(one_stream)(draws, previous)
         samples = fan.hand_out(samples)
         truth = fan.hand_out(fan.over_draws(one_truth)(draws, previous))
         counts = (first + 1 + jnp.arange(n)).astype(world.tape.dtype)
         cut = jax.tree.map(lambda a: a.reshape(records, every, *a.shape[1:]), (samples, counts))
-        run, out = advance(
-            static, world, params, run, block=(cut[0], truth, cut[1]), fan=fan
-        )
+        run, out = advance(static, world, params, run, block=(cut[0], truth, cut[1]), fan=fan)
         return (run, previous), out
 
     run = fan.over_runs(lambda p: begin(static, world, p), 0)(params)

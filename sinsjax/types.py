@@ -5,8 +5,11 @@ Everything here describes *one* run. Batching adds leading axes to the leaves; n
 
 from typing import NamedTuple
 
-from jaxtyping import Array, ArrayLike, Bool, Float, Int
+import jax
+import numpy as np
+from jaxtyping import ArrayLike, Bool, Float, Int
 
+Array = jax.Array | np.ndarray
 Scalar = Float[ArrayLike, ""]
 Flag = Bool[ArrayLike, ""]
 Count = Int[ArrayLike, ""]

@@ -98,9 +98,7 @@ def _close_loop(params: Params, state: State, n: Scalar) -> State:
             x=tuple(x - f for x, f in zip(state.belief.x, fed, strict=True)),
             p=reset_covariance(params.resets, reset, state.belief.p, params.p0, yaw=PHI_U),
         ),
-        bias=tuple(
-            b + f for b, f in zip(state.bias, fed[len(_LEVEL_AND_YAW) :], strict=True)
-        ),
+        bias=tuple(b + f for b, f in zip(state.bias, fed[len(_LEVEL_AND_YAW) :], strict=True)),
         feedback_at=jnp.where(due, state.feedback_at + params.feedback.every, state.feedback_at),
     )
 
@@ -117,9 +115,7 @@ def _attitude(state: State) -> Quat:
 def _covariance(state: State) -> AttitudeCovariance:
     at = triangle_index(len(state.belief.x))
     angles = (PHI_E, PHI_N, PHI_U)
-    return AttitudeCovariance(
-        *(state.belief.p[at[i, j]] for i in angles for j in angles if i <= j)
-    )
+    return AttitudeCovariance(*(state.belief.p[at[i, j]] for i in angles for j in angles if i <= j))
 
 
 def _normalise(state: State) -> State:

@@ -1,0 +1,49 @@
+"""Execute every notebook, in its own folder and on a copy in memory.
+
+Fails if a notebook raises or is stored with outputs.
+"""
+
+import sys
+import time
+from pathlib import Path
+
+import nbformat
+from nbclient import NotebookClient
+from nbclient.exceptions import CellExecutionError
+
+TIMEOUT_S = 300
+
+
+def execute(path: Path) -> str:
+    """Run one notebook; what is wrong with it, or an empty string."""
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    if any(cell.outputs or cell.execution_count for cell in code):
+        return "stored with outputs: strip them (pre-commit does)"
+    client = NotebookClient(
+        notebook,
+        timeout=TIMEOUT_S,
+        kernel_name="python3",
+        resources={"metadata": {"path": str(path.parent)}},
+    )
+    try:
+        client.execute()
+    except CellExecutionError as error:
+        return str(error)
+    return ""
+
+
+def main() -> int:
+    """Run them all; 1 if one fails."""
+    failed = False
+    for path in sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb")):
+        started = time.monotonic()
+        wrong = execute(path)
+        failed = failed or bool(wrong)
+        print(f"{path.name}: {wrong or f'{time.monotonic() - started:.0f} s'}", flush=True)
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

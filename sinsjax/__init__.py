@@ -1,0 +1,38 @@
+"""Initial alignment of strapdown inertial navigators: thousands of runs in one compiled call.
+
+Words and conventions, said once for the whole package:
+
+**Frames.** n is the navigation frame, east-north-up; b is the body frame, right-front-up.
+``C_nb`` (and the quaternion ``q_nb``, scalar first) takes body vectors to n.
+
+**Attitude.** ``C_b^n = Rz(yaw) Rx(pitch) Ry(roll)``. Yaw is counter-clockwise from north.
+
+**Misalignment.** ``phi`` is the rotation vector between the true and the computed navigation
+frame: ``C_b^{n'} = exp(-phi x) C_b^n``. A correction is ``C <- exp(+phi x) C``, ``V <- V - dV``.
+A ``phi`` column is the rotation vector of ``C_true C_hat^T``, each component in (-180, 180] deg,
+where ``C_hat`` is the corrected attitude: what a user would be given.
+
+**Units.** SI, radians and seconds inside. Outside (TOML keys, columns, axis labels) the unit is in
+the name: ``_deg``, ``_arcmin``, ``_deg_per_h``, ``_ug``, ``_s``, ``_m_per_s``.
+
+**Letters.** ``eps`` gyro bias, ``nabla`` accelerometer bias, ``Phi`` transition, ``Q`` process
+noise, ``R`` measurement noise, ``P`` covariance, ``K`` gain, as in the papers.
+
+**Draws, variants, runs.** A draw is one realisation of the sensor noise; a variant is one point of
+a study's axes; a run is a draw under a variant: ``run_id = draw_id * n_variants + variant_id``.
+Noise depends on the seed and the draw alone, so variants of one draw share it.
+
+**Order within a sample.** Mechanise, predict, update, then feed back, reset and record if due. A
+reset at t acts after the update of sample ``round(t/dt)``: the whole state is fed back, then the
+covariance is set.
+
+Importing the package adds XLA:CPU options to ``XLA_FLAGS`` (see `sinsjax.runtime`) and changes
+nothing else. `sinsjax.runtime.configure` sets the number of CPU devices and double precision.
+"""
+
+from sinsjax import runtime
+
+# XLA reads its options once, so this comes before anything that may start JAX.
+runtime.apply_options()
+
+__version__ = runtime.package_version()

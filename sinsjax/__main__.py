@@ -1,0 +1,5 @@
+"""``python -m sinsjax``."""
+
+from sinsjax.cli import main
+
+main()

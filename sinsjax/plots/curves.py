@@ -1,0 +1,245 @@
+"""Figures of curves over time: misalignment, attitude, covariance against the true error."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from sinsjax.plots.style import GREY, colour, label, legend_outside, styled
+
+BAND = (0.025, 0.975)
+"""Quantiles over the draws that bound a band."""
+
+_LINEAR = 10.0  # arcmin; a symmetric log axis is linear up to here
+_NAMES = {"e": "east", "n": "north", "u": "up (yaw)"}
+
+
+class Ensemble(NamedTuple):
+    """Curves of several runs that make one line with its band.
+
+    Attributes:
+        label: what the legend calls them.
+        time_s: (T,) record times, s.
+        columns: column name to values, (runs, T).
+    """
+
+    label: str
+    time_s: NDArray
+    columns: Mapping[str, NDArray]
+
+
+class Line(NamedTuple):
+    """One line of a figure: its values over the runs, and how it is drawn.
+
+    Attributes:
+        label: what the legend calls it.
+        time_s: (T,) s.
+        values: (runs, T).
+        colour: of the line and its band.
+        style: matplotlib's line style.
+    """
+
+    label: str
+    time_s: NDArray
+    values: NDArray
+    colour: str
+    style: str = "-"
+
+
+def ensembles(curves: pa.Table, runs: Mapping[str, Iterable[int]]) -> list[Ensemble]:
+    """Curves arranged by run and record.
+
+    Args:
+        curves: one row a run and record time, by run_id and time.
+        runs: which runs make which line.
+    """
+    made = []
+    for name, run_ids in runs.items():
+        rows = curves.filter(pc.field("run_id").isin(sorted(run_ids)))
+        count = pc.count_distinct(rows["run_id"]).as_py()
+        columns = {
+            column: rows[column].cast(pa.float64()).to_numpy().reshape(count, -1)
+            for column in rows.column_names
+            if column != "run_id"
+        }
+        made.append(Ensemble(name, columns.pop("time_s")[0], columns))
+    return made
+
+
+def draw(axes: Axes, line: Line) -> None:
+    """Draws a line's mean over the runs and the band that holds 95 % of them."""
+    known = np.isfinite(line.values).all(axis=0)
+    if not known.any():
+        return
+    time, values = line.time_s[known], line.values[:, known]
+    axes.plot(time, values.mean(axis=0), line.style, color=line.colour, label=line.label)
+    if len(values) > 1:
+        low, high = np.quantile(values, BAND, axis=0)
+        axes.fill_between(time, low, high, color=line.colour, alpha=0.22, linewidth=0)
+
+
+@styled
+def misalignment(
+    shown: Sequence[Ensemble],
+    title: str,
+    *,
+    limits: Mapping[str, float] | None = None,
+    resets_s: Sequence[float] = (),
+    zoom_s: tuple[float, float] | None = None,
+    with_sigma: bool = False,
+) -> Figure:
+    """Misalignment about east, north and up: the whole run, and its end enlarged.
+
+    Args:
+        shown: one line each, with the phi columns (and sigma, if it is drawn).
+        title: of the figure.
+        limits: grey lines at ``{"e": ..., "n": ..., "u": ...}``, arcmin.
+        resets_s: dotted lines at reset moments, s.
+        zoom_s: time span of the enlargement on a linear axis; none is drawn without it.
+        with_sigma: whether the filter's own 1 sigma is drawn, dashed on both sides of 0.
+    """
+    figure = Figure(figsize=(9.2, 7.8))
+    figure.suptitle(title)
+    grid = figure.subplots(3, 2 if zoom_s else 1, sharex="col", squeeze=False)
+    for row, axis in zip(grid, "enu", strict=True):
+        for axes in row:
+            _draw_misalignment(axes, axis, shown, with_sigma=with_sigma)
+            if limits and axis in limits:
+                axes.axhline(limits[axis], color=GREY, linewidth=0.9, label="limit")
+            _mark(axes, resets_s)
+        row[0].set_yscale("symlog", linthresh=_LINEAR)
+        row[0].set_ylabel(f"phi {_NAMES[axis]} (arcmin)")
+        if zoom_s:
+            _enlarge(row[1], zoom_s, resets_s)
+    grid[0, 0].set_title(f"Whole run (linear within ±{_LINEAR:g} arcmin, then log)")
+    if zoom_s:
+        grid[0, 1].set_title(f"Enlarged: {zoom_s[0]:g} to {zoom_s[1]:g} s (linear)")
+    for axes in grid[-1]:
+        axes.set_xlabel("time (s)")
+    legend_outside(figure, grid[0, 0])
+    return figure
+
+
+def _draw_misalignment(
+    axes: Axes, axis: str, shown: Sequence[Ensemble], *, with_sigma: bool
+) -> None:
+    for i, ensemble in enumerate(shown):
+        values = ensemble.columns[f"phi_{axis}_arcmin"]
+        draw(axes, Line(ensemble.label, ensemble.time_s, values, colour(i)))
+        if with_sigma:
+            sigma = ensemble.columns[f"sigma_{axis}_arcmin"].mean(axis=0)
+            for side in (sigma, -sigma):
+                axes.plot(ensemble.time_s, side, "--", color=colour(i), linewidth=0.9, alpha=0.8)
+
+
+def _enlarge(axes: Axes, span: tuple[float, float], resets_s: Sequence[float]) -> None:
+    """Shows a time span, with the vertical axis fitted to what the lines do in it."""
+    axes.set_xlim(*span)
+    # Lines along the axis (limits, resets) have two points and must not decide the height.
+    inside = [
+        np.asarray(line.get_ydata())[(x >= span[0]) & (x <= span[1])]
+        for line in axes.get_lines()
+        if len(x := np.asarray(line.get_xdata())) > 2
+    ]
+    values = np.concatenate([*inside, np.zeros(0)])
+    if values.size:
+        margin = 0.08 * max(np.ptp(values), 1.0)
+        axes.set_ylim(values.min() - margin, values.max() + margin)
+
+
+def _mark(axes: Axes, times_s: Sequence[float]) -> None:
+    for i, time in enumerate(times_s):
+        name = "reset" if i == 0 else None
+        axes.axvline(time, color=GREY, linestyle=":", linewidth=1.1, label=name)
+
+
+@styled
+def attitude(shown: Sequence[Ensemble], title: str) -> Figure:
+    """Pitch, roll and yaw with the filter's own 1 sigma shaded: what a user without a truth gets.
+
+    Args:
+        shown: one line each; the mean over its runs, and their mean sigma.
+        title: of the figure.
+    """
+    figure = Figure(figsize=(9.2, 7.2))
+    figure.suptitle(title)
+    panels = figure.subplots(3, 1, sharex=True)
+    for axes, (angle, axis) in zip(
+        panels, {"pitch": "e", "roll": "n", "yaw": "u"}.items(), strict=True
+    ):
+        for i, ensemble in enumerate(shown):
+            values = ensemble.columns[f"{angle}_deg"].mean(axis=0)
+            sigma = ensemble.columns[f"sigma_{axis}_arcmin"].mean(axis=0) / 60
+            axes.plot(ensemble.time_s, values, color=colour(i), label=ensemble.label)
+            low, high = values - sigma, values + sigma
+            axes.fill_between(ensemble.time_s, low, high, color=colour(i), alpha=0.18, linewidth=0)
+        axes.set_ylabel(f"{angle} (deg)")
+    panels[-1].set_xlabel("time (s)")
+    legend_outside(figure, panels[0])
+    return figure
+
+
+@styled
+def squares(
+    panels: Mapping[str, Sequence[Line]],
+    title: str,
+    *,
+    resets_s: Sequence[float] = (),
+    floor: float = 0.1,
+) -> Figure:
+    """Squared quantities on a log axis: the filter's variance against the true squared error.
+
+    Args:
+        panels: lines in arcmin^2 by panel title.
+        title: of the figure.
+        resets_s: dotted lines at reset moments, s.
+        floor: lower end of the axis, arcmin^2.
+    """
+    figure = Figure(figsize=(9.2, 4.8))
+    figure.suptitle(title)
+    grid = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    for axes, (name, lines) in zip(grid, panels.items(), strict=True):
+        for line in lines:
+            draw(axes, line)
+        _mark(axes, resets_s)
+        axes.set_yscale("log")
+        axes.set_ylim(bottom=floor)
+        axes.set_title(name)
+        axes.set_xlabel("time (s)")
+    grid[0].set_ylabel(f"yaw variance ({label('x_arcmin2')[3:-1]})")
+    legend_outside(figure, grid[0], columns=3)
+    return figure
+
+
+@styled
+def yaw_errors(panels: Mapping[str, Sequence[Ensemble]], title: str) -> Figure:
+    """Yaw error over time, a panel for each setting.
+
+    Args:
+        panels: lines with the ``phi_u_arcmin`` column by panel title.
+        title: of the figure.
+    """
+    width = min(2, len(panels))
+    height = -(-len(panels) // width)
+    figure = Figure(figsize=(9.2, 1.6 + 2.6 * height))
+    figure.suptitle(title)
+    grid = figure.subplots(height, width, sharex=True, sharey=True, squeeze=False)
+    for axes, (name, shown) in zip(grid.flat, panels.items(), strict=False):
+        for i, ensemble in enumerate(shown):
+            values = ensemble.columns["phi_u_arcmin"]
+            draw(axes, Line(ensemble.label, ensemble.time_s, values, colour(i)))
+        axes.set_yscale("symlog", linthresh=_LINEAR)
+        axes.set_title(name)
+    for axes in list(grid.flat)[len(panels) :]:
+        axes.set_visible(False)
+    for axes in grid[:, 0]:
+        axes.set_ylabel("yaw error phi u (arcmin)")
+    for axes in grid[-1]:
+        axes.set_xlabel("time (s)")
+    legend_outside(figure, grid[0, 0])
+    return figure

@@ -1,0 +1,58 @@
+"""Recorded inertial data in and out: PSINS text, CSV and Parquet.
+
+Every reader returns a `Record`: increments in SI over each sample, in right-front-up body axes.
+Every user mistake raises `InputError` with one line that names the file and the row, column or key.
+"""
+
+from pathlib import Path
+
+from sinsjax.records.layout import (
+    ACCEL_UNITS,
+    GYRO_UNITS,
+    PSINS_LAYOUT,
+    Layout,
+    Record,
+    check_layout,
+    require_span,
+)
+from sinsjax.records.psins import read_psins, write_psins
+from sinsjax.records.reference import Reference, read_reference
+from sinsjax.records.tabular import read_csv, read_parquet, write_csv, write_parquet
+
+__all__ = [
+    "ACCEL_UNITS",
+    "GYRO_UNITS",
+    "PSINS_LAYOUT",
+    "Layout",
+    "Record",
+    "Reference",
+    "check_layout",
+    "read_csv",
+    "read_parquet",
+    "read_psins",
+    "read_record",
+    "read_reference",
+    "require_span",
+    "write_csv",
+    "write_parquet",
+    "write_psins",
+]
+
+_READERS = {"psins": read_psins, "csv": read_csv, "parquet": read_parquet}
+
+
+def read_record(path: str | Path, layout: Layout) -> Record:
+    """Reads a record in the format that the layout names.
+
+    Args:
+        path: the file.
+        layout: how to read it.
+
+    Returns:
+        The record, T samples.
+
+    Raises:
+        InputError: the layout or the file cannot be used; the line names the key or the row.
+    """
+    check_layout(layout, str(path))
+    return _READERS[layout.format](path, layout)

@@ -1,0 +1,69 @@
+"""Bytes of a file in, and a file out that appears whole or not at all."""
+
+import math
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+from sinsjax.types import InputError
+
+CUT_OFF = " (the last row: is the file cut off?)"
+
+
+def load(path: str | Path) -> bytes:
+    """The whole content of a file that is not empty; raises InputError where there is none."""
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    if not data:
+        raise InputError(f"{path}: the file is empty")
+    return data
+
+
+def load_lines(path: str | Path) -> list[bytes]:
+    """The lines of a text file without their ends; raises InputError for what is not text."""
+    data = load(path)
+    if b"\0" in data:
+        row = data.count(b"\n", 0, data.index(b"\0")) + 1
+        raise InputError(f"{path}: row {row}: not a text file (a zero byte)")
+    return data.removeprefix(b"\xef\xbb\xbf").splitlines()
+
+
+def number(text: str) -> float:
+    """Reads one finite number; a ValueError says what is wrong with the text."""
+    text = text.strip()
+    if not text:
+        raise ValueError("is empty")
+    shown = repr(text if len(text) <= 24 else text[:24] + "...")
+    try:
+        value = float(text.replace("_", "?"))  # Python's own 1_000 is not a number in a file
+    except ValueError:
+        raise ValueError(f"{shown} is not a number") from None
+    if not math.isfinite(value):
+        raise ValueError(f"{shown} is not finite")
+    return value
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[BinaryIO]:
+    """Opens a file that takes its name only when the block ends without an error.
+
+    Raises:
+        InputError: the target cannot be written.
+    """
+    target = Path(path)
+    temporary = target.parent / f".{target.name}.{os.getpid()}.tmp"
+    try:
+        with open(temporary, "wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(target)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
+    finally:
+        with suppress(OSError):
+            temporary.unlink()

@@ -1,0 +1,234 @@
+"""What a record is, how a file lays it out, and the units and axes between the two."""
+
+import math
+import re
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sinsjax.types import InputError
+from sinsjax.units import ARCSEC, DEG, DEG_PER_H, STANDARD_GRAVITY, micro_g
+
+FloatArray = NDArray[np.float64]
+
+GYRO_UNITS = {
+    "increments": {"rad": 1.0, "deg": DEG, "arcsec": ARCSEC},
+    "rates": {"rad_per_s": 1.0, "deg_per_s": DEG, "deg_per_h": DEG_PER_H},
+}
+"""Factors to rad or rad/s, by quantity and unit name."""
+
+ACCEL_UNITS = {
+    "increments": {"m_per_s": 1.0, "g_s": STANDARD_GRAVITY, "ug_s": micro_g()},
+    "rates": {"m_per_s2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e3 * micro_g(), "ug": micro_g()},
+}
+"""Factors to m/s or m/s^2, by quantity and unit name; g is the standard gravity."""
+
+_FORMATS = ("psins", "csv", "parquet")
+# A clock may run this far from its nominal rate; beyond it the stated rate is a mistake.
+_RATE_TOLERANCE = 1e-4
+
+
+class Record(NamedTuple):
+    """An inertial record of T samples, b = right-front-up.
+
+    Attributes:
+        dtheta: (T, 3) rotation increments over each sample, rad.
+        dv: (T, 3) specific-force increments over each sample, m/s.
+        rate_hz: samples a second.
+        t0_s: time at which the first sample begins; sample k ends at t0_s + (k + 1) / rate_hz.
+        latitude_deg: geodetic latitude of the file's header, or None.
+        height_m: height of the file's header, or None.
+        attitude_deg: pitch, roll and yaw (counter-clockwise from north) of the file's header, as
+            written there, or None.
+        gravity_m_per_s2: the g in which the file counts specific force, or None.
+        source: the file's name, for messages.
+    """
+
+    dtheta: FloatArray
+    dv: FloatArray
+    rate_hz: float
+    t0_s: float = 0.0
+    latitude_deg: float | None = None
+    height_m: float | None = None
+    attitude_deg: tuple[float, float, float] | None = None
+    gravity_m_per_s2: float | None = None
+    source: str = "record"
+
+
+class Layout(NamedTuple):
+    """How a file holds a record; the fields are the keys of a study's ``[record]`` section.
+
+    Attributes:
+        format: "psins", "csv" or "parquet". PSINS text uses only axes_order and rate_hz besides.
+        quantity: "increments" over each sample, or "rates" averaged over each sample.
+        time_column: seconds at the end of each sample; "" where the file has no time.
+        gyro_columns: three names, in the record's own x, y, z.
+        accel_columns: three names, in the record's own x, y, z.
+        gyro_unit: a key of `GYRO_UNITS` for the quantity.
+        accel_unit: a key of `ACCEL_UNITS` for the quantity.
+        axes_order: the record's axes that point right, front and up: "y-xz" says that right is +y
+            of the record, front is -x, up is +z.
+        rate_hz: samples a second; None takes it from the header or the time column.
+    """
+
+    format: str
+    quantity: str = "increments"
+    time_column: str = ""
+    gyro_columns: tuple[str, ...] = ()
+    accel_columns: tuple[str, ...] = ()
+    gyro_unit: str = "rad"
+    accel_unit: str = "m_per_s"
+    axes_order: str = "xyz"
+    rate_hz: float | None = None
+
+
+PSINS_LAYOUT = Layout("psins")
+"""PSINS text with right-front-up axes, at the rate of its header."""
+
+
+def check_layout(layout: Layout, source: str) -> None:
+    """Refuses a layout that no file can be read with.
+
+    Args:
+        layout: the layout.
+        source: what the message begins with: the name of the file that holds the keys.
+
+    Raises:
+        InputError: names the key and what is wrong with it.
+    """
+    fault = next(_layout_faults(layout), None)
+    if fault is not None:
+        key, text = fault
+        raise InputError(f"{source}: {key}: {text}")
+
+
+def _layout_faults(layout: Layout) -> Iterator[tuple[str, str]]:
+    # Only the first fault is asked for: what comes later may lean on what came before.
+    if layout.format not in _FORMATS:
+        yield "format", _not_one_of(layout.format, _FORMATS)
+    if layout.quantity not in GYRO_UNITS:
+        yield "quantity", _not_one_of(layout.quantity, GYRO_UNITS)
+    if layout.rate_hz is not None and not 0 < layout.rate_hz < math.inf:
+        yield "rate_hz", f"must be positive, not {layout.rate_hz!r}"
+    try:
+        axes(layout.axes_order)
+    except ValueError as error:
+        yield "axes_order", str(error)
+    if layout.format == "psins":
+        if layout.quantity != "increments":
+            yield "quantity", "PSINS text holds increments, not rates"
+        return
+    yield from _column_faults(layout)
+
+
+def _column_faults(layout: Layout) -> Iterator[tuple[str, str]]:
+    units = (
+        ("gyro_unit", layout.gyro_unit, GYRO_UNITS),
+        ("accel_unit", layout.accel_unit, ACCEL_UNITS),
+    )
+    for key, unit, known in units:
+        if unit not in known[layout.quantity]:
+            yield key, f"{_not_one_of(unit, known[layout.quantity])} for {layout.quantity}"
+    seen = {layout.time_column: "time_column"}
+    for key, names in (
+        ("gyro_columns", layout.gyro_columns),
+        ("accel_columns", layout.accel_columns),
+    ):
+        if len(names) != 3:
+            yield key, f"must name three columns, not {len(names)}"
+        for name in names:
+            if not name:
+                yield key, "a column name is empty"
+            if name in seen:
+                yield key, f"column {name!r} is already used in {seen[name]}"
+            seen[name] = key
+    if not layout.time_column and layout.rate_hz is None:
+        yield "rate_hz", "needed, since there is no time_column"
+
+
+def _not_one_of(value: str, known: Iterable[str]) -> str:
+    return f"{value!r} is not one of {', '.join(known)}"
+
+
+def axes(order: str) -> tuple[list[int], FloatArray]:
+    """Reads an axes order: for body right, front, up the record's axis and its sign.
+
+    Args:
+        order: a signed permutation of xyz, such as "y-xz".
+
+    Returns:
+        The three indices into the record's axes, and the three signs (3,).
+
+    Raises:
+        ValueError: it is not a signed permutation of xyz, or it is left-handed.
+    """
+    terms = re.findall(r"([+-]?)([xyz])", order)
+    names = [name for _, name in terms]
+    if "".join(sign + name for sign, name in terms) != order or sorted(names) != list("xyz"):
+        raise ValueError(f"{order!r} is not a signed permutation of xyz, such as 'y-xz'")
+    index = ["xyz".index(name) for name in names]
+    signs = np.array([-1.0 if sign == "-" else 1.0 for sign, _ in terms])
+    matrix = signs[:, None] * np.eye(3)[index]
+    if np.linalg.det(matrix) < 0:
+        raise ValueError(f"{order!r} is left-handed: it mirrors the axes; change one sign")
+    return index, signs
+
+
+def to_body(values: FloatArray, order: str) -> FloatArray:
+    """Turns (T, 3) vectors from the record's axes to right-front-up; exact."""
+    index, signs = axes(order)
+    return values[:, index] * signs
+
+
+def from_body(values: FloatArray, order: str) -> FloatArray:
+    """Turns (T, 3) vectors from right-front-up to the record's axes; exact."""
+    index, signs = axes(order)
+    return (values * signs)[:, np.argsort(index)]
+
+
+def agreed_rate(found_hz: float, layout: Layout, slack: float, source: str) -> float:
+    """Settles the sampling rate from what the file says and what the layout says.
+
+    Args:
+        found_hz: the rate that the file says.
+        layout: its ``rate_hz`` rules where it is given.
+        slack: relative uncertainty of found_hz, on top of a clock's 1e-4.
+        source: what the message begins with.
+
+    Returns:
+        The rate, Hz. One that comes from the file is rounded to 12 digits, so that an interval of
+        0.01 s means 100 Hz.
+
+    Raises:
+        InputError: the two differ.
+    """
+    found_hz = float(f"{found_hz:.12g}")
+    if layout.rate_hz is None:
+        return found_hz
+    if abs(found_hz / layout.rate_hz - 1) > _RATE_TOLERANCE + slack:
+        raise InputError(f"{source} says {found_hz:.6g} Hz, but rate_hz is {layout.rate_hz:g}")
+    return layout.rate_hz
+
+
+def require_span(record: Record, start_s: float, needed_s: float) -> None:
+    """Refuses a record that ends before what is asked of it.
+
+    Args:
+        record: the record.
+        start_s: where the use begins, from the record's beginning, s.
+        needed_s: how long the use lasts, s.
+
+    Raises:
+        InputError: says what the record has and what is needed.
+    """
+    has_s = len(record.dtheta) / record.rate_hz
+    if start_s < 0:
+        raise InputError(f"{record.source}: start_s = {start_s:g} lies before the record")
+    # A thousandth of a sample absorbs the rounding of the sum, and never hides a missing one.
+    if start_s + needed_s > has_s + 1e-3 / record.rate_hz:
+        raise InputError(
+            f"{record.source}: has {has_s:g} s, but start_s = {start_s:g} and "
+            f"{needed_s:g} s from there need {start_s + needed_s:g} s"
+        )

@@ -1,0 +1,229 @@
+"""PSINS SIMU log text: three header lines, then six integer counts a sample.
+
+The format of the PSINS toolbox (G. Yan, NWPU). Lines that start with % are comments. Header: pitch,
+roll, yaw (deg), VE, VN, VU (m/s); latitude, longitude (deg), height (m), t0 (s), interval (ms), g
+(m/s^2); scale factors, three gyro (arcsec) and three accelerometer (ug*s, in that g).
+"""
+
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sinsjax.records.files import CUT_OFF, load_lines, number, replacing
+from sinsjax.records.layout import (
+    PSINS_LAYOUT,
+    FloatArray,
+    Layout,
+    Record,
+    agreed_rate,
+    check_layout,
+    to_body,
+)
+from sinsjax.types import InputError
+from sinsjax.units import ARCSEC, STANDARD_GRAVITY, micro_g
+
+_COUNT_COLUMNS = tuple(f"{sensor} {axis}" for sensor in ("gyro", "accelerometer") for axis in "xyz")
+_INT64 = np.iinfo(np.int64)
+# Counts beyond this are not whole numbers in float64 any more.
+_LARGEST_SUM = 2.0**53
+
+
+class _Header(NamedTuple):
+    """The three header lines, six values each; nan stands for "not known"."""
+
+    pose: Sequence[float]  # pitch, roll, yaw deg; VE, VN, VU m/s
+    place: Sequence[float]  # latitude, longitude deg; height m; t0 s; interval ms; g m/s^2
+    scale: Sequence[float]  # gyro x, y, z arcsec; accelerometer x, y, z ug*s
+
+
+def read_psins(path: str | Path, layout: Layout = PSINS_LAYOUT) -> Record:
+    """Reads a PSINS SIMU log.
+
+    The header's g turns the accelerometer counts into m/s. A header value of nan for the attitude,
+    latitude or height means that it is not known.
+
+    Args:
+        path: the file.
+        layout: its axes_order and rate_hz count; rate_hz must agree with the header's interval.
+
+    Returns:
+        The record with the header's place, attitude and g.
+
+    Raises:
+        InputError: the file cannot be read, is cut off, or has a bad header or sample; the line
+            names the row.
+    """
+    check_layout(layout, str(path))
+    lines = load_lines(path)
+    rows = [row for row, line in enumerate(lines) if _has_data(line)]
+    header = _read_header(path, lines, rows[:3])
+    if len(rows) == 3:
+        raise InputError(f"{path}: no samples after the header")
+    counts = _read_counts(path, lines, rows[3:])
+    scale = np.array(header.scale)
+    latitude, _, height, t0, interval_ms, gravity = header.place
+    attitude = (header.pose[0], header.pose[1], header.pose[2])
+    rate = agreed_rate(1e3 / interval_ms, layout, 0.0, f"{path}: row {rows[1] + 1}: the header")
+    return Record(
+        dtheta=to_body(counts[:, :3] * (scale[:3] * ARCSEC), layout.axes_order),
+        dv=to_body(counts[:, 3:] * (scale[3:] * micro_g(gravity)), layout.axes_order),
+        rate_hz=rate,
+        t0_s=t0,
+        latitude_deg=None if math.isnan(latitude) else latitude,
+        height_m=None if math.isnan(height) else height,
+        attitude_deg=None if any(map(math.isnan, attitude)) else attitude,
+        gravity_m_per_s2=gravity,
+        source=str(path),
+    )
+
+
+def _has_data(line: bytes) -> bool:
+    text = line.lstrip()
+    return bool(text) and not text.startswith(b"%")
+
+
+def _read_header(path: str | Path, lines: list[bytes], rows: list[int]) -> _Header:
+    parsed = [_header_line(path, lines[row], row + 1) for row in rows]
+    if len(parsed) < 3:
+        raise InputError(f"{path}: the header has {len(parsed)} of its 3 lines")
+    header = _Header(*parsed)
+    fault = _header_fault(header)
+    if fault is not None:
+        line, text = fault
+        raise InputError(
+            f"{path}: row {rows[line] + 1}: header line {line + 1}: {text} (a header of 3 lines "
+            "comes before the samples)"
+        )
+    return header
+
+
+def _header_line(path: str | Path, line: bytes, row: int) -> list[float]:
+    words = line.decode("latin-1").split()
+    if len(words) != 6:
+        raise InputError(f"{path}: row {row}: a header line has 6 values, this one {len(words)}")
+    try:
+        return [math.nan if word.lower() == "nan" else number(word) for word in words]
+    except ValueError as error:
+        raise InputError(f"{path}: row {row}: header: {error}") from None
+
+
+def _header_fault(header: _Header) -> tuple[int, str] | None:
+    """The first thing that no header can say: its line (0 to 2) and the words, or None."""
+    latitude, _, _, t0, interval_ms, gravity = header.place
+    if not interval_ms > 0:
+        return 1, f"the sampling interval must be positive, not {interval_ms:g} ms"
+    if abs(latitude) > 90:
+        return 1, f"the latitude {latitude:g} deg is beyond 90"
+    # Lines in the wrong order, or a missing one, show here first.
+    if not 9 < gravity < 11:
+        return 1, f"g = {gravity:g} m/s^2 is no gravity"
+    if math.isnan(t0):
+        return 1, "t0 is not a number"
+    for name, value in zip(_COUNT_COLUMNS, header.scale, strict=True):
+        if not value > 0:
+            return 2, f"the scale factor of {name} must be positive, not {value:g}"
+    return None
+
+
+def _read_counts(path: str | Path, lines: list[bytes], rows: list[int]) -> NDArray[np.int64]:
+    text = [lines[row] for row in rows]
+    # loadtxt would take "1.5" for an integer: leave every odd character to the second path.
+    if not b"".join(text).translate(None, b"0123456789+- \t"):
+        try:
+            counts = np.loadtxt(text, dtype=np.int64, comments=None, ndmin=2)
+        except ValueError:
+            pass
+        else:
+            if counts.shape[1] == 6:
+                return counts
+    return _read_counts_with_care(path, lines, rows)
+
+
+def _read_counts_with_care(
+    path: str | Path, lines: list[bytes], rows: list[int]
+) -> NDArray[np.int64]:
+    """The second, slower path: it names the first row that is wrong."""
+    counts = []
+    for row in rows:
+        words = lines[row].decode("latin-1").split()
+        if len(words) != 6:
+            end = CUT_OFF if row == rows[-1] and len(words) < 6 else ""
+            raise InputError(f"{path}: row {row + 1}: a sample has 6 counts, not {len(words)}{end}")
+        for name, word in zip(_COUNT_COLUMNS, words, strict=True):
+            fault = _count_fault(word)
+            if fault:
+                raise InputError(f"{path}: row {row + 1}: {name}: {fault}")
+        counts.append([int(word) for word in words])
+    return np.array(counts, dtype=np.int64)
+
+
+def _count_fault(word: str) -> str:
+    try:
+        number(word)
+    except ValueError as error:
+        return str(error)
+    if not re.fullmatch(r"[+-]?[0-9]+", word):
+        return f"{word!r} is not an integer count"
+    if len(word) > 20 or not _INT64.min <= int(word) <= _INT64.max:
+        return f"a number of {len(word)} digits is too large for a count"
+    return ""
+
+
+def write_psins(
+    record: Record,
+    path: str | Path,
+    gyro_scale_arcsec: float = 0.1,
+    accel_scale_ug_s: float = 125.0,
+) -> None:
+    """Writes a PSINS SIMU log.
+
+    The running sums are rounded to counts, not the increments, so that the error of a sum of any
+    length stays within half a count. What the record does not know becomes nan in the header;
+    velocity and longitude, which a record does not hold, become 0.
+
+    Args:
+        record: the record; its g, or else the standard gravity, counts specific force.
+        path: the file to write; it appears whole or not at all.
+        gyro_scale_arcsec: one gyro count, arcsec.
+        accel_scale_ug_s: one accelerometer count, ug*s.
+
+    Raises:
+        InputError: a scale factor or the record cannot be written, or the target is not writable.
+    """
+    gravity = STANDARD_GRAVITY if record.gravity_m_per_s2 is None else record.gravity_m_per_s2
+    known = (math.nan if v is None else v for v in (record.latitude_deg, record.height_m))
+    latitude, height = known
+    header = _Header(
+        pose=[*(record.attitude_deg or [math.nan] * 3), 0.0, 0.0, 0.0],
+        place=[latitude, 0.0, height, record.t0_s, 1e3 / record.rate_hz, gravity],
+        scale=[gyro_scale_arcsec] * 3 + [accel_scale_ug_s] * 3,
+    )
+    fault = _header_fault(header)
+    if fault is not None:
+        raise InputError(f"{path}: cannot be written: {fault[1]}")
+    counts = np.column_stack(
+        [
+            _counts(path, record.dtheta, gyro_scale_arcsec * ARCSEC),
+            _counts(path, record.dv, accel_scale_ug_s * micro_g(gravity)),
+        ]
+    )
+    with replacing(path) as file:
+        file.write(b"% PSINS-format SIMU log file.\n")
+        for line in header:
+            file.write(" ".join(repr(float(value)) for value in line).encode() + b"\n")
+        np.savetxt(file, counts, fmt="%d")
+
+
+def _counts(path: str | Path, increments: FloatArray, quantum: float) -> NDArray[np.int64]:
+    sums = np.cumsum(increments, axis=0) / quantum
+    if not np.all(np.abs(sums) < _LARGEST_SUM):
+        raise InputError(f"{path}: cannot be written: an increment is not finite, or too large")
+    whole = np.rint(sums).astype(np.int64)
+    counts = whole.copy()
+    counts[1:] -= whole[:-1]
+    return counts

@@ -1,0 +1,66 @@
+"""What is printed, drawn and written about directories of results, from Parquet alone.
+
+A study's ``[report] layout`` says which shape its report has; a layout is a function from a
+`Source` to a `Report` and knows neither console nor page.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from sinsjax import plots
+from sinsjax.report import auto
+from sinsjax.report.base import Layout, Report, Source
+from sinsjax.report.output import FIGURES, pictures, print_report, save_figures, write_page
+
+LAYOUTS: dict[str, Layout] = {
+    "auto": auto.report,
+}
+"""What each ``[report] layout`` is made by, in the order in which several share a page."""
+
+PAPER1 = ("paper1_conditions", "paper1_resets", "paper1_readings")
+"""The layouts of the page on paper 1."""
+
+
+def summarise(directories: Sequence[Path], console: Console, page: Path | None = None) -> None:
+    """Prints the tables of some results and draws their figures; writes a page on request.
+
+    Args:
+        directories: of results; the figures of each go to ``figures/`` in it.
+        console: where the tables are printed.
+        page: Markdown file to write, with figures beside it in ``figures/``.
+
+    Raises:
+        InputError: a directory holds no results that its layout can use, or cannot be written.
+    """
+    made: list[tuple[Source, Report]] = []
+    for directory in directories:
+        source = Source.read(directory)
+        report = LAYOUTS[source.study.report.layout](source)
+        images = {block.name: plots.png(block.figure) for block in pictures(report)}
+        save_figures(images, directory / FIGURES)
+        print_report(source, report, console)
+        made.append((source, report))
+    if page is not None:
+        places = list(LAYOUTS)
+        made.sort(key=lambda item: places.index(item[0].study.report.layout))
+        write_page(page, _title(made), made, _missing(made))
+
+
+def _title(made: Sequence[tuple[Source, Report]]) -> str:
+    if any(source.study.report.layout in PAPER1 for source, _ in made):
+        return "Paper 1, reproduced"
+    return ", ".join(source.study.study.name for source, _ in made)
+
+
+def _missing(made: Sequence[tuple[Source, Report]]) -> list[str]:
+    """Says which part of paper 1's page has no results."""
+    there = {source.study.report.layout for source, _ in made}
+    if not there.intersection(PAPER1):
+        return []
+    return [
+        f"Not on this page: `configs/{name}.toml` has not been reported."
+        for name in PAPER1
+        if name not in there
+    ]

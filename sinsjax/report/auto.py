@@ -1,0 +1,156 @@
+"""The report of any study: statistics of its variants, curves, and figures over its axes."""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from sinsjax import analysis, plots
+from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.report.base import (
+    Block,
+    Picture,
+    Report,
+    Section,
+    Source,
+    Table,
+    Text,
+    name_of,
+    percent,
+    shown_keys,
+    value_text,
+)
+from sinsjax.report.over_axes import over_axes
+
+MOST_ROWS = 20
+"""Rows of a table; what is left out is said."""
+
+_MOST_LINES = 6
+_MOST_DRAWS = 256  # in a line's band
+_MOST_MOMENTS = 8
+
+_STATISTICS = (
+    ("settled to 10', median", "settle_10_s_median", "s", 0),
+    ("90 % of the runs", "settle_10_s_q90", "s", 0),
+    ("phi_u, window mean", "phi_u_mean_arcmin_mean", "arcmin", 1),
+    ("... from its limit", "phi_u_from_floor_arcmin_mean", "arcmin", 1),
+    ("... sd over runs", "phi_u_mean_arcmin_std", "arcmin", 2),
+)
+
+
+def report(source: Source) -> Report:
+    """Tables of the variants, curves where they were stored, and figures over the axes."""
+    has_truth = bool(np.isfinite(analysis.numbers(source.summary, "phi_u_arcmin")).any())
+    tables = _tables(source) if has_truth else [_attitudes(source)]
+    figures = list(_curves(source, has_truth))
+    if has_truth:
+        blocks = over_axes(source)
+        tables += [block for block in blocks if isinstance(block, Table)]
+        figures += [block for block in blocks if not isinstance(block, Table)]
+    sections = [Section("Figures", figures)] if figures else []
+    return Report([_headline(source, has_truth)], [*sections, Section("Tables", tables)])
+
+
+def statistics(table: pa.Table, keys: Sequence[str], title: str, note: str = "") -> Table:
+    """The statistics of each group of runs as a table.
+
+    Args:
+        table: the summary.
+        keys: what tells the groups apart.
+        title: of the table.
+        note: said below it.
+    """
+    found = analysis.summarise(table, keys).to_pylist()
+    rows = []
+    for row in found[:MOST_ROWS]:
+        ok = percent(_estimate(row, "success_rate"))
+        numbers = (
+            format_estimate(_estimate(row, name), unit, digits)
+            for _, name, unit, digits in _STATISTICS
+        )
+        rows.append([*(value_text(row[key]) for key in keys), str(row["n"]), ok, *numbers])
+    if left := len(found) - len(rows):
+        note = f"{note} {left} more rows are not shown.".lstrip()
+    return Table(title, [*keys, "runs", "ok", *(name for name, *_ in _STATISTICS)], rows, note)
+
+
+def _estimate(row: dict[str, Any], name: str) -> Estimate:
+    ends = (row[f"{name}{end}"] for end in ("", "_low", "_high"))
+    return Estimate(*(math.nan if end is None else end for end in ends), row["n"])
+
+
+def _headline(source: Source, has_truth: bool) -> str:
+    study, n = source.study, source.summary.num_rows
+    draws = "start times" if study.is_recorded else "draws"
+    text = f"{n:,} runs: {study.n_variants} variants, {study.n_draws} {draws}."
+    if not has_truth:
+        return f"{text} Without truth or reference, attitude and its 1 sigma is what is known."
+    ok = analysis.proportion(source.summary["status"].to_pylist().count("ok"), n)
+    return f"{text} The heading error ends within 10 arcmin of its limit in {percent(ok)} of them."
+
+
+def _tables(source: Source) -> list[Block]:
+    study = source.study
+    start, end = study.study.window_s
+    note = f"Number [95 % interval]; window {start:g} to {end:g} s; *never*: did not settle."
+    keys = shown_keys(study)
+    if study.n_variants <= MOST_ROWS:
+        return [statistics(source.summary, keys, "Every variant", note)]
+    pooled = f"{study.n_variants} variants: each table takes one key and pools the others."
+    return [
+        Text(pooled),
+        *(statistics(source.summary, [key], f"By {key}", note) for key in keys),
+    ]
+
+
+def _attitudes(source: Source) -> Table:
+    """Final attitude of every run with the filter's own 1 sigma."""
+    keys = ["start_s", *shown_keys(source.study)]
+    angles = [f"{angle}_deg" for angle in ("pitch", "roll", "yaw")]
+    sigmas = [f"sigma_{axis}_arcmin" for axis in "enu"]
+    digits = dict.fromkeys(angles, 4) | dict.fromkeys(sigmas, 2)
+    rows = [
+        [value_text(row[key]) for key in keys]
+        + [_number(row[name], places) for name, places in digits.items()]
+        for row in source.summary.slice(0, MOST_ROWS).to_pylist()
+    ]
+    left = source.summary.num_rows - len(rows)
+    note = f"{left} more runs are in `summary/`." if left else ""
+    return Table("Attitude at the end, with the filter's own 1 sigma", [*keys, *digits], rows, note)
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "unknown" if value is None else f"{value:.{digits}f}"
+
+
+def _curves(source: Source, has_truth: bool) -> Iterator[Block]:
+    """Misalignment, or attitude, over time: the first few variants."""
+    groups = list(analysis.groups(source.summary, shown_keys(source.study)))
+    drawn = {name_of(key): rows.slice(0, _MOST_DRAWS) for key, rows in groups[:_MOST_LINES]}
+    runs = {name: rows["run_id"].to_pylist() for name, rows in drawn.items()}
+    curves = source.curves(run for ids in runs.values() for run in ids)
+    if curves.num_rows == 0:
+        return
+    shown = plots.ensembles(curves, runs)
+    count = max(map(len, runs.values()))
+    caption = f"Mean of {count} runs" if count > 1 else "One run each"
+    if left := len(groups) - len(runs):
+        caption += f" (the first {len(runs)} variants; {left} more are not drawn)"
+    if not has_truth:
+        figure = plots.attitude(shown, "Attitude with the filter's own 1 sigma")
+        yield Picture("attitude", f"{caption}; shading: the filter's own 1 sigma.", figure)
+        return
+    floors = np.unique(analysis.numbers(source.summary, "floor_arcmin"))
+    moments = {time for rows in drawn.values() for time in rows["reset_times_s"][0].as_py()}
+    figure = plots.misalignment(
+        shown,
+        "Misalignment left after correction",
+        limits={"u": float(floors[0])} if floors.size == 1 else None,
+        resets_s=sorted(moments) if len(moments) <= _MOST_MOMENTS else (),
+        zoom_s=source.study.study.window_s,
+        with_sigma=True,
+    )
+    band = "; shading: 95 % of them" if count > 1 else ""
+    yield Picture("misalignment", f"{caption}{band}; dashed: the filter's own 1 sigma.", figure)

@@ -1,0 +1,339 @@
+"""The sections of a study file: one frozen model each, one field a key, the unit in its name.
+
+Values stay in the file's units; leaf keys are unique over all sections, so that a key alone names
+an axis and a result column. Rules that hold inside one section live here, those between sections in
+`studies`.
+"""
+
+import re
+from itertools import pairwise
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    model_validator,
+)
+from pydantic_core import PydanticCustomError
+
+
+def _misfit(text: str, key: str | None = None) -> PydanticCustomError:
+    """The error of a rule inside a section.
+
+    Args:
+        text: what is wrong.
+        key: the key to name, where the rule concerns the whole section.
+    """
+    return PydanticCustomError("misfit", text, {"key": key} if key else None)
+
+
+def _shape(value: Any) -> str:
+    return "list" if isinstance(value, tuple) else "number"
+
+
+def _unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    if len(set(values)) < len(values):
+        raise _misfit("names a value twice")
+    return values
+
+
+def _increasing(times: tuple[float, ...]) -> tuple[float, ...]:
+    if any(late <= early for early, late in pairwise(times)):
+        raise _misfit("must increase")
+    return times
+
+
+def _signed_permutation(order: str) -> str:
+    """Refuses what is no permutation, and a mirror image, which no turn of the box can undo."""
+    letters = re.sub("[+-]", "", order)
+    if not re.fullmatch("([+-]?[xyz]){3}", order) or len(set(letters)) < 3:
+        raise _misfit("must order x, y and z, each with an optional sign, such as 'y-xz'")
+    mirrors = order.count("-") + (letters not in "xyzxy")
+    if mirrors % 2:
+        raise _misfit("must be right-handed, but it is a mirror image")
+    return order
+
+
+# Ceilings far above any use keep every product of two values finite.
+Finite = Annotated[float, Field(ge=-1e12, le=1e12)]
+Positive = Annotated[float, Field(gt=0, le=1e12)]
+NonNegative = Annotated[float, Field(ge=0, le=1e12)]
+Count = Annotated[int, Field(ge=0, le=10**9)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Angle = Annotated[float, Field(ge=-360, le=360)]
+HalfTurn = Annotated[float, Field(ge=-180, le=180)]
+Elevation = Annotated[float, Field(gt=-90, lt=90)]
+Name = Annotated[str, Field(min_length=1)]
+Triad = tuple[Name, Name, Name]
+Times = Annotated[tuple[Positive, ...], AfterValidator(_increasing)]
+Bands = Annotated[tuple[Positive, ...], AfterValidator(_unique)]
+Starts = Annotated[
+    tuple[NonNegative, ...],
+    Field(min_length=1),
+    BeforeValidator(lambda value: value if isinstance(value, tuple) else (value,)),
+    AfterValidator(_unique),
+]
+AxesOrder = Annotated[str, AfterValidator(_signed_permutation)]
+Vector = Annotated[
+    Annotated[Finite, Tag("number")] | Annotated[tuple[Finite, Finite, Finite], Tag("list")],
+    Discriminator(_shape),
+]
+Spread = Annotated[
+    Annotated[NonNegative, Tag("number")]
+    | Annotated[tuple[NonNegative, NonNegative, NonNegative], Tag("list")],
+    Discriminator(_shape),
+]
+CrossAxis = Annotated[
+    Annotated[Finite, Tag("number")]
+    | Annotated[tuple[Finite, Finite, Finite, Finite, Finite, Finite], Tag("list")],
+    Discriminator(_shape),
+]
+
+
+GYRO_INCREMENTS = ("rad", "deg", "arcsec")
+ACCEL_INCREMENTS = ("m_per_s", "g_s", "ug_s")
+
+
+class Section(BaseModel):
+    """A table of keys: frozen, no key unknown, no value coerced, NaN and infinity refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class Settings(Section):
+    """[study]: what all runs of a study share; never an axis."""
+
+    name: Name = Field(description="the study's name; default: the file's stem")
+    duration_s: Positive = Field(description="length of the fine alignment, s")
+    rate_hz: Positive = Field(description="sample rate, Hz; a record's rate must equal it")
+    record_interval_s: Positive = Field(1.0, description="time between recorded values, s")
+    draws: Annotated[Count, Field(ge=1)] | None = Field(
+        None, description="sensor noise realisations; default 64 where the sensors are simulated"
+    )
+    seed: int = Field(1, ge=0, lt=2**63, description="seed of the sensor noise")
+    settle_bands_arcmin: Bands = Field(
+        (60.0, 10.0, 3.0), description="heading error bands of the settling times, arcmin"
+    )
+    window_s: tuple[NonNegative, Positive] = Field(
+        default_factory=lambda given: (given["duration_s"] / 1.5, given["duration_s"]),
+        description="statistics window, s; default: the last third of the duration",
+    )
+    consistency_after_s: NonNegative = Field(
+        10.0, description="start of the consistency statistics, s"
+    )
+    steady_after_s: NonNegative = Field(
+        300.0, description="start of the steady process in the consistency statistics, s"
+    )
+    curves: bool = Field(False, description="whether a sweep stores curves too")
+
+    @model_validator(mode="after")
+    def _window_inside(self) -> "Settings":
+        start, end = self.window_s
+        if not start < end <= self.duration_s:
+            raise _misfit(
+                f"must be [a, b] with 0 <= a < b <= duration_s = {self.duration_s:g},"
+                f" not [{start:g}, {end:g}]",
+                key="window_s",
+            )
+        return self
+
+
+class Earth(Section):
+    """[earth]: the model of gravity and of the earth's shape and turn."""
+
+    earth: Literal["constants", "wgs84"] = Field("constants", description="earth model")
+    gravity_m_per_s2: Positive | None = Field(
+        None, description="gravity, m/s^2; constants only, default 9.8"
+    )
+    radius_m: Positive | None = Field(
+        None, description="radius, m; constants only, default 6378137"
+    )
+    earth_rate_deg_per_h: Positive | None = Field(
+        None, description="rotation rate, deg/h; constants only, default 15.041067"
+    )
+    latitude_deg: Elevation | None = Field(
+        None, description="latitude, deg; a recorded study may take it from the record"
+    )
+    height_m: Finite = Field(0.0, description="height above the earth's surface, m")
+
+
+class Motion(Section):
+    """[motion]: angle(t) = center + amplitude sin(2 pi t / period + phase), each angle its own."""
+
+    pitch_center_deg: Elevation = Field(0.0, description="mean pitch, deg")
+    pitch_amplitude_deg: NonNegative = Field(0.0, description="pitch amplitude, deg")
+    pitch_period_s: Positive = Field(10.0, description="pitch period, s")
+    pitch_phase_deg: Angle = Field(0.0, description="pitch phase, deg")
+    roll_center_deg: HalfTurn = Field(0.0, description="mean roll, deg")
+    roll_amplitude_deg: NonNegative = Field(0.0, description="roll amplitude, deg")
+    roll_period_s: Positive = Field(10.0, description="roll period, s")
+    roll_phase_deg: Angle = Field(0.0, description="roll phase, deg")
+    yaw_center_deg: Angle | None = Field(
+        None, description="heading, deg, counter-clockwise from north"
+    )
+    yaw_amplitude_deg: NonNegative = Field(0.0, description="yaw amplitude, deg")
+    yaw_period_s: Positive = Field(10.0, description="yaw period, s")
+    yaw_phase_deg: Angle = Field(0.0, description="yaw phase, deg")
+
+
+class Sensors(Section):
+    """[sensors]: what the sensors do; a number for all three body axes or one number each."""
+
+    gyro_bias_deg_per_h: Vector = Field(0.0, description="gyro bias, deg/h")
+    gyro_noise_deg_per_h: Spread | None = Field(
+        None, description="gyro white noise, standard deviation of a sample, deg/h"
+    )
+    gyro_arw_deg_per_sqrt_h: Spread | None = Field(
+        None, description="gyro angle random walk, deg/sqrt(h)"
+    )
+    gyro_scale_ppm: Vector = Field(0.0, description="gyro scale factor error, ppm")
+    gyro_misalignment_arcsec: CrossAxis = Field(
+        0.0, description="gyro cross-axis angles xy, xz, yx, yz, zx, zy, arcsec"
+    )
+    accel_bias_ug: Vector = Field(0.0, description="accelerometer bias, ug")
+    accel_noise_ug: Spread | None = Field(
+        None, description="accelerometer white noise, standard deviation of a sample, ug"
+    )
+    accel_vrw_ug_per_sqrt_hz: Spread | None = Field(
+        None, description="accelerometer velocity random walk, ug/sqrt(Hz)"
+    )
+    accel_scale_ppm: Vector = Field(0.0, description="accelerometer scale factor error, ppm")
+    accel_misalignment_arcsec: CrossAxis = Field(
+        0.0, description="accelerometer cross-axis angles xy, xz, yx, yz, zx, zy, arcsec"
+    )
+
+
+class Alignment(Section):
+    """[alignment]: the method, where it starts, and how its estimate is fed back."""
+
+    method: Literal["kalman5", "kalman10"] = Field("kalman5", description="alignment method")
+    phi_e0_deg: HalfTurn = Field(0.0, description="initial east misalignment, deg")
+    phi_n0_deg: HalfTurn = Field(0.0, description="initial north misalignment, deg")
+    phi_u0_deg: HalfTurn = Field(0.0, description="initial up (heading) misalignment, deg")
+    misalignment: Literal["vector", "euler"] = Field(
+        "vector", description="reading of the three angles: rotation vector or Euler angles"
+    )
+    ve0_m_per_s: Finite = Field(0.0, description="initial east velocity, m/s")
+    vn0_m_per_s: Finite = Field(0.0, description="initial north velocity, m/s")
+    position: Literal["fixed", "integrated"] = Field(
+        "fixed", description="whether position stays or follows the velocity"
+    )
+    specific_force: Literal["measured", "gravity"] = Field(
+        "measured", description="specific force in the filter's model"
+    )
+    feedback_interval_s: Positive = Field(1.0, description="time between feedbacks, s")
+    feedback_time_constant_s: NonNegative = Field(
+        0.0, description="time constant of the feedback, s; 0 feeds the whole estimate back"
+    )
+
+
+class Filter(Section):
+    """[filter]: what the filter believes; standard deviations."""
+
+    p0_velocity_m_per_s: Positive = Field(0.1, description="initial velocity, m/s")
+    p0_level_deg: Positive = Field(15.0, description="initial level misalignment, deg")
+    p0_yaw_deg: Positive = Field(80.0, description="initial heading misalignment, deg")
+    p0_gyro_bias_deg_per_h: Positive = Field(0.1, description="gyro bias states, deg/h")
+    p0_accel_bias_ug: Positive = Field(500.0, description="accelerometer bias states, ug")
+    q_accel_ug: NonNegative = Field(500.0, description="velocity process noise, ug")
+    q_gyro_deg_per_h: NonNegative = Field(0.1, description="attitude process noise, deg/h")
+    q_reading: Literal["per_step", "psd", "per_sample"] = Field(
+        "per_step", description="Q of a step: as is, times dt, times dt^2"
+    )
+    r_velocity_m_per_s: Positive = Field(0.1, description="velocity measurement noise, m/s")
+    r_reading: Literal["per_update", "psd"] = Field(
+        "per_update", description="R of an update: as is, divided by dt"
+    )
+
+
+class Resets(Section):
+    """[resets]: covariance resets, by count and cycle or at explicit times."""
+
+    reset_count: Count | None = Field(
+        None, description="number of resets, at the cycle and its multiples; default 0"
+    )
+    reset_cycle_s: Positive | None = Field(None, description="time between resets, s")
+    reset_times_s: Times | None = Field(None, description="explicit reset times, s")
+    reset_kind: Literal["full", "yaw", "scale"] = Field("full", description="what P is set to")
+    reset_scale: Positive = Field(10.0, description="factor on P, for kind 'scale'")
+
+
+class Record(Section):
+    """[record]: how to read an IMU record, and where in it the draws start."""
+
+    format: Literal["psins", "csv", "parquet"] = Field(description="file format")
+    quantity: Literal["increments", "rates"] | None = Field(
+        None, description="what the columns hold (csv, parquet)"
+    )
+    time_column: str | None = Field(
+        None, description="time stamps, s (csv, parquet); without it rate_hz gives the times"
+    )
+    gyro_columns: Triad | None = Field(None, description="x, y, z gyro columns (csv, parquet)")
+    accel_columns: Triad | None = Field(
+        None, description="x, y, z accelerometer columns (csv, parquet)"
+    )
+    gyro_unit: Literal["rad", "deg", "arcsec", "rad_per_s", "deg_per_s", "deg_per_h"] | None = (
+        Field(None, description="unit of the gyro columns (csv, parquet)")
+    )
+    accel_unit: Literal["m_per_s", "g_s", "ug_s", "m_per_s2", "g", "mg", "ug"] | None = Field(
+        None, description="unit of the accelerometer columns (csv, parquet)"
+    )
+    axes_order: AxesOrder = Field(
+        "xyz", description="the record's axes that point right, front and up, such as 'y-xz'"
+    )
+    start_s: Starts = Field((0.0,), description="start times from the record's beginning, s")
+
+    @model_validator(mode="after")
+    def _columns_fit_format(self) -> "Record":
+        layout = ("quantity", "gyro_columns", "accel_columns", "gyro_unit", "accel_unit")
+        if self.format == "psins":
+            for key in (*layout, "time_column"):
+                if getattr(self, key) is not None:
+                    raise _misfit("has no place with format 'psins', which fixes it", key=key)
+            return self
+        for key in layout:
+            if getattr(self, key) is None:
+                raise _misfit(f"required with format '{self.format}'", key=key)
+        columns = (*(self.gyro_columns or ()), *(self.accel_columns or ()))
+        if len({*columns, self.time_column}) < len(columns) + 1:
+            raise _misfit("names a column twice, or one of the gyro or time", key="accel_columns")
+        for key, increments in (("gyro_unit", GYRO_INCREMENTS), ("accel_unit", ACCEL_INCREMENTS)):
+            unit = getattr(self, key)
+            if (unit in increments) != (self.quantity == "increments"):
+                raise _misfit(f"'{unit}' is no unit of {self.quantity}", key=key)
+        return self
+
+
+class Coarse(Section):
+    """[coarse]: the coarse alignment before a record's fine alignment, whose t = 0 is its end."""
+
+    coarse_method: Literal["inertial", "analytic"] = Field("inertial", description="method")
+    coarse_duration_s: Positive = Field(60.0, description="length, s")
+
+
+class Report(Section):
+    """[report]: the shape of the report."""
+
+    layout: Literal["auto", "paper1_conditions", "paper1_resets", "paper1_readings", "car_test"] = (
+        Field("auto", description="page layout")
+    )
+
+
+class Statements(Section):
+    """[statements]: the numbers behind the words of a report's statements."""
+
+    converges_share: Share = Field(0.95, description="'converges': at least this share of runs")
+    short_time_s: Positive = Field(200.0, description="'in a short time': settled by then, s")
+    cannot_share: Share = Field(0.05, description="'cannot converge': at most this share of runs")
+    as_precise_arcmin: Positive = Field(
+        1.0, description="'as precise': means no further apart, arcmin"
+    )
+    covariance_share: Share = Field(
+        0.95, description="'the covariance covers the error': at least this share of the time"
+    )
+    covariance_after_s: NonNegative = Field(10.0, description="start of that time, s")

@@ -1,0 +1,224 @@
+"""The world of a study's runs: Earth, base motion and sensors, or a record in their place.
+
+Everything that runs of a part share is made here, in SI units, from the study's own.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from sinsjax import earth, imu, trajectory, units
+from sinsjax.alignment.base import Site
+from sinsjax.alignment.coarse import COARSE
+from sinsjax.metrics import Criteria
+from sinsjax.records import Record, Reference, require_span
+from sinsjax.simulate import Draw, World
+from sinsjax.studies import EARTH_CONSTANTS, Study
+from sinsjax.types import InputError, Quat
+from sinsjax.units import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, PPM
+
+
+class Variants:
+    """Values of a study's sweepable keys, for some of its variants.
+
+    Attributes:
+        ids: (variants,) their numbers in the study.
+    """
+
+    def __init__(self, study: Study, ids: np.ndarray) -> None:
+        """Take the variants ``ids`` of a study."""
+        self._study = study
+        self.ids = ids
+
+    def raw(self, key: str) -> list[Any]:
+        """Values of one key, in the file's units."""
+        values = self._study.values(key)
+        return [values[i] for i in self.ids]
+
+    def column(self, key: str, factor: float = 1.0) -> np.ndarray:
+        """Values of a numeric key times a factor, (variants,)."""
+        return np.asarray(self.raw(key), dtype=float) * factor
+
+    def common(self, key: str) -> Any:
+        """The one value of a key that does not differ between these variants."""
+        return self._study.values(key)[self.ids[0]]
+
+
+class Tape(NamedTuple):
+    """A record made ready for the engine.
+
+    Attributes:
+        record: increments.
+        reference: attitude to compare with, or None.
+    """
+
+    record: Record
+    reference: Reference | None
+
+
+def record_times(study: Study) -> np.ndarray:
+    """(records,) times of a study's records from the start of fine alignment, s."""
+    return np.arange(1, study.records + 1) * study.record_every / study.study.rate_hz
+
+
+def site_of(study: Study, variants: Variants, tape: Tape | None) -> tuple[Site, float]:
+    """The Earth and place of a part, and its ug in m/s^2."""
+    height = variants.common("height_m")
+    if variants.common("earth") == "wgs84":
+        model, ug = earth.wgs84(height), units.micro_g()
+    else:
+        constants = {
+            key: default if (value := variants.common(key)) is None else value
+            for key, default in EARTH_CONSTANTS.items()
+        }
+        gravity = constants["gravity_m_per_s2"]
+        rate = constants["earth_rate_deg_per_h"] * DEG_PER_H
+        model = earth.sphere(rate, constants["radius_m"], gravity, height)
+        ug = units.micro_g(gravity)
+    latitude = variants.common("latitude_deg")
+    if latitude is None and tape is not None:
+        latitude = tape.record.latitude_deg
+    if latitude is None:
+        source = tape.record.source if tape else study.study.name
+        raise InputError(f"{source}: no latitude in the record: give [earth] latitude_deg")
+    place = earth.place(model, latitude * DEG)
+    site = Site(model, place, latitude * DEG)
+    return jax.tree.map(np.float64, site), ug
+
+
+def simulated(
+    study: Study, variants: Variants, site: Site, criteria: Criteria, ug: float
+) -> tuple[World, Draw, np.ndarray]:
+    """World, draws and their true starting attitudes of a simulated part."""
+    motion = _motion(variants)
+    errors = _errors(variants, ug, study.study.rate_hz)
+    ideal = jax.jit(trajectory.increments, static_argnums=3)
+    truth = jax.vmap(lambda t: jnp.stack(trajectory.attitude(motion, t)))
+    center = trajectory.attitude(
+        trajectory.Motion(*(sway._replace(amplitude=0.0) for sway in motion)), 0.0
+    )
+    n = study.n_draws
+    world = World(
+        site=site,
+        tape=np.asarray(
+            ideal(motion, site.place, study.study.rate_hz, study.records * study.record_every)
+        ),
+        truth=np.asarray(truth(record_times(study)))[None],
+        errors=errors,
+        seed=np.asarray(study.study.seed),
+        criteria=criteria,
+        floor=_floor(errors, center, site),
+    )
+    draws = Draw(np.arange(n), np.zeros(n, int), np.zeros(n, int))
+    start = np.asarray(jnp.stack(trajectory.attitude(motion, 0.0)))
+    return world, draws, np.tile(start, (n, 1))
+
+
+def _floor(errors: imu.SensorErrors, center: Quat, site: Site) -> np.ndarray:
+    """Limit of phi_u for constant biases, -eps_E/omega_N + (nabla_E/g) tan L, rad."""
+    c = Rotation.from_quat(np.asarray(center, dtype=float), scalar_first=True)
+    eps, nabla = c.apply(errors.gyro_bias), c.apply(errors.accel_bias)
+    place = site.place
+    return np.asarray(
+        -eps[0] / place.rate_n + nabla[0] / place.gravity * place.tan_latitude, dtype=float
+    )
+
+
+def _motion(variants: Variants) -> trajectory.Motion:
+    def sway(angle: str) -> trajectory.Sway:
+        return trajectory.Sway(
+            center=np.float64(variants.common(f"{angle}_center_deg") * DEG),
+            amplitude=np.float64(variants.common(f"{angle}_amplitude_deg") * DEG),
+            period=np.float64(variants.common(f"{angle}_period_s")),
+            phase=np.float64(variants.common(f"{angle}_phase_deg") * DEG),
+        )
+
+    return trajectory.Motion(sway("pitch"), sway("roll"), sway("yaw"))
+
+
+def _errors(variants: Variants, ug: float, rate_hz: float) -> imu.SensorErrors:
+    dt = 1 / rate_hz
+
+    def vector(key: str, factor: float) -> np.ndarray:
+        return np.broadcast_to(np.asarray(variants.common(key), float) * factor, 3).copy()
+
+    def noise(per_sample: str, density: str, units_: tuple[float, float]) -> np.ndarray:
+        # A rate's standard deviation a sample integrates to dt times it; a density to sqrt(dt).
+        if variants.common(density) is not None:
+            return vector(density, units_[1] * np.sqrt(dt))
+        if variants.common(per_sample) is not None:
+            return vector(per_sample, units_[0] * dt)
+        return np.zeros(3)
+
+    def matrix(scale: str, cross: str) -> np.ndarray:
+        out = np.diag(vector(scale, PPM))
+        angles = np.broadcast_to(np.asarray(variants.common(cross), float) * ARCSEC, 6)
+        out[~np.eye(3, dtype=bool)] = angles
+        return out
+
+    return imu.SensorErrors(
+        gyro_bias=vector("gyro_bias_deg_per_h", DEG_PER_H),
+        accel_bias=vector("accel_bias_ug", ug),
+        gyro_noise=noise(
+            "gyro_noise_deg_per_h", "gyro_arw_deg_per_sqrt_h", (DEG_PER_H, DEG_PER_SQRT_H)
+        ),
+        accel_noise=noise("accel_noise_ug", "accel_vrw_ug_per_sqrt_hz", (ug, ug)),
+        gyro_matrix=matrix("gyro_scale_ppm", "gyro_misalignment_arcsec"),
+        accel_matrix=matrix("accel_scale_ppm", "accel_misalignment_arcsec"),
+    )
+
+
+def recorded(
+    study: Study, tape: Tape, site: Site, criteria: Criteria
+) -> tuple[World, Draw, np.ndarray]:
+    """World, draws (one a start time) and coarsely aligned attitudes of a recorded part."""
+    assert study.record is not None and study.coarse is not None
+    record, rate = tape.record, study.study.rate_hz
+    if abs(record.rate_hz - rate) > 1e-6 * rate:
+        raise InputError(
+            f"{record.source}: the record has {record.rate_hz:g} Hz, [study] rate_hz is {rate:g}"
+        )
+    coarse_n = round(study.coarse.coarse_duration_s * rate)
+    starts = np.round(np.asarray(study.record.start_s) * rate).astype(int)
+    for start in study.record.start_s:
+        require_span(record, start, (coarse_n + study.records * study.record_every) / rate)
+    increments = np.concatenate([record.dtheta, record.dv], axis=1)
+    align = jax.jit(COARSE[study.coarse.coarse_method])
+    pieces = np.stack([increments[s : s + coarse_n] for s in starts])
+    samples = jax.vmap(imu.compensate)(pieces, pieces[:, 0])
+    q = jax.vmap(lambda s: jnp.stack(align(s, site.place, 1 / rate)))(samples)
+    fine = starts + coarse_n
+    truth = np.stack([_reference_at(tape, s / rate + record_times(study)) for s in fine])
+    world = World(
+        site=site,
+        tape=increments,
+        truth=truth,
+        errors=imu.perfect(),
+        seed=np.asarray(study.study.seed),
+        criteria=criteria,
+        floor=np.float64(0.0),
+    )
+    n = len(starts)
+    return world, Draw(np.arange(n), fine, np.arange(n)), np.asarray(q)
+
+
+def _reference_at(tape: Tape, times: np.ndarray) -> np.ndarray:
+    """(n, 4) reference attitude at times from the record's start; NaN without a reference."""
+    reference = tape.reference
+    if reference is None:
+        return np.full((len(times), 4), np.nan)
+    first, last = reference.time_s[0], reference.time_s[-1]
+    slack = 1e-6 + 1 / tape.record.rate_hz
+    if times[0] < first - slack or times[-1] > last + slack:
+        raise InputError(
+            f"the reference covers {first:g} to {last:g} s,"
+            f" but the study needs {times[0]:g} to {times[-1]:g} s of {tape.record.source}"
+        )
+    pitch, roll, yaw = reference.attitude_deg.T
+    attitudes = Rotation.from_euler("ZXY", np.column_stack([yaw, pitch, roll]), degrees=True)
+    return Slerp(reference.time_s, attitudes)(np.clip(times, first, last)).as_quat(
+        scalar_first=True
+    )

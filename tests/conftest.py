@@ -1,0 +1,31 @@
+"""Settings of the whole test run; JAX reads some of them once, so they come first."""
+
+import os
+
+os.environ["MPLBACKEND"] = "Agg"
+
+from pathlib import Path
+
+import hypothesis
+import jax
+import pytest
+
+from sinsjax import runtime
+
+runtime.configure(devices=2, x64=True)
+jax.config.update("jax_legacy_prng_key", "error")
+# Left at JAX's default: rank promotion, since samples (n, 3) are scaled and shifted by (3,) an
+# axis; and dtype promotion, since counts add a mask to a number.
+
+hypothesis.settings.register_profile("sinsjax", deadline=None, derandomize=True, max_examples=50)
+hypothesis.settings.load_profile("sinsjax")
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """The folder of recorded data: ``SINSJAX_DATA``, or ``shared/data`` beside the repository."""
+    given = os.environ.get("SINSJAX_DATA")
+    folder = Path(given) if given else Path(__file__).parents[2] / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip(f"no recorded data: {folder} is no folder (set SINSJAX_DATA)")
+    return folder

@@ -1,0 +1,137 @@
+"""Studies become arrays: units, readings, schedules, worlds; by hand-computed numbers."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from studies import BASE, small_study
+
+from sinsjax import scenario
+from sinsjax.batch import Group
+from sinsjax.config import study_from_dict
+from sinsjax.types import InputError
+
+DEG = np.pi / 180
+DEG_PER_H = DEG / 3600
+
+
+def group_of(**changes: object) -> Group:
+    (part,) = scenario.parts(small_study(**changes))
+    return part.group
+
+
+def test_papers_numbers_in_si() -> None:
+    group = group_of()
+    world, method = group.world, group.variants.method
+    np.testing.assert_allclose(world.errors.gyro_bias, 0.1 * DEG_PER_H)
+    np.testing.assert_allclose(world.errors.accel_bias, 500e-6 * 9.8)
+    # Standard deviations a sample are of a rate; an increment is dt times it.
+    np.testing.assert_allclose(world.errors.gyro_noise, 0.1 * DEG_PER_H * 0.01)
+    np.testing.assert_allclose(world.errors.accel_noise, 500e-6 * 9.8 * 0.01)
+    np.testing.assert_allclose(
+        [p[0] for p in method.p0], [0.01, 0.01, *np.square([15 * DEG] * 2), (80 * DEG) ** 2]
+    )
+    np.testing.assert_allclose(method.r, 0.01)
+    np.testing.assert_allclose(method.q[0], (500e-6 * 9.8) ** 2)
+    np.testing.assert_allclose(method.q[4], (0.1 * DEG_PER_H) ** 2)
+    assert group.static.records == 6 and group.static.record_every == 100
+
+
+def test_densities_integrate_to_the_square_root_of_time() -> None:
+    data = BASE | {
+        "sensors": {
+            "gyro_arw_deg_per_sqrt_h": 0.003,
+            "accel_vrw_ug_per_sqrt_hz": [10.0, 20.0, 30.0],
+        }
+    }
+    (part,) = scenario.parts(study_from_dict(data))
+    errors = part.group.world.errors
+    np.testing.assert_allclose(errors.gyro_noise, 0.003 * DEG / 60 * np.sqrt(0.01))
+    np.testing.assert_allclose(errors.accel_noise, np.array([10, 20, 30]) * 9.8e-6 * 0.1)
+
+
+@pytest.mark.parametrize(
+    ("reading", "factor"), [("per_step", 1.0), ("psd", 0.01), ("per_sample", 1e-4)]
+)
+def test_readings_of_q(reading: str, factor: float) -> None:
+    q = group_of(filter={"q_reading": reading}).variants.method.q
+    np.testing.assert_allclose(q[0], (500e-6 * 9.8) ** 2 * factor)
+    np.testing.assert_allclose(q[2], (0.1 * DEG_PER_H) ** 2 * factor)
+
+
+def test_r_as_a_density_is_divided_by_the_sample_time() -> None:
+    assert group_of(filter={"r_reading": "psd"}).variants.method.r == pytest.approx(1.0)
+
+
+def test_wgs84_counts_micro_g_in_standard_gravity() -> None:
+    group = group_of(earth={"earth": "wgs84"})
+    np.testing.assert_allclose(group.world.errors.accel_bias, 500e-6 * 9.80665)
+    assert group.world.site.place.gravity == pytest.approx(9.79484, abs=1e-5)
+
+
+def test_euler_misalignment_is_the_rotation_rz_rx_ry() -> None:
+    """C_n'^n = Rz(U) Rx(E) Ry(N), [P1] section 1; phi is its rotation vector."""
+    phi = group_of(alignment={"misalignment": "euler"}).variants.phi
+    want = Rotation.from_euler("ZXY", [30, 5, 5], degrees=True).as_rotvec()
+    np.testing.assert_allclose(np.array(phi).ravel(), want, atol=1e-15)
+
+
+def test_feedback_interval_and_time_constant() -> None:
+    feedback = group_of(
+        alignment={"feedback_interval_s": 0.5, "feedback_time_constant_s": 2.0}
+    ).variants.method.feedback
+    assert feedback.every == 50
+    assert feedback.gain == pytest.approx(1 - np.exp(-0.25))
+    assert group_of().variants.method.feedback.gain == 1
+
+
+def test_resets_of_every_kind() -> None:
+    group = group_of(
+        axes={"reset_times_s": [[], [1.0], [0.5, 2.34]], "reset_kind": ["full", "yaw", "scale"]},
+        resets={"reset_scale": 7.0},
+    )
+    resets = group.variants.method.resets
+    np.testing.assert_array_equal(resets.samples[0], [np.inf, np.inf])
+    np.testing.assert_array_equal(resets.samples[3], [100, np.inf])
+    np.testing.assert_array_equal(resets.samples[6], [50, 234])
+    got = np.stack(resets[1:], axis=1)
+    np.testing.assert_array_equal(got[:3], [[0, 0, 1, 1], [1, 0, 0, 1], [7, 7, 0, 0]])
+
+
+def test_worlds_and_programs_are_cut_apart_and_cover_every_variant() -> None:
+    study = small_study(
+        axes={
+            "phi_u0_deg": [0.0, 30.0],
+            "yaw_center_deg": [0.0, 90.0],
+            "specific_force": ["measured", "gravity"],
+        }
+    )
+    parts = scenario.parts(study)
+    assert len(parts) == 4
+    np.testing.assert_array_equal(np.sort(np.concatenate([p.variant_ids for p in parts])), range(8))
+    for part in parts:
+        values = {key: {study.values(key)[i] for i in part.variant_ids} for key in study.axis_keys}
+        assert len(values["yaw_center_deg"]) == len(values["specific_force"]) == 1
+        assert part.group.static.options.specific_force in values["specific_force"]
+
+
+def test_the_floor_turns_with_the_vehicle() -> None:
+    """-eps_E/omega_N + (nabla_E/g) tan L with body biases, heading 90 deg: east is body -y."""
+    sensors = {"gyro_bias_deg_per_h": [0.1, 0.2, 0.0], "accel_bias_ug": [300.0, 500.0, 0.0]}
+    group = group_of(motion={"yaw_center_deg": 90.0}, sensors=sensors)
+    omega_n = 15.041067 * DEG_PER_H * np.cos(32 * DEG)
+    want = 0.2 * DEG_PER_H / omega_n - 500e-6 * np.tan(32 * DEG)
+    np.testing.assert_allclose(group.world.floor, want, rtol=1e-12)
+
+
+def test_papers_limit_accuracy() -> None:
+    """[P1] section 2.4.1 prints -27.0248'; with both terms and 15.041 deg/h it is -25.877'."""
+    group = group_of(motion={"yaw_center_deg": 0.0})
+    assert group.world.floor / (DEG / 60) == pytest.approx(-25.8769, abs=1e-4)
+
+
+def test_a_recorded_study_needs_its_record() -> None:
+    study = study_from_dict(
+        {"study": {"duration_s": 6.0, "rate_hz": 100.0}, "record": {"format": "psins"}}
+    )
+    with pytest.raises(InputError, match="recorded"):
+        scenario.parts(study)
