@@ -30,9 +30,39 @@ Importing the package adds XLA:CPU options to ``XLA_FLAGS`` (see `sinsjax.runtim
 nothing else. `sinsjax.runtime.configure` sets the number of CPU devices and double precision.
 """
 
+# ruff: noqa: E402
 from sinsjax import runtime
 
 # XLA reads its options once, so this comes before anything that may start JAX.
 runtime.apply_options()
 
+from sinsjax.analysis import summarise
+from sinsjax.campaign import Results, load_tape, run, run_into
+from sinsjax.config import Study, load_study, study_from_dict
+from sinsjax.records import read_record, read_reference
+from sinsjax.results import read_curves, read_manifest, read_summary
+from sinsjax.runtime import configure, info
+from sinsjax.scenario import simulated_record
+from sinsjax.types import InputError
+
 __version__ = runtime.package_version()
+
+__all__ = [
+    "InputError",
+    "Results",
+    "Study",
+    "configure",
+    "info",
+    "load_study",
+    "load_tape",
+    "read_curves",
+    "read_manifest",
+    "read_record",
+    "read_reference",
+    "read_summary",
+    "run",
+    "run_into",
+    "simulated_record",
+    "study_from_dict",
+    "summarise",
+]

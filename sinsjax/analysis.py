@@ -21,7 +21,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import ArrayLike, NDArray
-from scipy import special, stats
+import scipy
 
 from sinsjax.types import InputError
 
@@ -79,7 +79,7 @@ def proportion(k: int, n: int) -> Estimate:
     """
     if n < 1 or not 0 <= k <= n:
         raise ValueError(f"a share needs 0 <= k <= n and n >= 1, got k = {k}, n = {n}")
-    interval = stats.binomtest(k, n).proportion_ci(CONFIDENCE, method="wilson")
+    interval = scipy.stats.binomtest(k, n).proportion_ci(CONFIDENCE, method="wilson")
     return Estimate(k / n, float(interval.low), float(interval.high), n)
 
 
@@ -120,7 +120,7 @@ def mean(values: ArrayLike) -> Estimate:
     if data.size < 2:
         return UNKNOWN._replace(value=float(data[0]) if data.size else math.nan, n=data.size)
     centre = float(np.mean(data))
-    factor = special.stdtrit(data.size - 1, 1 - _TAIL) / math.sqrt(data.size)
+    factor = scipy.special.stdtrit(data.size - 1, 1 - _TAIL) / math.sqrt(data.size)
     half = float(factor * np.std(data, ddof=1))
     return Estimate(centre, centre - half, centre + half, data.size)
 
@@ -330,7 +330,7 @@ def _pair(a: ArrayLike, b: ArrayLike, *, missing: float = math.nan) -> tuple[NDA
 @lru_cache(maxsize=256)
 def _ranks(n: int, q: float) -> tuple[int, int]:
     """Which order statistics (1 to n) bound the q quantile; 0 and n + 1: none does."""
-    return int(stats.binom.ppf(_TAIL, n, q)), int(stats.binom.isf(_TAIL, n, q)) + 1
+    return int(scipy.stats.binom.ppf(_TAIL, n, q)), int(scipy.stats.binom.isf(_TAIL, n, q)) + 1
 
 
 def _bootstrap(statistic: Callable[..., NDArray], *samples: NDArray) -> tuple[float, float]:

@@ -83,10 +83,10 @@ def cases(*, limit: bool) -> list[Case]:
     """The rows of the short set, compiled and ready to time."""
     out = [limit_kernel()] if limit else []
     group = default_group()
-    silent = _without_noise(group)
+    silent = without_noise(group)
     out.append(engine("kalman_shared_record", silent))
     for variants in (64, 6, 1):
-        out.append(engine(f"kalman_noise_{variants}", _some_variants(group, variants)))
+        out.append(engine(f"kalman_noise_{variants}", some_variants(group, variants)))
     out.append(numpy_baseline(silent))
     return out
 
@@ -134,13 +134,13 @@ def default_group() -> Any:
     return part.group
 
 
-def _without_noise(group: Any) -> Any:
+def without_noise(group: Any) -> Any:
     errors = group.world.errors
     quiet = errors._replace(gyro_noise=np.zeros(3), accel_noise=np.zeros(3))
     return group._replace(world=group.world._replace(errors=quiet))
 
 
-def _some_variants(group: Any, count: int) -> Any:
+def some_variants(group: Any, count: int) -> Any:
     """The group with its last variants only, and draws enough to fill the tiles."""
     import jax
 

@@ -54,7 +54,7 @@ def _layout(section: Record, rate_hz: float) -> Layout:
     return Layout(**{k: v for k, v in given.items() if v is not None}, rate_hz=rate_hz)
 
 
-def execute(
+def run(
     study: Study,
     tape: Tape | None = None,
     *,
@@ -71,6 +71,10 @@ def execute(
 
     Returns:
         Tables of all runs.
+
+    Raises:
+        InputError: a record that does not fit.
+        RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
     summaries, kept = [], [columns.schema(columns.CURVES).empty_table()]
     for piece in _pieces(study, tape, curves, progress):
@@ -83,7 +87,7 @@ def execute(
     )
 
 
-def carry_out(
+def run_into(
     study: Study,
     directory: Path,
     tape: Tape | None = None,
@@ -141,6 +145,7 @@ class _Piece(NamedTuple):
 def _pieces(
     study: Study, tape: Tape | None, curves: bool | None, progress: Progress | None
 ) -> Iterator[_Piece]:
+    runtime.require_x64()
     has_truth = tape is None or tape.reference is not None
     made = results.Tables(study, has_truth=has_truth)
     done, total = 0, study.n_draws * study.n_variants

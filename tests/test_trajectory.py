@@ -3,25 +3,17 @@ from functools import partial
 import jax
 import numpy as np
 import pytest
+from engine import PAPER1, PAPER2, motion, place
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from naive import DEG, PAPER, WGS84, Swing, of_quaternion
 from scipy.integrate import quad_vec
 from scipy.spatial.transform import Rotation
 
-from sinsjax import earth, trajectory
+from sinsjax import trajectory
 
 increments = jax.jit(trajectory.increments, static_argnums=3)
 
-PAPER1 = Swing(
-    np.array([0.0, 0.0, 0.0]),
-    np.array([1.8, 2.4, 2.8]) * DEG,
-    np.array([6.0, 8.0, 10.0]),
-    np.zeros(3),
-)
-PAPER2 = Swing(
-    np.zeros(3), np.array([8.0, 6.0, 5.0]) * DEG, 1 / np.array([0.15, 0.2, 0.125]), np.zeros(3)
-)
 STATIC = Swing(np.array([3.0, -5.0, 200.0]) * DEG, np.zeros(3), np.ones(3), np.ones(3))
 ODD = Swing(
     np.array([-20.0, 35.0, 137.0]) * DEG,
@@ -29,20 +21,6 @@ ODD = Swing(
     np.array([1.5, 0.9, 4.0]),
     np.array([0.3, -2.0, 5.0]),
 )
-
-
-def motion(swing):
-    """The engine's words for a swing."""
-    return trajectory.Motion(
-        *(trajectory.Sway(*map(np.float64, s)) for s in zip(*swing, strict=True))
-    )
-
-
-def place(planet, latitude):
-    model = (
-        earth.wgs84() if planet is WGS84 else earth.sphere(planet.rate, planet.a, planet.gravity)
-    )
-    return jax.tree.map(np.float64, earth.place(model, latitude))
 
 
 angles = st.floats(-1.4, 1.4)

@@ -28,8 +28,8 @@ def analytic(samples: Sample, place: Place, dt: Scalar) -> Quat:
     The two mean vectors are gravity's reaction and the Earth rate; level comes from the first, yaw
     from the second (TRIAD). Any rotation of the base enters the mean rate undiminished: 0.01 deg
     over 60 s is 2.8 deg of yaw at 34 deg latitude, and a parked vehicle with people in it is off
-    by tens of degrees. On a rigid mount it is the better one: the accelerometers' noise does not
-    enter yaw, and white gyro noise of standard deviation s a sample (as a rate) leaves
+    by tens of degrees. On a rigid mount it is the better one: accelerometer noise hardly
+    enters yaw, and white gyro noise of standard deviation s a sample (as a rate) leaves
     s / (sqrt(n) omega_N).
 
     Args:
@@ -59,22 +59,23 @@ def inertial(samples: Sample, place: Place, dt: Scalar) -> Quat:
 
     The weight makes it, to first order in the Earth's turn, the least squares fit of all
     integrated velocities with the initial velocity unknown: what the base still moves by at the
-    two ends hardly enters. Davenport's q-method on those velocities differs by 0.0005 deg at most.
+    two ends hardly enters. Davenport's q-method on them differs by under 0.0005 deg on the record
+    below.
     White accelerometer noise of standard deviation s a sample leaves a yaw error of
     sqrt(30/7/n) 2 s / (g omega_N T) over T = n dt. The choice, by yaw error in deg: 60 s from 0,
     30, ..., 330 s of a laser-gyro record on a disturbed parked vehicle, against a smoother on the
-    same record; and [P1]'s swing and sensor noise, 40 draws of 60 s:
+    same record; and [P1]'s swing and sensor noise, 100 draws of 60 s:
 
     | Method | Vehicle, median | Vehicle, largest | [P1], rms |
     |---|---|---|---|
-    | this | 0.026 | 0.20 | 0.40 |
-    | weight (1 - tau^2)^2: position fit | 0.033 | 0.29 | 0.50 |
-    | no weight: specific force fit | 0.21 | 0.59 | 0.30 |
-    | q-method, velocities from 0 | 0.21 | 0.50 | 0.40 |
-    | the same, unit vectors | 3.1 | 5.5 | 0.76 |
-    | TRIAD, velocities at T/2 and T | 0.38 | 0.73 | 0.37 |
-    | TRIAD, positions at T/2 and T | 0.46 | 0.85 | 0.51 |
-    | `analytic` | 14 | 64 | - |
+    | this | 0.026 | 0.20 | 0.39 |
+    | weight (1 - tau^2)^2: position fit | 0.033 | 0.29 | 0.49 |
+    | no weight: specific force fit | 0.21 | 0.59 | 0.31 |
+    | q-method, velocities from 0 | 0.21 | 0.50 | 0.37 |
+    | the same, unit vectors | 3.1 | 5.5 | 0.69 |
+    | TRIAD, velocities at T/2 and T | 0.38 | 0.73 | 0.36 |
+    | TRIAD, positions at T/2 and T | 0.46 | 0.85 | 0.48 |
+    | `analytic` | 14 | 64 | 68 |
 
     Args:
         samples: compensated samples of the whole interval, leaves (n,), n >= 2.
@@ -114,7 +115,7 @@ def _expected(place: Place, dt: Scalar, times: Array) -> Array:
     Args:
         place: Earth rates and gravity.
         dt: sample time, s.
-        times: (n,) middle of each sample from the end, s. It stands for the sample's integral:
+        times: (n,) middle of each sample from the end, s. It stands for the sample's integral,
             off by (w_ie dt)^2 / 24, below rounding.
     """
     rate, reaction = _earth_rate(place), _up(place, dt)

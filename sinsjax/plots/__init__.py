@@ -15,7 +15,7 @@ from sinsjax.plots.curves import (
 )
 from sinsjax.plots.grids import Scale, Shown, Verdicts, heat_maps, verdict_matrix
 from sinsjax.plots.spreads import along_axis, distributions
-from sinsjax.plots.style import COLOURS, colour, label, png
+from sinsjax.plots.style import COLOURS, colour, label, png, setting
 
 __all__ = [
     "COLOURS",
@@ -33,6 +33,7 @@ __all__ = [
     "label",
     "misalignment",
     "png",
+    "setting",
     "squares",
     "verdict_matrix",
     "yaw_errors",

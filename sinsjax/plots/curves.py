@@ -10,12 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sinsjax.plots.style import GREY, colour, label, legend_outside, styled
+from sinsjax.plots.style import GREY, colour, legend_outside, styled
 
 BAND = (0.025, 0.975)
 """Quantiles over the draws that bound a band."""
 
-_LINEAR = 10.0  # arcmin; a symmetric log axis is linear up to here
+_LINEAR = 10.0  # arcmin; an asinh axis is about linear up to here, and logarithmic far out
 _NAMES = {"e": "east", "n": "north", "u": "up (yaw)"}
 
 
@@ -112,11 +112,12 @@ def misalignment(
             if limits and axis in limits:
                 axes.axhline(limits[axis], color=GREY, linewidth=0.9, label="limit")
             _mark(axes, resets_s)
-        row[0].set_yscale("symlog", linthresh=_LINEAR)
+        row[0].set_xlim(left=0)
+        row[0].set_yscale("asinh", linear_width=_LINEAR)
         row[0].set_ylabel(f"phi {_NAMES[axis]} (arcmin)")
         if zoom_s:
             _enlarge(row[1], zoom_s, resets_s)
-    grid[0, 0].set_title(f"Whole run (linear within ±{_LINEAR:g} arcmin, then log)")
+    grid[0, 0].set_title("Whole run (linear near 0, logarithmic far out)")
     if zoom_s:
         grid[0, 1].set_title(f"Enlarged: {zoom_s[0]:g} to {zoom_s[1]:g} s (linear)")
     for axes in grid[-1]:
@@ -211,8 +212,8 @@ def squares(
         axes.set_ylim(bottom=floor)
         axes.set_title(name)
         axes.set_xlabel("time (s)")
-    grid[0].set_ylabel(f"yaw variance ({label('x_arcmin2')[3:-1]})")
-    legend_outside(figure, grid[0], columns=3)
+    grid[0].set_ylabel("yaw variance (arcmin²)")
+    legend_outside(figure, grid[0])
     return figure
 
 
@@ -233,7 +234,7 @@ def yaw_errors(panels: Mapping[str, Sequence[Ensemble]], title: str) -> Figure:
         for i, ensemble in enumerate(shown):
             values = ensemble.columns["phi_u_arcmin"]
             draw(axes, Line(ensemble.label, ensemble.time_s, values, colour(i)))
-        axes.set_yscale("symlog", linthresh=_LINEAR)
+        axes.set_yscale("asinh", linear_width=_LINEAR)
         axes.set_title(name)
     for axes in list(grid.flat)[len(panels) :]:
         axes.set_visible(False)

@@ -72,8 +72,9 @@ def distributions(panels: Mapping[str, Mapping[str, ArrayLike]], title: str) -> 
         for i, (line, values) in enumerate(lines.items()):
             data = np.asarray(values, dtype=float)
             known = np.sort(data[np.isfinite(data)])
-            share = np.arange(1, known.size + 1) / max(data.size, 1)
-            axes.step(known, share, where="post", color=colour(i), label=line)
+            share = np.arange(known.size + 1) / max(data.size, 1)
+            steps = np.concatenate([known[:1], known])
+            axes.plot(steps, share, drawstyle="steps-post", color=colour(i), label=line)
         axes.set_xlabel(name)
         axes.set_ylim(0, 1.02)
     grid[0].set_ylabel("share of runs")

@@ -15,7 +15,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5
 GREY = "#8a8a8a"
 """Of what is marked but not measured: reset moments, limits, cells without a number."""
 
-STYLE: dict[str, Any] = {
+STYLE: Any = {
     "figure.dpi": 110,
     "figure.facecolor": "white",
     "figure.constrained_layout.use": True,
@@ -41,7 +41,6 @@ STYLE: dict[str, Any] = {
 
 UNITS = {
     "arcmin": "arcmin",
-    "arcmin2": "arcmin²",
     "deg": "deg",
     "deg_per_h": "deg/h",
     "ug": "µg",
@@ -74,15 +73,29 @@ def colour(index: int) -> str:
 
 def label(column: str) -> str:
     """A column or key as an axis label: ``phi_u0_deg`` becomes ``phi_u0 (deg)``."""
+    name, unit = _split(column)
+    return f"{name} ({unit})" if unit else name
+
+
+def setting(key: str, value: str) -> str:
+    """A key with its value in words: ``phi_u0_deg`` at 30 becomes ``phi_u0 30 deg``."""
+    name, unit = _split(key)
+    return f"{name} {value} {unit}" if unit and value[-1:].isdigit() else f"{name} {value}"
+
+
+def _split(column: str) -> tuple[str, str]:
+    """A column's name without its unit, and the unit as it is printed."""
     unit = max((u for u in UNITS if column.endswith(f"_{u}")), key=len, default="")
-    return f"{column.removesuffix(f'_{unit}')} ({UNITS[unit]})" if unit else column
+    return (column.removesuffix(f"_{unit}"), UNITS[unit]) if unit else (column, "")
 
 
-def legend_outside(figure: Figure, axes: Axes, *, columns: int = 4) -> None:
+def legend_outside(figure: Figure, axes: Axes) -> None:
     """Puts the legend of some axes below the whole figure, clear of the data."""
     handles, labels = axes.get_legend_handles_labels()
     if handles:
-        figure.legend(handles, labels, loc="outside lower center", ncols=min(columns, len(labels)))
+        room = 13 * figure.get_figwidth()  # letters in a line
+        columns = max(1, min(len(labels), int(room / (max(map(len, labels)) + 6))))
+        figure.legend(handles, labels, loc="outside lower center", ncols=columns)
 
 
 @styled

@@ -32,11 +32,9 @@ _MOST_DRAWS = 256  # in a line's band
 _MOST_MOMENTS = 8
 
 _STATISTICS = (
-    ("settled to 10', median", "settle_10_s_median", "s", 0),
-    ("90 % of the runs", "settle_10_s_q90", "s", 0),
-    ("phi_u, window mean", "phi_u_mean_arcmin_mean", "arcmin", 1),
-    ("... from its limit", "phi_u_from_floor_arcmin_mean", "arcmin", 1),
-    ("... sd over runs", "phi_u_mean_arcmin_std", "arcmin", 2),
+    ("settled to 10', median (s)", "settle_10_s_median", 0),
+    ("phi_u, window mean (arcmin)", "phi_u_mean_arcmin_mean", 1),
+    ("... from its limit (arcmin)", "phi_u_from_floor_arcmin_mean", 1),
 )
 
 
@@ -53,7 +51,9 @@ def report(source: Source) -> Report:
     return Report([_headline(source, has_truth)], [*sections, Section("Tables", tables)])
 
 
-def statistics(table: pa.Table, keys: Sequence[str], title: str, note: str = "") -> Table:
+def statistics(
+    table: pa.Table, keys: Sequence[str], title: str, *, note: str = "", pooled: bool = False
+) -> Table:
     """The statistics of each group of runs as a table.
 
     Args:
@@ -61,24 +61,26 @@ def statistics(table: pa.Table, keys: Sequence[str], title: str, note: str = "")
         keys: what tells the groups apart.
         title: of the table.
         note: said below it.
+        pooled: whether a group mixes variants, whose runs share draws: no interval is given.
     """
     found = analysis.summarise(table, keys).to_pylist()
     rows = []
     for row in found[:MOST_ROWS]:
-        ok = percent(_estimate(row, "success_rate"))
-        numbers = (
-            format_estimate(_estimate(row, name), unit, digits)
-            for _, name, unit, digits in _STATISTICS
-        )
-        rows.append([*(value_text(row[key]) for key in keys), str(row["n"]), ok, *numbers])
+        found_here = [(_estimate(row, name), digits) for _, name, digits in _STATISTICS]
+        printed = (format_estimate(estimate, digits=digits) for estimate, digits in found_here)
+        numbers = [percent(_estimate(row, "success_rate")), *printed]
+        if pooled:
+            numbers = [number.partition(" [")[0] for number in numbers]
+        rows.append([*(value_text(row[key]) for key in keys), str(row["n"]), *numbers])
     if left := len(found) - len(rows):
         note = f"{note} {left} more rows are not shown.".lstrip()
-    return Table(title, [*keys, "runs", "ok", *(name for name, *_ in _STATISTICS)], rows, note)
+    return Table(title, [*keys, "runs", "ok (%)", *(name for name, *_ in _STATISTICS)], rows, note)
 
 
 def _estimate(row: dict[str, Any], name: str) -> Estimate:
     ends = (row[f"{name}{end}"] for end in ("", "_low", "_high"))
-    return Estimate(*(math.nan if end is None else end for end in ends), row["n"])
+    value, low, high = (math.nan if end is None else end for end in ends)
+    return Estimate(value, low, high, row["n"])
 
 
 def _headline(source: Source, has_truth: bool) -> str:
@@ -87,21 +89,21 @@ def _headline(source: Source, has_truth: bool) -> str:
     text = f"{n:,} runs: {study.n_variants} variants, {study.n_draws} {draws}."
     if not has_truth:
         return f"{text} Without truth or reference, attitude and its 1 sigma is what is known."
-    ok = analysis.proportion(source.summary["status"].to_pylist().count("ok"), n)
-    return f"{text} The heading error ends within 10 arcmin of its limit in {percent(ok)} of them."
+    ok = source.summary["status"].to_pylist().count("ok")
+    return f"{text} The heading error ends within 10 arcmin of its limit in {ok:,} of them."
 
 
 def _tables(source: Source) -> list[Block]:
     study = source.study
     start, end = study.study.window_s
-    note = f"Number [95 % interval]; window {start:g} to {end:g} s; *never*: did not settle."
+    note = f"Window: {start:g} to {end:g} s; *never*: did not settle."
     keys = shown_keys(study)
     if study.n_variants <= MOST_ROWS:
-        return [statistics(source.summary, keys, "Every variant", note)]
-    pooled = f"{study.n_variants} variants: each table takes one key and pools the others."
+        note = f"Number [95 % interval over the draws]. {note}"
+        return [statistics(source.summary, keys, "Every variant", note=note)]
     return [
-        Text(pooled),
-        *(statistics(source.summary, [key], f"By {key}", note) for key in keys),
+        Text(f"{study.n_variants} variants: each table takes one key and pools the others."),
+        *(statistics(source.summary, [key], f"By {key}", note=note, pooled=True) for key in keys),
     ]
 
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from sinsjax import results
+from sinsjax import plots, results
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.config import load_study
 from sinsjax.studies import Study
@@ -115,8 +115,8 @@ def shown_keys(study: Study) -> tuple[str, ...]:
 
 
 def name_of(key: Mapping[str, Any]) -> str:
-    """A variant in words: ``reset_count 3, phi_u0_deg 30``; a case by its label alone."""
-    words = (str(v) if k == "case" else f"{k} {value_text(v)}" for k, v in key.items())
+    """A variant in words: ``reset_count 3, phi_u0 30 deg``; a case by its label alone."""
+    words = (str(v) if k == "case" else plots.setting(k, value_text(v)) for k, v in key.items())
     return ", ".join(words) or "all runs"
 
 
@@ -130,5 +130,6 @@ def value_text(value: Any) -> str:
 
 
 def percent(share: Estimate) -> str:
-    """A share with its interval, in percent."""
-    return format_estimate(Estimate(*(100 * x for x in share[:3]), share.n), "%", 0)
+    """A share with its interval as a number of percent."""
+    low, value, high = (100 * x for x in (share.low, share.value, share.high))
+    return format_estimate(Estimate(value, low, high, share.n), digits=0)

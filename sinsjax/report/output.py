@@ -1,6 +1,5 @@
 """Where a report goes: a console, a directory of figures, a page of documentation."""
 
-import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -10,7 +9,7 @@ from rich.console import Console
 from rich.measure import Measurement
 from rich.text import Text as RichText
 
-from sinsjax import __version__, plots
+from sinsjax import plots, runtime
 from sinsjax.records.files import replacing
 from sinsjax.report.base import Block, Picture, Report, Source, Table, Text
 from sinsjax.types import InputError
@@ -75,7 +74,7 @@ def write_page(
     """
     configs = ", ".join(f"configs/{source.config}" for source, _ in made)
     lines = [
-        f"<!-- Written by: sinsjax report --page {page.name} ({configs}; sinsjax {__version__});"
+        f"<!-- Written by: sinsjax report --page {page.name} ({configs}; sinsjax {runtime.package_version()});"
         " do not edit -->",
         f"# {title}",
         *(f"- {line}" for _, report in made for line in report.headline),
@@ -118,25 +117,30 @@ def _cell(text: str) -> str:
     return text.replace("|", "\\|")
 
 
+def _plain(text: str) -> str:
+    return text.replace("*", "").replace("`", "")
+
+
 def _say(console: Console, text: str) -> None:
-    console.print(text.replace("*", "").replace("`", ""), markup=False, highlight=False)
+    console.print(_plain(text), markup=False, highlight=False, soft_wrap=not console.is_terminal)
 
 
 def _print_table(block: Table, console: Console) -> None:
     table = rich_table.Table(
         title=RichText(block.title, style="bold"),
-        caption=RichText(block.note.replace("*", "").replace("`", "")) if block.note else None,
+        caption=RichText(_plain(block.note)) if block.note else None,
         title_justify="left",
         caption_justify="left",
         box=box.SIMPLE_HEAD,
         pad_edge=False,
     )
     for name in block.header:
-        table.add_column(RichText(name), overflow="fold")
+        table.add_column(RichText(name))
     for row in block.rows:
         table.add_row(*map(RichText, row))
     width = console.width
     if not console.is_terminal:  # a file or a pipe has no width to fit in
         wide = console.options.update(max_width=10_000)
-        width = Measurement.get(console, wide, table).maximum
-    console.print(table, width=max(width, 1), crop=False)
+        console.width = Measurement.get(console, wide, table).maximum
+    console.print(table)
+    console.width = width

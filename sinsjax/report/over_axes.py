@@ -132,16 +132,16 @@ def _best(source: Source, axes: tuple[str, str], maps: Sequence[_Map]) -> Table:
                     for key, at in zip(axes, best, strict=True)
                 ),
                 percent(analysis.proportion(int(here.ok[place].sum()), here.ok.shape[0])),
-                analysis.format_estimate(analysis.quantile(here.settle_s[place]), "s", 0),
+                analysis.format_estimate(analysis.quantile(here.settle_s[place]), digits=0),
                 percent(analysis.proportion(int(here.ok[:, 0, 0].sum()), here.ok.shape[0])),
             ]
         )
     first = ", ".join(f"{key} {value_text(source.study.axes[key][0])}" for key in axes)
     others = list(maps[0].point)
-    header = [*others, *(f"best {key}" for key in axes), "ok", "median settling time"]
+    header = [*others, *(f"best {key}" for key in axes), "ok (%)", "median settling time (s)"]
     return Table(
         f"Where most runs settle, and settle first, over {axes[0]} and {axes[1]}",
-        [*header, f"ok at {first}"],
+        [*header, f"ok at {first} (%)"],
         rows,
         "Equals: the first in the study's order.",
     )

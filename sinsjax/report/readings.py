@@ -1,0 +1,223 @@
+"""Paper 1's statements under every reading of what the paper does not print."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from sinsjax import analysis, plots
+from sinsjax.analysis import format_estimate
+from sinsjax.report.base import Block, Picture, Report, Section, Source, Table, Text, name_of, value_text
+from sinsjax.statements import STATEMENTS, Meaning, Verdict, judge
+from sinsjax.studies import Study
+from sinsjax.types import InputError
+
+CONCLUSIONS = ("S8", "S10", "S11", "S12")
+"""What the paper's abstract concludes: failure, its reason, the cure, its accuracy."""
+
+_MARKS = {(True, False): "+", (True, True): "+~", (False, False): "-", (False, True): "-~"}
+
+
+class Judged(NamedTuple):
+    """One reading with its verdicts.
+
+    Attributes:
+        reading: value by key of the study's axes.
+        verdicts: one for each of `STATEMENTS`.
+    """
+
+    reading: Mapping[str, Any]
+    verdicts: Sequence[Verdict]
+
+    @property
+    def held(self) -> int:
+        """How many statements hold."""
+        return sum(v.holds for v in self.verdicts)
+
+    @property
+    def conclusions(self) -> int:
+        """How many of `CONCLUSIONS` hold."""
+        return sum(v.holds for v in self.verdicts if v.statement_id in CONCLUSIONS)
+
+    @property
+    def clear(self) -> int:
+        """How many statements are decided by their whole interval."""
+        return sum(not v.straddles for v in self.verdicts)
+
+
+def report(source: Source) -> Report:
+    """Every statement under every reading, and the reading that fits best."""
+    meaning = meaning_of(source.study)
+    judged = [
+        Judged(reading, judge(_conditions(rows), meaning))
+        for reading, rows in analysis.groups(source.summary, list(source.study.axes))
+    ]
+    best = best_of(judged)
+    ties = [j for j in judged if j.held == best.held]
+    n = len(STATEMENTS)
+    headline = (
+        f"Of {n} statements under {len(judged)} readings, the most that hold is {best.held}. The"
+        f" reading that fits best: {name_of(best.reading)}. It is inferred; the paper prints none."
+    )
+    everywhere, nowhere = (
+        [s for i, s in enumerate(STATEMENTS) if all(j.verdicts[i].holds is held for j in judged)]
+        for held in (True, False)
+    )
+    universal = f"Under every reading: {_list(everywhere)} hold, {_list(nowhere)} do not."
+    return Report(
+        [headline, universal],
+        [
+            Section("What the words mean", [_meaning_table(source.study, meaning)]),
+            Section("The reading that fits best", [Text(_choice(best, ties)), _best_table(best)]),
+            Section(
+                "Every statement under every reading",
+                [
+                    Picture("verdicts", _CAPTION, _figure(judged, best)),
+                    _mark_table(judged),
+                    _number_table(judged),
+                ],
+            ),
+        ],
+    )
+
+
+_CAPTION = "Blue: the statement holds; ~: its 95 % interval reaches across the threshold."
+
+
+def meaning_of(study: Study) -> Meaning:
+    """What the paper's words mean in this study.
+
+    Raises:
+        InputError: [statements] asks for records that the summary did not count.
+    """
+    settings, words = study.study, study.statements
+    if words.covariance_after_s != settings.consistency_after_s:
+        raise InputError(
+            f"{settings.name}: [statements] covariance_after_s = {words.covariance_after_s:g} must"
+            f" be [study] consistency_after_s = {settings.consistency_after_s:g}"
+        )
+    return Meaning(**words.model_dump(), steady_after_s=settings.steady_after_s)
+
+
+def best_of(judged: Sequence[Judged]) -> Judged:
+    """The reading under which most statements hold.
+
+    Ties go to the one with more of `CONCLUSIONS`, then with more statements decided by their whole
+    interval, then to the first.
+    """
+    return max(judged, key=lambda j: (j.held, j.conclusions, j.clear))
+
+
+def _conditions(rows: pa.Table) -> dict[str, pa.Table]:
+    groups = analysis.groups(rows, ["case"])
+    return {key["case"].removeprefix("condition "): table for key, table in groups}
+
+
+def _list(names: Sequence[str]) -> str:
+    return ", ".join(names) or "none"
+
+
+def _choice(best: Judged, ties: Sequence[Judged]) -> str:
+    others = [name_of(j.reading) for j in ties if j is not best]
+    text = (
+        f"**{name_of(best.reading)}**: {best.held} of {len(STATEMENTS)} hold. This is inferred"
+        " from the paper's statements; the paper prints none of the three."
+    )
+    if others:
+        text += (
+            f" As many hold under {len(others)} other readings: {'; '.join(others)}. Ties go to the"
+            f" reading with more of the abstract's conclusions ({', '.join(CONCLUSIONS)}), then to"
+            " the one with fewer intervals across a threshold."
+        )
+    failing = [v for v in best.verdicts if not v.holds]
+    if failing:
+        listed = "; ".join(f"{v.text} ({v.statement_id})" for v in failing)
+        text += f" It does not say what the paper says here: {listed}."
+    return text
+
+
+def _best_table(best: Judged) -> Table:
+    rows = [
+        [
+            v.statement_id,
+            v.text,
+            v.where,
+            _word(v),
+            format_estimate(v.number, v.unit, 1 if v.unit == "s" else 3),
+            v.measure,
+        ]
+        for v in best.verdicts
+    ]
+    header = ["", "statement", "paper", "verdict", "number [95 % interval]", "what is measured"]
+    return Table(f"Every statement: {name_of(best.reading)}", header, rows)
+
+
+def _word(verdict: Verdict) -> str:
+    word = "holds" if verdict.holds else "does not hold"
+    return f"{word} ~" if verdict.straddles else word
+
+
+def _cells(judged: Judged) -> list[str]:
+    return [value_text(value) for value in judged.reading.values()]
+
+
+def _mark_table(judged: Sequence[Judged]) -> Table:
+    rows = [
+        [*_cells(j), str(j.held), *(_MARKS[v.holds, v.straddles] for v in j.verdicts)]
+        for j in judged
+    ]
+    header = [*judged[0].reading, "held", *STATEMENTS]
+    note = (
+        "`+` holds, `-` does not, `~` its 95 % interval reaches across the threshold. The verdict"
+        " follows the number."
+    )
+    return Table("Verdicts", header, rows, note)
+
+
+def _number_table(judged: Sequence[Judged]) -> Table:
+    rows = []
+    for j in judged:
+        numbers = (
+            f"{_MARKS[v.holds, v.straddles]} "
+            + format_estimate(v.number, v.unit, 0 if v.unit == "s" else 2)
+            for v in j.verdicts
+        )
+        rows.append([*_cells(j), *numbers])
+    header = [*judged[0].reading, *STATEMENTS]
+    title = "Numbers behind the verdicts, with 95 % intervals"
+    return Table(title, header, rows, "Shares and ratios have no unit.", folded=True)
+
+
+def _meaning_table(study: Study, meaning: Meaning) -> Block:
+    start, end = study.study.window_s
+    rows = [
+        ["converges", f"at least {meaning.converges_share:g} of the draws have settle_10_s"],
+        ["in a short time", f"median of settle_10_s at most {meaning.short_time_s:g} s"],
+        ["longer", "median of settle_10_s larger; the difference's interval lies above 0"],
+        ["larger errors", "mean |phi_u - limit| over the window larger; interval above 0"],
+        ["cannot converge", f"under {meaning.cannot_share:g} of the draws have settle_10_s"],
+        [
+            "as precise",
+            f"mean phi_u over {start:g} to {end:g} s no further apart than"
+            f" {meaning.as_precise_arcmin:g} arcmin, interval included",
+        ],
+        [
+            "P larger throughout",
+            f"P_UU > phi_u^2 in at least {meaning.covariance_share:g} of the records after"
+            f" {meaning.covariance_after_s:g} s",
+        ],
+        [
+            "P smaller when steady",
+            f"P_UU > phi_u^2 in at most {1 - meaning.covariance_share:g} of the records after"
+            f" {meaning.steady_after_s:g} s",
+        ],
+        ["about equal", "sigma_u at the end within 10 %"],
+    ]
+    note = f"Fixed in the study before its first result; {study.n_draws} draws a case."
+    return Table("The paper's words as numbers", ["words", "meaning"], rows, note)
+
+
+def _figure(judged: Sequence[Judged], best: Judged):  # noqa: ANN202
+    order = sorted(range(len(judged)), key=lambda i: -judged[i].held)
+    return order

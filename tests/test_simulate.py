@@ -1,0 +1,190 @@
+from functools import cache, partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from engine import (
+    ARCMIN,
+    DEG_PER_H,
+    PAPER1,
+    UG,
+    paper_filter,
+    params,
+    site,
+    swing_increments,
+)
+from naive import DEG, PAPER, closed_loop, exp, judge, log, quaternion
+from scipy.spatial.transform import Rotation
+
+from sinsjax import imu
+from sinsjax.alignment.base import Options
+from sinsjax.metrics import Criteria
+from sinsjax.simulate import Draw, Params, Static, World, measured, simulate
+from sinsjax.types import Quat, Vec3
+
+RATE, LATITUDE, SEED = 100, 32 * DEG, 11
+PHI0, V0 = np.array([2.0, -3.0, 10.0]) * DEG, (0.1, -0.2)
+BIAS = np.array([0.1 * DEG_PER_H] * 3 + [500 * UG] * 3)
+NOISE = BIAS / RATE
+FLOOR = -20 * ARCMIN
+BANDS = np.array([600.0, 60.0, 10.0]) * ARCMIN
+WINDOW, AFTER = (2.0, 6.0), (1.0, 1.0, 4.0)
+WHOLE, DRAW = 900, 5
+
+run = jax.jit(simulate, static_argnums=(0, 4))
+
+
+def static(every, records, method="kalman5"):
+    return Static(method, Options(1 / RATE), every, records, curves=True)
+
+
+@cache
+def ideal():
+    """Ideal increments of [P1]'s swing; two extra rows in front belong to no run."""
+    rows = swing_increments(PAPER1, PAPER, LATITUDE, rate=RATE, samples=WHOLE)
+    return np.concatenate([np.full((2, 6), 1e3), rows])
+
+
+def world(every, records, noise=NOISE):
+    times = np.arange(1, records + 1) * every / RATE
+    truth = np.array([quaternion(PAPER1.matrix(t)) for t in times])
+    errors = imu.SensorErrors(
+        BIAS[:3], BIAS[3:], noise[:3], noise[3:], np.zeros((3, 3)), np.zeros((3, 3))
+    )
+    criteria = Criteria(BANDS, *map(np.float64, (*WINDOW, AFTER[0], AFTER[2])))
+    # The first row of truth belongs to another draw.
+    truth = np.stack([np.full_like(truth, np.nan), truth])
+    return World(
+        site(PAPER, LATITUDE), ideal(), truth, errors, np.asarray(SEED), criteria, np.float64(FLOOR)
+    )
+
+
+def one_run(filt):
+    q = Quat(*map(np.float64, quaternion(PAPER1.matrix(0.0))))
+    return Params(q, Vec3(*PHI0), *map(np.float64, V0), params(filt))
+
+
+def draw(number=DRAW):
+    return Draw(np.asarray(number), np.asarray(2), np.asarray(1))
+
+
+def naive_measured():
+    """Ideal increments, bias and the draw's own numbers block by block."""
+    blocks = [imu.noise(np.asarray(SEED), np.asarray(DRAW), np.asarray(b)) for b in range(9)]
+    return ideal()[2:] + BIAS / RATE + NOISE * np.concatenate(blocks).astype(float)
+
+
+@pytest.mark.parametrize(
+    ("method", "every", "records"),
+    # Blocks of 300 samples and a last partial one, no whole block, and blocks of 100.
+    [("kalman5", 30, 23), ("kalman5", 70, 9), ("kalman10", 100, 7)],
+)
+def test_one_run_is_the_naive_loop_and_its_metrics(method, every, records):
+    n = {"kalman5": 5, "kalman10": 10}[method]
+    filt = paper_filter(n, every=40, resets=(215, 400))
+    here = world(every, records)
+    rows = naive_measured()[: every * records]
+    c, v = exp(-PHI0) @ PAPER1.matrix(0.0), np.array(V0)
+    naive = closed_loop(rows, 1 / RATE, PAPER, latitude=LATITUDE, c=c, v=v, filt=filt)
+    at = np.arange(1, records + 1) * every
+    corrected = Rotation.from_rotvec(naive.x[:, 2:5]).as_matrix() @ naive.c
+    values, sigma = [], []
+    for k in at:
+        yaw, pitch, roll = Rotation.from_matrix(corrected[k - 1]).as_euler("ZXY")
+        phi = log(PAPER1.matrix(k / RATE) @ corrected[k - 1].T)
+        values.append([*phi, pitch, roll, yaw])
+        sigma.append(np.sqrt(np.diagonal(naive.p[k - 1])[2:5]))
+    values, sigma = np.array(values), np.array(sigma)
+    expected = judge(
+        at / RATE,
+        values,
+        sigma[:, 2],
+        p=naive.p[-1][2:5, 2:5],
+        floor=FLOOR,
+        bands=BANDS,
+        window=WINDOW,
+        after=AFTER,
+    )
+
+    outcome, curves = run(static(every, records, method), here, draw(), one_run(filt))
+
+    close = {"rtol": 0, "atol": 1e-9}
+    got = np.stack([*curves.phi, curves.pitch, curves.roll, curves.yaw], axis=1)
+    np.testing.assert_allclose(got, values, **close)
+    np.testing.assert_allclose(np.stack(curves.sigma, axis=1), sigma, **close)
+    np.testing.assert_array_equal(outcome.outside_until, expected.outside_until)
+    np.testing.assert_allclose(outcome.mean, expected.mean, **close)
+    np.testing.assert_allclose(outcome.std, expected.std, **close)
+    np.testing.assert_allclose(outcome.above_share, expected.above_share, rtol=1e-12)
+    np.testing.assert_allclose(outcome.nees, expected.nees, rtol=1e-6)
+    np.testing.assert_allclose(outcome.nis_u, expected.nis_u, rtol=1e-6)
+
+
+def test_measured_increments_do_not_depend_on_how_they_are_asked_for():
+    """Any blocks and any length give the same bits; another draw or seed gives others."""
+    here = world(100, 9)
+    whole = measure(here, draw(), 0, 900)
+    np.testing.assert_allclose(whole, naive_measured(), rtol=0, atol=1e-17)
+    for cuts in ((0, 100, 900), (0, 700, 731)):
+        parts = [measure(here, draw(), a, b - a) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+        np.testing.assert_array_equal(np.concatenate(parts), whole[: cuts[-1]])
+    assert not np.any(measure(here, draw(6), 0, 900) == whole)
+    assert not np.any(measure(here._replace(seed=np.asarray(12)), draw(), 0, 900) == whole)
+
+
+@partial(jax.jit, static_argnums=3)
+def measure(here, draw, first, samples):
+    return measured(here, draw, first, samples=samples, dt=1 / RATE)
+
+
+def test_quiet_sensors_add_only_their_biases():
+    rows = measure(world(100, 9, noise=np.zeros(6)), draw(), 0, 900)
+    np.testing.assert_allclose(rows, ideal()[2:] + BIAS / RATE, rtol=0, atol=1e-17)
+
+
+def test_a_single_noisy_axis_is_noisy():
+    only = np.zeros(6)
+    only[4] = NOISE[4]
+    off = measure(world(100, 9, noise=only), draw(), 0, 900) - ideal()[2:] - BIAS / RATE
+    np.testing.assert_allclose(np.std(off, axis=0), only, rtol=0.1, atol=1e-17)
+
+
+def test_curves_at_common_times_do_not_depend_on_record_interval_and_length():
+    """To rounding: records only scale quaternions."""
+    filt = paper_filter(5, every=40, resets=(215,))
+    fine, coarse = (
+        run(static(every, records), world(every, records), draw(), one_run(filt))[1]
+        for every, records in ((30, 23), (70, 9))
+    )
+    # After 210, 420 and 630 samples.
+    for a, b in zip(*map(jax.tree.leaves, (fine, coarse)), strict=True):
+        np.testing.assert_allclose(a[6::7], b[2::3], rtol=0, atol=1e-11)
+
+
+def test_derivatives_by_beliefs_as_secants():
+    """Forward mode through the whole closed loop, by P0 of the yaw and by a scale of Q."""
+    filt = paper_filter(5, every=40, resets=(215,))
+    here, program = world(50, 12), static(50, 12)
+
+    @jax.jit
+    def smooth(yaw, q):
+        start = one_run(filt)
+        method = start.method
+        changed = method._replace(
+            p0=(*method.p0[:4], method.p0[4] * yaw), q=tuple(q * value for value in method.q)
+        )
+        outcome, _ = simulate(program, here, draw(), start._replace(method=changed))
+        return (1 / ARCMIN) * jnp.stack(
+            [*outcome.mean[:3], *outcome.std[:3], *outcome.last.phi, *outcome.last.sigma]
+        )
+
+    ones = np.float64(1.0), np.float64(1.0)
+    for direction in ((1.0, 0.0), (0.0, 1.0)):
+        tangent = tuple(map(np.float64, direction))
+        derivative = jax.jvp(smooth, ones, tangent)[1]
+        step = 1e-4
+        up, down = (smooth(*(1 + sign * step * d for d in direction)) for sign in (1, -1))
+        secant = (up - down) / (2 * step)
+        assert np.abs(secant).min() > 1e-6
+        np.testing.assert_allclose(derivative, secant, rtol=1e-5, atol=1e-6)
