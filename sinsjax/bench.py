@@ -10,6 +10,7 @@ import platform
 import shutil
 import statistics
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -66,6 +67,8 @@ def run(console: Console, *, as_json: bool, limit: bool, repeats: int) -> None:
     runtime.configure(devices=1)
     rows = measure(cases(limit=limit), repeats)
     facts = runtime.info()
+    if not facts["fused_loop"]:
+        print("warning: the fused loop is absent, see `sinsjax info`", file=sys.stderr)
     if as_json:
         for row in rows:
             console.print(json.dumps(row), soft_wrap=True, highlight=False, markup=False)
@@ -75,8 +78,6 @@ def run(console: Console, *, as_json: bool, limit: bool, repeats: int) -> None:
         f"{facts['cpu']}, jax {facts['jax']}, median of {repeats} turns on one core",
         highlight=False,
     )
-    if not facts["fused_loop"]:
-        console.print("warning: the fused loop is absent, see `sinsjax info`", style="yellow")
 
 
 def cases(*, limit: bool) -> list[Case]:
@@ -135,6 +136,7 @@ def default_group() -> Any:
 
 
 def without_noise(group: Any) -> Any:
+    """The group with silent sensors: one setting off, the program is the same."""
     errors = group.world.errors
     quiet = errors._replace(gyro_noise=np.zeros(3), accel_noise=np.zeros(3))
     return group._replace(world=group.world._replace(errors=quiet))
@@ -273,9 +275,19 @@ def limit_kernel() -> Case:
 
 def _table(rows: list[dict[str, Any]]) -> Table:
     table = Table(title="sinsjax bench")
-    shown = ("name", "ns_per_step_run", "runs", "steps", "compile_s", "median_s", "spread_s")
-    for key in shown:
-        table.add_column(key, justify="left" if key == "name" else "right")
+    shown = {
+        "name": "name",
+        "ns_per_step_run": "ns a step and run",
+        "runs": "runs",
+        "steps": "steps",
+        "compile_s": "compile s",
+        "median_s": "median s",
+        "spread_s": "+- s",
+    }
+    for key, heading in shown.items():
+        table.add_column(
+            heading, justify="left" if key == "name" else "right", no_wrap=key == "name"
+        )
     kernel = next((r["ns_per_step_run"] for r in rows if r["name"] == "limit_kernel"), None)
     if kernel:
         table.add_column("x limit", justify="right")

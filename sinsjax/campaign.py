@@ -34,7 +34,7 @@ Progress = Callable[[int, int], None]
 """Called with (runs done, runs in all) after every chunk."""
 
 
-def load_tape(study: Study, record: Path, reference: Path | None = None) -> Tape:
+def load_tape(study: Study, record: str | Path, reference: str | Path | None = None) -> Tape:
     """Read the record of a recorded study, and a reference attitude if there is one.
 
     Raises:
@@ -89,7 +89,7 @@ def run(
 
 def run_into(
     study: Study,
-    directory: Path,
+    directory: str | Path,
     tape: Tape | None = None,
     *,
     curves: bool | None = None,
@@ -112,7 +112,7 @@ def run_into(
         InputError: a record that does not fit, or a directory that cannot be used. Nothing is
             written before both are known to be good.
     """
-    started = time.time()
+    started, directory = time.time(), Path(directory)
     results.check_free(directory, overwrite=overwrite)
     pieces = _pieces(study, tape, curves, progress)
     first = next(pieces)

@@ -58,14 +58,14 @@ _MISFITS = {
 }
 
 
-def load_study(path: Path) -> Study:
+def load_study(path: str | Path) -> Study:
     """Reads and checks a study file.
 
     Raises:
         InputError: the file cannot be read, is no TOML or is no study; one line says why.
     """
     try:
-        data = tomllib.loads(path.read_text("utf-8-sig"))
+        data = tomllib.loads(Path(path).read_text("utf-8-sig"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:

@@ -232,22 +232,23 @@ def check_free(directory: Path, *, overwrite: bool) -> None:
         raise InputError(f"{directory}: holds results already (give --overwrite to replace them)")
 
 
-def read_summary(directory: Path) -> pa.Table:
+def read_summary(directory: str | Path) -> pa.Table:
     """All rows of the summary, by run_id.
 
     Raises:
         InputError: the directory holds no results.
     """
-    return _dataset(directory, "summary").to_table().sort_by("run_id")
+    return _dataset(Path(directory), "summary").to_table().sort_by("run_id")
 
 
-def read_curves(directory: Path, run_ids: list[int] | None = None) -> pa.Table:
+def read_curves(directory: str | Path, run_ids: list[int] | None = None) -> pa.Table:
     """Rows of the curves, by run_id and time; empty where none were stored.
 
     Args:
         directory: of the results.
         run_ids: which runs; None for all.
     """
+    directory = Path(directory)
     if not (directory / "curves").is_dir():
         return columns.schema(columns.CURVES).empty_table()
     wanted = None if run_ids is None else ds.field("run_id").isin(run_ids)
@@ -255,10 +256,10 @@ def read_curves(directory: Path, run_ids: list[int] | None = None) -> pa.Table:
     return table.sort_by([("run_id", "ascending"), ("time_s", "ascending")])
 
 
-def read_manifest(directory: Path) -> dict[str, Any]:
+def read_manifest(directory: str | Path) -> dict[str, Any]:
     """The manifest of a directory of results."""
     try:
-        return json.loads((directory / "manifest.json").read_text(encoding="utf-8"))
+        return json.loads(Path(directory, "manifest.json").read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(f"{directory}: holds no readable manifest.json ({error})") from error
 

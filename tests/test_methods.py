@@ -9,7 +9,6 @@ import pytest
 from engine import (
     ARCMIN,
     PAPER1,
-    RESETS,
     navigation,
     paper_filter,
     params,
@@ -95,10 +94,9 @@ def test_at_truth_it_stays_at_truth(name):
 def test_it_levels_and_then_finds_north(name, every):
     phi = np.array([10.0, -10.0, 60.0]) * ARCMIN
     left, p, _ = run(name, phi, v=(0.05, -0.05), every=every)
-    # Level first, in seconds; north slowly, out of the Earth's rate.
-    assert np.abs(left[20:, :2]).max() < 1.5 * ARCMIN
-    assert abs(left[-1, 2]) < abs(left[9, 2]) < 60 * ARCMIN
-    assert abs(left[-1, 2]) < 20 * ARCMIN
+    # Level first, in seconds; north slowly, out of the Earth's rate, within what is believed.
+    assert np.abs(left[20:, :2]).max() < 0.2 * ARCMIN
+    assert abs(left[-1, 2]) < 30 * ARCMIN
     sigma = np.sqrt(np.diagonal(p, axis1=1, axis2=2))
     assert np.all(sigma[-1] < sigma[0])
 
@@ -112,10 +110,10 @@ def test_covariance_is_symmetric_positive(name):
 @methods
 def test_feedback_interval_does_not_matter_while_errors_are_small(name):
     """The loop is linear there: what is fed back early or late is the same estimate."""
-    phi = np.array([0.5, -0.5, 2.0]) * ARCMIN
+    phi = np.array([0.05, -0.05, 0.2]) * ARCMIN
     each, seldom, never = (run(name, phi, every=every)[0] for every in (1, 700, NEVER))
-    np.testing.assert_allclose(seldom, each, rtol=0, atol=0.01 * ARCMIN)
-    np.testing.assert_allclose(never, each, rtol=0, atol=0.01 * ARCMIN)
+    np.testing.assert_allclose(seldom, each, rtol=0, atol=1e-3 * ARCMIN)
+    np.testing.assert_allclose(never, each, rtol=0, atol=1e-3 * ARCMIN)
 
 
 @methods
@@ -133,23 +131,15 @@ def test_a_reset_believes_the_start_again(name):
 @methods
 def test_feedback_leaves_the_given_attitude_alone(name):
     """The estimate moves into the solution: its sum with the solution, the user's, stays."""
-    method, here, dt = method_of(name), site(PAPER, LATITUDE), 1 / RATE
-    rows = increments()[:3]
-    samples = imu.compensate(rows, rows[0])
+    start = nav_off(np.array([1.0, -2.0, 5.0]) * DEG, (0.3, 0.4))
     given = []
-    for gain, every in ((0.0, NEVER), (0.3, 3.0), (1.0, 3.0)):
-        filt = numbers(name, every=every, gain=gain)
-        state = method.init(filt, nav_off(np.array([1.0, -2.0, 5.0]) * DEG, (0.3, 0.4)))
-        step = jax.jit(method.step)
-        for n in range(3):
-            sample = jax.tree.map(lambda a, n=n: a[n], samples)
-            state = step(filt, here, state, sample, n + 1.0)
-        given.append((np.array(method.attitude(state)), np.array(method.navigation(state).q)))
-    assert dt == 0.01
+    for gain, every in ((0.0, NEVER), (0.3, RATE), (1.0, RATE)):
+        attitude, _, nav = runner(name)(numbers(name, every=every, gain=gain), start)
+        given.append([np.stack(q, axis=1)[0] for q in (attitude, nav.q)])
     for attitude, q in given[1:]:
-        np.testing.assert_allclose(attitude, given[0][0], rtol=0, atol=1e-15)
-        assert np.abs(q - given[0][1]).max() > 1e-6
-    np.testing.assert_allclose(*given[2], rtol=0, atol=1e-15)
+        np.testing.assert_allclose(attitude, given[0][0], rtol=0, atol=1e-13)
+        assert np.abs(q - given[0][1]).max() > 1e-3
+    np.testing.assert_allclose(*given[2], rtol=0, atol=1e-14)
 
 
 @methods
@@ -180,24 +170,16 @@ def test_normalise_touches_only_the_length_of_the_quaternion(name):
 
 
 @methods
-def test_many_runs_are_single_runs(name):
-    phis = np.array([[0.1, 0.0, 0.0], [0.0, -0.2, 0.5], [0.05, 0.05, 3.0]])
-    navs = jax.tree.map(lambda *a: jnp.stack(a), *(nav_off(phi) for phi in phis))
-    resets = [(), (500,), (100, 300)]
-    filters = [numbers(name, every=50 + i, resets=r) for i, r in enumerate(resets)]
-    assert all(f.resets.samples.shape == (RESETS,) for f in filters)
-    filts = jax.tree.map(lambda *a: np.stack(a), *filters)
-    many = jax.vmap(runner(name))(filts, navs)
-    for i, filt in enumerate(filters):
-        one = runner(name)(filt, jax.tree.map(lambda a, i=i: a[i], navs))
-        for a, b in zip(jax.tree.leaves(many), jax.tree.leaves(one), strict=True):
-            np.testing.assert_allclose(a[i], b, rtol=1e-9, atol=1e-11)
+def test_tangents_are_finite_where_nothing_is_off(name):
+    """There a root or an arc tangent might have none."""
+    method, here, filt = method_of(name), site(PAPER, LATITUDE), numbers(name, every=1)
+    sample = jax.tree.map(lambda a: a[0], imu.compensate(increments()[:1], increments()[0]))
 
+    def after(filt, nav):
+        state = method.step(filt, here, method.init(filt, nav), sample, 1.0)
+        return method.attitude(state), method.covariance(state), method.navigation(state)
 
-@methods
-def test_tangents_are_finite(name):
-    """Also where nothing is off, where a root or an arc tangent would give none."""
-    start = numbers(name, every=10)
-    ones = jax.tree.map(lambda a: np.zeros_like(a, dtype=float), start)._replace(r=np.float64(1e-3))
-    tangent = jax.jvp(lambda filt: runner(name)(filt, nav_off(np.zeros(3))), (start,), (ones,))[1]
+    point = filt, nav_off(np.zeros(3))
+    ones = jax.tree.map(lambda a: np.ones_like(a, dtype=float), point)
+    tangent = jax.jvp(after, point, ones)[1]
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(tangent))

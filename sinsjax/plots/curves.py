@@ -8,6 +8,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
 from sinsjax.plots.style import GREY, colour, legend_outside, styled
@@ -16,6 +17,7 @@ BAND = (0.025, 0.975)
 """Quantiles over the draws that bound a band."""
 
 _LINEAR = 10.0  # arcmin; an asinh axis is about linear up to here, and logarithmic far out
+_WIDE = 60.0  # arcmin; beyond it a linear axis would hide how a run ends
 _NAMES = {"e": "east", "n": "north", "u": "up (yaw)"}
 
 
@@ -71,16 +73,30 @@ def ensembles(curves: pa.Table, runs: Mapping[str, Iterable[int]]) -> list[Ensem
     return made
 
 
-def draw(axes: Axes, line: Line) -> None:
-    """Draws a line's mean over the runs and the band that holds 95 % of them."""
+class Extent(NamedTuple):
+    """What a line covers: its band's lower and upper edge over time."""
+
+    time_s: NDArray
+    low: NDArray
+    high: NDArray
+
+
+def draw(axes: Axes, line: Line) -> Extent:
+    """Draws a line's mean over the runs and the band that holds 95 % of them.
+
+    Args:
+        axes: to draw on.
+        line: to draw; records at which a run has no value are left out.
+    """
     known = np.isfinite(line.values).all(axis=0)
-    if not known.any():
-        return
     time, values = line.time_s[known], line.values[:, known]
-    axes.plot(time, values.mean(axis=0), line.style, color=line.colour, label=line.label)
-    if len(values) > 1:
-        low, high = np.quantile(values, BAND, axis=0)
-        axes.fill_between(time, low, high, color=line.colour, alpha=0.22, linewidth=0)
+    mean = values.mean(axis=0)
+    axes.plot(time, mean, line.style, color=line.colour, label=line.label)
+    if len(values) == 1 or not known.any():
+        return Extent(time, mean, mean)
+    low, high = np.quantile(values, BAND, axis=0)
+    axes.fill_between(time, low, high, color=line.colour, alpha=0.22, linewidth=0)
+    return Extent(time, np.minimum(low, mean), np.maximum(high, mean))
 
 
 @styled
@@ -100,7 +116,7 @@ def misalignment(
         title: of the figure.
         limits: grey lines at ``{"e": ..., "n": ..., "u": ...}``, arcmin.
         resets_s: dotted lines at reset moments, s.
-        zoom_s: time span of the enlargement on a linear axis; none is drawn without it.
+        zoom_s: time span of the enlargement; none is drawn without it.
         with_sigma: whether the filter's own 1 sigma is drawn, dashed on both sides of 0.
     """
     figure = Figure(figsize=(9.2, 7.8))
@@ -108,18 +124,17 @@ def misalignment(
     grid = figure.subplots(3, 2 if zoom_s else 1, sharex="col", squeeze=False)
     for row, axis in zip(grid, "enu", strict=True):
         for axes in row:
-            _draw_misalignment(axes, axis, shown, with_sigma=with_sigma)
+            extents = _draw_misalignment(axes, axis, shown, with_sigma=with_sigma)
             if limits and axis in limits:
                 axes.axhline(limits[axis], color=GREY, linewidth=0.9, label="limit")
             _mark(axes, resets_s)
-        row[0].set_xlim(left=0)
-        row[0].set_yscale("asinh", linear_width=_LINEAR)
-        row[0].set_ylabel(f"phi {_NAMES[axis]} (arcmin)")
+        row[0].set_xlim(0, max(extent.time_s[-1] for extent in extents))
+        row[0].set_ylabel(f"phi {_NAMES[axis]} (arcmin){_fit(row[0], extents)}")
         if zoom_s:
-            _enlarge(row[1], zoom_s, resets_s)
-    grid[0, 0].set_title("Whole run (linear near 0, logarithmic far out)")
+            _enlarge(row[1], zoom_s, extents)
+    grid[0, 0].set_title("Whole run")
     if zoom_s:
-        grid[0, 1].set_title(f"Enlarged: {zoom_s[0]:g} to {zoom_s[1]:g} s (linear)")
+        grid[0, 1].set_title(f"Enlarged: {zoom_s[0]:g} to {zoom_s[1]:g} s")
     for axes in grid[-1]:
         axes.set_xlabel("time (s)")
     legend_outside(figure, grid[0, 0])
@@ -128,29 +143,41 @@ def misalignment(
 
 def _draw_misalignment(
     axes: Axes, axis: str, shown: Sequence[Ensemble], *, with_sigma: bool
-) -> None:
+) -> list[Extent]:
+    extents = []
     for i, ensemble in enumerate(shown):
         values = ensemble.columns[f"phi_{axis}_arcmin"]
-        draw(axes, Line(ensemble.label, ensemble.time_s, values, colour(i)))
+        extents.append(draw(axes, Line(ensemble.label, ensemble.time_s, values, colour(i))))
         if with_sigma:
             sigma = ensemble.columns[f"sigma_{axis}_arcmin"].mean(axis=0)
             for side in (sigma, -sigma):
                 axes.plot(ensemble.time_s, side, "--", color=colour(i), linewidth=0.9, alpha=0.8)
+            extents.append(Extent(ensemble.time_s, -sigma, sigma))
+    return extents
 
 
-def _enlarge(axes: Axes, span: tuple[float, float], resets_s: Sequence[float]) -> None:
+def _fit(axes: Axes, extents: Sequence[Extent]) -> str:
+    """Makes a wide range of values legible from its start to its end; says so for the label."""
+    edges = np.concatenate([edge for extent in extents for edge in extent[1:]])
+    if np.abs(edges).max(initial=0.0) <= _WIDE:
+        return ""
+    axes.set_yscale("asinh", linear_width=_LINEAR)
+    decades = 10.0 ** np.arange(1, 6)
+    axes.yaxis.set_major_locator(FixedLocator([*-decades[::-1], 0.0, *decades]))
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.yaxis.set_minor_locator(NullLocator())
+    return "\nlogarithmic far from 0"
+
+
+def _enlarge(axes: Axes, span: tuple[float, float], extents: Sequence[Extent]) -> None:
     """Shows a time span, with the vertical axis fitted to what the lines do in it."""
     axes.set_xlim(*span)
-    # Lines along the axis (limits, resets) have two points and must not decide the height.
-    inside = [
-        np.asarray(line.get_ydata())[(x >= span[0]) & (x <= span[1])]
-        for line in axes.get_lines()
-        if len(x := np.asarray(line.get_xdata())) > 2
-    ]
-    values = np.concatenate([*inside, np.zeros(0)])
-    if values.size:
-        margin = 0.08 * max(np.ptp(values), 1.0)
-        axes.set_ylim(values.min() - margin, values.max() + margin)
+    inside = [(e.time_s >= span[0]) & (e.time_s <= span[1]) for e in extents]
+    values = [edge[there] for e, there in zip(extents, inside, strict=True) for edge in e[1:]]
+    covered = np.concatenate(values)
+    if covered.size:
+        margin = 0.05 * max(float(np.ptp(covered)), 1e-3)
+        axes.set_ylim(covered.min() - margin, covered.max() + margin)
 
 
 def _mark(axes: Axes, times_s: Sequence[float]) -> None:
@@ -229,17 +256,19 @@ def yaw_errors(panels: Mapping[str, Sequence[Ensemble]], title: str) -> Figure:
     height = -(-len(panels) // width)
     figure = Figure(figsize=(9.2, 1.6 + 2.6 * height))
     figure.suptitle(title)
-    grid = figure.subplots(height, width, sharex=True, sharey=True, squeeze=False)
+    grid = figure.subplots(height, width, sharex=True, squeeze=False)
+    far = ""
     for axes, (name, shown) in zip(grid.flat, panels.items(), strict=False):
-        for i, ensemble in enumerate(shown):
-            values = ensemble.columns["phi_u_arcmin"]
-            draw(axes, Line(ensemble.label, ensemble.time_s, values, colour(i)))
-        axes.set_yscale("asinh", linear_width=_LINEAR)
+        extents = [
+            draw(axes, Line(e.label, e.time_s, e.columns["phi_u_arcmin"], colour(i)))
+            for i, e in enumerate(shown)
+        ]
+        far = _fit(axes, extents) or far
         axes.set_title(name)
     for axes in list(grid.flat)[len(panels) :]:
         axes.set_visible(False)
     for axes in grid[:, 0]:
-        axes.set_ylabel("yaw error phi u (arcmin)")
+        axes.set_ylabel(f"yaw error phi u (arcmin){far}")
     for axes in grid[-1]:
         axes.set_xlabel("time (s)")
     legend_outside(figure, grid[0, 0])

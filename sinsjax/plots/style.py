@@ -93,7 +93,7 @@ def legend_outside(figure: Figure, axes: Axes) -> None:
     """Puts the legend of some axes below the whole figure, clear of the data."""
     handles, labels = axes.get_legend_handles_labels()
     if handles:
-        room = 13 * figure.get_figwidth()  # letters in a line
+        room = 15 * figure.get_figwidth()  # letters in a line
         columns = max(1, min(len(labels), int(room / (max(map(len, labels)) + 6))))
         figure.legend(handles, labels, loc="outside lower center", ncols=columns)
 

@@ -10,12 +10,16 @@ from pathlib import Path
 from rich.console import Console
 
 from sinsjax import plots
-from sinsjax.report import auto
+from sinsjax.report import auto, car_test, paper1, readings
 from sinsjax.report.base import Layout, Report, Source
 from sinsjax.report.output import FIGURES, pictures, print_report, save_figures, write_page
 
 LAYOUTS: dict[str, Layout] = {
     "auto": auto.report,
+    "paper1_conditions": paper1.report_conditions,
+    "paper1_resets": paper1.report_resets,
+    "paper1_readings": readings.report,
+    "car_test": car_test.report,
 }
 """What each ``[report] layout`` is made by, in the order in which several share a page."""
 

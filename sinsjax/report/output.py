@@ -73,8 +73,9 @@ def write_page(
         InputError: the page cannot be written.
     """
     configs = ", ".join(f"configs/{source.config}" for source, _ in made)
+    version = runtime.package_version()
     lines = [
-        f"<!-- Written by: sinsjax report --page {page.name} ({configs}; sinsjax {runtime.package_version()});"
+        f"<!-- Written by: sinsjax report --page {page.name} ({configs}; sinsjax {version});"
         " do not edit -->",
         f"# {title}",
         *(f"- {line}" for _, report in made for line in report.headline),

@@ -18,11 +18,13 @@ from sinsjax.report.base import (
     shown_keys,
     value_text,
 )
+from sinsjax.studies import SECTION_OF
 from sinsjax.types import InputError
 
 _MOST_PANELS = 12
 _MOST_LINES = 7
 _SETTLED = "settle_10_s"
+_CHOSEN = ("filter", "resets")  # sections whose values a user chooses, so that one can be best
 
 
 def over_axes(source: Source) -> list[Block]:
@@ -83,7 +85,8 @@ def _median(settle_s: NDArray) -> NDArray:
 
 def _heat_maps(source: Source, axes: tuple[str, str], others: Sequence[str]) -> Iterator[Block]:
     maps = _maps(source, axes, others)
-    yield _best(source, axes, maps)
+    if all(SECTION_OF[key] in _CHOSEN for key in axes):
+        yield _best(source, axes, maps)
     rows, columns = (plots.Scale(key, source.study.axes[key]) for key in axes)
     drawn = maps[:_MOST_PANELS]
     left = len(maps) - len(drawn)

@@ -32,7 +32,6 @@ PAPER_LIMITS_ARCMIN = {"e": -1.7189, "n": 1.7189, "u": -27.0248}
 
 _PAPER_RATE_DEG_PER_H = 15.0  # the Earth rate that gives the paper's yaw limit to all digits
 _CASE = "condition {}".format
-_SOFT_S = 300.0  # the enlargements begin with the paper's steady process
 
 
 def report_conditions(source: Source) -> Report:
@@ -40,17 +39,16 @@ def report_conditions(source: Source) -> Report:
     runs = _runs(source, CONDITIONS[:-1])
     shown = _ensembles(source, runs)
     limits = limit_accuracy(source.study)
-    end = source.study.study.duration_s
     fig2 = plots.misalignment(
         list(shown.values()),
-        "Without resets: the larger the first misalignment, the later the yaw",
+        "Misalignment left by conditions 1 to 5 without resets",
         limits=limits,
-        zoom_s=(_SOFT_S, end),
+        zoom_s=_steady(source.study),
     )
-    panels = {
-        _CASE(name): _variance_lines(shown[_CASE(name)], limits["u"]) for name in ("1", "5")
-    }
-    fig3 = plots.squares(panels, "Does the filter know its yaw error?")
+    panels = {_CASE(name): _variance_lines(shown[_CASE(name)], limits["u"]) for name in ("1", "5")}
+    fig3 = plots.squares(
+        panels, "Yaw variance without resets: what the filter believes and what is true"
+    )
     blocks: list[Block] = [
         Picture("fig2", f"As the paper's Fig. 2. {_band(source)}; grey: the limit.", fig2),
         _table(source, runs),
@@ -82,10 +80,10 @@ def report_resets(source: Source) -> Report:
     moments = runs[_CASE(RESET)]["reset_times_s"][0].as_py()
     fig5 = plots.misalignment(
         [shown[_CASE(name)] for name in ("1", RESET)],
-        "With resets, condition 5 ends where condition 1 does",
+        f"Condition 5 with {len(moments)} resets beside condition 1",
         limits=limits,
         resets_s=moments,
-        zoom_s=(_SOFT_S, source.study.study.duration_s),
+        zoom_s=_steady(source.study),
     )
     with_resets = shown[_CASE(RESET)]
     lines = [
@@ -95,7 +93,7 @@ def report_resets(source: Source) -> Report:
     ]
     fig6 = plots.squares(
         {"against the true error of condition 5 with resets": lines},
-        "After resets the filter's variance is above the true error",
+        "Yaw variance with resets: what the filter believes and what is true",
         resets_s=moments,
     )
     apart = analysis.difference(
@@ -112,14 +110,18 @@ def report_resets(source: Source) -> Report:
             Section(
                 "Condition 5 with resets (Fig. 5)",
                 [
-                    Picture("fig5", f"As the paper's Fig. 5. {_band(source)}; dotted: resets.", fig5),
+                    Picture(
+                        "fig5", f"As the paper's Fig. 5. {_band(source)}; dotted: resets.", fig5
+                    ),
                     _table(source, runs),
                 ],
             ),
             Section(
                 "Covariance with resets (Fig. 6)",
                 [
-                    Picture("fig6", f"As the paper's Fig. 6. {_band(source)}; dotted: resets.", fig6),
+                    Picture(
+                        "fig6", f"As the paper's Fig. 6. {_band(source)}; dotted: resets.", fig6
+                    ),
                     Text(_covariance_text(runs, source.study)),
                 ],
             ),
@@ -160,8 +162,8 @@ def ingredients(study: Study, earth_rate_deg_per_h: float | None = None) -> Ingr
         raise InputError(f"{study.study.name}: paper 1's layouts need earth = 'constants'")
     angles = [_only(study, f"{a}_center_deg") for a in ("yaw", "pitch", "roll")]
     turn = Rotation.from_euler("ZXY", angles, degrees=True)
-    eps_e = turn.apply(np.broadcast_to(_only(study, "gyro_bias_deg_per_h"), 3))[0] * DEG_PER_H
-    nabla_e, nabla_n, _ = turn.apply(np.broadcast_to(_only(study, "accel_bias_ug"), 3)) * MICRO
+    eps_e = turn.apply(np.ones(3) * _only(study, "gyro_bias_deg_per_h"))[0] * DEG_PER_H
+    nabla_e, nabla_n, _ = turn.apply(np.ones(3) * _only(study, "accel_bias_ug")) * MICRO
     latitude = _only(study, "latitude_deg") * DEG
     rate = earth_rate_deg_per_h or _only(study, "earth_rate_deg_per_h")
     terms = (
@@ -349,6 +351,11 @@ def _ended(runs: Mapping[str, pa.Table]) -> str:
 def _reading(study: Study) -> str:
     q, r = _only(study, "q_reading"), _only(study, "r_reading")
     return f"Q `{q}`, R `{r}`, feedback {_only(study, 'feedback_interval_s'):g} s (inferred)"
+
+
+def _steady(study: Study) -> tuple[float, float]:
+    """The span that is enlarged: the paper's steady process."""
+    return study.study.steady_after_s, study.study.duration_s
 
 
 def _band(source: Source) -> str:

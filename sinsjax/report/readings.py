@@ -5,10 +5,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+from matplotlib.figure import Figure
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import format_estimate
-from sinsjax.report.base import Block, Picture, Report, Section, Source, Table, Text, name_of, value_text
+from sinsjax.report.base import (
+    Block,
+    Picture,
+    Report,
+    Section,
+    Source,
+    Table,
+    Text,
+    name_of,
+    value_text,
+)
 from sinsjax.statements import STATEMENTS, Meaning, Verdict, judge
 from sinsjax.studies import Study
 from sinsjax.types import InputError
@@ -61,10 +72,14 @@ def report(source: Source) -> Report:
         f" reading that fits best: {name_of(best.reading)}. It is inferred; the paper prints none."
     )
     everywhere, nowhere = (
-        [s for i, s in enumerate(STATEMENTS) if all(j.verdicts[i].holds is held for j in judged)]
+        [
+            f"{text} ({name})"
+            for i, (name, (text, _)) in enumerate(STATEMENTS.items())
+            if all(j.verdicts[i].holds is held for j in judged)
+        ]
         for held in (True, False)
     )
-    universal = f"Under every reading: {_list(everywhere)} hold, {_list(nowhere)} do not."
+    universal = f"Hold under every reading: {_list(everywhere)}. Under none: {_list(nowhere)}."
     return Report(
         [headline, universal],
         [
@@ -115,7 +130,7 @@ def _conditions(rows: pa.Table) -> dict[str, pa.Table]:
 
 
 def _list(names: Sequence[str]) -> str:
-    return ", ".join(names) or "none"
+    return "; ".join(names) or "none"
 
 
 def _choice(best: Judged, ties: Sequence[Judged]) -> str:
@@ -218,6 +233,12 @@ def _meaning_table(study: Study, meaning: Meaning) -> Block:
     return Table("The paper's words as numbers", ["words", "meaning"], rows, note)
 
 
-def _figure(judged: Sequence[Judged], best: Judged):  # noqa: ANN202
-    order = sorted(range(len(judged)), key=lambda i: -judged[i].held)
-    return order
+def _figure(judged: Sequence[Judged], best: Judged) -> Figure:
+    verdicts = plots.Verdicts(
+        readings=[", ".join(_cells(j)) for j in judged],
+        statements=list(STATEMENTS),
+        holds=np.array([[v.holds for v in j.verdicts] for j in judged]),
+        straddles=np.array([[v.straddles for v in j.verdicts] for j in judged]),
+        best=next(i for i, j in enumerate(judged) if j is best),
+    )
+    return plots.verdict_matrix(verdicts, "Which statement of the paper holds under which reading?")
