@@ -135,8 +135,8 @@ def accumulate(
             now,
             (time > criteria.window_start) & (time <= criteria.window_end),
         ),
-        above=tuple(n + (j & a) for n, j, a in zip(metrics.above, judged, above, strict=True)),
-        judged=tuple(n + j for n, j in zip(metrics.judged, judged, strict=True)),
+        above=tuple(_count(n, j & a) for n, j, a in zip(metrics.above, judged, above, strict=True)),
+        judged=tuple(_count(n, j) for n, j in zip(metrics.judged, judged, strict=True)),
         last=now,
     )
 
@@ -147,13 +147,17 @@ def _widen(window: Window, now: Observation, inside: Flag) -> Window:
     first = tuple(jnp.where(opening, v, f) for v, f in zip(values, window.first, strict=True))
     steps = tuple(_wrap(v - f) for v, f in zip(values, first, strict=True))
     return Window(
-        count=window.count + inside,
+        count=_count(window.count, inside),
         first=first,
         sums=tuple(jnp.where(inside, s + d, s) for s, d in zip(window.sums, steps, strict=True)),
         squares=tuple(
             jnp.where(inside, s + d * d, s) for s, d in zip(window.squares, steps, strict=True)
         ),
     )
+
+
+def _count(so_far: Scalar, happened: Flag) -> Scalar:
+    return jnp.where(happened, so_far + 1, so_far)
 
 
 def _wrap(angle: Scalar) -> Scalar:

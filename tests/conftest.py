@@ -14,8 +14,8 @@ from sinsjax import runtime
 
 runtime.configure(devices=2, x64=True)
 jax.config.update("jax_legacy_prng_key", "error")
-# Left at JAX's default: rank promotion, since samples (n, 3) are scaled and shifted by (3,) an
-# axis; and dtype promotion, since counts add a mask to a number.
+jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 hypothesis.settings.register_profile("sinsjax", deadline=None, derandomize=True, max_examples=50)
 hypothesis.settings.load_profile("sinsjax")

@@ -87,7 +87,7 @@ three = st.tuples(*[st.floats(-np.pi, np.pi)] * 3)
 
 
 @given(angles, angles, st.floats(-np.pi, np.pi), st.floats(-80, 80), three)
-@settings(max_examples=25)
+@settings(max_examples=12)
 def test_without_errors_any_heading_latitude_and_phase_stays_at_truth(
     pitch, roll, yaw, latitude_deg, phase
 ):

@@ -126,7 +126,7 @@ def misalignment(
         for axes in row:
             extents = _draw_misalignment(axes, axis, shown, with_sigma=with_sigma)
             if limits and axis in limits:
-                axes.axhline(limits[axis], color=GREY, linewidth=0.9, label="limit")
+                axes.axhline(limits[axis], color=GREY, linewidth=0.9, zorder=1.5, label="limit")
             _mark(axes, resets_s)
         row[0].set_xlim(0, max(extent.time_s[-1] for extent in extents))
         row[0].set_ylabel(f"phi {_NAMES[axis]} (arcmin){_fit(row[0], extents)}")
@@ -137,7 +137,7 @@ def misalignment(
         grid[0, 1].set_title(f"Enlarged: {zoom_s[0]:g} to {zoom_s[1]:g} s")
     for axes in grid[-1]:
         axes.set_xlabel("time (s)")
-    legend_outside(figure, grid[0, 0])
+    legend_outside(figure, grid[-1, 0])
     return figure
 
 

@@ -74,7 +74,9 @@ def distributions(panels: Mapping[str, Mapping[str, ArrayLike]], title: str) -> 
             known = np.sort(data[np.isfinite(data)])
             share = np.arange(known.size + 1) / max(data.size, 1)
             steps = np.concatenate([known[:1], known])
-            axes.plot(steps, share, drawstyle="steps-post", color=colour(i), label=line)
+            axes.plot(
+                steps, share[: steps.size], drawstyle="steps-post", color=colour(i), label=line
+            )
         axes.set_xlabel(name)
         axes.set_ylim(0, 1.02)
     grid[0].set_ylabel("share of runs")

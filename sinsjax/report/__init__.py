@@ -9,10 +9,9 @@ from pathlib import Path
 
 from rich.console import Console
 
-from sinsjax import plots
 from sinsjax.report import auto, car_test, paper1, readings
-from sinsjax.report.base import Layout, Report, Source
-from sinsjax.report.output import FIGURES, pictures, print_report, save_figures, write_page
+from sinsjax.report.base import Layout, Source
+from sinsjax.report.output import FIGURES, Made, print_report, save_figures, write_page
 
 LAYOUTS: dict[str, Layout] = {
     "auto": auto.report,
@@ -38,33 +37,29 @@ def summarise(directories: Sequence[Path], console: Console, page: Path | None =
     Raises:
         InputError: a directory holds no results that its layout can use, or cannot be written.
     """
-    made: list[tuple[Source, Report]] = []
+    made = []
     for directory in directories:
         source = Source.read(directory)
-        report = LAYOUTS[source.study.report.layout](source)
-        images = {block.name: plots.png(block.figure) for block in pictures(report)}
-        save_figures(images, directory / FIGURES)
-        print_report(source, report, console)
-        made.append((source, report))
+        one = Made.of(source, LAYOUTS[source.study.report.layout](source))
+        save_figures(one.images, directory / FIGURES)
+        print_report(one, console)
+        made.append(one)
     if page is not None:
         places = list(LAYOUTS)
-        made.sort(key=lambda item: places.index(item[0].study.report.layout))
+        made.sort(key=lambda one: places.index(one.source.study.report.layout))
         write_page(page, _title(made), made, _missing(made))
 
 
-def _title(made: Sequence[tuple[Source, Report]]) -> str:
-    if any(source.study.report.layout in PAPER1 for source, _ in made):
+def _title(made: Sequence[Made]) -> str:
+    if any(one.source.study.report.layout in PAPER1 for one in made):
         return "Paper 1, reproduced"
-    return ", ".join(source.study.study.name for source, _ in made)
+    return ", ".join(one.source.study.study.name for one in made)
 
 
-def _missing(made: Sequence[tuple[Source, Report]]) -> list[str]:
+def _missing(made: Sequence[Made]) -> list[str]:
     """Says which part of paper 1's page has no results."""
-    there = {source.study.report.layout for source, _ in made}
-    if not there.intersection(PAPER1):
+    there = {one.source.study.report.layout for one in made}
+    missing = [f"`configs/{name}.toml`" for name in PAPER1 if name not in there]
+    if not missing or not there.intersection(PAPER1):
         return []
-    return [
-        f"Not on this page: `configs/{name}.toml` has not been reported."
-        for name in PAPER1
-        if name not in there
-    ]
+    return [f"Not on this page: {', '.join(missing)}."]

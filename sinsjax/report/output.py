@@ -1,7 +1,8 @@
 """Where a report goes: a console, a directory of figures, a page of documentation."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from rich import box
 from rich import table as rich_table
@@ -15,10 +16,33 @@ from sinsjax.report.base import Block, Picture, Report, Source, Table, Text
 from sinsjax.types import InputError
 
 FIGURES = "figures"
+"""Directory of the figures, in that of the results or of a page."""
 
 
-def print_report(source: Source, report: Report, console: Console) -> None:
+class Made(NamedTuple):
+    """A report with its figures drawn.
+
+    Attributes:
+        source: what it reports.
+        report: what it says.
+        images: PNG files by the name of the figure.
+    """
+
+    source: Source
+    report: Report
+    images: Mapping[str, bytes]
+
+    @classmethod
+    def of(cls, source: Source, report: Report) -> "Made":
+        """Draws the figures of a report."""
+        blocks = (block for section in report.sections for block in section.blocks)
+        pictures = (block for block in blocks if isinstance(block, Picture))
+        return cls(source, report, {block.name: plots.png(block.figure) for block in pictures})
+
+
+def print_report(made: Made, console: Console) -> None:
     """Prints what was found and every table that is not folded, and names the figures."""
+    source, report, images = made
     console.print(f"\n{source.study.study.name}", style="bold", markup=False, highlight=False)
     for line in report.headline:
         _say(console, line)
@@ -28,18 +52,12 @@ def print_report(source: Source, report: Report, console: Console) -> None:
                 _say(console, block.text)
             elif isinstance(block, Table) and not block.folded:
                 _print_table(block, console)
-    if names := [block.name for block in pictures(report)]:
-        listed = ", ".join(f"{name}.png" for name in names)
+    if images:
+        listed = ", ".join(f"{name}.png" for name in images)
         _say(console, f"Figures in {source.directory / FIGURES}: {listed}")
 
 
-def pictures(report: Report) -> Iterable[Picture]:
-    """Every figure of a report."""
-    blocks = (block for section in report.sections for block in section.blocks)
-    return (block for block in blocks if isinstance(block, Picture))
-
-
-def save_figures(images: dict[str, bytes], directory: Path) -> None:
+def save_figures(images: Mapping[str, bytes], directory: Path) -> None:
     """Writes PNG files.
 
     Args:
@@ -58,9 +76,7 @@ def save_figures(images: dict[str, bytes], directory: Path) -> None:
             file.write(content)
 
 
-def write_page(
-    page: Path, title: str, made: Sequence[tuple[Source, Report]], notes: Sequence[str] = ()
-) -> None:
+def write_page(page: Path, title: str, made: Sequence[Made], notes: Sequence[str] = ()) -> None:
     """Writes a documentation page, and its figures beside it.
 
     Args:
@@ -72,27 +88,24 @@ def write_page(
     Raises:
         InputError: the page cannot be written.
     """
-    configs = ", ".join(f"configs/{source.config}" for source, _ in made)
+    configs = ", ".join(f"configs/{source.config}" for source, _, _ in made)
     version = runtime.package_version()
     lines = [
         f"<!-- Written by: sinsjax report --page {page.name} ({configs}; sinsjax {version});"
         " do not edit -->",
         f"# {title}",
-        *(f"- {line}" for _, report in made for line in report.headline),
+        "\n".join(f"- {line}" for _, report, _ in made for line in report.headline),
         *notes,
     ]
-    for source, report in made:
+    for source, report, images in made:
         prefix = f"{source.study.study.name}_"
-        images = {f"{prefix}{block.name}": plots.png(block.figure) for block in pictures(report)}
-        save_figures(images, page.parent / FIGURES)
+        named = {f"{prefix}{name}": image for name, image in images.items()}
+        save_figures(named, page.parent / FIGURES)
         for section in report.sections:
             lines.append(f"## {section.heading}")
             lines += [markdown(block, prefix) for block in section.blocks]
-    text = (
-        "\n\n".join(lines).replace("\n\n- ", "\n- ").replace(f"# {title}\n- ", f"# {title}\n\n- ")
-    )
     with replacing(page) as file:
-        file.write(f"{text}\n".encode())
+        file.write(("\n\n".join(lines) + "\n").encode())
 
 
 def markdown(block: Block, prefix: str = "") -> str:

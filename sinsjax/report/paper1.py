@@ -1,12 +1,9 @@
-"""Paper 1's simulation: Figs 2, 3, 5 and 6, and the limit accuracy of section 2.4.1."""
+"""Paper 1's simulation: Figs 2 and 3 without resets, Figs 5 and 6 with them."""
 
-import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-from scipy.spatial.transform import Rotation
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import format_estimate
@@ -18,19 +15,14 @@ from sinsjax.report.base import (
     Section,
     Source,
     Table,
-    Text,
     percent,
     value_text,
 )
+from sinsjax.report.limits import limit_accuracy, limit_blocks, only
 from sinsjax.statements import CONDITIONS, RESET
 from sinsjax.studies import Study
 from sinsjax.types import InputError
-from sinsjax.units import ARCMIN, DEG, DEG_PER_H, MICRO
 
-PAPER_LIMITS_ARCMIN = {"e": -1.7189, "n": 1.7189, "u": -27.0248}
-"""Limit accuracy as section 2.4.1 prints it: pitch, roll, yaw."""
-
-_PAPER_RATE_DEG_PER_H = 15.0  # the Earth rate that gives the paper's yaw limit to all digits
 _CASE = "condition {}".format
 
 
@@ -60,14 +52,14 @@ def report_conditions(source: Source) -> Report:
             " error; from the limit is what a filter without bias states can be asked for.",
             fig3,
         ),
-        Text(_covariance_text(runs, source.study)),
+        _covariance_table(runs, source.study),
     ]
     return Report(
         [f"Conditions, {_reading(source.study)}: {_ended(runs)}."],
         [
             Section("Conditions 1 to 5 without resets (Fig. 2)", blocks),
             Section("Covariance and true error, conditions 1 and 5 (Fig. 3)", covariance),
-            Section("Limit accuracy (section 2.4.1)", _limit_blocks(source, runs[_CASE("1")])),
+            Section("Limit accuracy (section 2.4.1)", limit_blocks(source.study, runs[_CASE("1")])),
         ],
     )
 
@@ -122,128 +114,11 @@ def report_resets(source: Source) -> Report:
                     Picture(
                         "fig6", f"As the paper's Fig. 6. {_band(source)}; dotted: resets.", fig6
                     ),
-                    Text(_covariance_text(runs, source.study)),
+                    _covariance_table(runs, source.study),
                 ],
             ),
         ],
     )
-
-
-class Ingredients(NamedTuple):
-    """What the limit accuracy is made of, arcmin.
-
-    Attributes:
-        phi_e: -nabla_N/g.
-        phi_n: nabla_E/g.
-        gyro: -eps_E/omega_N, the first term of the yaw limit.
-        accel: (nabla_E/g) tan L, its second term.
-    """
-
-    phi_e: float
-    phi_n: float
-    gyro: float
-    accel: float
-
-
-def ingredients(study: Study, earth_rate_deg_per_h: float | None = None) -> Ingredients:
-    """The closed form of the limit accuracy for a study's constant biases.
-
-    The biases are turned to n at the centre of the swing. Valid where the filter has no bias states
-    and its innovations have vanished.
-
-    Args:
-        study: simulated, with an Earth of constants.
-        earth_rate_deg_per_h: instead of the study's.
-
-    Raises:
-        InputError: a study that has no such limit, or more than one.
-    """
-    if study.is_recorded or any(p["earth"] != "constants" for p in study.combinations("earth")):
-        raise InputError(f"{study.study.name}: paper 1's layouts need earth = 'constants'")
-    angles = [_only(study, f"{a}_center_deg") for a in ("yaw", "pitch", "roll")]
-    turn = Rotation.from_euler("ZXY", angles, degrees=True)
-    eps_e = turn.apply(np.ones(3) * _only(study, "gyro_bias_deg_per_h"))[0] * DEG_PER_H
-    nabla_e, nabla_n, _ = turn.apply(np.ones(3) * _only(study, "accel_bias_ug")) * MICRO
-    latitude = _only(study, "latitude_deg") * DEG
-    rate = earth_rate_deg_per_h or _only(study, "earth_rate_deg_per_h")
-    terms = (
-        -nabla_n,
-        nabla_e,
-        -eps_e / (rate * DEG_PER_H * math.cos(latitude)),
-        nabla_e * math.tan(latitude),
-    )
-    return Ingredients(*(float(term) / ARCMIN for term in terms))
-
-
-def limit_accuracy(study: Study) -> dict[str, float]:
-    """The limits of phi about e, n and u in arcmin, see `ingredients`."""
-    parts = ingredients(study)
-    return {"e": parts.phi_e, "n": parts.phi_n, "u": parts.gyro + parts.accel}
-
-
-def _only(study: Study, key: str) -> Any:
-    first, *rest = study.combinations(key)
-    if rest:
-        raise InputError(f"{study.study.name}: paper 1's layouts need one {key}, not a sweep of it")
-    return first[key]
-
-
-def _limit_blocks(source: Source, runs: pa.Table) -> list[Block]:
-    study = source.study
-    here, paper_rate = ingredients(study), ingredients(study, _PAPER_RATE_DEG_PER_H)
-    limits = limit_accuracy(study)
-    start, end = study.study.window_s
-    names = {"e": "phi_e (pitch)", "n": "phi_n (roll)", "u": "phi_u (yaw)"}
-    forms = {"e": "-nabla_N/g", "n": "nabla_E/g", "u": "-eps_E/omega_N + (nabla_E/g) tan L"}
-    found = {a: analysis.mean(analysis.numbers(runs, f"phi_{a}_mean_arcmin")) for a in "enu"}
-    rows = [
-        [
-            name,
-            f"{PAPER_LIMITS_ARCMIN[a]:.4f}",
-            forms[a],
-            f"{limits[a]:.4f}",
-            format_estimate(found[a], digits=3),
-        ]
-        for a, name in names.items()
-    ]
-    rate = f"{_only(study, 'earth_rate_deg_per_h'):g}"
-    yaw = [
-        [f"{shown} deg/h", f"{p.gyro:.4f}", f"{p.accel:+.4f}", f"{p.gyro + p.accel:.4f}"]
-        for shown, p in ((f"{_PAPER_RATE_DEG_PER_H:g}", paper_rate), (rate, here))
-    ]
-    latitude = _only(study, "latitude_deg")
-    return [
-        Table(
-            "What phi settles to, arcmin",
-            [
-                "",
-                "paper",
-                "closed form",
-                "for this study",
-                f"simulated, condition 1, mean {start:g} to {end:g} s",
-            ],
-            rows,
-        ),
-        Table(
-            f"The yaw limit by its ingredients, at latitude {latitude:g} deg, arcmin",
-            ["Earth rate", "-eps_E/omega_N", "(nabla_E/g) tan L", "both"],
-            yaw,
-        ),
-        Text(
-            f"The paper's {PAPER_LIMITS_ARCMIN['u']:.4f} arcmin is the first term alone, with an"
-            f" Earth rate of {_PAPER_RATE_DEG_PER_H:g} deg/h: {paper_rate.gyro:.5f} arcmin. It"
-            f" leaves out (nabla_E/g) tan L, {here.accel:+.4f} arcmin, which follows from phi_n. So"
-            " a faithful simulation does not end at the paper's figure."
-        ),
-        Text(
-            "Nor does it end at the closed form, which holds once the innovations have vanished."
-            " The filter has no bias states: while its gain falls, the north gyro bias pulls phi_n"
-            f" ({found['n'].value - limits['n']:+.2f} arcmin here) and the up gyro bias pulls phi_u"
-            f" ({found['u'].value - limits['u']:+.2f} arcmin, still growing at the end). Therefore"
-            " condition 1 on the same noise, not the closed form, is what *as precise* is measured"
-            " against."
-        ),
-    ]
 
 
 def _runs(source: Source, names: tuple[str, ...]) -> dict[str, pa.Table]:
@@ -319,23 +194,17 @@ def _table(source: Source, runs: Mapping[str, pa.Table]) -> Table:
     )
 
 
-def _covariance_text(runs: Mapping[str, pa.Table], study: Study) -> str:
-    """How often P is above the true squared error, for each case, in words."""
-
-    def share(table: pa.Table, column: str) -> str:
-        return f"{100 * np.nanmean(analysis.numbers(table, column)):.1f}"
-
-    parts = (
-        f"{label}: {share(table, 'p_above_error_share')} % of the records"
-        f" ({share(table, 'p_above_floor_error_share')} % against the error from the limit),"
-        f" {share(table, 'p_above_error_steady_share')} % of the steady ones"
-        for label, table in runs.items()
-    )
-    settings = study.study
-    return (
-        f"P is above the true squared error after {settings.consistency_after_s:g} s (steady: after"
-        f" {settings.steady_after_s:g} s) in: {'; '.join(parts)}."
-    )
+def _covariance_table(runs: Mapping[str, pa.Table], study: Study) -> Table:
+    """How often P is above the true squared error."""
+    columns = ("p_above_error_share", "p_above_error_steady_share", "p_above_floor_error_share")
+    shares = ([analysis.numbers(table, column) for column in columns] for table in runs.values())
+    rows = [
+        [label, *(f"{100 * np.nanmean(share):.1f}" for share in here)]
+        for label, here in zip(runs, shares, strict=True)
+    ]
+    after, steady = study.study.consistency_after_s, study.study.steady_after_s
+    header = ["", f"after {after:g} s", f"after {steady:g} s", f"from the limit, after {after:g} s"]
+    return Table("Records with P above the true squared error (%)", header, rows)
 
 
 def _ended(runs: Mapping[str, pa.Table]) -> str:
@@ -349,8 +218,8 @@ def _ended(runs: Mapping[str, pa.Table]) -> str:
 
 
 def _reading(study: Study) -> str:
-    q, r = _only(study, "q_reading"), _only(study, "r_reading")
-    return f"Q `{q}`, R `{r}`, feedback {_only(study, 'feedback_interval_s'):g} s (inferred)"
+    q, r = only(study, "q_reading"), only(study, "r_reading")
+    return f"Q `{q}`, R `{r}`, feedback {only(study, 'feedback_interval_s'):g} s (inferred)"
 
 
 def _steady(study: Study) -> tuple[float, float]:
