@@ -133,8 +133,12 @@ def test_measured_increments_do_not_depend_on_how_they_are_asked_for():
     assert not np.any(measure(here._replace(seed=np.asarray(12)), draw(), 0, 900) == whole)
 
 
-@partial(jax.jit, static_argnums=3)
 def measure(here, draw, first, samples):
+    return np.asarray(_measure(here, draw, first, samples))
+
+
+@partial(jax.jit, static_argnums=3)
+def _measure(here, draw, first, samples):
     return measured(here, draw, first, samples=samples, dt=1 / RATE)
 
 
@@ -162,6 +166,7 @@ def test_curves_at_common_times_do_not_depend_on_record_interval_and_length():
         np.testing.assert_allclose(a[6::7], b[2::3], rtol=0, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_derivatives_by_beliefs_as_secants():
     """Forward mode through the whole closed loop, by P0 of the yaw and by a scale of Q."""
     filt = paper_filter(5, every=40, resets=(215,))

@@ -92,9 +92,8 @@ def heat_maps(
 
 
 def _heat_map(axes: Axes, values: NDArray, shown: Shown) -> AxesImage:
-    known = np.isfinite(values)
     image = axes.imshow(
-        np.ma.masked_array(values, ~known),
+        np.ma.masked_invalid(values),
         cmap="viridis_r" if shown.reverse else "viridis",
         vmin=shown.low,
         vmax=shown.high,
@@ -104,8 +103,9 @@ def _heat_map(axes: Axes, values: NDArray, shown: Shown) -> AxesImage:
     axes.grid(visible=False)
     axes.patch.set(facecolor=_NEVER, edgecolor=_NEVER_EDGE, hatch=_HATCH)  # behind masked cells
     if values.shape[1] <= _LEGIBLE:
-        for row, column in np.argwhere(known):
-            _write(axes, (column, row), values[row, column], shown)
+        for (row, column), value in np.ndenumerate(values):
+            if np.isfinite(value):
+                _write(axes, (column, row), value, shown)
     return image
 
 

@@ -23,8 +23,6 @@ from sinsjax.statements import CONDITIONS, RESET
 from sinsjax.studies import Study
 from sinsjax.types import InputError
 
-_CASE = "condition {}".format
-
 
 def report_conditions(source: Source) -> Report:
     """Conditions 1 to 5 without resets: Figs 2 and 3, and the limit accuracy."""
@@ -37,19 +35,21 @@ def report_conditions(source: Source) -> Report:
         limits=limits,
         zoom_s=_steady(source.study),
     )
-    panels = {_CASE(name): _variance_lines(shown[_CASE(name)], limits["u"]) for name in ("1", "5")}
+    panels = {
+        _label(name): _variance_lines(shown[_label(name)], limits["u"]) for name in ("1", "5")
+    }
     fig3 = plots.squares(
         panels, "Yaw variance without resets: what the filter believes and what is true"
     )
     blocks: list[Block] = [
-        Picture("fig2", f"As the paper's Fig. 2. {_band(source)}; grey: the limit.", fig2),
+        Picture("fig2", f"After the paper's Fig. 2. {_band(source)}; grey: the limit.", fig2),
         _table(source, runs),
     ]
     covariance: list[Block] = [
         Picture(
             "fig3",
-            f"As the paper's Fig. 3. {_band(source)}. The paper compares P with the total squared"
-            " error; from the limit is what a filter without bias states can be asked for.",
+            f"After the paper's Fig. 3. {_band(source)}. The paper takes the total squared error;"
+            " from the limit is what a filter without bias states can be asked for.",
             fig3,
         ),
         _covariance_table(runs, source.study),
@@ -59,7 +59,9 @@ def report_conditions(source: Source) -> Report:
         [
             Section("Conditions 1 to 5 without resets (Fig. 2)", blocks),
             Section("Covariance and true error, conditions 1 and 5 (Fig. 3)", covariance),
-            Section("Limit accuracy (section 2.4.1)", limit_blocks(source.study, runs[_CASE("1")])),
+            Section(
+                "Limit accuracy (section 2.4.1)", limit_blocks(source.study, runs[_label("1")])
+            ),
         ],
     )
 
@@ -69,18 +71,18 @@ def report_resets(source: Source) -> Report:
     runs = _runs(source, ("1", "5", RESET))
     shown = _ensembles(source, runs)
     limits = limit_accuracy(source.study)
-    moments = runs[_CASE(RESET)]["reset_times_s"][0].as_py()
+    moments = runs[_label(RESET)]["reset_times_s"][0].as_py()
     fig5 = plots.misalignment(
-        [shown[_CASE(name)] for name in ("1", RESET)],
+        [shown[_label(name)] for name in ("1", RESET)],
         f"Condition 5 with {len(moments)} resets beside condition 1",
         limits=limits,
         resets_s=moments,
         zoom_s=_steady(source.study),
     )
-    with_resets = shown[_CASE(RESET)]
+    with_resets = shown[_label(RESET)]
     lines = [
-        _variance(shown[_CASE("1")], "P, condition 1", 0),
-        _variance(with_resets, f"P, {_CASE(RESET)}", 1),
+        _variance(shown[_label("1")], "P, condition 1", 0),
+        _variance(with_resets, f"P, {_label(RESET)}", 1),
         *_errors(with_resets, limits["u"]),
     ]
     fig6 = plots.squares(
@@ -89,7 +91,7 @@ def report_resets(source: Source) -> Report:
         resets_s=moments,
     )
     apart = analysis.difference(
-        *analysis.paired(runs[_CASE(RESET)], runs[_CASE("1")], "phi_u_mean_arcmin")
+        *analysis.paired(runs[_label(RESET)], runs[_label("1")], "phi_u_mean_arcmin")
     )
     start, end = source.study.study.window_s
     return Report(
@@ -103,7 +105,7 @@ def report_resets(source: Source) -> Report:
                 "Condition 5 with resets (Fig. 5)",
                 [
                     Picture(
-                        "fig5", f"As the paper's Fig. 5. {_band(source)}; dotted: resets.", fig5
+                        "fig5", f"After the paper's Fig. 5. {_band(source)}; dotted: resets.", fig5
                     ),
                     _table(source, runs),
                 ],
@@ -112,13 +114,18 @@ def report_resets(source: Source) -> Report:
                 "Covariance with resets (Fig. 6)",
                 [
                     Picture(
-                        "fig6", f"As the paper's Fig. 6. {_band(source)}; dotted: resets.", fig6
+                        "fig6", f"After the paper's Fig. 6. {_band(source)}; dotted: resets.", fig6
                     ),
                     _covariance_table(runs, source.study),
                 ],
             ),
         ],
     )
+
+
+def _label(name: str) -> str:
+    """A condition of `CONDITIONS` as the cases of the studies are labelled."""
+    return f"condition {name}"
 
 
 def _runs(source: Source, names: tuple[str, ...]) -> dict[str, pa.Table]:
@@ -130,12 +137,12 @@ def _runs(source: Source, names: tuple[str, ...]) -> dict[str, pa.Table]:
     if "case" not in source.summary.column_names:
         raise InputError(f"{source.config}: its layout needs [[cases]] with labels")
     groups = {key["case"]: rows for key, rows in analysis.groups(source.summary, ["case"])}
-    for label in map(_CASE, names):
+    for label in map(_label, names):
         if label not in groups:
             raise InputError(f"{source.config}: its layout needs a case '{label}'")
         if len(groups[label]) != source.study.n_draws:
             raise InputError(f"{source.config}: its layout takes no [axes]")
-    return {_CASE(name): groups[_CASE(name)] for name in names}
+    return {_label(name): groups[_label(name)] for name in names}
 
 
 def _ensembles(source: Source, runs: Mapping[str, pa.Table]) -> dict[str, Ensemble]:

@@ -143,7 +143,8 @@ def _choice(best: Judged, ties: Sequence[Judged]) -> str:
         text += (
             f" As many hold under {len(others)} other readings: {'; '.join(others)}. Ties go to the"
             f" reading with more of the abstract's conclusions ({', '.join(CONCLUSIONS)}), then to"
-            " the one with fewer intervals across a threshold."
+            " the one with fewer intervals across a threshold; this order was set after a trial"
+            " with 16 draws a case."
         )
     failing = [v for v in best.verdicts if not v.holds]
     if failing:

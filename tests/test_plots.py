@@ -1,0 +1,262 @@
+import io
+import math
+
+import matplotlib as mpl
+import numpy as np
+import pyarrow as pa
+import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+
+from sinsjax import plots
+from sinsjax.analysis import Estimate
+from sinsjax.plots import Ensemble, Line, Scale, Shown, Verdicts
+
+TIME = np.arange(1.0, 11.0)
+
+
+def ensemble(label, *, runs=4, size=1.0, sigma=2.0):
+    noise = np.random.default_rng(7).normal(size=(runs, TIME.size))
+    columns = {f"phi_{axis}_arcmin": size + noise for axis in "enu"}
+    columns |= {f"sigma_{axis}_arcmin": np.full((runs, TIME.size), sigma) for axis in "enu"}
+    columns |= {f"{angle}_deg": 0.1 * noise for angle in ("pitch", "roll", "yaw")}
+    return Ensemble(label, TIME, columns)
+
+
+def words(figure: Figure) -> str:
+    """All text of a figure that says something."""
+    return "\n".join(t.get_text() for t in figure.findobj(mpl.text.Text) if t.get_text().strip())
+
+
+def solid(axes):
+    """The lines of an axes that a legend names and that are no marks along it."""
+    return [line for line in axes.get_lines() if len(line.get_xdata()) > 2]
+
+
+@pytest.mark.parametrize(
+    ("column", "label", "setting"),
+    [
+        ("phi_u0_deg", "phi_u0 (deg)", "phi_u0 30 deg"),
+        ("gyro_bias_deg_per_h", "gyro_bias (deg/h)", "gyro_bias 30 deg/h"),
+        ("reset_cycle_s", "reset_cycle (s)", "reset_cycle 30 s"),
+        ("accel_bias_ug", "accel_bias (µg)", "accel_bias 30 µg"),
+        ("p0_velocity_m_per_s", "p0_velocity (m/s)", "p0_velocity 30 m/s"),
+        ("reset_count", "reset_count", "reset_count 30"),
+    ],
+)
+def test_units_are_named(column, label, setting):
+    assert plots.label(column) == label
+    assert plots.setting(column, "30") == setting
+
+
+def test_a_word_has_no_unit():
+    assert plots.setting("reset_times_s", "none") == "reset_times none"
+
+
+def test_ensembles_arrange_runs_by_record():
+    runs, times = np.repeat([3, 5, 8], 2), np.tile([1.0, 2.0], 3)
+    phi = 100.0 * runs + times
+    curves = pa.table({"run_id": runs, "time_s": times, "phi_u_arcmin": phi})
+    made = plots.ensembles(curves, {"a": [8, 3], "b": [5]})
+    assert [e.label for e in made] == ["a", "b"]
+    np.testing.assert_array_equal(made[0].time_s, [1.0, 2.0])
+    np.testing.assert_array_equal(made[0].columns["phi_u_arcmin"], [[301, 302], [801, 802]])
+    np.testing.assert_array_equal(made[1].columns["phi_u_arcmin"], [[501, 502]])
+
+
+def test_a_line_is_the_mean_and_the_band_holds_95_percent():
+    axes = Figure().subplots()
+    values = np.random.default_rng(1).normal(size=(200, TIME.size))
+    extent = plots.draw(axes, Line("x", TIME, values, "#000000"))
+    np.testing.assert_allclose(axes.get_lines()[0].get_ydata(), values.mean(axis=0))
+    np.testing.assert_allclose(extent.low, np.quantile(values, 0.025, axis=0))
+    np.testing.assert_allclose(extent.high, np.quantile(values, 0.975, axis=0))
+    assert len(axes.collections) == 1
+
+
+def test_a_record_without_a_value_is_left_out():
+    axes = Figure().subplots()
+    values = np.ones((3, TIME.size))
+    values[1, 4] = np.nan
+    plots.draw(axes, Line("x", TIME, values, "#000000"))
+    np.testing.assert_array_equal(axes.get_lines()[0].get_xdata(), np.delete(TIME, 4))
+
+
+def test_one_run_has_no_band():
+    axes = Figure().subplots()
+    plots.draw(axes, Line("x", TIME, np.ones((1, TIME.size)), "#000000"))
+    assert not axes.collections
+
+
+def test_misalignment():
+    shown = [ensemble("a"), ensemble("b", size=900.0)]
+    figure = plots.misalignment(
+        shown, "Title", limits={"u": -27.0}, resets_s=[3.0, 6.0], zoom_s=(5.0, 10.0)
+    )
+    whole, enlarged = figure.axes[::2], figure.axes[1::2]
+    assert len(whole) == len(enlarged) == 3
+    for axes, name in zip(whole, ("east", "north", "up"), strict=True):
+        assert axes.get_ylabel().startswith(f"phi {name}") and "(arcmin)" in axes.get_ylabel()
+        assert [line.get_label() for line in solid(axes)] == ["a", "b"]
+        assert axes.get_yscale() == "asinh" and axes.get_xlim() == (0.0, 10.0)
+        assert sum(line.get_linestyle() == ":" for line in axes.get_lines()) == 2
+    assert all(axes.get_yscale() == "linear" for axes in enlarged)
+    assert enlarged[0].get_xlim() == (5.0, 10.0)
+    low, high = enlarged[0].get_ylim()
+    assert low < 0.0 and high > 900.0
+    assert [len(axes.get_lines()) for axes in whole] == [4, 4, 5]
+    assert figure.get_suptitle() == "Title"
+    assert [t.get_text() for t in figure.legends[0].get_texts()] == ["a", "b", "limit", "reset"]
+
+
+def test_a_narrow_range_stays_linear():
+    figure = plots.misalignment([ensemble("a")], "Title")
+    assert [axes.get_yscale() for axes in figure.axes] == ["linear"] * 3
+
+
+def test_sigma_is_dashed_on_both_sides():
+    figure = plots.misalignment([ensemble("a", sigma=5.0)], "Title", with_sigma=True)
+    dashed = [line for line in figure.axes[2].get_lines() if line.get_linestyle() == "--"]
+    assert sorted(line.get_ydata()[0] for line in dashed) == [-5.0, 5.0]
+
+
+def test_enlargement_shows_the_whole_band():
+    wide = ensemble("a", runs=40)
+    figure = plots.misalignment([wide], "Title", zoom_s=(4.0, 10.0))
+    inside = wide.columns["phi_u_arcmin"][:, TIME >= 4.0]
+    low, high = figure.axes[-1].get_ylim()
+    assert low < np.quantile(inside, 0.025, axis=0).min()
+    assert high > np.quantile(inside, 0.975, axis=0).max()
+
+
+def test_attitude_in_degrees_with_sigma():
+    figure = plots.attitude([ensemble("a", sigma=60.0), ensemble("b")], "Title")
+    assert [axes.get_ylabel() for axes in figure.axes] == ["pitch (deg)", "roll (deg)", "yaw (deg)"]
+    path = figure.axes[2].collections[0].get_paths()[0]
+    middle = ensemble("a").columns["yaw_deg"].mean(axis=0)
+    assert path.vertices[:, 1].max() == pytest.approx(middle.max() + 1.0)  # 60 arcmin are 1 deg
+
+
+def test_squares():
+    values = np.full((3, TIME.size), 9.0)
+    panels = {"one": [Line("P", TIME, values, "#000000", "--")], "two": []}
+    figure = plots.squares(panels, "Title", resets_s=[2.0])
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["one", "two"]
+    assert all(axes.get_yscale() == "log" for axes in figure.axes)
+    assert "arcmin²" in figure.axes[0].get_ylabel()
+    assert figure.axes[0].get_lines()[0].get_linestyle() == "--"
+
+
+def test_yaw_errors_have_a_panel_each():
+    panels = {name: [ensemble("s1"), ensemble("s2", size=800.0)] for name in "abc"}
+    figure = plots.yaw_errors(panels, "Title")
+    visible = [axes for axes in figure.axes if axes.get_visible()]
+    assert [axes.get_title(loc="left") for axes in visible] == list("abc")
+    assert all(len(solid(axes)) == 2 for axes in visible)
+    assert len(figure.axes) == 4
+
+
+def test_heat_maps_show_values_and_hatch_never():
+    values = np.array([[10.0, 20.0, np.inf], [30.0, np.nan, 40.0]])
+    figure = plots.heat_maps(
+        [("first", values), ("second", values[:, ::-1])],
+        "Title",
+        Shown("time (s)", 0.0, 40.0, reverse=True),
+        rows=Scale("reset_count", [0, 1]),
+        columns=Scale("reset_cycle_s", [10.0, 20.0, 50.0]),
+    )
+    first, second, bar = figure.axes
+    image = first.get_images()[0].get_array()
+    np.testing.assert_array_equal(np.ma.getmaskarray(image), ~np.isfinite(values))
+    assert sorted(t.get_text() for t in first.texts) == ["10", "20", "30", "40"]
+    assert first.patch.get_hatch()
+    assert [t.get_text() for t in first.get_xticklabels()] == ["10", "20", "50"]
+    assert (first.get_ylabel(), second.get_xlabel()) == ("reset_count", "reset_cycle (s)")
+    assert bar.get_ylabel() == "time (s)"
+    assert "never" in words(figure)
+
+
+def test_heat_maps_where_nothing_is_known():
+    figure = plots.heat_maps(
+        [("all", np.full((2, 2), np.inf))],
+        "Title",
+        Shown("time (s)", 0.0, 1.0),
+        rows=Scale("a", [0, 1]),
+        columns=Scale("b", [0, 1]),
+    )
+    assert plots.png(figure)
+
+
+def test_numbers_on_heat_maps_stand_out():
+    figure = plots.heat_maps(
+        [("all", np.array([[0.0, 100.0]]))],
+        "Title",
+        Shown("share (%)", 0.0, 100.0),
+        rows=Scale("a", [0]),
+        columns=Scale("b", [0, 1]),
+    )
+    dark, light = figure.axes[0].texts
+    assert (dark.get_color(), light.get_color()) == ("white", "black")
+    colours = figure.axes[0].get_images()[0].get_cmap()
+    assert sum(colours(0.0)[:3]) < 1.0 < 1.5 < sum(colours(1.0)[:3])
+
+
+def test_verdict_matrix():
+    verdicts = Verdicts(
+        readings=["a", "b"],
+        statements=["S1", "S2", "S3"],
+        holds=np.array([[True, False, True], [True, True, True]]),
+        straddles=np.array([[False, True, False], [False, False, False]]),
+        best=1,
+    )
+    axes = plots.verdict_matrix(verdicts, "Title").axes[0]
+    assert [t.get_text() for t in axes.get_xticklabels()] == ["S1", "S2", "S3"]
+    assert [t.get_text().split() for t in axes.get_yticklabels()] == [["a", "2"], ["b", "3"]]
+    assert [t.get_fontweight() for t in axes.get_yticklabels()] == ["normal", "bold"]
+    assert [t.get_position() for t in axes.texts] == [(1, 0)]
+    image = axes.get_images()[0]
+    held = image.to_rgba(image.get_array())[..., :3]
+    np.testing.assert_allclose(held[1, 1], to_rgb(plots.COLOURS[0]), atol=0.01)
+
+
+def test_along_axis_marks_never():
+    lines = {
+        "a": [Estimate(1.0, 0.5, 2.0, 8), Estimate(math.inf, 3.0, math.inf, 8)],
+        "b": [Estimate(2.0, math.nan, math.nan, 8), Estimate(3.0, 2.0, math.inf, 8)],
+    }
+    figure = plots.along_axis(
+        "phi_u0_deg", [0.0, 30.0], {"time (s)": lines, "share": lines}, title="Title"
+    )
+    top, bottom = figure.axes
+    assert (top.get_ylabel(), bottom.get_xlabel()) == ("time (s)", "phi_u0 (deg)")
+    crosses = [line for line in bottom.get_lines() if line.get_marker() == "x"]
+    assert [list(line.get_xdata()) for line in crosses] == [[30.0], []]
+    assert "never" in words(figure)
+
+
+def test_distributions_end_below_one_where_some_never_settle():
+    values = np.array([30.0, np.nan, 10.0, np.inf])
+    figure = plots.distributions({"time (s)": {"a": values, "none": [np.nan]}}, "Title")
+    line, empty = figure.axes[0].get_lines()
+    np.testing.assert_array_equal(line.get_xdata(), [10.0, 10.0, 30.0])
+    np.testing.assert_array_equal(line.get_ydata(), [0.0, 0.25, 0.5])
+    assert empty.get_xdata().size == 0
+
+
+def test_png_depends_on_the_figure_alone(monkeypatch):
+    def draw():
+        return plots.png(plots.misalignment([ensemble("a")], "Title"))
+
+    first = draw()
+    monkeypatch.setitem(mpl.rcParams, "font.size", 30.0)
+    monkeypatch.setitem(mpl.rcParams, "savefig.dpi", 30.0)
+    assert draw() == first
+    assert mpl.rcParams["font.size"] == 30.0
+    from PIL import Image
+
+    assert set(Image.open(io.BytesIO(first)).info) == {"dpi"}
+
+
+def test_colours_repeat_beyond_the_palette():
+    assert plots.colour(0) == plots.colour(len(plots.COLOURS)) == plots.COLOURS[0]
+    assert len(set(plots.COLOURS)) == len(plots.COLOURS)
