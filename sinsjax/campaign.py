@@ -41,7 +41,7 @@ def load_tape(study: Study, record: str | Path, reference: str | Path | None = N
         InputError: a file that cannot be used, or a study without [record].
     """
     if study.record is None:
-        raise InputError(f"{study.study.name}: has no [record] section: `sinsjax run` simulates it")
+        raise InputError(f"{study.study.name}: has no [record] section")
     layout = _layout(study.record, study.study.rate_hz)
     return Tape(
         record=read_record(record, layout),

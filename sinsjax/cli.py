@@ -124,6 +124,10 @@ def _run_study(
     from sinsjax.results import check_free
 
     study = load_study(config)
+    if study.is_recorded and files is None:
+        raise InputError(f"{config}: [record]: the study reads a record: use `sinsjax align`")
+    if files is not None and not study.is_recorded:
+        raise InputError(f"{config}: has no [record] section to read {files[0]} with")
     check_free(out, overwrite=overwrite)
     runs = study.n_draws * study.n_variants
     if curves and runs > MOST_RUNS:

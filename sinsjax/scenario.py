@@ -65,8 +65,8 @@ def parts(study: Study, tape: Tape | None = None, *, curves: bool | None = None)
         InputError: a record that does not fit the study.
     """
     if study.is_recorded != (tape is not None):
-        kind = "a recorded" if study.is_recorded else "a simulated"
-        raise InputError(f"{study.study.name}: {kind} study cannot run here: see [record]")
+        what = "reads a record, none is given" if study.is_recorded else "reads no record"
+        raise InputError(f"{study.study.name}: the study {what}: see [record]")
     keep_curves = study.study.curves if curves is None else curves
     return [_part(study, Variants(study, ids), tape, keep_curves) for ids in _split(study)]
 

@@ -133,5 +133,5 @@ def test_a_recorded_study_needs_its_record() -> None:
     study = study_from_dict(
         {"study": {"duration_s": 6.0, "rate_hz": 100.0}, "record": {"format": "psins"}}
     )
-    with pytest.raises(InputError, match="recorded"):
+    with pytest.raises(InputError, match="reads a record"):
         scenario.parts(study)

@@ -39,15 +39,10 @@ def along_axis(
             style = {"color": colour(i), "label": line, "capsize": 2.5, "markersize": 4}
             axes.errorbar(x, value, yerr=np.maximum(spread, 0.0), fmt="o-", **style)
             never = x[np.isposinf([e.value for e in estimates])]
-            edge = axes.get_xaxis_transform()
-            axes.plot(
-                never,
-                np.full(never.size, 0.97),
-                "x",
-                color=colour(i),
-                transform=edge,
-                clip_on=False,
-            )
+            if never.size:
+                height = np.full(never.size, 0.97)  # of the axes: their upper edge
+                edge = axes.get_xaxis_transform()
+                axes.plot(never, height, "x", color=colour(i), transform=edge)
         axes.set_ylabel(name)
     grid[-1].set_xlabel(label(key))
     if any(np.isposinf(e.value) for p in panels.values() for line in p.values() for e in line):

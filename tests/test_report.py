@@ -1,0 +1,504 @@
+import io
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from matplotlib.figure import Figure
+from rich.console import Console
+from scipy.spatial.transform import Rotation
+from studies import small_study
+
+from sinsjax import analysis, columns, report, results, statements
+from sinsjax.analysis import Estimate
+from sinsjax.config import study_from_dict
+from sinsjax.report import base, car_test, limits, readings
+from sinsjax.report.readings import CONCLUSIONS, Judged
+from sinsjax.statements import STATEMENTS, Verdict
+from sinsjax.types import InputError
+
+FLOOR = -25.9
+TIMES = np.arange(1.0, 7.0)
+CASES = [
+    {"case": f"condition {name}", "phi_u0_deg": float(yaw), "reset_times_s": times}
+    for name, yaw, times in (
+        ("1", 0, []),
+        ("2", 5, []),
+        ("3", 10, []),
+        ("4", 20, []),
+        ("5", 30, []),
+        ("5 with resets", 40, [1.0, 2.0]),
+    )
+]
+
+
+@pytest.fixture
+def drawn():
+    """Has a test lay its figures out, which takes most of a report's time."""
+
+
+@pytest.fixture(autouse=True)
+def _drawn_on_request(request, monkeypatch):
+    if "drawn" not in request.fixturenames:
+        monkeypatch.setattr("sinsjax.plots.png", lambda figure: b"not drawn")
+
+
+def summary_of(study, *, truth=True, **given):
+    """A summary that no engine made: ``given`` columns, the rest plain numbers."""
+    v, d = study.n_variants, study.n_draws
+    draw, variant = np.repeat(np.arange(d), v), np.tile(np.arange(v), d)
+    noise = np.random.default_rng(5).normal(size=v * d)
+    swept = study.variant_values()
+    extra = [columns.axis_column(k, values) for k, values in swept.items()]
+    known = {c.name for c in columns.IDENTITY}
+    layout = [
+        *columns.IDENTITY,
+        *(c for c in extra if c.name not in known),
+        *columns.OBSERVED,
+        columns.settle_column(10.0),
+        *columns.JUDGED,
+    ]
+    starts = study.record.start_s if study.record else [0.0] * d
+    values = {
+        "run_id": np.arange(v * d),
+        "draw_id": draw,
+        "variant_id": variant,
+        "method": ["kalman5"] * (v * d),
+        "start_s": np.asarray(starts)[draw],
+        "reset_count": [len(t or ()) for t in study.values("reset_times_s")] * d,
+        "reset_times_s": [list(t or ()) for t in study.values("reset_times_s")] * d,
+        "floor_arcmin": np.full(v * d, FLOOR),
+        "phi_u_arcmin": FLOOR + noise,
+        "phi_u_mean_arcmin": FLOOR + noise,
+        "settle_10_s": 50.0 + noise,
+        "status": ["ok"] * (v * d),
+        **{k: [values[i] for i in variant] for k, values in swept.items()},
+        **given,
+    }
+    if not truth:
+        lost = ("phi_", "settle", "floor", "status", "nis", "nees", "p_above")
+        values = {k: x for k, x in values.items() if not k.startswith(lost) or k in swept}
+    arrays = []
+    for column in layout:
+        default = noise if column.dtype == pa.float64() and truth else None
+        default = noise if column.name.startswith(("pitch", "roll", "yaw", "sigma")) else default
+        cells = values.get(column.name, [None] * (v * d) if default is None else default)
+        arrays.append(pa.array(cells, column.dtype, from_pandas=True))
+    return pa.Table.from_arrays(arrays, schema=columns.schema(layout))
+
+
+def curves_of(study, *, truth=True):
+    runs = study.n_variants * study.n_draws
+    run, time = np.repeat(np.arange(runs), TIMES.size), np.tile(TIMES, runs)
+    noise = np.random.default_rng(6).normal(size=run.size)
+    values = {c.name: noise for c in columns.OBSERVED}
+    if not truth:
+        values |= {f"phi_{a}_arcmin": np.full(run.size, np.nan) for a in "enu"}
+    values |= {"run_id": run, "time_s": time}
+    arrays = [pa.array(values[c.name], c.dtype, from_pandas=True) for c in columns.CURVES]
+    return pa.Table.from_arrays(arrays, schema=columns.schema(columns.CURVES))
+
+
+def write(directory: Path, study, summary, curves=None) -> Path:
+    store = results.Store(directory, study)
+    store.write("summary", "part-0000", summary, seconds=0.0)
+    if curves is not None:
+        store.write("curves", "part-0000", curves, seconds=0.0)
+    store.finish({})
+    return directory
+
+
+def told(*directories: Path, page: Path | None = None) -> str:
+    file = io.StringIO()
+    report.summarise(directories, Console(file=file), page)
+    return file.getvalue()
+
+
+def recorded_study(**changes):
+    data = {
+        "study": {"duration_s": 6.0, "rate_hz": 100.0, "window_s": [2, 6], "name": "car"},
+        "earth": {"latitude_deg": 34.0},
+        "record": {"format": "psins", "start_s": [0.0, 10.0, 20.0]},
+        **changes,
+    }
+    return study_from_dict(data)
+
+
+def paper1(layout: str, *cases: int, **changes):
+    chosen = [CASES[i] for i in cases or range(len(CASES))]
+    changes = {"report": {"layout": layout}, "cases": chosen, **changes}
+    settings = {"name": layout, "steady_after_s": 3.0, "consistency_after_s": 10.0, "draws": 8}
+    motion = {"yaw_center_deg": 0.0}
+    return small_study(study=settings, motion=motion, **changes)
+
+
+# --- any study ----------------------------------------------------------------------------------
+
+
+def test_every_layout_of_a_study_has_a_report():
+    allowed = base.Study.model_fields["report"].annotation.model_fields["layout"].annotation
+    assert set(report.LAYOUTS) == set(allowed.__args__)
+
+
+def test_the_table_holds_the_statistics(tmp_path):
+    study = small_study(study={"draws": 40}, axes={"phi_u0_deg": [0.0, 30.0]})
+    settle = np.where(np.arange(80) % 4 == 1, np.nan, 20.0 + np.arange(80))
+    ok = np.where(np.isnan(settle), "not_settled", "ok")
+    summary = summary_of(study, settle_10_s=settle, status=list(ok))
+    text = told(write(tmp_path, study, summary))
+    rows = summary.filter(summary["phi_u0_deg"].combine_chunks().cast(pa.int64()).to_numpy() == 30)
+    share = analysis.proportion(rows["status"].to_pylist().count("ok"), 40)
+    median = analysis.quantile(rows["settle_10_s"].to_numpy())
+    mean = analysis.mean(rows["phi_u_mean_arcmin"].to_numpy())
+    for cell in (
+        f"{100 * share.value:.0f} [{100 * share.low:.0f}, {100 * share.high:.0f}]",
+        analysis.format_estimate(median, digits=0),
+        analysis.format_estimate(mean),
+    ):
+        assert cell in text
+    assert f"{list(ok).count('ok')} of them" in text
+
+
+def test_lines_are_whole_where_the_console_is_no_terminal(tmp_path):
+    study = small_study(axes={"phi_u0_deg": [0.0, 30.0]})
+    lines = told(write(tmp_path, study, summary_of(study))).splitlines()
+    assert any("phi_u0_deg" in line and "from its limit" in line for line in lines)
+
+
+def test_many_variants_are_pooled_without_intervals(tmp_path):
+    axes = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 2.0], "phi_u0_deg": [0, 5, 10, 20]}
+    study = small_study(axes=axes, resets={})
+    text = told(write(tmp_path, study, summary_of(study)))
+    assert "24 variants: each table takes one key" in text
+    table = text.partition("By reset_count")[2].partition("By reset_cycle_s")[0]
+    assert [line.split()[:2] for line in table.splitlines()[4:7]] == [
+        [str(count), "24"] for count in (0, 1, 2)
+    ]
+    assert "[" not in table
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == {
+        "settling_time.png",
+        "success_rate.png",
+    }
+
+
+def test_the_best_schedule_settles_most_runs_and_first(tmp_path):
+    study = small_study(axes={"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]})
+    settle = np.tile([5.0, 4.0, 3.0, 2.0], 3)
+    settle[3] = np.nan  # the fastest one fails once
+    status = list(np.where(np.isnan(settle), "diverged", "ok"))
+    summary = summary_of(study, settle_10_s=settle, status=status)
+    text = told(write(tmp_path, study, summary))
+    row = text.partition("Where most runs settle")[2].splitlines()[4].split()
+    assert row[:3] == ["1", "1", "100"]
+    assert "3 [" in " ".join(row)
+
+
+def test_incomplete_results_are_told(tmp_path):
+    study = small_study(axes={"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]})
+    summary = summary_of(study).slice(0, 11)
+    with pytest.raises(InputError, match="11 runs where the study has 12"):
+        told(write(tmp_path, study, summary))
+
+
+def test_curves_are_drawn_where_they_were_stored(tmp_path):
+    study = small_study()
+    told(write(tmp_path, study, summary_of(study), curves_of(study)))
+    names = {path.name for path in (tmp_path / "figures").iterdir()}
+    assert names == {"misalignment.png", "distribution.png"}
+
+
+def test_a_record_without_reference_tells_attitude_and_sigma(tmp_path):
+    study = recorded_study()
+    summary = summary_of(study, truth=False, yaw_deg=[-90.1234, 1.0, 2.0])
+    text = told(write(tmp_path, study, summary, curves_of(study, truth=False)))
+    assert "-90.1234" in text and "sigma_u_arcmin" in text and "success" not in text
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"attitude.png"}
+
+
+def test_results_that_are_missing(tmp_path):
+    with pytest.raises(InputError, match="holds no results"):
+        told(tmp_path / "nothing")
+
+
+# --- pages --------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("drawn")
+def test_a_page(tmp_path):
+    study = small_study(study={"name": "swing"}, axes={"phi_u0_deg": [0.0, 30.0]})
+    results_at = write(tmp_path / "results", study, summary_of(study))
+    page = tmp_path / "docs" / "swing.md"
+    told(results_at, page=page)
+    text = page.read_text()
+    first, blank, title, *_ = text.splitlines()
+    assert first.startswith("<!-- Written by: sinsjax report") and first.endswith("-->")
+    assert "configs/swing.toml" in first and "do not edit" in first
+    assert (blank, title) == ("", "# swing")
+    assert str(tmp_path) not in text
+    links = re.findall(r"!\[.*?\]\((.*?)\)", text)
+    assert links == ["figures/swing_along_axis.png"]
+    for link in links:
+        assert 0 < (page.parent / link).stat().st_size < 300_000
+    header, rule, *rows = [line for line in text.splitlines() if line.startswith("|")]
+    assert len(rows) == 2 and {line.count("|") for line in (header, rule, *rows)} == {7}
+
+
+@pytest.mark.usefixtures("drawn")
+def test_a_page_is_written_the_same_again(tmp_path):
+    study = small_study(axes={"phi_u0_deg": [0.0, 30.0]})
+    directory = write(tmp_path / "results", study, summary_of(study))
+    content = []
+    for name in ("a", "b"):
+        page = tmp_path / name / "page.md"
+        told(directory, page=page)
+        content.append([p.read_bytes() for p in sorted(page.parent.rglob("*.*"))])
+    assert content[0] == content[1]
+
+
+def test_a_page_that_cannot_be_written(tmp_path):
+    study = small_study()
+    directory = write(tmp_path / "results", study, summary_of(study))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        told(directory, page=tmp_path / "file" / "page.md")
+
+
+def test_cells_and_folds():
+    table = base.Table("T", ["a|b"], [["|x|"]], "note", folded=True)
+    text = report.output.markdown(table)
+    assert text.startswith("<details>") and "\\|x\\|" in text and "note" in text
+    picture = base.Picture("fig", "what is seen", Figure())
+    assert "](figures/p_fig.png)" in report.output.markdown(picture, "p_")
+
+
+# --- paper 1 ------------------------------------------------------------------------------------
+
+
+def test_limit_accuracy_is_the_closed_form():
+    study = paper1("paper1_conditions")
+    found = limits.limit_accuracy(study)
+    arcmin = math.pi / 180 / 60
+    nabla, eps = 500e-6, math.radians(0.1) / 3600
+    omega_n = math.radians(15.041067) / 3600 * math.cos(math.radians(32))
+    assert found["e"] == pytest.approx(-nabla / arcmin) == pytest.approx(-1.71887, abs=1e-5)
+    assert found["n"] == pytest.approx(nabla / arcmin)
+    expected = (-eps / omega_n + nabla * math.tan(math.radians(32))) / arcmin
+    assert found["u"] == pytest.approx(expected) == pytest.approx(-25.8769, abs=1e-4)
+    assert limits.ingredients(study, 15.0).gyro == pytest.approx(-27.02478, abs=1e-5)
+
+
+def test_limit_accuracy_turns_the_biases_to_n():
+    study = small_study(
+        motion={"yaw_center_deg": 90.0},
+        sensors={"gyro_bias_deg_per_h": [0.0, 0.1, 0.0], "accel_bias_ug": [300.0, 0.0, 0.0]},
+    )
+    found = limits.ingredients(study)
+    assert found.phi_e == pytest.approx(-300e-6 / (math.pi / 10800))  # the right axis looks north
+    assert found.phi_n == pytest.approx(0.0, abs=1e-9)
+    assert found.gyro > 0  # and the front axis west
+
+
+def test_conditions_page(tmp_path):
+    study = paper1("paper1_conditions")
+    summary = summary_of(study, phi_n_mean_arcmin=np.full(48, 1.2345))
+    directory = write(tmp_path / "r", study, summary, curves_of(study))
+    page = tmp_path / "docs" / "paper1.md"
+    text = told(directory, page=page) + page.read_text()
+    for number in ("-1.7189", "-27.0248", "-25.9507", "-26.9510", "-25.8769", "+1.0741"):
+        assert number in text
+    assert "1.234 [1.234, 1.234]" in text
+    assert "`configs/paper1_resets.toml`, `configs/paper1_readings.toml`" in text
+    assert {path.name for path in (directory / "figures").iterdir()} == {"fig2.png", "fig3.png"}
+
+
+def test_resets_page_tells_the_paired_difference(tmp_path):
+    study = paper1("paper1_resets", 0, 4, 5)
+    yaw = FLOOR + np.random.default_rng(2).normal(size=24)
+    directory = write(tmp_path, study, summary_of(study, phi_u_mean_arcmin=yaw), curves_of(study))
+    text = told(directory)
+    apart = analysis.difference(yaw[2::3], yaw[0::3])
+    assert analysis.format_estimate(apart, "arcmin", 2) in text
+    assert "Resets at 1, 2 s" in text
+    assert {path.name for path in (directory / "figures").iterdir()} == {"fig5.png", "fig6.png"}
+
+
+@pytest.mark.parametrize(
+    ("study", "curves", "message"),
+    [
+        (small_study(report={"layout": "paper1_resets"}), True, "needs .*cases"),
+        (paper1("paper1_resets", 0, 4), True, "needs a case 'condition 5 with resets'"),
+        (paper1("paper1_resets", axes={"phi_e0_deg": [0, 1]}), True, "takes no .axes."),
+        (paper1("paper1_resets"), False, "needs curves"),
+        (recorded_study(report={"layout": "paper1_readings"}, axes={"phi_u0_deg": [0]}), 1, "case"),
+        (small_study(report={"layout": "car_test"}), True, "needs a recorded study"),
+    ],
+)
+def test_a_layout_that_does_not_fit(tmp_path, study, curves, message):
+    directory = write(tmp_path, study, summary_of(study), curves_of(study) if curves else None)
+    with pytest.raises(InputError, match=message):
+        told(directory)
+
+
+def test_paper1_needs_one_reading(tmp_path):
+    study = paper1("paper1_conditions", earth={"earth": "wgs84"})
+    with pytest.raises(InputError, match="needs? earth = 'constants'"):
+        told(write(tmp_path / "a", study, summary_of(study), curves_of(study)))
+
+
+# --- the readings -------------------------------------------------------------------------------
+
+READINGS = {"q_reading": ["per_step", "psd"], "feedback_interval_s": [0.01, 1.0]}
+
+
+def test_readings_page(tmp_path):
+    study = paper1("paper1_readings", axes=READINGS)
+    settle = np.random.default_rng(3).uniform(20, 80, 24 * 8)
+    directory = write(tmp_path / "r", study, summary_of(study, settle_10_s=settle))
+    page = tmp_path / "docs" / "p.md"
+    told(directory, page=page)
+    text = page.read_text()
+    judged = {}
+    for key, rows in analysis.groups(results.read_summary(directory), list(READINGS)):
+        groups = analysis.groups(rows, ["case"])
+        runs = {k["case"].removeprefix("condition "): table for k, table in groups}
+        judged[tuple(key.values())] = statements.judge(runs, readings.meaning_of(study))
+    marks = [
+        line.strip("| ").split(" | ")
+        for line in text.partition("**Verdicts**")[2].partition("<details>")[0].splitlines()
+        if line.startswith("|")
+    ][2:]
+    assert len(marks) == len(judged) == 4
+    for cells, ((q, feedback), verdicts) in zip(marks, judged.items(), strict=True):
+        assert cells[:3] == [q, f"{feedback:g}", str(sum(v.holds for v in verdicts))]
+        assert [c[0] == "+" for c in cells[3:]] == [v.holds for v in verdicts]
+        assert [c[1:] == "~" for c in cells[3:]] == [v.straddles for v in verdicts]
+    most = max(sum(v.holds for v in verdicts) for verdicts in judged.values())
+    assert f"the most that hold is {most}" in text and "inferred" in text
+    first = next(iter(judged.values()))[3]
+    assert analysis.format_estimate(first.number, "s", 0) in text.partition("<details>")[2]
+    for text_of, _ in STATEMENTS.values():
+        assert text_of in text
+
+
+def verdicts(held, clear=()):
+    number = Estimate(0.5, 0.4, 0.6, 8)
+    return [
+        Verdict(s, *STATEMENTS[s], s in held, s not in clear, number, "", "measure")
+        for s in STATEMENTS
+    ]
+
+
+def test_ties_go_to_the_conclusions_then_to_clear_intervals_then_to_the_first():
+    plain = Judged({"n": 0}, verdicts(["S1a", "S1b"]))
+    concluding = Judged({"n": 1}, verdicts(["S1a", CONCLUSIONS[0]]))
+    clear = Judged({"n": 2}, verdicts(["S2a", CONCLUSIONS[1]], clear=["S3"]))
+    again = Judged({"n": 3}, verdicts(["S2a", CONCLUSIONS[1]], clear=["S4a"]))
+    most = Judged({"n": 4}, verdicts(["S1a", "S1b", "S3"]))
+    assert readings.best_of([plain, concluding]) is concluding
+    assert readings.best_of([plain, concluding, clear, again]) is clear
+    assert readings.best_of([plain, concluding, clear, most]) is most
+
+
+def test_the_words_must_be_what_was_counted():
+    study = small_study(statements={"covariance_after_s": 20.0})
+    with pytest.raises(InputError, match="covariance_after_s = 20 must be"):
+        readings.meaning_of(study)
+
+
+def test_paper1s_page_takes_its_parts_in_any_order(tmp_path):
+    parts = {
+        "paper1_readings": paper1("paper1_readings", axes={"q_reading": ["per_step"]}),
+        "paper1_resets": paper1("paper1_resets", 0, 4, 5),
+        "paper1_conditions": paper1("paper1_conditions"),
+    }
+    made = [
+        write(tmp_path / name, study, summary_of(study), curves_of(study))
+        for name, study in parts.items()
+    ]
+    page = tmp_path / "docs" / "paper1.md"
+    told(*made, page=page)
+    text = page.read_text()
+    assert text.splitlines()[2] == "# Paper 1, reproduced"
+    places = [text.index(f"(Fig. {n})") for n in (2, 3, 5, 6)]
+    assert places == sorted(places) and places[-1] < text.index("Every statement under every")
+    assert "Not on this page" not in text
+    assert len(list((page.parent / "figures").iterdir())) == 5
+
+
+# --- the car test -------------------------------------------------------------------------------
+
+
+def test_the_reference_comes_back_from_attitude_and_misalignment():
+    angles = np.array([[0.9, 0.2, -90.6], [-3.0, 4.0, 170.0]])  # pitch, roll, yaw, deg
+    true = Rotation.from_euler("ZXY", angles[:, [2, 0, 1]], degrees=True)
+    phi = np.array([[5.0, -8.0, 300.0], [0.0, 2.0, -90.0]])
+    guess = Rotation.from_rotvec(np.deg2rad(phi / 60)).inv() * true  # C_true = exp(phi x) C_hat
+    yaw, pitch, roll = guess.as_euler("ZXY", degrees=True).T
+    curves = pa.table(
+        {"pitch_deg": pitch, "roll_deg": roll, "yaw_deg": yaw}
+        | {f"phi_{a}_arcmin": phi[:, i] for i, a in enumerate("enu")}
+    )
+    np.testing.assert_allclose(car_test.reference_attitude(curves), angles, atol=1e-10)
+
+
+def car_study(**changes):
+    cases = [
+        {"case": f"scheme {n}, tuning {t}", "phi_u0_deg": 30.0 * n, "q_accel_ug": q}
+        for t, q in (("a", 50.0), ("b", 500.0))
+        for n in (1, 2)
+    ]
+    return recorded_study(report={"layout": "car_test"}, cases=cases, **changes)
+
+
+def test_car_test_tables(tmp_path):
+    study = car_study()
+    yaw = np.arange(12.0) - 20.0
+    summary = summary_of(study, phi_u_arcmin=yaw, yaw_mean_deg=np.full(12, -90.5))
+    curves = curves_of(study)
+    text = told(write(tmp_path, study, summary, curves))
+    run = curves.slice(0, TIMES.size)
+    window = car_test.reference_attitude(run)[(TIMES > 2) & (TIMES <= 6)]
+    mean, std = window[:, 2].mean(), window[:, 2].std(ddof=1)
+    assert f"{mean:.4f}" in text and f"{std:.4f}" in text
+    away = (-90.5 - mean + 180) % 360 - 180
+    assert f"{away:+.4f}" in text
+    here = yaw[1::4] / 60  # scheme 2, tuning a
+    row = next(
+        line
+        for line in text.partition("Yaw error phi_u")[2].splitlines()
+        if line.startswith(" scheme 2   tuning a")
+    )
+    assert row.split()[4:6] == [f"{np.median(here):+.4f}", f"{np.abs(here).max():.4f}"]
+    assert "smoother on the same record" in text
+    worst = np.abs(yaw.reshape(3, 2, 2)[:, :, 0]).max() / 60
+    assert f"scheme 1 {worst:.4f} deg" in text
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"yaw_error.png"}
+
+
+def test_car_test_without_reference(tmp_path):
+    study = car_study(axes={"feedback_interval_s": [0.01, 1.0]})
+    summary = summary_of(study, truth=False)
+    text = told(write(tmp_path, study, summary, curves_of(study, truth=False)))
+    assert "Without a reference" in text and "Yaw error phi_u" not in text
+    assert "tuning a, feedback_interval 0.01 s" in text
+
+
+def test_paper1_configs_load_and_fit_their_layouts():
+    folder = Path(__file__).parents[1] / "configs"
+    studies = {}
+    for name in report.PAPER1:
+        study = base.load_study(folder / f"{name}.toml")
+        assert (study.study.name, study.report.layout) == (name, name)
+        studies[name] = study
+    labels = [case["case"] for case in studies["paper1_readings"].cases]
+    assert labels == [f"condition {name}" for name in statements.CONDITIONS]
+    assert readings.meaning_of(studies["paper1_readings"]).covariance_after_s == 10.0
+    assert studies["paper1_readings"].n_variants == 252
+    for key in ("q_reading", "r_reading", "feedback_interval_s"):
+        one, other = (studies[name].values(key)[0] for name in report.PAPER1[:2])
+        assert one == other and one in studies["paper1_readings"].axes[key]
+    sweep = base.load_study(folder / "reset_sweep.toml")
+    assert sweep.n_variants % 64 == 0
+    assert sweep.values("r_reading")[0] == studies["paper1_conditions"].values("r_reading")[0]
