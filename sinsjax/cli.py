@@ -39,13 +39,19 @@ Devices = Annotated[
 
 @app.command()
 def run(config: Config, out: Out, overwrite: Overwrite = False, devices: Devices = None) -> None:
-    """Simulate a few runs: curves, figures and a table."""
+    """Simulate a few runs: curves, figures and a table.
+
+    Example: sinsjax run configs/paper1_resets.toml -o out
+    """
     _run_study(config, out, overwrite=overwrite, devices=devices, curves=True)
 
 
 @app.command()
 def sweep(config: Config, out: Out, overwrite: Overwrite = False, devices: Devices = None) -> None:
-    """Simulate all draws and variants of a study into Parquet, with a figure and a table."""
+    """Simulate all draws and variants of a study into Parquet, with a figure and a table.
+
+    Example: sinsjax sweep configs/reset_sweep.toml -o out
+    """
     _run_study(config, out, overwrite=overwrite, devices=devices, curves=None)
 
 
@@ -60,7 +66,10 @@ def align(
     overwrite: Overwrite = False,
     devices: Devices = None,
 ) -> None:
-    """Align a recorded file: attitude with its 1 sigma, from every start time of the study."""
+    """Align a recorded file: attitude with its 1 sigma, from every start time of the study.
+
+    Example: sinsjax align drive.imu configs/car_test.toml -o out
+    """
     _run_study(
         config,
         out,
@@ -80,7 +89,10 @@ def report(
         Path | None, typer.Option(help="Also write a documentation page (Markdown) there.")
     ] = None,
 ) -> None:
-    """Draw the figures and print the tables again, from the Parquet files alone."""
+    """Draw the figures and print the tables again, from the Parquet files alone.
+
+    Example: sinsjax report out --page docs/my_sweep.md
+    """
     from sinsjax import report as reports
 
     reports.summarise(directories, Console(), page)
@@ -104,7 +116,10 @@ def bench(
     ] = False,
     repeats: Annotated[int, typer.Option(help="Timings a row; the median is told.", min=1)] = 7,
 ) -> None:
-    """Time the engine's step on one core: the short benchmark set."""
+    """Time the engine's step on one core: the short benchmark set.
+
+    Example: sinsjax bench --limit
+    """
     from sinsjax import bench as benchmarks
 
     benchmarks.run(Console(), as_json=as_json, limit=limit, repeats=repeats)
