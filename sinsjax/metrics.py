@@ -123,8 +123,10 @@ def accumulate(
     """
     error = now.phi.z - floor
     variance = now.sigma.z**2
-    after = time > criteria.consistency_after
-    judged = (after, after, time > criteria.steady_after)
+    # A comparison with NaN is False, which would count as an error above P.
+    known = jnp.isfinite(variance - error)
+    after = known & (time > criteria.consistency_after)
+    judged = (after, after, known & (time > criteria.steady_after))
     above = (variance > now.phi.z**2, variance > error**2, variance > now.phi.z**2)
     # NaN is outside every band.
     inside = jnp.abs(error) <= criteria.bands

@@ -35,8 +35,8 @@ WHOLE, DRAW = 900, 5
 run = jax.jit(simulate, static_argnums=(0, 4))
 
 
-def static(every, records, method="kalman5"):
-    return Static(method, Options(1 / RATE), every, records, curves=True)
+def static(every, records):
+    return Static("kalman5", Options(1 / RATE), every, records, curves=True)
 
 
 @cache
@@ -76,13 +76,12 @@ def naive_measured():
 
 
 @pytest.mark.parametrize(
-    ("method", "every", "records"),
-    # Blocks of 300 samples and a last partial one, no whole block, and blocks of 100.
-    [("kalman5", 30, 23), ("kalman5", 70, 9), ("kalman10", 100, 7)],
+    ("every", "records"),
+    # Blocks of 300 samples and a last partial one; no whole block.
+    [(30, 23), (70, 9)],
 )
-def test_one_run_is_the_naive_loop_and_its_metrics(method, every, records):
-    n = {"kalman5": 5, "kalman10": 10}[method]
-    filt = paper_filter(n, every=40, resets=(215, 400))
+def test_one_run_is_the_naive_loop_and_its_metrics(every, records):
+    filt = paper_filter(5, every=40, resets=(215, 400))
     here = world(every, records)
     rows = naive_measured()[: every * records]
     c, v = exp(-PHI0) @ PAPER1.matrix(0.0), np.array(V0)
@@ -107,7 +106,7 @@ def test_one_run_is_the_naive_loop_and_its_metrics(method, every, records):
         after=AFTER,
     )
 
-    outcome, curves = run(static(every, records, method), here, draw(), one_run(filt))
+    outcome, curves = run(static(every, records), here, draw(), one_run(filt))
 
     close = {"rtol": 0, "atol": 1e-9}
     got = np.stack([*curves.phi, curves.pitch, curves.roll, curves.yaw], axis=1)

@@ -126,8 +126,8 @@ def test_closed_loop_as_the_naive_one(schedule):
     ("name", "force", "position", "schedule"),
     [
         ("kalman5", "gravity", "integrated", "feedback every 7 samples, full resets"),
-        ("kalman10", "measured", "fixed", "feedback every 7 samples, full resets"),
-        ("kalman10", "measured", "fixed", "partial feedback, yaw resets"),
+        ("kalman10", "measured", "integrated", "feedback every 7 samples, full resets"),
+        ("kalman10", "measured", "integrated", "partial feedback, yaw resets"),
         ("kalman10", "measured", "integrated", "a reset where feedback is due, P times 10"),
     ],
 )

@@ -93,6 +93,7 @@ def limit_blocks(study: Study, runs: pa.Table) -> list[Block]:
     names = {"e": "phi_e (pitch)", "n": "phi_n (roll)", "u": "phi_u (yaw)"}
     forms = {"e": "-nabla_N/g", "n": "nabla_E/g", "u": "-eps_E/omega_N + (nabla_E/g) tan L"}
     found = {a: analysis.mean(analysis.numbers(runs, f"phi_{a}_mean_arcmin")) for a in "enu"}
+    apart = {a: found[a].value - limits[a] for a in "enu"}
     rows = [
         [
             name,
@@ -134,9 +135,10 @@ def limit_blocks(study: Study, runs: pa.Table) -> list[Block]:
         ),
         Text(
             "Nor does it end at the closed form, which holds once the innovations have vanished."
-            " The filter has no bias states: while its gain falls, the north gyro bias pulls phi_n"
-            f" ({found['n'].value - limits['n']:+.2f} arcmin here) and the up gyro bias pulls phi_u"
-            f" ({found['u'].value - limits['u']:+.2f} arcmin, still growing at the end). Therefore"
+            " The filter has no bias states: while its gain falls, the north gyro bias pulls"
+            " phi_n and the up gyro bias pulls phi_u. From the closed form they are"
+            f" {apart['n']:+.2f} and {apart['u']:+.2f} arcmin apart here, and still moving at the"
+            " end. Therefore"
             " condition 1 on the same noise, not the closed form, is what *as precise* is measured"
             " against."
         ),
