@@ -64,7 +64,7 @@ class Tables:
         )
         kinds = {c.name: c.dtype for c in self.summary_columns}
         self._by_variant = {
-            name: pa.array(values, kinds[name]) for name, values in (swept | fixed).items()
+            name: _swept(values, kinds[name]) for name, values in (swept | fixed).items()
         }
         starts = study.record.start_s if study.record else [0.0] * study.n_draws
         self._start_s = np.asarray(starts)
@@ -132,6 +132,13 @@ class Tables:
         diverged = np.abs(last.phi.z - out.floor) > _DIVERGED
         kinds = np.select([broken, settled, diverged], [3, 0, 2], default=1)
         return pa.array(np.asarray(columns.STATUSES)[kinds])
+
+
+def _swept(values: list[Any], dtype: pa.DataType) -> pa.Array:
+    """Values of a key, one a variant; a number among lists stands for all its axes."""
+    if pa.types.is_list(dtype):
+        values = [[v] if isinstance(v, int | float) else v for v in values]
+    return pa.array(values, dtype)
 
 
 def _axes(vector: Any) -> Any:

@@ -65,6 +65,12 @@ def test_axis_columns_take_the_type_of_their_values(values: list) -> None:
     assert array.null_count == 0
 
 
+def test_a_vector_key_may_be_swept_by_numbers_and_lists() -> None:
+    study = small_study(axes={"gyro_bias_deg_per_h": [0.1, [0.1, 0.0, 0.0]]})
+    table = results.Tables(study).summary(chunk([0.0] * 2, [[0.0] * 3] * 2), np.arange(2))
+    assert table["gyro_bias_deg_per_h"].to_pylist() == [[0.1], [0.1, 0.0, 0.0]]
+
+
 def test_settling_status_and_floor() -> None:
     study = small_study(axes={"phi_u0_deg": [float(i) for i in range(4)]})
     # Bands 60, 10, 3 arcmin; the run ends at 6 s.

@@ -9,6 +9,7 @@ import pyarrow as pa
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.report.attitudes import MOST_ROWS, attitudes
 from sinsjax.report.base import (
     Block,
     Picture,
@@ -24,9 +25,6 @@ from sinsjax.report.base import (
 )
 from sinsjax.report.over_axes import over_axes
 
-MOST_ROWS = 20
-"""Rows of a table; what is left out is said."""
-
 _MOST_LINES = 6
 _MOST_DRAWS = 256  # in a line's band
 _MOST_MOMENTS = 8
@@ -41,7 +39,9 @@ _STATISTICS = (
 def report(source: Source) -> Report:
     """Tables of the variants, curves where they were stored, and figures over the axes."""
     has_truth = bool(np.isfinite(analysis.numbers(source.summary, "phi_u_arcmin")).any())
-    tables = _tables(source) if has_truth else [_attitudes(source)]
+    tables = _tables(source) if has_truth else []
+    if source.study.is_recorded or not has_truth:
+        tables = [attitudes(source), *tables]
     figures = list(_curves(source, has_truth))
     if has_truth:
         blocks = over_axes(source)
@@ -105,26 +105,6 @@ def _tables(source: Source) -> list[Block]:
         Text(f"{study.n_variants} variants: each table takes one key and pools the others."),
         *(statistics(source.summary, [key], f"By {key}", note=note, pooled=True) for key in keys),
     ]
-
-
-def _attitudes(source: Source) -> Table:
-    """Final attitude of every run with the filter's own 1 sigma."""
-    keys = ["start_s", *shown_keys(source.study)]
-    angles = [f"{angle}_deg" for angle in ("pitch", "roll", "yaw")]
-    sigmas = [f"sigma_{axis}_arcmin" for axis in "enu"]
-    digits = dict.fromkeys(angles, 4) | dict.fromkeys(sigmas, 2)
-    rows = [
-        [value_text(row[key]) for key in keys]
-        + [_number(row[name], places) for name, places in digits.items()]
-        for row in source.summary.slice(0, MOST_ROWS).to_pylist()
-    ]
-    left = source.summary.num_rows - len(rows)
-    note = f"{left} more runs are in `summary/`." if left else ""
-    return Table("Attitude at the end, with the filter's own 1 sigma", [*keys, *digits], rows, note)
-
-
-def _number(value: float | None, digits: int) -> str:
-    return "unknown" if value is None else f"{value:.{digits}f}"
 
 
 def _curves(source: Source, has_truth: bool) -> Iterator[Block]:

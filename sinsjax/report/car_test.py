@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sinsjax import analysis, plots
+from sinsjax.report.attitudes import attitudes
 from sinsjax.report.base import (
     Block,
     Picture,
@@ -63,7 +64,12 @@ def report(source: Source) -> Report:
         figures = [_figure(source, schemes)]
     else:
         headline = f"{headline} Without a reference: attitude only."
-    return Report([headline], [Section("Table 3", blocks), Section("Yaw over time", figures)])
+    sections = [
+        Section("Attitude", [attitudes(source)]),
+        Section("Table 3", blocks),
+        Section("Yaw over time", figures),
+    ]
+    return Report([headline], sections)
 
 
 def schemes_of(source: Source) -> list[Scheme]:
