@@ -23,7 +23,7 @@ from sinsjax.rotations import from_euler, log
 from sinsjax.sections import Earth, Motion, Sensors
 from sinsjax.simulate import Draw, Params, Static, measured
 from sinsjax.studies import Study
-from sinsjax.types import InputError, Quat, Vec3
+from sinsjax.types import Array, InputError, Quat, Vec3
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H
 from sinsjax.worlds import Tape, Variants, recorded, simulated, site_of
 
@@ -159,11 +159,16 @@ def _params(study: Study, variants: Variants, ug: float) -> Params:
     )
 
 
+@jax.jit
+def _euler_vectors(e: Array, n: Array, u: Array) -> Vec3:
+    return jax.vmap(lambda *angles: log(from_euler(*angles)))(e, n, u)
+
+
 def _misalignment(variants: Variants) -> Vec3:
     e, n, u = (variants.column(f"phi_{axis}0_deg", DEG) for axis in "enu")
     euler = np.asarray(variants.raw("misalignment")) == "euler"
     # [P1] section 1: angles from the ideal to the computed frame, about U, E, N in turn.
-    vector = jax.vmap(lambda e, n, u: log(from_euler(pitch=e, roll=n, yaw=u)))(e, n, u)
+    vector = _euler_vectors(e, n, u)
     return Vec3(*(np.where(euler, v, a) for v, a in zip(vector, (e, n, u), strict=True)))
 
 

@@ -196,7 +196,7 @@ ONE = Fan(lambda f: f, lambda f, *axes: f, lambda tree: tree, None)
 
 def advance(
     static: Static, world: World, params: Params, run: Run, *, block: Any, fan: Fan
-) -> tuple[Run, Observation | None]:
+) -> tuple[Run, Array | None]:
     """Take runs over a block of whole record intervals.
 
     Args:
@@ -209,7 +209,7 @@ def advance(
         fan: one run or many.
 
     Returns:
-        The runs after the block, and observations with leaves (records,) or None.
+        The runs after the block, and observations as (records, fields) or None.
     """
     method = method_of(static)
 
@@ -234,7 +234,8 @@ def advance(
             lambda state, x: (step(params, state, *x), None), run.state, (samples, counts)
         )
         run = record(Run(state, run.metrics), q_true, counts[-1])
-        return run, run.metrics.last if static.curves else None
+        # One array: XLA:CPU updates several side by side by copying them whole, every record.
+        return run, jnp.stack(jax.tree.leaves(run.metrics.last)) if static.curves else None
 
     return jax.lax.scan(record_step, run, block)
 
@@ -302,4 +303,8 @@ def simulate(
     run = fan.over_runs(lambda p: begin(static, world, p), 0)(params)
     nothing = jnp.zeros((*draws.draw_id.shape, 6), world.tape.dtype)
     (run, _), curves = over_blocks(static, step, (run, nothing))
-    return fan.over_runs(lambda r: end(static, world, r), 0)(run), curves
+    outcome = fan.over_runs(lambda r: end(static, world, r), 0)(run)
+    if curves is None:
+        return outcome, None
+    fields = [curves[:, i] for i in range(curves.shape[1])]
+    return outcome, jax.tree.unflatten(jax.tree.structure(outcome.last), fields)

@@ -17,7 +17,7 @@ from sinsjax.metrics import Criteria
 from sinsjax.records import Record, Reference, require_span
 from sinsjax.simulate import Draw, World
 from sinsjax.studies import EARTH_CONSTANTS, Study
-from sinsjax.types import InputError, Quat
+from sinsjax.types import Array, InputError, Quat
 from sinsjax.units import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, PPM
 
 
@@ -84,9 +84,19 @@ def site_of(study: Study, variants: Variants, tape: Tape | None) -> tuple[Site, 
     if latitude is None:
         source = tape.record.source if tape else study.study.name
         raise InputError(f"{source}: no latitude in the record: give [earth] latitude_deg")
-    place = earth.place(model, latitude * DEG)
+    place = _place(model, latitude * DEG)
     site = Site(model, place, latitude * DEG)
     return jax.tree.map(np.float64, site), ug
+
+
+_increments = jax.jit(trajectory.increments, static_argnums=3)
+_place = jax.jit(earth.place)
+
+
+@jax.jit
+def _attitudes(motion: trajectory.Motion, times: Array) -> Array:
+    """(n, 4) true attitudes at n times."""
+    return jax.vmap(lambda t: jnp.stack(trajectory.attitude(motion, t)))(times)
 
 
 def simulated(
@@ -95,25 +105,21 @@ def simulated(
     """World, draws and their true starting attitudes of a simulated part."""
     motion = _motion(variants)
     errors = _errors(variants, ug, study.study.rate_hz)
-    ideal = jax.jit(trajectory.increments, static_argnums=3)
-    truth = jax.vmap(lambda t: jnp.stack(trajectory.attitude(motion, t)))
-    center = trajectory.attitude(
-        trajectory.Motion(*(sway._replace(amplitude=0.0) for sway in motion)), 0.0
-    )
+    still = trajectory.Motion(*(sway._replace(amplitude=np.float64(0.0)) for sway in motion))
     n = study.n_draws
     world = World(
         site=site,
         tape=np.asarray(
-            ideal(motion, site.place, study.study.rate_hz, study.records * study.record_every)
+            _increments(motion, site.place, study.study.rate_hz, study.records * study.record_every)
         ),
-        truth=np.asarray(truth(record_times(study)))[None],
+        truth=np.asarray(_attitudes(motion, record_times(study)))[None],
         errors=errors,
         seed=np.asarray(study.study.seed),
         criteria=criteria,
-        floor=_floor(errors, center, site),
+        floor=_floor(errors, Quat(*_attitudes(still, np.zeros(1))[0]), site),
     )
     draws = Draw(np.arange(n), np.zeros(n, int), np.zeros(n, int))
-    start = np.asarray(jnp.stack(trajectory.attitude(motion, 0.0)))
+    start = np.asarray(_attitudes(motion, np.zeros(1))[0])
     return world, draws, np.tile(start, (n, 1))
 
 
