@@ -26,8 +26,9 @@ Noise depends on the seed and the draw alone, so variants of one draw share it.
 reset at t acts after the update of sample ``round(t/dt)``: the whole state is fed back, then the
 covariance is set.
 
-Importing the package adds XLA:CPU options to ``XLA_FLAGS`` (see `sinsjax.runtime`) and changes
-nothing else. `sinsjax.runtime.configure` sets the number of CPU devices and double precision.
+Importing the package adds XLA:CPU options to ``XLA_FLAGS`` (see `sinsjax.runtime`; a jaxlib that is
+not in its table is first tried in a process of its own) and changes nothing else.
+`sinsjax.runtime.configure` sets the number of CPU devices and double precision.
 """
 
 # ruff: noqa: E402

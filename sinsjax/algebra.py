@@ -44,11 +44,6 @@ def triangle_index(n: int) -> dict[tuple[int, int], int]:
     return {entry: k for k, (i, j) in enumerate(upper) for entry in ((i, j), (j, i))}
 
 
-def triangle_size(n: int) -> int:
-    """Number of entries in the upper triangle of an n x n matrix."""
-    return n * (n + 1) // 2
-
-
 def diagonal_triangle(diagonal: Sequence[Scalar]) -> Triangle:
     """A diagonal matrix as a `Triangle`."""
     n = len(diagonal)

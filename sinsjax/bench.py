@@ -6,7 +6,6 @@ shared and drift, so rows to be compared are measured in turns, and the median i
 
 import json
 import os
-import platform
 import shutil
 import statistics
 import subprocess
@@ -27,7 +26,7 @@ from sinsjax.types import InputError
 
 _TILES = 2
 _BASELINE_SAMPLES = 2000
-_KERNEL_FLAGS = "-O3 -march=native -ffast-math -Wno-psabi -mprefer-vector-width=512".split()
+_KERNEL_FLAGS = "-O3 -march=native -ffast-math -Wno-psabi".split()
 _KERNEL_SIZE = (20000, 32)
 
 
@@ -55,18 +54,20 @@ def run(console: Console, *, as_json: bool, limit: bool, repeats: int) -> None:
     Args:
         console: where to print.
         as_json: one JSON object a line instead of a table.
-        limit: also build and time the limit kernel.
+        limit: also build and time the limit kernel, where there is a gcc.
         repeats: timings a row.
 
     Raises:
-        InputError: the limit kernel is wanted and cannot be built here.
+        InputError: the limit kernel cannot be built or dies.
     """
     # Before XLA sizes its thread pool: one core is what the rows are about.
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     runtime.configure(devices=1)
-    rows = measure(cases(limit=limit), repeats)
+    with tempfile.TemporaryDirectory(prefix="sinsjax-limit-") as folder:
+        rows = measure(cases(limit_folder=folder if limit else None), repeats)
     facts = runtime.info()
+    rows = [row | {"cpu": facts["cpu"], "sinsjax": facts["sinsjax"]} for row in rows]
     if not facts["fused_loop"]:
         print("warning: the fused loop is absent, see `sinsjax info`", file=sys.stderr)
     if as_json:
@@ -80,9 +81,19 @@ def run(console: Console, *, as_json: bool, limit: bool, repeats: int) -> None:
     )
 
 
-def cases(*, limit: bool) -> list[Case]:
-    """The rows of the short set, compiled and ready to time."""
-    out = [limit_kernel()] if limit else []
+def cases(*, limit_folder: str | None) -> list[Case]:
+    """The rows of the short set, compiled and ready to time.
+
+    Args:
+        limit_folder: where to build the limit kernel; None for a set without it. Where there is
+            no gcc a line on stderr says so, and the set goes without it.
+    """
+    out = []
+    compiler = limit_folder and shutil.which("gcc")
+    if limit_folder and compiler:
+        out.append(limit_kernel(compiler, limit_folder))
+    elif limit_folder:
+        print("warning: no limit kernel: there is no gcc here to build it", file=sys.stderr)
     group = default_group()
     silent = without_noise(group)
     out.append(engine("kalman_shared_record", silent))
@@ -113,8 +124,6 @@ def measure(timed: list[Case], repeats: int) -> list[dict[str, Any]]:
                 "compile_s": round(case.compile_s, 3),
                 "median_s": round(median, 5),
                 "spread_s": round((max(taken) - min(taken)) / 2, 5),
-                "cpu": platform.processor() or platform.machine(),
-                "sinsjax": runtime.package_version(),
             }
         )
     return rows
@@ -244,33 +253,43 @@ def _check(group: Any, first: Any, c: np.ndarray) -> None:
         raise RuntimeError(f"the NumPy baseline and the engine differ: {theirs} and {ours} rad")
 
 
-def limit_kernel() -> Case:
-    """The hand-written kernel of ``benchmarks/limit_kernel.c``, built for this machine."""
-    compiler = shutil.which("gcc")
-    if compiler is None:
-        raise InputError("--limit: there is no gcc here to build the limit kernel with")
-    folder = tempfile.mkdtemp(prefix="sinsjax-limit-")
+def limit_kernel(compiler: str, folder: str) -> Case:
+    """The hand-written kernel of ``benchmarks/limit_kernel.c``, built for this machine.
+
+    Args:
+        compiler: path of gcc.
+        folder: where the program goes; it has to stay as long as the case is called.
+
+    Raises:
+        InputError: gcc cannot build it; from the case, when the kernel dies.
+    """
     program = str(Path(folder) / "limit")
     source = str(asset("benchmarks/limit_kernel.c"))
     since = time.perf_counter()
-    built = subprocess.run(
-        [compiler, *_KERNEL_FLAGS, "-DREAL=double", source, "-o", program, "-lm"],
-        capture_output=True,
-        text=True,
-    )
-    if built.returncode:
-        raise InputError(f"--limit: gcc cannot build {source}: {built.stderr.splitlines()[0]}")
+    _told([compiler, *_KERNEL_FLAGS, "-DREAL=double", source, "-o", program, "-lm"], "gcc")
     compile_s = time.perf_counter() - since
     steps, vectors = _KERNEL_SIZE
     runs = 8 * vectors
 
     def call() -> float:
-        told = subprocess.run(
-            [program, str(steps), str(vectors)], capture_output=True, text=True, check=True
-        )
-        return float(told.stdout.split()[0]) * 1e-9 * steps * runs
+        told = _told([program, str(steps), str(vectors)], "the limit kernel")
+        return float(told.split()[0]) * 1e-9 * steps * runs
 
     return Case("limit_kernel", runs, steps, compile_s, call)
+
+
+def _told(command: list[str], name: str) -> str:
+    """What a command prints; raises InputError with one line when it fails."""
+    try:
+        ended = subprocess.run(command, capture_output=True, text=True)
+    except OSError as error:
+        raise InputError(f"--limit: {name} cannot be started: {error.strerror}") from None
+    if ended.returncode:
+        complaint = ended.stderr.strip().partition("\n")[0]
+        code = ended.returncode
+        why = complaint or (f"signal {-code}" if code < 0 else f"exit status {code}")
+        raise InputError(f"--limit: {name} failed: {why}")
+    return ended.stdout
 
 
 def _table(rows: list[dict[str, Any]]) -> Table:

@@ -1,7 +1,8 @@
 """A study carried out: every part and chunk of it, into tables in memory or a directory."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -77,7 +78,7 @@ def run(
         RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
     summaries, kept = [], [columns.schema(columns.CURVES).empty_table()]
-    for piece in _pieces(study, tape, curves, progress):
+    for piece in _pieces(study, tape, parts(study, tape, curves=curves), progress):
         summaries.append(piece.summary)
         if piece.curves is not None:
             kept.append(piece.curves)
@@ -114,10 +115,10 @@ def run_into(
     """
     started, directory = time.time(), Path(directory)
     results.check_free(directory, overwrite=overwrite)
-    pieces = _pieces(study, tape, curves, progress)
-    first = next(pieces)
+    remaining = parts(study, tape, curves=curves)
+    first = next(remaining)
     store = results.Store(directory, study, overwrite=overwrite)
-    for piece in _chain(first, pieces):
+    for piece in _pieces(study, tape, chain([first], remaining), progress):
         store.write("summary", piece.name, piece.summary, seconds=piece.seconds)
         if piece.curves is not None:
             store.write("curves", piece.name, piece.curves, seconds=piece.seconds)
@@ -143,13 +144,13 @@ class _Piece(NamedTuple):
 
 
 def _pieces(
-    study: Study, tape: Tape | None, curves: bool | None, progress: Progress | None
+    study: Study, tape: Tape | None, todo: Iterable[Part], progress: Progress | None
 ) -> Iterator[_Piece]:
     runtime.require_x64()
     has_truth = tape is None or tape.reference is not None
     made = results.Tables(study, has_truth=has_truth)
     done, total = 0, study.n_draws * study.n_variants
-    for number, part in enumerate(parts(study, tape, curves=curves)):
+    for number, part in enumerate(todo):
         for piece in _part_pieces(part, made, number):
             done += piece.summary.num_rows
             if progress is not None:
@@ -169,8 +170,3 @@ def _part_pieces(part: Part, made: results.Tables, number: int) -> Iterator[_Pie
             seconds=seconds,
         )
         since = time.perf_counter()
-
-
-def _chain(first: _Piece, rest: Iterator[_Piece]) -> Iterator[_Piece]:
-    yield first
-    yield from rest

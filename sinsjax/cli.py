@@ -24,7 +24,7 @@ app = typer.Typer(
 )
 
 MOST_RUNS = 1024
-"""Runs that `run` and `align` take: they keep every curve."""
+"""Runs up to which `run` and `align` keep every curve; `run` takes no more."""
 
 Config = Annotated[Path, typer.Argument(help="Study file (TOML).", show_default=False)]
 Out = Annotated[
@@ -145,14 +145,19 @@ def _run_study(
         raise InputError(f"{config}: has no [record] section to read {files[0]} with")
     check_free(out, overwrite=overwrite)
     runs = study.n_draws * study.n_variants
-    if curves and runs > MOST_RUNS:
+    console = Console()
+    if curves and runs > MOST_RUNS and files is None:
         raise InputError(
             f"{config}: {runs} runs are too many to keep every curve (at most {MOST_RUNS}):"
             " use `sinsjax sweep`"
         )
+    if curves and runs > MOST_RUNS:
+        console.print(f"{runs} runs: curves are kept only where [study] curves = true.")
+        curves = None
+    if devices is not None and devices > runtime.usable_cores():
+        raise InputError(f"--devices: {devices} are more than the {runtime.usable_cores()} cores")
     runtime.configure(devices)
     tape = None if files is None else campaign.load_tape(study, *files)
-    console = Console()
     if left := study.dropped_s:
         console.print(f"The last {left:g} s are no whole record interval and are not run.")
     with _progress(console, study.study.name) as tell:
@@ -199,6 +204,3 @@ def main() -> None:
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        raise SystemExit(130) from None

@@ -13,10 +13,18 @@ SCHEMA_VERSION = "1"
 """Raised whenever a column changes its meaning or goes."""
 
 STATUSES = ("ok", "not_settled", "diverged", "nonfinite")
-"""How a run ended, see `SUMMARY`."""
+"""How a run ended; the first that holds, and null without truth or reference.
+
+nonfinite: the last attitude is no number (told without truth too). ok: it settled within
+`ALWAYS_BAND_ARCMIN`, i.e. ``settle_10_s`` is not null. diverged: |phi_u - floor| >
+`DIVERGED_DEG` at the end. not_settled: all others.
+"""
 
 ALWAYS_BAND_ARCMIN = 10.0
 """The band that decides a run's status; it is a column whatever the study's bands."""
+
+DIVERGED_DEG = 10.0
+"""A run that ends further than this from its floor in phi_u has diverged."""
 
 
 class Column(NamedTuple):

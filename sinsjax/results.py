@@ -2,11 +2,11 @@
 
 A directory of results holds ``summary/`` and perhaps ``curves/`` (Parquet datasets, one part a
 chunk), ``study.toml`` (the resolved study) and ``manifest.json`` (versions, parts, timing). A part
-is written under a temporary name, synced and renamed; its bytes depend on the study alone.
+is written under a temporary name, synced and renamed. Rows depend on the study alone; which part
+they lie in, on the number of devices too.
 """
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +19,16 @@ from sinsjax import columns
 from sinsjax.batch import Chunk
 from sinsjax.columns import Column
 from sinsjax.config import fingerprint, study_to_toml
+from sinsjax.files import replacing
 from sinsjax.metrics import Observation
-from sinsjax.records.files import replacing
 from sinsjax.studies import Study
 from sinsjax.types import InputError
 from sinsjax.units import ARCMIN, DEG
 from sinsjax.worlds import record_times
 
 _DIVERGED = 10 * DEG
-_OWN = ("summary", "curves", "figures", "study.toml", "manifest.json")
+_NAMES = ("summary", "curves", "figures", "study.toml", "manifest.json")
+_OURS = ("summary/part-*.parquet", "curves/part-*.parquet", "figures/*.png", "study.toml")
 
 
 class Tables:
@@ -177,16 +178,16 @@ class Store:
         self.directory = directory
         self._study = study
         self._parts: list[dict[str, Any]] = []
+        check_free(directory, overwrite=overwrite)
         try:
-            check_free(directory, overwrite=overwrite)
             directory.mkdir(parents=True, exist_ok=True)
-            for name in _OWN:
-                path = directory / name
-                shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
-            (directory / "figures").mkdir()
-            _write_text(directory / "study.toml", study_to_toml(study))
+            for old in (path for pattern in _OURS for path in directory.glob(pattern)):
+                old.unlink()
         except OSError as error:
             raise InputError(_unwritable(directory, error)) from error
+        # First of all, so that what a killed run leaves is known to be ours.
+        self._write_manifest({"state": "running"})
+        _write_text(directory / "study.toml", study_to_toml(study))
 
     def write(self, dataset: str, name: str, table: pa.Table, *, seconds: float) -> None:
         """Write one part of a dataset.
@@ -216,6 +217,9 @@ class Store:
         Args:
             facts: versions, timing and whatever else is worth keeping.
         """
+        self._write_manifest({"state": "complete", **facts})
+
+    def _write_manifest(self, facts: dict[str, Any]) -> None:
         manifest = {
             "schema": columns.SCHEMA_VERSION,
             "fingerprint": fingerprint(self._study),
@@ -228,15 +232,32 @@ class Store:
 
 
 def check_free(directory: Path, *, overwrite: bool) -> None:
-    """Refuse a directory that holds results, unless they may be removed.
+    """Refuse a directory that holds results, unless they may be removed, or files like ours.
+
+    Results are known by their manifest: other files of our names are never touched.
 
     Raises:
-        InputError: it does, or it is a file.
+        InputError: the directory cannot be used.
     """
-    if directory.exists() and not directory.is_dir():
-        raise InputError(f"{directory}: is a file, not a directory")
-    if not overwrite and any((directory / name).exists() for name in _OWN):
+    try:
+        if directory.exists() and not directory.is_dir():
+            raise InputError(f"{directory}: is a file, not a directory")
+        taken = [name for name in _NAMES if (directory / name).exists()]
+    except OSError as error:
+        raise InputError(_unwritable(directory, error)) from error
+    if not taken:
+        return
+    if not _is_ours(directory):
+        raise InputError(f"{directory}: holds a {taken[0]} that is no result: give another one")
+    if not overwrite:
         raise InputError(f"{directory}: holds results already (give --overwrite to replace them)")
+
+
+def _is_ours(directory: Path) -> bool:
+    try:
+        return "fingerprint" in read_manifest(directory)
+    except InputError:
+        return False
 
 
 def read_summary(directory: str | Path) -> pa.Table:

@@ -291,11 +291,8 @@ def _probe() -> frozenset[str] | None:
     """The flags that this jaxlib refuses, found in a separate process; None without an answer."""
     refused: frozenset[str] = frozenset()
     while True:
-        environment = {
-            **os.environ,
-            "XLA_FLAGS": merge_options("", refused),
-            "JAX_PLATFORMS": "cpu",
-        }
+        flags = merge_options("", refused)
+        environment = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
         try:
             trial = subprocess.run(
                 [sys.executable or "", "-c", "import jax; jax.devices()"],

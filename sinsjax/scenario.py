@@ -53,8 +53,8 @@ class Part(NamedTuple):
     variant_ids: np.ndarray
 
 
-def parts(study: Study, tape: Tape | None = None, *, curves: bool | None = None) -> list[Part]:
-    """What the engine runs for a study.
+def parts(study: Study, tape: Tape | None = None, *, curves: bool | None = None) -> Iterator[Part]:
+    """What the engine runs for a study, part by part: a part is made when it is asked for.
 
     Args:
         study: checked study.
@@ -68,7 +68,7 @@ def parts(study: Study, tape: Tape | None = None, *, curves: bool | None = None)
         what = "reads a record, none is given" if study.is_recorded else "reads no record"
         raise InputError(f"{study.study.name}: the study {what}: see [record]")
     keep_curves = study.study.curves if curves is None else curves
-    return [_part(study, Variants(study, ids), tape, keep_curves) for ids in _split(study)]
+    return (_part(study, Variants(study, ids), tape, keep_curves) for ids in _split(study))
 
 
 def simulated_record(study: Study, draw_id: int = 0, variant_id: int = 0) -> Record:
@@ -78,8 +78,13 @@ def simulated_record(study: Study, draw_id: int = 0, variant_id: int = 0) -> Rec
         study: a simulated study.
         draw_id: whose noise.
         variant_id: whose Earth, motion and sensors, where these are swept.
+
+    Raises:
+        InputError: the study has no such variant, or reads a record itself.
     """
-    part = next(p for p in parts(study) if variant_id in p.variant_ids)
+    if study.is_recorded or not 0 <= variant_id < study.n_variants:
+        raise InputError(f"{study.study.name}: has no simulated variant {variant_id}")
+    part = _part(study, Variants(study, np.array([variant_id])), None, False)
     static, world = part.group.static, part.group.world
     draw = Draw(np.asarray(draw_id), np.asarray(0), np.asarray(0))
     n, dt = static.records * static.record_every, static.options.dt
@@ -130,7 +135,7 @@ def _part(study: Study, variants: Variants, tape: Tape | None, curves: bool) -> 
 
 def _params(study: Study, variants: Variants, ug: float) -> Params:
     """Numbers of the part's variants, leaves (variants, ...)."""
-    states = len(MODELS[variants.common("method")].states)
+    states = MODELS[variants.common("method")].states
     dt = 1 / study.study.rate_hz
     velocity = variants.column("p0_velocity_m_per_s") ** 2
     level = variants.column("p0_level_deg", DEG) ** 2
@@ -141,12 +146,15 @@ def _params(study: Study, variants: Variants, ug: float) -> Params:
     reading = np.asarray([readings[name] for name in variants.raw("q_reading")])
     q_v = variants.column("q_accel_ug", ug) ** 2 * reading
     q_phi = variants.column("q_gyro_deg_per_h", DEG_PER_H) ** 2 * reading
-    per_update = np.asarray([1 if r == "per_update" else dt for r in variants.raw("r_reading")])
+    spread = np.asarray([1 if r == "per_update" else dt for r in variants.raw("r_reading")])
     zero = np.zeros_like(velocity)
+    p0 = {"dve": velocity, "dvn": velocity, "phi_e": level, "phi_n": level, "phi_u": yaw}
+    p0 |= {f"nabla_{axis}": nabla for axis in "xyz"} | {f"eps_{axis}": eps for axis in "xyz"}
+    q = {"dve": q_v, "dvn": q_v, "phi_e": q_phi, "phi_n": q_phi, "phi_u": q_phi}
     method = zero_velocity.Params(
-        p0=(velocity, velocity, level, level, yaw, nabla, nabla, eps, eps, eps)[:states],
-        q=(q_v, q_v, q_phi, q_phi, q_phi, *(zero,) * 5)[:states],
-        r=variants.column("r_velocity_m_per_s") ** 2 / per_update,
+        p0=tuple(p0[state] for state in states),
+        q=tuple(q.get(state, zero) for state in states),  # biases are constant
+        r=variants.column("r_velocity_m_per_s") ** 2 / spread,
         feedback=_feedback(variants, study.study.rate_hz),
         resets=_resets(study, variants),
     )

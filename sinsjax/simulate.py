@@ -164,7 +164,7 @@ def stream(
         `Sample` with leaves (samples,), and the last increments (6,) for the next call.
     """
     increments = measured(world, draw, first, samples=samples, dt=dt)
-    # Nothing is known before the first sample: it stands in for its predecessor.
+    # A run starts with nothing: its first sample stands in for the one before.
     before = jnp.where(first == 0, increments[0], previous)
     return imu.compensate(increments, before), increments[-1]
 

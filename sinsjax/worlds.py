@@ -20,6 +20,8 @@ from sinsjax.studies import EARTH_CONSTANTS, Study
 from sinsjax.types import Array, InputError, Quat
 from sinsjax.units import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, PPM
 
+_LONGEST_GAP_S = 5.0  # in a reference; a swinging base turns within seconds
+
 
 class Variants:
     """Values of a study's sweepable keys, for some of its variants.
@@ -67,13 +69,12 @@ def record_times(study: Study) -> np.ndarray:
 def site_of(study: Study, variants: Variants, tape: Tape | None) -> tuple[Site, float]:
     """The Earth and place of a part, and its ug in m/s^2."""
     height = variants.common("height_m")
+    if height is None:
+        height = (tape.record.height_m if tape else None) or 0.0
     if variants.common("earth") == "wgs84":
         model, ug = earth.wgs84(height), units.micro_g()
     else:
-        constants = {
-            key: default if (value := variants.common(key)) is None else value
-            for key, default in EARTH_CONSTANTS.items()
-        }
+        constants = {key: variants.common(key) for key in EARTH_CONSTANTS}
         gravity = constants["gravity_m_per_s2"]
         rate = constants["earth_rate_deg_per_h"] * DEG_PER_H
         model = earth.sphere(rate, constants["radius_m"], gravity, height)
@@ -220,8 +221,15 @@ def _reference_at(tape: Tape, times: np.ndarray) -> np.ndarray:
     slack = 1e-6 + 1 / tape.record.rate_hz
     if times[0] < first - slack or times[-1] > last + slack:
         raise InputError(
-            f"the reference covers {first:g} to {last:g} s,"
-            f" but the study needs {times[0]:g} to {times[-1]:g} s of {tape.record.source}"
+            f"{reference.source}: covers {first:g} to {last:g} s, but the study needs"
+            f" {times[0]:g} to {times[-1]:g} s of {tape.record.source}"
+        )
+    needed = (reference.time_s >= times[0] - _LONGEST_GAP_S) & (reference.time_s <= times[-1])
+    gap = np.diff(reference.time_s[needed], prepend=times[0], append=times[-1]).max()
+    if gap > _LONGEST_GAP_S:
+        raise InputError(
+            f"{reference.source}: has a gap of {gap:g} s where the study needs it"
+            f" (at most {_LONGEST_GAP_S:g} s are interpolated)"
         )
     pitch, roll, yaw = reference.attitude_deg.T
     attitudes = Rotation.from_euler("ZXY", np.column_stack([yaw, pitch, roll]), degrees=True)

@@ -97,6 +97,18 @@ def test_results_are_not_overwritten_unasked(sinsjax: Command, tmp_path: Path) -
     assert (out / "notes.txt").read_text() == "mine"
 
 
+def test_files_that_only_look_like_results_are_never_touched(
+    sinsjax: Command, tmp_path: Path
+) -> None:
+    (tmp_path / "figures").mkdir()
+    (tmp_path / "figures" / "thesis.png").write_text("mine")
+    config = write_study(tmp_path)
+    code, _, error = sinsjax("sweep", config, "-o", tmp_path, "--overwrite")
+    assert code == 2 and error.count("\n") == 1 and "no result" in error
+    assert (tmp_path / "figures" / "thesis.png").read_text() == "mine"
+    assert config.read_text()
+
+
 def test_a_sweep_is_repeatable_byte_for_byte(sinsjax: Command, tmp_path: Path) -> None:
     config = write_study(tmp_path, axes={"reset_times_s": [[], [2.5]]})
     for name in ("one", "two"):
@@ -322,7 +334,7 @@ def test_an_output_that_cannot_be_written_is_one_clear_line(
 ) -> None:
     config = write_study(tmp_path)
     (tmp_path / "file").write_text("in the way")
-    for out in (tmp_path / "file", tmp_path / "file" / "below"):
+    for out in (tmp_path / "file", tmp_path / "file" / "below", tmp_path / ("x" * 300)):
         assert_refused(sinsjax("sweep", config, "-o", out), tmp_path / "none", str(out))
     assert (tmp_path / "file").read_text() == "in the way"
 

@@ -9,7 +9,7 @@ import pytest
 import sinsjax
 
 LAYERS = (
-    {"columns", "hlo", "runtime", "types", "units"},
+    {"columns", "files", "hlo", "runtime", "types", "units"},
     {"config", "records", "sections", "studies"},
     {"algebra", "earth", "kalman", "rotations"},
     {"error_model", "imu", "mechanisation", "trajectory"},

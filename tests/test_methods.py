@@ -59,7 +59,7 @@ def runner(name):
                 return method.step(filt, here, state, sample, second * RATE + 1.0 + i)
 
             state = method.normalise(jax.lax.fori_loop(0, RATE, step, state))
-            seen = method.attitude(state), method.covariance(state), method.navigation(state)
+            seen = method.attitude(state), method.covariance(state), state.nav
             return state, seen
 
         seconds = jnp.arange(float(SECONDS))
@@ -148,7 +148,7 @@ def test_it_begins_with_what_it_is_given(name):
     nav = nav_off([0.1, 0.2, 0.3], (0.5, -0.6))
     state = method.init(numbers(name), nav)
     for a, b in zip(
-        jax.tree.leaves((method.attitude(state), method.navigation(state))),
+        jax.tree.leaves((method.attitude(state), state.nav)),
         jax.tree.leaves((nav.q, nav)),
         strict=True,
     ):
@@ -163,7 +163,7 @@ def test_it_begins_with_what_it_is_given(name):
 def test_normalise_touches_only_the_length_of_the_quaternion(name):
     method = method_of(name)
     state = method.init(numbers(name), nav_off([0.1, 0.2, 0.3]))
-    q = method.navigation(state).q
+    q = state.nav.q
     long = state._replace(nav=state.nav._replace(q=type(q)(*(1.5 * c for c in q))))
     for a, b in zip(*map(jax.tree.leaves, (method.normalise(long), state)), strict=True):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-15)
@@ -177,7 +177,7 @@ def test_tangents_are_finite_where_nothing_is_off(name):
 
     def after(filt, nav):
         state = method.step(filt, here, method.init(filt, nav), sample, 1.0)
-        return method.attitude(state), method.covariance(state), method.navigation(state)
+        return method.attitude(state), method.covariance(state), state.nav
 
     point = filt, nav_off(np.zeros(3))
     ones = jax.tree.map(lambda a: np.ones_like(a, dtype=float), point)

@@ -105,7 +105,7 @@ def test_worlds_and_programs_are_cut_apart_and_cover_every_variant() -> None:
             "specific_force": ["measured", "gravity"],
         }
     )
-    parts = scenario.parts(study)
+    parts = list(scenario.parts(study))
     assert len(parts) == 4
     np.testing.assert_array_equal(np.sort(np.concatenate([p.variant_ids for p in parts])), range(8))
     for part in parts:

@@ -57,7 +57,6 @@ class Method(NamedTuple):
     Attributes:
         init: (params, navigation) -> state.
         step: (params, site, state, sample, n) -> state after the n-th sample, n from 1.
-        navigation: state -> navigation solution.
         attitude: state -> best attitude, i.e. with the estimated misalignment taken out.
         covariance: state -> `AttitudeCovariance` of that attitude.
         normalise: state -> state with its quaternion scaled to unit length.
@@ -65,7 +64,6 @@ class Method(NamedTuple):
 
     init: Callable[[Any, Navigation], Any]
     step: Callable[[Any, Site, Any, Sample, Scalar], Any]
-    navigation: Callable[[Any], Navigation]
     attitude: Callable[[Any], Quat]
     covariance: Callable[[Any], AttitudeCovariance]
     normalise: Callable[[Any], Any]

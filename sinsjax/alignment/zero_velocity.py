@@ -78,7 +78,7 @@ def build(model: ErrorModel, options: Options) -> Method:
         belief = kalman.update(belief, (VE, VN), (nav.ve, nav.vn), params.r)
         return _close_loop(params, state._replace(nav=nav, belief=belief), n)
 
-    return Method(init, step, _navigation, _attitude, _covariance, _normalise)
+    return Method(init, step, _attitude, _covariance, _normalise)
 
 
 _LEVEL_AND_YAW = (VE, VN, PHI_E, PHI_N, PHI_U)
@@ -101,10 +101,6 @@ def _close_loop(params: Params, state: State, n: Scalar) -> State:
         bias=tuple(b + f for b, f in zip(state.bias, fed[len(_LEVEL_AND_YAW) :], strict=True)),
         feedback_at=jnp.where(due, state.feedback_at + params.feedback.every, state.feedback_at),
     )
-
-
-def _navigation(state: State) -> Navigation:
-    return state.nav
 
 
 def _attitude(state: State) -> Quat:

@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.records.files import CUT_OFF, load_lines, number, replacing
+from sinsjax.files import replacing
+from sinsjax.records.files import CUT_OFF, load_lines, number
 from sinsjax.records.layout import (
     PSINS_LAYOUT,
     FloatArray,

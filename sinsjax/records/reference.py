@@ -19,11 +19,13 @@ class Reference(NamedTuple):
         time_s: (M,) increasing, from the record's beginning, s.
         attitude_deg: (M, 3) pitch, roll and yaw (counter-clockwise from north), deg.
         sigma_deg: (M, 3) standard deviations about east, north and up, deg; None if not given.
+        source: the file's name, for messages.
     """
 
     time_s: FloatArray
     attitude_deg: FloatArray
     sigma_deg: FloatArray | None
+    source: str = "reference"
 
 
 def read_reference(path: str | Path) -> Reference:
@@ -57,4 +59,6 @@ def read_reference(path: str | Path) -> Reference:
     for bad, text in faults:
         if bad.any():
             raise InputError(f"{path}: row {table.row(int(bad.argmax()))}: {text}")
-    return Reference(time_s, attitude, sigma if sigmas else None)
+    if len(time_s) < 2:
+        raise InputError(f"{path}: a reference needs at least two rows")
+    return Reference(time_s, attitude, sigma if sigmas else None, str(path))

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
-from sinsjax.records.files import replacing
+from sinsjax.files import replacing
 from sinsjax.records.layout import (
     ACCEL_UNITS,
     GYRO_UNITS,

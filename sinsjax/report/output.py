@@ -11,7 +11,7 @@ from rich.measure import Measurement
 from rich.text import Text as RichText
 
 from sinsjax import plots, runtime
-from sinsjax.records.files import replacing
+from sinsjax.files import replacing
 from sinsjax.report.base import Block, Picture, Report, Source, Table, Text
 from sinsjax.types import InputError
 
