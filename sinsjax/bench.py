@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -26,7 +27,7 @@ from sinsjax.types import InputError
 
 _TILES = 2
 _BASELINE_SAMPLES = 2000
-_KERNEL_FLAGS = "-O3 -march=native -ffast-math -Wno-psabi".split()
+_KERNEL_FLAGS = "-O3 -march=native -ffast-math -Wno-psabi -mprefer-vector-width=512".split()
 _KERNEL_SIZE = (20000, 32)
 
 
@@ -293,20 +294,17 @@ def _told(command: list[str], name: str) -> str:
 
 
 def _table(rows: list[dict[str, Any]]) -> Table:
-    table = Table(title="sinsjax bench")
+    table = Table(title="sinsjax bench", box=box.SIMPLE)
     shown = {
         "name": "name",
         "ns_per_step_run": "ns a step and run",
         "runs": "runs",
-        "steps": "steps",
         "compile_s": "compile s",
         "median_s": "median s",
         "spread_s": "+- s",
     }
     for key, heading in shown.items():
-        table.add_column(
-            heading, justify="left" if key == "name" else "right", no_wrap=key == "name"
-        )
+        table.add_column(heading, justify="left" if key == "name" else "right", no_wrap=True)
     kernel = next((r["ns_per_step_run"] for r in rows if r["name"] == "limit_kernel"), None)
     if kernel:
         table.add_column("x limit", justify="right")

@@ -272,6 +272,7 @@ def _filled(parts: Table, where: Where, name: str) -> Table:
     sections["study"].setdefault("name", name)
     if not recorded:
         sections["study"].setdefault("draws", _DEFAULT_DRAWS)
+        sections["earth"].setdefault("height_m", 0.0)
         for white, density in _NOISES:
             if white not in where and density not in where:
                 sections["sensors"][white] = 0.0

@@ -26,7 +26,7 @@ from sinsjax.types import InputError
 from sinsjax.units import ARCMIN, DEG
 from sinsjax.worlds import record_times
 
-_DIVERGED = 10 * DEG
+_DIVERGED = columns.DIVERGED_DEG * DEG
 _NAMES = ("summary", "curves", "figures", "study.toml", "manifest.json")
 _OURS = ("summary/part-*.parquet", "curves/part-*.parquet", "figures/*.png", "study.toml")
 

@@ -21,6 +21,8 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from sinsjax import columns
+
 
 def _misfit(text: str, key: str | None = None) -> PydanticCustomError:
     """The error of a rule inside a section.
@@ -40,6 +42,14 @@ def _unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
     if len(set(values)) < len(values):
         raise _misfit("names a value twice")
     return values
+
+
+def _own_columns(bands: tuple[float, ...]) -> tuple[float, ...]:
+    """Refuses bands whose result columns would have one name."""
+    shown = columns.bands(bands)
+    if len({columns.settle_column(band).name for band in shown}) < len(shown):
+        raise _misfit("names a value twice, to the 6 digits that its column shows")
+    return bands
 
 
 def _increasing(times: tuple[float, ...]) -> tuple[float, ...]:
@@ -71,7 +81,7 @@ Elevation = Annotated[float, Field(gt=-90, lt=90)]
 Name = Annotated[str, Field(min_length=1)]
 Triad = tuple[Name, Name, Name]
 Times = Annotated[tuple[Positive, ...], AfterValidator(_increasing)]
-Bands = Annotated[tuple[Positive, ...], AfterValidator(_unique)]
+Bands = Annotated[tuple[Positive, ...], AfterValidator(_unique), AfterValidator(_own_columns)]
 Starts = Annotated[
     tuple[NonNegative, ...],
     Field(min_length=1),
@@ -93,7 +103,6 @@ CrossAxis = Annotated[
     | Annotated[tuple[Finite, Finite, Finite, Finite, Finite, Finite], Tag("list")],
     Discriminator(_shape),
 ]
-
 
 GYRO_INCREMENTS = ("rad", "deg", "arcsec")
 ACCEL_INCREMENTS = ("m_per_s", "g_s", "ug_s")
@@ -159,7 +168,9 @@ class Earth(Section):
     latitude_deg: Elevation | None = Field(
         None, description="latitude, deg; a recorded study may take it from the record"
     )
-    height_m: Finite = Field(0.0, description="height above the earth's surface, m")
+    height_m: Finite | None = Field(
+        None, description="height, m; default: in a recorded study its record's if known, else 0"
+    )
 
 
 class Motion(Section):
@@ -329,11 +340,10 @@ class Statements(Section):
 
     converges_share: Share = Field(0.95, description="'converges': at least this share of runs")
     short_time_s: Positive = Field(200.0, description="'in a short time': settled by then, s")
-    cannot_share: Share = Field(0.05, description="'cannot converge': at most this share of runs")
+    cannot_share: Share = Field(0.05, description="'cannot converge': under this share of runs")
     as_precise_arcmin: Positive = Field(
         1.0, description="'as precise': means no further apart, arcmin"
     )
     covariance_share: Share = Field(
-        0.95, description="'the covariance covers the error': at least this share of the time"
+        0.95, description="'larger throughout': at least this share of records with P_UU > phi_u^2"
     )
-    covariance_after_s: NonNegative = Field(10.0, description="start of that time, s")

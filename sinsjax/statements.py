@@ -26,10 +26,9 @@ from sinsjax.analysis import (
     quantile,
     quantile_difference,
 )
+from sinsjax.studies import CONDITIONS, RESET
 from sinsjax.types import InputError
 
-RESET = "5 with resets"
-CONDITIONS = ("1", "2", "3", "4", "5", RESET)
 EQUAL_WITHIN = 0.1
 
 _FIG2 = "section 2.4.2, Fig. 2"

@@ -81,7 +81,7 @@ case = "small"
 case = "large"
 phi_u0_deg = 30
 [report]
-layout = "paper1_resets"
+layout = "auto"
 [statements]
 short_time_s = 100.0
 """
@@ -117,7 +117,7 @@ def test_defaults_are_filled_in():
     assert study.study.name == "swing"
     assert study.study.window_s == (600.0, 900.0)
     assert (study.n_draws, study.n_variants, study.axis_keys) == (64, 1, ())
-    assert study.earth.gravity_m_per_s2 == 9.8
+    assert (study.earth.gravity_m_per_s2, study.earth.height_m) == (9.8, 0.0)
     assert study.sensors is not None and study.sensors.gyro_noise_deg_per_h == 0.0
     assert study.resets.reset_count == 0
     assert (study.record, study.coarse, study.is_recorded) == (None, None, False)
@@ -135,7 +135,7 @@ def test_recorded_study():
     assert study.record is not None and study.record.start_s == (0.0,)
     assert (study.motion, study.sensors, study.study.draws) == (None, None, None)
     assert study.coarse is not None and study.coarse.coarse_duration_s == 60.0
-    assert study.earth.latitude_deg is None
+    assert (study.earth.latitude_deg, study.earth.height_m) == (None, None)
     several = built(RECORDED, record={"start_s": [0, 30, 60]})
     assert several.n_draws == 3 and several.n_variants == 1
     assert built(RECORDED, record={"start_s": 30}).n_draws == 1
@@ -319,7 +319,7 @@ sizes = st.floats(1e-300, 1e12) | st.integers(1, 10**6)
 
 
 @given(
-    duration=st.floats(10, 1e9),
+    duration=st.floats(10, 1e6),
     phi=st.lists(angles, min_size=1, max_size=4, unique=True),
     bias=st.floats(-1e12, 1e12) | st.tuples(angles, angles, angles),
     p0=sizes,
@@ -355,11 +355,13 @@ def test_fingerprint_forgets_what_does_not_compute():
     assert fingerprint(study_from_dict(shuffled)) == print_
     for other in (
         {"study": {"name": "other"}},
-        {"report": {"layout": "auto"}},
         {"statements": {"short_time_s": 1.0}},
     ):
         assert fingerprint(study_from_dict(merged(data, **other))) == print_
     assert fingerprint(built(filter={"p0_yaw_deg": 80})) == fingerprint(built())
+    assert fingerprint(built(RECORDED, report={"layout": "car_test"})) == fingerprint(
+        built(RECORDED)
+    )
 
 
 @pytest.mark.parametrize(
@@ -480,6 +482,9 @@ def test_unknown_names(tables: dict[str, Any], line: str):
         ("study", "consistency_after_s", -1, "must be greater than or equal to 0"),
         ("study", "settle_bands_arcmin", 10, "must be a list, not 10"),
         ("study", "settle_bands_arcmin", [10, 10.0], "names a value twice"),
+        ("study", "settle_bands_arcmin", [3, 3.0000001], "names a value twice, to the 6 digits"),
+        # 10 arcmin is always a column.
+        ("study", "settle_bands_arcmin", [10.0000001], "names a value twice, to the 6 digits"),
         ("study", "window_s", [1], "required"),
         ("study", "window_s", [1, 2, 3], "must have 2 values, not 3"),
         ("study", "window_s", [900, 600], "must be [a, b] with 0 <= a < b <= duration_s = 900"),
@@ -694,7 +699,7 @@ def test_noise_is_given_in_one_way(one: str, other: str):
         (
             {"reset_count": 2, "reset_cycle_s": 0.006},
             {},
-            "[resets] reset_cycle_s: 0.006 s is shorter than a sample of 0.01 s",
+            "[resets] reset_cycle_s: 0.006 s is shorter than a sample, 0.01 s",
         ),
         (
             {"reset_times_s": [50, 901]},
@@ -765,15 +770,194 @@ def test_intervals(tables: dict[str, Any], line: str):
     assert refusal(**tables) == line
 
 
+@pytest.mark.parametrize(
+    ("record", "coarse", "line"),
+    [
+        (
+            {"start_s": [0, 0.015]},
+            {},
+            "[record] start_s: 0.015 s is no whole number of samples of 0.01 s"
+            " (nearest: 0.01 or 0.02)",
+        ),
+        (
+            {"start_s": 0.004},
+            {},
+            "[record] start_s: 0.004 s is no whole number of samples of 0.01 s"
+            " (nearest: 0 or 0.01)",
+        ),
+        (
+            {"start_s": [30, 30.000000001]},
+            {},
+            "[record] start_s: 30.000000001 s falls on the sample of 30.0 s",
+        ),
+        (
+            {},
+            {"coarse_duration_s": 60.005},
+            "[coarse] coarse_duration_s: 60.005 s is no whole number of samples of 0.01 s,"
+            " 2 or more (nearest: 60 or 60.01)",
+        ),
+        (
+            {},
+            {"coarse_duration_s": 0.01},
+            "[coarse] coarse_duration_s: 0.01 s is no whole number of samples of 0.01 s,"
+            " 2 or more (nearest: 0.02)",
+        ),
+    ],
+)
+def test_times_in_a_record(record: dict[str, Any], coarse: dict[str, Any], line: str):
+    assert refusal(RECORDED, record=record, coarse=coarse) == line
+    built(RECORDED, record={"start_s": [0, 0.01]}, coarse={"coarse_duration_s": 0.02})
+
+
+PARTIAL = {"duration_s": 900.5, "window_s": [600, 900]}
+
+
+@pytest.mark.parametrize(
+    ("tables", "start"),
+    [
+        (
+            {"resets": {"reset_times_s": [900.2]}},
+            "[resets] reset_times_s: 900.2 s is after the study's end (",
+        ),
+        (
+            {"resets": {"reset_count": 1, "reset_cycle_s": 900.2}},
+            "[resets] reset_cycle_s: 1 resets every 900.2 s last 900.2 s, longer than the study (",
+        ),
+        (
+            {"study": {"window_s": [899, 900.5]}},
+            "[study] window_s: fewer than 2 records are after 899 s and up to 900.5 s (",
+        ),
+    ],
+)
+def test_a_last_partial_record_interval_is_not_run(tables: dict[str, Any], start: str):
+    end = "duration_s = 900.5; the last partial record interval, after 900 s, is not run)"
+    assert refusal(merged(SIMULATED, study=PARTIAL), **tables) == start + end
+
+
+def test_the_end_of_what_is_run():
+    study = built(study=PARTIAL, resets={"reset_times_s": [900]})
+    assert (study.run_s, study.dropped_s) == (900.0, 0.5)
+    built(study=PARTIAL | {"window_s": [898, 900.5]})
+    line = "[study] window_s: fewer than 2 records are after 10 s and up to 11.9 s"
+    assert refusal(study={"window_s": [10, 11.9]}) == f"{line} (duration_s = 900)"
+    assert refusal(study={"window_s": [0, 0.5]}).startswith("[study] window_s: fewer than 2")
+
+
+@given(
+    every=st.integers(1, 50),
+    rate=st.sampled_from([3.0, 7.0, 100.0, 333.3]),
+    ends=st.tuples(st.integers(0, 400), st.integers(1, 400)).filter(lambda ab: ab[0] < ab[1]),
+)
+def test_a_window_holds_two_record_times(every: int, rate: float, ends: tuple[int, int]):
+    start, end = (n / rate for n in ends)
+    study = {"rate_hz": rate, "duration_s": 400 / rate, "record_interval_s": every / rate}
+    times = [k * every / rate for k in range(1, 400 // every + 1)]
+    tables = {"study": study | {"window_s": [start, end]}}
+    tables["alignment"] = {"feedback_interval_s": 1 / rate}
+    if sum(start < time <= end for time in times) < 2:
+        assert refusal(**tables).startswith("[study] window_s: fewer than 2")
+    else:
+        built(**tables)
+
+
+def test_sizes_that_no_machine_could_run():
+    line = "[study] duration_s: 1000010 s at rate_hz = 100 is more than 100000000 samples a run"
+    assert refusal(study={"duration_s": 1000010}) == line
+    built(study={"duration_s": 1000000})
+    axes = {key: [i / 100 for i in range(1000)] for key in ("phi_e0_deg", "phi_n0_deg")}
+    line = "draws x 1000000 variants of [axes] and [[cases]] are more than 1000000000 runs"
+    assert refusal(study={"draws": 1001}, axes=axes) == f"[study] draws: 1001 {line}"
+    built(study={"draws": 1000}, axes=axes)
+    starts = [float(i) for i in range(1001)]
+    assert refusal(RECORDED, record={"start_s": starts}, axes=axes) == (
+        f"[record] start_s: 1001 {line}"
+    )
+
+
+# Layouts
+
+
+CONDITIONS = [
+    {"case": f"condition {name}", "phi_u0_deg": i}
+    for i, name in enumerate(("1", "2", "3", "4", "5", "5 with resets"))
+]
+
+
+@pytest.mark.parametrize(
+    ("base", "layout", "tables", "text"),
+    [
+        (SIMULATED, "car_test", {}, "needs a recorded study"),
+        (RECORDED, "paper1_conditions", {"cases": CONDITIONS}, "needs a simulated study"),
+        (RECORDED, "paper1_resets", {"cases": CONDITIONS}, "needs a simulated study"),
+        (RECORDED, "paper1_readings", {"cases": CONDITIONS}, "needs a simulated study"),
+        (
+            SIMULATED,
+            "paper1_conditions",
+            {},
+            "needs [[cases]] with case = 'condition 1'",
+        ),
+        (
+            SIMULATED,
+            "paper1_conditions",
+            {"cases": [{"phi_u0_deg": 0}]},
+            "needs [[cases]] with case = 'condition 1'",
+        ),
+        (
+            SIMULATED,
+            "paper1_resets",
+            {"cases": CONDITIONS[:-1]},
+            "needs [[cases]] with case = 'condition 5 with resets'",
+        ),
+        (
+            SIMULATED,
+            "paper1_readings",
+            {"cases": CONDITIONS[:2] + CONDITIONS[3:]},
+            "needs [[cases]] with case = 'condition 3'",
+        ),
+        (
+            SIMULATED,
+            "paper1_resets",
+            {"cases": CONDITIONS, "axes": {"phi_e0_deg": [0, 1]}},
+            "takes no [axes] (phi_e0_deg)",
+        ),
+        (
+            SIMULATED,
+            "paper1_readings",
+            {"cases": CONDITIONS},
+            "needs [axes] among q_reading, r_reading, feedback_interval_s",
+        ),
+        (
+            SIMULATED,
+            "paper1_readings",
+            {"cases": CONDITIONS, "axes": {"q_reading": ["psd"], "phi_e0_deg": [0]}},
+            "needs [axes] among q_reading, r_reading, feedback_interval_s",
+        ),
+    ],
+)
+def test_a_layout_that_does_not_fit(
+    base: dict[str, Any], layout: str, tables: dict[str, Any], text: str
+):
+    line = refusal(base, report={"layout": layout}, **tables)
+    assert line == f"[report] layout: '{layout}' {text}"
+
+
+def test_layouts_that_fit():
+    built(RECORDED, report={"layout": "car_test"})
+    built(report={"layout": "paper1_conditions"}, cases=CONDITIONS[:-1])
+    built(report={"layout": "paper1_resets"}, cases=[CONDITIONS[i] for i in (0, 4, 5)])
+    axes = {"r_reading": ["per_update", "psd"]}
+    built(report={"layout": "paper1_readings"}, cases=CONDITIONS, axes=axes)
+
+
 @given(samples=st.integers(1, 100_000), rate=st.floats(1, 1e4))
 def test_whole_numbers_of_samples_pass(samples: int, rate: float):
-    study = {"rate_hz": rate, "duration_s": 1e6, "record_interval_s": 1 / rate}
+    study = {"rate_hz": rate, "duration_s": 1e3, "record_interval_s": 1 / rate}
     built(study=study, alignment={"feedback_interval_s": samples / rate})
 
 
 @given(samples=st.floats(0.01, 1e5).filter(lambda x: 0.01 < x % 1 < 0.99), rate=st.floats(1, 1e4))
 def test_the_nearest_intervals_that_are_named_pass(samples: float, rate: float):
-    study = {"rate_hz": rate, "duration_s": 1e6, "record_interval_s": 1 / rate}
+    study = {"rate_hz": rate, "duration_s": 1e3, "record_interval_s": 1 / rate}
     line = refusal(study=study, alignment={"feedback_interval_s": samples / rate})
     for near in line.rsplit("nearest: ")[1].rstrip(")").split(" or "):
         built(study=study, alignment={"feedback_interval_s": float(near)})

@@ -118,8 +118,8 @@ def _header_fault(header: _Header) -> tuple[int, str] | None:
     latitude, _, _, t0, interval_ms, gravity = header.place
     if not interval_ms > 0:
         return 1, f"the sampling interval must be positive, not {interval_ms:g} ms"
-    if abs(latitude) > 90:
-        return 1, f"the latitude {latitude:g} deg is beyond 90"
+    if abs(latitude) >= 90:
+        return 1, f"the latitude {latitude:g} deg is not between -90 and 90"
     # Lines in the wrong order, or a missing one, show here first.
     if not 9 < gravity < 11:
         return 1, f"g = {gravity:g} m/s^2 is no gravity"

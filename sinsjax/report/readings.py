@@ -22,7 +22,6 @@ from sinsjax.report.base import (
 )
 from sinsjax.statements import STATEMENTS, Meaning, Verdict, judge
 from sinsjax.studies import Study
-from sinsjax.types import InputError
 
 CONCLUSIONS = ("S8", "S10", "S11", "S12")
 """What the paper's abstract concludes: failure, its reason, the cure, its accuracy."""
@@ -101,18 +100,12 @@ _CAPTION = "Blue: the statement holds; ~: its 95 % interval reaches across the t
 
 
 def meaning_of(study: Study) -> Meaning:
-    """What the paper's words mean in this study.
-
-    Raises:
-        InputError: [statements] asks for records that the summary did not count.
-    """
-    settings, words = study.study, study.statements
-    if words.covariance_after_s != settings.consistency_after_s:
-        raise InputError(
-            f"{settings.name}: [statements] covariance_after_s = {words.covariance_after_s:g} must"
-            f" be [study] consistency_after_s = {settings.consistency_after_s:g}"
-        )
-    return Meaning(**words.model_dump(), steady_after_s=settings.steady_after_s)
+    """What the paper's words mean in this study."""
+    return Meaning(
+        **study.statements.model_dump(),
+        covariance_after_s=study.study.consistency_after_s,
+        steady_after_s=study.study.steady_after_s,
+    )
 
 
 def best_of(judged: Sequence[Judged]) -> Judged:
