@@ -283,9 +283,8 @@ def _check_intervals(study: Study, where: Where) -> None:
     taken: dict[int, float] = {}
     for start in study.record.start_s if study.record else ():
         _check_whole(study, where, "start_s", start, least=0)
-        other = taken.setdefault(round(start * rate), start)
-        if other != start:
-            _refuse("start_s", where, f"{start!r} s falls on the sample of {other!r} s")
+        if taken.setdefault(round(start * rate), start) != start:
+            _refuse("start_s", where, f"{start!r} s falls on the sample of another start time")
     if study.study.duration_s < record * (1 - _ROUNDING):
         duration = f"duration_s = {study.study.duration_s:.12g}"
         _refuse("record_interval_s", where, f"{record:.12g} s is longer than the study, {duration}")
@@ -346,6 +345,5 @@ def _check_cycle(study: Study, where: Where, count: int, cycle: float | None) ->
         text = f"{count} resets every {cycle:.12g} s last {count * cycle:.12g} s"
         _refuse(key, where, f"{text}, longer than the study ({_end(study)})")
     if cycle * rate < 1 - _ROUNDING:
-        _refuse(
-            "reset_cycle_s", where, f"{cycle:.12g} s is shorter than a sample, {1 / rate:.12g} s"
-        )
+        text = f"{cycle:.12g} s is shorter than a sample of {1 / rate:.12g} s"
+        _refuse("reset_cycle_s", where, text)

@@ -52,7 +52,7 @@ def write_study(folder: Path, **changes: Any) -> Path:
 
 
 RECORDED: dict[str, Any] = {
-    "study": {"duration_s": 2.0, "draws": None, "window_s": [1, 2]},
+    "study": {"duration_s": 2.0, "draws": None, "window_s": [0, 2]},
     "motion": None,
     "sensors": None,
     "alignment": {"phi_e0_deg": 1.0, "phi_n0_deg": 0.0, "phi_u0_deg": 3.0},

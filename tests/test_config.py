@@ -699,7 +699,7 @@ def test_noise_is_given_in_one_way(one: str, other: str):
         (
             {"reset_count": 2, "reset_cycle_s": 0.006},
             {},
-            "[resets] reset_cycle_s: 0.006 s is shorter than a sample, 0.01 s",
+            "[resets] reset_cycle_s: 0.006 s is shorter than a sample of 0.01 s",
         ),
         (
             {"reset_times_s": [50, 901]},
@@ -788,7 +788,7 @@ def test_intervals(tables: dict[str, Any], line: str):
         (
             {"start_s": [30, 30.000000001]},
             {},
-            "[record] start_s: 30.000000001 s falls on the sample of 30.0 s",
+            "[record] start_s: 30.000000001 s falls on the sample of another start time",
         ),
         (
             {},
