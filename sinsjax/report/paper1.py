@@ -129,19 +129,8 @@ def _label(name: str) -> str:
 
 
 def _runs(source: Source, names: tuple[str, ...]) -> dict[str, pa.Table]:
-    """The runs of each condition by its label.
-
-    Raises:
-        InputError: a condition is missing, or one has runs of several variants.
-    """
-    if "case" not in source.summary.column_names:
-        raise InputError(f"{source.config}: its layout needs [[cases]] with labels")
+    """The runs of each condition by its label; the study is known to have them."""
     groups = {key["case"]: rows for key, rows in analysis.groups(source.summary, ["case"])}
-    for label in map(_label, names):
-        if label not in groups:
-            raise InputError(f"{source.config}: its layout needs a case '{label}'")
-        if len(groups[label]) != source.study.n_draws:
-            raise InputError(f"{source.config}: its layout takes no [axes]")
     return {_label(name): groups[_label(name)] for name in names}
 
 
