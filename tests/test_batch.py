@@ -108,7 +108,11 @@ def test_the_record_interval_does_not_touch_the_noise(every: float) -> None:
     last = []
     for interval in (every, 0.01 * round(every * 100) * 2):
         study = small_study(
-            study={"record_interval_s": interval, "duration_s": 8 * every, "window_s": [0, 8 * every]},
+            study={
+                "record_interval_s": interval,
+                "duration_s": 8 * every,
+                "window_s": [0, 8 * every],
+            },
         )
         (part,) = scenario.parts(study)
         outcome, _ = all_runs(part.group)
