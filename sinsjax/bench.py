@@ -294,10 +294,10 @@ def _told(command: list[str], name: str) -> str:
 
 
 def _table(rows: list[dict[str, Any]]) -> Table:
-    table = Table(title="sinsjax bench", box=box.SIMPLE)
+    table = Table(title="ns a step and run", box=box.SIMPLE)
     shown = {
         "name": "name",
-        "ns_per_step_run": "ns a step and run",
+        "ns_per_step_run": "ns",
         "runs": "runs",
         "compile_s": "compile s",
         "median_s": "median s",
