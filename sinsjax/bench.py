@@ -298,7 +298,6 @@ def _table(rows: list[dict[str, Any]]) -> Table:
     shown = {
         "name": "name",
         "ns_per_step_run": "ns",
-        "runs": "runs",
         "compile_s": "compile s",
         "median_s": "median s",
         "spread_s": "+- s",
@@ -307,7 +306,7 @@ def _table(rows: list[dict[str, Any]]) -> Table:
         table.add_column(heading, justify="left" if key == "name" else "right", no_wrap=True)
     kernel = next((r["ns_per_step_run"] for r in rows if r["name"] == "limit_kernel"), None)
     if kernel:
-        table.add_column("x limit", justify="right")
+        table.add_column("x limit", justify="right", no_wrap=True)
     for row in rows:
         ratio = [f"{row['ns_per_step_run'] / kernel:.2f}"] if kernel else []
         table.add_row(*(str(row[key]) for key in shown), *ratio)
