@@ -11,7 +11,7 @@ dV' = f^n x phi - (2 w_ie + w_en) x dV - dw_en x V + nabla and phi' = phi x w_in
 from collections.abc import Callable
 from typing import NamedTuple
 
-from sinsjax.algebra import Entries, add, cross, scale
+from sinsjax.algebra import Entries
 from sinsjax.earth import Place
 from sinsjax.rotations import matrix, multiply
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
@@ -91,10 +91,10 @@ def _as_it_is(sample: Sample, bias: tuple[Scalar, ...], dt: Scalar) -> Sample:
 
 def _without_bias(sample: Sample, bias: tuple[Scalar, ...], dt: Scalar) -> Sample:
     nabla_x, nabla_y, *eps = bias
-    # The bias turns the body by about 1e-8 rad a sample: first order is exact to rounding.
-    half_turn = scale(-0.5 * dt, Vec3(*eps))
-    turn = multiply(sample.turn, Quat(1.0, *half_turn))
-    dv = add(sample.dv, cross(half_turn, sample.dv))
+    # The bias turns the body by about 1e-8 rad a sample: first order is exact to rounding. As in
+    # the model, its second order stays in dv: eps g dt / 2, 2.5 ng for 0.1 deg/h at 100 Hz.
+    turn = multiply(sample.turn, Quat(1.0, *(-0.5 * dt * e for e in eps)))
+    dv = sample.dv
     return Sample(turn, Vec3(dv.x - nabla_x * dt, dv.y - nabla_y * dt, dv.z))
 
 

@@ -144,7 +144,7 @@ def test_yaw_error_against_noise_is_what_theory_says(seconds):
     increments = ideal(motion, place, seconds)
     noise = np.repeat([drift, force * float(place.gravity)], 3) * DT
     normal = np.random.default_rng(seconds).standard_normal((100, *increments.shape))
-    drawn, truth = increments + noise * normal, end(motion, increments)
+    drawn, truth = np.asarray(increments) + noise * normal, end(motion, increments)
     inertial, analytic = (
         rms(jnp.stack([error(method, one, place, truth)[2] for one in drawn]))
         for method in ("inertial", "analytic")

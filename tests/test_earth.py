@@ -7,7 +7,8 @@ from naive import DEG, WGS84
 
 from sinsjax import earth
 
-latitudes = st.floats(-89.9, 89.9)
+# Far below any angle, XLA flushes products with the Earth rate to zero.
+latitudes = st.floats(-89.9, 89.9).map(lambda degrees: round(degrees, 9))
 
 
 @pytest.mark.parametrize(
