@@ -111,7 +111,8 @@ def run_into(
 
     Raises:
         InputError: a record that does not fit, or a directory that cannot be used. Nothing is
-            written before both are known to be good.
+            written or removed before both are known to be good.
+        RuntimeError: double precision is off.
     """
     started, directory = time.time(), Path(directory)
     results.check_free(directory, overwrite=overwrite)
@@ -146,7 +147,6 @@ class _Piece(NamedTuple):
 def _pieces(
     study: Study, tape: Tape | None, todo: Iterable[Part], progress: Progress | None
 ) -> Iterator[_Piece]:
-    runtime.require_x64()
     has_truth = tape is None or tape.reference is not None
     made = results.Tables(study, has_truth=has_truth)
     done, total = 0, study.n_draws * study.n_variants

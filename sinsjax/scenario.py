@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from sinsjax import runtime
 from sinsjax.alignment import zero_velocity
 from sinsjax.alignment.base import Options
 from sinsjax.alignment.schedules import Feedback, Resets
@@ -111,6 +112,7 @@ def _split(study: Study) -> Iterator[np.ndarray]:
 
 
 def _part(study: Study, variants: Variants, tape: Tape | None, curves: bool) -> Part:
+    runtime.require_x64()
     options = Options(
         dt=1 / study.study.rate_hz,
         specific_force=variants.common("specific_force"),

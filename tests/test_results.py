@@ -2,12 +2,13 @@
 
 from pathlib import Path
 
+import jax
 import numpy as np
 import pyarrow as pa
 import pytest
 from studies import small_study
 
-from sinsjax import columns, results, scenario
+from sinsjax import campaign, columns, results, scenario
 from sinsjax.batch import Chunk
 from sinsjax.metrics import Observation, Outcome
 from sinsjax.types import InputError, Vec3
@@ -103,6 +104,22 @@ def test_bands_always_hold_the_one_that_decides_the_status() -> None:
     assert {"settle_30_s", "settle_10_s"} <= set(names)
     (part,) = scenario.parts(study)
     np.testing.assert_allclose(part.group.world.criteria.bands, np.array([30, 10]) * ARCMIN)
+
+
+def test_single_precision_is_refused_before_earlier_results_go(tmp_path: Path) -> None:
+    study = small_study()
+    results.Store(tmp_path / "out", study)
+    before = (tmp_path / "out" / "manifest.json").read_bytes()
+    with jax.enable_x64(False):
+        for call in (
+            lambda: campaign.run_into(study, tmp_path / "out", overwrite=True),
+            lambda: campaign.run(study),
+            lambda: scenario.simulated_record(study),
+        ):
+            with pytest.raises(RuntimeError, match="double precision"):
+                call()
+    assert (tmp_path / "out" / "study.toml").exists()
+    assert (tmp_path / "out" / "manifest.json").read_bytes() == before
 
 
 def test_a_part_appears_whole_or_not_at_all(
