@@ -1,25 +1,34 @@
 """Many runs in one compiled call.
 
 Runs are numbered draw by draw (`run_id = draw_id * variants + variant_id`) and cut into tiles of
-64 lanes. A tile is one vectorised scan whose state stays in the first-level cache; tiles follow
-one another under `lax.map`, spread over the devices. Samples are made once for each distinct draw
-of a tile and handed to its lanes, so that variants share their noise.
+64 lanes. A tile is one vectorised scan whose state stays in the first-level cache; in a call tiles
+follow one another under `lax.map`, and each device has a thread that makes calls. Samples are made
+once for each distinct draw of a tile and handed to its lanes, so that variants share their noise.
+
+Where the covariance is the same for all runs of a variant (`Method.common_covariance`), tiles of
+the same variants and different draws are stacked into sets, which share it: JAX finds by itself
+that it does not depend on what the sets are mapped over.
 """
 
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache, partial
+from itertools import chain
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, PartitionSpec
 
 from sinsjax.metrics import Observation, Outcome
-from sinsjax.simulate import Draw, Fan, Params, Static, World, simulate
+from sinsjax.simulate import Draw, Fan, Params, Static, World, method_of, simulate
 
 LANES = 64
 """Runs a tile. Results are bit-equal for any chunk and device count only at one lane count."""
+
+SETS = 8
+"""Tiles that share one covariance; as `LANES`, it decides the last bits."""
 
 
 class Group(NamedTuple):
@@ -61,13 +70,25 @@ class Chunk(NamedTuple):
     curves: Observation | None
 
 
-class Tiles(NamedTuple):
-    """Arguments of tiles, all with a leading axis of tiles.
+class Lanes(NamedTuple):
+    """Which runs the lanes of a call take; leaves (tiles, sets, lanes).
 
     Attributes:
-        draws: `Draw` with leaves (tiles, distinct).
+        draw: place of the draw in the group; beyond its end for idle lanes.
+        variant: place of the variant, the same for all sets; beyond its end for idle lanes.
+    """
+
+    draw: np.ndarray
+    variant: np.ndarray
+
+
+class Tiles(NamedTuple):
+    """Arguments of tiles, with a leading axis of tiles, and of sets where tiles are stacked.
+
+    Attributes:
+        draws: `Draw` with leaves (tiles, [sets,] distinct).
         row: (tiles, lanes) which of its tile's draws each lane takes.
-        params: `Params` with leaves (tiles, lanes, ...).
+        params: `Params` with leaves (tiles, lanes, ...), ``q`` (tiles, [sets,] lanes).
     """
 
     draws: Draw
@@ -75,13 +96,75 @@ class Tiles(NamedTuple):
     params: Params
 
 
-def distinct_draws(variants: int) -> int:
-    """The most distinct draws that a tile of draw-major runs can hold."""
-    if variants % LANES == 0:
+def layout(group: Group, lanes: int = LANES) -> tuple[int, int]:
+    """How many tiles share a covariance, and how many lanes a draw takes.
+
+    Stacked tiles need the same variants in the same lanes: there a draw is widened, with idle
+    lanes, to whole tiles or to a part of one that leaves no rest.
+    """
+    _, variants = group.sizes
+    if not method_of(group.static).common_covariance:
+        return 1, variants
+    if variants > lanes:
+        return SETS, lanes * -(-variants // lanes)
+    return SETS, next(n for n in range(variants, lanes + 1) if lanes % n == 0)
+
+
+def distinct_draws(width: int, lanes: int = LANES) -> int:
+    """The most distinct draws that a tile can hold, where each takes ``width`` lanes in a row."""
+    if width % lanes == 0:
         return 1
-    if LANES % variants == 0:
-        return LANES // variants
-    return (LANES + variants - 2) // variants + 1
+    if lanes % width == 0:
+        return lanes // width
+    return (lanes + width - 2) // width + 1
+
+
+def plan(
+    group: Group, *, devices: int = 1, tiles_a_chunk: int = 32, lanes: int = LANES
+) -> Iterator[Lanes]:
+    """Lay the runs of a group, in their order, into the lanes of calls of one size.
+
+    What is missing at the end is filled up with idle lanes.
+
+    Args:
+        group: what to run.
+        devices: that share the calls.
+        tiles_a_chunk: the most tiles a call, stacked ones counted singly, if that is more than two
+            blocks. A call is never given a single one, whose loop the compiler would unroll to
+            other bits.
+        lanes: runs a tile.
+    """
+    draws, _ = group.sizes
+    sets, width = layout(group, lanes)
+    # What cannot be cut: a tile, or the stacked tiles of a few draws and all variants.
+    block = lanes if sets == 1 else sets * max(lanes, width)
+    blocks = -(-draws * width // block)
+    most = max(2, tiles_a_chunk * lanes // block)
+    rounds = -(-blocks // (most * devices))
+    size = max(2, -(-blocks // (rounds * devices)))
+    for begin in range(0, draws * width, size * block):
+        places = begin + np.arange(size * block).reshape(size, sets, -1, lanes)
+        places = places.swapaxes(1, 2).reshape(-1, sets, lanes)
+        yield Lanes(places // width, places % width)
+
+
+def tiles_of(group: Group, places: Lanes) -> Tiles:
+    """Arguments for the tiles of one call; idle lanes repeat the last draw or variant."""
+    draws, variants = group.sizes
+    _, sets, lanes = places.draw.shape
+    _, width = layout(group, lanes)
+    first = places.draw[..., :1]
+    taken = np.minimum(first + np.arange(distinct_draws(width, lanes)), draws - 1)
+    variant = np.minimum(places.variant[:, 0], variants - 1)
+    q = np.moveaxis(group.q[np.minimum(places.draw, draws - 1)], -1, 0)
+    if sets == 1:
+        taken, q = taken[:, 0], q[:, :, 0]
+    params = jax.tree.map(lambda a: np.asarray(a)[variant], group.variants)
+    return Tiles(
+        draws=jax.tree.map(lambda a: np.asarray(a)[taken], group.draws),
+        row=(places.draw - first)[:, 0].astype(np.int32),
+        params=params._replace(q=type(group.variants.q)(*q)),
+    )
 
 
 def run_tile(static: Static, world: World, tile: Tiles) -> tuple[Outcome, Observation | None]:
@@ -91,47 +174,52 @@ def run_tile(static: Static, world: World, tile: Tiles) -> tuple[Outcome, Observ
     def hand_out(tree: Any) -> Any:
         if distinct == 1:
             return jax.tree.map(lambda a: a[0], tree)
-        return jax.tree.map(lambda a: jnp.moveaxis(a[tile.row], 0, 1), tree)
+        if distinct == tile.row.size:
+            return tree
+        # Without the check of bounds, which would cost as much as the look-up.
+        return jax.tree.map(lambda a: a.at[tile.row].get(mode="promise_in_bounds"), tree)
+
+    def over(f: Callable, *axes: int | None) -> Callable:
+        return jax.vmap(f, in_axes=axes)
 
     fan = Fan(
-        over_draws=jax.vmap,
-        over_runs=lambda f, *axes: jax.vmap(f, in_axes=axes),
+        over_draws=over,
+        over_runs=over,
         hand_out=hand_out,
         shared=None if distinct == 1 else 0,
     )
     return simulate(static, world, tile.draws, tile.params, fan)
 
 
+def compiled(static: Static, world: World, tiles: Tiles) -> jax.stages.Compiled:
+    """The program for arguments of these shapes: the same bits, whatever thread calls it."""
+    leaves, structure = jax.tree.flatten((world, tiles))
+    shapes = tuple(jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype) for a in leaves)
+    return _compile(static, structure, shapes)
+
+
 @cache
-def compiled(static: Static, devices: int) -> Any:
-    """The compiled function of (world, tiles), its tiles spread over the devices."""
-    mesh = Mesh(np.asarray(jax.devices()[:devices]), ("tiles",))
-    tiled, whole = PartitionSpec("tiles"), PartitionSpec()
-
+def _compile(static: Static, structure: Any, shapes: tuple) -> jax.stages.Compiled:
     def run_tiles(world: World, tiles: Tiles) -> Any:
-        return jax.lax.map(partial(run_tile, static, world), tiles)
+        one = partial(run_tile, static, world)
+        if method_of(static).common_covariance:
+            same = Params(q=0, phi=None, ve=None, vn=None, method=None)
+            one = jax.vmap(one, in_axes=(Tiles(draws=0, row=None, params=same),))
+        return jax.lax.map(one, tiles)
 
-    return jax.jit(
-        jax.shard_map(
-            run_tiles, mesh=mesh, in_specs=(whole, tiled), out_specs=tiled, check_vma=False
-        )
-    )
+    return jax.jit(run_tiles).lower(*jax.tree.unflatten(structure, shapes)).compile()
 
 
-def tiles_of(group: Group, runs: np.ndarray) -> Tiles:
-    """Arguments for the tiles that hold the given runs, whose number is whole tiles."""
-    draws, variants = group.sizes
-    lanes = runs.reshape(-1, LANES)
-    draw, variant = lanes // variants, lanes % variants
-    first = draw[:, :1]
-    taken = np.minimum(first + np.arange(distinct_draws(variants)), draws - 1)
-    params = jax.tree.map(lambda a: np.asarray(a)[variant], group.variants)
-    q = type(group.variants.q)(*np.moveaxis(group.q[draw], -1, 0))
-    return Tiles(
-        draws=jax.tree.map(lambda a: np.asarray(a)[taken], group.draws),
-        row=draw - first,
-        params=params._replace(q=q),
-    )
+def spread(call: Callable[[Any], Any], arguments: Iterable, devices: int) -> Iterator[Any]:
+    """Results of calls in their order, with ``devices`` of them under way."""
+    with ThreadPoolExecutor(devices) as pool:
+        ahead: deque[Future] = deque()
+        for argument in arguments:
+            ahead.append(pool.submit(call, argument))
+            if len(ahead) > devices:
+                yield ahead.popleft().result()
+        while ahead:
+            yield ahead.popleft().result()
 
 
 def chunks(group: Group, *, devices: int = 1, tiles_a_chunk: int = 32) -> Iterator[Chunk]:
@@ -139,29 +227,31 @@ def chunks(group: Group, *, devices: int = 1, tiles_a_chunk: int = 32) -> Iterat
 
     Args:
         group: what to run.
-        devices: how many devices share each chunk.
-        tiles_a_chunk: tiles in a compiled call, rounded up to a multiple of 2 * devices. A call is
-            never given a single tile a device, whose loop the compiler would unroll to other bits.
+        devices: how many chunks are under way at a time.
+        tiles_a_chunk: tiles in a compiled call, see `plan`.
 
     Yields:
         Results in the order of the runs.
     """
     draws, variants = group.sizes
-    total = draws * variants
-    most = -(-total // LANES)
-    size = 2 * devices * -(-min(tiles_a_chunk, most) // (2 * devices))
-    call = compiled(group.static, devices)
-    for begin in range(0, total, size * LANES):
-        # The last chunk is filled up with its last run; what is added is dropped below.
-        runs = np.minimum(np.arange(begin, begin + size * LANES), total - 1)
-        kept = min(total - begin, size * LANES)
-        outcome, curves = call(group.world, tiles_of(group, runs))
-        runs = runs[:kept]
+    calls = plan(group, devices=devices, tiles_a_chunk=tiles_a_chunk)
+    first = next(calls)
+    # Before there are threads, which would each compile it.
+    program = compiled(group.static, group.world, tiles_of(group, first))
+
+    def call(places: Lanes) -> Chunk:
+        outcome, curves = jax.device_get(program(group.world, tiles_of(group, places)))
         if curves is not None:
-            curves = jax.tree.map(lambda a: np.moveaxis(np.asarray(a), 1, 2), curves)
-        yield Chunk(runs // variants, runs % variants, *_first_runs((outcome, curves), kept))
+            curves = jax.tree.map(lambda a: np.moveaxis(a, -2, -1), curves)
+        draw, variant = places.draw.ravel(), places.variant.ravel()
+        busy = np.flatnonzero((draw < draws) & (variant < variants))
+        runs = busy[np.argsort(draw[busy] * variants + variant[busy])]
+        return Chunk(draw[runs], variant[runs], *_lanes((outcome, curves), places.draw.shape, runs))
+
+    yield from spread(call, chain([first], calls), devices)
 
 
-def _first_runs(tree: Any, count: int) -> Any:
-    """Leaves (tiles, lanes, ...) to (count, ...)."""
-    return jax.tree.map(lambda a: np.asarray(a).reshape(-1, *a.shape[2:])[:count], tree)
+def _lanes(tree: Any, shape: tuple[int, ...], lanes: np.ndarray) -> Any:
+    """Some lanes of a call's results: leaves (tiles, [sets,] lanes, ...) to (runs, ...)."""
+    axes = 2 + (shape[1] > 1)
+    return jax.tree.map(lambda a: a.reshape(-1, *a.shape[axes:])[lanes], tree)

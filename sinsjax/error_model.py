@@ -27,11 +27,13 @@ class ErrorModel(NamedTuple):
         states: names of the states, in order.
         transition: (navigation, place, f dt in n, dt) -> non-zero entries of A dt.
         correct_sample: (sample, fed-back biases, dt) -> sample with the biases taken out.
+        uses_attitude: whether the transition depends on the attitude.
     """
 
     states: tuple[str, ...]
     transition: Callable[[Navigation, Place, Vec3, Scalar], Entries]
     correct_sample: Callable[[Sample, tuple[Scalar, ...], Scalar], Sample]
+    uses_attitude: bool
 
 
 def five_state(nav: Navigation, place: Place, f_dt: Vec3, dt: Scalar) -> Entries:
@@ -100,11 +102,12 @@ def _without_bias(sample: Sample, bias: tuple[Scalar, ...], dt: Scalar) -> Sampl
 
 _FIVE = ("dve", "dvn", "phi_e", "phi_n", "phi_u")
 MODELS = {
-    "kalman5": ErrorModel(_FIVE, five_state, _as_it_is),
+    "kalman5": ErrorModel(_FIVE, five_state, _as_it_is, uses_attitude=False),
     "kalman10": ErrorModel(
         (*_FIVE, "nabla_x", "nabla_y", "eps_x", "eps_y", "eps_z"),
         ten_state,
         _without_bias,
+        uses_attitude=True,
     ),
 }
 """Error models by the name of the method that uses them."""

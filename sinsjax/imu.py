@@ -5,12 +5,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sinsjax.algebra import add, cross, scale
+from sinsjax.algebra import add, cross, dot, scale
+from sinsjax.randomness import normal_pair, threefry
 from sinsjax.rotations import exp
-from sinsjax.types import Array, Count, Sample, Scalar, Vec3
-
-NOISE_BLOCK = 100
-"""Samples a noise block: fixed for ever, since the drawn numbers depend on it."""
+from sinsjax.types import Array, Count, Increments, Sample, Scalar, Vec3
 
 
 class SensorErrors(NamedTuple):
@@ -38,36 +36,54 @@ def perfect() -> SensorErrors:
     return SensorErrors(*(jnp.zeros(3),) * 4, jnp.zeros((3, 3)), jnp.zeros((3, 3)))
 
 
-def noise(seed: Count, draw_id: Count, block: Count) -> Array:
-    """Standard normal numbers of one block of one draw: (100, 6), gyros then accelerometers.
+def noise(seed: Count, draw_id: Count, sample: Count) -> Increments:
+    """Standard normal numbers of one sample of one draw.
 
-    A function of seed, draw and block alone: neither record interval, run length, tile, chunk,
-    device nor worker can change it. Drawn in single precision (24-bit uniforms, |z| < 5.5), which
-    costs a third and is far finer than any sensor.
+    A function of seed, draw and sample alone: neither record interval, run length, tile, chunk,
+    device nor worker can change it, but for the last bit. In single precision, which is far finer
+    than any sensor.
+
+    Args:
+        seed: of the study, below 2^63.
+        draw_id: below 2^32.
+        sample: number of the sample in the run, below 2^32 / 3.
     """
-    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), draw_id), block)
-    return jax.random.normal(key, (NOISE_BLOCK, 6), dtype=jnp.float32)
+    wide = jnp.asarray(seed).astype(jnp.uint64)
+    key = ((wide >> 32).astype(jnp.uint32), wide.astype(jnp.uint32))
+    draw, first = (jnp.asarray(n).astype(jnp.uint32) for n in (draw_id, 3 * sample))
+    pairs = [normal_pair(threefry(key, (draw, first + jnp.uint32(k)))) for k in range(3)]
+    (gx, gy), (gz, ax), (ay, az) = pairs
+    return Increments(Vec3(gx, gy, gz), Vec3(ax, ay, az))
 
 
-def measure(ideal: Array, errors: SensorErrors, normal: Array, dt: Scalar) -> Array:
-    """Measured increments (n, 6) from ideal ones and standard normal numbers of the same shape."""
-    bias = jnp.concatenate([errors.gyro_bias, errors.accel_bias]) * dt
-    sigma = jnp.concatenate([errors.gyro_noise, errors.accel_noise])
-    scaled = jnp.concatenate(
-        [_times(errors.gyro_matrix, ideal[:, :3]), _times(errors.accel_matrix, ideal[:, 3:])],
-        axis=1,
+def measure(
+    ideal: Increments, errors: SensorErrors, normal: Increments | None, dt: Scalar
+) -> Increments:
+    """Measured increments from ideal ones and standard normal numbers, None for no noise."""
+    gyro = _distort(ideal.dtheta, errors.gyro_matrix, errors.gyro_bias * dt)
+    accel = _distort(ideal.dv, errors.accel_matrix, errors.accel_bias * dt)
+    if normal is None:
+        return Increments(gyro, accel)
+    return Increments(
+        _blur(gyro, errors.gyro_noise, normal.dtheta), _blur(accel, errors.accel_noise, normal.dv)
     )
-    return ideal + scaled + bias[None] + sigma[None] * normal.astype(ideal.dtype)
 
 
-def _times(matrix: Array, rows: Array) -> Array:
-    """Matrix times each row; a plain sum, since a library product may order additions by shape."""
-    terms = [rows[:, j : j + 1] * matrix[None, :, j] for j in range(3)]
-    return terms[0] + terms[1] + terms[2]
+def _distort(ideal: Vec3, matrix: Array, bias: Array) -> Vec3:
+    return add(add(ideal, Vec3(*(dot(Vec3(*row), ideal) for row in matrix))), Vec3(*bias))
 
 
-def compensate(increments: Array, previous: Array) -> Sample:
-    """Coning and sculling with the previous sample; once a record, for all its variants.
+def _blur(exact: Vec3, sigma: Array, normal: Vec3) -> Vec3:
+    return Vec3(*(x + s * z.astype(x.dtype) for x, s, z in zip(exact, sigma, normal, strict=True)))
+
+
+def split(row: Array) -> Increments:
+    """A row (6,) of a record: gyros, then accelerometers."""
+    return Increments(Vec3(*row[:3]), Vec3(*row[3:]))
+
+
+def compensate(now: Increments, before: Increments) -> Sample:
+    """Coning and sculling with the previous sample.
 
     Rotation vector dtheta + (dtheta_prev x dtheta)/12; velocity in the body frame at the sample's
     start dv + dtheta x dv/2 + dtheta x (dtheta x dv)/6 + (dtheta_prev x dv + dv_prev x dtheta)/12.
@@ -75,20 +91,26 @@ def compensate(increments: Array, previous: Array) -> Sample:
     1e-4 m/s in 900 s.
 
     Args:
-        increments: (n, 6) measured increments.
+        now: measured increments.
+        before: those of the sample before.
+    """
+    theta, dv = now
+    coning = scale(1 / 12, cross(before.dtheta, theta))
+    rotation = cross(theta, dv)
+    sculling = scale(1 / 12, add(cross(before.dtheta, dv), cross(before.dv, theta)))
+    body = add(dv, add(scale(0.5, rotation), scale(1 / 6, cross(theta, rotation))))
+    return Sample(turn=exp(add(theta, coning)), dv=add(body, sculling))
+
+
+def compensate_record(rows: Array, previous: Array) -> Sample:
+    """Compensated samples of a record.
+
+    Args:
+        rows: (n, 6) measured increments.
         previous: (6,) the increments before the first of them.
 
     Returns:
         `Sample` with leaves of shape (n,).
     """
-    return jax.vmap(_one_sample)(increments, jnp.concatenate([previous[None], increments[:-1]]))
-
-
-def _one_sample(now: Array, before: Array) -> Sample:
-    theta, dv = Vec3(*now[:3]), Vec3(*now[3:])
-    theta_before, dv_before = Vec3(*before[:3]), Vec3(*before[3:])
-    coning = scale(1 / 12, cross(theta_before, theta))
-    rotation = cross(theta, dv)
-    sculling = scale(1 / 12, add(cross(theta_before, dv), cross(dv_before, theta)))
-    body = add(dv, add(scale(0.5, rotation), scale(1 / 6, cross(theta, rotation))))
-    return Sample(turn=exp(add(theta, coning)), dv=add(body, sculling))
+    before = jnp.concatenate([previous[None], rows[:-1]])
+    return jax.vmap(lambda a, b: compensate(split(a), split(b)))(rows, before)

@@ -6,6 +6,7 @@ values of `PROGRAM_KEYS` and `WORLD_KEYS`, wherever these are swept.
 """
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -22,7 +23,7 @@ from sinsjax.metrics import Criteria
 from sinsjax.records import Record
 from sinsjax.rotations import from_euler, log
 from sinsjax.sections import Earth, Motion, Sensors
-from sinsjax.simulate import Draw, Params, Static, measured
+from sinsjax.simulate import Draw, Params, Static, sense
 from sinsjax.studies import Study
 from sinsjax.types import Array, InputError, Quat, Vec3
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H
@@ -88,11 +89,11 @@ def simulated_record(study: Study, draw_id: int = 0, variant_id: int = 0) -> Rec
     part = _part(study, Variants(study, np.array([variant_id])), None, False)
     static, world = part.group.static, part.group.world
     draw = Draw(np.asarray(draw_id), np.asarray(0), np.asarray(0))
-    n, dt = static.records * static.record_every, static.options.dt
-    out = jax.jit(lambda w, d: measured(w, d, np.asarray(0), samples=n, dt=dt))(world, draw)
+    numbers = np.arange(static.records * static.record_every)
+    out = jax.jit(jax.vmap(partial(sense, static), in_axes=(None, None, 0)))(world, draw, numbers)
     return Record(
-        dtheta=np.asarray(out[:, :3]),
-        dv=np.asarray(out[:, 3:]),
+        dtheta=np.stack(out.dtheta, axis=1),
+        dv=np.stack(out.dv, axis=1),
         rate_hz=study.study.rate_hz,
         latitude_deg=float(world.site.latitude / DEG),
         height_m=float(world.site.earth.height),
@@ -118,7 +119,6 @@ def _part(study: Study, variants: Variants, tape: Tape | None, curves: bool) -> 
         specific_force=variants.common("specific_force"),
         position=variants.common("position"),
     )
-    static = Static(variants.common("method"), options, study.record_every, study.records, curves)
     site, ug = site_of(study, variants, tape)
     criteria = Criteria(
         bands=np.asarray(bands(study.study.settle_bands_arcmin)) * ARCMIN,
@@ -131,6 +131,15 @@ def _part(study: Study, variants: Variants, tape: Tape | None, curves: bool) -> 
         world, draws, q = simulated(study, variants, site, criteria, ug)
     else:
         world, draws, q = recorded(study, tape, site, criteria)
+    noise = (world.errors.gyro_noise, world.errors.accel_noise)
+    static = Static(
+        variants.common("method"),
+        options,
+        study.record_every,
+        study.records,
+        curves,
+        noisy=bool(np.any(noise)),
+    )
     group = Group(static, world, draws, q, _params(study, variants, ug))
     return Part(group, variants.ids)
 

@@ -1,12 +1,12 @@
 """One alignment run, from sensor increments to its outcome, as pure functions.
 
-`stream` makes the samples of one draw, `advance` takes one run over them, `over_blocks` drives
-the two through time. `simulate` puts them together for a single run; `batch` maps the same
+`stream` makes the samples of a draw, `advance` takes a run over them, `over_blocks` drives the two
+through time. `simulate` puts them together for a single run; `batch` maps the same
 functions over many.
 """
 
 from collections.abc import Callable
-from math import lcm
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -16,7 +16,7 @@ from sinsjax import imu, metrics, rotations
 from sinsjax.alignment import METHODS
 from sinsjax.alignment.base import Method, Options, Site
 from sinsjax.metrics import Criteria, Metrics, Observation, Outcome
-from sinsjax.types import Array, Count, Navigation, Quat, Sample, Scalar, Vec3
+from sinsjax.types import Array, Count, Increments, Navigation, Quat, Sample, Scalar, Vec3
 
 
 class Static(NamedTuple):
@@ -28,6 +28,7 @@ class Static(NamedTuple):
         record_every: samples a record interval.
         records: record intervals in a run; the run is records * record_every samples long.
         curves: whether observations at all record times are returned.
+        noisy: whether the sensors have any noise to draw.
     """
 
     method: str
@@ -35,6 +36,7 @@ class Static(NamedTuple):
     record_every: int
     records: int
     curves: bool
+    noisy: bool
 
 
 class World(NamedTuple):
@@ -119,54 +121,35 @@ def begin(static: Static, world: World, params: Params) -> Run:
     return Run(state, metrics.start(world.criteria, first))
 
 
-def measured(world: World, draw: Draw, first: Count, *, samples: int, dt: float) -> Array:
-    """What the sensors of one draw put out.
+def noise(static: Static, world: World, draws: Draw, numbers: Array) -> Increments | None:
+    """Standard normal numbers for samples of one draw or of many; None if the sensors have none.
+
+    Drawn for many samples at once, in one long row: single draws would leave the vector units idle.
 
     Args:
+        static: program.
         world: shared.
-        draw: whose sensors.
-        first: number of the first sample, a multiple of the noise block.
-        samples: how many.
-        dt: sample time, s.
+        draws: whose noise.
+        numbers: (n,) sample numbers.
 
     Returns:
-        (samples, 6) measured increments, rad and m/s.
+        `Increments` with leaves (n, *draws).
     """
-    ideal = jax.lax.dynamic_slice(world.tape, (draw.start + first, 0), (samples, 6))
-    blocks = -(-samples // imu.NOISE_BLOCK)
-    numbers = first // imu.NOISE_BLOCK + jnp.arange(blocks)
-
-    def drawn() -> Array:
-        normal = jax.vmap(imu.noise, in_axes=(None, None, 0))(world.seed, draw.draw_id, numbers)
-        return normal.reshape(-1, 6)[:samples]
-
-    def silent() -> Array:
-        return jnp.zeros((samples, 6), jnp.float32)
-
-    noisy = jnp.any(world.errors.gyro_noise > 0) | jnp.any(world.errors.accel_noise > 0)
-    return imu.measure(ideal, world.errors, jax.lax.cond(noisy, drawn, silent), dt)
+    if not static.noisy:
+        return None
+    shape = (numbers.size, *draws.draw_id.shape)
+    column = numbers.reshape(-1, *(1 for _ in shape[1:]))
+    row = (jnp.broadcast_to(a, shape).reshape(-1) for a in (draws.draw_id, column))
+    normal = jax.vmap(imu.noise, in_axes=(None, 0, 0))(world.seed, *row)
+    return jax.tree.map(lambda a: a.reshape(shape), normal)
 
 
-def stream(
-    world: World, draw: Draw, previous: Array, first: Count, *, samples: int, dt: float
-) -> tuple[Sample, Array]:
-    """Compensated samples of one draw.
-
-    Args:
-        world: shared.
-        draw: whose samples.
-        previous: (6,) increments before the first sample.
-        first: number of the first sample, a multiple of the noise block.
-        samples: how many.
-        dt: sample time, s.
-
-    Returns:
-        `Sample` with leaves (samples,), and the last increments (6,) for the next call.
-    """
-    increments = measured(world, draw, first, samples=samples, dt=dt)
-    # A run starts with nothing: its first sample stands in for the one before.
-    before = jnp.where(first == 0, increments[0], previous)
-    return imu.compensate(increments, before), increments[-1]
+def sense(
+    static: Static, world: World, draw: Draw, n: Count, normal: Increments | None
+) -> Increments:
+    """What the sensors of one draw put out over its sample number ``n`` (from 0): rad, m/s."""
+    ideal = imu.split(jnp.asarray(world.tape)[draw.start + n])
+    return imu.measure(ideal, world.errors, normal, static.options.dt)
 
 
 def end(static: Static, world: World, run: Run) -> Outcome:
@@ -178,91 +161,20 @@ class Fan(NamedTuple):
     """How functions of one draw and of one run are applied to many; `ONE` applies them as they are.
 
     Attributes:
-        over_draws: maps a function of (draw, previous increments).
+        over_draws: maps a function of draws, or of what belongs to them.
         over_runs: maps a function of runs, given the axis of each argument that counts them.
-        hand_out: gives each run its draw's samples, or true attitudes: leaves (draws, n, ...) to
-            (n, runs, ...), or to (n, ...) where all runs share them.
+        hand_out: gives each run what belongs to its draw: leaves (draws,) to (runs,), or to ()
+            where all runs share one draw.
         shared: axis of what was handed out, for ``over_runs``: 0, or None where all share it.
     """
 
-    over_draws: Callable[[Callable], Callable]
+    over_draws: Callable[..., Callable]
     over_runs: Callable[..., Callable]
     hand_out: Callable[[Any], Any]
     shared: int | None
 
 
-ONE = Fan(lambda f: f, lambda f, *axes: f, lambda tree: tree, None)
-
-
-def advance(
-    static: Static, world: World, params: Params, run: Run, *, block: Any, fan: Fan
-) -> tuple[Run, Array | None]:
-    """Take runs over a block of whole record intervals.
-
-    Args:
-        static: program.
-        world: shared.
-        params: of the runs.
-        run: states and metrics so far.
-        block: samples with leaves (records, every), true attitudes (records, 4) and sample counts
-            (records, every); samples and attitudes may have an axis of runs behind these.
-        fan: one run or many.
-
-    Returns:
-        The runs after the block, and observations as (records, fields) or None.
-    """
-    method = method_of(static)
-
-    def one_step(params: Params, state: Any, sample: Sample, n: Scalar) -> Any:
-        return method.step(params.method, world.site, state, sample, n)
-
-    def one_record(run: Run, q_true: Array, n: Scalar) -> Run:
-        state = method.normalise(run.state)
-        now = metrics.observe(Quat(*q_true), method.attitude(state), method.covariance(state))
-        time = n * static.options.dt
-        return Run(
-            state,
-            metrics.accumulate(run.metrics, world.criteria, now, floor=world.floor, time=time),
-        )
-
-    step = fan.over_runs(one_step, 0, 0, fan.shared, None)
-    record = fan.over_runs(one_record, 0, fan.shared, None)
-
-    def record_step(run: Run, xs: tuple[Sample, Array, Array]) -> tuple[Run, Any]:
-        samples, q_true, counts = xs
-        state, _ = jax.lax.scan(
-            lambda state, x: (step(params, state, *x), None), run.state, (samples, counts)
-        )
-        run = record(Run(state, run.metrics), q_true, counts[-1])
-        # One array: XLA:CPU updates several side by side by copying them whole, every record.
-        return run, jnp.stack(jax.tree.leaves(run.metrics.last)) if static.curves else None
-
-    return jax.lax.scan(record_step, run, block)
-
-
-def over_blocks(
-    static: Static, step: Callable[[Any, Count, int], tuple[Any, Any]], carry: Any
-) -> tuple[Any, Any]:
-    """Drive ``step(carry, number of the first record, records) -> carry, out`` through a run.
-
-    A block is the shortest stretch that holds whole noise blocks and whole record intervals, so
-    that the same noise is drawn whatever the record interval. The last one may be shorter.
-
-    Returns:
-        The last carry, and the outputs stacked along a leading axis of records.
-    """
-    size = lcm(static.record_every, imu.NOISE_BLOCK) // static.record_every
-    whole, rest = divmod(static.records, size)
-    pieces = []
-    if whole:
-        carry, out = jax.lax.scan(
-            lambda c, block: step(c, block * size, size), carry, jnp.arange(whole)
-        )
-        pieces.append(jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), out))
-    if rest:
-        carry, out = step(carry, jnp.asarray(whole * size), rest)
-        pieces.append(out)
-    return carry, jax.tree.map(lambda *parts: jnp.concatenate(parts), *pieces)
+ONE = Fan(lambda f, *axes: f, lambda f, *axes: f, lambda tree: tree, None)
 
 
 def simulate(
@@ -280,29 +192,52 @@ def simulate(
     Returns:
         Outcomes, and, if ``static.curves``, observations with leaves (records,) in front.
     """
-    every = static.record_every
+    method = method_of(static)
+    every, dt = static.record_every, static.options.dt
 
-    def step(carry: tuple[Run, Array], record: Count, records: int) -> Any:
-        run, previous = carry
-        first, n = record * every, records * every
+    def one_step(params: Params, state: Any, sample: Sample, n: Scalar) -> Any:
+        return method.step(params.method, world.site, state, sample, n)
 
-        def one_stream(draw: Draw, previous: Array) -> tuple[Sample, Array]:
-            return stream(world, draw, previous, first, samples=n, dt=static.options.dt)
+    def one_record(run: Run, q_true: Quat, n: Scalar) -> Run:
+        state = method.normalise(run.state)
+        now = metrics.observe(q_true, method.attitude(state), method.covariance(state))
+        return Run(
+            state,
+            metrics.accumulate(run.metrics, world.criteria, now, floor=world.floor, time=n * dt),
+        )
 
-        def one_truth(draw: Draw, previous: Array) -> Array:
-            return jax.lax.dynamic_slice_in_dim(jnp.asarray(world.truth)[draw.row], record, records)
+    sensed = fan.over_draws(partial(sense, static, world), 0, None, 0)
+    compensated = fan.over_draws(imu.compensate, 0, 0)
+    step = fan.over_runs(one_step, 0, 0, fan.shared, None)
+    record = fan.over_runs(one_record, 0, fan.shared, None)
 
-        samples, previous = fan.over_draws(one_stream)(draws, previous)
-        samples = fan.hand_out(samples)
-        truth = fan.hand_out(fan.over_draws(one_truth)(draws, previous))
-        counts = (first + 1 + jnp.arange(n)).astype(world.tape.dtype)
-        cut = jax.tree.map(lambda a: a.reshape(records, every, *a.shape[1:]), (samples, counts))
-        run, out = advance(static, world, params, run, block=(cut[0], truth, cut[1]), fan=fan)
-        return (run, previous), out
+    def sample_step(carry: tuple[Any, Increments], xs: tuple[Count, Any]) -> tuple[Any, None]:
+        (state, before), (n, normal) = carry, xs
+        now = sensed(draws, n, normal)
+        sample = fan.hand_out(compensated(now, before))
+        return (step(params, state, sample, (n + 1).astype(world.tape.dtype)), now), None
+
+    def record_step(carry: tuple[Run, Increments], xs: tuple[Count, Quat]) -> tuple[Any, Any]:
+        run, before = carry
+        number, q_true = xs
+        numbers = number * every + jnp.arange(every)
+        samples = (numbers, noise(static, world, draws, numbers))
+        (state, before), _ = jax.lax.scan(sample_step, (run.state, before), samples)
+        time = (numbers[-1] + 1).astype(world.tape.dtype)
+        run = record(Run(state, run.metrics), fan.hand_out(q_true), time)
+        # One array: XLA:CPU updates several side by side by copying them whole, every record.
+        out = jnp.stack(jax.tree.leaves(run.metrics.last)) if static.curves else None
+        return (run, before), out
 
     run = fan.over_runs(lambda p: begin(static, world, p), 0)(params)
-    nothing = jnp.zeros((*draws.draw_id.shape, 6), world.tape.dtype)
-    (run, _), curves = over_blocks(static, step, (run, nothing))
+    # A run's first sample has none before it: with zeros nothing is compensated, as with itself.
+    zero = jnp.zeros(draws.draw_id.shape, world.tape.dtype)
+    before = Increments(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
+    # From (*draws, records, 4) to leaves (records, *draws).
+    truth = jnp.asarray(world.truth)[draws.row, : static.records]
+    truth = Quat(*jnp.moveaxis(truth, (-1, -2), (0, 1)))
+    numbers = jnp.arange(static.records)
+    (run, _), curves = jax.lax.scan(record_step, (run, before), (numbers, truth))
     outcome = fan.over_runs(lambda r: end(static, world, r), 0)(run)
     if curves is None:
         return outcome, None

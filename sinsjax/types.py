@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
-from jaxtyping import ArrayLike, Bool, Float, Int
+from jaxtyping import ArrayLike, Bool, Float, Int, UInt32
 
 if TYPE_CHECKING:
     # Shapes are checked when the tests run; a static checker cannot follow them.
@@ -15,11 +15,13 @@ if TYPE_CHECKING:
     Scalar: TypeAlias = Any
     Flag: TypeAlias = Any
     Count: TypeAlias = Any
+    Word: TypeAlias = Any
 else:
     Array = jax.Array | np.ndarray
     Scalar = Float[ArrayLike, ""]
     Flag = Bool[ArrayLike, ""]
     Count = Int[ArrayLike, ""]
+    Word = UInt32[ArrayLike, ""]
 
 
 class InputError(ValueError):
@@ -41,6 +43,13 @@ class Quat(NamedTuple):
     x: Scalar
     y: Scalar
     z: Scalar
+
+
+class Increments(NamedTuple):
+    """What the sensors put out over one sample: angle (rad) and velocity (m/s) increments in b."""
+
+    dtheta: Vec3
+    dv: Vec3
 
 
 class Sample(NamedTuple):
@@ -78,10 +87,12 @@ __all__ = [
     "Array",
     "Count",
     "Flag",
+    "Increments",
     "InputError",
     "Navigation",
     "Quat",
     "Sample",
     "Scalar",
     "Vec3",
+    "Word",
 ]

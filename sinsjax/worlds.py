@@ -195,7 +195,7 @@ def recorded(
     increments = np.concatenate([record.dtheta, record.dv], axis=1)
     align = jax.jit(COARSE[study.coarse.coarse_method])
     pieces = np.stack([increments[s : s + coarse_n] for s in starts])
-    samples = jax.vmap(imu.compensate)(pieces, pieces[:, 0])
+    samples = jax.vmap(imu.compensate_record)(pieces, pieces[:, 0])
     q = jax.vmap(lambda s: jnp.stack(align(s, site.place, 1 / rate)))(samples)
     fine = starts + coarse_n
     truth = np.stack([_reference_at(tape, s / rate + record_times(study)) for s in fine])

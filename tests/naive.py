@@ -209,7 +209,8 @@ def closed_loop(increments, dt, planet, *, latitude, c, v, filt):
     longitude, fixed, history = 0.0, latitude, []
     for k, (turn, dv) in enumerate(zip(turns, dvs, strict=True), start=1):
         at = latitude if filt.position == "integrated" else fixed
-        v0, c0 = v, c
+        # The gravity reading linearises about a base at rest.
+        v0, c0 = v * (filt.force != "gravity"), c
         if n == 10:
             turn = turn @ exp(-bias[2:] * dt)
             dv = dv - np.array([*bias[:2], 0.0]) * dt

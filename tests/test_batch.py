@@ -3,12 +3,12 @@
 import jax
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from studies import small_study
 
-from sinsjax import batch, imu, scenario
-from sinsjax.simulate import ONE, Draw, simulate, stream
+from sinsjax import batch, scenario
+from sinsjax.simulate import ONE, Draw, Params, simulate
 from sinsjax.types import Quat
 
 
@@ -23,11 +23,15 @@ def assert_same_bits(one: object, other: object) -> None:
         np.testing.assert_array_equal(a, b)
 
 
-@pytest.fixture(scope="module")
-def six_variants() -> batch.Group:
-    """Six variants a draw: tiles hold eleven or twelve draws, and the last one is padded."""
+@pytest.fixture(scope="module", params=["measured", "gravity"])
+def six_variants(request: pytest.FixtureRequest) -> batch.Group:
+    """Six variants a draw: tiles hold eleven or twelve draws, and the last one is padded.
+
+    With gravity in A(t) they share their covariance: eight draws a tile, eight tiles a set.
+    """
     study = small_study(
         study={"draws": 50, "curves": True},
+        alignment={"specific_force": request.param},
         axes={"phi_u0_deg": [0.0, 10.0, 30.0], "reset_times_s": [[], [1.37, 4.0]]},
     )
     (part,) = scenario.parts(study)
@@ -85,21 +89,87 @@ def test_a_tile_never_holds_more_draws_than_counted(variants: int) -> None:
         assert max(held) == batch.distinct_draws(variants)
 
 
-@pytest.mark.parametrize("cuts", [(600,), (100, 500), (300, 200, 100)])
-def test_noise_is_the_same_however_the_run_is_cut(
-    six_variants: batch.Group, cuts: tuple[int, ...]
+def some_group(force: str, method: str = "kalman5", *, draws: int, variants: int) -> batch.Group:
+    study = small_study(
+        study={"draws": draws, "duration_s": 2.0, "window_s": [0, 2]},
+        alignment={"specific_force": force, "method": method},
+        axes={"p0_yaw_deg": list(np.linspace(10.0, 80.0, variants))},
+    )
+    (part,) = scenario.parts(study)
+    return part.group
+
+
+@given(
+    st.sampled_from(["measured", "gravity"]),
+    st.integers(1, 150),
+    st.integers(1, 200),
+    st.sampled_from([(1, 2), (2, 2), (2, 40)]),
+)
+@settings(max_examples=20)
+def test_every_run_has_one_lane(
+    force: str, draws: int, variants: int, call: tuple[int, int]
 ) -> None:
-    """Blocks of any length draw the same numbers, and shorter runs draw the first of them."""
-    world, draw = six_variants.world, Draw(np.int64(7), np.int64(0), np.int64(0))
-    whole, _ = stream(world, draw, np.zeros(6), np.int64(0), samples=600, dt=0.01)
-    previous, first, pieces = np.zeros(6), 0, []
-    for n in cuts:
-        piece, previous = stream(world, draw, previous, np.int64(first), samples=n, dt=0.01)
-        pieces.append(piece)
-        first += n
-    joined = jax.tree.map(lambda *a: np.concatenate(a), *pieces)
-    for a, b in zip(jax.tree.leaves(joined), jax.tree.leaves(whole), strict=True):
-        np.testing.assert_allclose(a, b, rtol=0, atol=1e-17)
+    """Calls of one size; each run once, in order; its tile holds its draw; sets share variants."""
+    group = some_group(force, draws=1, variants=1)._replace(
+        draws=Draw(np.arange(draws), np.zeros(draws, int), np.zeros(draws, int)),
+        q=np.zeros((draws, 4)),
+        variants=jax.tree.map(lambda a: np.arange(variants), Params(*range(5))),
+    )
+    group = group._replace(variants=group.variants._replace(q=Quat(*[np.zeros(variants)] * 4)))
+    devices, tiles_a_chunk = call
+    runs, shapes = [], set()
+    for places in batch.plan(group, devices=devices, tiles_a_chunk=tiles_a_chunk):
+        tiles = batch.tiles_of(group, places)
+        shapes.add(jax.tree.leaves(jax.tree.map(lambda a: a.shape, tuple(tiles))).__repr__())
+        assert len(tiles.row) >= 2
+        assert np.all(places.variant == places.variant[:, :1])
+        ids = np.asarray(tiles.draws.draw_id).reshape(*places.draw.shape[:2], -1)
+        row = np.broadcast_to(tiles.row[:, None], places.draw.shape)
+        held = np.take_along_axis(ids, row, axis=2)
+        busy = (places.draw < draws) & (places.variant < variants)
+        np.testing.assert_array_equal(held[busy], places.draw[busy])
+        taken = np.broadcast_to(tiles.params.ve[:, None], places.draw.shape)
+        np.testing.assert_array_equal(taken[busy], places.variant[busy])
+        chunk = np.sort((places.draw * variants + places.variant)[busy])
+        runs.extend(chunk)
+    np.testing.assert_array_equal(runs, np.arange(draws * variants))
+    assert len(shapes) == 1
+
+
+@pytest.mark.parametrize("variants", [1, 5, 70])
+def test_a_shared_covariance_gives_the_results_of_a_computed_one(variants: int) -> None:
+    """To rounding, against tiles of the same program in which every run has its own."""
+    group = some_group("gravity", draws=9, variants=variants)
+    shared, _ = all_runs(group)
+    own = jax.jit(lambda world, tile: batch.run_tile(group.static, world, tile))
+    flat = group._replace(static=some_group("measured", draws=1, variants=1).static)
+    for places in batch.plan(flat):
+        tiles = batch.tiles_of(flat, places)
+        for k in range(len(tiles.row)):
+            outcome, _ = own(group.world, jax.tree.map(lambda a, k=k: a[k], tiles))
+            runs = places.draw[k, 0] * variants + places.variant[k, 0]
+            busy = places.draw[k, 0] < 9
+            for a, b in zip(jax.tree.leaves(outcome), jax.tree.leaves(shared), strict=True):
+                np.testing.assert_allclose(a[busy], b[runs[busy]], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("method", "changes", "sets"),
+    [
+        ("kalman5", {}, batch.SETS),
+        ("kalman5", {"position": "integrated"}, 1),
+        ("kalman5", {"specific_force": "measured"}, 1),
+        ("kalman10", {}, 1),
+    ],
+)
+def test_only_a_covariance_that_no_draw_changes_is_shared(
+    method: str, changes: dict[str, str], sets: int
+) -> None:
+    study = small_study(
+        alignment={"specific_force": "gravity", "method": method, **changes},
+    )
+    (part,) = scenario.parts(study)
+    assert batch.layout(part.group)[0] == sets
 
 
 @pytest.mark.parametrize("every", [0.07, 0.5])
@@ -118,15 +188,6 @@ def test_the_record_interval_does_not_touch_the_noise(every: float) -> None:
         outcome, _ = all_runs(part.group)
         last.append(np.array([outcome.last.pitch, outcome.last.roll, outcome.last.yaw]))
     np.testing.assert_allclose(last[0], last[1], rtol=0, atol=1e-11)
-
-
-def test_noise_is_standard_normal_and_independent() -> None:
-    draws = jax.vmap(lambda d: imu.noise(np.int64(3), d, np.int64(0)))(np.arange(500))
-    values = np.asarray(draws, dtype=float).reshape(500, -1)
-    assert abs(values.mean()) < 4 / np.sqrt(values.size)
-    assert abs(values.var() - 1) < 4 * np.sqrt(2 / values.size)
-    neighbours = np.mean(values[:-1] * values[1:])
-    assert abs(neighbours) < 4 / np.sqrt(values.size)
 
 
 def test_broken_runs_are_rows_and_leave_their_neighbours_alone(

@@ -209,17 +209,17 @@ def test_bench_prints_one_json_object_a_line(
     monkeypatch: pytest.MonkeyPatch, sinsjax: Command
 ) -> None:
     from sinsjax import bench
+    from sinsjax.bench.cases import engine, numpy_baseline, without_noise
 
     # The short set itself takes half a minute: `.ci/run` runs it. Here two rows in small.
     study = small_study(axes={"phi_u0_deg": [0.0, 30.0]}, study={"draws": 64, "duration_s": 20.0})
     (part,) = scenario.parts(study)
-    silent = bench.without_noise(part.group)
-    monkeypatch.setattr(bench.os, "sched_setaffinity", lambda *_: None)
-    monkeypatch.setattr(bench.runtime, "configure", lambda **_: None)
+    silent = without_noise(part.group)
+    monkeypatch.setattr(bench, "use_one_core", lambda: None)
     monkeypatch.setattr(
         bench,
-        "cases",
-        lambda **_: [bench.engine("kalman_shared_record", silent), bench.numpy_baseline(silent)],
+        "short_set",
+        lambda **_: [engine("kalman_shared_record", silent), numpy_baseline(silent)],
     )
     code, told, _ = sinsjax("bench", "--json", "--repeats", 1)
     rows = [json.loads(line) for line in told.splitlines()]

@@ -52,7 +52,7 @@ def ideal(motion: Motion, place: Place, seconds: int = SECONDS) -> Array:
 @functools.partial(jax.jit, static_argnames="method")
 def error(method: str, increments: Array, place: Place, truth: Quat) -> Array:
     """Misalignment (rad) of the coarse attitude after the last increment."""
-    samples = imu.compensate(increments[1:], increments[0])
+    samples = imu.compensate_record(increments[1:], increments[0])
     return jnp.stack(rotations.misalignment(truth, COARSE[method](samples, place, DT)))
 
 
@@ -100,7 +100,7 @@ def test_start_times_map(method):
     """Several starts in one mapped call are the starts one by one."""
     motion, place = swinging(1.0, yaw=70.0), at(-20.0)
     increments = ideal(motion, place)
-    samples = jax.jit(imu.compensate)(increments[1:], increments[0])
+    samples = jax.jit(imu.compensate_record)(increments[1:], increments[0])
     starts, n = jnp.arange(0, 1200, 300), 1000
 
     @jax.jit
@@ -185,7 +185,7 @@ def test_inertial_is_the_least_squares_fit_of_velocities_with_unknown_start():
     noise = np.random.default_rng(3).normal(size=(SECONDS * int(RATE) + 1, 3))
     increments = ideal(motion, place).at[:, ACCEL].add(noise * force * place.gravity * DT)
     truth = end(motion, increments)
-    samples = jax.jit(imu.compensate)(increments[1:], increments[0])
+    samples = jax.jit(imu.compensate_record)(increments[1:], increments[0])
     fit = Quat(*velocity_fit(samples, place).as_quat(scalar_first=True))
     expected = jnp.stack(rotations.misalignment(truth, fit))
     limit = inertial_limit(force, SECONDS, place)
@@ -205,7 +205,7 @@ def vehicle(data_dir: Path) -> dict[str, np.ndarray]:
     increments = np.concatenate([record.dtheta, record.dv], axis=1)
     starts, n = np.arange(0, 331, 30), round(60 * record.rate_hz)
     pieces = np.stack([increments[s : s + n] for s in (starts * record.rate_hz).astype(int)])
-    samples: Sample = jax.jit(jax.vmap(imu.compensate))(pieces, pieces[:, 0])
+    samples: Sample = jax.jit(jax.vmap(imu.compensate_record))(pieces, pieces[:, 0])
     assert set(starts + 60) <= set(reference.time_s)
     angles = reference.attitude_deg[np.searchsorted(reference.time_s, starts + 60)] * DEG
     truth = jax.vmap(rotations.from_euler)(*angles.T)

@@ -160,8 +160,8 @@ def test_known_biases_are_taken_out_of_a_sample():
     clean = np.concatenate([RATE_B, FORCE_B]) * DT + rng.normal(scale=1e-4, size=(50, 6))
     nabla, eps = np.array([5e-3, -3e-3]), np.array([5e-7, -2e-7, 4e-7])
     biased = clean + DT * np.array([*eps, *nabla, 0.0])
-    expected = imu.compensate(clean, clean[0])
-    raw = imu.compensate(biased, biased[0])
+    expected = imu.compensate_record(clean, clean[0])
+    raw = imu.compensate_record(biased, biased[0])
     sample = jax.vmap(lambda s: MODELS["kalman10"].correct_sample(s, (*nabla, *eps), DT))(raw)
     bound = np.linalg.norm(eps) * np.linalg.norm(FORCE_B) * DT**2
     off = np.array(sample.dv) - np.array(expected.dv)

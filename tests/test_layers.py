@@ -11,7 +11,7 @@ import sinsjax
 LAYERS = (
     {"columns", "files", "hlo", "runtime", "types", "units"},
     {"config", "records", "sections", "studies"},
-    {"algebra", "earth", "kalman", "rotations"},
+    {"algebra", "earth", "kalman", "randomness", "rotations"},
     {"error_model", "imu", "mechanisation", "trajectory"},
     {"alignment"},
     {"batch", "metrics", "scenario", "simulate", "worlds"},

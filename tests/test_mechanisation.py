@@ -26,7 +26,7 @@ def single_sample(increments):
 
 def previous_sample(increments):
     """The scheme with coning and sculling."""
-    return imu.compensate(increments, increments[0])
+    return imu.compensate_record(increments, increments[0])
 
 
 def off_truth(samples, swing, here, dt):
@@ -160,7 +160,7 @@ def flight(rows, rate, start, v, planet, latitude, *, moves):
     numbers = [jnp.asarray(float(x)) for x in (*v, latitude, 0.0)]
     # The sample before the first is known here.
     before = quad_vec(body, -1 / rate, 0, epsabs=1e-16)[0]
-    nav = fly(Navigation(Quat(*quaternion(start)), *numbers), imu.compensate(rows, before))
+    nav = fly(Navigation(Quat(*quaternion(start)), *numbers), imu.compensate_record(rows, before))
     c = of_quaternion(rotations.normalise(nav.q))
     return c, np.array([nav.ve, nav.vn]), np.array([nav.latitude, nav.longitude])
 

@@ -47,7 +47,7 @@ def runner(name):
     """A compiled run without sensor errors: corrected attitudes and covariances every second."""
     method = method_of(name)
     rows = increments()
-    samples = jax.tree.map(lambda a: a.reshape(SECONDS, RATE), imu.compensate(rows, rows[0]))
+    samples = jax.tree.map(lambda a: a.reshape(SECONDS, RATE), imu.compensate_record(rows, rows[0]))
     here = site(PAPER, LATITUDE)
 
     def run(filt, nav):
@@ -173,7 +173,7 @@ def test_normalise_touches_only_the_length_of_the_quaternion(name):
 def test_tangents_are_finite_where_nothing_is_off(name):
     """There a root or an arc tangent might have none."""
     method, here, filt = method_of(name), site(PAPER, LATITUDE), numbers(name, every=1)
-    sample = jax.tree.map(lambda a: a[0], imu.compensate(increments()[:1], increments()[0]))
+    sample = jax.tree.map(lambda a: a[0], imu.compensate_record(increments()[:1], increments()[0]))
 
     def after(filt, nav):
         state = method.step(filt, here, method.init(filt, nav), sample, 1.0)

@@ -33,7 +33,7 @@ def runner(name, force, position):
 
     @jax.jit
     def run(filt, here, nav, increments):
-        samples = imu.compensate(increments, increments[0])
+        samples = imu.compensate_record(increments, increments[0])
         counts = 1.0 + jnp.arange(float(len(increments)))
 
         def step(state, xs):

@@ -31,7 +31,7 @@ class Options(NamedTuple):
     Attributes:
         dt: sample time, s.
         specific_force: in A(t): "measured" (turned to n by the computed attitude) or "gravity"
-            (the constant (0, 0, g)).
+            (the constant (0, 0, g), with the velocity zero: A(t) of a base that is at rest).
         position: "fixed" or "integrated".
     """
 
@@ -60,6 +60,8 @@ class Method(NamedTuple):
         attitude: state -> best attitude, i.e. with the estimated misalignment taken out.
         covariance: state -> `AttitudeCovariance` of that attitude.
         normalise: state -> state with its quaternion scaled to unit length.
+        common_covariance: whether the covariance depends on params and n alone, so that runs that
+            differ in their draw can share it.
     """
 
     init: Callable[[Any, Navigation], Any]
@@ -67,3 +69,4 @@ class Method(NamedTuple):
     attitude: Callable[[Any], Quat]
     covariance: Callable[[Any], AttitudeCovariance]
     normalise: Callable[[Any], Any]
+    common_covariance: bool = False

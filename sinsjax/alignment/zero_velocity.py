@@ -73,12 +73,21 @@ def build(model: ErrorModel, options: Options) -> Method:
             nav = mechanisation.travel(nav, place, options.dt)
         if options.specific_force == "gravity":
             f_dt = Vec3(0.0, 0.0, place.gravity * options.dt)
+            before = before._replace(ve=0.0, vn=0.0)
         transition = model.transition(before, place, f_dt, options.dt)
         belief = kalman.predict(state.belief, transition, params.q)
         belief = kalman.update(belief, (VE, VN), (nav.ve, nav.vn), params.r)
         return _close_loop(params, state._replace(nav=nav, belief=belief), n)
 
-    return Method(init, step, _attitude, _covariance, _normalise)
+    at_rest = options.specific_force == "gravity" and options.position == "fixed"
+    return Method(
+        init,
+        step,
+        _attitude,
+        _covariance,
+        _normalise,
+        common_covariance=at_rest and not model.uses_attitude,
+    )
 
 
 _LEVEL_AND_YAW = (VE, VN, PHI_E, PHI_N, PHI_U)

@@ -1,0 +1,180 @@
+"""What a derivative by filter parameters costs: forward mode beside the plain run.
+
+The mean over a tile of phi_u^2 at the end (arcmin^2) is differentiated by p scales of the filter's
+beliefs, in their order: P0 of the yaw, P0 of the level angles, Q, R. Both programs go over the same
+tiles of the default sweep with silent sensors, as `sweep` does.
+"""
+
+import re
+import time
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import common
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sinsjax.batch import LANES, Group, Tiles, plan, run_tile, tiles_of
+from sinsjax.bench.cases import TILES, default_group, shortened, without_noise
+from sinsjax.bench.timing import Case, Row, measure_against
+from sinsjax.simulate import Params
+from sinsjax.types import Array
+from sinsjax.units import ARCMIN
+
+MOST = 4
+"""Parameters that can be scaled."""
+
+RECORDS, QUICK = 90, 4
+
+_ARITHMETIC = frozenset(
+    "add subtract multiply divide negate abs maximum minimum sqrt rsqrt power sine cosine atan2"
+    " exponential log round-nearest-even floor remainder".split()
+)
+_HEAD = re.compile(r"^(ENTRY )?%?([\w.-]+) .*\{$")
+_INSTRUCTION = re.compile(r" = \w+\[([\d,]*)\](?:\{[^}]*\})? ([\w-]+)\(")
+_CALLED = re.compile(r"\b(calls|to_apply|body|branch_computations)=(?:\{([^}]*)\}|%?([\w.-]+))")
+_TRIPS = re.compile(r'"known_trip_count":\{"n":"(\d+)"')
+
+
+def sensitivities(objective: Callable[[Array], Any], point: Array) -> tuple[Any, Any]:
+    """Value and derivatives of a function of a few numbers, in one forward pass.
+
+    Args:
+        objective: of an array (p,).
+        point: (p,) where.
+
+    Returns:
+        The value, and its derivatives with a leading axis of p.
+    """
+
+    def along(direction: Array) -> tuple[Any, Any]:
+        return jax.jvp(objective, (point,), (direction,))
+
+    # The value does not depend on the direction: it is computed once for all of them.
+    return jax.vmap(along, out_axes=(None, 0))(jnp.eye(point.size, dtype=point.dtype))
+
+
+def scaled(params: Params, scales: Array) -> Params:
+    """Runs whose filter believes in scaled variances: of yaw and level in P0, of Q, of R."""
+    yaw, level, q, r = (*scales, *(1.0,) * (MOST - len(scales)))
+    method = params.method
+    factors = (1.0, 1.0, level, level, yaw, *(1.0,) * (len(method.p0) - 5))
+    return params._replace(
+        method=method._replace(
+            p0=tuple(f * value for f, value in zip(factors, method.p0, strict=True)),
+            q=tuple(q * value for value in method.q),
+            r=r * method.r,
+        )
+    )
+
+
+def operations(program: jax.stages.Compiled) -> int:
+    """Arithmetic operations on one element that a compiled program carries out.
+
+    XLA's own ``cost_analysis`` counts the body of a loop once, however often it runs, so that what
+    is done once a record weighs as much as what is done at each of its samples. Here every
+    instruction of the optimised program counts once an element of its result and as often as the
+    loops around it run; their trip counts stand in the program. A function of the library counts
+    as one operation, in both programs alike.
+    """
+    lines: dict[str, list[str]] = {}
+    body: list[str] = []
+    entry = ""
+    for line in (program.as_text() or "").splitlines():
+        if head := _HEAD.match(line):
+            body = lines.setdefault(head[2], [])
+            entry = head[2] if head[1] else entry
+        else:
+            body.append(line)
+
+    @cache
+    def count(name: str) -> int:
+        total = 0
+        for line in lines[name]:
+            found = _INSTRUCTION.search(line)
+            if found and found[2] in _ARITHMETIC:
+                total += int(np.prod([int(n) for n in found[1].split(",") if n], dtype=np.int64))
+            trips = _TRIPS.search(line)
+            for how, several, one in _CALLED.findall(line):
+                times = int(trips[1]) if how == "body" and trips else 1
+                names = several.split(",") if several else [one]
+                total += times * sum(count(name.strip(" %")) for name in names)
+        return total
+
+    return count(entry)
+
+
+def program_of(group: Group, p: int) -> tuple[jax.stages.Compiled, tuple, float]:
+    """The compiled value, for p = 0, or value and derivatives; its arguments; s to compile."""
+
+    def whole(group_world: Any, tiles: Tiles, scales: Array) -> Any:
+        def one_tile(tile: Tiles) -> Any:
+            def objective(scales: Array) -> Array:
+                lanes = tile._replace(params=scaled(tile.params, scales))
+                outcome, _ = run_tile(group.static, group_world, lanes)
+                return jnp.mean((outcome.last.phi.z / ARCMIN) ** 2)
+
+            return sensitivities(objective, scales) if p else objective(scales)
+
+        return jax.lax.map(one_tile, tiles)
+
+    tiles = tiles_of(group, next(plan(group, tiles_a_chunk=TILES)))
+    arguments = (group.world, tiles, np.ones(max(p, 1)))
+    since = time.perf_counter()
+    program = jax.jit(whole).lower(*arguments).compile()
+    return program, jax.device_put(arguments), time.perf_counter() - since
+
+
+def case(name: str, group: Group, p: int) -> tuple[Case, jax.stages.Compiled]:
+    """What is timed, and its program."""
+    program, arguments, compile_s = program_of(group, p)
+
+    def call() -> float:
+        since = time.perf_counter()
+        jax.block_until_ready(program(*arguments))
+        return time.perf_counter() - since
+
+    call()
+    steps = group.static.records * group.static.record_every
+    return Case(name, TILES * LANES, steps, compile_s, call), program
+
+
+def temporary(program: jax.stages.Compiled) -> int:
+    """Bytes that a program needs beside its arguments and results."""
+    return int(program.memory_analysis().temp_size_in_bytes)
+
+
+def rows(quick: bool, repeats: int) -> list[Row]:
+    """Time derivatives by 1 to 4 parameters over 9,000 steps, in turns with the plain run.
+
+    Returns:
+        ``derivative_plain``, then ``derivative_pN`` with ``ratio`` (of the times, in turns),
+        ``operations_ratio``, ``limit`` (what ``ratio`` may be) and ``temp_bytes``; that of the
+        most parameters also with ``temp_bytes_half`` and ``temp_bytes_double``, of runs of half
+        and twice the length: forward mode stores no step.
+    """
+    records = QUICK if quick else RECORDS
+    silent = without_noise(default_group())
+    group = shortened(silent, records)
+    base, plain = case("derivative_plain", group, 0)
+    counts = (1, MOST) if quick else range(1, MOST + 1)
+    made = {p: case(f"derivative_p{p}", group, p) for p in counts}
+    first, *others = measure_against(base, [one for one, _ in made.values()], repeats)
+    by = operations(plain)
+    for row, (p, (_, program)) in zip(others, made.items(), strict=True):
+        ratio = operations(program) / by
+        row |= {
+            "operations_ratio": round(ratio, 3),
+            "limit": round(1.2 * max(1 + 2 * p, ratio), 2),
+            "temp_bytes": temporary(program),
+        }
+    for key, length in (("half", records // 2), ("double", 2 * records)):
+        program, *_ = program_of(shortened(silent, length), MOST)
+        others[-1][f"temp_bytes_{key}"] = temporary(program)
+    return [first, *others]
+
+
+if __name__ == "__main__":
+    common.main(rows)

@@ -1,0 +1,51 @@
+"""The engine on a GPU, float64: 1e3 to 1e6 runs, in two wide tiles or in many narrower ones."""
+
+import sys
+
+import common
+import jax
+
+from sinsjax.bench.cases import default_group, engine, shortened, some_variants, without_noise
+from sinsjax.bench.timing import Row, measure
+
+RUNS = (1_000, 10_000, 100_000, 1_000_000)
+TILE = 16_384
+"""Lanes of a tile that is a part of the runs."""
+
+
+def rows(quick: bool, repeats: int) -> list[Row]:
+    """Time runs of 90 s where JAX sees a GPU; says so and returns nothing where it does not.
+
+    Returns:
+        ``gpu_silent_N``: N runs in two tiles, the fewest; ``gpu_tiled_N``: in tiles of 16,384
+        runs; ``gpu_noise_N``: in two tiles with noise, 64 variants a draw. All have ``lanes``, a
+        tile, and ``runs_per_s``, runs of the row's length a second.
+    """
+    if jax.devices()[0].platform != "gpu":
+        print(f"no GPU: JAX has {jax.devices()[0].platform} only", file=sys.stderr)
+        return []
+    out = []
+    for runs in RUNS[:1] if quick else RUNS:
+        out += sized(runs, 2 if quick else 90, repeats)
+    return out
+
+
+def sized(runs: int, records: int, repeats: int) -> list[Row]:
+    """The rows of one number of runs; what they hold on the GPU is free again after."""
+    group, half = shortened(default_group(), records), runs // 2
+    silent = without_noise(some_variants(group, group.sizes[1], runs))
+    cases = [engine(f"gpu_silent_{runs}", silent, lanes=half)]
+    lanes = [half]
+    if half > TILE:
+        cases.append(engine(f"gpu_tiled_{runs}", silent, tiles=runs // TILE, lanes=TILE))
+        lanes.append(TILE)
+    cases.append(engine(f"gpu_noise_{runs}", some_variants(group, 64, runs), lanes=half))
+    lanes.append(half)
+    return [
+        row | {"lanes": count, "runs_per_s": round(row["runs"] / row["median_s"])}
+        for row, count in zip(measure(cases, repeats), lanes, strict=True)
+    ]
+
+
+if __name__ == "__main__":
+    common.main(rows, one_core=False, repeats=3)

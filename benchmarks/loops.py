@@ -1,0 +1,100 @@
+"""For information: the same step as a plain NumPy loop and as a Numba loop over one run.
+
+Both are checked to give the engine's attitude to 1e-9 rad before they are timed. The Numba loop
+needs the extra: ``pip install ".[benchmark]"``.
+"""
+
+import sys
+import time
+from collections.abc import Callable
+
+import common
+import jax
+import numpy as np
+
+from sinsjax import baseline
+from sinsjax.baseline import Setting
+from sinsjax.batch import Group
+from sinsjax.bench.cases import default_group, numpy_baseline, without_noise
+from sinsjax.bench.timing import Case, Row, measure
+from sinsjax.rotations import matrix, misalign
+from sinsjax.types import Quat
+
+CHECKED = 2000
+"""Samples over which the Numba loop is compared."""
+
+Loop = Callable[[np.ndarray, np.ndarray, Setting], tuple[np.ndarray, np.ndarray]]
+"""As `sinsjax.baseline.align`."""
+
+
+def rows(quick: bool, repeats: int) -> list[Row]:
+    """Time the loops in turns.
+
+    Returns:
+        ``numpy_loop``, and ``numba_loop`` where Numba is installed.
+    """
+    group = without_noise(default_group())
+    # Checked against the engine where it is made.
+    cases = [numpy_baseline(group)._replace(name="numpy_loop")]
+    try:
+        import numba_loop
+    except ImportError as error:
+        print(f"warning: no numba_loop: {error}", file=sys.stderr)
+    else:
+        cases.append(numba_case(numba_loop.align, group, 2 * CHECKED if quick else None))
+    return measure(cases, repeats)
+
+
+def numba_case(loop: Loop, group: Group, samples: int | None) -> Case:
+    """The loop over a group's first run, compared with the NumPy one.
+
+    Args:
+        loop: compiled when it is first called.
+        group: noise-free.
+        samples: how many; None takes the whole run.
+
+    Raises:
+        RuntimeError: the two differ by more than 1e-9.
+    """
+    increments, start, setting = first_run(group)
+    since = time.perf_counter()
+    ours = loop(increments[:CHECKED], start, setting)[0]
+    compile_s = time.perf_counter() - since
+    theirs = baseline.align(increments[:CHECKED], start, setting)[0]
+    if not np.allclose(ours, theirs, rtol=0, atol=1e-9):
+        raise RuntimeError(f"the Numba loop and the NumPy loop differ: {ours} and {theirs}")
+    taken = increments[:samples]
+
+    def call() -> float:
+        since = time.perf_counter()
+        loop(taken, start, setting)
+        return time.perf_counter() - since
+
+    return Case("numba_loop", 1, len(taken), compile_s, call)
+
+
+def first_run(group: Group) -> tuple[np.ndarray, np.ndarray, Setting]:
+    """Increments, initial C_b^n and numbers of the first run of a noise-free group."""
+    errors, place = group.world.errors, group.world.site.place
+    dt = group.static.options.dt
+    bias = np.concatenate([errors.gyro_bias, errors.accel_bias])
+    params = jax.tree.map(lambda a: np.asarray(a)[0], group.variants)
+    method = params.method
+    setting = Setting(
+        dt=dt,
+        rate_n=float(place.rate_n),
+        rate_u=float(place.rate_u),
+        tan_latitude=float(place.tan_latitude),
+        radius=float(1 / place.curvature_n),
+        p0=np.array(method.p0),
+        q=np.array(method.q),
+        r=float(method.r),
+        feedback_every=int(method.feedback.every),
+        resets=tuple(int(n) for n in method.resets.samples if np.isfinite(n)),
+    )
+    start = np.array(matrix(misalign(params.phi, Quat(*group.q[0]))))
+    return np.asarray(group.world.tape) + bias * dt, start, setting
+
+
+if __name__ == "__main__":
+    common.main(rows)

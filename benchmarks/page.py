@@ -1,0 +1,211 @@
+"""Writes docs/performance.md and its figures from the history alone.
+
+Every figure in the text is taken from a row; what was not measured has no paragraph. Reasons that
+no row can give stand in ``notes.md``, which is put at the end as it is.
+"""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import common
+import costs
+import figures
+import store
+from store import Machine
+from targets import judged, sizes
+
+from sinsjax.files import replacing
+from sinsjax.plots import png
+from sinsjax.report.base import Block, Picture, Section, Table, Text
+from sinsjax.report.output import FIGURES, markdown, save_figures
+from sinsjax.types import InputError
+
+PAGE = common.ROOT / "docs" / "performance.md"
+NOTES = Path(__file__).parent / "notes.md"
+PREFIX = "performance_"
+
+
+def sections(machines: Sequence[Machine], notes: str) -> list[Section]:
+    """The page, from all of the history.
+
+    Args:
+        machines: oldest version first, at least one.
+        notes: Markdown of what was left out and why; may be empty.
+    """
+    newest = [machine for machine in machines if machine.version == machines[-1].version]
+    cpus = [machine for machine in newest if not machine.on_gpu]
+    made = [
+        Section("Targets", [block for machine in newest for block in targets(machine)]),
+        Section("Beside the limit", [block for machine in cpus for block in beside_limit(machine)]),
+        Section("Cost model", costs.cost_model(cpus)),
+        Section("Starting up", [block for machine in cpus for block in cold_start(machine)]),
+        Section("On a GPU", [block for machine in newest for block in gpu(machine)]),
+        Section("History", over_versions(machines)),
+        Section("Left out, and why", [Text(notes)] if notes else []),
+    ]
+    return [section for section in made if section.blocks]
+
+
+def headline(machine: Machine) -> list[str]:
+    """What was found on a machine, in a line or none."""
+    kernel = machine.row("pairs", "limit_kernel")
+    ours = machine.row("pairs", "kalman_shared_record")
+    if not (kernel and ours):
+        return []
+    ns = ours["ns_per_step_run"]
+    return [
+        f"{machine.name}: {ns:.1f} ns a step and run on one core in float64, {ours['ratio']:.2f}"
+        f" times a hand-written kernel ({kernel['ns_per_step_run']:.1f} ns); that is"
+        f" {costs.runs_a_minute(ns):,.0f} runs of {costs.RUN_S} s at {costs.RATE_HZ} Hz a minute."
+    ]
+
+
+def targets(machine: Machine) -> list[Block]:
+    """The table of targets."""
+    header = ["what", "target", "measured", "conditions", "reached"]
+    lines = [[*row[:4], "yes" if row.reached else "no"] for row in judged(machine)]
+    note = f"Medians of turns, ± half their range. {conditions(machine)}"
+    return [Table(f"{machine.name}", header, lines, note)] if lines else []
+
+
+def conditions(machine: Machine) -> str:
+    """What all rows of a machine hold under."""
+    rows = [row for named in machine.sets.values() for row in named.values()]
+    told = dict.fromkeys(
+        f"sinsjax {row['sinsjax']}, jax {row['jax']}, jaxlib {row['jaxlib']}, Python"
+        f" {row['python']}, {row['cores']} cores, XLA:CPU options in force: {row['options']}"
+        for row in rows
+    )
+    dates = sorted({row["date"] for row in rows})
+    return f"{'; '.join(told)}. Measured {' to '.join(dict.fromkeys((dates[0], dates[-1])))}."
+
+
+def beside_limit(machine: Machine) -> list[Block]:
+    """Every row of the short set, and the loops, beside the limit kernel."""
+    kernel = machine.row("short", "limit_kernel")
+    if kernel is None:
+        return []
+    shown = {**machine.sets["short"], **machine.sets.get("loops", {})}
+    rows = {name: row for name, row in shown.items() if "ns_per_step_run" in row}
+    limit = kernel["ns_per_step_run"]
+    header = ["row", "ns a step and run", "times the limit", "compile (s)", "conditions"]
+    lines = [
+        [
+            f"`{name}`",
+            number(row["ns_per_step_run"]),
+            number(row["ns_per_step_run"] / limit, 2),
+            f"{row['compile_s']:.1f}",
+            sizes(row),
+        ]
+        for name, row in rows.items()
+    ]
+    drawn = figures.beside_limit(
+        machine, [(name, row["ns_per_step_run"]) for name, row in rows.items()], limit
+    )
+    caption = f"ns a step and run of every row, {machine.name}; dashed: the limit kernel."
+    return [
+        Picture(f"rows_{slug(machine)}", caption, drawn),
+        Table(f"ns a step and run, {machine.name}", header, lines, "Measured in turns in one run."),
+    ]
+
+
+def number(value: float, digits: int = 1) -> str:
+    """A number without decimals that say nothing."""
+    return f"{value:,.{digits if value < 100 else 0}f}"
+
+
+def slug(machine: Machine) -> str:
+    """The machine's name as part of a file name."""
+    row = next(iter(next(iter(machine.sets.values())).values()))
+    return Path(store.file_name(row)).stem.partition("_")[2]
+
+
+def cold_start(machine: Machine) -> list[Block]:
+    """What passes before the first result."""
+    rows = machine.sets.get("cold_start", {})
+    lines = [
+        [f"`{name}`", f"{row['median_s']:.2f} ± {row['spread_s']:.2f}"]
+        for name, row in rows.items()
+    ]
+    return [Table(f"Seconds, {machine.name}", ["row", "s"], lines)] if lines else []
+
+
+def gpu(machine: Machine) -> list[Block]:
+    """The engine's rows on a GPU."""
+    lines = [
+        [
+            f"`{name}`",
+            f"{row['runs']:,}",
+            f"{row['lanes']:,}",
+            f"{row['ns_per_step_run']:.3g}",
+            f"{row['runs_per_s']:,}",
+            f"{row['compile_s']:.1f}",
+        ]
+        for name, row in machine.sets.get("gpu", {}).items()
+    ]
+    header = ["row", "runs", "lanes a tile", "ns a step and run", "runs a second", "compile (s)"]
+    return [Table(f"{machine.name}, {conditions(machine)}", header, lines)] if lines else []
+
+
+def over_versions(machines: Sequence[Machine]) -> list[Block]:
+    """The ratio to the limit kernel by version."""
+    known = [machine for machine in machines if machine.x_limit is not None]
+    if not known:
+        return []
+    lines = []
+    for machine in known:
+        row = (
+            machine.row("pairs", "kalman_shared_record")
+            or machine.sets["short"]["kalman_shared_record"]
+        )
+        ns = f"{row['ns_per_step_run']:.1f}"
+        lines.append([machine.version, machine.name, ns, f"{machine.x_limit:.2f}", row["date"]])
+    header = ["sinsjax", "machine", "ns a step and run", "times the limit", "date"]
+    caption = "`kalman_shared_record` over the limit kernel, by version."
+    return [
+        Picture("history", caption, figures.history(known)),
+        Table("`kalman_shared_record` by version", header, lines),
+    ]
+
+
+def write(page: Path, machines: Sequence[Machine], notes: str) -> None:
+    """Write the page, and its figures beside it.
+
+    Raises:
+        InputError: the history is empty, or the page cannot be written.
+    """
+    if not machines:
+        raise InputError(f"{store.HISTORY.name}: has no rows: run benchmarks/record.py first")
+    newest = machines[-1].version
+    lines = [
+        f"<!-- Written by: python benchmarks/page.py (benchmarks/history, sinsjax {newest});"
+        " do not edit -->",
+        "# Performance",
+    ]
+    found = [line for m in machines if m.version == newest for line in headline(m)]
+    lines += ["\n".join(f"- {line}" for line in found)] if found else []
+    images = {}
+    for section in sections(machines, notes):
+        lines.append(f"## {section.heading}")
+        for block in section.blocks:
+            lines.append(markdown(block, PREFIX))
+            if isinstance(block, Picture):
+                images[f"{PREFIX}{block.name}"] = png(block.figure)
+    save_figures(images, page.parent / FIGURES)
+    with replacing(page) as file:
+        file.write(("\n\n".join(lines) + "\n").encode())
+
+
+def main() -> None:
+    """Write docs/performance.md."""
+    notes = NOTES.read_text(encoding="utf-8").strip() if NOTES.exists() else ""
+    try:
+        write(PAGE, store.machines(), notes)
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

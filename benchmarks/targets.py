@@ -1,0 +1,137 @@
+"""The targets of speed, each beside what was measured; one that was not measured is left out."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from store import Machine
+
+from sinsjax.bench.timing import Row
+
+NOISE = {64: 1.1, 6: 1.3, 1: 1.6}
+"""Variants a draw, and how many times the silent row they may take."""
+
+LIMIT, SPEEDUP, SHARE, FIRST_S = 1.5, 1.8, 0.85, 6.0
+
+DERIVATIVE = 1.2
+"""Times 1 + 2 p, or times the ratio of compiled operations, whichever is larger."""
+
+MEMORY = 0.1
+"""By how much the memory of a derivative may change with the number of steps."""
+
+
+class Judged(NamedTuple):
+    """A target and its measurement.
+
+    Attributes:
+        what: is measured.
+        target: in words.
+        measured: the number, with half the range of the turns.
+        conditions: sizes and devices.
+        reached: whether it is.
+    """
+
+    what: str
+    target: str
+    measured: str
+    conditions: str
+    reached: bool
+
+
+def judged(machine: Machine) -> list[Judged]:
+    """The targets that a machine's rows speak of."""
+    return [
+        *_limit(machine),
+        *_noise(machine),
+        *_devices(machine),
+        *_start(machine),
+        *_slopes(machine),
+    ]
+
+
+def sizes(row: Row) -> str:
+    """Runs, steps and devices of a row in words."""
+    devices = row["devices"]
+    spread = f"{devices} devices" if devices > 1 else "one core"
+    return f"{row['runs']:,} runs of {row['steps']:,} steps, {spread}"
+
+
+def plus_minus(row: Row, key: str, digits: int = 2) -> str:
+    """A number with half the range of its turns."""
+    return f"{row[key]:.{digits}f} ± {row[f'{key}_spread']:.{digits}f}"
+
+
+def _limit(machine: Machine) -> Iterator[Judged]:
+    if row := machine.row("pairs", "kalman_shared_record"):
+        yield Judged(
+            "`kalman_shared_record`, times the limit kernel",
+            f"at most {LIMIT:g}",
+            plus_minus(row, "ratio"),
+            f"{len(row['ratios'])} alternating pairs; {sizes(row)}",
+            row["ratio"] <= LIMIT,
+        )
+
+
+def _noise(machine: Machine) -> Iterator[Judged]:
+    for variants, most in NOISE.items():
+        if row := machine.row("noise", f"noise_{variants}"):
+            yield Judged(
+                f"noise on, variants a draw: {variants}; times the silent row",
+                f"at most {most:g}",
+                plus_minus(row, "ratio"),
+                sizes(row),
+                row["ratio"] <= most,
+            )
+
+
+def _devices(machine: Machine) -> Iterator[Judged]:
+    if row := machine.row("devices", "devices_2"):
+        yield Judged(
+            "two devices on two cores, times one",
+            f"at least {SPEEDUP:g}",
+            plus_minus(row, "speedup"),
+            sizes(row),
+            row["speedup"] >= SPEEDUP,
+        )
+    for name, row in machine.sets.get("devices", {}).items():
+        if name.startswith("sweep_"):
+            yield Judged(
+                "whole `sweep`, Parquet included: share of the compiled call's throughput",
+                f"at least {SHARE:g}",
+                plus_minus(row, "share"),
+                sizes(row),
+                row["share"] >= SHARE,
+            )
+
+
+def _start(machine: Machine) -> Iterator[Judged]:
+    if row := machine.row("cold_start", "cold_start_first_result"):
+        yield Judged(
+            "first result after typing the command, cold",
+            f"under {FIRST_S:g} s",
+            f"{row['median_s']:.1f} ± {row['spread_s']:.1f} s",
+            f"import, compile, {sizes(row)}",
+            row["median_s"] < FIRST_S,
+        )
+
+
+def _slopes(machine: Machine) -> Iterator[Judged]:
+    for p in range(1, 5):
+        if row := machine.row("derivative", f"derivative_p{p}"):
+            by_count = 1 + 2 * p
+            most = DERIVATIVE * max(by_count, row.get("operations_ratio", by_count))
+            yield Judged(
+                f"derivative by {p} filter parameter{'s' if p > 1 else ''}, times a plain run",
+                f"at most {most:.1f}",
+                plus_minus(row, "ratio"),
+                sizes(row),
+                row["ratio"] <= most,
+            )
+        if row and "temp_bytes_double" in row:
+            sizes_kb = [row[f"temp_bytes{key}"] / 1e3 for key in ("_half", "", "_double")]
+            yield Judged(
+                f"memory of a derivative by {p}, over half, all and twice the steps",
+                f"the same to {100 * MEMORY:g} %",
+                f"{', '.join(f'{size:,.0f}' for size in sizes_kb)} kB",
+                sizes(row),
+                max(sizes_kb) <= (1 + MEMORY) * min(sizes_kb),
+            )

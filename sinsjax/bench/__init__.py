@@ -1,0 +1,87 @@
+"""The short benchmark set: the engine's step on one core, told in ns per step and run.
+
+Every row times a compiled function that is used elsewhere. The scripts of ``benchmarks/`` time more
+with the same parts: `timing` has the one timer, `cases` and `limit` what is timed.
+"""
+
+import json
+import shutil
+import sys
+import tempfile
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from sinsjax.bench.assets import asset
+from sinsjax.bench.cases import SHORT
+from sinsjax.bench.limit import limit_kernel
+from sinsjax.bench.timing import Case, Row, conditions, measure, use_one_core
+
+__all__ = ["SHORT", "Case", "Row", "asset", "conditions", "measure", "run", "short_set"]
+
+
+def run(console: Console, *, as_json: bool, limit: bool, repeats: int) -> None:
+    """Time the short set on one core and print it.
+
+    Args:
+        console: where to print.
+        as_json: one JSON object a line instead of a table.
+        limit: also build and time the limit kernel, where there is a gcc.
+        repeats: timings a row.
+
+    Raises:
+        InputError: the limit kernel cannot be built or dies.
+    """
+    use_one_core()
+    with tempfile.TemporaryDirectory(prefix="sinsjax-limit-") as folder:
+        rows = measure(short_set(limit_folder=folder if limit else None), repeats)
+    holds = conditions()
+    if holds["platform"] == "cpu" and not holds["fused_loop"]:
+        print("warning: the fused loop is absent, see `sinsjax info`", file=sys.stderr)
+    if as_json:
+        for row in rows:
+            console.print(json.dumps(row | holds), soft_wrap=True, highlight=False, markup=False)
+        return
+    console.print(_table(rows))
+    console.print(
+        f"{holds['cpu']}, jax {holds['jax']}, median of {repeats} turns on one core",
+        highlight=False,
+    )
+
+
+def short_set(*, limit_folder: str | None) -> list[Case]:
+    """The rows of the short set, compiled and ready to time.
+
+    Args:
+        limit_folder: where to build the limit kernel; None for a set without it. Where there is
+            no gcc a line on stderr says so, and the set goes without it.
+    """
+    out = []
+    compiler = limit_folder and shutil.which("gcc")
+    if limit_folder and compiler:
+        out.append(limit_kernel(compiler, limit_folder))
+    elif limit_folder:
+        print("warning: no limit kernel: there is no gcc here to build it", file=sys.stderr)
+    return out + [make() for make in SHORT.values()]
+
+
+def _table(rows: list[dict[str, Any]]) -> Table:
+    table = Table(title="ns a step and run", box=box.SIMPLE)
+    shown = {
+        "name": "name",
+        "ns_per_step_run": "ns",
+        "compile_s": "compile s",
+        "median_s": "median s",
+        "spread_s": "+- s",
+    }
+    for key, heading in shown.items():
+        table.add_column(heading, justify="left" if key == "name" else "right", no_wrap=True)
+    kernel = next((r["ns_per_step_run"] for r in rows if r["name"] == "limit_kernel"), None)
+    if kernel:
+        table.add_column("x limit", justify="right", no_wrap=True)
+    for row in rows:
+        ratio = [f"{row['ns_per_step_run'] / kernel:.2f}"] if kernel else []
+        table.add_row(*(str(row[key]) for key in shown), *ratio)
+    return table

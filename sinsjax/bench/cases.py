@@ -1,0 +1,157 @@
+"""What is timed: the compiled function of `sweep` on the default sweep, and a plain NumPy loop."""
+
+import time
+from collections.abc import Callable
+from functools import cache, partial
+from itertools import islice
+from typing import Any
+
+import jax
+import numpy as np
+
+from sinsjax.baseline import Setting, align
+from sinsjax.batch import LANES, SETS, Group, Tiles, compiled, plan, spread, tiles_of
+from sinsjax.bench.assets import asset
+from sinsjax.bench.timing import Case
+from sinsjax.config import load_study
+from sinsjax.rotations import matrix, misalign
+from sinsjax.scenario import parts
+from sinsjax.simulate import Draw, World, simulate
+from sinsjax.types import Quat
+
+TILES = 2
+"""Tiles a call: the fewest, since the compiler unrolls the loop over a single one."""
+
+_BASELINE_SAMPLES = 2000
+
+
+@cache
+def default_group() -> Group:
+    """What `sweep` runs for the default sweep, ``configs/reset_sweep.toml``."""
+    (part,) = parts(load_study(asset("configs/reset_sweep.toml")))
+    return part.group
+
+
+def without_noise(group: Group) -> Group:
+    """What `sweep` runs where the sensors have no noise."""
+    errors = group.world.errors
+    quiet = errors._replace(gyro_noise=np.zeros(3), accel_noise=np.zeros(3))
+    return group._replace(
+        static=group.static._replace(noisy=False), world=group.world._replace(errors=quiet)
+    )
+
+
+def some_variants(group: Group, count: int, runs: int = 0) -> Group:
+    """The group with its last variants only, and draws enough for `TILES` and a number of runs."""
+    draws = max(runs, TILES * SETS * max(LANES, count)) // count + 1
+    zeros = np.zeros(draws, int)
+    return group._replace(
+        variants=jax.tree.map(lambda a: a[-count:], group.variants),
+        draws=Draw(np.arange(draws), zeros, zeros),
+        q=np.tile(group.q[:1], (draws, 1)),
+    )
+
+
+def shortened(group: Group, records: int) -> Group:
+    """The group with shorter runs, in record intervals."""
+    return group._replace(static=group.static._replace(records=records))
+
+
+def engine(
+    name: str, group: Group, *, tiles: int = TILES, lanes: int = LANES, devices: int = 1
+) -> Case:
+    """The compiled function of `sweep` on its first call for a group.
+
+    Args:
+        name: of the row.
+        group: what to run; it has runs enough for the call, or lanes stay idle.
+        tiles: a call, at least.
+        lanes: runs a tile.
+        devices: that make a call each, at the same time.
+    """
+    draws, variants = group.sizes
+    places = list(islice(plan(group, devices=devices, tiles_a_chunk=tiles, lanes=lanes), devices))
+    runs = sum(int(np.sum((p.draw < draws) & (p.variant < variants))) for p in places)
+    arguments = [(group.world, tiles_of(group, p)) for p in places]
+    since = time.perf_counter()
+    program = compiled(group.static, *arguments[0])
+    compile_s = time.perf_counter() - since
+    placed = jax.device_put(arguments)
+
+    def one(arguments: tuple[World, Tiles]) -> None:
+        jax.block_until_ready(program(*arguments))
+
+    def call() -> float:
+        since = time.perf_counter()
+        list(spread(one, placed, devices))
+        return time.perf_counter() - since
+
+    call()
+    steps = group.static.records * group.static.record_every
+    return Case(name, runs, steps, compile_s, call, devices=devices)
+
+
+def numpy_baseline(group: Group) -> Case:
+    """The first run of a noise-free group as a plain NumPy loop, checked against the engine."""
+    increments = np.asarray(group.world.tape[:_BASELINE_SAMPLES])
+    errors, place = group.world.errors, group.world.site.place
+    dt = group.static.options.dt
+    increments = increments + np.concatenate([errors.gyro_bias, errors.accel_bias]) * dt
+    first = _first_run(group)
+    setting = Setting(
+        dt=dt,
+        rate_n=float(place.rate_n),
+        rate_u=float(place.rate_u),
+        tan_latitude=float(place.tan_latitude),
+        radius=float(1 / place.curvature_n),
+        p0=np.array(first.method.p0),
+        q=np.array(first.method.q),
+        r=float(first.method.r),
+        feedback_every=int(first.method.feedback.every),
+        resets=tuple(int(n) for n in first.method.resets.samples if np.isfinite(n)),
+    )
+    start: np.ndarray = np.array(matrix(misalign(first.phi, first.q)))
+    _check(group, first, align(increments, start, setting)[0])
+
+    def call() -> float:
+        since = time.perf_counter()
+        align(increments, start, setting)
+        return time.perf_counter() - since
+
+    return Case("numpy_baseline", 1, _BASELINE_SAMPLES, 0.0, call)
+
+
+def _first_run(group: Group) -> Any:
+    first = jax.tree.map(lambda a: np.asarray(a)[0], group.variants)
+    return first._replace(q=Quat(*group.q[0]))
+
+
+def _check(group: Group, first: Any, c: np.ndarray) -> None:
+    """The baseline must give the engine's attitude, or its time means nothing."""
+    static = group.static._replace(records=_BASELINE_SAMPLES // group.static.record_every)
+    draw = jax.tree.map(lambda a: np.asarray(a)[0], group.draws)
+    outcome, _ = jax.jit(partial(simulate, static))(group.world, Draw(*draw), first)
+    ours = np.array([outcome.last.pitch, outcome.last.roll, outcome.last.yaw])
+    theirs = np.array(
+        [np.arcsin(c[2, 1]), np.arctan2(-c[2, 0], c[2, 2]), np.arctan2(-c[0, 1], c[1, 1])]
+    )
+    if not np.allclose(ours, theirs, atol=1e-9):
+        raise RuntimeError(f"the NumPy baseline and the engine differ: {theirs} and {ours} rad")
+
+
+def _silent() -> Group:
+    return without_noise(default_group())
+
+
+def _noisy(variants: int) -> Case:
+    return engine(f"kalman_noise_{variants}", some_variants(default_group(), variants))
+
+
+SHORT: dict[str, Callable[[], Case]] = {
+    "kalman_shared_record": lambda: engine("kalman_shared_record", _silent()),
+    "kalman_noise_64": lambda: _noisy(64),
+    "kalman_noise_6": lambda: _noisy(6),
+    "kalman_noise_1": lambda: _noisy(1),
+    "numpy_baseline": lambda: numpy_baseline(_silent()),
+}
+"""The short set: what makes each row, by its name, in order. A new row is a line here."""

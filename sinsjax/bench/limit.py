@@ -1,0 +1,51 @@
+"""The limit kernel: ``benchmarks/limit_kernel.c``, built for the machine at hand."""
+
+import subprocess
+import time
+from pathlib import Path
+
+from sinsjax.bench.assets import asset
+from sinsjax.bench.timing import Case
+from sinsjax.types import InputError
+
+_FLAGS = "-O3 -march=native -ffast-math -Wno-psabi -mprefer-vector-width=512".split()
+
+
+def limit_kernel(compiler: str, folder: str, *, steps: int = 20000, vectors: int = 32) -> Case:
+    """The hand-written kernel of ``benchmarks/limit_kernel.c``, built for this machine.
+
+    Args:
+        compiler: path of gcc.
+        folder: where the program goes; it has to stay as long as the case is called.
+        steps: of each run.
+        vectors: of 8 runs.
+
+    Raises:
+        InputError: gcc cannot build it; from the case, when the kernel dies.
+    """
+    program = str(Path(folder) / "limit")
+    source = str(asset("benchmarks/limit_kernel.c"))
+    since = time.perf_counter()
+    _told([compiler, *_FLAGS, "-DREAL=double", source, "-o", program, "-lm"], "gcc")
+    compile_s = time.perf_counter() - since
+    runs = 8 * vectors
+
+    def call() -> float:
+        told = _told([program, str(steps), str(vectors)], "the limit kernel")
+        return float(told.split()[0]) * 1e-9 * steps * runs
+
+    return Case("limit_kernel", runs, steps, compile_s, call)
+
+
+def _told(command: list[str], name: str) -> str:
+    """What a command prints; raises InputError with one line when it fails."""
+    try:
+        ended = subprocess.run(command, capture_output=True, text=True)
+    except OSError as error:
+        raise InputError(f"--limit: {name} cannot be started: {error.strerror}") from None
+    if ended.returncode:
+        complaint = ended.stderr.strip().partition("\n")[0]
+        code = ended.returncode
+        why = complaint or (f"signal {-code}" if code < 0 else f"exit status {code}")
+        raise InputError(f"--limit: {name} failed: {why}")
+    return ended.stdout

@@ -1,0 +1,164 @@
+"""The one timer: cases in turns, medians and spreads, and the conditions that a row holds under.
+
+Machines are shared and drift, so what is to be compared is measured in turns. Compiling is timed
+apart, and a case's call waits for its result.
+"""
+
+import os
+import platform
+import statistics
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from sinsjax import runtime
+
+Row = dict[str, Any]
+"""A measurement: ``name``, its numbers, and the conditions."""
+
+
+class Case(NamedTuple):
+    """Something to time.
+
+    Attributes:
+        name: of the row.
+        runs: that one call takes.
+        steps: of each run.
+        compile_s: what compiling took, s.
+        call: does the work, waits for its end and returns the seconds it took.
+        dtype: of the run's state.
+        devices: that share the work.
+    """
+
+    name: str
+    runs: int
+    steps: int
+    compile_s: float
+    call: Callable[[], float]
+    dtype: str = "float64"
+    devices: int = 1
+
+    def ns(self, seconds: float) -> float:
+        """The time of a call in ns a step and run."""
+        return seconds / (self.runs * self.steps) * 1e9
+
+
+class Spread(NamedTuple):
+    """A median and half the range around it."""
+
+    median: float
+    half_range: float
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> "Spread":
+        """Of at least one value."""
+        return cls(statistics.median(values), (max(values) - min(values)) / 2)
+
+
+def turns(timed: Sequence[Case], repeats: int) -> list[list[float]]:
+    """Time cases in turns: the seconds of each case's calls."""
+    seconds: list[list[float]] = [[] for _ in timed]
+    for _ in range(repeats):
+        for case, taken in zip(timed, seconds, strict=True):
+            taken.append(case.call())
+    return seconds
+
+
+def row(case: Case, taken: Sequence[float]) -> Row:
+    """The row of a case, from the seconds of its calls."""
+    found = Spread.of(taken)
+    return {
+        "name": case.name,
+        "ns_per_step_run": round(case.ns(found.median), 2),
+        "runs": case.runs,
+        "steps": case.steps,
+        "dtype": case.dtype,
+        "devices": case.devices,
+        "compile_s": round(case.compile_s, 3),
+        "median_s": round(found.median, 5),
+        "spread_s": round(found.half_range, 5),
+    }
+
+
+def measure(timed: Sequence[Case], repeats: int) -> list[Row]:
+    """Time cases in turns; one row each."""
+    seconds = turns(timed, repeats)
+    return [row(case, taken) for case, taken in zip(timed, seconds, strict=True)]
+
+
+def ratios(case: Case, base: Case, taken: Sequence[float], its: Sequence[float]) -> list[float]:
+    """How many times the base's ns a step and run a case takes, turn by turn.
+
+    Args:
+        case: what is compared.
+        base: what it is compared with.
+        taken: seconds of the case's calls.
+        its: seconds of the base's calls, in the same turns.
+    """
+    return [case.ns(ours) / base.ns(theirs) for ours, theirs in zip(taken, its, strict=True)]
+
+
+def measure_against(base: Case, timed: Sequence[Case], repeats: int) -> list[Row]:
+    """Time cases and a base in turns, and tell how many times the base's time they take.
+
+    Args:
+        base: what the others are compared with.
+        timed: the others.
+        repeats: turns.
+
+    Returns:
+        The base's row, then one a case with ``ratio``, the median over the turns of its ns a step
+        and run over the base's, and ``ratio_spread``, half the range.
+    """
+    first, *others = turns([base, *timed], repeats)
+    rows = [row(base, first)]
+    for case, taken in zip(timed, others, strict=True):
+        rows.append(row(case, taken) | spread("ratio", ratios(case, base, taken, first)))
+    return rows
+
+
+def spread(name: str, values: Sequence[float]) -> Row:
+    """Two keys of a row: the median of some values, and half their range."""
+    found = Spread.of(values)
+    return {name: round(found.median, 3), f"{name}_spread": round(found.half_range, 3)}
+
+
+def conditions() -> Row:
+    """What a measurement holds under; starts JAX's backend and compiles a tiny loop.
+
+    Returns:
+        ``cpu``, ``avx512``, ``cores`` of the machine, ``platform`` (of JAX: cpu, gpu), ``device``
+        (its kind), versions of ``sinsjax``, ``jax``, ``jaxlib`` and ``python``, ``options`` (of
+        XLA:CPU that are in force: all, none, or the names of those that are) and ``fused_loop``.
+    """
+    import jax
+
+    facts = runtime.info()
+    device = jax.devices()[0]
+    return {
+        "cpu": facts["cpu"],
+        "avx512": facts["avx512"],
+        "cores": os.cpu_count(),
+        "platform": device.platform,
+        "device": device.device_kind,
+        "sinsjax": facts["sinsjax"],
+        "jax": facts["jax"],
+        "jaxlib": facts["jaxlib"],
+        "python": platform.python_version(),
+        "options": _in_force(facts["options"]),
+        "fused_loop": facts["fused_loop"],
+    }
+
+
+def _in_force(options: dict[str, str | None]) -> str:
+    wanted = {option.name: option.value for option in runtime.OPTIONS}
+    there = [name for name, value in options.items() if value == wanted[name]]
+    if len(there) == len(wanted):
+        return "all"
+    return " ".join(name.removeprefix("xla_cpu_") for name in there) or "none"
+
+
+def use_one_core() -> None:
+    """Keep this process to one core; before XLA sizes its thread pool, or it is no use."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    runtime.configure(devices=1)

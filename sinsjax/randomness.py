@@ -1,0 +1,55 @@
+"""Random numbers as a function of a counter: no state, no order, no block.
+
+Threefry-2x32 (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011), the generator
+behind `jax.random`, written for one counter. `jax.random` splits keys and draws arrays; called for
+each sample of each draw, that costs ten times the numbers themselves.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+
+from sinsjax.types import Scalar, Word
+
+_ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
+_PARITY = 0x1BD11BDA
+
+
+def threefry(key: tuple[Word, Word], counter: tuple[Word, Word]) -> tuple[Word, Word]:
+    """Threefry-2x32 with 20 rounds: two random words of 32 bits for a key and a counter."""
+    keys = (*key, key[0] ^ key[1] ^ jnp.uint32(_PARITY))
+    a, b = counter[0] + keys[0], counter[1] + keys[1]
+    for group in range(5):
+        for distance in _ROTATIONS[group % 2]:
+            a = a + b
+            b = a ^ (b << jnp.uint32(distance) | b >> jnp.uint32(32 - distance))
+        a = a + keys[(group + 1) % 3]
+        b = b + keys[(group + 2) % 3] + jnp.uint32(group + 1)
+    return a, b
+
+
+def normal_pair(words: tuple[Word, Word]) -> tuple[Scalar, Scalar]:
+    """Two independent standard normal numbers in single precision, by Box and Muller.
+
+    The radius comes from 24 bits, so that no number exceeds sqrt(50 log 2) = 5.89. Cosine and sine
+    are power series of the half angle, doubled: the library's are called one by one.
+
+    Args:
+        words: two uniform words.
+    """
+    single = jnp.float32
+    # (k + 1/2) / 2^24 is never 0, whose logarithm is infinite.
+    uniform = ((words[0] >> jnp.uint32(8)).astype(jnp.int32).astype(single) + 0.5) * 2.0**-24
+    radius = jnp.sqrt(-2 * jnp.log(uniform))
+    # The mantissa of a number in [1, 2), taken to [-1, 1): the half angle over pi / 2.
+    mantissa = words[1] >> jnp.uint32(9) | jnp.uint32(0x3F800000)
+    half = (math.pi / 2) * (2 * jax.lax.bitcast_convert_type(mantissa, single) - 3)
+    square = -half * half
+    cos, sin = 1 / math.factorial(14), 1 / math.factorial(13)
+    for n in reversed(range(7)):
+        cos = cos * square + 1 / math.factorial(2 * n)
+        if n < 6:
+            sin = sin * square + 1 / math.factorial(2 * n + 1)
+    sin = sin * half
+    return radius * (1 - 2 * sin * sin), radius * (2 * sin * cos)

@@ -1,0 +1,497 @@
+"""The scripts of ``benchmarks/``: faked timings, and their quick path on a real engine."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sinsjax.bench.timing import Case, Row
+from sinsjax.types import InputError
+
+FOLDER = Path(__file__).parents[1] / "benchmarks"
+sys.path.insert(0, str(FOLDER))
+
+import common  # noqa: E402
+import devices  # noqa: E402
+import gate  # noqa: E402
+import gpu  # noqa: E402
+import noise  # noqa: E402
+import page  # noqa: E402
+import pairs  # noqa: E402
+import record  # noqa: E402
+import store  # noqa: E402
+import throughput  # noqa: E402
+from targets import judged  # noqa: E402
+
+HOLDS: Row = {
+    "cpu": "AMD EPYC 9999 64-Core Processor",
+    "avx512": True,
+    "cores": 2,
+    "platform": "cpu",
+    "device": "cpu",
+    "sinsjax": "0.1.0",
+    "jax": "0.10.2",
+    "jaxlib": "0.10.2",
+    "python": "3.11.7",
+    "options": "all",
+    "fused_loop": True,
+}
+
+
+def told(of: str, name: str, ns: float, **more: object) -> Row:
+    """A row of the history."""
+    sizes = {"runs": 128, "steps": 90000, "dtype": "float64", "devices": 1, "compile_s": 1.5}
+    seconds = {"median_s": round(ns * 128 * 9e-5, 5), "spread_s": 0.012}
+    row = {"set": of, "date": "2025-01-02", "name": name, "ns_per_step_run": ns}
+    return row | sizes | seconds | HOLDS | more
+
+
+def history(version: str = "0.1.0", factor: float = 1.0, **changes: object) -> list[Row]:
+    """Rows of every set but the GPU's, with numbers that are easy to find on a page."""
+    ns = {"limit_kernel": 10.0, "kalman_shared_record": 14.2 * factor, "kalman_noise_64": 15.1}
+    ns |= {"kalman_noise_6": 17.3, "kalman_noise_1": 24.9, "numpy_baseline": 448286.3}
+    rows = [told("short", name, value) for name, value in ns.items()]
+    spread = {"ratio_spread": 0.03}
+    rows += [
+        told("pairs", "limit_kernel", 10.0),
+        told(
+            "pairs",
+            "kalman_shared_record",
+            14.2 * factor,
+            ratio=1.42 * factor,
+            ratios=[1.4, 1.42, 1.45],
+            **spread,
+        ),
+    ]
+    lanes = {16: 40.1, 32: 22.0, 48: 17.2, 64: 14.2, 80: 13.9, 96: 14.8, 128: 18.0, 256: 33.3}
+    rows += [told("throughput", f"lanes_{n}", x * factor, lanes=n) for n, x in lanes.items()]
+    rows += [told("throughput", f"tiles_{n}", 14.2 + n / 50, tiles=n) for n in (2, 4, 8, 16, 32)]
+    variants = {1: 24.9, 2: 20.0, 4: 18.1, 8: 16.9, 16: 15.9, 32: 15.4, 64: 15.1}
+    rows += [told("throughput", f"variants_{n}", x, variants=n) for n, x in variants.items()]
+    rows += [told("throughput", "curves_off", 14.2), told("throughput", "curves_on", 14.9)]
+    rows += [told("noise", "noise_off", 14.2)]
+    ratios = {64: 1.06, 6: 1.22, 1: 1.75}
+    rows += [
+        told("noise", f"noise_{n}", 14.2 * x, ratio=x, variants=n, **spread)
+        for n, x in ratios.items()
+    ]
+    rows += [
+        told("devices", f"devices_{n}", 14.2 / s, devices=n, speedup=s, speedup_spread=0.02)
+        for n, s in ((1, 1.0), (2, 1.87))
+    ]
+    rows += [told("devices", "call_900s", 7.6, devices=2)]
+    rows += [told("devices", "sweep_900s", 8.3, devices=2, share=0.91, share_spread=0.01)]
+    rows += [told("loops", "numba_loop", 6200.0)]
+    rows += [
+        {k: v for k, v in told("memory", name, 0.0, **more).items() if k != "ns_per_step_run"}
+        for name, more in (
+            ("memory_call_2_tiles", {"bytes_per_run": 21000, "temp_bytes": 5}),
+            ("memory_sweep_448", {"before_mib": 240, "peak_mib": 1510}),
+        )
+    ]
+    return [row | {"sinsjax": version} | changes for row in rows]
+
+
+def written(folder: Path, *pieces: list[Row]) -> list[store.Machine]:
+    for rows in pieces:
+        store.keep(rows, record.SETS, folder)
+    return store.machines(folder)
+
+
+# -- the gate ------------------------------------------------------------------------------------
+
+COMMITTED = {"avx512": {"ratio": 1.4}, "avx2": {"ratio": 2.0}}
+
+
+@pytest.mark.parametrize(
+    ("measured", "instructions", "committed", "status", "line"),
+    [
+        (2.09, "avx512", COMMITTED, 0, "gate passed: 2.09 x the limit, at most 1.5 times"),
+        (2.11, "avx512", COMMITTED, 1, "gate failed: 2.11 x the limit is more than 1.5 times"),
+        (9.0, "avx2", COMMITTED, 0, "gate skipped: no AVX-512 here; 9.00 x the limit on avx2"),
+        (9.0, "avx2", {}, 0, "gate skipped: no AVX-512 here; 9.00 x the limit on avx2"),
+        (1.7, "avx512", {"avx2": {"ratio": 2.0}}, 0, "gate skipped: no ratio is committed for"),
+    ],
+)
+def test_the_gate_judges(measured, instructions, committed, status, line):
+    verdict = gate.judge(measured, instructions, committed)
+    assert verdict.status == status
+    assert verdict.line.startswith(line)
+    assert "\n" not in verdict.line
+
+
+@pytest.fixture
+def faked(monkeypatch, tmp_path):
+    """A gate whose pairs give a ratio of 1.42; the numbers of pairs asked for are kept."""
+    asked: list[int] = []
+
+    def rows(quick: bool, repeats: int) -> list[Row]:
+        asked.append(repeats)
+        return [row for row in history() if row["set"] == "pairs"]
+
+    monkeypatch.setattr(pairs, "rows", rows)
+    monkeypatch.setattr(gate, "use_one_core", lambda: None)
+    monkeypatch.setattr(gate, "conditions", lambda: HOLDS)
+    monkeypatch.setattr(gate.shutil, "which", lambda name: f"/{name}")
+    monkeypatch.setattr(gate.platform, "machine", lambda: "x86_64")
+    return monkeypatch, asked, tmp_path / "gate.json"
+
+
+def test_the_gate_takes_seven_pairs_and_prints_them(faked, capsys):
+    _, asked, path = faked
+    path.write_text(json.dumps(COMMITTED))
+    assert gate.gate(commit=False, path=path).status == 0
+    assert asked == [7]
+    assert "ratios of 7 pairs: 1.40, 1.42, 1.45; median 1.42" in capsys.readouterr().out
+
+
+def test_the_gate_fails_against_the_committed_file(faked):
+    _, _, path = faked
+    path.write_text(json.dumps({"avx512": {"ratio": 0.9}}))
+    assert gate.gate(commit=False, path=path).status == 1
+
+
+def test_without_avx512_fewer_pairs_are_told(faked):
+    patch, asked, path = faked
+    patch.setattr(gate, "conditions", lambda: HOLDS | {"avx512": False})
+    verdict = gate.gate(commit=False, path=path)
+    assert verdict == (0, "gate skipped: no AVX-512 here; 1.42 x the limit on avx2")
+    assert asked == [3]
+
+
+@pytest.mark.parametrize(
+    ("what", "answer", "why"),
+    [("which", None, "there is no gcc"), ("machine", "arm64", "the limit kernel is for x86-64")],
+)
+def test_where_the_kernel_cannot_be_built_nothing_is_timed(faked, what, answer, why):
+    patch, asked, path = faked
+    patch.setattr(gate.shutil if what == "which" else gate.platform, what, lambda *_: answer)
+    verdict = gate.gate(commit=False, path=path)
+    assert verdict.status == 0 and verdict.line.startswith(f"gate skipped: {why}")
+    assert asked == []
+
+
+def test_a_ratio_is_committed_beside_the_others(faked):
+    _, _, path = faked
+    path.write_text(json.dumps({"avx2": {"ratio": 2.0}}))
+    assert gate.gate(commit=True, path=path).status == 0
+    kept = json.loads(path.read_text())
+    assert kept["avx2"] == {"ratio": 2.0}
+    assert kept["avx512"]["ratio"] == 1.42
+    assert kept["avx512"]["cpu"] == HOLDS["cpu"]
+    assert gate.gate(commit=False, path=path).line.startswith("gate passed")
+
+
+def test_the_committed_file_can_be_read():
+    if gate.COMMITTED.exists():
+        assert all(e["ratio"] > 0 for e in json.loads(gate.COMMITTED.read_text()).values())
+
+
+# -- scripts -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def unpinned(monkeypatch):
+    monkeypatch.setattr(common, "use_one_core", lambda: None)
+    monkeypatch.setattr(common.runtime, "configure", lambda: None)
+    monkeypatch.setattr(common, "conditions", lambda: HOLDS)
+
+
+def test_a_script_hands_its_flags_on_and_its_rows_carry_conditions(unpinned, capsys):
+    asked = []
+
+    def rows(quick: bool, repeats: int) -> list[Row]:
+        asked.append((quick, repeats))
+        return [{"name": "a", "platform": "mine"}]
+
+    common.main(rows, ["--json", "--quick", "--repeats", "3"])
+    common.main(rows, ["--json"], one_core=False, repeats=2)
+    assert asked == [(True, 3), (False, 2)]
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert lines == [HOLDS | {"name": "a", "platform": "mine"}] * 2
+
+
+def test_a_script_prints_a_table(unpinned, capsys):
+    common.main(lambda quick, repeats: [told("x", "one", 14.2, ratio=1.5, ratio_spread=0.1)], [])
+    out = capsys.readouterr().out
+    assert "one" in out and "1.5 +- 0.1" in out and HOLDS["cpu"] in out
+
+
+def test_a_users_mistake_in_a_script_is_one_line(unpinned, capsys):
+    def rows(quick: bool, repeats: int) -> list[Row]:
+        raise InputError("no gcc here")
+
+    with pytest.raises(SystemExit) as ended:
+        common.main(rows, [])
+    assert ended.value.code == 2
+    assert capsys.readouterr().err == "error: no gcc here\n"
+
+
+def test_without_a_gpu_the_script_says_so(capsys):
+    assert gpu.rows(True, 1) == []
+    assert capsys.readouterr().err == "no GPU: JAX has cpu only\n"
+
+
+def test_without_gcc_there_are_no_pairs(monkeypatch):
+    monkeypatch.setattr(pairs.shutil, "which", lambda name: None)
+    with pytest.raises(InputError, match="no gcc"):
+        pairs.rows(True, 1)
+
+
+@pytest.mark.parametrize("duration_s", [9.0, 90.0, 900.0])
+def test_the_sweep_of_another_length_keeps_its_shape(duration_s):
+    study = devices.sweep_study(duration_s, 32)
+    assert study.n_draws * study.n_variants == 10240
+    assert study.study.window_s[1] == pytest.approx(duration_s)
+    assert len(set(study.values("reset_cycle_s"))) == 8
+
+
+def test_the_speed_up_is_over_one_device_in_the_same_turn(monkeypatch):
+    taken = {1: iter([8.0, 9.0, 8.0]), 2: iter([4.0, 6.0, 5.0])}
+
+    def engine(name: str, group: Any, *, tiles: int, devices: int) -> Case:
+        assert tiles % (2 * devices) == 0
+        return Case(name, 64 * tiles, 9000, 0.0, lambda: next(taken[devices]), devices=devices)
+
+    monkeypatch.setattr(devices, "engine", engine)
+    one, two = devices.scaling(False, 3)
+    assert (one["name"], one["speedup"]) == ("devices_1", 1.0)
+    assert (two["name"], two["devices"]) == ("devices_2", 2)
+    assert (two["speedup"], two["speedup_spread"]) == (1.6, 0.25)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("script", [pairs, throughput, noise, devices])
+def test_a_script_runs_quickly(script):
+    if script is pairs and shutil.which("gcc") is None:
+        pytest.skip("no gcc")
+    rows = script.rows(True, 1)
+    keys = "name ns_per_step_run runs steps dtype devices compile_s median_s spread_s".split()
+    assert all(set(keys) <= row.keys() for row in rows)
+    assert all(0 < row["ns_per_step_run"] < 1e6 for row in rows)
+    assert len({row["name"] for row in rows}) == len(rows) > 0
+    json.dumps(rows)
+
+
+@pytest.mark.slow
+def test_a_script_starts_from_anywhere(tmp_path):
+    path = os.pathsep.join([str(FOLDER.parent), os.environ.get("PYTHONPATH", "")])
+    ended = subprocess.run(
+        [sys.executable, str(FOLDER / "gpu.py"), "--quick", "--json", "--repeats", "1"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": path, "JAX_PLATFORMS": "cpu"},
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "no GPU: JAX has cpu only\n")
+
+
+# -- the history ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [
+        ({}, "0.1.0_amd-epyc-9999-64-core-avx512.json"),
+        ({"cpu": "AMD EPYC", "avx512": False}, "0.1.0_amd-epyc.json"),
+        (
+            {"cpu": "Intel(R) Xeon(R) Platinum 8481C CPU @ 2.70GHz"},
+            "0.1.0_intel-xeon-platinum-8481c-avx512.json",
+        ),
+        (
+            {"platform": "gpu", "device": "NVIDIA H100 80GB HBM3"},
+            "0.1.0_nvidia-h100-80gb-hbm3.json",
+        ),
+    ],
+)
+def test_a_row_belongs_to_a_version_and_a_machine(changes, name):
+    assert store.file_name(HOLDS | changes) == name
+
+
+def test_a_set_measured_again_replaces_its_rows_only(tmp_path):
+    store.keep(history(), record.SETS, tmp_path)
+    (path,) = store.keep([told("noise", "noise_off", 99.123456789)], record.SETS, tmp_path)
+    rows = store.read(path)
+    assert [r["ns_per_step_run"] for r in rows if r["set"] == "noise"] == [99.123]
+    rest = [(r["set"], r["name"]) for r in history() if r["set"] != "noise"]
+    rest.sort(key=lambda row: record.SETS.index(row[0]))
+    assert [(r["set"], r["name"]) for r in rows if r["set"] != "noise"] == rest
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+    assert len(path.read_text().splitlines()) == len(rows) + 2
+
+
+@pytest.mark.parametrize("text", ["{", '["a"]', '[{"name": "x"}]', "3"])
+def test_a_history_that_is_none_is_told_by_its_name(tmp_path, text):
+    path = tmp_path / "0.1.0_x.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"^0\.1\.0_x\.json: "):
+        store.read(path)
+
+
+def test_machines_come_in_order_of_version(tmp_path):
+    found = written(tmp_path, history("0.10.0"), history("0.9.0"), history("0.2.1", avx512=False))
+    assert [machine.version for machine in found] == ["0.2.1", "0.9.0", "0.10.0"]
+    assert [machine.x_limit for machine in found] == [1.42] * 3
+
+
+def test_without_pairs_the_short_set_tells_the_ratio(tmp_path):
+    rows = [row for row in history() if row["set"] == "short"]
+    (machine,) = written(tmp_path, rows)
+    assert machine.x_limit == pytest.approx(1.42)
+
+
+def test_recording_takes_version_date_and_set_along(tmp_path, monkeypatch, capsys):
+    commands = []
+
+    def run(command, **_):
+        commands.append(command)
+        rows = [told("?", "noise_off", 5.0, sinsjax="0+source"), told("?", "noise_64", 6.0)]
+        told_lines = "\n".join(json.dumps(row) for row in rows)
+        return subprocess.CompletedProcess(command, 0, told_lines)
+
+    monkeypatch.setattr(record.subprocess, "run", run)
+    with pytest.raises(SystemExit) as ended:
+        record.main(["--only", "noise,short", "--repeats", "2"], tmp_path)
+    assert ended.value.code == 0
+    assert [Path(commands[0][1]).name, *commands[0][2:]] == ["noise.py", "--json", "--repeats", "2"]
+    assert commands[1][1:] == "-m sinsjax bench --limit --json --repeats 2".split()
+    (path,) = tmp_path.iterdir()
+    rows = store.read(path)
+    assert [row["set"] for row in rows] == ["short"] * 2 + ["noise"] * 2
+    assert all(row["sinsjax"] == common.source_version() for row in rows)
+    assert all(re.fullmatch(r"\d{4}-\d\d-\d\d", row["date"]) for row in rows)
+
+
+def test_a_failing_set_does_not_stop_the_others(monkeypatch, capsys, tmp_path):
+    def measured(name, repeats):
+        if name == "noise":
+            raise InputError("noise: failed with exit status 1")
+        return []
+
+    monkeypatch.setattr(record, "measured", measured)
+    with pytest.raises(SystemExit) as ended:
+        record.main(["--only", "noise,gpu"], tmp_path)
+    out, err = capsys.readouterr()
+    assert ended.value.code == 1
+    assert err == "error: noise: failed with exit status 1\n"
+    assert "gpu: 0 rows to nothing" in out
+
+
+def test_an_unknown_set_is_refused(capsys):
+    with pytest.raises(SystemExit) as ended:
+        record.main(["--only", "noize"])
+    assert ended.value.code == 2
+    assert "no set noize" in capsys.readouterr().err
+
+
+def test_every_script_that_measures_is_a_set():
+    scripts = [p.stem for p in FOLDER.glob("*.py") if "\n    common.main(rows" in p.read_text()]
+    assert set(scripts) <= set(record.SCRIPTS)
+
+
+# -- the page ------------------------------------------------------------------------------------
+
+
+def test_targets_are_judged_by_their_rows(tmp_path):
+    (machine,) = written(tmp_path, history())
+    found = {row.what: row for row in judged(machine)}
+    reached = [row.reached for row in found.values()]
+    assert reached == [True, True, True, False, True, True]
+    pair = found["`kalman_shared_record`, times the limit kernel"]
+    assert (pair.target, pair.measured) == ("at most 1.5", "1.42 ± 0.03")
+    assert pair.conditions.startswith("3 alternating pairs")
+
+
+@pytest.mark.parametrize(("operations", "most"), [(3.4, "4.1"), (2.0, "3.6")])
+def test_the_derivatives_target_is_the_larger_one(tmp_path, operations, most):
+    more = {"ratio": 4.0, "ratio_spread": 0.1, "operations_ratio": operations}
+    (machine,) = written(tmp_path, [told("derivative", "derivative_p1", 57.0, **more)])
+    (row,) = judged(machine)
+    assert row.target == f"at most {most}"
+    assert row.reached == (most == "4.1")
+
+
+@pytest.mark.parametrize(("double", "reached"), [(105e3, True), (200e3, False)])
+def test_a_derivatives_memory_may_not_grow_with_the_steps(tmp_path, double, reached):
+    more = {"ratio": 4.0, "ratio_spread": 0.1, "operations_ratio": 5.0}
+    more |= {"temp_bytes_half": 100e3, "temp_bytes": 101e3, "temp_bytes_double": double}
+    (machine,) = written(tmp_path, [told("derivative", "derivative_p4", 57.0, **more)])
+    _, row = judged(machine)
+    assert row.measured == f"100, 101, {double / 1e3:.0f} kB"
+    assert row.reached == reached
+
+
+def test_the_start_is_judged_and_told_by_phases(tmp_path):
+    told_row = told("cold_start", "cold_start_first_result", 0.0, median_s=5.91, spread_s=0.2)
+    phase = told("cold_start", "cold_start_compile", 0.0, median_s=2.5, spread_s=0.1)
+    for row in (told_row, phase):
+        for key in ("ns_per_step_run", "compile_s"):
+            del row[key]
+    machines = written(tmp_path / "history", [told_row, phase])
+    (row,) = judged(machines[0])
+    assert (row.target, row.measured, row.reached) == ("under 6 s", "5.9 ± 0.2 s", True)
+    page.write(tmp_path / "p.md", machines, "")
+    assert "| `cold_start_compile` | 2.50 ± 0.10 |" in (tmp_path / "p.md").read_text()
+
+
+def test_the_page_says_what_the_rows_say(tmp_path):
+    machines = written(tmp_path / "history", history("0.0.9", 1.3), history())
+    page.write(tmp_path / "performance.md", machines, "float32: the reason.")
+    text = (tmp_path / "performance.md").read_text()
+    headings = re.findall("^## (.*)$", text, re.MULTILINE)
+    assert headings == [
+        "Targets",
+        "Beside the limit",
+        "Cost model",
+        "History",
+        "Left out, and why",
+    ]
+    # 60e9 ns a minute over 90,000 steps of 14.2 ns; with two devices 1.87 times as many.
+    assert "| none | 14.2 | 46,948 | 87,793 |" in text
+    assert "| `numba_loop` | 6,200 | 620 |" in text
+    assert "the best count is 80 with 13.9 ns, the engine's 64 take 14.2 ns" in text
+    assert "| `memory_call_2_tiles` | 128 | 90,000 | 21,000 |" in text
+    assert "| `memory_sweep_448` | 128 | 90,000 | 240 | 1,510 |" in text
+    assert "keep 91 % of the compiled call's throughput" in text
+    assert "| 0.0.9 | AMD EPYC 9999 64-Core Processor (AVX-512) | 18.5 | 1.85 |" in text
+    assert text.rstrip().endswith("float32: the reason.")
+    pictures = re.findall(r"\((figures/\w[\w-]*\.png)\)", text)
+    assert len(pictures) == 3
+    for name in pictures:
+        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+        assert (tmp_path / name).stat().st_size < 300_000
+
+
+def test_what_was_not_measured_is_not_on_the_page(tmp_path):
+    rows = [row for row in history() if row["set"] == "short"]
+    page.write(tmp_path / "p.md", written(tmp_path / "history", rows), "")
+    headings = re.findall("^## (.*)$", (tmp_path / "p.md").read_text(), re.MULTILINE)
+    assert headings == ["Beside the limit", "History"]
+
+
+def test_a_gpu_has_its_section(tmp_path):
+    row = told("gpu", "gpu_silent_1000", 0.9, lanes=1000, runs_per_s=12345)
+    row |= {"platform": "gpu", "device": "NVIDIA H100"}
+    page.write(tmp_path / "p.md", written(tmp_path / "history", history(), [row]), "")
+    text = (tmp_path / "p.md").read_text()
+    assert "## On a GPU" in text and "12,345" in text and "NVIDIA H100" in text
+
+
+def test_two_machines_share_the_figure(tmp_path):
+    machines = written(tmp_path / "history", history(), history(cpu="Other", avx512=False))
+    page.write(tmp_path / "p.md", machines, "")
+    text = (tmp_path / "p.md").read_text()
+    assert text.count("**Runs a minute to expect") == 2
+    assert text.count("bends.png)") == 1
+
+
+def test_an_empty_history_is_told(tmp_path):
+    with pytest.raises(InputError, match="run benchmarks/record.py first"):
+        page.write(tmp_path / "p.md", [], "")
+    assert not (tmp_path / "p.md").exists()
