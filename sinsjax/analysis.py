@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import scipy
 from numpy.typing import ArrayLike, NDArray
+from scipy import special
 
 from sinsjax.types import InputError
 
@@ -79,8 +79,11 @@ def proportion(k: int, n: int) -> Estimate:
     """
     if n < 1 or not 0 <= k <= n:
         raise ValueError(f"a share needs 0 <= k <= n and n >= 1, got k = {k}, n = {n}")
-    interval = scipy.stats.binomtest(k, n).proportion_ci(CONFIDENCE, method="wilson")
-    return Estimate(k / n, float(interval.low), float(interval.high), n)
+    share, z = k / n, float(special.ndtri(1 - _TAIL))
+    centre = (k + z * z / 2) / (n + z * z)
+    half = z / (n + z * z) * math.sqrt(n * share * (1 - share) + z * z / 4)
+    # At the ends the interval reaches the share itself, but for rounding.
+    return Estimate(share, centre - half if k else 0.0, centre + half if k < n else 1.0, n)
 
 
 def quantile(values: ArrayLike, q: float = 0.5) -> Estimate:
@@ -120,7 +123,7 @@ def mean(values: ArrayLike) -> Estimate:
     if data.size < 2:
         return UNKNOWN._replace(value=float(data[0]) if data.size else math.nan, n=data.size)
     centre = float(np.mean(data))
-    factor = scipy.special.stdtrit(data.size - 1, 1 - _TAIL) / math.sqrt(data.size)
+    factor = special.stdtrit(data.size - 1, 1 - _TAIL) / math.sqrt(data.size)
     half = float(factor * np.std(data, ddof=1))
     return Estimate(centre, centre - half, centre + half, data.size)
 
@@ -330,7 +333,8 @@ def _pair(a: ArrayLike, b: ArrayLike, *, missing: float = math.nan) -> tuple[NDA
 @lru_cache(maxsize=256)
 def _ranks(n: int, q: float) -> tuple[int, int]:
     """Which order statistics (1 to n) bound the q quantile; 0 and n + 1: none does."""
-    return int(scipy.stats.binom.ppf(_TAIL, n, q)), int(scipy.stats.binom.isf(_TAIL, n, q)) + 1
+    below = special.bdtr(np.arange(n + 1), n, q)
+    return int(np.searchsorted(below, _TAIL)), int(np.searchsorted(below, 1 - _TAIL)) + 1
 
 
 def _bootstrap(statistic: Callable[..., NDArray], *samples: NDArray) -> tuple[float, float]:

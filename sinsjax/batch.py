@@ -18,7 +18,6 @@ from itertools import chain
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from sinsjax.metrics import Observation, Outcome
@@ -37,7 +36,7 @@ class Group(NamedTuple):
     Attributes:
         static: program.
         world: shared by all.
-        draws: `Draw` with leaves (draws,).
+        draws: `Draw` with leaves (draws,), or () for what is the same for all.
         q: (draws, 4) attitude of each draw before the misalignment.
         variants: `Params` with leaves (variants, ...); its ``q`` is ignored.
     """
@@ -143,8 +142,8 @@ def plan(
     rounds = -(-blocks // (most * devices))
     size = max(2, -(-blocks // (rounds * devices)))
     for begin in range(0, draws * width, size * block):
-        places = begin + np.arange(size * block).reshape(size, sets, -1, lanes)
-        places = places.swapaxes(1, 2).reshape(-1, sets, lanes)
+        blocks_of_tiles = begin + np.arange(size * block).reshape(size, sets, -1, lanes)
+        places = blocks_of_tiles.swapaxes(1, 2).reshape(-1, sets, lanes)
         yield Lanes(places // width, places % width)
 
 
@@ -161,7 +160,7 @@ def tiles_of(group: Group, places: Lanes) -> Tiles:
         taken, q = taken[:, 0], q[:, :, 0]
     params = jax.tree.map(lambda a: np.asarray(a)[variant], group.variants)
     return Tiles(
-        draws=jax.tree.map(lambda a: np.asarray(a)[taken], group.draws),
+        draws=Draw(*(a[taken] if np.ndim(a) else np.full(len(taken), a) for a in group.draws)),
         row=(places.draw - first)[:, 0].astype(np.int32),
         params=params._replace(q=type(group.variants.q)(*q)),
     )
@@ -203,8 +202,12 @@ def _compile(static: Static, structure: Any, shapes: tuple) -> jax.stages.Compil
     def run_tiles(world: World, tiles: Tiles) -> Any:
         one = partial(run_tile, static, world)
         if method_of(static).common_covariance:
-            same = Params(q=0, phi=None, ve=None, vn=None, method=None)
-            one = jax.vmap(one, in_axes=(Tiles(draws=0, row=None, params=same),))
+            # Only what belongs to draws differs between the sets.
+            axes: Any = jax.tree.map(lambda a: None, tiles)
+            draws = jax.tree.map(lambda a: 0 if a.ndim > 1 else None, tiles.draws)
+            q = jax.tree.map(lambda a: 0, tiles.params.q)
+            axes = axes._replace(draws=draws, params=axes.params._replace(q=q))
+            one = jax.vmap(one, in_axes=(axes,))
         return jax.lax.map(one, tiles)
 
     return jax.jit(run_tiles).lower(*jax.tree.unflatten(structure, shapes)).compile()

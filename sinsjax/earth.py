@@ -2,7 +2,9 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 
 from sinsjax.types import Scalar
 
@@ -68,16 +70,17 @@ def place(earth: Earth, latitude: Scalar) -> Place:
     """Rates, curvatures and gravity at a latitude (rad).
 
     Normal gravity is Somigliana's closed formula with the second-order height correction
-    (NIMA TR8350.2, eqs 4-1 and 4-3).
+    (NIMA TR8350.2, eqs 4-1 and 4-3). A plain number stays one, and compiles nothing.
     """
-    sin, cos = jnp.sin(latitude), jnp.cos(latitude)
+    xp = jnp if isinstance(latitude, jax.Array) else np
+    sin, cos = xp.sin(latitude), xp.cos(latitude)
     w2 = 1 - earth.eccentricity2 * sin * sin
-    radius_n = earth.radius / jnp.sqrt(w2)
+    radius_n = earth.radius / xp.sqrt(w2)
     radius_m = radius_n * (1 - earth.eccentricity2) / w2
     h = earth.height / earth.radius
-    normal = earth.gravity * (1 + _K * sin * sin) / jnp.sqrt(w2)
+    normal = earth.gravity * (1 + _K * sin * sin) / xp.sqrt(w2)
     normal = normal * (1 - 2 * (1 + _F + _M - 2 * _F * sin * sin) * h + 3 * h * h)
-    gravity = jnp.where(earth.gravity_formula > 0, normal, earth.gravity)
+    gravity = xp.where(earth.gravity_formula > 0, normal, earth.gravity)
     return Place(
         rate_n=earth.rate * cos,
         rate_u=earth.rate * sin,

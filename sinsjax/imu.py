@@ -36,23 +36,30 @@ def perfect() -> SensorErrors:
     return SensorErrors(*(jnp.zeros(3),) * 4, jnp.zeros((3, 3)), jnp.zeros((3, 3)))
 
 
-def noise(seed: Count, draw_id: Count, sample: Count) -> Increments:
-    """Standard normal numbers of one sample of one draw.
+def noise(seed: Count, draw_id: Array, numbers: Array) -> Increments:
+    """Standard normal numbers for samples of one draw or of many.
 
     A function of seed, draw and sample alone: neither record interval, run length, tile, chunk,
     device nor worker can change it, but for the last bit. In single precision, which is far finer
-    than any sensor.
+    than any sensor. All in one long row, which fills the vector units whatever the shape.
 
     Args:
         seed: of the study, below 2^63.
-        draw_id: below 2^32.
-        sample: number of the sample in the run, below 2^32 / 3.
+        draw_id: () or (draws,), below 2^32.
+        numbers: (n,) of the samples in the run, below 2^32 / 3.
+
+    Returns:
+        `Increments` with leaves (n, *draws).
     """
     wide = jnp.asarray(seed).astype(jnp.uint64)
     key = ((wide >> 32).astype(jnp.uint32), wide.astype(jnp.uint32))
-    draw, first = (jnp.asarray(n).astype(jnp.uint32) for n in (draw_id, 3 * sample))
-    pairs = [normal_pair(threefry(key, (draw, first + jnp.uint32(k)))) for k in range(3)]
-    (gx, gy), (gz, ax), (ay, az) = pairs
+    draw, first = jnp.asarray(draw_id), 3 * jnp.asarray(numbers)
+    shape = (3, *first.shape, *draw.shape)
+    # A sample takes three counters in a row, a pair of numbers each.
+    counter = (first + jnp.arange(3)[:, None]).reshape(3, -1, *(1 for _ in draw.shape))
+    row = (jnp.broadcast_to(a, shape).astype(jnp.uint32).reshape(-1) for a in (draw, counter))
+    pairs = jax.vmap(lambda *counter: normal_pair(threefry(key, counter)))(*row)
+    (gx, gz, ay), (gy, ax, az) = (pair.reshape(shape) for pair in pairs)
     return Increments(Vec3(gx, gy, gz), Vec3(ax, ay, az))
 
 

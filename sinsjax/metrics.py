@@ -43,12 +43,19 @@ class Criteria(NamedTuple):
 
 
 class Window(NamedTuple):
-    """Sums over the window, of differences from the first value in it (no cancellation)."""
+    """Sums over the window, of differences from the first value in it (no cancellation).
+
+    Attributes:
+        count: record times in the window so far.
+        first: (6,) first values of phi (e, n, u), pitch, roll and yaw.
+        sums: (6,) of the differences from them.
+        squares: (6,) of the squared differences.
+    """
 
     count: Scalar
-    first: tuple[Scalar, ...]
-    sums: tuple[Scalar, ...]
-    squares: tuple[Scalar, ...]
+    first: Array
+    sums: Array
+    squares: Array
 
 
 class Metrics(NamedTuple):
@@ -56,17 +63,17 @@ class Metrics(NamedTuple):
 
     Attributes:
         outside_until: for each band, end of the last record interval outside it, s.
-        window: sums of phi (e, n, u), pitch, roll and yaw.
-        above: record times at which P_UU exceeded phi_u^2, at which it exceeded
+        window: see `Window`.
+        above: (3,) record times at which P_UU exceeded phi_u^2, at which it exceeded
             (phi_u - floor)^2, and phi_u^2 again in the steady process.
-        judged: record times that each of these counts looked at.
+        judged: (3,) record times that each of these counts looked at.
         last: the latest observation.
     """
 
     outside_until: Array
     window: Window
-    above: tuple[Scalar, Scalar, Scalar]
-    judged: tuple[Scalar, Scalar, Scalar]
+    above: Array
+    judged: Array
     last: Observation
 
 
@@ -100,13 +107,13 @@ def observe(q_true: Quat, q_hat: Quat, covariance: AttitudeCovariance) -> Observ
     return Observation(misalignment(q_true, q_hat), sigma, *to_euler(q_hat))
 
 
-def start(criteria: Criteria, first: Observation) -> Metrics:
-    """Accumulators before the first record."""
-    zero = jnp.zeros_like(first.phi.x)
-    six = (zero,) * 6
+def start(criteria: Criteria, zero: Scalar) -> Metrics:
+    """Accumulators before the first record, in zeros of the type given."""
+    nothing = Vec3(zero, zero, zero)
+    six, three = jnp.zeros(6) + zero, jnp.zeros(3) + zero
     window = Window(zero, six, six, six)
-    three = (zero,) * 3
-    return Metrics(jnp.zeros_like(criteria.bands) + zero, window, three, three, first)
+    last = Observation(nothing, nothing, zero, zero, zero)
+    return Metrics(jnp.zeros_like(criteria.bands) + zero, window, three, three, last)
 
 
 def accumulate(
@@ -126,8 +133,8 @@ def accumulate(
     # A comparison with NaN is False, which would count as an error above P.
     known = jnp.isfinite(variance - error)
     after = known & (time > criteria.consistency_after)
-    judged = (after, after, known & (time > criteria.steady_after))
-    above = (variance > now.phi.z**2, variance > error**2, variance > now.phi.z**2)
+    judged = jnp.stack([after, after, known & (time > criteria.steady_after)])
+    above = variance > jnp.stack([now.phi.z, error, now.phi.z]) ** 2
     # NaN is outside every band.
     inside = jnp.abs(error) <= criteria.bands
     return Metrics(
@@ -137,32 +144,26 @@ def accumulate(
             now,
             (time > criteria.window_start) & (time <= criteria.window_end),
         ),
-        above=tuple(_count(n, j & a) for n, j, a in zip(metrics.above, judged, above, strict=True)),
-        judged=tuple(_count(n, j) for n, j in zip(metrics.judged, judged, strict=True)),
+        above=metrics.above + (judged & above),
+        judged=metrics.judged + judged,
         last=now,
     )
 
 
 def _widen(window: Window, now: Observation, inside: Flag) -> Window:
     opening = inside & (window.count == 0)
-    values = (*now.phi, now.pitch, now.roll, now.yaw)
-    first = tuple(jnp.where(opening, v, f) for v, f in zip(values, window.first, strict=True))
-    steps = tuple(_wrap(v - f) for v, f in zip(values, first, strict=True))
+    values = jnp.stack([*now.phi, now.pitch, now.roll, now.yaw])
+    first = jnp.where(opening, values, window.first)
+    step = _wrap(values - first)
     return Window(
-        count=_count(window.count, inside),
+        count=window.count + inside,
         first=first,
-        sums=tuple(jnp.where(inside, s + d, s) for s, d in zip(window.sums, steps, strict=True)),
-        squares=tuple(
-            jnp.where(inside, s + d * d, s) for s, d in zip(window.squares, steps, strict=True)
-        ),
+        sums=jnp.where(inside, window.sums + step, window.sums),
+        squares=jnp.where(inside, window.squares + step * step, window.squares),
     )
 
 
-def _count(so_far: Scalar, happened: Flag) -> Scalar:
-    return jnp.where(happened, so_far + 1, so_far)
-
-
-def _wrap(angle: Scalar) -> Scalar:
+def _wrap(angle: Array) -> Array:
     """Into [-pi, pi]."""
     return angle - 2 * jnp.pi * jnp.round(angle / (2 * jnp.pi))
 
@@ -174,16 +175,15 @@ def finish(metrics: Metrics, covariance: AttitudeCovariance, floor: Scalar) -> O
     window, or a method without covariance, gives NaN.
     """
     window, phi = metrics.window, metrics.last.phi
-    n = window.count
-    mean = tuple(_wrap(f + s / n) for f, s in zip(window.first, window.sums, strict=True))
-    spread = zip(window.sums, window.squares, strict=True)
-    std = tuple(jnp.sqrt(jnp.maximum(q - s * s / n, 0.0) / (n - 1)) for s, q in spread)
+    n, sums = window.count, window.sums
+    mean = _wrap(window.first + sums / n)
+    std = jnp.sqrt(jnp.maximum(window.squares - sums * sums / n, 0.0) / (n - 1))
     return Outcome(
         last=metrics.last,
         outside_until=metrics.outside_until,
-        mean=mean,
-        std=std,
-        above_share=tuple(a / n for a, n in zip(metrics.above, metrics.judged, strict=True)),
+        mean=tuple(mean),
+        std=tuple(std),
+        above_share=tuple(metrics.above / metrics.judged),
         nees=dot(phi, solve3(tuple(covariance), phi)),
         nis_u=(phi.z - floor) ** 2 / covariance.uu,
         floor=floor,

@@ -186,6 +186,8 @@ def _euler_vectors(e: Array, n: Array, u: Array) -> Vec3:
 def _misalignment(variants: Variants) -> Vec3:
     e, n, u = (variants.column(f"phi_{axis}0_deg", DEG) for axis in "enu")
     euler = np.asarray(variants.raw("misalignment")) == "euler"
+    if not euler.any():
+        return Vec3(e, n, u)
     # [P1] section 1: angles from the ideal to the computed frame, about U, E, N in turn.
     vector = _euler_vectors(e, n, u)
     return Vec3(*(np.where(euler, v, a) for v, a in zip(vector, (e, n, u), strict=True)))

@@ -66,7 +66,7 @@ class Draw(NamedTuple):
 
     Attributes:
         draw_id: decides its noise.
-        start: first sample on the tape.
+        start: first sample on the tape; of many draws, one number if it is the same for all.
         row: of `World.truth`.
     """
 
@@ -117,31 +117,12 @@ def begin(static: Static, world: World, params: Params) -> Run:
         longitude=zero,
     )
     state = method.init(params.method, nav)
-    first = metrics.observe(params.q, method.attitude(state), method.covariance(state))
-    return Run(state, metrics.start(world.criteria, first))
+    return Run(state, metrics.start(world.criteria, zero))
 
 
 def noise(static: Static, world: World, draws: Draw, numbers: Array) -> Increments | None:
-    """Standard normal numbers for samples of one draw or of many; None if the sensors have none.
-
-    Drawn for many samples at once, in one long row: single draws would leave the vector units idle.
-
-    Args:
-        static: program.
-        world: shared.
-        draws: whose noise.
-        numbers: (n,) sample numbers.
-
-    Returns:
-        `Increments` with leaves (n, *draws).
-    """
-    if not static.noisy:
-        return None
-    shape = (numbers.size, *draws.draw_id.shape)
-    column = numbers.reshape(-1, *(1 for _ in shape[1:]))
-    row = (jnp.broadcast_to(a, shape).reshape(-1) for a in (draws.draw_id, column))
-    normal = jax.vmap(imu.noise, in_axes=(None, 0, 0))(world.seed, *row)
-    return jax.tree.map(lambda a: a.reshape(shape), normal)
+    """Standard normal numbers, leaves (n, *draws), for n samples; None if no sensor has noise."""
+    return imu.noise(world.seed, draws.draw_id, numbers) if static.noisy else None
 
 
 def sense(
@@ -206,7 +187,8 @@ def simulate(
             metrics.accumulate(run.metrics, world.criteria, now, floor=world.floor, time=n * dt),
         )
 
-    sensed = fan.over_draws(partial(sense, static, world), 0, None, 0)
+    axes = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
+    sensed = fan.over_draws(partial(sense, static, world), axes, None, 0)
     compensated = fan.over_draws(imu.compensate, 0, 0)
     step = fan.over_runs(one_step, 0, 0, fan.shared, None)
     record = fan.over_runs(one_record, 0, fan.shared, None)

@@ -3,21 +3,21 @@
 Everything that runs of a part share is made here, in SI units, from the study's own.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
-from sinsjax import earth, imu, trajectory, units
+from sinsjax import earth, imu, rotations, trajectory, units
 from sinsjax.alignment.base import Site
 from sinsjax.alignment.coarse import COARSE
 from sinsjax.metrics import Criteria
 from sinsjax.records import Record, Reference, require_span
 from sinsjax.simulate import Draw, World
 from sinsjax.studies import EARTH_CONSTANTS, Study
-from sinsjax.types import Array, InputError, Quat
+from sinsjax.types import Array, InputError, Quat, Scalar
 from sinsjax.units import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, PPM
 
 _LONGEST_GAP_S = 5.0  # in a reference; a swinging base turns within seconds
@@ -85,19 +85,22 @@ def site_of(study: Study, variants: Variants, tape: Tape | None) -> tuple[Site, 
     if latitude is None:
         source = tape.record.source if tape else study.study.name
         raise InputError(f"{source}: no latitude in the record: give [earth] latitude_deg")
-    place = _place(model, latitude * DEG)
+    place = earth.place(model, latitude * DEG)
     site = Site(model, place, latitude * DEG)
     return jax.tree.map(np.float64, site), ug
 
 
-_increments = jax.jit(trajectory.increments, static_argnums=3)
-_place = jax.jit(earth.place)
-
-
-@jax.jit
-def _attitudes(motion: trajectory.Motion, times: Array) -> Array:
-    """(n, 4) true attitudes at n times."""
-    return jax.vmap(lambda t: jnp.stack(trajectory.attitude(motion, t)))(times)
+@partial(jax.jit, static_argnames=("samples",))
+def _truth(
+    motion: trajectory.Motion, place: earth.Place, times: Array, rate: Scalar, *, samples: int
+) -> tuple[Array, Array, Array]:
+    """Ideal increments (samples, 6), true attitudes (n, 4) at n times, and the one swayed about."""
+    still = trajectory.Motion(*(sway._replace(amplitude=0.0) for sway in motion))
+    return (
+        trajectory.increments(motion, place, rate, samples),
+        jax.vmap(lambda t: jnp.stack(trajectory.attitude(motion, t)))(times),
+        jnp.stack(trajectory.attitude(still, 0.0)),
+    )
 
 
 def simulated(
@@ -106,28 +109,28 @@ def simulated(
     """World, draws and their true starting attitudes of a simulated part."""
     motion = _motion(variants)
     errors = _errors(variants, ug, study.study.rate_hz)
-    still = trajectory.Motion(*(sway._replace(amplitude=np.float64(0.0)) for sway in motion))
+    times = np.concatenate([[0.0], record_times(study)])
+    samples = study.records * study.record_every
+    truth = _truth(motion, site.place, times, study.study.rate_hz, samples=samples)
+    tape, attitudes, center = map(np.asarray, truth)
     n = study.n_draws
     world = World(
         site=site,
-        tape=np.asarray(
-            _increments(motion, site.place, study.study.rate_hz, study.records * study.record_every)
-        ),
-        truth=np.asarray(_attitudes(motion, record_times(study)))[None],
+        tape=tape,
+        truth=attitudes[None, 1:],
         errors=errors,
         seed=np.asarray(study.study.seed),
         criteria=criteria,
-        floor=_floor(errors, Quat(*_attitudes(still, np.zeros(1))[0]), site),
+        floor=_floor(errors, Quat(*center), site),
     )
-    draws = Draw(np.arange(n), np.zeros(n, int), np.zeros(n, int))
-    start = np.asarray(_attitudes(motion, np.zeros(1))[0])
-    return world, draws, np.tile(start, (n, 1))
+    draws = Draw(np.arange(n), np.asarray(0), np.zeros(n, int))
+    return world, draws, np.tile(attitudes[0], (n, 1))
 
 
 def _floor(errors: imu.SensorErrors, center: Quat, site: Site) -> np.ndarray:
     """Limit of phi_u for constant biases, -eps_E/omega_N + (nabla_E/g) tan L, rad."""
-    c = Rotation.from_quat(np.asarray(center, dtype=float), scalar_first=True)
-    eps, nabla = c.apply(errors.gyro_bias), c.apply(errors.accel_bias)
+    c: np.ndarray = np.array(rotations.matrix(center))
+    eps, nabla = c @ errors.gyro_bias, c @ errors.accel_bias
     place = site.place
     return np.asarray(
         -eps[0] / place.rate_n + nabla[0] / place.gravity * place.tan_latitude, dtype=float
@@ -231,6 +234,9 @@ def _reference_at(tape: Tape, times: np.ndarray) -> np.ndarray:
             f"{reference.source}: has a gap of {gap:g} s where the study needs it"
             f" (at most {_LONGEST_GAP_S:g} s are interpolated)"
         )
+    # Half the time that importing all of sinsjax takes, and only a reference needs it.
+    from scipy.spatial.transform import Rotation, Slerp
+
     pitch, roll, yaw = reference.attitude_deg.T
     attitudes = Rotation.from_euler("ZXY", np.column_stack([yaw, pitch, roll]), degrees=True)
     return Slerp(reference.time_s, attitudes)(np.clip(times, first, last)).as_quat(

@@ -31,7 +31,7 @@ def outcome(criteria, values, sigma, p, floor):
         now = observation(value, s)
         return metrics.accumulate(so_far, criteria, now, floor=floor, time=time), None
 
-    start = metrics.start(criteria, observation(values[0], sigma[0]))
+    start = metrics.start(criteria, np.float64(0.0))
     so_far, _ = jax.lax.scan(record, start, (TIMES, values, sigma))
     return metrics.finish(so_far, AttitudeCovariance(*p[np.triu_indices(3)]), floor)
 

@@ -71,7 +71,7 @@ def draw(number=DRAW):
 
 def naive_measured():
     """Ideal increments, bias and the draw's own numbers."""
-    numbers = jax.vmap(imu.noise, in_axes=(None, None, 0))(SEED, DRAW, np.arange(WHOLE))
+    numbers = imu.noise(np.asarray(SEED), np.asarray(DRAW), np.arange(WHOLE))
     normal = np.stack([*numbers.dtheta, *numbers.dv], axis=1).astype(float)
     return ideal()[2:] + BIAS / RATE + NOISE * normal
 
@@ -144,17 +144,6 @@ def _measure(here, draw, first, samples):
     program, numbers = static(100, 9), first + jnp.arange(samples)
     normal = noise(program, here, draw, numbers)
     return jax.vmap(partial(sense, program, here, draw))(numbers, normal)
-
-
-def test_noise_of_many_draws_is_that_of_each():
-    many = Draw(np.arange(7), np.zeros(7, int), np.zeros(7, int))
-    program, here, numbers = static(100, 9), world(100, 9), np.arange(50)
-    together = noise(program, here, many, numbers)
-    assert together.dv.z.shape == (50, 7)
-    for k in range(7):
-        alone = noise(program, here, draw(k), numbers)
-        for a, b in zip(jax.tree.leaves(together), jax.tree.leaves(alone), strict=True):
-            np.testing.assert_allclose(a[:, k], b, rtol=0, atol=1e-6)
 
 
 def test_sensors_without_noise_draw_none():

@@ -44,10 +44,9 @@ def without_noise(group: Group) -> Group:
 def some_variants(group: Group, count: int, runs: int = 0) -> Group:
     """The group with its last variants only, and draws enough for `TILES` and a number of runs."""
     draws = max(runs, TILES * SETS * max(LANES, count)) // count + 1
-    zeros = np.zeros(draws, int)
     return group._replace(
         variants=jax.tree.map(lambda a: a[-count:], group.variants),
-        draws=Draw(np.arange(draws), zeros, zeros),
+        draws=Draw(np.arange(draws), np.asarray(0), np.zeros(draws, int)),
         q=np.tile(group.q[:1], (draws, 1)),
     )
 

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from sinsjax import analysis, plots
 from sinsjax.report.attitudes import attitudes
@@ -93,6 +92,8 @@ def reference_attitude(curves: pa.Table) -> NDArray:
     """
     columns = [analysis.numbers(curves, f"{angle}_deg") for angle in ("yaw", "pitch", "roll")]
     phi = np.column_stack([analysis.numbers(curves, f"phi_{a}_arcmin") for a in "enu"])
+    from scipy.spatial.transform import Rotation  # late, as in `worlds`
+
     estimate = Rotation.from_euler("ZXY", np.column_stack(columns), degrees=True)
     true = Rotation.from_rotvec(phi * ARCMIN) * estimate
     return true.as_euler("ZXY", degrees=True)[:, [1, 2, 0]]

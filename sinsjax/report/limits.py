@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-from scipy.spatial.transform import Rotation
 
 from sinsjax import analysis
 from sinsjax.analysis import format_estimate
@@ -52,6 +51,8 @@ def ingredients(study: Study, earth_rate_deg_per_h: float | None = None) -> Ingr
     if study.is_recorded or any(p["earth"] != "constants" for p in study.combinations("earth")):
         raise InputError(f"{study.study.name}: paper 1's layouts need earth = 'constants'")
     angles = [only(study, f"{a}_center_deg") for a in ("yaw", "pitch", "roll")]
+    from scipy.spatial.transform import Rotation  # late, as in `worlds`
+
     turn = Rotation.from_euler("ZXY", angles, degrees=True)
     eps_e = turn.apply(np.ones(3) * only(study, "gyro_bias_deg_per_h"))[0] * DEG_PER_H
     nabla_e, nabla_n, _ = turn.apply(np.ones(3) * only(study, "accel_bias_ug")) * MICRO
