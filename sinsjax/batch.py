@@ -30,6 +30,10 @@ SETS = 8
 """Tiles that share one covariance; as `LANES`, it decides the last bits."""
 
 
+VECTOR = 16
+"""Single-precision numbers in the widest vector of a CPU."""
+
+
 class Group(NamedTuple):
     """Runs that share one compiled program and one world.
 
@@ -110,12 +114,16 @@ def layout(group: Group, lanes: int = LANES) -> tuple[int, int]:
 
 
 def distinct_draws(width: int, lanes: int = LANES) -> int:
-    """The most distinct draws that a tile can hold, where each takes ``width`` lanes in a row."""
+    """Draws a tile has room for, where each takes ``width`` lanes in a row.
+
+    At least the most that it can hold, in whole vectors: a rest would take as long as another.
+    """
     if width % lanes == 0:
         return 1
     if lanes % width == 0:
         return lanes // width
-    return (lanes + width - 2) // width + 1
+    most = (lanes + width - 2) // width + 1
+    return min(lanes, -(-most // VECTOR) * VECTOR)
 
 
 def plan(
@@ -178,7 +186,7 @@ def run_tile(static: Static, world: World, tile: Tiles) -> tuple[Outcome, Observ
         # Without the check of bounds, which would cost as much as the look-up.
         return jax.tree.map(lambda a: a.at[tile.row].get(mode="promise_in_bounds"), tree)
 
-    def over(f: Callable, *axes: int | None) -> Callable:
+    def over(f: Callable, *axes: Any) -> Callable:
         return jax.vmap(f, in_axes=axes)
 
     fan = Fan(

@@ -144,8 +144,8 @@ def accumulate(
             now,
             (time > criteria.window_start) & (time <= criteria.window_end),
         ),
-        above=metrics.above + (judged & above),
-        judged=metrics.judged + judged,
+        above=_count(metrics.above, judged & above),
+        judged=_count(metrics.judged, judged),
         last=now,
     )
 
@@ -156,11 +156,15 @@ def _widen(window: Window, now: Observation, inside: Flag) -> Window:
     first = jnp.where(opening, values, window.first)
     step = _wrap(values - first)
     return Window(
-        count=window.count + inside,
+        count=_count(window.count, inside),
         first=first,
         sums=jnp.where(inside, window.sums + step, window.sums),
         squares=jnp.where(inside, window.squares + step * step, window.squares),
     )
+
+
+def _count(so_far: Array, happened: Array) -> Array:
+    return jnp.where(happened, so_far + 1, so_far)
 
 
 def _wrap(angle: Array) -> Array:

@@ -23,6 +23,8 @@ import warnings
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from sinsjax import machine
+
 EXTRA_FLAG = "xla_backend_extra_options"
 OPT_OUT = "SINSJAX_XLA_OPTIONS"
 
@@ -174,7 +176,8 @@ def refused_flags(jaxlib: str) -> frozenset[str]:
 def configure(devices: int | None = None, x64: bool = True) -> None:
     """Set the number of CPU devices and the precision of JAX; call it before any computation.
 
-    Importing sinsjax never does this, since both change the whole program.
+    Importing sinsjax never does this, since both change the whole program. With
+    ``SINSJAX_COMPILE_CACHE`` in the environment compiled programs are kept, see `compile_cache`.
 
     Args:
         devices: virtual CPU devices, at least 1. None takes what ``JAX_NUM_CPU_DEVICES`` or
@@ -186,6 +189,8 @@ def configure(devices: int | None = None, x64: bool = True) -> None:
         RuntimeError: if JAX has started with another number of CPU devices.
     """
     import jax
+
+    from sinsjax import compile_cache
 
     if devices is not None and devices < 1:
         raise ValueError(f"devices must be at least 1, not {devices}")
@@ -200,6 +205,7 @@ def configure(devices: int | None = None, x64: bool = True) -> None:
                 "call sinsjax.runtime.configure before any JAX computation"
             )
     jax.config.update("jax_enable_x64", x64)
+    compile_cache.enable()
 
 
 def require_x64() -> None:
@@ -245,7 +251,7 @@ def info() -> dict[str, Any]:
     from sinsjax.hlo import options_seen
 
     present = flag_values(os.environ.get("XLA_FLAGS", ""))
-    cpu = _cpu()
+    cpu = machine.cpu()
     return {
         **versions(),
         "platform": platform.platform(),
@@ -336,13 +342,3 @@ def _write_cache(known: dict[str, dict[str, bool]]) -> None:
         ) as file:
             json.dump(known, file, indent=1)
         os.replace(file.name, path)
-
-
-def _cpu() -> dict[str, str]:
-    """The first processor's entries in ``/proc/cpuinfo``; empty where there is none."""
-    try:
-        first = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n")[0]
-    except OSError:
-        return {}
-    entries = (line.partition(":") for line in first.splitlines())
-    return {key.strip(): value.strip() for key, _, value in entries}

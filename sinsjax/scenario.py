@@ -6,7 +6,6 @@ values of `PROGRAM_KEYS` and `WORLD_KEYS`, wherever these are swept.
 """
 
 from collections.abc import Iterator
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -23,9 +22,9 @@ from sinsjax.metrics import Criteria
 from sinsjax.records import Record
 from sinsjax.rotations import from_euler, log
 from sinsjax.sections import Earth, Motion, Sensors
-from sinsjax.simulate import Draw, Params, Static, sense
+from sinsjax.simulate import Draw, Params, Static, World, noise, sense
 from sinsjax.studies import Study
-from sinsjax.types import Array, InputError, Quat, Vec3
+from sinsjax.types import Array, Increments, InputError, Quat, Vec3
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H
 from sinsjax.worlds import Tape, Variants, recorded, simulated, site_of
 
@@ -89,8 +88,14 @@ def simulated_record(study: Study, draw_id: int = 0, variant_id: int = 0) -> Rec
     part = _part(study, Variants(study, np.array([variant_id])), None, False)
     static, world = part.group.static, part.group.world
     draw = Draw(np.asarray(draw_id), np.asarray(0), np.asarray(0))
-    numbers = np.arange(static.records * static.record_every)
-    out = jax.jit(jax.vmap(partial(sense, static), in_axes=(None, None, 0)))(world, draw, numbers)
+
+    @jax.jit
+    def rows(world: World, draw: Draw, numbers: Array) -> Increments:
+        return jax.vmap(lambda n: sense(static, world, draw, n, noise(static, world, draw, n)))(
+            numbers
+        )
+
+    out = rows(world, draw, np.arange(static.records * static.record_every))
     return Record(
         dtheta=np.stack(out.dtheta, axis=1),
         dv=np.stack(out.dv, axis=1),

@@ -120,9 +120,9 @@ def begin(static: Static, world: World, params: Params) -> Run:
     return Run(state, metrics.start(world.criteria, zero))
 
 
-def noise(static: Static, world: World, draws: Draw, numbers: Array) -> Increments | None:
-    """Standard normal numbers, leaves (n, *draws), for n samples; None if no sensor has noise."""
-    return imu.noise(world.seed, draws.draw_id, numbers) if static.noisy else None
+def noise(static: Static, world: World, draws: Draw, n: Count) -> Increments | None:
+    """Standard normal numbers of one draw or of many; None if no sensor has noise."""
+    return imu.noise(world.seed, draws.draw_id, n) if static.noisy else None
 
 
 def sense(
@@ -193,9 +193,9 @@ def simulate(
     step = fan.over_runs(one_step, 0, 0, fan.shared, None)
     record = fan.over_runs(one_record, 0, fan.shared, None)
 
-    def sample_step(carry: tuple[Any, Increments], xs: tuple[Count, Any]) -> tuple[Any, None]:
-        (state, before), (n, normal) = carry, xs
-        now = sensed(draws, n, normal)
+    def sample_step(carry: tuple[Any, Increments], n: Count) -> tuple[Any, None]:
+        state, before = carry
+        now = sensed(draws, n, noise(static, world, draws, n))
         sample = fan.hand_out(compensated(now, before))
         return (step(params, state, sample, (n + 1).astype(world.tape.dtype)), now), None
 
@@ -203,8 +203,7 @@ def simulate(
         run, before = carry
         number, q_true = xs
         numbers = number * every + jnp.arange(every)
-        samples = (numbers, noise(static, world, draws, numbers))
-        (state, before), _ = jax.lax.scan(sample_step, (run.state, before), samples)
+        (state, before), _ = jax.lax.scan(sample_step, (run.state, before), numbers)
         time = (numbers[-1] + 1).astype(world.tape.dtype)
         run = record(Run(state, run.metrics), fan.hand_out(q_true), time)
         # One array: XLA:CPU updates several side by side by copying them whole, every record.

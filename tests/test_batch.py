@@ -84,9 +84,10 @@ def test_a_tile_never_holds_more_draws_than_counted(variants: int) -> None:
     draws = 130
     runs = np.arange(draws * variants // batch.LANES * batch.LANES).reshape(-1, batch.LANES)
     held = [np.unique(row // variants).size for row in runs]
-    assert max(held, default=1) <= batch.distinct_draws(variants)
+    room = batch.distinct_draws(variants)
+    assert max(held, default=1) <= room
     if len(held) > variants:
-        assert max(held) == batch.distinct_draws(variants)
+        assert room - max(held) < batch.VECTOR
 
 
 def some_group(force: str, method: str = "kalman5", *, draws: int, variants: int) -> batch.Group:

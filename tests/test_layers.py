@@ -9,7 +9,7 @@ import pytest
 import sinsjax
 
 LAYERS = (
-    {"columns", "files", "hlo", "runtime", "types", "units"},
+    {"columns", "compile_cache", "files", "hlo", "machine", "runtime", "types", "units"},
     {"config", "records", "sections", "studies"},
     {"algebra", "earth", "kalman", "randomness", "rotations"},
     {"error_model", "imu", "mechanisation", "trajectory"},

@@ -71,7 +71,8 @@ def draw(number=DRAW):
 
 def naive_measured():
     """Ideal increments, bias and the draw's own numbers."""
-    numbers = imu.noise(np.asarray(SEED), np.asarray(DRAW), np.arange(WHOLE))
+    over_samples = jax.vmap(imu.noise, in_axes=(None, None, 0))
+    numbers = over_samples(np.asarray(SEED), np.asarray(DRAW), np.arange(WHOLE))
     normal = np.stack([*numbers.dtheta, *numbers.dv], axis=1).astype(float)
     return ideal()[2:] + BIAS / RATE + NOISE * normal
 
@@ -141,14 +142,17 @@ def measure(here, draw, first, samples):
 
 @partial(jax.jit, static_argnums=3)
 def _measure(here, draw, first, samples):
-    program, numbers = static(100, 9), first + jnp.arange(samples)
-    normal = noise(program, here, draw, numbers)
-    return jax.vmap(partial(sense, program, here, draw))(numbers, normal)
+    program = static(100, 9)
+
+    def one(n):
+        return sense(program, here, draw, n, noise(program, here, draw, n))
+
+    return jax.vmap(one)(first + jnp.arange(samples))
 
 
 def test_sensors_without_noise_draw_none():
     program, here = static(100, 9)._replace(noisy=False), world(100, 9)
-    assert noise(program, here, draw(), np.arange(9)) is None
+    assert noise(program, here, draw(), np.asarray(9)) is None
     now = sense(program, here, draw(), np.asarray(3), None)
     expected = ideal()[2 + 3] + BIAS / RATE
     np.testing.assert_allclose([*now.dtheta, *now.dv], expected, rtol=0, atol=1e-17)
