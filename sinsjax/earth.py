@@ -72,7 +72,7 @@ def place(earth: Earth, latitude: Scalar) -> Place:
     Normal gravity is Somigliana's closed formula with the second-order height correction
     (NIMA TR8350.2, eqs 4-1 and 4-3). A plain number stays one, and compiles nothing.
     """
-    xp = jnp if isinstance(latitude, jax.Array) else np
+    xp = jnp if any(isinstance(number, jax.Array) for number in (latitude, *earth)) else np
     sin, cos = xp.sin(latitude), xp.cos(latitude)
     w2 = 1 - earth.eccentricity2 * sin * sin
     radius_n = earth.radius / xp.sqrt(w2)

@@ -41,6 +41,12 @@ def without_noise(group: Group) -> Group:
     )
 
 
+def at_rest(group: Group) -> Group:
+    """The group with A(t) of a base at rest, whose covariance all draws of a variant share."""
+    options = group.static.options._replace(specific_force="gravity")
+    return group._replace(static=group.static._replace(options=options))
+
+
 def some_variants(group: Group, count: int, runs: int = 0) -> Group:
     """The group with its last variants only, and draws enough for `TILES` and a number of runs."""
     draws = max(runs, TILES * SETS * max(LANES, count)) // count + 1
@@ -128,8 +134,8 @@ def _first_run(group: Group) -> Any:
 def _check(group: Group, first: Any, c: np.ndarray) -> None:
     """The baseline must give the engine's attitude, or its time means nothing."""
     static = group.static._replace(records=_BASELINE_SAMPLES // group.static.record_every)
-    draw = jax.tree.map(lambda a: np.asarray(a)[0], group.draws)
-    outcome, _ = jax.jit(partial(simulate, static))(group.world, Draw(*draw), first)
+    draw = jax.tree.map(lambda a: np.asarray(a).ravel()[0], group.draws)
+    outcome, _ = jax.jit(partial(simulate, static))(group.world, draw, first)
     ours = np.array([outcome.last.pitch, outcome.last.roll, outcome.last.yaw])
     theirs = np.array(
         [np.arcsin(c[2, 1]), np.arctan2(-c[2, 0], c[2, 2]), np.arctan2(-c[0, 1], c[1, 1])]
@@ -151,6 +157,7 @@ SHORT: dict[str, Callable[[], Case]] = {
     "kalman_noise_64": lambda: _noisy(64),
     "kalman_noise_6": lambda: _noisy(6),
     "kalman_noise_1": lambda: _noisy(1),
+    "kalman_shared_covariance": lambda: engine("kalman_shared_covariance", at_rest(_silent())),
     "numpy_baseline": lambda: numpy_baseline(_silent()),
 }
 """The short set: what makes each row, by its name, in order. A new row is a line here."""
