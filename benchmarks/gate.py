@@ -101,7 +101,7 @@ def gate(*, commit: bool, path: Path = COMMITTED) -> Verdict:
     holds = conditions()
     instructions = "avx512" if holds["avx512"] else "avx2"
     count = PAIRS if commit or holds["avx512"] else FOR_INFORMATION
-    kernel, ours = pairs.rows(False, count)
+    kernel, ours, *_ = pairs.rows(False, count)
     listed = ", ".join(f"{ratio:.2f}" for ratio in ours["ratios"])
     print(f"limit {kernel['ns_per_step_run']} ns, engine {ours['ns_per_step_run']} ns")
     print(f"ratios of {count} pairs: {listed}; median {ours['ratio']:.2f}", flush=True)

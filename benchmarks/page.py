@@ -38,6 +38,8 @@ def sections(machines: Sequence[Machine], notes: str) -> list[Section]:
     made = [
         Section("Targets", [block for machine in newest for block in targets(machine)]),
         Section("Beside the limit", [block for machine in cpus for block in beside_limit(machine)]),
+        Section("Where the time goes", [block for machine in cpus for block in work(machine)]),
+        Section("Single precision", [block for machine in cpus for block in single(machine)]),
         Section("Cost model", costs.cost_model(cpus)),
         Section("Starting up", [block for machine in cpus for block in cold_start(machine)]),
         Section("On a GPU", [block for machine in newest for block in gpu(machine)]),
@@ -107,6 +109,38 @@ def beside_limit(machine: Machine) -> list[Block]:
     return [
         Picture(f"rows_{slug(machine)}", caption, drawn),
         Table(f"ns a step and run, {machine.name}", header, lines, "Measured in turns in one run."),
+    ]
+
+
+def work(machine: Machine) -> list[Block]:
+    """What the processor does in the engine and in the limit kernel."""
+    counted = ("instructions", "cycles", "loads", "stores")
+    lines = [
+        [f"`{name.removeprefix('instructions_')}`", *(f"{row[key]:.1f}" for key in counted)]
+        for name, row in machine.sets.get("instructions", {}).items()
+    ]
+    note = "Counted by perf stat, in user mode; what starting and compiling took is left out."
+    header = ["row", *counted]
+    return [Table(f"A step and run, {machine.name}", header, lines, note)] if lines else []
+
+
+def single(machine: Machine) -> list[Block]:
+    """What single precision would gain, and what it costs."""
+    row = machine.row("single_precision", "single_precision")
+    if row is None:
+        return []
+    changed = ", ".join(f"{100 * share:.1f} %" for share in row["settle_changed_share"])
+    worst = ", ".join(f"{seconds:g} s" for seconds in row["settle_changed_s"])
+    return [
+        Text(
+            "Not offered. With the covariance and the error states in float32, and navigation in"
+            f" float64, a step takes {row['ratio']:.2f} times as long. Over the default sweep the"
+            f" final heading error changes by up to {row['phi_u_arcmin_max']:g} arcmin (median"
+            f" {row['phi_u_arcmin_median']:g}), a sigma by up to"
+            f" {100 * row['sigma_share_max']:.2g} %, and {changed} of the runs settle within 60,"
+            f" 10 and 3 arcmin at another time, by up to {worst}: as much as what a sweep is run"
+            f" to compare. {machine.name}."
+        )
     ]
 
 

@@ -5,17 +5,18 @@ import tempfile
 
 import common
 
-from sinsjax.bench.cases import default_group, engine, shortened, without_noise
+from sinsjax.bench.cases import at_rest, default_group, engine, shortened, without_noise
 from sinsjax.bench.limit import limit_kernel
-from sinsjax.bench.timing import Row, ratios, row, spread, turns
+from sinsjax.bench.timing import Case, Row, ratios, row, spread, turns
 from sinsjax.types import InputError
 
 
 def rows(quick: bool, repeats: int) -> list[Row]:
-    """Time ``limit_kernel`` and ``kalman_shared_record`` in pairs.
+    """Time ``limit_kernel`` and the engine in pairs.
 
     Returns:
-        A row each; the engine's has ``ratios``, one a pair, with their median and half range.
+        A row each for the kernel, ``kalman_shared_record`` and ``kalman_shared_covariance``; the
+        engine's have ``ratios``, one a pair, with their median and half range.
 
     Raises:
         InputError: there is no gcc, or it cannot build the kernel.
@@ -28,11 +29,20 @@ def rows(quick: bool, repeats: int) -> list[Row]:
         group = shortened(group, 2)
     with tempfile.TemporaryDirectory(prefix="sinsjax-limit-") as folder:
         kernel = limit_kernel(compiler, folder, **({"steps": 200} if quick else {}))
-        ours = engine("kalman_shared_record", group)
-        its, taken = turns([kernel, ours], repeats)
-    found = ratios(ours, kernel, taken, its)
-    told = spread("ratio", found) | {"ratios": [round(ratio, 3) for ratio in found]}
-    return [row(kernel, its), row(ours, taken) | told]
+        ours = [
+            engine("kalman_shared_record", group),
+            engine("kalman_shared_covariance", at_rest(group)),
+        ]
+        its, *taken = turns([kernel, *ours], repeats)
+    return [row(kernel, its), *(told(*pair, kernel, its) for pair in zip(ours, taken, strict=True))]
+
+
+def told(case: Case, taken: list[float], kernel: Case, its: list[float]) -> Row:
+    """The row of a case, with its ratios to the kernel."""
+    found = ratios(case, kernel, taken, its)
+    return (
+        row(case, taken) | spread("ratio", found) | {"ratios": [round(ratio, 3) for ratio in found]}
+    )
 
 
 if __name__ == "__main__":

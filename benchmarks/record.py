@@ -28,6 +28,8 @@ SCRIPTS = (
     "derivative",
     "memory",
     "loops",
+    "single_precision",
+    "instructions",
     "gpu",
 )
 """Scripts beside this one, each a set. The set ``short`` is ``sinsjax bench --limit``."""

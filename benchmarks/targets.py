@@ -45,6 +45,8 @@ def judged(machine: Machine) -> list[Judged]:
         *_devices(machine),
         *_start(machine),
         *_slopes(machine),
+        *_single(machine),
+        *_shared(machine),
     ]
 
 
@@ -135,3 +137,25 @@ def _slopes(machine: Machine) -> Iterator[Judged]:
                 sizes(row),
                 max(sizes_kb) <= (1 + MEMORY) * min(sizes_kb),
             )
+
+
+def _single(machine: Machine) -> Iterator[Judged]:
+    if row := machine.row("single_precision", "single_precision"):
+        yield Judged(
+            "float32 for covariance and error states, times float64",
+            "offered only with evidence",
+            f"{plus_minus(row, 'ratio')}; heading off by up to {row['phi_u_arcmin_max']:g} arcmin",
+            f"{sizes(row)}; errors over the default sweep",
+            True,
+        )
+
+
+def _shared(machine: Machine) -> Iterator[Judged]:
+    if row := machine.row("pairs", "kalman_shared_covariance"):
+        yield Judged(
+            "`kalman_shared_covariance`, times the limit kernel",
+            "as far below 1 as it goes",
+            plus_minus(row, "ratio"),
+            f"{len(row['ratios'])} alternating pairs; {sizes(row)}",
+            row["ratio"] < 1,
+        )

@@ -1,0 +1,127 @@
+"""What single precision gains and costs: the covariance and the error states in float32.
+
+Navigation stays in double precision, or the Earth's turn would be lost in the quaternion. The
+method is made here for the comparison and is not offered: the rows say why.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import common
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sinsjax import kalman, mechanisation, rotations
+from sinsjax.alignment import METHODS, zero_velocity
+from sinsjax.alignment.base import Method, Options, Site
+from sinsjax.alignment.schedules import reset_covariance, reset_due
+from sinsjax.batch import Group, chunks
+from sinsjax.bench.cases import default_group, engine, shortened, without_noise
+from sinsjax.bench.timing import Row, measure_against
+from sinsjax.error_model import MODELS, ErrorModel
+from sinsjax.metrics import Outcome
+from sinsjax.types import Navigation, Sample, Scalar, Vec3
+from sinsjax.units import ARCMIN
+
+NAME = "kalman5_single"
+
+
+def single(tree: Any) -> Any:
+    """Every number of a tree in single precision."""
+    return jax.tree.map(lambda a: jnp.asarray(a).astype(jnp.float32), tree)
+
+
+def double(tree: Any) -> Any:
+    """Every number of a tree in double precision."""
+    return jax.tree.map(lambda a: jnp.asarray(a).astype(jnp.float64), tree)
+
+
+def build(model: ErrorModel, options: Options) -> Method:
+    """`zero_velocity` with its belief in single precision; the 5-state model, f measured."""
+    whole = zero_velocity.build(model, options)
+
+    def init(params: zero_velocity.Params, nav: Navigation) -> zero_velocity.State:
+        state = whole.init(params, nav)
+        return state._replace(belief=single(state.belief))
+
+    def step(
+        params: zero_velocity.Params,
+        site: Site,
+        state: zero_velocity.State,
+        sample: Sample,
+        n: Scalar,
+    ) -> zero_velocity.State:
+        nav, f_dt = mechanisation.step(state.nav, sample, site.place, options.dt)
+        transition = single(model.transition(state.nav, site.place, f_dt, options.dt))
+        belief = kalman.predict(state.belief, transition, single(params.q))
+        belief = kalman.update(belief, (0, 1), single((nav.ve, nav.vn)), single(params.r))
+        due = n >= state.feedback_at
+        reset = reset_due(params.resets, n)
+        gain = jnp.where(reset, 1.0, jnp.where(due, params.feedback.gain, 0.0))
+        fed = tuple(single(gain) * x for x in belief.x)
+        nav = mechanisation.correct_velocity(nav, *double(fed[:2]))
+        kinds = params.resets._replace(**single(params.resets._replace(samples=0.0)._asdict()))
+        p = reset_covariance(kinds, reset, belief.p, single(params.p0), yaw=4)
+        return zero_velocity.State(
+            nav=nav._replace(q=rotations.correct(Vec3(*double(fed[2:])), nav.q)),
+            belief=kalman.Belief(
+                tuple(x - f for x, f in zip(belief.x, fed, strict=True)), single(p)
+            ),
+            bias=state.bias,
+            feedback_at=state.feedback_at + jnp.where(due, params.feedback.every, 0.0),
+        )
+
+    def widened(f: Callable) -> Callable:
+        return lambda state: f(state._replace(belief=double(state.belief)))
+
+    return Method(init, step, widened(whole.attitude), widened(whole.covariance), whole.normalise)
+
+
+def rows(quick: bool, repeats: int) -> list[Row]:
+    """Time the default sweep's step, and compare all its runs with those in double precision.
+
+    Returns:
+        ``double_precision`` and ``single_precision``; the latter with ``ratio`` and the most that
+        phi_u differs (``phi_u_arcmin_max``, ``_median``), the most that a sigma differs
+        (``sigma_share_max``), and for each band the share of runs that settle at another record
+        (``settle_changed_share``) and by how much at most (``settle_changed_s``).
+    """
+    METHODS[NAME] = partial(build, MODELS["kalman5"])
+    group = shortened(default_group(), 20) if quick else default_group()
+    silent = without_noise(shortened(group, min(group.static.records, 300)))
+    made = measure_against(
+        engine("double_precision", silent), [engine("single_precision", in_single(silent))], repeats
+    )
+    made[1] |= differences(outcome(group), outcome(in_single(group))) | {"dtype": "float32"}
+    return made
+
+
+def in_single(group: Group) -> Group:
+    """The group with the method of this file."""
+    return group._replace(static=group.static._replace(method=NAME))
+
+
+def outcome(group: Group) -> Outcome:
+    """Outcomes of all runs."""
+    parts = [chunk.outcome for chunk in chunks(group)]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+
+
+def differences(exact: Outcome, ours: Outcome) -> Row:
+    """By how much outcomes differ."""
+    phi = np.abs(exact.last.phi.z - ours.last.phi.z) / ARCMIN
+    sigma = [np.abs(b / a - 1) for a, b in zip(exact.last.sigma, ours.last.sigma, strict=True)]
+    settled = np.abs(exact.outside_until - ours.outside_until)
+    return {
+        "phi_u_arcmin_max": float(f"{phi.max():.3g}"),
+        "phi_u_arcmin_median": float(f"{np.median(phi):.3g}"),
+        "sigma_share_max": float(f"{np.max(sigma):.3g}"),
+        "settle_changed_share": [round(share, 4) for share in np.mean(settled > 0, axis=0)],
+        "settle_changed_s": settled.max(axis=0).tolist(),
+    }
+
+
+if __name__ == "__main__":
+    common.main(rows)
