@@ -36,27 +36,27 @@ def perfect() -> SensorErrors:
     return SensorErrors(*(jnp.zeros(3),) * 4, jnp.zeros((3, 3)), jnp.zeros((3, 3)))
 
 
-def noise(seed: Count, draw_id: Array, n: Count) -> Increments:
-    """Standard normal numbers for a sample of one draw or of many.
+def noise(seed: Count, draw_id: Array, numbers: Array) -> Increments:
+    """Standard normal numbers for samples of one draw or of many.
 
     A function of seed, draw and sample alone: neither record interval, run length, tile, chunk,
     device nor worker can change it, but for the last bit. In single precision, which is far finer
-    than any sensor. All of a sample's numbers are made in one row, which fills the vector units.
+    than any sensor. All of them are made in one row, which fills the vector units.
 
     Args:
         seed: of the study, below 2^63.
         draw_id: () or (draws,), below 2^32.
-        n: number of the sample in the run, below 2^32 / 3.
+        numbers: (n,) of the samples in the run, below 2^32 / 3.
 
     Returns:
-        `Increments` with leaves of the shape of ``draw_id``.
+        `Increments` with leaves (n, *draws).
     """
     wide = jnp.asarray(seed).astype(jnp.uint64)
     key = ((wide >> 32).astype(jnp.uint32), wide.astype(jnp.uint32))
-    draw = jnp.asarray(draw_id)
-    shape = (3, *draw.shape)
+    draw, first = jnp.asarray(draw_id), 3 * jnp.asarray(numbers)
+    shape = (3, *first.shape, *draw.shape)
     # A sample takes three counters in a row, a pair of numbers each.
-    counter = (3 * n + jnp.arange(3)).reshape(3, *(1 for _ in draw.shape))
+    counter = (first[None] + jnp.arange(3)[:, None]).reshape(3, -1, *(1 for _ in draw.shape))
     row = (jnp.broadcast_to(a, shape).astype(jnp.uint32).reshape(-1) for a in (draw, counter))
     pairs = jax.vmap(lambda *counter: normal_pair(threefry(key, counter)))(*row)
     (gx, gz, ay), (gy, ax, az) = (pair.reshape(shape) for pair in pairs)

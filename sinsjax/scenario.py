@@ -6,6 +6,7 @@ values of `PROGRAM_KEYS` and `WORLD_KEYS`, wherever these are swept.
 """
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -91,9 +92,8 @@ def simulated_record(study: Study, draw_id: int = 0, variant_id: int = 0) -> Rec
 
     @jax.jit
     def rows(world: World, draw: Draw, numbers: Array) -> Increments:
-        return jax.vmap(lambda n: sense(static, world, draw, n, noise(static, world, draw, n)))(
-            numbers
-        )
+        normal = noise(static, world, draw, numbers)
+        return jax.vmap(partial(sense, static, world, draw))(numbers, normal)
 
     out = rows(world, draw, np.arange(static.records * static.record_every))
     return Record(

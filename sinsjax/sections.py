@@ -235,7 +235,7 @@ class Alignment(Section):
         "fixed", description="whether position stays or follows the velocity"
     )
     specific_force: Literal["measured", "gravity"] = Field(
-        "measured", description="specific force in the filter's model"
+        "measured", description="specific force in A(t): as measured, or that of a base at rest"
     )
     feedback_interval_s: Positive = Field(1.0, description="time between feedbacks, s")
     feedback_time_constant_s: NonNegative = Field(

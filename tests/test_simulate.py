@@ -20,7 +20,17 @@ from scipy.spatial.transform import Rotation
 from sinsjax import imu
 from sinsjax.alignment.base import Options
 from sinsjax.metrics import Criteria
-from sinsjax.simulate import Draw, Params, Static, World, noise, sense, simulate
+from sinsjax.simulate import (
+    NOISE_ROW,
+    Draw,
+    Params,
+    Static,
+    World,
+    noise,
+    piece,
+    sense,
+    simulate,
+)
 from sinsjax.types import Quat, Vec3
 
 RATE, LATITUDE, SEED = 100, 32 * DEG, 11
@@ -71,8 +81,7 @@ def draw(number=DRAW):
 
 def naive_measured():
     """Ideal increments, bias and the draw's own numbers."""
-    over_samples = jax.vmap(imu.noise, in_axes=(None, None, 0))
-    numbers = over_samples(np.asarray(SEED), np.asarray(DRAW), np.arange(WHOLE))
+    numbers = imu.noise(np.asarray(SEED), np.asarray(DRAW), np.arange(WHOLE))
     normal = np.stack([*numbers.dtheta, *numbers.dv], axis=1).astype(float)
     return ideal()[2:] + BIAS / RATE + NOISE * normal
 
@@ -142,17 +151,23 @@ def measure(here, draw, first, samples):
 
 @partial(jax.jit, static_argnums=3)
 def _measure(here, draw, first, samples):
-    program = static(100, 9)
+    program, numbers = static(100, 9), first + jnp.arange(samples)
+    normal = noise(program, here, draw, numbers)
+    return jax.vmap(partial(sense, program, here, draw))(numbers, normal)
 
-    def one(n):
-        return sense(program, here, draw, n, noise(program, here, draw, n))
 
-    return jax.vmap(one)(first + jnp.arange(samples))
+@pytest.mark.parametrize("draws", [1, 6, 16, 64, 200])
+@pytest.mark.parametrize("every", [1, 7, 50, 97, 1000])
+def test_a_record_interval_is_cut_into_equal_pieces(draws, every):
+    many = Draw(np.arange(draws), np.asarray(0), np.zeros(draws, int))
+    noisy = piece(static(every, 9), many)
+    assert every % noisy == 0 and noisy * draws <= max(NOISE_ROW, draws)
+    assert piece(static(every, 9)._replace(noisy=False), many) == every
 
 
 def test_sensors_without_noise_draw_none():
     program, here = static(100, 9)._replace(noisy=False), world(100, 9)
-    assert noise(program, here, draw(), np.asarray(9)) is None
+    assert noise(program, here, draw(), np.arange(9)) is None
     now = sense(program, here, draw(), np.asarray(3), None)
     expected = ideal()[2 + 3] + BIAS / RATE
     np.testing.assert_allclose([*now.dtheta, *now.dv], expected, rtol=0, atol=1e-17)

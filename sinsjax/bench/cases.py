@@ -42,9 +42,13 @@ def without_noise(group: Group) -> Group:
 
 
 def at_rest(group: Group) -> Group:
-    """The group with A(t) of a base at rest, whose covariance all draws of a variant share."""
+    """A tenth of the group's time with A(t) of a base at rest: its draws share a covariance.
+
+    Its calls are large: all variants of several draws.
+    """
     options = group.static.options._replace(specific_force="gravity")
-    return group._replace(static=group.static._replace(options=options))
+    group = group._replace(static=group.static._replace(options=options))
+    return shortened(group, max(2, group.static.records // 10))
 
 
 def some_variants(group: Group, count: int, runs: int = 0) -> Group:
