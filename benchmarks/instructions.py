@@ -1,7 +1,7 @@
 """What the processor does a step and run, in the limit kernel and in the engine: why the ratio.
 
-Counted by ``perf stat``, as the difference between a longer and a shorter run of the same process,
-so that starting and compiling fall out. Without perf, or where it may not count, there are no rows.
+Counted by ``perf stat``: for the engine during its calls only, for the kernel as the difference
+between a longer and a shorter run. Without perf, or where it may not count, there are no rows.
 """
 
 import os
@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from pathlib import Path
 
 import common
 
@@ -32,19 +33,23 @@ VECTORS, STEPS = 32, 20000
 KERNEL_REPEATS = 5
 """Times that the kernel's program runs it, to tell the best."""
 
-RECORDS, CALLS = 90, 4
+RECORDS, CALLS = 90, 20
 
 _ENGINE = """
-import sys
+import os, sys
 from sinsjax.bench.timing import use_one_core
 use_one_core()
 from sinsjax.bench.cases import at_rest, default_group, engine, shortened, without_noise
 change = {"shared_record": lambda g: g, "shared_covariance": at_rest}[sys.argv[1]]
 case = engine("x", change(shortened(without_noise(default_group()), int(sys.argv[2]))))
-for _ in range(int(sys.argv[3])):
-    case.call()
-print(case.runs * case.steps)
+with open(os.environ["COUNTING"], "w") as counting:
+    print("enable", file=counting, flush=True)
+    for _ in range(int(sys.argv[3])):
+        case.call()
+    print("disable", file=counting, flush=True)
+print(case.runs * case.steps * int(sys.argv[3]))
 """
+"""Runs in a process of its own, and tells perf when to count."""
 
 
 def rows(quick: bool, repeats: int) -> list[Row]:
@@ -69,27 +74,41 @@ def rows(quick: bool, repeats: int) -> list[Row]:
             many, _ = counted(perf, [*kernel, str(2 * steps), str(VECTORS)], events)
             done = KERNEL_REPEATS * steps * VECTORS * 8
             made.append(row("instructions_limit_kernel", few, many, done))
-        for case in ("shared_record", "shared_covariance"):
-            command = [sys.executable, "-c", _ENGINE, case, str(records)]
-            few, done = counted(perf, [*command, str(CALLS)], events)
-            many, _ = counted(perf, [*command, str(2 * CALLS)], events)
-            made.append(row(f"instructions_kalman_{case}", few, many, CALLS * int(done)))
+            for case in ("shared_record", "shared_covariance"):
+                command = [sys.executable, "-c", _ENGINE, case, str(records), str(CALLS)]
+                counts, done = counted(perf, command, events, Path(folder) / f"{case}.fifo")
+                nothing = dict.fromkeys(counts, 0)
+                made.append(row(f"instructions_kalman_{case}", nothing, counts, int(done)))
     except PermissionError:
         print("warning: perf may not count here", file=sys.stderr)
         return []
     return made
 
 
-def counted(perf: str, command: list[str], events: dict[str, str]) -> tuple[dict[str, int], str]:
+def counted(
+    perf: str, command: list[str], events: dict[str, str], fifo: Path | None = None
+) -> tuple[dict[str, int], str]:
     """Counts of a command's user-mode events, and what it printed.
+
+    Args:
+        perf: path of the program.
+        command: to count in.
+        events: names of perf's events.
+        fifo: where the command tells perf when to count; None counts all of it.
 
     Raises:
         InputError: the command failed.
         PermissionError: perf may not count here.
     """
-    asked = ",".join(f"{event}:u" for event in events.values())
+    flags = ["-x", ";", "-e", ",".join(f"{event}:u" for event in events.values())]
+    if fifo is not None:
+        os.mkfifo(fifo)
+        flags += ["-D", "-1", "--control", f"fifo:{fifo}"]
     ended = subprocess.run(
-        [perf, "stat", "-x", ";", "-e", asked, "--", *command], capture_output=True, text=True
+        [perf, "stat", *flags, "--", *command],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"COUNTING": str(fifo)},
     )
     lines = [line.split(";") for line in ended.stderr.splitlines() if line.count(";") > 2]
     counts = [line[0] for line in lines]

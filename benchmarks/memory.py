@@ -8,7 +8,6 @@ import tempfile
 from pathlib import Path
 
 import common
-import jax
 
 from sinsjax.batch import compiled, plan, tiles_of
 from sinsjax.bench.assets import asset
@@ -67,8 +66,7 @@ def of_call(tiles: int, records: int, *, curves: bool) -> Row:
     static = group.static._replace(curves=curves)
     places = next(plan(group, tiles_a_chunk=tiles))
     arguments = (group.world, tiles_of(group, places))
-    shapes = jax.eval_shape(lambda *a: a, *arguments)
-    found = compiled(static, 1).lower(*shapes).compile().memory_analysis()
+    found = compiled(static, *arguments).memory_analysis()
     runs = places.draw.size
     total = found.argument_size_in_bytes + found.output_size_in_bytes + found.temp_size_in_bytes
     return {

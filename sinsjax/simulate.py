@@ -1,8 +1,8 @@
 """One alignment run, from sensor increments to its outcome, as pure functions.
 
-`stream` makes the samples of a draw, `advance` takes a run over them, `over_blocks` drives the two
-through time. `simulate` puts them together for a single run; `batch` maps the same
-functions over many.
+`noise` and `sense` make the samples of a draw, `over_a_record` takes a run over those of a record
+interval and judges it at the end. `simulate` puts them together for a single run; `batch` maps the
+same functions over many.
 """
 
 from collections.abc import Callable
@@ -170,6 +170,72 @@ class Fan(NamedTuple):
 ONE = Fan(lambda f, *axes: f, lambda f, *axes: f, lambda tree: tree, None)
 
 
+class Progress(NamedTuple):
+    """Runs under way, and the last increments of their draws, which compensation looks back at."""
+
+    run: Run
+    before: Increments
+
+
+def over_a_record(
+    static: Static, world: World, draws: Draw, params: Params, fan: Fan
+) -> Callable[[Progress, tuple[Count, Quat]], tuple[Progress, Array | None]]:
+    """The function that takes runs over one record interval.
+
+    Args:
+        static: program.
+        world: shared.
+        draws: as in `simulate`.
+        params: as in `simulate`.
+        fan: as in `simulate`.
+
+    Returns:
+        (progress, (number of the record, true attitudes of the draws at its end)) -> progress, and
+        observations (fields, *runs) if ``static.curves``.
+    """
+    method = method_of(static)
+    every, dt, kind = static.record_every, static.options.dt, world.tape.dtype
+
+    def one_step(params: Params, state: Any, sample: Sample, n: Scalar) -> Any:
+        return method.step(params.method, world.site, state, sample, n)
+
+    def one_record(run: Run, q_true: Quat, n: Scalar) -> Run:
+        state = method.normalise(run.state)
+        now = metrics.observe(q_true, method.attitude(state), method.covariance(state))
+        so_far = metrics.accumulate(
+            run.metrics, world.criteria, now, floor=world.floor, time=n * dt
+        )
+        return Run(state, so_far)
+
+    axes = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
+    sensed = fan.over_draws(partial(sense, static, world), axes, None, 0)
+    compensated = fan.over_draws(imu.compensate, 0, 0)
+    step = fan.over_runs(one_step, 0, 0, fan.shared, None)
+    record = fan.over_runs(one_record, 0, fan.shared, None)
+
+    def sample_step(carry: tuple[Any, Increments], xs: tuple[Count, Any]) -> tuple[Any, None]:
+        (state, before), (n, normal) = carry, xs
+        now = sensed(draws, n, normal)
+        sample = fan.hand_out(compensated(now, before))
+        return (step(params, state, sample, (n + 1).astype(kind)), now), None
+
+    def piece_step(carry: tuple[Any, Increments], numbers: Array) -> tuple[Any, None]:
+        samples = (numbers, noise(static, world, draws, numbers))
+        return jax.lax.scan(sample_step, carry, samples)[0], None
+
+    def record_step(progress: Progress, xs: tuple[Count, Quat]) -> tuple[Progress, Array | None]:
+        (run, before), (number, q_true) = progress, xs
+        numbers = number * every + jnp.arange(every).reshape(-1, piece(static, draws))
+        (state, before), _ = jax.lax.scan(piece_step, (run.state, before), numbers)
+        n = ((number + 1) * every).astype(kind)
+        run = record(Run(state, run.metrics), fan.hand_out(q_true), n)
+        # One array: XLA:CPU updates several side by side by copying them whole, every record.
+        out = jnp.stack(jax.tree.leaves(run.metrics.last)) if static.curves else None
+        return Progress(run, before), out
+
+    return record_step
+
+
 def simulate(
     static: Static, world: World, draws: Draw, params: Params, fan: Fan = ONE
 ) -> tuple[Outcome, Observation | None]:
@@ -185,47 +251,6 @@ def simulate(
     Returns:
         Outcomes, and, if ``static.curves``, observations with leaves (records,) in front.
     """
-    method = method_of(static)
-    every, dt = static.record_every, static.options.dt
-
-    def one_step(params: Params, state: Any, sample: Sample, n: Scalar) -> Any:
-        return method.step(params.method, world.site, state, sample, n)
-
-    def one_record(run: Run, q_true: Quat, n: Scalar) -> Run:
-        state = method.normalise(run.state)
-        now = metrics.observe(q_true, method.attitude(state), method.covariance(state))
-        return Run(
-            state,
-            metrics.accumulate(run.metrics, world.criteria, now, floor=world.floor, time=n * dt),
-        )
-
-    axes = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
-    sensed = fan.over_draws(partial(sense, static, world), axes, None, 0)
-    compensated = fan.over_draws(imu.compensate, 0, 0)
-    step = fan.over_runs(one_step, 0, 0, fan.shared, None)
-    record = fan.over_runs(one_record, 0, fan.shared, None)
-
-    def sample_step(carry: tuple[Any, Increments], xs: tuple[Count, Any]) -> tuple[Any, None]:
-        (state, before), (n, normal) = carry, xs
-        now = sensed(draws, n, normal)
-        sample = fan.hand_out(compensated(now, before))
-        return (step(params, state, sample, (n + 1).astype(world.tape.dtype)), now), None
-
-    def piece_step(carry: tuple[Any, Increments], numbers: Array) -> tuple[Any, None]:
-        samples = (numbers, noise(static, world, draws, numbers))
-        return jax.lax.scan(sample_step, carry, samples)[0], None
-
-    def record_step(carry: tuple[Run, Increments], xs: tuple[Count, Quat]) -> tuple[Any, Any]:
-        run, before = carry
-        number, q_true = xs
-        numbers = number * every + jnp.arange(every).reshape(-1, piece(static, draws))
-        (state, before), _ = jax.lax.scan(piece_step, (run.state, before), numbers)
-        time = ((number + 1) * every).astype(world.tape.dtype)
-        run = record(Run(state, run.metrics), fan.hand_out(q_true), time)
-        # One array: XLA:CPU updates several side by side by copying them whole, every record.
-        out = jnp.stack(jax.tree.leaves(run.metrics.last)) if static.curves else None
-        return (run, before), out
-
     run = fan.over_runs(lambda p: begin(static, world, p), 0)(params)
     # A run's first sample has none before it: with zeros nothing is compensated, as with itself.
     zero = jnp.zeros(draws.draw_id.shape, world.tape.dtype)
@@ -233,8 +258,9 @@ def simulate(
     # From (*draws, records, 4) to leaves (records, *draws).
     truth = jnp.asarray(world.truth)[draws.row, : static.records]
     truth = Quat(*jnp.moveaxis(truth, (-1, -2), (0, 1)))
-    numbers = jnp.arange(static.records)
-    (run, _), curves = jax.lax.scan(record_step, (run, before), (numbers, truth))
+    record_step = over_a_record(static, world, draws, params, fan)
+    records = (jnp.arange(static.records), truth)
+    (run, _), curves = jax.lax.scan(record_step, Progress(run, before), records)
     outcome = fan.over_runs(lambda r: end(static, world, r), 0)(run)
     if curves is None:
         return outcome, None
