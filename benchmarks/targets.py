@@ -54,7 +54,8 @@ def sizes(row: Row) -> str:
     """Runs, steps and devices of a row in words."""
     devices = row["devices"]
     spread = f"{devices} devices" if devices > 1 else "one core"
-    return f"{row['runs']:,} runs of {row['steps']:,} steps, {spread}"
+    runs = "1 run" if row["runs"] == 1 else f"{row['runs']:,} runs"
+    return f"{runs} of {row['steps']:,} steps, {spread}"
 
 
 def plus_minus(row: Row, key: str, digits: int = 2) -> str:

@@ -6,8 +6,10 @@ A user's mistake prints one line and exits with code 2; nothing else of Python i
 import atexit
 import gc
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -136,7 +138,7 @@ def _run_study(
     curves: bool | None,
     files: tuple[Path, Path | None] | None = None,
 ) -> None:
-    from sinsjax import campaign, report
+    from sinsjax import campaign
     from sinsjax.config import load_study
     from sinsjax.results import check_free
 
@@ -159,6 +161,8 @@ def _run_study(
     if devices is not None and devices > runtime.usable_cores():
         raise InputError(f"--devices: {devices} are more than the {runtime.usable_cores()} cores")
     runtime.configure(devices)
+    # What the report needs takes a third of a second to import, which XLA's compiling leaves idle.
+    threading.Thread(target=import_module, args=("sinsjax.report",), daemon=True).start()
     tape = None if files is None else campaign.load_tape(study, *files)
     if left := study.dropped_s:
         console.print(f"The last {left:g} s are no whole record interval and are not run.")
@@ -166,7 +170,7 @@ def _run_study(
         campaign.run_into(
             study, out, tape, curves=curves, overwrite=overwrite, progress=tell, source=config
         )
-    report.summarise([out], console)
+    import_module("sinsjax.report").summarise([out], console)
 
 
 @contextmanager
