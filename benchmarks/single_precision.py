@@ -89,6 +89,14 @@ def rows(quick: bool, repeats: int) -> list[Row]:
         (``settle_changed_share``) and by how much at most (``settle_changed_s``).
     """
     METHODS[NAME] = partial(build, MODELS["kalman5"])
+    try:
+        return compared(quick, repeats)
+    finally:
+        del METHODS[NAME]
+
+
+def compared(quick: bool, repeats: int) -> list[Row]:
+    """`rows`, while the method of this file has a name."""
     group = shortened(default_group(), 20) if quick else default_group()
     silent = without_noise(shortened(group, min(group.static.records, 300)))
     made = measure_against(

@@ -18,13 +18,17 @@ FOLDER = Path(__file__).parents[1] / "benchmarks"
 sys.path.insert(0, str(FOLDER))
 
 import common  # noqa: E402
+import derivative  # noqa: E402
 import devices  # noqa: E402
 import gate  # noqa: E402
 import gpu  # noqa: E402
+import instructions  # noqa: E402
+import memory  # noqa: E402
 import noise  # noqa: E402
 import page  # noqa: E402
 import pairs  # noqa: E402
 import record  # noqa: E402
+import single_precision  # noqa: E402
 import store  # noqa: E402
 import throughput  # noqa: E402
 from targets import judged  # noqa: E402
@@ -257,7 +261,8 @@ def test_the_speed_up_is_over_one_device_in_the_same_turn(monkeypatch):
 
     def engine(name: str, group: Any, *, tiles: int, devices: int) -> Case:
         assert tiles % (2 * devices) == 0
-        return Case(name, 64 * tiles, 9000, 0.0, lambda: next(taken[devices]), devices=devices)
+        runs = 64 * tiles * devices
+        return Case(name, runs, 9000, 0.0, lambda: next(taken[devices]), devices=devices)
 
     monkeypatch.setattr(devices, "engine", engine)
     one, two = devices.scaling(False, 3)
@@ -267,7 +272,9 @@ def test_the_speed_up_is_over_one_device_in_the_same_turn(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("script", [pairs, throughput, noise, devices])
+@pytest.mark.parametrize(
+    "script", [pairs, throughput, noise, devices, derivative, single_precision]
+)
 def test_a_script_runs_quickly(script):
     if script is pairs and shutil.which("gcc") is None:
         pytest.skip("no gcc")
@@ -277,6 +284,27 @@ def test_a_script_runs_quickly(script):
     assert all(0 < row["ns_per_step_run"] < 1e6 for row in rows)
     assert len({row["name"] for row in rows}) == len(rows) > 0
     json.dumps(rows)
+
+
+@pytest.mark.slow
+def test_memory_is_asked_for_quickly():
+    plain, curves, sweep = memory.rows(True, 1)
+    assert 0 < plain["bytes_per_run"] < curves["bytes_per_run"]
+    assert sweep["before_mib"] < sweep["peak_mib"] < 2000
+
+
+@pytest.mark.slow
+def test_instructions_are_counted_where_they_can_be():
+    rows = instructions.rows(True, 1)
+    if not rows:
+        pytest.skip("nothing to count with")
+    assert all(0 < row[key] < 1e5 for row in rows for key in ("instructions", "loads", "stores"))
+
+
+def test_counts_are_those_of_the_longer_run_over_the_shorter():
+    few, many = {"instructions": 100, "stores": 30}, {"instructions": 400, "stores": 130}
+    expected = {"name": "x", "step_runs": 50, "instructions": 6.0, "stores": 2.0}
+    assert instructions.row("x", few, many, 50) == expected
 
 
 @pytest.mark.slow
