@@ -14,7 +14,7 @@ from pathlib import Path
 
 import common
 
-from sinsjax import runtime
+from sinsjax import compile_cache, runtime
 from sinsjax.bench.timing import Row, Spread
 from sinsjax.types import InputError
 
@@ -49,6 +49,9 @@ phi_u0_deg = [0, 10, 20, 30]
 """
 
 RUNS, RATE_HZ = 64, 100
+
+CACHES = ("JAX_COMPILATION_CACHE_DIR", compile_cache.VARIABLE)
+"""What would let a process find programs that an earlier one compiled."""
 
 PHASES = ("import", "prepare", "trace", "compile", "run_and_write", "report", "exit")
 """Python and the imports; the study's world and its small programs; tracing and lowering the
@@ -128,7 +131,7 @@ def command(arguments: list[str]) -> tuple[float, str]:
     Raises:
         InputError: it failed.
     """
-    environment = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
+    environment = {k: v for k, v in os.environ.items() if k not in CACHES}
     path = os.pathsep.join(filter(None, [str(common.ROOT), os.environ.get("PYTHONPATH")]))
     since = time.perf_counter()
     ended = subprocess.run(

@@ -9,16 +9,13 @@ import time
 from collections.abc import Callable
 
 import common
-import jax
 import numpy as np
 
 from sinsjax import baseline
 from sinsjax.baseline import Setting
 from sinsjax.batch import Group
-from sinsjax.bench.cases import default_group, numpy_baseline, without_noise
+from sinsjax.bench.cases import default_group, first_run, numpy_baseline, without_noise
 from sinsjax.bench.timing import Case, Row, measure
-from sinsjax.rotations import matrix, misalign
-from sinsjax.types import Quat
 
 CHECKED = 2000
 """Samples over which the Numba loop is compared."""
@@ -71,29 +68,6 @@ def numba_case(loop: Loop, group: Group, samples: int | None) -> Case:
         return time.perf_counter() - since
 
     return Case("numba_loop", 1, len(taken), compile_s, call)
-
-
-def first_run(group: Group) -> tuple[np.ndarray, np.ndarray, Setting]:
-    """Increments, initial C_b^n and numbers of the first run of a noise-free group."""
-    errors, place = group.world.errors, group.world.site.place
-    dt = group.static.options.dt
-    bias = np.concatenate([errors.gyro_bias, errors.accel_bias])
-    params = jax.tree.map(lambda a: np.asarray(a)[0], group.variants)
-    method = params.method
-    setting = Setting(
-        dt=dt,
-        rate_n=float(place.rate_n),
-        rate_u=float(place.rate_u),
-        tan_latitude=float(place.tan_latitude),
-        radius=float(1 / place.curvature_n),
-        p0=np.array(method.p0),
-        q=np.array(method.q),
-        r=float(method.r),
-        feedback_every=int(method.feedback.every),
-        resets=tuple(int(n) for n in method.resets.samples if np.isfinite(n)),
-    )
-    start = np.array(matrix(misalign(params.phi, Quat(*group.q[0]))))
-    return np.asarray(group.world.tape) + bias * dt, start, setting
 
 
 if __name__ == "__main__":

@@ -20,16 +20,7 @@ ENTRIES = np.array(
 
 
 def align(increments: np.ndarray, c: np.ndarray, setting: Setting) -> tuple[np.ndarray, np.ndarray]:
-    """Run the 5-state zero-velocity alignment.
-
-    Args:
-        increments: (n, 6) measured angle (rad) and velocity (m/s) increments in b.
-        c: (3, 3) initial C_b^n, misaligned.
-        setting: numbers.
-
-    Returns:
-        C_b^n corrected by the last estimate, and P (5, 5).
-    """
+    """Takes and returns what `sinsjax.baseline.align` does."""
     s = setting
     earth = (s.dt, s.rate_n, s.rate_u, s.tan_latitude, 1 / s.radius)
     resets = np.array(s.resets, dtype=np.int64)

@@ -7,7 +7,7 @@ import common
 
 from sinsjax.bench.cases import at_rest, default_group, engine, shortened, without_noise
 from sinsjax.bench.limit import limit_kernel
-from sinsjax.bench.timing import Case, Row, ratios, row, spread, turns
+from sinsjax.bench.timing import Case, Row, ratios, row, row_against, turns
 from sinsjax.types import InputError
 
 
@@ -40,9 +40,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
 def told(case: Case, taken: list[float], kernel: Case, its: list[float]) -> Row:
     """The row of a case, with its ratios to the kernel."""
     found = ratios(case, kernel, taken, its)
-    return (
-        row(case, taken) | spread("ratio", found) | {"ratios": [round(ratio, 3) for ratio in found]}
-    )
+    return row_against(case, taken, found) | {"ratios": [round(ratio, 3) for ratio in found]}
 
 
 if __name__ == "__main__":

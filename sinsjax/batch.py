@@ -29,7 +29,6 @@ LANES = 64
 SETS = 8
 """Tiles that share one covariance; as `LANES`, it decides the last bits."""
 
-
 VECTOR = 16
 """Single-precision numbers in the widest vector of a CPU."""
 

@@ -58,6 +58,8 @@ def build(model: ErrorModel, options: Options) -> Method:
         model: linear error model; its first five states are those of [P1] eq. (1).
         options: what decides the program.
     """
+    at_rest = options.specific_force == "gravity"
+    integrated = options.position == "integrated"
 
     def init(params: Params, nav: Navigation) -> State:
         belief = kalman.start(params.p0)
@@ -65,13 +67,12 @@ def build(model: ErrorModel, options: Options) -> Method:
 
     def step(params: Params, site: Site, state: State, sample: Sample, n: Scalar) -> State:
         before = state.nav
-        integrated = options.position == "integrated"
         place = earth.place(site.earth, before.latitude) if integrated else site.place
         sample = model.correct_sample(sample, state.bias, options.dt)
         nav, f_dt = mechanisation.step(before, sample, place, options.dt)
         if integrated:
             nav = mechanisation.travel(nav, place, options.dt)
-        if options.specific_force == "gravity":
+        if at_rest:
             f_dt = Vec3(0.0, 0.0, place.gravity * options.dt)
             before = before._replace(ve=0.0, vn=0.0)
         transition = model.transition(before, place, f_dt, options.dt)
@@ -79,14 +80,13 @@ def build(model: ErrorModel, options: Options) -> Method:
         belief = kalman.update(belief, (VE, VN), (nav.ve, nav.vn), params.r)
         return _close_loop(params, state._replace(nav=nav, belief=belief), n)
 
-    at_rest = options.specific_force == "gravity" and options.position == "fixed"
     return Method(
         init,
         step,
         _attitude,
         _covariance,
         _normalise,
-        common_covariance=at_rest and not model.uses_attitude,
+        common_covariance=at_rest and not integrated and not model.uses_attitude,
     )
 
 

@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable
 from functools import cache, partial
 from itertools import islice
-from typing import Any
 
 import jax
 import numpy as np
@@ -16,7 +15,7 @@ from sinsjax.bench.timing import Case
 from sinsjax.config import load_study
 from sinsjax.rotations import matrix, misalign
 from sinsjax.scenario import parts
-from sinsjax.simulate import Draw, World, simulate
+from sinsjax.simulate import Draw, Params, World, simulate
 from sinsjax.types import Quat
 
 TILES = 2
@@ -102,25 +101,9 @@ def engine(
 
 def numpy_baseline(group: Group) -> Case:
     """The first run of a noise-free group as a plain NumPy loop, checked against the engine."""
-    increments = np.asarray(group.world.tape[:_BASELINE_SAMPLES])
-    errors, place = group.world.errors, group.world.site.place
-    dt = group.static.options.dt
-    increments = increments + np.concatenate([errors.gyro_bias, errors.accel_bias]) * dt
-    first = _first_run(group)
-    setting = Setting(
-        dt=dt,
-        rate_n=float(place.rate_n),
-        rate_u=float(place.rate_u),
-        tan_latitude=float(place.tan_latitude),
-        radius=float(1 / place.curvature_n),
-        p0=np.array(first.method.p0),
-        q=np.array(first.method.q),
-        r=float(first.method.r),
-        feedback_every=int(first.method.feedback.every),
-        resets=tuple(int(n) for n in first.method.resets.samples if np.isfinite(n)),
-    )
-    start: np.ndarray = np.array(matrix(misalign(first.phi, first.q)))
-    _check(group, first, align(increments, start, setting)[0])
+    increments, start, setting = first_run(group)
+    increments = increments[:_BASELINE_SAMPLES]
+    _check(group, align(increments, start, setting)[0])
 
     def call() -> float:
         since = time.perf_counter()
@@ -130,16 +113,39 @@ def numpy_baseline(group: Group) -> Case:
     return Case("numpy_baseline", 1, _BASELINE_SAMPLES, 0.0, call)
 
 
-def _first_run(group: Group) -> Any:
+def first_run(group: Group) -> tuple[np.ndarray, np.ndarray, Setting]:
+    """The first run of a noise-free group, as the arguments of `sinsjax.baseline.align`."""
+    errors, place = group.world.errors, group.world.site.place
+    dt = group.static.options.dt
+    bias = np.concatenate([errors.gyro_bias, errors.accel_bias])
+    params = _first_params(group)
+    method = params.method
+    setting = Setting(
+        dt=dt,
+        rate_n=float(place.rate_n),
+        rate_u=float(place.rate_u),
+        tan_latitude=float(place.tan_latitude),
+        radius=float(1 / place.curvature_n),
+        p0=np.array(method.p0),
+        q=np.array(method.q),
+        r=float(method.r),
+        feedback_every=int(method.feedback.every),
+        resets=tuple(int(n) for n in method.resets.samples if np.isfinite(n)),
+    )
+    start: np.ndarray = np.array(matrix(misalign(params.phi, params.q)))
+    return np.asarray(group.world.tape) + bias * dt, start, setting
+
+
+def _first_params(group: Group) -> Params:
     first = jax.tree.map(lambda a: np.asarray(a)[0], group.variants)
     return first._replace(q=Quat(*group.q[0]))
 
 
-def _check(group: Group, first: Any, c: np.ndarray) -> None:
+def _check(group: Group, c: np.ndarray) -> None:
     """The baseline must give the engine's attitude, or its time means nothing."""
     static = group.static._replace(records=_BASELINE_SAMPLES // group.static.record_every)
     draw = jax.tree.map(lambda a: np.asarray(a).ravel()[0], group.draws)
-    outcome, _ = jax.jit(partial(simulate, static))(group.world, draw, first)
+    outcome, _ = jax.jit(partial(simulate, static))(group.world, draw, _first_params(group))
     ours = np.array([outcome.last.pitch, outcome.last.roll, outcome.last.yaw])
     theirs = np.array(
         [np.arcsin(c[2, 1]), np.arctan2(-c[2, 0], c[2, 2]), np.arctan2(-c[0, 1], c[1, 1])]

@@ -5,7 +5,6 @@ apart, and a case's call waits for its result.
 """
 
 import os
-import platform
 import statistics
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -112,8 +111,13 @@ def measure_against(base: Case, timed: Sequence[Case], repeats: int) -> list[Row
     first, *others = turns([base, *timed], repeats)
     rows = [row(base, first)]
     for case, taken in zip(timed, others, strict=True):
-        rows.append(row(case, taken) | spread("ratio", ratios(case, base, taken, first)))
+        rows.append(row_against(case, taken, ratios(case, base, taken, first)))
     return rows
+
+
+def row_against(case: Case, taken: Sequence[float], found: Sequence[float]) -> Row:
+    """The row of a case with ``ratio`` and ``ratio_spread``, from its ratios to a base."""
+    return row(case, taken) | spread("ratio", found)
 
 
 def spread(name: str, values: Sequence[float]) -> Row:
@@ -143,7 +147,7 @@ def conditions() -> Row:
         "sinsjax": facts["sinsjax"],
         "jax": facts["jax"],
         "jaxlib": facts["jaxlib"],
-        "python": platform.python_version(),
+        "python": facts["python"],
         "options": _in_force(facts["options"]),
         "fused_loop": facts["fused_loop"],
     }
