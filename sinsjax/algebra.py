@@ -69,6 +69,13 @@ def congruence(entries: Entries, p: Triangle, n: int) -> Triangle:
     return tuple(out[i][j] for i in range(n) for j in range(i, n))
 
 
+def change_signs(signs: Sequence[float], p: Triangle) -> Triangle:
+    """T P T for the diagonal matrix T of n signs and symmetric P (n x n)."""
+    n = len(signs)
+    pairs = (signs[i] * signs[j] for i in range(n) for j in range(i, n))
+    return tuple(sign * entry for sign, entry in zip(pairs, p, strict=True))
+
+
 def solve3(p: Triangle, b: Vec3) -> Vec3:
     """Solve the symmetric 3 x 3 system P x = b in closed form (cofactors)."""
     a, h, g, d, f, c = p

@@ -77,15 +77,14 @@ def run(
         InputError: a record that does not fit.
         RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
-    summaries, kept = [], [columns.schema(columns.CURVES).empty_table()]
+    summaries, kept = [], []
     for piece in _pieces(study, tape, parts(study, tape, curves=curves), progress):
         summaries.append(piece.summary)
         if piece.curves is not None:
             kept.append(piece.curves)
     order = [("run_id", "ascending"), ("time_s", "ascending")]
-    return Results(
-        pa.concat_tables(summaries).sort_by("run_id"), pa.concat_tables(kept).sort_by(order)
-    )
+    kept_curves = pa.concat_tables(kept or [columns.schema(columns.CURVES).empty_table()])
+    return Results(pa.concat_tables(summaries).sort_by("run_id"), kept_curves.sort_by(order))
 
 
 def run_into(

@@ -94,11 +94,24 @@ JUDGED = (
 CURVES = (RUN_ID, Column("time_s", _F, "s", "from the start of fine alignment"), *OBSERVED)
 """Columns of the curves dataset."""
 
+PASSES = (
+    Column("update_time_s", _F, "s", "updates so far times the sample time, passes and all"),
+    Column("tape_time_s", _F, "s", "place on the tape, from its beginning"),
+    Column("pass", _I, "", "number of the pass, from 1; odd ones are forward"),
+)
+"""Further columns of the curves where a tape is gone over more than once."""
+
 
 def settle_column(band_arcmin: float) -> Column:
     """The settling time of one band."""
     meaning = f"end of the last record interval with |phi_u - floor| > {band_arcmin:g} arcmin"
     return Column(f"settle_{band_arcmin:g}_s", _F, "s", f"{meaning}; null if never settled")
+
+
+def settle_data_column(band_arcmin: float) -> Column:
+    """The data that was there at the settling time of one band, where a tape is gone over again."""
+    meaning = f"length of the tape that had been recorded by settle_{band_arcmin:g}_s"
+    return Column(f"settle_{band_arcmin:g}_data_s", _F, "s", f"{meaning}; null if never settled")
 
 
 def bands(study_bands: Iterable[float]) -> tuple[float, ...]:
@@ -109,7 +122,9 @@ def bands(study_bands: Iterable[float]) -> tuple[float, ...]:
 def axis_column(key: str, values: Iterable[Any]) -> Column:
     """The column of a swept key, typed by its values."""
     kinds = {type(value) for value in values if value is not None}
-    if kinds <= {int, float}:
+    if kinds == {bool}:
+        dtype = pa.bool_()
+    elif kinds <= {int, float}:
         dtype = _I if kinds == {int} else _F
     else:
         dtype = pa.list_(_F) if kinds & {tuple, list} else _S

@@ -19,7 +19,8 @@ import tomli_w
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
-from sinsjax.sections import Name
+from sinsjax.fields import Name
+from sinsjax.rules import Where, check_study
 from sinsjax.studies import (
     EARTH_CONSTANTS,
     SECTION_OF,
@@ -27,8 +28,6 @@ from sinsjax.studies import (
     SIMULATED_ONLY,
     SWEEPABLE,
     Study,
-    Where,
-    check_study,
 )
 from sinsjax.types import InputError
 
@@ -44,7 +43,24 @@ _EXCLUSIVE = (
     *_NOISES,
     ("reset_times_s", "reset_count"),
     ("reset_times_s", "reset_cycle_s"),
+    ("level_gains", "level_sigma_per_s"),
+    ("level_gains", "level_adjustment_s"),
+    ("level_adjustment_s", "level_sigma_per_s"),
+    ("level_passes", "level_time_s"),
+    ("azimuth_gains", "azimuth_sigma_per_s"),
+    ("azimuth_gains", "azimuth_adjustment_s"),
+    ("azimuth_adjustment_s", "azimuth_sigma_per_s"),
+    ("sigma_passes", "sigma_times_s"),
 )
+_DEFAULT_OF = {
+    "resets": (("reset_count", 0, ("reset_times_s",)),),
+    "compass": (
+        ("level_sigma_per_s", 0.02, ("level_gains", "level_adjustment_s")),
+        ("level_time_s", 150.0, ("level_passes",)),
+        ("azimuth_sigma_per_s", 0.01, ("azimuth_gains", "azimuth_adjustment_s")),
+    ),
+}
+"""By section: keys that have a default only where none of some others is given."""
 _DEFAULT_DRAWS = 64
 _MISFITS = {
     "float_type": "must be a number",
@@ -267,7 +283,12 @@ def _check_forms(where: Where) -> None:
 def _filled(parts: Table, where: Where, name: str) -> Table:
     """The sections that apply, with the defaults that depend on other keys."""
     recorded = "record" in parts
-    unused = SIMULATED_ONLY if recorded else ("record", "coarse")
+    unused: tuple[str, ...] = SIMULATED_ONLY if recorded else ("record", "coarse")
+    swept = [parts["axes"], *({k: (v,) for k, v in case.items()} for case in parts["cases"])]
+    methods = {parts.get("alignment", {}).get("method")}
+    methods |= {value for values in swept for value in values.get("method", ())}
+    used = {SECTION_OF.get(key) for key in where} | parts.keys() | methods
+    unused += tuple(name for name in ("compass", "passes") if name not in used)
     sections = {key: dict(parts.get(key, {})) for key in SECTIONS if key not in unused}
     sections["study"].setdefault("name", name)
     if not recorded:
@@ -276,12 +297,12 @@ def _filled(parts: Table, where: Where, name: str) -> Table:
         for white, density in _NOISES:
             if white not in where and density not in where:
                 sections["sensors"][white] = 0.0
-    if "reset_times_s" not in where:
-        sections["resets"].setdefault("reset_count", 0)
-    swept = parts["axes"].get(
-        "earth", [case["earth"] for case in parts["cases"] if "earth" in case]
-    )
-    if "constants" in (swept or [sections["earth"].get("earth", "constants")]):
+    for section, rules in _DEFAULT_OF.items():
+        for key, value, others in rules if section in sections else ():
+            if where.keys().isdisjoint(others):
+                sections[section].setdefault(key, value)
+    earths = {value for values in swept for value in values.get("earth", ())}
+    if "constants" in (earths or {sections["earth"].get("earth", "constants")}):
         sections["earth"] = EARTH_CONSTANTS | sections["earth"]
     return sections | {"axes": parts["axes"], "cases": parts["cases"]}
 

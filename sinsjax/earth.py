@@ -89,3 +89,8 @@ def place(earth: Earth, latitude: Scalar) -> Place:
         curvature_e=1 / (radius_n + earth.height),
         gravity=gravity,
     )
+
+
+def reverse(place: Place, sign: Scalar) -> Place:
+    """The Earth of time run backward where ``sign`` is -1: it turns the other way, [P2] (12)."""
+    return place._replace(rate_n=sign * place.rate_n, rate_u=sign * place.rate_u)

@@ -28,12 +28,15 @@ class ErrorModel(NamedTuple):
         transition: (navigation, place, f dt in n, dt) -> non-zero entries of A dt.
         correct_sample: (sample, fed-back biases, dt) -> sample with the biases taken out.
         uses_attitude: whether the transition depends on the attitude.
+        reversal: sign that each state takes when time is run backward: velocities and what a
+            gyro feels change theirs.
     """
 
     states: tuple[str, ...]
     transition: Callable[[Navigation, Place, Vec3, Scalar], Entries]
     correct_sample: Callable[[Sample, tuple[Scalar, ...], Scalar], Sample]
     uses_attitude: bool
+    reversal: tuple[float, ...]
 
 
 def five_state(nav: Navigation, place: Place, f_dt: Vec3, dt: Scalar) -> Entries:
@@ -100,14 +103,23 @@ def _without_bias(sample: Sample, bias: tuple[Scalar, ...], dt: Scalar) -> Sampl
     return Sample(turn, Vec3(dv.x - nabla_x * dt, dv.y - nabla_y * dt, dv.z))
 
 
-_FIVE = ("dve", "dvn", "phi_e", "phi_n", "phi_u")
+_FIVE = {"dve": -1.0, "dvn": -1.0, "phi_e": 1.0, "phi_n": 1.0, "phi_u": 1.0}
+_BIASES = {"nabla_x": 1.0, "nabla_y": 1.0, "eps_x": -1.0, "eps_y": -1.0, "eps_z": -1.0}
+_TEN = _FIVE | _BIASES
 MODELS = {
-    "kalman5": ErrorModel(_FIVE, five_state, _as_it_is, uses_attitude=False),
+    "kalman5": ErrorModel(
+        tuple(_FIVE),
+        five_state,
+        _as_it_is,
+        uses_attitude=False,
+        reversal=tuple(_FIVE.values()),
+    ),
     "kalman10": ErrorModel(
-        (*_FIVE, "nabla_x", "nabla_y", "eps_x", "eps_y", "eps_z"),
+        tuple(_TEN),
         ten_state,
         _without_bias,
         uses_attitude=True,
+        reversal=tuple(_TEN.values()),
     ),
 }
 """Error models by the name of the method that uses them."""

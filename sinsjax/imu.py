@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from sinsjax.algebra import add, cross, dot, scale
 from sinsjax.randomness import normal_pair, threefry
-from sinsjax.rotations import exp
+from sinsjax.rotations import conjugate, exp, rotate
 from sinsjax.types import Array, Count, Increments, Sample, Scalar, Vec3
 
 
@@ -107,6 +107,16 @@ def compensate(now: Increments, before: Increments) -> Sample:
     sculling = scale(1 / 12, add(cross(before.dtheta, dv), cross(before.dv, theta)))
     body = add(dv, add(scale(0.5, rotation), scale(1 / 6, cross(theta, rotation))))
     return Sample(turn=exp(add(theta, coning)), dv=add(body, sculling))
+
+
+def reverse(sample: Sample) -> Sample:
+    """The compensated sample as the same motion run backward in time feels it.
+
+    The turn is undone, and the same velocity increment is seen from where the sample ended: what
+    [P2] section 2.3 does by the sign of the gyro, exact for any rotation within a sample.
+    """
+    back = conjugate(sample.turn)
+    return Sample(turn=back, dv=rotate(back, sample.dv))
 
 
 def compensate_record(rows: Array, previous: Array) -> Sample:

@@ -24,7 +24,7 @@ from sinsjax.metrics import Observation
 from sinsjax.studies import Study
 from sinsjax.types import InputError
 from sinsjax.units import ARCMIN, DEG
-from sinsjax.worlds import record_times
+from sinsjax.worlds import pass_numbers, tape_times, update_times
 
 _DIVERGED = columns.DIVERGED_DEG * DEG
 _NAMES = ("summary", "curves", "figures", "study.toml", "manifest.json")
@@ -44,7 +44,9 @@ class Tables:
         self._study = study
         self._has_truth = has_truth
         self._bands = columns.bands(study.study.settle_bands_arcmin)
-        self._times = record_times(study)
+        self._spans = study.spans
+        spans_s = np.array(self._spans) * study.record_every / study.study.rate_hz
+        self._end_s, self._tape_s = spans_s.T
         times = study.reset_times()
         swept = study.variant_values()
         fixed = {
@@ -61,8 +63,10 @@ class Tables:
             *extra,
             *columns.OBSERVED,
             *(columns.settle_column(b) for b in self._bands),
+            *(columns.settle_data_column(b) for b in self._bands if study.passes),
             *columns.JUDGED,
         )
+        self.curve_columns = (*columns.CURVES, *(columns.PASSES if study.passes else ()))
         kinds = {c.name: c.dtype for c in self.summary_columns}
         self._by_variant = {
             name: _swept(values, kinds[name]) for name, values in (swept | fixed).items()
@@ -87,8 +91,12 @@ class Tables:
         }
         values |= {name: column.take(variant) for name, column in self._by_variant.items()}
         values |= self._observed(out.last)
-        for i, name in enumerate(c.name for c in map(columns.settle_column, self._bands)):
-            values[name] = self._known(_settled(out.outside_until[:, i], self._times[-1]))
+        for i, band in enumerate(self._bands):
+            settled = _settled(out.outside_until[:, i], self._end_s[variant])
+            values[columns.settle_column(band).name] = self._known(settled)
+            if self._study.passes:
+                data = np.minimum(settled, self._tape_s[variant])
+                values[columns.settle_data_column(band).name] = self._known(data)
         for suffix, statistics in (("_mean", out.mean), ("_std", out.std)):
             for axis, value in zip("enu", statistics[:3], strict=True):
                 values[f"phi_{axis}{suffix}_arcmin"] = self._known(value / ARCMIN)
@@ -100,16 +108,21 @@ class Tables:
         values["floor_arcmin"] = self._known(out.floor / ARCMIN)
         values["nees"] = self._known(out.nees)
         values["nis_u"] = self._known(out.nis_u)
-        values["status"] = self._status(chunk)
+        values["status"] = self._status(chunk, self._end_s[variant])
         return _table(self.summary_columns, values)
 
     def curves(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
         """One row a run and record time; `Chunk.curves` must be there."""
         assert chunk.curves is not None
         run_id = chunk.draw * self._study.n_variants + variant_ids[chunk.variant]
-        records = len(self._times)
-        values = {"run_id": np.repeat(run_id, records), "time_s": np.tile(self._times, len(run_id))}
-        return _table(columns.CURVES, values | self._observed(chunk.curves))
+        span = self._spans[variant_ids[0]]  # that of all variants of a part
+        time_s = update_times(self._study, span)
+        values = {"run_id": np.repeat(run_id, len(time_s)), "time_s": np.tile(time_s, len(run_id))}
+        if self._study.passes:
+            values["update_time_s"] = values["time_s"]
+            values["tape_time_s"] = np.tile(tape_times(self._study, span), len(run_id))
+            values["pass"] = np.tile(pass_numbers(span), len(run_id))
+        return _table(self.curve_columns, values | self._observed(chunk.curves))
 
     def _observed(self, seen: Observation) -> dict[str, pa.Array]:
         values = {f"phi_{a}_arcmin": self._known(v / ARCMIN) for a, v in _axes(seen.phi)}
@@ -121,7 +134,7 @@ class Tables:
         """Values that need a truth: null without one, and where they are no number."""
         return _nullable(values if self._has_truth else np.full(np.shape(values), np.nan))
 
-    def _status(self, chunk: Chunk) -> pa.Array:
+    def _status(self, chunk: Chunk, end_s: np.ndarray) -> pa.Array:
         out = chunk.outcome
         last = out.last
         attitude = np.stack([last.pitch, last.roll, last.yaw])
@@ -129,7 +142,7 @@ class Tables:
         if not self._has_truth:
             return pa.array(["nonfinite" if b else None for b in broken], pa.string())
         band = self._bands.index(columns.ALWAYS_BAND_ARCMIN)
-        settled = np.isfinite(_settled(out.outside_until[:, band], self._times[-1]))
+        settled = np.isfinite(_settled(out.outside_until[:, band], end_s))
         diverged = np.abs(last.phi.z - out.floor) > _DIVERGED
         kinds = np.select([broken, settled, diverged], [3, 0, 2], default=1)
         return pa.array(np.asarray(columns.STATUSES)[kinds])
@@ -146,7 +159,7 @@ def _axes(vector: Any) -> Any:
     return zip("enu", vector, strict=True)
 
 
-def _settled(outside_until: np.ndarray, end: float) -> np.ndarray:
+def _settled(outside_until: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Settling times; NaN where the last record is still outside."""
     return np.where(outside_until >= end * (1 - 1e-12), np.nan, outside_until)
 

@@ -2,7 +2,7 @@
 
 A `Part` holds the variants that share a compiled program and a world (Earth, base motion, sensors);
 within a part everything that differs is a number. Parts are cut from the study's variants by the
-values of `PROGRAM_KEYS` and `WORLD_KEYS`, wherever these are swept.
+values of `PROGRAM_KEYS`, `WORLD_KEYS` and `PASS_KEYS`, wherever these are swept.
 """
 
 from collections.abc import Iterator
@@ -12,13 +12,10 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from sinsjax import runtime
-from sinsjax.alignment import zero_velocity
-from sinsjax.alignment.base import Options
-from sinsjax.alignment.schedules import Feedback, Resets
+from sinsjax import runtime, tunings
+from sinsjax.alignment.base import Options, Site
 from sinsjax.batch import Group
 from sinsjax.columns import bands
-from sinsjax.error_model import MODELS
 from sinsjax.metrics import Criteria
 from sinsjax.records import Record
 from sinsjax.rotations import from_euler, log
@@ -26,7 +23,7 @@ from sinsjax.sections import Earth, Motion, Sensors
 from sinsjax.simulate import Draw, Params, Static, World, noise, sense
 from sinsjax.studies import Study
 from sinsjax.types import Array, Increments, InputError, Quat, Vec3
-from sinsjax.units import ARCMIN, DEG, DEG_PER_H
+from sinsjax.units import ARCMIN, DEG
 from sinsjax.worlds import Tape, Variants, recorded, simulated, site_of
 
 PROGRAM_KEYS = ("method", "specific_force", "position")
@@ -35,12 +32,8 @@ PROGRAM_KEYS = ("method", "specific_force", "position")
 WORLD_KEYS = tuple(key for model in (Earth, Motion, Sensors) for key in model.model_fields)
 """Keys whose values decide the truth that runs share."""
 
-_RESET_KINDS = {
-    # keep, keep_yaw, renew, renew_yaw
-    "full": (0.0, 0.0, 1.0, 1.0),
-    "yaw": (1.0, 0.0, 0.0, 1.0),
-    "scale": (None, None, 0.0, 0.0),
-}
+PASS_KEYS = ("tape_s", "passes", "ending")
+"""Keys whose values decide which sample of the tape an update reads, and how many there are."""
 
 
 class Part(NamedTuple):
@@ -70,6 +63,9 @@ def parts(study: Study, tape: Tape | None = None, *, curves: bool | None = None)
         what = "reads a record, none is given" if study.is_recorded else "reads no record"
         raise InputError(f"{study.study.name}: the study {what}: see [record]")
     keep_curves = study.study.curves if curves is None else curves
+    for ids in _split(study):
+        some = Variants(study, ids)
+        tunings.check_loops(study, some, site_of(study, some, tape)[0])
     return (_part(study, Variants(study, ids), tape, keep_curves) for ids in _split(study))
 
 
@@ -95,7 +91,8 @@ def simulated_record(study: Study, draw_id: int = 0, variant_id: int = 0) -> Rec
         normal = noise(static, world, draw, numbers)
         return jax.vmap(partial(sense, static, world, draw))(numbers, normal)
 
-    out = rows(world, draw, np.arange(static.records * static.record_every))
+    records = min(static.records, int(world.pass_records))
+    out = rows(world, draw, np.arange(records * static.record_every))
     return Record(
         dtheta=np.stack(out.dtheta, axis=1),
         dv=np.stack(out.dv, axis=1),
@@ -109,7 +106,8 @@ def simulated_record(study: Study, draw_id: int = 0, variant_id: int = 0) -> Rec
 
 def _split(study: Study) -> Iterator[np.ndarray]:
     """Numbers of the variants that share program and world, in order of first appearance."""
-    swept = [key for key in study.axis_keys if key in (*PROGRAM_KEYS, *WORLD_KEYS)]
+    keys = {*PROGRAM_KEYS, *WORLD_KEYS, *PASS_KEYS}
+    swept = [key for key in study.axis_keys if key in keys]
     columns = [study.values(key) for key in swept]
     groups: dict[tuple[Any, ...], list[int]] = {}
     for i in range(study.n_variants):
@@ -132,54 +130,34 @@ def _part(study: Study, variants: Variants, tape: Tape | None, curves: bool) -> 
         consistency_after=np.float64(study.study.consistency_after_s),
         steady_after=np.float64(study.study.steady_after_s),
     )
+    span = study.spans[variants.ids[0]]
     if tape is None:
-        world, draws, q = simulated(study, variants, site, criteria, ug)
+        world, draws, q = simulated(study, variants, span, site, criteria, ug)
     else:
-        world, draws, q = recorded(study, tape, site, criteria)
+        world, draws, q = recorded(study, tape, span, site, criteria)
     noise = (world.errors.gyro_noise, world.errors.accel_noise)
     static = Static(
         variants.common("method"),
         options,
         study.record_every,
-        study.records,
+        span.records,
         curves,
         noisy=bool(np.any(noise)),
+        repeats=study.passes is not None,
     )
-    group = Group(static, world, draws, q, _params(study, variants, ug))
+    group = Group(static, world, draws, q, _params(study, variants, site, ug))
     return Part(group, variants.ids)
 
 
-def _params(study: Study, variants: Variants, ug: float) -> Params:
+def _params(study: Study, variants: Variants, site: Site, ug: float) -> Params:
     """Numbers of the part's variants, leaves (variants, ...)."""
-    states = MODELS[variants.common("method")].states
-    dt = 1 / study.study.rate_hz
-    velocity = variants.column("p0_velocity_m_per_s") ** 2
-    level = variants.column("p0_level_deg", DEG) ** 2
-    yaw = variants.column("p0_yaw_deg", DEG) ** 2
-    nabla = variants.column("p0_accel_bias_ug", ug) ** 2
-    eps = variants.column("p0_gyro_bias_deg_per_h", DEG_PER_H) ** 2
-    readings = {"per_step": 1.0, "psd": dt, "per_sample": dt * dt}
-    reading = np.asarray([readings[name] for name in variants.raw("q_reading")])
-    q_v = variants.column("q_accel_ug", ug) ** 2 * reading
-    q_phi = variants.column("q_gyro_deg_per_h", DEG_PER_H) ** 2 * reading
-    spread = np.asarray([1 if r == "per_update" else dt for r in variants.raw("r_reading")])
-    zero = np.zeros_like(velocity)
-    p0 = {"dve": velocity, "dvn": velocity, "phi_e": level, "phi_n": level, "phi_u": yaw}
-    p0 |= {f"nabla_{axis}": nabla for axis in "xyz"} | {f"eps_{axis}": eps for axis in "xyz"}
-    q = {"dve": q_v, "dvn": q_v, "phi_e": q_phi, "phi_n": q_phi, "phi_u": q_phi}
-    method = zero_velocity.Params(
-        p0=tuple(p0[state] for state in states),
-        q=tuple(q.get(state, zero) for state in states),  # biases are constant
-        r=variants.column("r_velocity_m_per_s") ** 2 / spread,
-        feedback=_feedback(variants, study.study.rate_hz),
-        resets=_resets(study, variants),
-    )
+    zero = np.zeros(len(variants.ids))
     return Params(
         q=Quat(zero, zero, zero, zero),
         phi=_misalignment(variants),
         ve=variants.column("ve0_m_per_s"),
         vn=variants.column("vn0_m_per_s"),
-        method=method,
+        method=tunings.of_method(study, variants, site, ug),
     )
 
 
@@ -196,22 +174,3 @@ def _misalignment(variants: Variants) -> Vec3:
     # [P1] section 1: angles from the ideal to the computed frame, about U, E, N in turn.
     vector = _euler_vectors(e, n, u)
     return Vec3(*(np.where(euler, v, a) for v, a in zip(vector, (e, n, u), strict=True)))
-
-
-def _feedback(variants: Variants, rate_hz: float) -> Feedback:
-    interval = variants.column("feedback_interval_s")
-    constant = variants.column("feedback_time_constant_s")
-    partial = constant > 0
-    gain = np.where(partial, -np.expm1(-interval / np.where(partial, constant, 1.0)), 1.0)
-    return Feedback(np.round(interval * rate_hz), gain)
-
-
-def _resets(study: Study, variants: Variants) -> Resets:
-    times = study.reset_times()
-    width = max(map(len, times))
-    samples = np.full((len(variants.ids), width), np.inf)
-    for row, i in enumerate(variants.ids):
-        samples[row, : len(times[i])] = np.round(np.asarray(times[i]) * study.study.rate_hz)
-    kinds = zip(variants.raw("reset_kind"), variants.raw("reset_scale"), strict=True)
-    numbers = [[s if v is None else v for v in _RESET_KINDS[kind]] for kind, s in kinds]
-    return Resets(samples, *np.asarray(numbers, dtype=float).T)

@@ -5,107 +5,37 @@ an axis and a result column. Rules that hold inside one section live here, those
 `studies`.
 """
 
-import re
-from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Discriminator,
-    Field,
-    Tag,
-    model_validator,
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from sinsjax.fields import (
+    Angle,
+    AxesOrder,
+    Bands,
+    Count,
+    CrossAxis,
+    Damping,
+    Elevation,
+    Factors,
+    Finite,
+    HalfTurn,
+    Name,
+    NonNegative,
+    PassNumbers,
+    Positive,
+    Share,
+    Spread,
+    Starts,
+    Times,
+    Triad,
+    Vector,
+    misfit,
 )
-from pydantic_core import PydanticCustomError
-
-from sinsjax import columns
-
-
-def _misfit(text: str, key: str | None = None) -> PydanticCustomError:
-    """The error of a rule inside a section.
-
-    Args:
-        text: what is wrong.
-        key: the key to name, where the rule concerns the whole section.
-    """
-    return PydanticCustomError("misfit", text, {"key": key} if key else None)
-
-
-def _shape(value: Any) -> str:
-    return "list" if isinstance(value, tuple) else "number"
-
-
-def _unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
-    if len(set(values)) < len(values):
-        raise _misfit("names a value twice")
-    return values
-
-
-def _own_columns(bands: tuple[float, ...]) -> tuple[float, ...]:
-    """Refuses bands whose result columns would have one name."""
-    shown = columns.bands(bands)
-    if len({columns.settle_column(band).name for band in shown}) < len(shown):
-        raise _misfit("names a value twice, to the 6 digits that its column shows")
-    return bands
-
-
-def _increasing(times: tuple[float, ...]) -> tuple[float, ...]:
-    if any(late <= early for early, late in pairwise(times)):
-        raise _misfit("must increase")
-    return times
-
-
-def _signed_permutation(order: str) -> str:
-    """Refuses what is no permutation, and a mirror image, which no turn of the box can undo."""
-    letters = re.sub("[+-]", "", order)
-    if not re.fullmatch("([+-]?[xyz]){3}", order) or len(set(letters)) < 3:
-        raise _misfit("must order x, y and z, each with an optional sign, such as 'y-xz'")
-    mirrors = order.count("-") + (letters not in "xyzxy")
-    if mirrors % 2:
-        raise _misfit("must be right-handed, but it is a mirror image")
-    return order
-
-
-# Ceilings far above any use keep every product of two values finite.
-Finite = Annotated[float, Field(ge=-1e12, le=1e12)]
-Positive = Annotated[float, Field(gt=0, le=1e12)]
-NonNegative = Annotated[float, Field(ge=0, le=1e12)]
-Count = Annotated[int, Field(ge=0, le=10**9)]
-Share = Annotated[float, Field(ge=0, le=1)]
-Angle = Annotated[float, Field(ge=-360, le=360)]
-HalfTurn = Annotated[float, Field(ge=-180, le=180)]
-Elevation = Annotated[float, Field(gt=-90, lt=90)]
-Name = Annotated[str, Field(min_length=1)]
-Triad = tuple[Name, Name, Name]
-Times = Annotated[tuple[Positive, ...], AfterValidator(_increasing)]
-Bands = Annotated[tuple[Positive, ...], AfterValidator(_unique), AfterValidator(_own_columns)]
-Starts = Annotated[
-    tuple[NonNegative, ...],
-    Field(min_length=1),
-    BeforeValidator(lambda value: value if isinstance(value, tuple) else (value,)),
-    AfterValidator(_unique),
-]
-AxesOrder = Annotated[str, AfterValidator(_signed_permutation)]
-Vector = Annotated[
-    Annotated[Finite, Tag("number")] | Annotated[tuple[Finite, Finite, Finite], Tag("list")],
-    Discriminator(_shape),
-]
-Spread = Annotated[
-    Annotated[NonNegative, Tag("number")]
-    | Annotated[tuple[NonNegative, NonNegative, NonNegative], Tag("list")],
-    Discriminator(_shape),
-]
-CrossAxis = Annotated[
-    Annotated[Finite, Tag("number")]
-    | Annotated[tuple[Finite, Finite, Finite, Finite, Finite, Finite], Tag("list")],
-    Discriminator(_shape),
-]
 
 GYRO_INCREMENTS = ("rad", "deg", "arcsec")
 ACCEL_INCREMENTS = ("m_per_s", "g_s", "ug_s")
+_DAMPING = 0.5**0.5
 
 
 class Section(BaseModel):
@@ -144,7 +74,7 @@ class Settings(Section):
     def _window_inside(self) -> "Settings":
         start, end = self.window_s
         if not start < end <= self.duration_s:
-            raise _misfit(
+            raise misfit(
                 f"must be [a, b] with 0 <= a < b <= duration_s = {self.duration_s:g},"
                 f" not [{start:g}, {end:g}]",
                 key="window_s",
@@ -222,7 +152,9 @@ class Sensors(Section):
 class Alignment(Section):
     """[alignment]: the method, where it starts, and how its estimate is fed back."""
 
-    method: Literal["kalman5", "kalman10"] = Field("kalman5", description="alignment method")
+    method: Literal["kalman5", "kalman10", "compass"] = Field(
+        "kalman5", description="alignment method"
+    )
     phi_e0_deg: HalfTurn = Field(0.0, description="initial east misalignment, deg")
     phi_n0_deg: HalfTurn = Field(0.0, description="initial north misalignment, deg")
     phi_u0_deg: HalfTurn = Field(0.0, description="initial up (heading) misalignment, deg")
@@ -274,6 +206,77 @@ class Resets(Section):
     reset_scale: Positive = Field(10.0, description="factor on P, for kind 'scale'")
 
 
+class Compass(Section):
+    """[compass]: the loops of method 'compass', and when their gains change."""
+
+    level_sigma_per_s: Positive | None = Field(
+        None, description="sigma of the levelling loop, 1/s; default 0.02"
+    )
+    level_adjustment_s: Positive | None = Field(
+        None, description="adjustment time of the levelling loop instead of its sigma, s"
+    )
+    level_gains: tuple[Finite, Finite, Finite] | None = Field(
+        None, description="K1, K2, K3 of the levelling loop instead of its sigma, SI"
+    )
+    level_damping: Damping = Field(_DAMPING, description="damping ratio of the levelling loop")
+    level_time_s: NonNegative | None = Field(
+        None, description="levelling before the azimuth loop begins, s; default 150"
+    )
+    level_passes: Annotated[Count, Field(ge=1)] | None = Field(
+        None, description="the same in passes over the tape"
+    )
+    azimuth_sigma_per_s: Positive | None = Field(
+        None, description="sigma of the azimuth loop, 1/s; default 0.01"
+    )
+    azimuth_adjustment_s: Positive | None = Field(
+        None, description="adjustment time of the azimuth loop instead of its sigma, s"
+    )
+    azimuth_gains: tuple[Finite, Finite, Finite, Finite] | None = Field(
+        None, description="K1 to K4 of the azimuth loop instead of its sigma, SI"
+    )
+    azimuth_damping: Damping = Field(_DAMPING, description="damping ratio of the azimuth loop")
+    adjustment_reading: Literal["period", "settling"] = Field(
+        "period", description="reading of adjustment times: the damped period, or exp(-sigma T)"
+    )
+    adjustment_remainder: Annotated[float, Field(gt=0, lt=1)] = Field(
+        0.05, description="what is left after an adjustment time, for reading 'settling'"
+    )
+    sigma_factors: Factors = Field(
+        (1.0,), description="sigma of the azimuth loop, piece by piece, as factors on it"
+    )
+    sigma_times_s: Times | None = Field(
+        None, description="update times at which the second and later pieces begin, s"
+    )
+    sigma_passes: PassNumbers | None = Field(
+        None, description="the same as numbers of passes gone over before"
+    )
+    allow_unstable: bool = Field(False, description="whether unstable loops are run")
+
+
+class Passes(Section):
+    """[passes]: how often a stored tape is gone over, forward and backward in turn."""
+
+    tape_s: Positive | None = Field(
+        None, description="length of the tape, s; without it all of the duration, once forward"
+    )
+    passes: Annotated[Count, Field(ge=1)] | None = Field(
+        None, description="number of passes; default: what the duration holds"
+    )
+    ending: Literal["duration", "forward"] = Field(
+        "duration", description="end with the duration, or with the last whole forward pass in it"
+    )
+    turn: Literal[
+        "reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"
+    ] = Field("reflect", description="what compass loops do at a turn of the tape")
+    turn_smoothing_s: Positive = Field(
+        2.0, description="time constant of the specific force that 'reflect' turns by, s"
+    )
+    turn_covariance: Literal["carried", "inflated", "reset"] = Field(
+        "carried", description="what becomes of a filter's P at a turn of the tape"
+    )
+    turn_inflation: Positive = Field(10.0, description="factor on P, for 'inflated'")
+
+
 class Record(Section):
     """[record]: how to read an IMU record, and where in it the draws start."""
 
@@ -305,18 +308,18 @@ class Record(Section):
         if self.format == "psins":
             for key in (*layout, "time_column"):
                 if getattr(self, key) is not None:
-                    raise _misfit("has no place with format 'psins', which fixes it", key=key)
+                    raise misfit("has no place with format 'psins', which fixes it", key=key)
             return self
         for key in layout:
             if getattr(self, key) is None:
-                raise _misfit(f"required with format '{self.format}'", key=key)
+                raise misfit(f"required with format '{self.format}'", key=key)
         columns = (*(self.gyro_columns or ()), *(self.accel_columns or ()))
         if len({*columns, self.time_column}) < len(columns) + 1:
-            raise _misfit("names a column twice, or one of the gyro or time", key="accel_columns")
+            raise misfit("names a column twice, or one of the gyro or time", key="accel_columns")
         for key, increments in (("gyro_unit", GYRO_INCREMENTS), ("accel_unit", ACCEL_INCREMENTS)):
             unit = getattr(self, key)
             if (unit in increments) != (self.quantity == "increments"):
-                raise _misfit(f"'{unit}' is no unit of {self.quantity}", key=key)
+                raise misfit(f"'{unit}' is no unit of {self.quantity}", key=key)
         return self
 
 
@@ -330,9 +333,16 @@ class Coarse(Section):
 class Report(Section):
     """[report]: the shape of the report."""
 
-    layout: Literal["auto", "paper1_conditions", "paper1_resets", "paper1_readings", "car_test"] = (
-        Field("auto", description="page layout")
-    )
+    layout: Literal[
+        "auto",
+        "paper1_conditions",
+        "paper1_resets",
+        "paper1_readings",
+        "car_test",
+        "paper2",
+        "compass_map",
+        "compass_car",
+    ] = Field("auto", description="page layout")
 
 
 class Statements(Section):

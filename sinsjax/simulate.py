@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from sinsjax import imu, metrics, rotations
-from sinsjax.alignment import METHODS
+from sinsjax.alignment import METHODS, reverse
 from sinsjax.alignment.base import Method, Options, Site
 from sinsjax.metrics import Criteria, Metrics, Observation, Outcome
 from sinsjax.types import Array, Count, Increments, Navigation, Quat, Sample, Scalar, Vec3
@@ -29,6 +29,7 @@ class Static(NamedTuple):
         records: record intervals in a run; the run is records * record_every samples long.
         curves: whether observations at all record times are returned.
         noisy: whether the sensors have any noise to draw.
+        repeats: whether the tape is gone over backward and again; else forward, once.
     """
 
     method: str
@@ -37,6 +38,7 @@ class Static(NamedTuple):
     records: int
     curves: bool
     noisy: bool
+    repeats: bool = False
 
 
 class World(NamedTuple):
@@ -50,6 +52,7 @@ class World(NamedTuple):
         seed: of the noise.
         criteria: what runs are judged against.
         floor: what phi_u should settle to, rad.
+        pass_records: record intervals a pass over the tape; of no effect without repeats.
     """
 
     site: Site
@@ -59,6 +62,7 @@ class World(NamedTuple):
     seed: Count
     criteria: Criteria
     floor: Scalar
+    pass_records: Count
 
 
 class Draw(NamedTuple):
@@ -140,9 +144,15 @@ def piece(static: Static, draws: Draw) -> int:
 def sense(
     static: Static, world: World, draw: Draw, n: Count, normal: Increments | None
 ) -> Increments:
-    """What the sensors of one draw put out over its sample number ``n`` (from 0): rad, m/s."""
+    """What the sensors of one draw put out over its sample number ``n`` (from 0): rad, m/s.
+
+    Zeros for a negative number, before the tape: with them nothing is compensated.
+    """
     ideal = imu.split(jnp.asarray(world.tape)[draw.start + n])
-    return imu.measure(ideal, world.errors, normal, static.options.dt)
+    put_out = imu.measure(ideal, world.errors, normal, static.options.dt)
+    if not static.repeats:
+        return put_out
+    return reverse.where(n < 0, jax.tree.map(jnp.zeros_like, put_out), put_out)
 
 
 def end(static: Static, world: World, run: Run) -> Outcome:
@@ -196,8 +206,11 @@ def over_a_record(
     method = method_of(static)
     every, dt, kind = static.record_every, static.options.dt, world.tape.dtype
 
-    def one_step(params: Params, state: Any, sample: Sample, n: Scalar) -> Any:
-        return method.step(params.method, world.site, state, sample, n)
+    def one_step(params: Params, state: Any, site: Site, sample: Sample, n: Scalar) -> Any:
+        return method.step(params.method, site, state, sample, n)
+
+    def one_turn(params: Params, state: Any, site: Site) -> Any:
+        return method.turn(params.method, site, state)
 
     def one_record(run: Run, q_true: Quat, n: Scalar) -> Run:
         state = method.normalise(run.state)
@@ -209,24 +222,42 @@ def over_a_record(
 
     axes = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
     sensed = fan.over_draws(partial(sense, static, world), axes, None, 0)
-    compensated = fan.over_draws(imu.compensate, 0, 0)
-    step = fan.over_runs(one_step, 0, 0, fan.shared, None)
+    forward = fan.over_draws(imu.compensate, 0, 0)
+    either_way = fan.over_draws(reverse.compensate, 0, 0, None)
+    step = fan.over_runs(one_step, 0, 0, None, fan.shared, None)
+    turn = fan.over_runs(one_turn, 0, 0, None)
     record = fan.over_runs(one_record, 0, fan.shared, None)
 
-    def sample_step(carry: tuple[Any, Increments], xs: tuple[Count, Any]) -> tuple[Any, None]:
-        (state, before), (n, normal) = carry, xs
-        now = sensed(draws, n, normal)
-        sample = fan.hand_out(compensated(now, before))
-        return (step(params, state, sample, (n + 1).astype(kind)), now), None
-
-    def piece_step(carry: tuple[Any, Increments], numbers: Array) -> tuple[Any, None]:
-        samples = (numbers, noise(static, world, draws, numbers))
-        return jax.lax.scan(sample_step, carry, samples)[0], None
+    def pass_of(number: Count, state: Any) -> tuple[Any, Array, Site, Callable]:
+        """The state a record interval begins with, its samples on the tape, and their world."""
+        if not static.repeats:
+            return state, number * every + jnp.arange(every), world.site, forward
+        read = reverse.reading(number, world.pass_records, every)
+        ended = reverse.reverse_site(world.site, ~read.backward)
+        state = reverse.where(read.turn, turn(params, state, ended), state)
+        site = reverse.reverse_site(world.site, read.backward)
+        return state, read.samples, site, lambda *pair: either_way(*pair, read.backward)
 
     def record_step(progress: Progress, xs: tuple[Count, Quat]) -> tuple[Progress, Array | None]:
         (run, before), (number, q_true) = progress, xs
-        numbers = number * every + jnp.arange(every).reshape(-1, piece(static, draws))
-        (state, before), _ = jax.lax.scan(piece_step, (run.state, before), numbers)
+        state, samples, site, compensated = pass_of(number, run.state)
+
+        def sample_step(
+            carry: tuple[Any, Increments], xs: tuple[Count, Count, Any]
+        ) -> tuple[Any, None]:
+            (state, before), (n, place, normal) = carry, xs
+            now = sensed(draws, place, normal)
+            sample = fan.hand_out(compensated(now, before))
+            return (step(params, state, site, sample, (n + 1).astype(kind)), now), None
+
+        def piece_step(carry: tuple[Any, Increments], xs: tuple[Array, Array]) -> tuple[Any, None]:
+            updates, samples = xs
+            normal = noise(static, world, draws, samples)
+            return jax.lax.scan(sample_step, carry, (updates, samples, normal))[0], None
+
+        updates = number * every + jnp.arange(every)
+        pieces = tuple(a.reshape(-1, piece(static, draws)) for a in (updates, samples))
+        (state, before), _ = jax.lax.scan(piece_step, (state, before), pieces)
         n = ((number + 1) * every).astype(kind)
         run = record(Run(state, run.metrics), fan.hand_out(q_true), n)
         # One array: XLA:CPU updates several side by side by copying them whole, every record.

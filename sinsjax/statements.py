@@ -26,7 +26,7 @@ from sinsjax.analysis import (
     quantile,
     quantile_difference,
 )
-from sinsjax.studies import CONDITIONS, RESET
+from sinsjax.rules import CONDITIONS, RESET
 from sinsjax.types import InputError
 
 EQUAL_WITHIN = 0.1

@@ -16,7 +16,7 @@ from sinsjax.alignment.coarse import COARSE
 from sinsjax.metrics import Criteria
 from sinsjax.records import Record, Reference, require_span
 from sinsjax.simulate import Draw, World
-from sinsjax.studies import EARTH_CONSTANTS, Study
+from sinsjax.studies import EARTH_CONSTANTS, Span, Study
 from sinsjax.types import Array, InputError, Quat, Scalar
 from sinsjax.units import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, PPM
 
@@ -61,9 +61,22 @@ class Tape(NamedTuple):
     reference: Reference | None
 
 
-def record_times(study: Study) -> np.ndarray:
-    """(records,) times of a study's records from the start of fine alignment, s."""
-    return np.arange(1, study.records + 1) * study.record_every / study.study.rate_hz
+def update_times(study: Study, span: Span) -> np.ndarray:
+    """(records,) update times of a run's records from the start of fine alignment, s."""
+    return np.arange(1, span.records + 1) * study.record_every / study.study.rate_hz
+
+
+def tape_times(study: Study, span: Span) -> np.ndarray:
+    """(records,) where on its tape a run is at its records, s from the tape's beginning."""
+    ended = np.arange(span.records)
+    place = ended % span.tape + 1
+    place = np.where(pass_numbers(span) % 2 == 1, place, span.tape - place)
+    return place * study.record_every / study.study.rate_hz
+
+
+def pass_numbers(span: Span) -> np.ndarray:
+    """(records,) the pass, from 1, that each record of a run ends or lies in; odd are forward."""
+    return np.arange(span.records) // span.tape + 1
 
 
 def site_of(study: Study, variants: Variants, tape: Tape | None) -> tuple[Site, float]:
@@ -104,13 +117,14 @@ def _truth(
 
 
 def simulated(
-    study: Study, variants: Variants, site: Site, criteria: Criteria, ug: float
+    study: Study, variants: Variants, span: Span, site: Site, criteria: Criteria, ug: float
 ) -> tuple[World, Draw, np.ndarray]:
     """World, draws and their true starting attitudes of a simulated part."""
     motion = _motion(variants)
     errors = _errors(variants, ug, study.study.rate_hz)
-    times = np.concatenate([[0.0], record_times(study)])
-    samples = study.records * study.record_every
+    times = np.concatenate([[0.0], tape_times(study, span)])
+    # Of one length for all parts, so that they share a program.
+    samples = max(min(s) for s in study.spans) * study.record_every
     truth = _truth(motion, site.place, times, study.study.rate_hz, samples=samples)
     tape, attitudes, center = map(np.asarray, truth)
     n = study.n_draws
@@ -122,6 +136,7 @@ def simulated(
         seed=np.asarray(study.study.seed),
         criteria=criteria,
         floor=_floor(errors, Quat(*center), site),
+        pass_records=np.asarray(span.tape),
     )
     draws = Draw(np.arange(n), np.asarray(0), np.zeros(n, int))
     return world, draws, np.tile(attitudes[0], (n, 1))
@@ -182,7 +197,7 @@ def _errors(variants: Variants, ug: float, rate_hz: float) -> imu.SensorErrors:
 
 
 def recorded(
-    study: Study, tape: Tape, site: Site, criteria: Criteria
+    study: Study, tape: Tape, span: Span, site: Site, criteria: Criteria
 ) -> tuple[World, Draw, np.ndarray]:
     """World, draws (one a start time) and coarsely aligned attitudes of a recorded part."""
     assert study.record is not None and study.coarse is not None
@@ -194,14 +209,14 @@ def recorded(
     coarse_n = round(study.coarse.coarse_duration_s * rate)
     starts = np.round(np.asarray(study.record.start_s) * rate).astype(int)
     for start in study.record.start_s:
-        require_span(record, start, (coarse_n + study.records * study.record_every) / rate)
+        require_span(record, start, (coarse_n + min(span) * study.record_every) / rate)
     increments = np.concatenate([record.dtheta, record.dv], axis=1)
     align = jax.jit(COARSE[study.coarse.coarse_method])
     pieces = np.stack([increments[s : s + coarse_n] for s in starts])
     samples = jax.vmap(imu.compensate_record)(pieces, pieces[:, 0])
     q = jax.vmap(lambda s: jnp.stack(align(s, site.place, 1 / rate)))(samples)
     fine = starts + coarse_n
-    truth = np.stack([_reference_at(tape, s / rate + record_times(study)) for s in fine])
+    truth = np.stack([_reference_at(tape, s / rate + tape_times(study, span)) for s in fine])
     world = World(
         site=site,
         tape=increments,
@@ -210,6 +225,7 @@ def recorded(
         seed=np.asarray(study.study.seed),
         criteria=criteria,
         floor=np.float64(0.0),
+        pass_records=np.asarray(span.tape),
     )
     n = len(starts)
     return world, Draw(np.arange(n), fine, np.arange(n)), np.asarray(q)

@@ -8,7 +8,7 @@ from naive import DEG, WGS84, Filter, Planet, Swing, quaternion
 from sinsjax import earth, trajectory
 from sinsjax.alignment import zero_velocity
 from sinsjax.alignment.base import Site
-from sinsjax.alignment.schedules import Feedback, Resets
+from sinsjax.alignment.schedules import Feedback, Renewal, Resets
 from sinsjax.types import Navigation, Quat
 
 ARCMIN = DEG / 60
@@ -65,7 +65,10 @@ def params(filt: Filter) -> zero_velocity.Params:
         q=tuple(filt.q),
         r=np.float64(filt.r),
         feedback=Feedback(np.float64(filt.every), np.float64(filt.gain)),
-        resets=Resets(np.array(when, dtype=float), *map(np.float64, _KINDS.get(filt.kind, scale))),
+        resets=Resets(
+            np.array(when, dtype=float), Renewal(*map(np.float64, _KINDS.get(filt.kind, scale)))
+        ),
+        turn=Renewal(*map(np.float64, (1, 1, 0, 0))),
     )
 
 

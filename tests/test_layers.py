@@ -10,11 +10,11 @@ import sinsjax
 
 LAYERS = (
     {"columns", "compile_cache", "files", "hlo", "machine", "runtime", "types", "units"},
-    {"config", "records", "sections", "studies"},
+    {"config", "fields", "records", "rules", "sections", "studies"},
     {"algebra", "earth", "kalman", "randomness", "rotations"},
-    {"error_model", "imu", "mechanisation", "trajectory"},
+    {"error_model", "imu", "loops", "mechanisation", "trajectory"},
     {"alignment"},
-    {"batch", "metrics", "scenario", "simulate", "worlds"},
+    {"batch", "metrics", "scenario", "simulate", "tunings", "worlds"},
     {"analysis", "plots", "results", "statements"},
     {"__main__", "baseline", "bench", "campaign", "cli", "cluster", "report", "tuning"},
 )

@@ -93,7 +93,7 @@ def test_resets_of_every_kind() -> None:
     np.testing.assert_array_equal(resets.samples[0], [np.inf, np.inf])
     np.testing.assert_array_equal(resets.samples[3], [100, np.inf])
     np.testing.assert_array_equal(resets.samples[6], [50, 234])
-    got = np.stack(resets[1:], axis=1)
+    got = np.stack(resets.renewal, axis=1)
     np.testing.assert_array_equal(got[:3], [[0, 0, 1, 1], [1, 0, 0, 1], [7, 7, 0, 0]])
 
 

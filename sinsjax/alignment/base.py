@@ -57,6 +57,8 @@ class Method(NamedTuple):
     Attributes:
         init: (params, navigation) -> state.
         step: (params, site, state, sample, n) -> state after the n-th sample, n from 1.
+        turn: (params, site, state) -> state with which the tape is gone over the other way; the
+            site is that of the pass that ends.
         attitude: state -> best attitude, i.e. with the estimated misalignment taken out.
         covariance: state -> `AttitudeCovariance` of that attitude.
         normalise: state -> state with its quaternion scaled to unit length.
@@ -66,6 +68,7 @@ class Method(NamedTuple):
 
     init: Callable[[Any, Navigation], Any]
     step: Callable[[Any, Site, Any, Sample, Scalar], Any]
+    turn: Callable[[Any, Site, Any], Any]
     attitude: Callable[[Any], Quat]
     covariance: Callable[[Any], AttitudeCovariance]
     normalise: Callable[[Any], Any]

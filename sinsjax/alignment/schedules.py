@@ -1,4 +1,4 @@
-"""When a filter feeds its estimate back and when its covariance is reset, as data.
+"""When a method feeds back, resets its covariance or changes its pace, as data.
 
 Times are sample counts, kept as floating-point numbers: whole below 2^53, and compared without
 leaving the vector units' float lanes.
@@ -24,27 +24,49 @@ class Feedback(NamedTuple):
     gain: Scalar
 
 
-class Resets(NamedTuple):
-    """A reset schedule ([P1] section 3.2) and what a reset does to P.
+class Renewal(NamedTuple):
+    """What becomes of P when it is reset.
 
     Entries that touch the yaw state are multiplied by ``keep_yaw``, all others by ``keep``; then
     ``renew`` times the initial variance is added to each diagonal entry, ``renew_yaw`` times for
     yaw. So (0, 0, 1, 1) is the full reset to P0, (1, 0, 0, 1) resets yaw and clears its cross
-    terms, and (a, a, 0, 0) multiplies P by a.
+    terms, (a, a, 0, 0) multiplies P by a, and (1, 1, 0, 0) leaves it.
 
     Attributes:
-        samples: (M,) counts of the samples after which P is reset, in any order; inf for none.
         keep: see above.
         keep_yaw: see above.
         renew: see above.
         renew_yaw: see above.
     """
 
-    samples: Array
     keep: Scalar
     keep_yaw: Scalar
     renew: Scalar
     renew_yaw: Scalar
+
+
+class Resets(NamedTuple):
+    """A reset schedule, [P1] section 3.2.
+
+    Attributes:
+        samples: (M,) counts of the samples after which P is reset, in any order; inf for none.
+        renewal: what a reset does.
+    """
+
+    samples: Array
+    renewal: Renewal
+
+
+class Pieces(NamedTuple):
+    """A number that is constant piece by piece.
+
+    Attributes:
+        samples: (M,) counts of the samples after which pieces begin, increasing; inf for none.
+        values: (M + 1,) the number before the first of them, and in each piece.
+    """
+
+    samples: Array
+    values: Array
 
 
 def reset_due(resets: Resets, n: Scalar) -> Flag:
@@ -55,26 +77,35 @@ def reset_due(resets: Resets, n: Scalar) -> Flag:
     return due
 
 
-def reset_covariance(
-    resets: Resets, due: Flag, p: Triangle, p0: tuple[Scalar, ...], *, yaw: int
-) -> Triangle:
-    """P after a reset where one is due, P as it is elsewhere.
+def renew(renewal: Renewal, p: Triangle, p0: tuple[Scalar, ...], *, yaw: int) -> Triangle:
+    """P after a reset.
 
     Args:
-        resets: schedule.
-        due: whether to reset now.
+        renewal: what a reset does.
         p: covariance of n states.
         p0: n initial variances.
         yaw: number of the yaw state.
     """
-    keep = jnp.where(due, resets.keep, 1.0)
-    keep_yaw = jnp.where(due, resets.keep_yaw, 1.0)
-    renew = jnp.where(due, resets.renew, 0.0)
-    renew_yaw = jnp.where(due, resets.renew_yaw, 0.0)
+    keep, keep_yaw, new, new_yaw = renewal
     out = list(p)
     for (i, j), k in triangle_index(len(p0)).items():
         if i <= j:
             out[k] = p[k] * (keep_yaw if yaw in (i, j) else keep)
         if i == j:
-            out[k] = out[k] + (renew_yaw if i == yaw else renew) * p0[i]
+            out[k] = out[k] + (new_yaw if i == yaw else new) * p0[i]
     return tuple(out)
+
+
+def where_due(due: Flag, renewal: Renewal) -> Renewal:
+    """The renewal where it is due, elsewhere the one that leaves P as it is."""
+    return Renewal(
+        *(jnp.where(due, a, b) for a, b in zip(renewal, (1.0, 1.0, 0.0, 0.0), strict=True))
+    )
+
+
+def value_at(pieces: Pieces, n: Scalar) -> Scalar:
+    """The number that holds during the n-th sample."""
+    value = pieces.values[0]
+    for begin, later in zip(pieces.samples, pieces.values[1:], strict=True):
+        value = jnp.where(n > begin, later, value)
+    return value

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from sinsjax import earth, kalman, mechanisation, rotations
-from sinsjax.algebra import triangle_index
+from sinsjax.algebra import change_signs, triangle_index
 from sinsjax.alignment.base import AttitudeCovariance, Method, Options, Site
-from sinsjax.alignment.schedules import Feedback, Resets, reset_covariance, reset_due
+from sinsjax.alignment.schedules import Feedback, Renewal, Resets, renew, reset_due, where_due
 from sinsjax.error_model import PHI_E, PHI_N, PHI_U, VE, VN, ErrorModel
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
 
@@ -26,6 +26,7 @@ class Params(NamedTuple):
         r: variance of each velocity measurement, (m/s)^2.
         feedback: when and how much is fed back.
         resets: when and how P is reset.
+        turn: what becomes of P when the tape is turned.
     """
 
     p0: tuple[Scalar, ...]
@@ -33,6 +34,7 @@ class Params(NamedTuple):
     r: Scalar
     feedback: Feedback
     resets: Resets
+    turn: Renewal
 
 
 class State(NamedTuple):
@@ -80,9 +82,21 @@ def build(model: ErrorModel, options: Options) -> Method:
         belief = kalman.update(belief, (VE, VN), (nav.ve, nav.vn), params.r)
         return _close_loop(params, state._replace(nav=nav, belief=belief), n)
 
+    def turn(params: Params, site: Site, state: State) -> State:
+        signs = model.reversal
+        flipped = tuple(s * x for s, x in zip(signs, state.belief.x, strict=True))
+        p = change_signs(signs, state.belief.p)
+        biases = zip(signs[len(_LEVEL_AND_YAW) :], state.bias, strict=True)
+        return state._replace(
+            nav=mechanisation.reverse(state.nav),
+            belief=kalman.Belief(flipped, renew(params.turn, p, params.p0, yaw=PHI_U)),
+            bias=tuple(s * b for s, b in biases),
+        )
+
     return Method(
         init,
         step,
+        turn,
         _attitude,
         _covariance,
         _normalise,
@@ -105,7 +119,7 @@ def _close_loop(params: Params, state: State, n: Scalar) -> State:
         nav=nav._replace(q=rotations.correct(phi, nav.q)),
         belief=kalman.Belief(
             x=tuple(x - f for x, f in zip(state.belief.x, fed, strict=True)),
-            p=reset_covariance(params.resets, reset, state.belief.p, params.p0, yaw=PHI_U),
+            p=renew(where_due(reset, params.resets.renewal), state.belief.p, params.p0, yaw=PHI_U),
         ),
         bias=tuple(b + f for b, f in zip(state.bias, fed[len(_LEVEL_AND_YAW) :], strict=True)),
         feedback_at=jnp.where(due, state.feedback_at + params.feedback.every, state.feedback_at),

@@ -1,0 +1,100 @@
+"""The kinds of values that a study's keys take: types with their bounds and rules.
+
+Values stay in the file's units. A rule that is broken raises `misfit`, whose text says what is
+wrong in the words of a user.
+"""
+
+import re
+from itertools import pairwise
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
+from pydantic_core import PydanticCustomError
+
+from sinsjax import columns
+
+
+def misfit(text: str, key: str | None = None) -> PydanticCustomError:
+    """The error of a rule inside a section.
+
+    Args:
+        text: what is wrong.
+        key: the key to name, where the rule concerns the whole section.
+    """
+    return PydanticCustomError("misfit", text, {"key": key} if key else None)
+
+
+def _shape(value: Any) -> str:
+    return "list" if isinstance(value, tuple) else "number"
+
+
+def _unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    if len(set(values)) < len(values):
+        raise misfit("names a value twice")
+    return values
+
+
+def _own_columns(bands: tuple[float, ...]) -> tuple[float, ...]:
+    """Refuses bands whose result columns would have one name."""
+    shown = columns.bands(bands)
+    if len({columns.settle_column(band).name for band in shown}) < len(shown):
+        raise misfit("names a value twice, to the 6 digits that its column shows")
+    return bands
+
+
+def _increasing(times: tuple[Any, ...]) -> tuple[Any, ...]:
+    if any(late <= early for early, late in pairwise(times)):
+        raise misfit("must increase")
+    return times
+
+
+def _signed_permutation(order: str) -> str:
+    """Refuses what is no permutation, and a mirror image, which no turn of the box can undo."""
+    letters = re.sub("[+-]", "", order)
+    if not re.fullmatch("([+-]?[xyz]){3}", order) or len(set(letters)) < 3:
+        raise misfit("must order x, y and z, each with an optional sign, such as 'y-xz'")
+    mirrors = order.count("-") + (letters not in "xyzxy")
+    if mirrors % 2:
+        raise misfit("must be right-handed, but it is a mirror image")
+    return order
+
+
+# Ceilings far above any use keep every product of two values finite.
+Finite = Annotated[float, Field(ge=-1e12, le=1e12)]
+Positive = Annotated[float, Field(gt=0, le=1e12)]
+NonNegative = Annotated[float, Field(ge=0, le=1e12)]
+Count = Annotated[int, Field(ge=0, le=10**9)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Angle = Annotated[float, Field(ge=-360, le=360)]
+HalfTurn = Annotated[float, Field(ge=-180, le=180)]
+Elevation = Annotated[float, Field(gt=-90, lt=90)]
+Name = Annotated[str, Field(min_length=1)]
+Triad = tuple[Name, Name, Name]
+Times = Annotated[tuple[Positive, ...], AfterValidator(_increasing)]
+Bands = Annotated[tuple[Positive, ...], AfterValidator(_unique), AfterValidator(_own_columns)]
+Starts = Annotated[
+    tuple[NonNegative, ...],
+    Field(min_length=1),
+    BeforeValidator(lambda value: value if isinstance(value, tuple) else (value,)),
+    AfterValidator(_unique),
+]
+AxesOrder = Annotated[str, AfterValidator(_signed_permutation)]
+Vector = Annotated[
+    Annotated[Finite, Tag("number")] | Annotated[tuple[Finite, Finite, Finite], Tag("list")],
+    Discriminator(_shape),
+]
+Spread = Annotated[
+    Annotated[NonNegative, Tag("number")]
+    | Annotated[tuple[NonNegative, NonNegative, NonNegative], Tag("list")],
+    Discriminator(_shape),
+]
+CrossAxis = Annotated[
+    Annotated[Finite, Tag("number")]
+    | Annotated[tuple[Finite, Finite, Finite, Finite, Finite, Finite], Tag("list")],
+    Discriminator(_shape),
+]
+PassNumbers = Annotated[
+    tuple[Annotated[int, Field(ge=1, le=10**9)], ...], AfterValidator(_increasing)
+]
+Factors = Annotated[tuple[Positive, ...], Field(min_length=1)]
+Damping = Annotated[float, Field(gt=0, lt=1)]

@@ -1,0 +1,319 @@
+"""The compass loops as linear systems, [P2] eqs (1), (2) and (16)-(23): gains, roots, matrices.
+
+Gains are designed from a decay rate sigma (1/s) and a damping ratio xi: the complex roots are
+-sigma +- j omega_d with xi = sigma / sqrt(sigma^2 + omega_d^2). The transport rate belongs to the
+mechanisation, so the platform is turned by K2/R dV and the loop sees (1 + K2)/R dV.
+
+The states are errors: velocity (m/s), tilt and heading (rad), rate of the azimuth control (rad/s).
+In the north channel the tilt is phi_E, dV_N' = g phi_E - K1 dV_N. The east channel has the same
+loop with -phi_N in the place of phi_E.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+import scipy.linalg
+
+Number: TypeAlias = Any
+"""A float, a NumPy array that broadcasts, or, where only gains are designed, a traced number."""
+
+PAPER_DAMPING = math.sqrt(0.5)
+"""The damping ratio of [P2] section 3.1."""
+
+
+class LevelGains(NamedTuple):
+    """Gains of a levelling loop, [P2] Fig. 1: w_c = K2/R dV + K3 (integral of dV).
+
+    Attributes:
+        k1: velocity damping, 1/s.
+        k2: of the platform rate from the velocity, in units of the transport rate 1/R.
+        k3: of the platform rate from the integral of the velocity, rad/(m s).
+    """
+
+    k1: Number
+    k2: Number
+    k3: Number
+
+
+class AzimuthGains(NamedTuple):
+    """Gains of the azimuth loop, [P2] Fig. 2: w_cU = K(s) dV_N, K(s) = K3 / (omega_N (s + K4)).
+
+    Attributes:
+        k1: velocity damping, 1/s.
+        k2: of the platform rate from the velocity, in units of the transport rate 1/R.
+        k3: of the azimuth rate, before the division by omega_N, rad/(m s^2) times rad/s.
+        k4: of the lag in K(s), 1/s.
+    """
+
+    k1: Number
+    k2: Number
+    k3: Number
+    k4: Number
+
+
+def level_gains(sigma: Number, damping: Number, *, gravity: Number, radius: Number) -> LevelGains:
+    """Gains that put the roots at -sigma and -sigma +- j omega_d, [P2] eqs (17) and (18).
+
+    K1 = 3 sigma, K2 = sigma^2 (2 + 1/xi^2) R/g - 1, K3 = sigma^3 / (g xi^2).
+
+    Args:
+        sigma: decay rate > 0, 1/s.
+        damping: xi, 0 < xi <= 1.
+        gravity: g, m/s^2.
+        radius: R of the transport rate, m.
+    """
+    inverse_square = damping**-2
+    return LevelGains(
+        3 * sigma,
+        sigma**2 * (2 + inverse_square) * radius / gravity - 1,
+        sigma**3 * inverse_square / gravity,
+    )
+
+
+def azimuth_gains(
+    sigma: Number, damping: Number, *, gravity: Number, radius: Number
+) -> AzimuthGains:
+    """Gains with K1 = K4 that put double roots at -sigma +- j omega_d, [P2] eqs (22) and (23).
+
+    K1 = K4 = 2 sigma, K2 = 2 W R/g - 1, K3 = W^2/g with W = sigma^2/xi^2. The paper has only
+    xi = sqrt(1/2): K2 = 4 sigma^2 R/g - 1, K3 = 4 sigma^4/g.
+
+    Args:
+        sigma: decay rate > 0, 1/s.
+        damping: xi, 0 < xi <= 1.
+        gravity: g, m/s^2.
+        radius: R of the transport rate, m.
+    """
+    square = (sigma / damping) ** 2
+    return AzimuthGains(
+        2 * sigma, 2 * square * radius / gravity - 1, square**2 / gravity, 2 * sigma
+    )
+
+
+def at_pace(gains: AzimuthGains, pace: Number) -> AzimuthGains:
+    """Azimuth gains whose roots lie a factor further out: sigma times the pace, xi kept.
+
+    Args:
+        gains: at pace 1.
+        pace: factor > 0 on every root.
+    """
+    k1, k2, k3, k4 = gains
+    return AzimuthGains(pace * k1, pace**2 * (1 + k2) - 1, pace**4 * k3, pace * k4)
+
+
+def sigma_of_period(time: Number, damping: Number) -> Number:
+    """Decay rate (1/s) of which the adjustment time is one damped period, [P2] eq. (18).
+
+    sigma = 2 pi xi / (T sqrt(1 - xi^2)), that is T = 2 pi / omega_d.
+
+    Args:
+        time: adjustment time T > 0, s.
+        damping: xi, 0 < xi < 1: without an oscillation there is no period.
+    """
+    return 2 * math.pi * damping / (time * (1 - damping**2) ** 0.5)
+
+
+def sigma_of_settling(time: Number, remainder: float) -> Number:
+    """Decay rate (1/s) of which the envelope exp(-sigma t) has a remainder after the time.
+
+    This is the reading that the printed gains of [P2] have: exp(-3) after 150 s and exp(-4.5)
+    after 450 s.
+
+    Args:
+        time: adjustment time > 0, s.
+        remainder: share of the start that is left, 0 < remainder < 1.
+    """
+    return -math.log(remainder) / time
+
+
+def level_polynomial(gains: LevelGains, *, gravity: Number, radius: Number) -> np.ndarray:
+    """Coefficients of Delta3, [P2] eq. (16), highest power first, shape ``(..., 4)``.
+
+    Delta3(s) = s^3 + K1 s^2 + (1 + K2) (g/R) s + g K3, s in 1/s.
+
+    Args:
+        gains: of the loop.
+        gravity: g, m/s^2.
+        radius: R, m.
+    """
+    k1, k2, k3 = gains
+    return _stacked([1.0, k1, (1 + k2) * gravity / radius, gravity * k3])
+
+
+def azimuth_polynomial(gains: AzimuthGains, *, gravity: Number, radius: Number) -> np.ndarray:
+    """Coefficients of Delta4, [P2] eq. (21), highest power first, shape ``(..., 5)``.
+
+    Delta4(s) = s (s + K4) (s^2 + K1 s + (1 + K2) g/R) + g K3, s in 1/s; omega_N phi_E in phi_U'
+    is dropped, as in the paper.
+
+    Args:
+        gains: of the loop.
+        gravity: g, m/s^2.
+        radius: R, m.
+    """
+    k1, k2, k3, k4 = gains
+    stiffness = (1 + k2) * gravity / radius
+    return _stacked([1.0, k1 + k4, k1 * k4 + stiffness, k4 * stiffness, gravity * k3])
+
+
+def roots(polynomial: np.ndarray) -> np.ndarray:
+    """Complex roots, the slowest (largest real part) first, shape ``(..., n)``.
+
+    Double roots, as designed in azimuth, are found to half of the digits.
+
+    Args:
+        polynomial: coefficients, highest power first, shape ``(..., n + 1)``; the first is not 0.
+    """
+    coefficients = np.asarray(polynomial, float)
+    order = coefficients.shape[-1] - 1
+    companion = np.zeros((*coefficients.shape[:-1], order, order))
+    companion[..., 0, :] = -coefficients[..., 1:] / coefficients[..., :1]
+    companion[..., range(1, order), range(order - 1)] = 1.0
+    found = np.linalg.eigvals(companion).astype(complex)
+    return np.take_along_axis(found, np.lexsort((-found.imag, -found.real)), -1)
+
+
+def level_matrix(gains: LevelGains, *, gravity: Number, radius: Number) -> np.ndarray:
+    """Levelling loop as d/dt [dV, phi, I] = A [dV, phi, I], [P2] Fig. 1, shape ``(..., 3, 3)``.
+
+    I (rad/s) is K3 times the integral of dV. The coupling with the heading is left out.
+
+    Args:
+        gains: of the loop.
+        gravity: g, m/s^2.
+        radius: R, m.
+    """
+    k1, k2, k3 = gains
+    return _stacked(
+        [-k1, gravity, 0.0],
+        [-(1 + k2) / radius, 0.0, -1.0],
+        [k3, 0.0, 0.0],
+    )
+
+
+def azimuth_matrix(
+    gains: AzimuthGains,
+    *,
+    gravity: Number,
+    radius: Number,
+    rate_n: Number,
+    direction: int = 1,
+) -> np.ndarray:
+    """North channel as d/dt x = A x, x = [dV_N, phi_E, phi_U, w_cU], [P2] Fig. 2.
+
+    The reversed pass sees an Earth that turns the other way: omega_N is negative, in the coupling
+    and in K(s) alike. omega_N phi_E in phi_U' is dropped, as in [P2] eq. (21), so that the
+    characteristic polynomial is `azimuth_polynomial`.
+
+    Args:
+        gains: of the loop.
+        gravity: g, m/s^2.
+        radius: R, m.
+        rate_n: omega_N = omega_ie cos L, rad/s, not 0.
+        direction: 1 forward, -1 reversed.
+
+    Returns:
+        Shape ``(..., 4, 4)``.
+    """
+    k1, k2, k3, k4 = gains
+    turning = direction * rate_n
+    return _stacked(
+        [-k1, gravity, 0.0, 0.0],
+        [-(1 + k2) / radius, 0.0, -turning, 0.0],
+        [0.0, 0.0, 0.0, 1.0],
+        [k3 / turning, 0.0, 0.0, -k4],
+    )
+
+
+def carries(matrix: np.ndarray, dt: Number) -> np.ndarray:
+    """Whether a sample time carries a loop: the stepped loop decays, shape ``(...)``, bool.
+
+    A step is forward Euler, but the velocity sees the mean tilt of the step:
+    dV += g (phi + phi' dt/2) dt - K1 dV dt. It is stable where every eigenvalue of the discrete
+    matrix lies inside the unit circle.
+
+    Args:
+        matrix: of `level_matrix` or `azimuth_matrix`, shape ``(..., n, n)``.
+        dt: sample time > 0, s; broadcast over the leading axes.
+    """
+    slope = np.asarray(matrix, float)
+    step = np.asarray(dt, float)[..., None, None]
+    mean_tilt = slope[..., :1, 1:2] * slope[..., 1:2, :] / 2
+    stepped = slope + step * np.eye(slope.shape[-1])[:, :1] * mean_tilt
+    # The eigenvalues of the step are 1 + dt z; from z, 1 is not rounded into them.
+    z = np.linalg.eigvals(stepped)
+    return np.asarray(np.all(2 * z.real + step[..., 0] * np.abs(z) ** 2 < 0, -1))
+
+
+def turn_matrix(velocity: Number, tilt: Number, rate: Number) -> np.ndarray:
+    """What a turn between passes makes of [dV_N, phi_E, phi_U, w_cU], shape ``(4, 4)``.
+
+    The paper's turn, V -> -V, is (-1, 1, 1). With D = (-1, -1, 1) a reversed pass goes on exactly
+    where the forward one stopped, since A_reversed = D A_forward D.
+
+    Args:
+        velocity: factor of dV_N.
+        tilt: factor of phi_E, taken from its equilibrium -nabla_N/g.
+        rate: factor of w_cU.
+    """
+    return np.diag(np.asarray([velocity, tilt, 1.0, rate], float))
+
+
+def schedule_matrix(
+    passes: Sequence[tuple[AzimuthGains, Number]],
+    turn: np.ndarray,
+    *,
+    gravity: Number,
+    radius: Number,
+    rate_n: Number,
+) -> np.ndarray:
+    """Transition of [dV_N, phi_E, phi_U, w_cU] over a schedule of passes, shape ``(..., 4, 4)``.
+
+    The first pass is forward and the next reversed, by turns, with a turn between two passes and
+    none after the last. Entry [2, 2] is the share of an initial heading error that is left.
+
+    Args:
+        passes: gains and length (s) of each pass.
+        turn: of `turn_matrix`.
+        gravity: g, m/s^2.
+        radius: R, m.
+        rate_n: omega_N, rad/s, not 0.
+    """
+    whole = np.eye(4)
+    for number, (gains, seconds) in enumerate(passes):
+        matrix = azimuth_matrix(
+            gains, gravity=gravity, radius=radius, rate_n=rate_n, direction=(-1) ** number
+        )
+        flow = scipy.linalg.expm(matrix * np.asarray(seconds, float)[..., None, None])
+        whole = flow @ (turn @ whole if number else whole)
+    return whole
+
+
+def cycle_radius(
+    sigma: Number, tape_s: Number, turn: np.ndarray, *, damping: Number = PAPER_DAMPING
+) -> np.ndarray:
+    """Spectral radius of the azimuth loop over one forward and one reversed pass, shape ``(...)``.
+
+    Of T exp(A_reversed T_p) T exp(A_forward T_p) with the gains of [P2] eq. (23). Below 1 the
+    heading converges from cycle to cycle. It depends on sigma T_p and the damping only: gravity,
+    R and omega_N are units of the states, and a diagonal turn does not see them.
+
+    Args:
+        sigma: decay rate, 1/s.
+        tape_s: length of a pass T_p, s.
+        turn: of `turn_matrix`.
+        damping: xi, 0 < xi <= 1.
+    """
+    gains = azimuth_gains(sigma, damping, gravity=1.0, radius=1.0)
+    passes = [(gains, tape_s)] * 2
+    cycle = turn @ schedule_matrix(passes, turn, gravity=1.0, radius=1.0, rate_n=1.0)
+    return np.asarray(np.abs(np.linalg.eigvals(cycle)).max(-1))
+
+
+def _stacked(*rows: Sequence[Number]) -> np.ndarray:
+    """Entries that broadcast, as a vector (one row) or a matrix on the last axes."""
+    entries = np.broadcast_arrays(*(entry for row in rows for entry in row))
+    shape = (len(rows[0]),) if len(rows) == 1 else (len(rows), len(rows[0]))
+    return np.stack(entries, -1).astype(float).reshape(entries[0].shape + shape)

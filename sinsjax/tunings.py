@@ -1,0 +1,240 @@
+"""The numbers of each alignment method, from the units of a study to SI.
+
+What a filter believes and when it is reset, or the gains of compass loops and when they change;
+leaves (variants, ...).
+"""
+
+from typing import Any
+
+import numpy as np
+
+from sinsjax import loops
+from sinsjax.alignment import compass, zero_velocity
+from sinsjax.alignment.base import Site
+from sinsjax.alignment.schedules import Feedback, Pieces, Renewal, Resets
+from sinsjax.error_model import MODELS
+from sinsjax.loops import AzimuthGains, LevelGains
+from sinsjax.studies import Study
+from sinsjax.types import InputError
+from sinsjax.units import DEG, DEG_PER_H
+from sinsjax.worlds import Variants
+
+_RENEWALS: dict[str, tuple[float | None, ...]] = {
+    # keep, keep_yaw, renew, renew_yaw; None for the study's factor
+    "full": (0.0, 0.0, 1.0, 1.0),
+    "yaw": (1.0, 0.0, 0.0, 1.0),
+    "scale": (None, None, 0.0, 0.0),
+    "carried": (1.0, 1.0, 0.0, 0.0),
+    "inflated": (None, None, 0.0, 0.0),
+    "reset": (0.0, 0.0, 1.0, 1.0),
+}
+"""What becomes of P, by the names of ``reset_kind`` and ``turn_covariance``."""
+
+TURNS = {
+    # velocity, integral, rate, reflection
+    "reflect": compass.Turn(-1.0, -1.0, 1.0, 1.0),
+    "velocity": compass.Turn(-1.0, -1.0, 1.0, 0.0),
+    "velocity_and_rate": compass.Turn(-1.0, -1.0, -1.0, 0.0),
+    "velocity_drop_rate": compass.Turn(-1.0, -1.0, 0.0, 0.0),
+    "restart": compass.Turn(0.0, 0.0, 0.0, 0.0),
+    "keep": compass.Turn(1.0, -1.0, 1.0, 0.0),
+}
+"""What compass loops do at a turn of the tape, by the names of ``turn``."""
+
+
+def of_method(study: Study, variants: Variants, site: Site, ug: float) -> Any:
+    """Numbers of the one method that some variants share.
+
+    Args:
+        study: of the variants.
+        variants: with one method and one site.
+        site: Earth and place.
+        ug: micro-g in m/s^2.
+    """
+    if variants.common("method") == "compass":
+        return _compass(study, variants, site)
+    return _filter(study, variants, ug)
+
+
+def _filter(study: Study, variants: Variants, ug: float) -> zero_velocity.Params:
+    states = MODELS[variants.common("method")].states
+    dt = 1 / study.study.rate_hz
+    velocity = variants.column("p0_velocity_m_per_s") ** 2
+    level = variants.column("p0_level_deg", DEG) ** 2
+    yaw = variants.column("p0_yaw_deg", DEG) ** 2
+    nabla = variants.column("p0_accel_bias_ug", ug) ** 2
+    eps = variants.column("p0_gyro_bias_deg_per_h", DEG_PER_H) ** 2
+    readings = {"per_step": 1.0, "psd": dt, "per_sample": dt * dt}
+    reading = np.asarray([readings[name] for name in variants.raw("q_reading")])
+    q_v = variants.column("q_accel_ug", ug) ** 2 * reading
+    q_phi = variants.column("q_gyro_deg_per_h", DEG_PER_H) ** 2 * reading
+    spread = np.asarray([1 if r == "per_update" else dt for r in variants.raw("r_reading")])
+    zero = np.zeros_like(velocity)
+    p0 = {"dve": velocity, "dvn": velocity, "phi_e": level, "phi_n": level, "phi_u": yaw}
+    p0 |= {f"nabla_{axis}": nabla for axis in "xyz"} | {f"eps_{axis}": eps for axis in "xyz"}
+    q = {"dve": q_v, "dvn": q_v, "phi_e": q_phi, "phi_n": q_phi, "phi_u": q_phi}
+    return zero_velocity.Params(
+        p0=tuple(p0[state] for state in states),
+        q=tuple(q.get(state, zero) for state in states),  # biases are constant
+        r=variants.column("r_velocity_m_per_s") ** 2 / spread,
+        feedback=_feedback(variants, study.study.rate_hz),
+        resets=_resets(study, variants),
+        turn=_renewal(variants, "turn_covariance", "turn_inflation")
+        if study.passes
+        else Renewal(*(zero + k for k in (1, 1, 0, 0))),
+    )
+
+
+def _feedback(variants: Variants, rate_hz: float) -> Feedback:
+    interval = variants.column("feedback_interval_s")
+    constant = variants.column("feedback_time_constant_s")
+    partial = constant > 0
+    gain = np.where(partial, -np.expm1(-interval / np.where(partial, constant, 1.0)), 1.0)
+    return Feedback(np.round(interval * rate_hz), gain)
+
+
+def _resets(study: Study, variants: Variants) -> Resets:
+    times = study.reset_times()
+    samples = _starts([times[i] for i in variants.ids], study.study.rate_hz)
+    return Resets(samples, _renewal(variants, "reset_kind", "reset_scale"))
+
+
+def _renewal(variants: Variants, kind: str, factor: str) -> Renewal:
+    kinds = zip(variants.raw(kind), variants.raw(factor), strict=True)
+    numbers = [[f if v is None else v for v in _RENEWALS[name]] for name, f in kinds]
+    return Renewal(*np.asarray(numbers, dtype=float).T)
+
+
+def _starts(times: list[tuple[float, ...]], rate_hz: float) -> np.ndarray:
+    """(variants, M) times in samples; inf where a variant has fewer."""
+    samples = np.full((len(times), max(map(len, times))), np.inf)
+    for row, own in enumerate(times):
+        samples[row, : len(own)] = np.round(np.asarray(own) * rate_hz)
+    return samples
+
+
+def _compass(study: Study, variants: Variants, site: Site) -> compass.Params:
+    rate = study.study.rate_hz
+    level_gains, azimuth_gains = gains(variants, site)
+    factors = variants.raw("sigma_factors")
+    values = np.ones((len(factors), max(map(len, factors))))
+    for row, own in enumerate(factors):
+        values[row, : len(own)] = own
+    tapes = variants.raw("tape_s") if study.passes else [None] * len(factors)
+    level = zip(*map(variants.raw, ("level_time_s", "level_passes")), tapes, strict=True)
+    level_s = [time if n is None else n * tape for time, n, tape in level]
+    pieces = zip(*map(variants.raw, ("sigma_times_s", "sigma_passes")), tapes, strict=True)
+    pieces_s = [
+        times or () if passes is None else tuple(n * tape for n in passes)
+        for times, passes, tape in pieces
+    ]
+    count = len(variants.ids)
+    passes = study.passes is not None
+    turns = variants.raw("turn") if passes else ["keep"] * count
+    smoothing = variants.column("turn_smoothing_s") if passes else np.ones(count)
+    return compass.Params(
+        level=level_gains,
+        azimuth=azimuth_gains,
+        pace=Pieces(_starts(pieces_s, rate), values),
+        azimuth_from=np.round(np.asarray(level_s, dtype=float) * rate),
+        smoothing=-np.expm1(-1 / (rate * smoothing)),
+        turn=compass.Turn(*np.asarray([TURNS[name] for name in turns]).T),
+    )
+
+
+def gains(variants: Variants, site: Site) -> tuple[LevelGains, AzimuthGains]:
+    """Gains of the loops: as given, or designed from sigma or an adjustment time and damping.
+
+    They are designed for the north channel; on an ellipsoid the east one differs in its K2 by some
+    0.1 %.
+    """
+    earth = _earth(site)
+    level = loops.level_gains(*_sigma(variants, "level"), **earth)
+    azimuth = loops.azimuth_gains(*_sigma(variants, "azimuth"), **earth)
+    return _given(variants, "level_gains", level), _given(variants, "azimuth_gains", azimuth)
+
+
+def check_loops(study: Study, variants: Variants, site: Site) -> None:
+    """Refuses compass loops that are unstable, or that a sample interval cannot carry.
+
+    Args:
+        study: of the variants.
+        variants: with one method and one site.
+        site: Earth and place.
+
+    Raises:
+        InputError: names the roots; not where ``allow_unstable`` is set.
+    """
+    if variants.common("method") != "compass":
+        return
+    refused = ~np.asarray(variants.raw("allow_unstable"), dtype=bool)
+    level, azimuth = gains(variants, site)
+    earth = _earth(site)
+    level_roots = loops.roots(loops.level_polynomial(level, **earth))
+    azimuth_roots = loops.roots(loops.azimuth_polynomial(azimuth, **earth))
+    for loop, found in (("level", level_roots), ("azimuth", azimuth_roots)):
+        for row in np.flatnonzero(refused & (found.real.max(axis=-1) >= 0)):
+            raise InputError(
+                f"{study.study.name}: [compass] {loop}_gains: the loop is unstable, its roots are"
+                f" {_roots_text(found[row])} 1/s (allow_unstable = true runs it)"
+            )
+    fastest = np.asarray([max(factors) for factors in variants.raw("sigma_factors")])
+    quickest = loops.at_pace(azimuth, fastest)
+    matrices = {
+        "level": (loops.level_matrix(level, **earth), level_roots),
+        "azimuth": (
+            loops.azimuth_matrix(quickest, rate_n=float(site.place.rate_n), **earth),
+            azimuth_roots * fastest[:, None],
+        ),
+    }
+    dt = 1 / study.study.rate_hz
+    for loop, (matrix, found) in matrices.items():
+        for row in np.flatnonzero(refused & ~loops.carries(matrix, dt)):
+            raise InputError(
+                f"{study.study.name}: [compass] {_deciding_key(variants, loop, int(row))}: a sample of"
+                f" {dt:g} s cannot carry a loop with the roots {_roots_text(found[row])} 1/s"
+                " (allow_unstable = true runs it)"
+            )
+
+
+def _earth(site: Site) -> dict[str, Any]:
+    """Gravity and radius as `loops` takes them."""
+    return {"gravity": float(site.place.gravity), "radius": float(1 / site.place.curvature_n)}
+
+
+def _roots_text(found: np.ndarray) -> str:
+    return ", ".join(f"{r.real:.4g}{f'{r.imag:+.4g}j' if r.imag else ''}" for r in found)
+
+
+def _deciding_key(variants: Variants, loop: str, row: int) -> str:
+    """The key that decides a variant's gains of one loop."""
+    keys = [f"{loop}_{kind}" for kind in ("gains", "adjustment_s", "sigma_per_s")]
+    return next(key for key in keys if variants.raw(key)[row] is not None)
+
+
+def _given(variants: Variants, key: str, designed: Any) -> Any:
+    """The gains, replaced where a variant gives its own."""
+    rows = np.stack(designed, axis=-1)
+    for row, own in enumerate(variants.raw(key)):
+        if own is not None:
+            rows[row] = own
+    return type(designed)(*rows.T)
+
+
+def _sigma(variants: Variants, loop: str) -> tuple[np.ndarray, np.ndarray]:
+    """Sigma (1/s) and damping of a loop; a variant with gains of its own has some sigma."""
+    damping = variants.column(f"{loop}_damping")
+    sigmas = variants.raw(f"{loop}_sigma_per_s")
+    keys = (f"{loop}_adjustment_s", "adjustment_reading", "adjustment_remainder")
+    rows = zip(sigmas, *map(variants.raw, keys), damping, strict=True)
+    values = [
+        sigma
+        if sigma is not None
+        else 1.0
+        if time is None
+        else loops.sigma_of_period(time, xi)
+        if reading == "period"
+        else loops.sigma_of_settling(time, remainder)
+        for sigma, time, reading, remainder, xi in rows
+    ]
+    return np.asarray(values, dtype=float), damping
