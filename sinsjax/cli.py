@@ -103,6 +103,17 @@ def report(
 
 
 @app.command()
+def gains() -> None:
+    """Compare the gains that paper 2 prints with its formulas, and show the roots of its loops.
+
+    Example: sinsjax gains
+    """
+    from sinsjax.report.gains import print_gains
+
+    print_gains(Console())
+
+
+@app.command()
 def info() -> None:
     """Show versions, devices and the compiler options in force."""
     runtime.configure()

@@ -203,7 +203,8 @@ def _earth(site: Site) -> dict[str, Any]:
 
 
 def _roots_text(found: np.ndarray) -> str:
-    return ", ".join(f"{r.real:.4g}{f'{r.imag:+.4g}j' if r.imag else ''}" for r in found)
+    ordered = sorted(found, key=lambda r: (-round(r.real, 9), r.imag))
+    return ", ".join(f"{r.real:.4g}{f'{r.imag:+.4g}j' if r.imag else ''}" for r in ordered)
 
 
 def _deciding_key(variants: Variants, loop: str, row: int) -> str:

@@ -55,7 +55,7 @@ def test_the_printed_horizontal_k3_makes_the_loop_unstable():
     block = table(1)
     assert column(block, "Roots, 1/s") == [
         "+0.0254 +0.0811j, +0.0254 -0.0811j, -0.1108",
-        "-0.0200 +0.0200j, -0.0200 -0.0200j, -0.0200",
+        "-0.0200 +0.0200j, -0.0200, -0.0200 -0.0200j",
     ]
     assert column(block, "Loop") == ["unstable", "stable"]
 

@@ -10,7 +10,7 @@ from rich.console import Console
 from sinsjax import loops
 from sinsjax.loops import PAPER_DAMPING, AzimuthGains, LevelGains
 from sinsjax.report.base import Table
-from sinsjax.report.output import _print_table
+from sinsjax.report.output import print_table
 
 GRAVITY = 9.8
 """g of the paper's gains, m/s^2."""
@@ -102,7 +102,7 @@ def print_gains(console: Console) -> None:
         console: where to.
     """
     for block in gain_blocks():
-        _print_table(block, console)
+        print_table(block, console)
 
 
 def _agreement(text: str, value: float) -> str:
@@ -150,8 +150,10 @@ def _loops_table() -> Table:
         ("formula", formula),
     ):
         found = loops.roots(loops.level_polynomial(gains, **earth))
+        # Equal real parts differ in their last digit, which no order may hang on.
+        listed = sorted(found, key=lambda root: (-round(root.real, 6), -root.imag))
         state = "stable" if found.real.max() < 0 else "unstable"
-        rows.append((source, f"{gains.k3:.8g}", ", ".join(map(_root_text, found)), state))
+        rows.append((source, f"{gains.k3:.8g}", ", ".join(map(_root_text, listed)), state))
     return Table(
         "Horizontal loop with either K3", ("K3", "Value, rad/(m s)", "Roots, 1/s", "Loop"), rows
     )

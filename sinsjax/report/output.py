@@ -51,7 +51,7 @@ def print_report(made: Made, console: Console) -> None:
             if isinstance(block, Text):
                 _say(console, block.text)
             elif isinstance(block, Table) and not block.folded:
-                _print_table(block, console)
+                print_table(block, console)
     if images:
         listed = ", ".join(f"{name}.png" for name in images)
         _say(console, f"Figures in {source.directory / FIGURES}: {listed}")
@@ -139,7 +139,7 @@ def _say(console: Console, text: str) -> None:
     console.print(_plain(text), markup=False, highlight=False, soft_wrap=not console.is_terminal)
 
 
-def _print_table(block: Table, console: Console) -> None:
+def print_table(block: Table, console: Console) -> None:
     table = rich_table.Table(
         title=RichText(block.title, style="bold"),
         caption=RichText(_plain(block.note)) if block.note else None,
