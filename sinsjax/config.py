@@ -20,7 +20,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from sinsjax.fields import Name
-from sinsjax.rules import Where, check_study
+from sinsjax.rules import Where, check_study, keys_unread
 from sinsjax.studies import (
     EARTH_CONSTANTS,
     SECTION_OF,
@@ -52,15 +52,22 @@ _EXCLUSIVE = (
     ("azimuth_adjustment_s", "azimuth_sigma_per_s"),
     ("sigma_passes", "sigma_times_s"),
 )
-_DEFAULT_OF = {
-    "resets": (("reset_count", 0, ("reset_times_s",)),),
-    "compass": (
-        ("level_sigma_per_s", 0.02, ("level_gains", "level_adjustment_s")),
-        ("level_time_s", 150.0, ("level_passes",)),
-        ("azimuth_sigma_per_s", 0.01, ("azimuth_gains", "azimuth_adjustment_s")),
-    ),
+_DEFAULTS: dict[str, dict[str, Any]] = {
+    "alignment": {
+        "specific_force": "measured",
+        "feedback_interval_s": 1.0,
+        "feedback_time_constant_s": 0.0,
+    },
+    "resets": {"reset_count": 0},
+    "compass": {"level_sigma_per_s": 0.02, "level_time_s": 150.0, "azimuth_sigma_per_s": 0.01},
+    "passes": {
+        "turn": "reflect",
+        "turn_smoothing_s": 2.0,
+        "turn_covariance": "carried",
+        "turn_inflation": 10.0,
+    },
 }
-"""By section: keys that have a default only where none of some others is given."""
+"""Values of keys that apply: to a method of the study, and where none of their rivals is given."""
 _DEFAULT_DRAWS = 64
 _MISFITS = {
     "float_type": "must be a number",
@@ -284,11 +291,16 @@ def _filled(parts: Table, where: Where, name: str) -> Table:
     """The sections that apply, with the defaults that depend on other keys."""
     recorded = "record" in parts
     unused: tuple[str, ...] = SIMULATED_ONLY if recorded else ("record", "coarse")
-    swept = [parts["axes"], *({k: (v,) for k, v in case.items()} for case in parts["cases"])]
-    methods = {parts.get("alignment", {}).get("method")}
-    methods |= {value for values in swept for value in values.get("method", ())}
-    used = {SECTION_OF.get(key) for key in where} | parts.keys() | methods
-    unused += tuple(name for name in ("compass", "passes") if name not in used)
+    methods = _values_of("method", parts)
+    unread = keys_unread(methods)
+    given = {SECTION_OF.get(key) for key in where} | parts.keys()
+    if "passes" not in given:
+        unused += ("passes",)
+    unused += tuple(
+        name
+        for name in ("filter", "resets", "compass")
+        if name not in given and unread.issuperset(SECTIONS[name].model_fields)
+    )
     sections = {key: dict(parts.get(key, {})) for key in SECTIONS if key not in unused}
     sections["study"].setdefault("name", name)
     if not recorded:
@@ -297,14 +309,26 @@ def _filled(parts: Table, where: Where, name: str) -> Table:
         for white, density in _NOISES:
             if white not in where and density not in where:
                 sections["sensors"][white] = 0.0
-    for section, rules in _DEFAULT_OF.items():
-        for key, value, others in rules if section in sections else ():
-            if where.keys().isdisjoint(others):
+    for section, defaults in _DEFAULTS.items():
+        for key, value in defaults.items() if section in sections else ():
+            if key not in unread and where.keys().isdisjoint(_rivals(key)):
                 sections[section].setdefault(key, value)
-    earths = {value for values in swept for value in values.get("earth", ())}
-    if "constants" in (earths or {sections["earth"].get("earth", "constants")}):
+    if "constants" in _values_of("earth", parts):
         sections["earth"] = EARTH_CONSTANTS | sections["earth"]
     return sections | {"axes": parts["axes"], "cases": parts["cases"]}
+
+
+def _values_of(key: str, parts: Table) -> set[Any]:
+    """The values that a key takes over the variants, its section's default where none is given."""
+    swept = [*parts["axes"].get(key, ()), *(case[key] for case in parts["cases"] if key in case)]
+    section = SECTION_OF[key]
+    default = SECTIONS[section].model_fields[key].default
+    return set(swept) or {parts.get(section, {}).get(key, default)}
+
+
+def _rivals(key: str) -> set[str]:
+    """The keys that say in another way what a key says."""
+    return {other for pair in _EXCLUSIVE if key in pair for other in pair} - {key}
 
 
 def _validated(sections: Table) -> Study:

@@ -52,7 +52,7 @@ class Tables:
         fixed = {
             "method": study.values("method"),
             "reset_count": [len(t) for t in times],
-            "reset_cycle_s": study.values("reset_cycle_s"),
+            "reset_cycle_s": study.values("reset_cycle_s") if study.resets else [None] * len(times),
             "reset_times_s": [list(t) for t in times],
             **{f"phi_{a}0_deg": study.values(f"phi_{a}0_deg") for a in "enu"},
         }

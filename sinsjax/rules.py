@@ -5,6 +5,7 @@ together: a sweep of a million variants costs no more than its axes.
 """
 
 import math
+from collections.abc import Iterable
 from typing import NoReturn
 
 from sinsjax.studies import EARTH_CONSTANTS, ROUNDING, SECTION_OF, SECTIONS, Study
@@ -25,8 +26,8 @@ _LAYOUT_CONDITIONS = {
 _READINGS = ("q_reading", "r_reading", "feedback_interval_s")
 _MAX_SAMPLES, _MAX_RUNS = 10**8, 10**9
 _RECORDED_LAYOUTS = ("car_test", "compass_car")
-_OF_COMPASS = (*SECTIONS["compass"].model_fields, "turn", "turn_smoothing_s")
-_OF_FILTERS = (
+_OF_COMPASS = {*SECTIONS["compass"].model_fields, "turn", "turn_smoothing_s"}
+_OF_FILTERS = {
     *SECTIONS["filter"].model_fields,
     *SECTIONS["resets"].model_fields,
     "specific_force",
@@ -34,7 +35,14 @@ _OF_FILTERS = (
     "feedback_time_constant_s",
     "turn_covariance",
     "turn_inflation",
-)
+}
+
+
+def keys_unread(methods: Iterable[str]) -> set[str]:
+    """The keys that none of some methods reads."""
+    methods = set(methods)
+    unread = set() if "compass" in methods else _OF_COMPASS
+    return unread | (_OF_FILTERS if methods == {"compass"} else set())
 
 
 def check_study(study: Study, where: Where) -> None:
@@ -55,7 +63,8 @@ def check_study(study: Study, where: Where) -> None:
     _check_passes(study, where)
     _check_schedules(study, where)
     _check_window(study, where)
-    for point in study.combinations("reset_count", "reset_cycle_s", "reset_times_s"):
+    keys = ("reset_count", "reset_cycle_s", "reset_times_s")
+    for point in study.combinations(*keys) if study.resets else ():
         if point["reset_times_s"] is not None:
             _check_times(study, where, point["reset_times_s"])
         elif point["reset_count"]:
@@ -117,7 +126,8 @@ def _check_intervals(study: Study, where: Where) -> None:
     rate, record = study.study.rate_hz, study.study.record_interval_s
     _check_whole(study, where, "record_interval_s", record)
     for point in study.combinations("feedback_interval_s"):
-        _check_whole(study, where, "feedback_interval_s", point["feedback_interval_s"])
+        if point["feedback_interval_s"] is not None:
+            _check_whole(study, where, "feedback_interval_s", point["feedback_interval_s"])
     if study.coarse:
         _check_whole(study, where, "coarse_duration_s", study.coarse.coarse_duration_s, least=2)
     taken: dict[int, float] = {}
@@ -133,12 +143,8 @@ def _check_intervals(study: Study, where: Where) -> None:
 def _check_methods(study: Study, where: Where) -> None:
     """Refuses keys that no method of the study reads."""
     methods = {point["method"] for point in study.combinations("method")}
-    unread: tuple[str, ...] = () if "compass" in methods else _OF_COMPASS
-    if methods == {"compass"}:
-        unread = _OF_FILTERS
-    for key in unread:
-        if key in where:
-            _refuse(key, where, f"has no place with method {' or '.join(sorted(methods))}")
+    for key in sorted(keys_unread(methods) & where.keys()):
+        _refuse(key, where, f"has no place with method {' or '.join(sorted(methods))}")
 
 
 def _check_passes(study: Study, where: Where) -> None:

@@ -119,7 +119,7 @@ def _part(study: Study, variants: Variants, tape: Tape | None, curves: bool) -> 
     runtime.require_x64()
     options = Options(
         dt=1 / study.study.rate_hz,
-        specific_force=variants.common("specific_force"),
+        specific_force=variants.common("specific_force") or "measured",
         position=variants.common("position"),
     )
     site, ug = site_of(study, variants, tape)

@@ -166,12 +166,15 @@ class Alignment(Section):
     position: Literal["fixed", "integrated"] = Field(
         "fixed", description="whether position stays or follows the velocity"
     )
-    specific_force: Literal["measured", "gravity"] = Field(
-        "measured", description="specific force in A(t): as measured, or that of a base at rest"
+    specific_force: Literal["measured", "gravity"] | None = Field(
+        None,
+        description="specific force in A(t): 'measured' (default), or 'gravity', of a base at rest",
     )
-    feedback_interval_s: Positive = Field(1.0, description="time between feedbacks, s")
-    feedback_time_constant_s: NonNegative = Field(
-        0.0, description="time constant of the feedback, s; 0 feeds the whole estimate back"
+    feedback_interval_s: Positive | None = Field(
+        None, description="time between feedbacks, s; default 1"
+    )
+    feedback_time_constant_s: NonNegative | None = Field(
+        None, description="time constant of the feedback, s; default 0: all is fed back at once"
     )
 
 
@@ -265,16 +268,19 @@ class Passes(Section):
     ending: Literal["duration", "forward"] = Field(
         "duration", description="end with the duration, or with the last whole forward pass in it"
     )
-    turn: Literal[
-        "reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"
-    ] = Field("reflect", description="what compass loops do at a turn of the tape")
-    turn_smoothing_s: Positive = Field(
-        2.0, description="time constant of the specific force that 'reflect' turns by, s"
+    turn: (
+        Literal["reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"]
+        | None
+    ) = Field(None, description="what compass loops do at a turn of the tape; default 'reflect'")
+    turn_smoothing_s: Positive | None = Field(
+        None, description="time constant of the force that 'reflect' turns by, s; default 2"
     )
-    turn_covariance: Literal["carried", "inflated", "reset"] = Field(
-        "carried", description="what becomes of a filter's P at a turn of the tape"
+    turn_covariance: Literal["carried", "inflated", "reset"] | None = Field(
+        None, description="what becomes of a filter's P at a turn; default 'carried'"
     )
-    turn_inflation: Positive = Field(10.0, description="factor on P, for 'inflated'")
+    turn_inflation: Positive | None = Field(
+        None, description="factor on P, for 'inflated'; default 10"
+    )
 
 
 class Record(Section):

@@ -90,9 +90,9 @@ class Study(BaseModel):
 
     A variant is one point of the sweep: cases outermost, then the axes as written, the last one
     fastest. A section that does not apply is None: ``motion`` and ``sensors`` of a recorded study,
-    ``record`` and ``coarse`` of a simulated one, ``compass`` without that method, ``passes`` where
-    no tape is gone over again. So is a key that does not apply, such as
-    ``gravity_m_per_s2`` where no variant has constants.
+    ``record`` and ``coarse`` of a simulated one, ``filter``, ``resets`` and ``compass`` where no
+    method reads them, ``passes`` where no tape is gone over again. So is a key that does not apply,
+    such as ``gravity_m_per_s2`` where no variant has constants.
 
     Attributes:
         axes: values by leaf key, in the order written.
@@ -106,8 +106,8 @@ class Study(BaseModel):
     motion: Motion | None = None
     sensors: Sensors | None = None
     alignment: Alignment
-    filter: Filter
-    resets: Resets
+    filter: Filter | None = None
+    resets: Resets | None = None
     compass: Compass | None = None
     passes: Passes | None = None
     record: Record | None = None
@@ -173,6 +173,8 @@ class Study(BaseModel):
 
     def reset_times(self) -> list[tuple[float, ...]]:
         """Reset times of every variant, s."""
+        if self.resets is None:
+            return [()] * self.n_variants
         keys = ("reset_times_s", "reset_count", "reset_cycle_s")
         return [
             tuple((i + 1) * cycle for i in range(count or 0)) if times is None else tuple(times)

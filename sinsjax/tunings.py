@@ -190,10 +190,10 @@ def check_loops(study: Study, variants: Variants, site: Site) -> None:
     dt = 1 / study.study.rate_hz
     for loop, (matrix, found) in matrices.items():
         for row in np.flatnonzero(refused & ~loops.carries(matrix, dt)):
+            key = _deciding_key(variants, loop, int(row))
             raise InputError(
-                f"{study.study.name}: [compass] {_deciding_key(variants, loop, int(row))}: a sample of"
-                f" {dt:g} s cannot carry a loop with the roots {_roots_text(found[row])} 1/s"
-                " (allow_unstable = true runs it)"
+                f"{study.study.name}: [compass] {key}: a sample of {dt:g} s cannot carry a loop"
+                f" with the roots {_roots_text(found[row])} 1/s (allow_unstable = true runs it)"
             )
 
 

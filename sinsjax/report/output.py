@@ -140,6 +140,7 @@ def _say(console: Console, text: str) -> None:
 
 
 def print_table(block: Table, console: Console) -> None:
+    """Prints one table."""
     table = rich_table.Table(
         title=RichText(block.title, style="bold"),
         caption=RichText(_plain(block.note)) if block.note else None,
