@@ -347,6 +347,7 @@ class Report(Section):
         "car_test",
         "paper2",
         "compass_map",
+        "compass_schedules",
         "compass_car",
     ] = Field("auto", description="page layout")
 
