@@ -348,6 +348,7 @@ class Report(Section):
         "paper2",
         "compass_map",
         "compass_schedules",
+        "pass_consistency",
         "compass_car",
     ] = Field("auto", description="page layout")
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from sinsjax.report import auto, car_test, paper1, readings
+from sinsjax.report import auto, car_test, paper1, pass_consistency, readings
 from sinsjax.report.base import Layout, Source
 from sinsjax.report.output import FIGURES, Made, print_report, save_figures, write_page
 
@@ -19,6 +19,7 @@ LAYOUTS: dict[str, Layout] = {
     "paper1_resets": paper1.report_resets,
     "paper1_readings": readings.report,
     "car_test": car_test.report,
+    "pass_consistency": pass_consistency.report,
 }
 """What each ``[report] layout`` is made by, in the order in which several share a page."""
 

@@ -1,0 +1,272 @@
+"""Paper 2's simulation, section 3.2: Figs 3 to 6 and Tables 1 and 2, beside what it prints.
+
+An error is estimate minus truth, which is -phi; heading is positive counter-clockwise.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from sinsjax import analysis, plots
+from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.plots import Line, Mark
+from sinsjax.report.base import Picture, Report, Section, Source, Table, value_text
+from sinsjax.report.limits import only
+from sinsjax.report.linear import Limits, limits_of, one_variant
+from sinsjax.studies import Study
+from sinsjax.types import InputError
+from sinsjax.units import ARCMIN, DEG
+
+ANGLES = {"pitch": "e", "roll": "n", "heading": "u"}
+"""The paper's attitude angles, and the axis of phi that each is an error about."""
+
+DIGITS = {"pitch": 5, "roll": 5, "heading": 4}
+"""Decimals of a degree in the paper's tables."""
+
+PRINTED = {
+    1: {"pitch": 0.00261, "roll": -0.00208, "heading": 0.0251},
+    2: {"pitch": 0.00234, "roll": -0.00209, "heading": 0.0236},
+}
+"""Tables 1 and 2 by scheme, deg; the two tables are identical."""
+
+_STYLES = ("-", "--", ":", "-.")
+_REACH_DEG = 0.5  # of an enlargement; a run further off would flatten all others
+
+
+class Case(NamedTuple):
+    """One variant of a study: a scheme, how it is read, and a gyro drift.
+
+    Attributes:
+        label: of the case.
+        drift: constant gyro drift, deg/h.
+        scheme: 1 where the data are gone over once, 2 where a tape is gone over again.
+        study: of this variant alone.
+        limits: of its attitude errors.
+        rows: its runs, one a draw.
+    """
+
+    label: str
+    drift: float
+    scheme: int
+    study: Study
+    limits: Limits
+    rows: pa.Table
+
+    @property
+    def name(self) -> str:
+        """The label without the scheme."""
+        return self.label.removeprefix(f"Scheme {self.scheme}, ")
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether its loops are; an unstable one has `allow_unstable` set."""
+        return not only(self.study, "allow_unstable")
+
+    @property
+    def starts_as_stated(self) -> bool:
+        """Whether the heading error begins at the paper's sign."""
+        return only(self.study, "phi_u0_deg") <= 0
+
+    def mean_errors(self, angle: str) -> NDArray:
+        """Window means of an angle's error, (draws,), deg, by draw."""
+        return self._in_window(angle, "mean") * -1
+
+    def window_stds(self, angle: str) -> NDArray:
+        """Standard deviations of an angle's error inside the window, (draws,), deg."""
+        return self._in_window(angle, "std")
+
+    def _in_window(self, angle: str, statistic: str) -> NDArray:
+        column = f"phi_{ANGLES[angle]}_{statistic}_arcmin"
+        return analysis.numbers(self.rows, column) * ARCMIN / DEG
+
+
+class Curves(NamedTuple):
+    """Attitude errors of a case over time.
+
+    Attributes:
+        time_s: (T,) update times, s.
+        errors: (draws, T) by angle, deg.
+    """
+
+    time_s: NDArray
+    errors: dict[str, NDArray]
+
+    def at(self, angle: str, time_s: float) -> NDArray:
+        """Errors at the record nearest to a time, (draws,), deg."""
+        return self.errors[angle][:, int(np.argmin(np.abs(self.time_s - time_s)))]
+
+
+def report(source: Source) -> Report:
+    """Attitude errors over time for both schemes, and their window means as the paper's table."""
+    cases = cases_of(source)
+    swings = any(only(cases[0].study, f"{a}_amplitude_deg") for a in ("pitch", "roll", "yaw"))
+    base, figures, number = ("Swing", (5, 6), 2) if swings else ("Static", (3, 4), 1)
+    shown = [case for case in cases if case.is_stable and case.starts_as_stated]
+    blocks = []
+    for scheme, figure in zip((1, 2), figures, strict=True):
+        if here := [case for case in shown if case.scheme == scheme]:
+            blocks.append(_figure(source, here, figure, base))
+    stable = [case for case in cases if case.is_stable]
+    return Report(
+        [_headline(base, [case for case in shown if case.drift == cases[0].drift])],
+        [
+            Section(
+                f"{base} base: Figs {figures[0]} and {figures[1]}, Table {number}",
+                [*blocks, _table(source, stable, number)],
+            )
+        ],
+    )
+
+
+def cases_of(source: Source) -> list[Case]:
+    """The variants of a study, in its order.
+
+    Raises:
+        InputError: no study of compass loops with labelled cases and one gyro drift each.
+    """
+    study = source.study
+    if (
+        study.is_recorded
+        or study.compass is None
+        or study.passes is None
+        or "case" not in study.axis_keys
+        or any(not isinstance(b, int | float) for b in study.values("gyro_bias_deg_per_h"))
+    ):
+        raise InputError(
+            f"{source.directory}: layout 'paper2' needs method 'compass', [passes], labelled"
+            " [[cases]], and one number as gyro_bias_deg_per_h"
+        )
+    cases = []
+    for key, rows in analysis.groups(source.summary, ["variant_id"]):
+        one = one_variant(study, key["variant_id"])
+        tape = only(one, "tape_s")
+        cases.append(
+            Case(
+                label=only(one, "case"),
+                drift=only(one, "gyro_bias_deg_per_h"),
+                scheme=1 if tape is None or tape >= study.study.duration_s else 2,
+                study=one,
+                limits=limits_of(one),
+                rows=rows,
+            )
+        )
+    return cases
+
+
+def curves_of(source: Source, cases: Sequence[Case]) -> list[Curves]:
+    """The attitude errors of some cases over time.
+
+    Raises:
+        InputError: no curves were stored.
+    """
+    columns = [f"phi_{axis}_arcmin" for axis in ANGLES.values()]
+    ids = {str(i): case.rows["run_id"].to_pylist() for i, case in enumerate(cases)}
+    table = source.curves(run for runs in ids.values() for run in runs)
+    if table.num_rows == 0:
+        raise InputError(f"{source.directory}: its layout needs curves ([study] curves = true)")
+    made = plots.ensembles(table.select(["run_id", "time_s", *columns]), ids)
+    factor = -ARCMIN / DEG
+    return [
+        Curves(
+            one.time_s,
+            {a: factor * one.columns[f"phi_{axis}_arcmin"] for a, axis in ANGLES.items()},
+        )
+        for one in made
+    ]
+
+
+def drift_text(drift: float) -> str:
+    """A gyro drift in words."""
+    return f"{value_text(drift)} deg/h"
+
+
+def _figure(source: Source, cases: Sequence[Case], number: int, base: str) -> Picture:
+    names, drifts = (list(dict.fromkeys(values)) for values in zip(*((c.name, c.drift) for c in cases), strict=True))
+    lines: dict[str, list[Line]] = {angle: [] for angle in ANGLES}
+    for case, curves in zip(cases, curves_of(source, cases), strict=True):
+        look = plots.colour(names.index(case.name)), _STYLES[drifts.index(case.drift) % 4]
+        label = f"{case.name}, drift {drift_text(case.drift)}"
+        for angle, here in lines.items():
+            here.append(Line(label, curves.time_s, curves.errors[angle], *look))
+    scheme = cases[0].scheme
+    limits = {case.drift: case.limits for case in cases}
+    marks = [
+        Mark(
+            f"limit, drift {drift_text(drift)}",
+            {angle: getattr(at, angle) for angle in ANGLES},
+            _STYLES[drifts.index(drift) % 4],
+        )
+        for drift, at in limits.items()
+    ]
+    marks.append(Mark("printed", PRINTED[scheme], "-."))
+    start, end = source.study.study.window_s
+    figure = plots.attitude_errors(
+        lines,
+        f"{base} base, Scheme {scheme}: error of the estimated attitude",
+        marks=marks,
+        zoom_s=(max(0.0, 2 * start - end), end),
+        reach=_REACH_DEG,
+    )
+    return Picture(
+        f"fig{number}",
+        f"After the paper's Fig. {number}. Mean over {source.study.n_draws} draws; shading: 95 %"
+        " of them. Error: estimate minus truth, heading counter-clockwise. Lines that stay more"
+        f" than {_REACH_DEG:g} deg from their limit lie outside the enlargement.",
+        figure,
+    )
+
+
+def _table(source: Source, cases: Sequence[Case], number: int) -> Table:
+    start, end = source.study.study.window_s
+    rows = []
+    for scheme in (1, 2):
+        printed = [f"{PRINTED[scheme][angle]:.{DIGITS[angle]}f}" for angle in ANGLES]
+        rows.append([f"Scheme {scheme}, as printed", "", *printed, "", "", ""])
+        rows += [_row(case) for case in cases if case.scheme == scheme]
+    return Table(
+        f"Table {number}: mean error over {start:g} to {end:g} s, over {source.study.n_draws} draws",
+        [
+            "",
+            "gyro drift (deg/h)",
+            *(f"{angle} (deg)" for angle in ANGLES),
+            "heading's limit (deg)",
+            "heading: std inside the window (deg)",
+            "heading: std over draws (deg)",
+        ],
+        rows,
+        "Number [95 % interval]. Error: estimate minus truth, which is -phi; the sign that all"
+        " three printed means have. The paper prints neither intervals nor its number of runs.",
+    )
+
+
+def _row(case: Case) -> list[str]:
+    means = {angle: analysis.mean(case.mean_errors(angle)) for angle in ANGLES}
+    heading = case.mean_errors("heading")
+    return [
+        case.label,
+        value_text(case.drift),
+        *(format_estimate(means[angle], digits=DIGITS[angle]) for angle in ANGLES),
+        f"{case.limits.heading:.4f}",
+        _deg(analysis.mean(case.window_stds("heading"))),
+        _deg(analysis.std(heading)),
+    ]
+
+
+def _deg(estimate: Estimate) -> str:
+    return format_estimate(estimate, digits=4)
+
+
+def _headline(base: str, cases: Sequence[Case]) -> str:
+    found = (
+        f"{case.label} {analysis.mean(case.mean_errors('heading')).value:.4f}" for case in cases
+    )
+    drift, limit = cases[0].drift, cases[0].limits.heading
+    start, end = cases[0].study.study.window_s
+    return (
+        f"{base} base, gyro drift {drift_text(drift)}: mean heading error over {start:g} to"
+        f" {end:g} s, deg (limit {limit:.4f}; printed {PRINTED[1]['heading']:.4f} for Scheme 1,"
+        f" {PRINTED[2]['heading']:.4f} for Scheme 2): {'; '.join(found)}."
+    )

@@ -1,0 +1,129 @@
+"""Consistency of a filter against the number of passes over one tape."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from sinsjax import analysis, plots
+from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.report.base import Picture, Report, Section, Source, Table, Text
+from sinsjax.types import InputError
+
+_KEYS = ("case", "turn_covariance", "passes")
+_DEGREES = 3  # of freedom of nees
+
+
+class Point(NamedTuple):
+    """The runs of one number of passes.
+
+    Attributes:
+        passes: over the tape.
+        nees: mean over the draws.
+        error: root mean square of phi_u from its floor, arcmin.
+        sigma: the filter's own 1 sigma of it, mean over the draws, arcmin.
+    """
+
+    passes: int
+    nees: Estimate
+    error: Estimate
+    sigma: float
+
+
+def report(source: Source) -> Report:
+    """Mean NEES, error and believed sigma by number of passes, for each treatment of P."""
+    missing = [key for key in _KEYS if key not in source.study.axis_keys]
+    if missing:
+        raise InputError(f"{source.study.study.name}: this layout needs {', '.join(missing)} swept")
+    found = {case: dict(_treatments(source, case)) for case in _unique(source, "case")}
+    sections = []
+    for case, treatments in found.items():
+        rows = [
+            [
+                treatment,
+                str(point.passes),
+                format_estimate(point.nees, digits=2),
+                format_estimate(point.error, digits=2),
+                f"{point.sigma:.2f}",
+            ]
+            for treatment, points in treatments.items()
+            for point in points
+        ]
+        header = ["P at a turn", "passes", "nees, mean", "phi_u error, rms (arcmin)", "sigma_u"]
+        sections.append(Section(f"Misalignment {case}", [Table(_TITLE, header, rows, _NOTE)]))
+    counts = sorted(set(source.summary["passes"].to_pylist()))
+    panels = {
+        f"mean nees\nfrom {case}": {
+            f"P {treatment}": [point.nees for point in points]
+            for treatment, points in treatments.items()
+        }
+        for case, treatments in found.items()
+    }
+    title = f"Consistency by passes over one tape ({_DEGREES} is consistent)"
+    figure = plots.along_axis("passes", counts, panels, title=title)
+    caption = f"Mean NEES over the draws by number of passes; {_DEGREES} is consistent."
+    text = [
+        Text(say(case, treatments[treatment]))
+        for case, treatments in found.items()
+        for treatment, say in (("carried", _carried), ("reset", _reset))
+        if treatment in treatments
+    ]
+    blocks = [*text, Picture("nees_by_passes", caption, figure)]
+    return Report([_headline(source)], [Section("Consistency", blocks), *sections])
+
+
+_TITLE = "By number of passes"
+_NOTE = (
+    "Number [95 % interval over the draws]. nees = phi' P^-1 phi at the end, 3 degrees of freedom;"
+    " error from the floor; sigma_u is the filter's own."
+)
+
+
+def _headline(source: Source) -> str:
+    tape = {p["tape_s"] for p in source.study.combinations("tape_s")}
+    shown = ", ".join(f"{t:g} s" for t in sorted(tape))
+    return (
+        f"{source.summary.num_rows} runs over a tape of {shown}: repetition adds no information,"
+        " and a filter that carries P through the turns believes that it does."
+    )
+
+
+def _carried(case: str, points: Sequence[Point]) -> str:
+    one, last = points[0], points[-1]
+    return (
+        f"From {case} with P carried, {last.passes} passes multiply the mean NEES by"
+        f" {last.nees.value / one.nees.value:.2f}, the believed sigma by"
+        f" {last.sigma / one.sigma:.2f} (1/sqrt({last.passes}) = {last.passes**-0.5:.2f}: each pass"
+        f" counted as new data) and the error itself by {last.error.value / one.error.value:.2f}."
+    )
+
+
+def _reset(case: str, points: Sequence[Point]) -> str:
+    errors = ", ".join(f"{point.error.value:.2f}" for point in points[:3])
+    return (
+        f"From {case} with P reset at each turn, the error is {errors} arcmin (rms) after"
+        f" {', '.join(str(point.passes) for point in points[:3])} passes: what a further pass can"
+        " give is a linear model taken at the heading that the one before has found."
+    )
+
+
+def _treatments(source: Source, case: str) -> Iterator[tuple[str, list[Point]]]:
+    points: dict[str, list[Point]] = {}
+    for key, rows in analysis.groups(source.summary, _KEYS):
+        if key["case"] != case:
+            continue
+        error = analysis.numbers(rows, "phi_u_arcmin") - analysis.numbers(rows, "floor_arcmin")
+        square = analysis.mean(error**2)
+        point = Point(
+            passes=key["passes"],
+            nees=analysis.mean(analysis.numbers(rows, "nees")),
+            error=Estimate(*np.sqrt(np.maximum(square[:3], 0.0)), square.n),
+            sigma=float(np.mean(analysis.numbers(rows, "sigma_u_arcmin"))),
+        )
+        points.setdefault(key["turn_covariance"], []).append(point)
+    for treatment, found in points.items():
+        yield treatment, sorted(found, key=lambda p: p.passes)
+
+
+def _unique(source: Source, key: str) -> Sequence[str]:
+    return list(dict.fromkeys(source.summary[key].to_pylist()))
