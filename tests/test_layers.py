@@ -12,7 +12,7 @@ LAYERS = (
     {"columns", "compile_cache", "files", "hlo", "machine", "runtime", "types", "units"},
     {"config", "fields", "records", "rules", "sections", "studies"},
     {"algebra", "earth", "kalman", "randomness", "rotations"},
-    {"error_model", "imu", "loops", "mechanisation", "trajectory"},
+    {"bounds", "error_model", "imu", "loops", "mechanisation", "trajectory"},
     {"alignment"},
     {"batch", "metrics", "scenario", "simulate", "tunings", "worlds"},
     {"analysis", "plots", "results", "statements"},

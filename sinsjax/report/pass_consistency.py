@@ -62,12 +62,12 @@ def report(source: Source) -> Report:
     title = f"Consistency by passes over one tape ({_DEGREES} is consistent)"
     figure = plots.along_axis("passes", counts, panels, title=title)
     caption = f"Mean NEES over the draws by number of passes; {_DEGREES} is consistent."
-    text = [
-        Text(say(case, treatments[treatment]))
-        for case, treatments in found.items()
-        for treatment, say in (("carried", _carried), ("reset", _reset))
-        if treatment in treatments
-    ]
+    first, last = list(found)[0], list(found)[-1]
+    text = []
+    if "carried" in found[first]:
+        text.append(Text(_carried(first, found[first]["carried"])))
+    if "reset" in found[last]:
+        text.append(Text(_reset(last, found[last]["reset"])))
     blocks = [*text, Picture("nees_by_passes", caption, figure)]
     return Report([_headline(source)], [Section("Consistency", blocks), *sections])
 
@@ -102,8 +102,8 @@ def _reset(case: str, points: Sequence[Point]) -> str:
     errors = ", ".join(f"{point.error.value:.2f}" for point in points[:3])
     return (
         f"From {case} with P reset at each turn, the error is {errors} arcmin (rms) after"
-        f" {', '.join(str(point.passes) for point in points[:3])} passes: what a further pass can"
-        " give is a linear model taken at the heading that the one before has found."
+        f" {', '.join(str(point.passes) for point in points[:3])} passes: a pass has no new data, but"
+        " its linear model holds about the heading that the pass before has found."
     )
 
 
