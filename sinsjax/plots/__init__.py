@@ -14,19 +14,33 @@ from sinsjax.plots.curves import (
     squares,
     yaw_errors,
 )
-from sinsjax.plots.grids import Scale, Shown, Verdicts, heat_maps, verdict_matrix
+from sinsjax.plots.errors import Mark, attitude_errors, over_time
+from sinsjax.plots.grids import (
+    Contours,
+    Scale,
+    Shown,
+    Verdicts,
+    heat_maps,
+    spread,
+    verdict_matrix,
+)
 from sinsjax.plots.spreads import along_axis, distributions
 from sinsjax.plots.style import COLOURS, colour, label, png, setting
+from sinsjax.plots.tapes import by_tape, prediction, survival
 
 __all__ = [
     "COLOURS",
+    "Contours",
     "Ensemble",
     "Line",
+    "Mark",
     "Scale",
     "Shown",
     "Verdicts",
     "along_axis",
     "attitude",
+    "attitude_errors",
+    "by_tape",
     "colour",
     "distributions",
     "draw",
@@ -34,9 +48,13 @@ __all__ = [
     "heat_maps",
     "label",
     "misalignment",
+    "over_time",
     "png",
+    "prediction",
     "setting",
+    "spread",
     "squares",
+    "survival",
     "verdict_matrix",
     "yaw_errors",
 ]

@@ -5,10 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap
+from matplotlib.colors import ListedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from sinsjax.plots.style import COLOURS, label, styled
@@ -40,6 +42,7 @@ class Shown(NamedTuple):
         high: value at the light end.
         reverse: whether low values are the light ones.
         digits: decimals of the number in a cell.
+        log: whether the colours go by the logarithm; then cells have two significant digits.
     """
 
     name: str
@@ -47,6 +50,49 @@ class Shown(NamedTuple):
     high: float
     reverse: bool = False
     digits: int = 0
+    log: bool = False
+
+    @property
+    def norm(self) -> Normalize:
+        """From a value to its place on the colour map, 0 to 1."""
+        return (LogNorm if self.log else Normalize)(self.low, self.high, clip=True)
+
+    def text(self, value: float) -> str:
+        """The number in a cell."""
+        if not self.log:
+            return f"{value:.{self.digits}f}"
+        return f"{value:.{max(0, 1 - int(np.floor(np.log10(max(value, 1e-9)))))}f}"
+
+
+class Contours(NamedTuple):
+    """Lines of equal value over heat maps.
+
+    Attributes:
+        name: of the quantity, in the legend.
+        levels: ascending.
+        values: (n, m) of each panel, spread evenly over it from edge to edge, see `spread`.
+    """
+
+    name: str
+    levels: Sequence[float]
+    values: Sequence[NDArray]
+
+
+def spread(values: Sequence[float], count: int) -> NDArray:
+    """Positive values of an axis at places spread evenly from edge to edge of its cells.
+
+    Args:
+        values: at the middles of two cells or more, ascending.
+        count: number of places.
+
+    Returns:
+        (count,), geometric between the middles and beyond the outer ones.
+    """
+    logs, last = np.log(values), len(values) - 1
+    middles = np.arange(-1, last + 2)
+    ends = (2 * logs[0] - logs[1], 2 * logs[-1] - logs[-2])
+    places = np.linspace(-0.5, last + 0.5, count)
+    return np.exp(np.interp(places, middles, [ends[0], *logs, ends[1]]))
 
 
 @styled
@@ -57,6 +103,7 @@ def heat_maps(
     *,
     rows: Scale,
     columns: Scale,
+    contours: Contours | None = None,
 ) -> Figure:
     """Heat maps of one quantity over two swept keys, side by side.
 
@@ -67,36 +114,62 @@ def heat_maps(
         shown: the quantity.
         rows: the key from bottom to top.
         columns: the key from left to right.
+        contours: drawn over the panels.
     """
     width = min(4, len(panels))
     height = -(-len(panels) // width)
     figure = Figure(figsize=(1.2 + max(2.5 * width, 5.0), 1.4 + 2.5 * height))
     figure.suptitle(title)
     grid = figure.subplots(height, width, sharex=True, sharey=True, squeeze=False)
-    for axes, (name, values) in zip(grid.flat, panels, strict=False):
+    for number, (axes, (name, values)) in enumerate(zip(grid.flat, panels, strict=False)):
         image = _heat_map(axes, values, shown)
         axes.set_title(name)
         axes.set_xticks(range(len(columns.values)), [f"{v:g}" for v in columns.values])
         axes.set_yticks(range(len(rows.values)), [f"{v:g}" for v in rows.values])
+        if contours:
+            _contour(axes, contours.levels, contours.values[number])
     for axes in list(grid.flat)[len(panels) :]:
         axes.set_visible(False)
     for axes in grid[:, 0]:
         axes.set_ylabel(label(rows.key))
     for axes in grid[-1]:
         axes.set_xlabel(label(columns.key))
-    figure.colorbar(image, ax=grid, label=shown.name, shrink=0.8, aspect=30)
+    finite = np.concatenate([values[np.isfinite(values)] for _, values in panels])
+    below, above = bool(np.any(finite < shown.low)), bool(np.any(finite > shown.high))
+    extend = {(True, True): "both", (True, False): "min", (False, True): "max"}.get((below, above))
+    figure.colorbar(
+        image, ax=grid, label=shown.name, shrink=0.8, aspect=30, extend=extend or "neither"
+    )
+    handles: list[Patch | Line2D] = []
+    if contours:
+        handles.append(Line2D([], [], color="black", linewidth=1.1, label=contours.name))
     if any(not np.isfinite(values).all() for _, values in panels):
         never = Patch(facecolor=_NEVER, edgecolor=_NEVER_EDGE, hatch=_HATCH, label="never (median)")
-        figure.legend(handles=[never], loc="outside lower center")
+        handles.append(never)
+    if handles:
+        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     return figure
+
+
+def _contour(axes: Axes, levels: Sequence[float], values: NDArray) -> None:
+    down, right = (
+        np.linspace(lim[0], lim[1], n)
+        for lim, n in zip(
+            (sorted(axes.get_ylim()), sorted(axes.get_xlim())), values.shape, strict=True
+        )
+    )
+    halo = [withStroke(linewidth=2.4, foreground="white")]
+    lines = axes.contour(right, down, values, levels, colors="black", linewidths=1.1)
+    lines.set_path_effects(halo)
+    for text in axes.clabel(lines, fontsize=6.5, fmt="%g", inline_spacing=1):
+        text.set_path_effects(halo)
 
 
 def _heat_map(axes: Axes, values: NDArray, shown: Shown) -> AxesImage:
     image = axes.imshow(
         np.ma.masked_invalid(values),
         cmap="viridis_r" if shown.reverse else "viridis",
-        vmin=shown.low,
-        vmax=shown.high,
+        norm=shown.norm,
         aspect="auto",
         origin="lower",
     )
@@ -110,11 +183,9 @@ def _heat_map(axes: Axes, values: NDArray, shown: Shown) -> AxesImage:
 
 
 def _write(axes: Axes, cell: tuple[int, int], value: float, shown: Shown) -> None:
-    level = (value - shown.low) / (shown.high - shown.low or 1.0)
-    light = (level > _LIGHT) != shown.reverse
-    text = f"{value:.{shown.digits}f}"
+    light = (shown.norm(value) > _LIGHT) != shown.reverse
     shade = "black" if light else "white"
-    axes.text(*cell, text, ha="center", va="center", fontsize=6.5, color=shade)
+    axes.text(*cell, shown.text(value), ha="center", va="center", fontsize=6.5, color=shade)
 
 
 class Verdicts(NamedTuple):

@@ -4,13 +4,22 @@ A study's ``[report] layout`` says which shape its report has; a layout is a fun
 `Source` to a `Report` and knows neither console nor page.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rich.console import Console
 
-from sinsjax.report import auto, car_test, paper1, pass_consistency, readings
-from sinsjax.report.base import Layout, Source
+from sinsjax.report import (
+    auto,
+    car_test,
+    compass_car,
+    paper1,
+    paper2,
+    paper2_reasons,
+    pass_consistency,
+    readings,
+)
+from sinsjax.report.base import Layout, Report, Source
 from sinsjax.report.output import FIGURES, Made, print_report, save_figures, write_page
 
 LAYOUTS: dict[str, Layout] = {
@@ -19,12 +28,20 @@ LAYOUTS: dict[str, Layout] = {
     "paper1_resets": paper1.report_resets,
     "paper1_readings": readings.report,
     "car_test": car_test.report,
+    "compass_car": compass_car.report,
+    "paper2": paper2.report,
     "pass_consistency": pass_consistency.report,
 }
 """What each ``[report] layout`` is made by, in the order in which several share a page."""
 
+TOGETHER: dict[str, Callable[[Sequence[Source]], Report]] = {"paper2": paper2_reasons.report}
+"""What is told once about all results of a layout, after each of them."""
+
 PAPER1 = ("paper1_conditions", "paper1_resets", "paper1_readings")
-"""The layouts of the page on paper 1."""
+"""The studies of the page on paper 1."""
+
+PAPER2 = ("paper2_static", "paper2_swing", "paper2_map")
+"""The studies of the page on paper 2."""
 
 
 def summarise(directories: Sequence[Path], console: Console, page: Path | None = None) -> None:
@@ -38,29 +55,40 @@ def summarise(directories: Sequence[Path], console: Console, page: Path | None =
     Raises:
         InputError: a directory holds no results that its layout can use, or cannot be written.
     """
-    made = []
-    for directory in directories:
-        source = Source.read(directory)
-        one = Made.of(source, LAYOUTS[source.study.report.layout](source))
-        save_figures(one.images, directory / FIGURES)
-        print_report(one, console)
-        made.append(one)
+    sources = [Source.read(directory) for directory in directories]
+    made = [
+        _tell(LAYOUTS[source.study.report.layout](source), source, console) for source in sources
+    ]
+    for layout, report in TOGETHER.items():
+        if here := [source for source in sources if source.study.report.layout == layout]:
+            made.append(_tell(report(here), here[0], console))
     if page is not None:
         places = list(LAYOUTS)
         made.sort(key=lambda one: places.index(one.source.study.report.layout))
-        write_page(page, _title(made), made, _missing(made))
+        names = list(dict.fromkeys(one.source.study.study.name for one in made))
+        write_page(page, _title(names), made, _missing(names))
 
 
-def _title(made: Sequence[Made]) -> str:
-    if any(one.source.study.report.layout in PAPER1 for one in made):
-        return "Paper 1, reproduced"
-    return ", ".join(one.source.study.study.name for one in made)
+def _tell(report: Report, source: Source, console: Console) -> Made:
+    """Draws a report's figures into the directory of its source, and prints its tables."""
+    made = Made.of(source, report)
+    save_figures(made.images, source.directory / FIGURES)
+    print_report(made, console)
+    return made
 
 
-def _missing(made: Sequence[Made]) -> list[str]:
-    """Says which part of paper 1's page has no results."""
-    there = {one.source.study.report.layout for one in made}
-    missing = [f"`configs/{name}.toml`" for name in PAPER1 if name not in there]
-    if not missing or not there.intersection(PAPER1):
-        return []
-    return [f"Not on this page: {', '.join(missing)}."]
+def _title(names: Sequence[str]) -> str:
+    for number, studies in enumerate((PAPER1, PAPER2), start=1):
+        if set(studies).intersection(names):
+            return f"Paper {number}, reproduced"
+    return ", ".join(names)
+
+
+def _missing(names: Sequence[str]) -> list[str]:
+    """Says which part of a paper's page has no results."""
+    notes = []
+    for studies in (PAPER1, PAPER2):
+        missing = [f"`configs/{name}.toml`" for name in studies if name not in names]
+        if 0 < len(missing) < len(studies):
+            notes.append(f"Not on this page: {', '.join(missing)}.")
+    return notes

@@ -1,9 +1,11 @@
 """What linear loops predict for a run of a compass study: the heading error over update time.
 
 The north channel alone, from the stated initial error, without noise: levelling ([P2] Fig. 1) with
-the heading that it does not control, then azimuth ([P2] Fig. 2), pass by pass.
+the heading that it does not control, then azimuth ([P2] Fig. 2), pass by pass. A turn that reflects
+the tilt goes by the low-passed specific force, which lags behind it.
 """
 
+from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -14,13 +16,15 @@ from numpy.typing import NDArray
 
 from sinsjax import loops, tunings
 from sinsjax.alignment import compass
+from sinsjax.loops import Number
 from sinsjax.report.limits import ingredients, only
 from sinsjax.studies import Study
 from sinsjax.units import ARCMIN, DEG
 from sinsjax.worlds import Variants, site_of
 
-_LEVEL = np.ix_((0, 1, 3), (0, 1, 3))  # of x = [dV_N, phi_E, phi_U, I_N, w_cU]
+_LEVEL = np.ix_((0, 1, 3), (0, 1, 3))  # of x = [dV_N, phi_E, phi_U, I_N, w_cU, f_N/g]
 _AZIMUTH = np.ix_((0, 1, 2, 4), (0, 1, 2, 4))
+_WITHOUT_INTEGRAL = np.ix_((0, 1, 2, 4, 5), (0, 1, 2, 4, 5))
 
 
 class Limits(NamedTuple):
@@ -69,6 +73,11 @@ class Loops(NamedTuple):
         velocity, _, rate, reflection = self.params.turn
         return loops.turn_matrix(velocity, 1 - 2 * reflection, rate)
 
+    @property
+    def smoothing_s(self) -> float:
+        """Time constant of the low-passed specific force, s."""
+        return float(-1 / (np.log1p(-self.params.smoothing) * self.rate_hz))
+
 
 def one_variant(study: Study, variant: int) -> Study:
     """The study of one variant alone.
@@ -94,20 +103,36 @@ def limits_of(one: Study) -> Limits:
 
 def loops_of(one: Study) -> Loops:
     """The loops of a compass study of one variant."""
-    variants = Variants(one, np.array([0]))
-    site, ug = site_of(one, variants, None)
-    params = tunings.of_method(one, variants, site, ug)
-    tape_s = only(one, "tape_s") if one.passes else None
-    return Loops(
-        params=jax.tree.map(lambda leaf: np.asarray(leaf)[0], params),
-        earth={
-            "gravity": float(site.place.gravity),
-            "radius": float(1 / site.place.curvature_n),
-        },
-        rate_n=float(site.place.rate_n),
-        rate_hz=one.study.rate_hz,
-        tape_s=one.study.duration_s if tape_s is None else tape_s,
-    )
+    return all_loops(one)[0]
+
+
+def all_loops(study: Study) -> list[Loops]:
+    """The loops of each variant of a compass study that sweeps keys of loops and passes alone."""
+    variants = Variants(study, np.arange(study.n_variants))
+    site, ug = site_of(study, variants, None)
+    params = tunings.of_method(study, variants, site, ug)
+    leaves, structure = jax.tree.flatten(params)
+    tapes = study.values("tape_s") if study.passes else [None] * study.n_variants
+    return [
+        Loops(
+            params=jax.tree.unflatten(structure, [np.asarray(leaf)[i] for leaf in leaves]),
+            earth={
+                "gravity": float(site.place.gravity),
+                "radius": float(1 / site.place.curvature_n),
+            },
+            rate_n=float(site.place.rate_n),
+            rate_hz=study.study.rate_hz,
+            tape_s=study.study.duration_s if tape_s is None else tape_s,
+        )
+        for i, tape_s in enumerate(tapes)
+    ]
+
+
+def start_of(study: Study) -> NDArray:
+    """Initial phi_E and phi_U of a study that sweeps neither, from their limits, (2,), deg."""
+    limits = limits_of(study)
+    begin = [only(study, f"phi_{axis}0_deg") for axis in "eu"]
+    return np.asarray(begin) + [limits.pitch, limits.heading]
 
 
 def heading_from_limit(one: Study, times_s: NDArray) -> NDArray:
@@ -120,33 +145,88 @@ def heading_from_limit(one: Study, times_s: NDArray) -> NDArray:
     Returns:
         (n,) deg, estimate minus truth.
     """
-    model, limits = loops_of(one), limits_of(one)
-    begin = [only(one, f"phi_{axis}0_deg") for axis in "eu"]
-    state = np.zeros(5)
-    state[1:3] = DEG * (np.asarray(begin) + [limits.pitch, limits.heading])
+    return heading_of(loops_of(one), start_of(one), times_s)
+
+
+def heading_of(model: Loops, start: NDArray, times_s: NDArray) -> NDArray:
+    """Heading error minus its limit of some loops.
+
+    Args:
+        model: the loops.
+        start: of `start_of`.
+        times_s: (n,) update times, s, ascending.
+
+    Returns:
+        (n,) deg, estimate minus truth.
+    """
+    state = np.zeros(6)
+    state[1:3] = DEG * start
     level_s = float(model.params.azimuth_from) / model.rate_hz
     last = float(times_s[-1])
     changes = model.params.pace.samples / model.rate_hz
     turns = np.arange(1, np.ceil(last / model.tape_s)) * model.tape_s
     moments = np.unique([0.0, level_s, *changes, *turns, last])
     heading = np.empty(len(times_s))
-    velocity, integral, rate, reflection = model.params.turn
-    turn = np.array([velocity, 1 - 2 * reflection, 1.0, integral, rate])
-    for since, until in pairwise(moments[moments <= last]):
+    for since, until in pairwise(moments[moments <= last].tolist()):
         if since in turns:
-            state = turn * state
+            state = _turn(model.params.turn) @ state
         matrix = _matrix(model, since, levelling=since < level_s)
         here = (times_s > since) & (times_s <= until)
-        steps = np.append(times_s[here], until) - since
-        states = scipy.linalg.expm(matrix * steps[:, None, None]) @ state
+        steps = (np.append(times_s[here], until) - since).round(9)
+        states = _flows(matrix.tobytes(), steps.tobytes()) @ state
         heading[here], state = states[:-1, 2], states[-1]
     return -heading / DEG
 
 
+@lru_cache(maxsize=1024)  # passes of one kind share theirs, and so do turn rules
+def _flows(matrix: bytes, steps: bytes) -> NDArray:
+    """exp(A t) for each of some times t, shape (n, 6, 6)."""
+    whole = np.frombuffer(matrix).reshape(6, 6) * np.frombuffer(steps)[:, None, None]
+    return scipy.linalg.expm(whole)
+
+
+def cycle_radius(
+    sigma: Number, tape_s: Number, turn: compass.Turn, *, damping: Number, smoothing_s: Number
+) -> NDArray:
+    """As `loops.cycle_radius`, with the turn as it is made: by a specific force that lags.
+
+    Args:
+        sigma: decay rate, 1/s.
+        tape_s: length of a pass, s.
+        turn: what happens between two passes.
+        damping: of the azimuth loop.
+        smoothing_s: time constant of the low-passed specific force, s.
+
+    Returns:
+        Of the shape that the numbers broadcast to.
+    """
+    sigma, tape_s, damping, smoothing_s = np.broadcast_arrays(sigma, tape_s, damping, smoothing_s)
+    earth = {"gravity": 1.0, "radius": 1.0}
+    gains = loops.azimuth_gains(sigma, damping, **earth)
+    made = _turn(turn)[_WITHOUT_INTEGRAL]
+    cycle = np.eye(5)
+    for direction in (1, -1):
+        azimuth = loops.azimuth_matrix(gains, rate_n=1.0, direction=direction, **earth)
+        matrix = np.zeros((*azimuth.shape[:-2], 5, 5))
+        matrix[..., :4, :4] = azimuth
+        matrix[..., 4, 1], matrix[..., 4, 4] = 1 / smoothing_s, -1 / smoothing_s
+        cycle = made @ scipy.linalg.expm(matrix * tape_s[..., None, None]) @ cycle
+    return np.abs(np.linalg.eigvals(cycle)).max(-1)
+
+
+def _turn(turn: compass.Turn) -> NDArray:
+    """What a turn makes of x."""
+    velocity, integral, rate, reflection = turn
+    matrix = np.diag([velocity, 1.0, 1.0, integral, rate, 1 - 2 * reflection])
+    matrix[1, 5] = -2 * reflection
+    return matrix
+
+
 def _matrix(model: Loops, time_s: float, *, levelling: bool) -> NDArray:
-    """A of x' = A x with x = [dV_N, phi_E, phi_U, I_N, w_cU] from their limits, from a time on."""
+    """A of x' = A x, x = [dV_N, phi_E, phi_U, I_N, w_cU, f_N/g] from its limit, from a time on."""
     direction = -1 if round(time_s / model.tape_s, 9) // 1 % 2 else 1
-    matrix = np.zeros((5, 5))
+    matrix = np.zeros((6, 6))
+    matrix[5, 1], matrix[5, 5] = 1 / model.smoothing_s, -1 / model.smoothing_s
     if levelling:
         matrix[_LEVEL] = loops.level_matrix(model.params.level, **model.earth)
         matrix[1, 2] = -direction * model.rate_n

@@ -88,7 +88,7 @@ def write_page(page: Path, title: str, made: Sequence[Made], notes: Sequence[str
     Raises:
         InputError: the page cannot be written.
     """
-    configs = ", ".join(f"configs/{source.config}" for source, _, _ in made)
+    configs = ", ".join(dict.fromkeys(f"configs/{source.config}" for source, _, _ in made))
     version = runtime.package_version()
     lines = [
         f"<!-- Written by: sinsjax report --page {page.name} ({configs}; sinsjax {version});"

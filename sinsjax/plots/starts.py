@@ -1,0 +1,172 @@
+"""Figures of runs from several start times of a record: spreads, by start time, pass by pass."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
+from numpy.typing import NDArray
+
+from sinsjax.analysis import Estimate
+from sinsjax.plots.curves import Line, draw
+from sinsjax.plots.style import GREY, colour, legend_outside, styled
+
+_LINEAR = 1.0  # an asinh axis is about linear up to here, and logarithmic far out
+
+
+@styled
+def strips(
+    rows: Mapping[str, NDArray], title: str, quantity: str, *, kinds: Sequence[str]
+) -> Figure:
+    """One dot a start time, a row of them a case, with a line at the median.
+
+    Args:
+        rows: case to (starts,) values, from the top.
+        title: of the figure.
+        quantity: label of the values, with their unit; they are drawn about linear near 0 and
+            logarithmic far from it.
+        kinds: what each row is, in the legend; rows of a kind share a colour.
+    """
+    figure = Figure(figsize=(9.2, 1.6 + 0.26 * len(rows)))
+    figure.suptitle(title)
+    axes = figure.subplots()
+    names = list(dict.fromkeys(kinds))
+    for place, (values, kind) in enumerate(zip(rows.values(), kinds, strict=True)):
+        shade = colour(names.index(kind))
+        new = kind if kind not in kinds[:place] else None
+        axes.plot(
+            values, np.full(values.size, place), "o", color=shade, ms=4.5, alpha=0.6, label=new
+        )
+        median = np.median(values)
+        axes.plot([median, median], [place - 0.35, place + 0.35], color=shade, linewidth=2.2)
+    axes.axvline(0.0, color=GREY, linewidth=0.9, zorder=1.5)
+    axes.set_yticks(range(len(rows)), list(rows))
+    axes.set_ylim(len(rows) - 0.5, -0.5)
+    axes.set_xlabel(f"{quantity}, logarithmic far from 0")
+    axes.set_xscale("asinh", linear_width=_LINEAR)
+    _tick(axes.xaxis)
+    legend_outside(figure, axes)
+    return figure
+
+
+def _tick(axis: Axis) -> None:
+    decades = 10.0 ** np.arange(0, 5)
+    axis.set_major_locator(FixedLocator([*-decades[::-1], 0.0, *decades]))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_locator(NullLocator())
+
+
+@styled
+def by_start(
+    starts_s: Sequence[float],
+    panels: Mapping[str, Mapping[str, NDArray]],
+    title: str,
+    quantity: str,
+) -> Figure:
+    """Values over the start time in a record, panels side by side.
+
+    Args:
+        starts_s: (starts,) s.
+        panels: panel title to line label to (starts,) values.
+        title: of the figure.
+        quantity: label of the values, with their unit.
+    """
+    figure = Figure(figsize=(9.2, 3.9))
+    figure.suptitle(title)
+    grid = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    for axes, (name, lines) in zip(grid, panels.items(), strict=True):
+        for i, (line, values) in enumerate(lines.items()):
+            axes.plot(starts_s, values, "o-", color=colour(i), label=line, markersize=4)
+        axes.axhline(0.0, color=GREY, linewidth=0.9, zorder=1.5)
+        axes.set_title(name)
+        axes.set_xlabel("start time (s)")
+    grid[0].set_ylabel(quantity)
+    legend_outside(figure, grid[0])
+    return figure
+
+
+@styled
+def falling(
+    label: str,
+    values: Sequence[float],
+    lines: Mapping[str, Sequence[Estimate]],
+    levels: Mapping[str, float],
+    *,
+    title: str,
+    quantity: str,
+) -> Figure:
+    """Estimates with their intervals along a positive setting, both axes logarithmic.
+
+    Args:
+        label: of the setting, with its unit.
+        values: of the setting.
+        lines: line label to one estimate a value; an end of an interval that is NaN is not drawn.
+        levels: label to a value that does not depend on the setting.
+        title: of the figure.
+        quantity: label of the estimates, with their unit.
+    """
+    figure = Figure(figsize=(6.6, 4.2))
+    figure.suptitle(title)
+    axes = figure.subplots()
+    for i, (name, estimates) in enumerate(lines.items()):
+        value, low, high = np.array([e[:3] for e in estimates], dtype=float).T
+        spread = np.maximum(np.nan_to_num([value - low, high - value]), 0.0)
+        style = "o-" if i == 0 else "s--"
+        axes.errorbar(
+            values,
+            value,
+            spread,
+            fmt=style,
+            color=colour(i),
+            label=name,
+            capsize=2.5,
+            markersize=4.5,
+        )
+    for i, (name, level) in enumerate(levels.items(), start=len(lines)):
+        axes.axhline(level, color=colour(i), linestyle=":", linewidth=1.6, label=name)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.xaxis.set_major_locator(FixedLocator(list(values)))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.set_xlabel(label)
+    axes.set_ylabel(quantity)
+    legend_outside(figure, axes)
+    return figure
+
+
+@styled
+def over_passes(
+    panels: Mapping[str, Sequence[Line]],
+    title: str,
+    *,
+    quantity: str,
+    turns_s: Mapping[str, Sequence[float]],
+) -> Figure:
+    """Lines over update time, a panel below the other, with the turns of the tape marked.
+
+    Args:
+        panels: panel title to its lines, drawn about linear near 0 and logarithmic far from it.
+        title: of the figure.
+        quantity: label of the values, with their unit.
+        turns_s: panel title to update times of its turns, s.
+    """
+    figure = Figure(figsize=(9.2, 1.0 + 2.2 * len(panels)))
+    figure.suptitle(title)
+    grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (name, lines) in zip(grid, panels.items(), strict=True):
+        for line in lines:
+            draw(axes, line)
+        for time in turns_s.get(name, ()):
+            axes.axvline(time, color=GREY, linestyle=":", linewidth=1.1)
+        axes.axhline(0.0, color=GREY, linewidth=0.9, zorder=1.5)
+        axes.set_yscale("asinh", linear_width=_LINEAR)
+        _tick(axes.yaxis)
+        axes.set_title(name)
+        axes.set_ylabel(quantity)
+        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
+    grid[-1].set_xlim(left=0)
+    grid[-1].set_xlabel("update time (s)")
+    return figure

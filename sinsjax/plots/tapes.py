@@ -1,0 +1,135 @@
+"""Figures of passes over a tape: error by its length, prediction by outcome, who has settled."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
+from numpy.typing import ArrayLike, NDArray
+
+from sinsjax.analysis import Estimate
+from sinsjax.plots.style import GREY, colour, legend_outside, styled
+
+_LINEAR = 6.0  # an asinh axis is about linear up to here, and logarithmic far out
+
+
+@styled
+def by_tape(
+    tapes_s: Sequence[float],
+    lines: Mapping[str, Sequence[Estimate]],
+    bound: tuple[ArrayLike, ArrayLike],
+    *,
+    title: str,
+    quantity: str,
+) -> Figure:
+    """Errors with their intervals by the length of the tape, above the bound that it sets.
+
+    Args:
+        tapes_s: lengths, s.
+        lines: line label to one estimate a length; one that is not finite is left out.
+        bound: lengths in s and the information bound at them.
+        title: of the figure.
+        quantity: label of the errors and the bound, with their unit.
+    """
+    figure = Figure(figsize=(9.2, 5.0))
+    figure.suptitle(title)
+    axes = figure.subplots()
+    for i, (name, estimates) in enumerate(lines.items()):
+        value, low, high = np.array([e[:3] for e in estimates], dtype=float).T
+        known = np.isfinite(value)
+        spread = np.nan_to_num([value - low, high - value], posinf=0.0)[:, known]
+        # Apart by a percent each, so that intervals do not hide one another.
+        x = np.asarray(tapes_s)[known] * 1.012 ** (i - (len(lines) - 1) / 2)
+        style = {"color": colour(i), "label": name, "capsize": 2.5, "markersize": 4.5}
+        axes.errorbar(x, value[known], yerr=np.maximum(spread, 0.0), fmt="o-", **style)
+    axes.plot(*bound, "--", color="black", label="information bound of the tape")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.xaxis.set_major_locator(FixedLocator(list(tapes_s)))
+    axes.xaxis.set_minor_locator(NullLocator())
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.set_xlabel("length of the tape (s)")
+    axes.set_ylabel(quantity)
+    legend_outside(figure, axes)
+    return figure
+
+
+@styled
+def prediction(
+    panels: Mapping[str, tuple[NDArray, NDArray]], title: str, *, quantity: str, band: float
+) -> Figure:
+    """What was predicted against what came out, a dot a point of a sweep.
+
+    Args:
+        panels: predicted and simulated values by panel title; what is not finite is left out.
+        title: of the figure.
+        quantity: what both are, with its unit; drawn about linear near 0, logarithmic far from it.
+        band: dotted lines at +- this value.
+    """
+    figure = Figure(figsize=(9.2, 3.4))
+    figure.suptitle(title)
+    grid = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
+    known = [
+        (x[both], y[both]) for x, y in panels.values() for both in [np.isfinite(x) & np.isfinite(y)]
+    ]
+    reach = 1.3 * max((np.abs(v).max(initial=band) for pair in known for v in pair), default=band)
+    decades = 10.0 ** np.arange(1, 6)
+    decades = decades[decades < reach]
+    for i, (axes, name, (x, y)) in enumerate(zip(grid, panels, known, strict=True)):
+        axes.plot([-reach, reach], [-reach, reach], color=GREY, linewidth=0.9, label="equal")
+        for level in (-band, band):
+            axes.axhline(level, color=GREY, linestyle=":", linewidth=0.9)
+            axes.axvline(level, color=GREY, linestyle=":", linewidth=0.9)
+        axes.plot(x, y, "o", color=colour(i), markersize=3, alpha=0.6)
+        axes.set_xscale("asinh", linear_width=_LINEAR)
+        axes.set_yscale("asinh", linear_width=_LINEAR)
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(FixedLocator([*-decades[::-1], 0.0, *decades]))
+            axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+            axis.set_minor_locator(NullLocator())
+        axes.tick_params(axis="x", labelrotation=60)
+        axes.set_xlim(-reach, reach)
+        axes.set_ylim(-reach, reach)
+        axes.set_title(name)
+    figure.supxlabel(f"predicted {quantity}", fontsize=9.5)
+    grid[0].set_ylabel(f"simulated {quantity}")
+    return figure
+
+
+@styled
+def survival(
+    panels: Mapping[str, Mapping[str, NDArray]],
+    title: str,
+    *,
+    end_s: float,
+    levels: Mapping[str, Mapping[str, float]],
+) -> Figure:
+    """Shares of runs that have not settled yet, against update time.
+
+    Args:
+        panels: settling times in s by panel title and line label; not finite: never.
+        title: of the figure.
+        end_s: end of the runs, s.
+        levels: shares that are drawn dashed, by panel title and the label of a line.
+    """
+    figure = Figure(figsize=(9.2, 4.6))
+    figure.suptitle(title)
+    grid = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    for axes, (name, lines) in zip(grid, panels.items(), strict=True):
+        for i, (line, times) in enumerate(lines.items()):
+            settled = np.sort(times[np.isfinite(times)])
+            left = 1 - np.arange(settled.size + 1) / times.size
+            x, y = np.append(0.0, settled), left
+            axes.step(
+                np.append(x, end_s), np.append(y, y[-1]), where="post", color=colour(i), label=line
+            )
+            if line in levels.get(name, {}):
+                axes.axhline(levels[name][line], color=colour(i), linestyle="--", linewidth=1.0)
+        axes.set_xlim(0, end_s)
+        axes.set_ylim(-0.02, 1.03)
+        axes.set_title(name)
+        axes.set_xlabel("update time (s)")
+    grid[0].set_ylabel("share of draws not settled yet")
+    legend_outside(figure, grid[0])
+    return figure

@@ -1,0 +1,65 @@
+"""What the layouts on sweeps of compass loops share: heading errors, and the tape's bound."""
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import ArrayLike, NDArray
+
+from sinsjax import analysis
+from sinsjax.bounds import tape_bound
+from sinsjax.report.limits import only
+from sinsjax.studies import SECTION_OF, Study
+from sinsjax.types import InputError
+from sinsjax.units import ARCMIN
+from sinsjax.worlds import Variants, errors_of, site_of
+
+_LOOP_SECTIONS = ("compass", "passes")
+
+
+def require_loops(study: Study) -> None:
+    """Refuses a study that is no sweep of compass loops over tapes, and of nothing else.
+
+    Raises:
+        InputError: names what does not fit.
+    """
+    name, layout = study.study.name, study.report.layout
+    if study.is_recorded or study.passes is None or set(study.values("method")) != {"compass"}:
+        raise InputError(
+            f"{name}: layout {layout} needs simulated runs of method 'compass' with [passes]"
+        )
+    swept = [key for key in study.axis_keys if key != "case"]
+    if other := [key for key in swept if SECTION_OF[key] not in _LOOP_SECTIONS]:
+        raise InputError(
+            f"{name}: layout {layout} takes sweeps of [compass] and [passes] only,"
+            f" not of {', '.join(other)}"
+        )
+
+
+def heading_errors(rows: pa.Table) -> NDArray:
+    """Heading error phi_u from its floor at the end, one a run, arcmin; NaN if unknown."""
+    return analysis.numbers(rows, "phi_u_arcmin") - analysis.numbers(rows, "floor_arcmin")
+
+
+def bound_arcmin(study: Study, tape_s: ArrayLike) -> NDArray:
+    """Information bound of tapes of a study's data: 1 sigma of the heading, arcmin.
+
+    Args:
+        study: checked by `require_loops`.
+        tape_s: lengths, s.
+    """
+    first = Variants(study, np.array([0]))
+    site, ug = site_of(study, first, None)
+    rate_hz = study.study.rate_hz
+    errors = errors_of(first, ug, rate_hz)
+    angles = [only(study, f"{angle}_center_deg") for angle in ("yaw", "pitch", "roll")]
+    from scipy.spatial.transform import Rotation  # late, as in `worlds`
+
+    east, north, _ = Rotation.from_euler("ZXY", angles, degrees=True).as_matrix()
+    bound = tape_bound(
+        tape_s,
+        gyro_noise=np.linalg.norm(east * errors.gyro_noise) * rate_hz,
+        accel_noise=np.linalg.norm(north * errors.accel_noise) * rate_hz,
+        rate_hz=rate_hz,
+        gravity=site.place.gravity,
+        rate_n=site.place.rate_n,
+    )
+    return bound / ARCMIN

@@ -1,0 +1,138 @@
+"""The points of a sweep over turn, sigma and tape: what came out, and what was predicted."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sinsjax import analysis, tunings
+from sinsjax.analysis import Estimate
+from sinsjax.report.base import Source, name_of, shown_keys
+from sinsjax.report.compass_cases import rms
+from sinsjax.report.compass_runs import heading_errors, require_loops
+from sinsjax.report.linear import Loops, all_loops, cycle_radius, heading_of, start_of
+from sinsjax.studies import Study
+from sinsjax.types import InputError
+from sinsjax.units import ARCMIN, DEG
+
+TURN, TAPE, SIGMA = "turn", "tape_s", "azimuth_sigma_per_s"
+"""The keys that the map is drawn over; all others make a schedule."""
+
+
+class Point(NamedTuple):
+    """One variant: its settings, its runs, and what the linear loops predict for them.
+
+    Attributes:
+        schedule: what is swept besides turn, tape and sigma, in words.
+        constant: whether its sigma does not change.
+        turn: rule at a turn of the tape.
+        tape_s: length of the tape, s.
+        sigma: of the azimuth loop at factor 1, 1/s.
+        errors: (draws,) heading from its floor at the end, arcmin; NaN if unknown.
+        settle_s: (draws,) settling time to the widest band, s; infinite if never.
+        linear: the heading from its floor at the end by the linear loops, arcmin.
+        by_radius: what is left of the initial error at the rate of the spectral radius, arcmin.
+        radius: spectral radius of a cycle of two passes with the last sigma.
+    """
+
+    schedule: str
+    constant: bool
+    turn: str
+    tape_s: float
+    sigma: float
+    errors: NDArray
+    settle_s: NDArray
+    linear: float
+    by_radius: float
+    radius: float
+
+    @property
+    def left(self) -> float:
+        """What is left of the initial heading error: the mean over the draws, arcmin."""
+        return float(self.errors.mean())
+
+    @property
+    def rms(self) -> Estimate:
+        """Root mean square error over the draws, arcmin; infinite if one is unknown."""
+        if np.isfinite(self.errors).all():
+            return rms(self.errors)
+        return analysis.UNKNOWN._replace(value=np.inf, n=self.errors.size)
+
+
+def points_of(source: Source) -> list[Point]:
+    """The points in the order of the variants.
+
+    Raises:
+        InputError: the study does not sweep turn, tape and sigma, or results are missing.
+    """
+    study = source.study
+    require_loops(study)
+    if missing := [key for key in (TURN, TAPE, SIGMA) if key not in study.axes]:
+        raise InputError(
+            f"{study.study.name}: layout {study.report.layout} needs {', '.join(missing)} in [axes]"
+        )
+    shape = (study.n_draws, study.n_variants)
+    if source.summary.num_rows != shape[0] * shape[1]:
+        raise InputError(
+            f"{source.directory}: {source.summary.num_rows} runs where the study has"
+            f" {shape[0] * shape[1]}: are the results complete?"
+        )
+    band = max(study.study.settle_bands_arcmin)
+    errors = heading_errors(source.summary).reshape(shape)
+    settle = analysis.numbers(source.summary, f"settle_{band:g}_s").reshape(shape)
+    settings = {key: study.values(key) for key in (TURN, TAPE, SIGMA, "sigma_factors")}
+    others = [key for key in shown_keys(study) if key not in (TURN, TAPE, SIGMA)]
+    swept = study.variant_values()
+    models, start = all_loops(study), start_of(study)
+    ends = np.array([span.records for span in study.spans]) * (
+        study.record_every / study.study.rate_hz
+    )
+    radii, left = _radii(study, models, ends)
+    return [
+        Point(
+            schedule=name_of({key: swept[key][i] for key in others}) if others else "constant",
+            constant=len(set(settings["sigma_factors"][i])) == 1,
+            turn=settings[TURN][i],
+            tape_s=settings[TAPE][i],
+            sigma=settings[SIGMA][i],
+            errors=errors[:, i],
+            settle_s=np.nan_to_num(settle[:, i], nan=np.inf),
+            linear=-float(heading_of(model, start, ends[i : i + 1])[0]) * DEG / ARCMIN,
+            by_radius=abs(start[1]) * DEG / ARCMIN * float(left[i]),
+            radius=float(radii[i]),
+        )
+        for i, model in enumerate(models)
+    ]
+
+
+def _radii(study: Study, models: Sequence[Loops], ends: NDArray) -> tuple[NDArray, NDArray]:
+    """Spectral radius of each variant's last piece, and the product over all its passes.
+
+    Args:
+        study: of the variants.
+        models: their loops.
+        ends: (variants,) ends of their runs, s.
+    """
+    turns = np.asarray(study.values(TURN))
+    damping = np.asarray(study.values("azimuth_damping"))
+    params = [model.params for model in models]
+    sigma = np.array([p.pace.values for p in params]) * np.array([[m.sigma] for m in models])
+    begins = np.array([[p.azimuth_from, *p.pace.samples] for p in params]) / models[0].rate_hz
+    end = ends[:, None]
+    edges = np.clip(np.hstack([begins, end]), begins[:, :1], end)  # pieces not reached: empty
+    tape = np.array([[model.tape_s] for model in models])
+    smoothing = np.array([[model.smoothing_s] for model in models])
+    radii = np.empty_like(sigma)
+    for turn in dict.fromkeys(turns):
+        here = turns == turn
+        radii[here] = cycle_radius(
+            sigma[here],
+            tape[here],
+            tunings.TURNS[turn],
+            damping=damping[here, None],
+            smoothing_s=smoothing[here],
+        )
+    cycles = np.diff(edges) / (2 * tape)
+    last = cycles.shape[1] - 1 - np.argmax(cycles[:, ::-1] > 0, axis=1)
+    return radii[np.arange(len(models)), last], np.prod(radii**cycles, axis=1)
