@@ -150,9 +150,11 @@ def _draw_misalignment(
         extents.append(draw(axes, Line(ensemble.label, ensemble.time_s, values, colour(i))))
         if with_sigma:
             sigma = ensemble.columns[f"sigma_{axis}_arcmin"].mean(axis=0)
+            known = np.isfinite(sigma)  # nowhere, for a method that has none
+            time, sigma = ensemble.time_s[known], sigma[known]
             for side in (sigma, -sigma):
-                axes.plot(ensemble.time_s, side, "--", color=colour(i), linewidth=0.9, alpha=0.8)
-            extents.append(Extent(ensemble.time_s, -sigma, sigma))
+                axes.plot(time, side, "--", color=colour(i), linewidth=0.9, alpha=0.8)
+            extents.append(Extent(time, -sigma, sigma))
     return extents
 
 

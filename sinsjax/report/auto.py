@@ -120,9 +120,11 @@ def _curves(source: Source, has_truth: bool) -> Iterator[Block]:
     caption = f"Mean of {count} runs" if count > 1 else "One run each"
     if left := len(groups) - len(runs):
         caption += f" (the first {len(runs)} variants; {left} more are not drawn)"
+    has_sigma = bool(np.isfinite(analysis.numbers(curves, "sigma_u_arcmin")).any())
     if not has_truth:
-        figure = plots.attitude(shown, "Attitude with the filter's own 1 sigma")
-        yield Picture("attitude", f"{caption}; shading: the filter's own 1 sigma.", figure)
+        title = "Attitude with the filter's own 1 sigma" if has_sigma else "Attitude"
+        shading = "; shading: the filter's own 1 sigma" if has_sigma else ""
+        yield Picture("attitude", f"{caption}{shading}.", plots.attitude(shown, title))
         return
     floors = np.unique(analysis.numbers(source.summary, "floor_arcmin"))
     moments = {time for rows in drawn.values() for time in rows["reset_times_s"][0].as_py()}
@@ -132,7 +134,8 @@ def _curves(source: Source, has_truth: bool) -> Iterator[Block]:
         limits={"u": float(floors[0])} if floors.size == 1 else None,
         resets_s=sorted(moments) if len(moments) <= _MOST_MOMENTS else (),
         zoom_s=source.study.study.window_s,
-        with_sigma=True,
+        with_sigma=has_sigma,
     )
     band = "; shading: 95 % of them" if count > 1 else ""
-    yield Picture("misalignment", f"{caption}{band}; dashed: the filter's own 1 sigma.", figure)
+    dashed = "; dashed: the filter's own 1 sigma" if has_sigma else ""
+    yield Picture("misalignment", f"{caption}{band}{dashed}.", figure)
