@@ -293,8 +293,8 @@ def _filled(parts: Table, where: Where, name: str) -> Table:
     unused: tuple[str, ...] = SIMULATED_ONLY if recorded else ("record", "coarse")
     methods = _values_of("method", parts)
     unread = keys_unread(methods)
-    given = {SECTION_OF.get(key) for key in where} | parts.keys()
-    if "passes" not in given:
+    given = {SECTION_OF.get(key) for key in where}
+    if "passes" not in given | parts.keys():
         unused += ("passes",)
     unused += tuple(
         name

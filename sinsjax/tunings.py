@@ -137,7 +137,7 @@ def _compass(study: Study, variants: Variants, site: Site) -> compass.Params:
         azimuth=azimuth_gains,
         pace=Pieces(_starts(pieces_s, rate), values),
         azimuth_from=np.round(np.asarray(level_s, dtype=float) * rate),
-        smoothing=-np.expm1(-1 / (rate * smoothing)),
+        smoothing=-np.expm1(-2 / (rate * smoothing)),  # two stages share the delay
         turn=compass.Turn(*np.asarray([TURNS[name] for name in turns]).T),
     )
 

@@ -121,7 +121,7 @@ def simulated(
 ) -> tuple[World, Draw, np.ndarray]:
     """World, draws and their true starting attitudes of a simulated part."""
     motion = _motion(variants)
-    errors = _errors(variants, ug, study.study.rate_hz)
+    errors = errors_of(variants, ug, study.study.rate_hz)
     times = np.concatenate([[0.0], tape_times(study, span)])
     # Of one length for all parts, so that they share a program.
     samples = max(min(s) for s in study.spans) * study.record_every
@@ -164,7 +164,8 @@ def _motion(variants: Variants) -> trajectory.Motion:
     return trajectory.Motion(sway("pitch"), sway("roll"), sway("yaw"))
 
 
-def _errors(variants: Variants, ug: float, rate_hz: float) -> imu.SensorErrors:
+def errors_of(variants: Variants, ug: float, rate_hz: float) -> imu.SensorErrors:
+    """What the sensors of a part do: its ug in m/s^2, its rate in Hz."""
     dt = 1 / rate_hz
 
     def vector(key: str, factor: float) -> np.ndarray:

@@ -1,15 +1,21 @@
 """The naive module's descriptions in the engine's words."""
 
+from functools import partial
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
-from naive import DEG, WGS84, Filter, Planet, Swing, quaternion
+from naive import DEG, WGS84, Filter, Loops, Planet, Swing, quaternion
 
-from sinsjax import earth, trajectory
-from sinsjax.alignment import zero_velocity
+from sinsjax import earth, imu, trajectory
+from sinsjax.alignment import compass, zero_velocity
 from sinsjax.alignment.base import Site
-from sinsjax.alignment.schedules import Feedback, Renewal, Resets
-from sinsjax.types import Navigation, Quat
+from sinsjax.alignment.schedules import Feedback, Pieces, Renewal, Resets
+from sinsjax.loops import AzimuthGains, LevelGains
+from sinsjax.metrics import Criteria
+from sinsjax.simulate import ONE, Draw, Params, Progress, Static, World, begin, over_a_record
+from sinsjax.types import Increments, Navigation, Quat, Vec3
 
 ARCMIN = DEG / 60
 DEG_PER_H = DEG / 3600
@@ -68,8 +74,17 @@ def params(filt: Filter) -> zero_velocity.Params:
         resets=Resets(
             np.array(when, dtype=float), Renewal(*map(np.float64, _KINDS.get(filt.kind, scale)))
         ),
-        turn=Renewal(*map(np.float64, (1, 1, 0, 0))),
+        turn=Renewal(*map(np.float64, _turn(filt))),
     )
+
+
+def _turn(filt: Filter) -> tuple[float, ...]:
+    factor = filt.turn_factor
+    return {
+        "carried": (1.0, 1.0, 0.0, 0.0),
+        "inflated": (factor, factor, 0.0, 0.0),
+        "reset": (0.0, 0.0, 1.0, 1.0),
+    }[filt.turn]
 
 
 def navigation(c: np.ndarray, v: np.ndarray, latitude: float) -> Navigation:
@@ -89,3 +104,56 @@ def swing_increments(swing: Swing, planet: Planet, latitude: float, *, rate, sam
 
 
 _increments = jax.jit(trajectory.increments, static_argnums=3)
+
+
+def loops(given: Loops, turn: compass.Turn) -> compass.Params:
+    """Compass loops whose azimuth gains do not change, with a turn rule in numbers."""
+    ((begin, gains),) = given.azimuth
+    return compass.Params(
+        level=LevelGains(*map(np.float64, given.level)),
+        azimuth=AzimuthGains(*map(np.float64, gains)),
+        pace=Pieces(np.array([]), np.array([1.0])),
+        azimuth_from=np.float64(begin),
+        smoothing=np.float64(given.smoothing),
+        turn=compass.Turn(*map(np.float64, turn)),
+    )
+
+
+def tape_world(
+    rows: np.ndarray, here: Site, *, pass_records: int, errors: imu.SensorErrors | None = None
+) -> World:
+    """A world whose truth is not known: a tape and a site."""
+    never = Criteria(np.zeros(1), *(np.float64(0.0),) * 4)
+    return World(
+        site=here,
+        tape=rows,
+        truth=np.full((1, 1, 4), np.nan),
+        errors=imu.perfect() if errors is None else errors,
+        seed=np.asarray(11),
+        criteria=never,
+        floor=np.float64(0.0),
+        pass_records=np.asarray(pass_records),
+    )
+
+
+def one_run(c: np.ndarray, phi: Any, v: Any, method: Any) -> Params:
+    """A run that starts from the attitude c, off by phi (rad), with the velocity v (m/s)."""
+    q = Quat(*map(np.float64, quaternion(c)))
+    return Params(q, Vec3(*map(np.float64, phi)), *map(np.float64, v), method)
+
+
+@partial(jax.jit, static_argnums=0)
+def trail(static: Static, world: World, params: Params) -> Any:
+    """The state of the method at every record of one run of the engine, leaves (records, ...)."""
+    draw = Draw(jnp.asarray(0), jnp.asarray(0), jnp.asarray(0))
+    zero = jnp.zeros(())
+    nothing = Increments(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
+    step = over_a_record(static, world, draw, params, ONE)
+    unknown = Quat(*(zero + jnp.nan for _ in range(4)))
+
+    def record(progress: Progress, number: Any) -> tuple[Progress, Any]:
+        progress, _ = step(progress, (number, unknown))
+        return progress, progress.run.state
+
+    start = Progress(begin(static, world, params), nothing)
+    return jax.lax.scan(record, start, jnp.arange(static.records))[1]

@@ -79,6 +79,8 @@ class Planet(NamedTuple):
 
 WGS84 = Planet(7.292115e-5, 6378137.0, 6356752.314245, None)
 PAPER = Planet(15.041067 * DEG / 3600, 6378137.0, 6378137.0, 9.8)
+SECOND_PAPER = PAPER._replace(a=6378165.0, b=6378165.0)
+"""The radius that the gains printed in [P2] fit to every digit."""
 
 
 class Swing(NamedTuple):
@@ -157,6 +159,8 @@ class Filter(NamedTuple):
     factor: float = 10.0
     force: str = "measured"
     position: str = "fixed"
+    turn: str = "carried"
+    turn_factor: float = 10.0
 
 
 class History(NamedTuple):
@@ -171,13 +175,44 @@ class History(NamedTuple):
     bias: np.ndarray
 
 
-def mechanise(c, v, turn, dv, planet, latitude, dt):
-    """C, V after one sample and the mean f^n over it, from the sample's rotation and velocity."""
+def mechanise(c, v, turn, dv, planet, latitude, dt, control=0.0):
+    """C, V after one sample and the mean f^n over it, from the sample's rotation and velocity.
+
+    The platform is turned by ``control`` (3 rates in n) beside w_in.
+    """
     w_ie, w_en = planet.rates(latitude, v)
-    w_in = w_ie + w_en
-    f = (c @ dv - np.cross(w_in * dt / 2, c @ dv)) / dt
+    w = w_ie + w_en + control
+    f = (c @ dv - np.cross(w * dt / 2, c @ dv)) / dt
     coriolis = np.cross(2 * w_ie + w_en, [*v, 0.0])
-    return exp(-w_in * dt) @ c @ turn, v + dt * (f - coriolis)[:2], f
+    return exp(-w * dt) @ c @ turn, v + dt * (f - coriolis)[:2], f
+
+
+class Update(NamedTuple):
+    """One update of a run over a tape: its number from 1, the sample, and the way it is read."""
+
+    k: int
+    turn: np.ndarray
+    dv: np.ndarray
+    way: int
+    turns: bool
+
+
+def updates(increments, tape=None, count=None):
+    """Forward and backward passes over ``tape`` samples, [P2] section 2.3, ``count`` updates long.
+
+    Backward, samples come last to first; the body turns back from where a sample ended, and the
+    specific force is seen from there. ``turns`` marks the first update of every pass but the first.
+    """
+    tape = tape or len(increments)
+    theta, dvs = compensate(increments[:tape])
+    turns = Rotation.from_rotvec(theta).as_matrix()
+    for n in range(count or tape):
+        number, place = divmod(n, tape)
+        if number % 2 == 0:
+            yield Update(n + 1, turns[place], dvs[place], 1, number > 0 and place == 0)
+        else:
+            back = turns[tape - 1 - place].T
+            yield Update(n + 1, back, back @ dvs[tape - 1 - place], -1, place == 0)
 
 
 def update(x, p, h, z, r):
@@ -199,31 +234,40 @@ def reset(p, filt):
     return out
 
 
-def closed_loop(increments, dt, planet, *, latitude, c, v, filt):
-    """Mechanise, predict, update, feed back and reset, sample after sample."""
+def turned(x, p, bias, filt):
+    """Estimate, covariance and fed-back biases where time begins to run the other way.
+
+    Velocity errors and gyro biases change their sign, tilts and accelerometer biases do not.
+    """
+    n = len(x)
+    signs = np.array([-1.0] * 2 + [1.0] * 3 + [1.0] * 2 + [-1.0] * 3)[:n]
+    flip = np.diag(signs)
+    p = {"carried": p, "inflated": filt.turn_factor * p, "reset": np.diag(filt.p0)}[filt.turn]
+    return flip @ x, flip @ p @ flip.T, signs[5:] * bias
+
+
+def closed_loop(increments, dt, planet, *, latitude, c, v, filt, tape=None, count=None):
+    """Mechanise, predict, update, feed back and reset, sample after sample, over a tape."""
     n = len(filt.p0)
-    theta, dvs = compensate(increments)
-    turns = Rotation.from_rotvec(theta).as_matrix()
     x, p, bias = np.zeros(n), np.diag(filt.p0), np.zeros(n - 5)
     h = np.eye(n)[:2]
     longitude, fixed, history = 0.0, latitude, []
-    for k, (turn, dv) in enumerate(zip(turns, dvs, strict=True), start=1):
+    for k, turn, dv, way, turns in updates(increments, tape, count):
+        if turns:
+            v, (x, p, bias) = -v, turned(x, p, bias, filt)
+        earth = planet._replace(rate=way * planet.rate)
         at = latitude if filt.position == "integrated" else fixed
         # The gravity reading linearises about a base at rest.
         v0, c0 = v * (filt.force != "gravity"), c
         if n == 10:
             turn = turn @ exp(-bias[2:] * dt)
             dv = dv - np.array([*bias[:2], 0.0]) * dt
-        c, v, f = mechanise(c, v, turn, dv, planet, at, dt)
+        c, v, f = mechanise(c, v, turn, dv, earth, at, dt)
         if filt.position == "integrated":
-            rm, rn = planet.radii(at)
-            latitude, longitude = (
-                at + v[1] / rm * dt,
-                longitude + v[0] / (rn * np.cos(at)) * dt,
-            )
+            latitude, longitude = travel(latitude, longitude, v, planet, dt)
         if filt.force == "gravity":
             f = np.array([0.0, 0.0, planet.g(at)])
-        a = error_matrix(v0, f, planet, at) if n == 5 else error_matrix_10(v0, f, planet, at, c0)
+        a = error_matrix(v0, f, earth, at) if n == 5 else error_matrix_10(v0, f, earth, at, c0)
         phi = np.eye(n) + a * dt
         x, p = phi @ x, phi @ p @ phi.T + np.diag(filt.q)
         x, p = update(x, p, h, v, filt.r)
@@ -237,6 +281,98 @@ def closed_loop(increments, dt, planet, *, latitude, c, v, filt):
             p = reset(p, filt)
         history.append((c, v, latitude, longitude, x, p, bias))
     return History(*(np.array(column) for column in zip(*history, strict=True)))
+
+
+def travel(latitude, longitude, v, planet, dt):
+    """Latitude and longitude after the velocity of a sample."""
+    rm, rn = planet.radii(latitude)
+    return latitude + v[1] / rm * dt, longitude + v[0] / (rn * np.cos(latitude)) * dt
+
+
+def level_gains(sigma, planet):
+    """K1, K2, K3 of [P2] eq. (18) with xi = sqrt(1/2), on a sphere."""
+    return 3 * sigma, 4 * sigma**2 * planet.a / planet.gravity - 1, 2 * sigma**3 / planet.gravity
+
+
+def azimuth_gains(sigma, planet):
+    """K1 to K4 of [P2] eq. (23), on a sphere."""
+    g = planet.gravity
+    return 2 * sigma, 4 * sigma**2 * planet.a / g - 1, 4 * sigma**4 / g, 2 * sigma
+
+
+class Loops(NamedTuple):
+    """Compass loops: K1, K2, K3 of levelling; from which sample on the azimuth loop has K1 to K4.
+
+    ``smoothing`` is the share of a sample in each of the two stages of the low-passed specific
+    force, ``turn`` a turn rule.
+    """
+
+    level: tuple[float, float, float]
+    azimuth: tuple[tuple[float, tuple[float, float, float, float]], ...] = ()
+    smoothing: float = 1.0
+    turn: str = "velocity"
+    position: str = "fixed"
+
+
+class CompassHistory(NamedTuple):
+    """After every update: attitude, velocity, place, levelling integrals, azimuth rate, force."""
+
+    c: np.ndarray
+    v: np.ndarray
+    latitude: np.ndarray
+    longitude: np.ndarray
+    integral: np.ndarray
+    rate: np.ndarray
+    force: np.ndarray
+
+
+def compass_loop(increments, dt, planet, *, latitude, c, v, loops, tape=None, count=None):
+    """The loops of [P2] section 2.1 around the mechanisation, over a tape.
+
+    The Earth turns back in a backward pass, so that K3 / omega_N changes its sign there.
+    """
+    integral, rate, force = np.zeros(2), 0.0, np.zeros((2, 2))  # stages x (east, north)
+    longitude, fixed, history = 0.0, latitude, []
+    for k, turn, dv, way, turns in updates(increments, tape, count):
+        if turns:
+            c, v, integral, rate, force = turned_platform(
+                c, v, integral, rate, force, planet.g(fixed), loops.turn
+            )
+        earth = planet._replace(rate=way * planet.rate)
+        at = latitude if loops.position == "integrated" else fixed
+        rm, rn = planet.radii(at)
+        begun = [gains for begin, gains in loops.azimuth if k > begin]
+        k1, k2, k3, k4 = begun[-1] if begun else (*loops.level[:2], 0.0, 0.0)
+        level1, level2, level3 = loops.level
+        held = 0.0 if begun else integral[1]
+        control = np.array([-k2 * v[1] / rm - held, level2 * v[0] / rn + integral[0], rate])
+        before = v
+        c, v, f = mechanise(c, v, turn, dv, earth, at, dt, control)
+        if loops.position == "integrated":
+            latitude, longitude = travel(latitude, longitude, v, planet, dt)
+        v = v - dt * np.array([level1, k1]) * before
+        integral = integral + level3 * dt * before * [1.0, 0.0 if begun else 1.0]
+        omega_n = earth.rates(at, before)[0][1]
+        rate = rate + dt * (k3 / omega_n * before[1] - k4 * rate)
+        once = force[0] + loops.smoothing * (f[:2] - force[0])
+        force = np.array([once, force[1] + loops.smoothing * (once - force[1])])
+        history.append((c, v, latitude, longitude, integral, rate, force))
+    return CompassHistory(*(np.array(column) for column in zip(*history, strict=True)))
+
+
+def turned_platform(c, v, integral, rate, force, g, rule):
+    """The loops' state where the tape is turned.
+
+    A specific force (f_E, f_N) that stands for tilts -f_E / g about N and f_N / g about E is
+    turned into its opposite by twice these angles.
+    """
+    if rule == "restart":
+        return c, 0 * v, 0 * integral, 0.0, force
+    if rule == "reflect":
+        tilt = np.array([force[1, 1], -force[1, 0], 0.0]) / g
+        return exp(2 * tilt) @ c, -v, -integral, rate, -force
+    kept = {"keep": 1.0, "velocity": 1.0, "velocity_and_rate": -1.0, "velocity_drop_rate": 0.0}
+    return c, v if rule == "keep" else -v, -integral, kept[rule] * rate, force
 
 
 class Judged(NamedTuple):

@@ -26,6 +26,7 @@ RECORDED: dict[str, Any] = {
     "study": {"duration_s": 300.0, "rate_hz": 100.0},
     "record": {"format": "psins"},
 }
+COMPASS = SIMULATED | {"alignment": {"method": "compass"}}
 TABULAR: dict[str, Any] = {
     "format": "csv",
     "quantity": "rates",
@@ -300,6 +301,23 @@ def test_a_file_of_any_value_is_refused_with_its_name(tmp_path: Path):
             SIMULATED, study={"name": 'tab\t "quotes" \\ and\nlines', "settle_bands_arcmin": []}
         ),
         merged(RECORDED, record=TABULAR | {"time_column": "t", "start_s": [0, 2.5]}),
+        COMPASS,
+        merged(COMPASS, filter={}, resets={}),
+        merged(SIMULATED, compass={}, passes={}),
+        merged(SIMULATED, passes={"tape_s": 80}),
+        merged(SIMULATED, passes={"tape_s": 80}, axes={"method": ["kalman5", "compass"]}),
+        merged(
+            RECORDED,
+            alignment={"method": "compass"},
+            passes={"tape_s": 80, "ending": "forward", "turn": "velocity"},
+            compass={
+                "level_gains": [0.06, 1040.0, 1.6e-6],
+                "level_passes": 1,
+                "azimuth_adjustment_s": 450,
+                "sigma_factors": [2, 1],
+                "sigma_passes": [2],
+            },
+        ),
     ],
 )
 def test_resolved_study_loads_equal(data: dict[str, Any], tmp_path: Path):
@@ -324,7 +342,7 @@ sizes = st.floats(1e-300, 1e12) | st.integers(1, 10**6)
     bias=st.floats(-1e12, 1e12) | st.tuples(angles, angles, angles),
     p0=sizes,
     name=st.text(st.characters(codec="utf-8"), min_size=1),
-    methods=st.permutations(["kalman5", "kalman10"]),
+    methods=st.permutations(["kalman5", "kalman10", "compass"]),
 )
 def test_any_resolved_study_loads_equal(duration, phi, bias, p0, name, methods):
     study = built(
@@ -424,7 +442,7 @@ def test_fingerprint_changes_with_the_order_of_the_axes():
             {"axes": {"phi_u_deg": [1]}},
             "[axes] phi_u_deg: unknown key (did you mean phi_u0_deg?)",
         ),
-        ({"axes": {"case": ["a"]}}, "[axes] case: unknown key"),
+        ({"axes": {"case": ["a"]}}, "[axes] case: unknown key (did you mean passes?)"),
         (
             {"cases": [{"phi_u_deg": 1}]},
             "[cases] phi_u_deg: unknown key (did you mean phi_u0_deg?)",
@@ -502,7 +520,12 @@ def test_unknown_names(tables: dict[str, Any], line: str):
         ("sensors", "gyro_bias_deg_per_h", False, "must be a number, not False"),
         ("sensors", "gyro_noise_deg_per_h", -1, "must be greater than or equal to 0"),
         ("sensors", "gyro_misalignment_arcsec", [1] * 7, "must have 6 values, not 7"),
-        ("alignment", "method", "kalman6", "must be 'kalman5' or 'kalman10', not 'kalman6'"),
+        (
+            "alignment",
+            "method",
+            "kalman6",
+            "must be 'kalman5', 'kalman10' or 'compass', not 'kalman6'",
+        ),
         ("alignment", "phi_u0_deg", 181, "must be less than or equal to 180"),
         ("alignment", "feedback_interval_s", 0, "must be greater than 0"),
         ("alignment", "feedback_time_constant_s", -0.5, "must be greater than or equal to 0"),
@@ -587,7 +610,7 @@ def test_missing_latitude_and_heading():
         ({"phi_u0_deg": [30, 1, 30.0]}, "[axes] phi_u0_deg[2]: repeats what [0] says"),
         (
             {"method": ["kalman5", "x"]},
-            "[axes] method[1]: must be 'kalman5' or 'kalman10', not 'x'",
+            "[axes] method[1]: must be 'kalman5', 'kalman10' or 'compass', not 'x'",
         ),
         ({"reset_times_s": [[50], [60, 50]]}, "[axes] reset_times_s[1]: must increase"),
         ({"accel_bias_ug": [1, [1, 2, "3"]]}, "[axes] accel_bias_ug[1][2]: must be a number"),
@@ -807,6 +830,217 @@ def test_intervals(tables: dict[str, Any], line: str):
 def test_times_in_a_record(record: dict[str, Any], coarse: dict[str, Any], line: str):
     assert refusal(RECORDED, record=record, coarse=coarse) == line
     built(RECORDED, record={"start_s": [0, 0.01]}, coarse={"coarse_duration_s": 0.02})
+
+
+# Compass loops and passes
+
+
+@pytest.mark.parametrize(
+    ("tables", "key", "method"),
+    [
+        ({"compass": {"level_time_s": 1}}, "[compass] level_time_s", "kalman5"),
+        ({"axes": {"sigma_factors": [[1.0]]}}, "[axes] sigma_factors", "kalman5"),
+        ({"passes": {"tape_s": 80, "turn": "keep"}}, "[passes] turn", "kalman5"),
+        (
+            {"axes": {"turn_smoothing_s": [1], "method": ["kalman5", "kalman10"]}},
+            "[axes] turn_smoothing_s",
+            "kalman10 or kalman5",
+        ),
+        (
+            {"alignment": {"method": "compass"}, "filter": {"p0_yaw_deg": 1}},
+            "[filter] p0_yaw_deg",
+            "compass",
+        ),
+        (
+            {"alignment": {"method": "compass"}, "resets": {"reset_count": 0}},
+            "[resets] reset_count",
+            "compass",
+        ),
+        (
+            {"alignment": {"method": "compass", "feedback_interval_s": 1}},
+            "[alignment] feedback_interval_s",
+            "compass",
+        ),
+        (
+            {"axes": {"method": ["compass"], "specific_force": ["measured"]}},
+            "[axes] specific_force",
+            "compass",
+        ),
+        (
+            {"alignment": {"method": "compass"}, "passes": {"turn_covariance": "reset"}},
+            "[passes] turn_covariance",
+            "compass",
+        ),
+        (
+            {"alignment": {"method": "compass"}, "cases": [{"turn_inflation": 3.0}]},
+            "[cases] turn_inflation",
+            "compass",
+        ),
+    ],
+)
+def test_a_key_that_no_method_reads(tables: dict[str, Any], key: str, method: str):
+    assert refusal(**tables) == f"{key}: has no place with method {method}"
+    built(merged(SIMULATED, **tables), axes={"method": ["kalman5", "compass"]})
+
+
+def test_sections_and_defaults_are_those_of_the_methods():
+    filters, loops, both = built(), built(COMPASS), built(axes={"method": ["kalman5", "compass"]})
+    assert filters.compass is None and filters.filter and filters.resets
+    assert loops.filter is None and loops.resets is None
+    assert loops.alignment.feedback_interval_s is None
+    assert both.compass and both.filter and both.resets
+    for study in (filters, loops, both):
+        assert study.passes is None
+    assert filters.alignment.feedback_interval_s == both.alignment.feedback_interval_s == 1.0
+    compass = loops.compass
+    assert compass is not None
+    assert (compass.level_sigma_per_s, compass.azimuth_sigma_per_s) == (0.02, 0.01)
+    assert (compass.level_time_s, compass.sigma_factors) == (150.0, (1.0,))
+    over = built(COMPASS, passes={"tape_s": 80}).passes
+    assert over is not None
+    assert (over.turn, over.turn_smoothing_s, over.turn_covariance) == ("reflect", 2.0, None)
+    over = built(passes={"tape_s": 80}).passes
+    assert over is not None
+    assert (over.turn, over.turn_covariance, over.turn_inflation) == (None, "carried", 10.0)
+
+
+@pytest.mark.parametrize(
+    ("one", "others"),
+    [
+        ("level_gains", ("level_sigma_per_s", "level_adjustment_s")),
+        ("level_adjustment_s", ("level_sigma_per_s",)),
+        ("level_passes", ("level_time_s",)),
+        ("azimuth_gains", ("azimuth_sigma_per_s", "azimuth_adjustment_s")),
+        ("azimuth_adjustment_s", ("azimuth_sigma_per_s",)),
+        ("sigma_passes", ("sigma_times_s",)),
+    ],
+)
+def test_loops_are_given_in_one_way(one: str, others: tuple[str, ...]):
+    values = {"level_gains": [1.0, 2.0, 3.0], "azimuth_gains": [1.0, 2.0, 3.0, 4.0]}
+    values |= {"level_passes": 1, "sigma_passes": [1], "sigma_times_s": [80.0]}
+    values["sigma_factors"] = [2.0, 1.0]
+    given = {key: values.get(key, 1.0) for key in (one, *others)}
+    extra = {"passes": {"tape_s": 80.0}}
+    for other in others:
+        pair = {key: given[key] for key in (one, other)}
+        line = refusal(COMPASS, compass=pair, **extra)
+        assert line == f"[compass] {one}: cannot go with {other} in [compass] (give one of them)"
+    more = {"sigma_factors": [2.0, 1.0]} if one == "sigma_passes" else {}
+    alone = built(COMPASS, compass={one: given[one]} | more, **extra).compass
+    assert alone is not None and all(getattr(alone, other) is None for other in others)
+
+
+@pytest.mark.parametrize(
+    ("passes", "line"),
+    [
+        ({"tape_s": 901}, "tape_s: 901 s is longer than the study, duration_s = 900"),
+        (
+            {"tape_s": 80.5},
+            "tape_s: 80.5 s is no whole number of record intervals, record_interval_s = 1"
+            " (nearest: 80 or 81)",
+        ),
+        (
+            {"tape_s": 0.4},
+            "tape_s: 0.4 s is no whole number of record intervals, record_interval_s = 1"
+            " (nearest: 1)",
+        ),
+        ({"tape_s": 0}, "tape_s: must be greater than 0, not 0"),
+        ({"tape_s": 80, "passes": 0}, "passes: must be greater than or equal to 1, not 0"),
+        (
+            {"tape_s": 80, "passes": 12},
+            "passes: 12 over a tape of 80 s last 960 s, longer than the study (duration_s = 900)",
+        ),
+        (
+            {"tape_s": 80, "passes": 4, "ending": "forward"},
+            "passes: 4 end backward, not as ending = 'forward' says",
+        ),
+        ({"passes": 2}, "passes: 2 need a tape to go over (give tape_s)"),
+        (
+            {"tape_s": 80, "turn": "flip"},
+            "turn: must be 'reflect', 'velocity', 'velocity_and_rate', 'velocity_drop_rate',"
+            " 'restart' or 'keep', not 'flip'",
+        ),
+    ],
+)
+def test_passes_that_do_not_fit(passes: dict[str, Any], line: str):
+    assert refusal(COMPASS, passes=passes) == f"[passes] {line}"
+
+
+def test_passes_are_checked_as_they_meet():
+    axes = {"tape_s": [80, 100], "passes": [3, 10]}
+    line = "[axes] passes: 10 over a tape of 100 s last 1000 s, longer than the study"
+    assert refusal(axes=axes).startswith(line)
+    built(cases=[{"tape_s": 80, "passes": 10}, {"tape_s": 100, "passes": 3}])
+
+
+@pytest.mark.parametrize(
+    ("passes", "spans"),
+    [
+        # Record intervals in the run and in a pass, of 900.
+        ({}, (900, 900)),
+        ({"passes": 1}, (900, 900)),
+        ({"ending": "forward"}, (900, 900)),
+        ({"tape_s": 80}, (900, 80)),
+        ({"tape_s": 80, "passes": 3}, (240, 80)),
+        ({"tape_s": 80, "passes": 11}, (880, 80)),
+        ({"tape_s": 80, "ending": "forward"}, (880, 80)),
+        ({"tape_s": 100, "ending": "forward"}, (900, 100)),
+        ({"tape_s": 90, "ending": "forward"}, (810, 90)),
+        ({"tape_s": 450, "ending": "forward"}, (450, 450)),
+        ({"tape_s": 900}, (900, 900)),
+    ],
+)
+def test_how_long_passes_last(passes: dict[str, Any], spans: tuple[int, int]):
+    (span,) = built(study={"window_s": [0, 200]}, passes=passes).spans
+    assert span == spans
+
+
+@pytest.mark.parametrize(
+    ("compass", "line"),
+    [
+        (
+            {"sigma_factors": [2, 1]},
+            "sigma_times_s: needs 1 entries for 2 sigma_factors, not 0",
+        ),
+        (
+            {"sigma_factors": [2, 1], "sigma_times_s": [1, 2]},
+            "sigma_times_s: needs 1 entries for 2 sigma_factors, not 2",
+        ),
+        ({"sigma_times_s": [3]}, "sigma_times_s: needs 0 entries for 1 sigma_factors, not 1"),
+        ({"sigma_factors": [3, 2, 1], "sigma_times_s": [3, 2]}, "sigma_times_s: must increase"),
+        (
+            {"sigma_factors": [2, 1], "sigma_passes": [2]},
+            "sigma_passes: counts passes over a tape (give [passes] tape_s)",
+        ),
+        ({"level_passes": 1}, "level_passes: counts passes over a tape (give [passes] tape_s)"),
+        ({"level_passes": 0}, "level_passes: must be greater than or equal to 1, not 0"),
+        ({"sigma_factors": []}, "sigma_factors: must not be empty, not []"),
+        ({"sigma_factors": [2, 0]}, "sigma_factors[1]: must be greater than 0, not 0"),
+        ({"level_gains": [1, 2]}, "level_gains[2]: required"),
+        (
+            {"azimuth_gains": [1, 2, 3, 4, 5]},
+            "azimuth_gains: must have 4 values, not 5",
+        ),
+        ({"level_damping": 1.0}, "level_damping: must be less than 1, not 1.0"),
+        ({"azimuth_damping": 0}, "azimuth_damping: must be greater than 0, not 0"),
+        ({"adjustment_remainder": 1.0}, "adjustment_remainder: must be less than 1, not 1.0"),
+        ({"azimuth_sigma_per_s": 0}, "azimuth_sigma_per_s: must be greater than 0, not 0"),
+        ({"allow_unstable": 1}, "allow_unstable: must be true or false, not 1"),
+    ],
+)
+def test_loops_that_do_not_fit(compass: dict[str, Any], line: str):
+    assert refusal(COMPASS, compass=compass) == f"[compass] {line}"
+
+
+def test_every_piece_of_sigma_has_its_beginning_in_every_variant():
+    factors, times = [[1.0], [2.0, 1.0]], [[], [100.0]]
+    line = "[axes] sigma_times_s: needs 0 entries for 1 sigma_factors, not 1"
+    assert refusal(COMPASS, axes={"sigma_factors": factors, "sigma_times_s": times}) == line
+    pairs = zip(factors, times, strict=True)
+    built(COMPASS, cases=[{"sigma_factors": f, "sigma_times_s": t} for f, t in pairs])
+    counted = [{"sigma_factors": [2.0, 1.0], "sigma_passes": [2]}]
+    assert refusal(COMPASS, cases=counted).startswith("[cases] sigma_passes: counts passes")
+    built(COMPASS, cases=counted, passes={"tape_s": 80})
 
 
 PARTIAL = {"duration_s": 900.5, "window_s": [600, 900]}

@@ -43,23 +43,23 @@ def integrated(study, times, turn, *, level_s, tape_s, sigma_az):
     level = loops.level_gains(0.02, math.sqrt(0.5), gravity=G, radius=R)
 
     def slope(t, x, direction, sigma):
-        dv, phi_e, phi_u, integral, spin, force = x
-        wn, lag = direction * OMEGA_N, (phi_e - force) / SMOOTHING_S
+        dv, phi_e, phi_u, integral, spin, once, twice = x
+        wn, lag = direction * OMEGA_N, [2 / SMOOTHING_S * a for a in (phi_e - once, once - twice)]
         if t < level_s:
             k1, k2, k3 = level
             tilting = -(1 + k2) / R * dv - integral - wn * phi_u
-            return [-k1 * dv + G * phi_e, tilting, 0.0, k3 * dv, 0.0, lag]
+            return [-k1 * dv + G * phi_e, tilting, 0.0, k3 * dv, 0.0, *lag]
         k = loops.azimuth_gains(sigma, math.sqrt(0.5), gravity=G, radius=R)
         tilting = -(1 + k.k2) / R * dv - wn * phi_u
-        return [-k.k1 * dv + G * phi_e, tilting, spin, 0.0, k.k3 / wn * dv - k.k4 * spin, lag]
+        return [-k.k1 * dv + G * phi_e, tilting, spin, 0.0, k.k3 / wn * dv - k.k4 * spin, *lag]
 
     phi = np.deg2rad(np.array([0.1 + limits.pitch, 1.0 + limits.heading]))
-    x = np.array([0.0, *phi, 0.0, 0.0, 0.0])  # the last: f_N/g, low-passed
+    x = np.array([0.0, *phi, 0.0, 0.0, 0.0, 0.0])  # the last: f_N/g, low-passed, twice
     found, edges = [], sorted({0.0, level_s, 100.0, *np.arange(tape_s, 241, tape_s), 240.0})
     for since, until in zip(edges[:-1], edges[1:], strict=True):
         number = int(since // tape_s)
         if since and since % tape_s == 0:
-            x = x * [v, 1, 1, -1, w, tilt] + [0, (tilt - 1) * x[5], 0, 0, 0, 0]
+            x = x * [v, 1, 1, -1, w, tilt, tilt] + [0, (tilt - 1) * x[6], 0, 0, 0, 0, 0]
         here = times[(times > since) & (times <= until)]
         middle = partial(
             slope, (since + until) / 2, direction=(-1) ** number, sigma=sigma_az(since)

@@ -45,8 +45,8 @@ WHOLE, DRAW = 900, 5
 run = jax.jit(simulate, static_argnums=(0, 4))
 
 
-def static(every, records):
-    return Static("kalman5", Options(1 / RATE), every, records, curves=True, noisy=True)
+def static(every, records, repeats=False):
+    return Static("kalman5", Options(1 / RATE), every, records, True, noisy=True, repeats=repeats)
 
 
 @cache
@@ -56,8 +56,8 @@ def ideal():
     return np.concatenate([np.full((2, 6), 1e3), rows])
 
 
-def world(every, records, noise=NOISE):
-    times = np.arange(1, records + 1) * every / RATE
+def world(every, records, noise=NOISE, tape=None):
+    times = tape_times(records, tape or records) * every / RATE
     truth = np.array([quaternion(PAPER1.matrix(t)) for t in times])
     errors = imu.SensorErrors(
         BIAS[:3], BIAS[3:], noise[:3], noise[3:], np.zeros((3, 3)), np.zeros((3, 3))
@@ -66,8 +66,21 @@ def world(every, records, noise=NOISE):
     # The first row of truth belongs to another draw.
     truth = np.stack([np.full_like(truth, np.nan), truth])
     return World(
-        site(PAPER, LATITUDE), ideal(), truth, errors, np.asarray(SEED), criteria, np.float64(FLOOR)
+        site(PAPER, LATITUDE),
+        ideal(),
+        truth,
+        errors,
+        np.asarray(SEED),
+        criteria,
+        np.float64(FLOOR),
+        np.asarray(tape or records),
     )
+
+
+def tape_times(records, tape):
+    """Where on its tape a run is after each record, in records: 1 2 3 2 1 0 1 2 3 ..."""
+    way = [*range(1, tape + 1), *reversed(range(tape))]
+    return np.array((way * records)[:records])
 
 
 def one_run(filt):
@@ -87,21 +100,23 @@ def naive_measured():
 
 
 @pytest.mark.parametrize(
-    ("every", "records"),
-    [(30, 23), (70, 9)],
+    ("every", "records", "tape"),
+    [(30, 23, None), (70, 9, None), (30, 23, 7), (30, 23, 23)],
 )
-def test_one_run_is_the_naive_loop_and_its_metrics(every, records):
+def test_one_run_is_the_naive_loop_and_its_metrics(every, records, tape):
+    """Forward over the data once, or over a tape of some records forward and backward."""
     filt = paper_filter(5, every=40, resets=(215, 400))
-    here = world(every, records)
-    rows = naive_measured()[: every * records]
+    here = world(every, records, tape=tape)
+    rows = naive_measured()[: every * (tape or records)]
     c, v = exp(-PHI0) @ PAPER1.matrix(0.0), np.array(V0)
-    naive = closed_loop(rows, 1 / RATE, PAPER, latitude=LATITUDE, c=c, v=v, filt=filt)
+    case = {"latitude": LATITUDE, "c": c, "v": v, "filt": filt, "count": every * records}
+    naive = closed_loop(rows, 1 / RATE, PAPER, **case)
     at = np.arange(1, records + 1) * every
     corrected = Rotation.from_rotvec(naive.x[:, 2:5]).as_matrix() @ naive.c
     values, sigma = [], []
-    for k in at:
+    for k, place in zip(at, tape_times(records, tape or records), strict=True):
         yaw, pitch, roll = Rotation.from_matrix(corrected[k - 1]).as_euler("ZXY")
-        phi = log(PAPER1.matrix(k / RATE) @ corrected[k - 1].T)
+        phi = log(PAPER1.matrix(place * every / RATE) @ corrected[k - 1].T)
         values.append([*phi, pitch, roll, yaw])
         sigma.append(np.sqrt(np.diagonal(naive.p[k - 1])[2:5]))
     values, sigma = np.array(values), np.array(sigma)
@@ -116,7 +131,8 @@ def test_one_run_is_the_naive_loop_and_its_metrics(every, records):
         after=AFTER,
     )
 
-    outcome, curves = run(static(every, records), here, draw(), one_run(filt))
+    program = static(every, records, repeats=tape is not None)
+    outcome, curves = run(program, here, draw(), one_run(filt))
 
     close = {"rtol": 0, "atol": 1e-9}
     got = np.stack([*curves.phi, curves.pitch, curves.roll, curves.yaw], axis=1)
@@ -171,6 +187,16 @@ def test_sensors_without_noise_draw_none():
     now = sense(program, here, draw(), np.asarray(3), None)
     expected = ideal()[2 + 3] + BIAS / RATE
     np.testing.assert_allclose([*now.dtheta, *now.dv], expected, rtol=0, atol=1e-17)
+
+
+def test_before_a_tape_there_is_nothing():
+    """A first sample is compensated with zeros, that is not at all, on every pass."""
+    normal = jax.tree.map(
+        lambda a: a[0], noise(static(100, 9), world(100, 9), draw(), np.arange(1))
+    )
+    for repeats in (False, True):
+        now = sense(static(100, 9, repeats), world(100, 9), draw(), np.asarray(-1), normal)
+        assert np.any([*now.dtheta, *now.dv]) != repeats
 
 
 def test_a_single_noisy_axis_is_noisy():

@@ -46,7 +46,7 @@ class Params(NamedTuple):
         pace: factor on the sigma of the azimuth loop, whose gains follow: a loop of pace p has its
             roots p times as far out.
         azimuth_from: samples before the azimuth loop takes over the north channel.
-        smoothing: share of each new sample in the low-passed specific force.
+        smoothing: share of each new sample in each stage of the low-passed specific force.
         turn: what happens when the tape is turned.
     """
 
@@ -56,6 +56,16 @@ class Params(NamedTuple):
     azimuth_from: Scalar
     smoothing: Scalar
     turn: Turn
+
+
+class LowPassed(NamedTuple):
+    """A number low-passed by two equal stages, one after the other.
+
+    A single stage of the same delay passes as much white noise, and far more of a base's sway.
+    """
+
+    once: Scalar
+    twice: Scalar
 
 
 class State(NamedTuple):
@@ -74,8 +84,8 @@ class State(NamedTuple):
     integral_e: Scalar
     integral_n: Scalar
     rate_u: Scalar
-    force_e: Scalar
-    force_n: Scalar
+    force_e: LowPassed
+    force_n: LowPassed
 
 
 def build(options: Options) -> Method:
@@ -89,7 +99,7 @@ def build(options: Options) -> Method:
 
     def init(params: Params, nav: Navigation) -> State:
         zero = jnp.zeros_like(nav.ve)
-        return State(nav, zero, zero, zero, zero, zero)
+        return State(nav, zero, zero, zero, LowPassed(zero, zero), LowPassed(zero, zero))
 
     def step(params: Params, site: Site, state: State, sample: Sample, n: Scalar) -> State:
         before = state.nav
@@ -112,18 +122,23 @@ def build(options: Options) -> Method:
             integral_e=state.integral_e + level.k3 * dt * before.ve,
             integral_n=state.integral_n + jnp.where(levelling, level.k3 * dt * before.vn, 0.0),
             rate_u=state.rate_u + jnp.where(levelling, 0.0, spin * dt),
-            force_e=state.force_e + params.smoothing * (f_dt.x / dt - state.force_e),
-            force_n=state.force_n + params.smoothing * (f_dt.y / dt - state.force_n),
+            force_e=_follow(state.force_e, f_dt.x / dt, params.smoothing),
+            force_n=_follow(state.force_n, f_dt.y / dt, params.smoothing),
         )
 
     return Method(init, step, _turn, _attitude, _covariance, _normalise)
+
+
+def _follow(low: LowPassed, value: Scalar, share: Scalar) -> LowPassed:
+    once = low.once + share * (value - low.once)
+    return LowPassed(once, low.twice + share * (once - low.twice))
 
 
 def _turn(params: Params, site: Site, state: State) -> State:
     turn = params.turn
     # f = (-g phi_N + nabla_E, g phi_E + nabla_N): g times the tilts from their equilibria.
     angle = 2 * turn.reflection / site.place.gravity
-    tilt = Vec3(angle * state.force_n, -angle * state.force_e, jnp.zeros_like(angle))
+    tilt = Vec3(angle * state.force_n.twice, -angle * state.force_e.twice, jnp.zeros_like(angle))
     nav = state.nav
     left = 1 - 2 * turn.reflection
     return State(
@@ -135,8 +150,8 @@ def _turn(params: Params, site: Site, state: State) -> State:
         integral_e=turn.integral * state.integral_e,
         integral_n=turn.integral * state.integral_n,
         rate_u=turn.rate * state.rate_u,
-        force_e=left * state.force_e,
-        force_n=left * state.force_n,
+        force_e=LowPassed(*(left * stage for stage in state.force_e)),
+        force_n=LowPassed(*(left * stage for stage in state.force_n)),
     )
 
 

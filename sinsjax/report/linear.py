@@ -22,9 +22,9 @@ from sinsjax.studies import Study
 from sinsjax.units import ARCMIN, DEG
 from sinsjax.worlds import Variants, site_of
 
-_LEVEL = np.ix_((0, 1, 3), (0, 1, 3))  # of x = [dV_N, phi_E, phi_U, I_N, w_cU, f_N/g]
+_LEVEL = np.ix_((0, 1, 3), (0, 1, 3))  # of x, see `_matrix`
 _AZIMUTH = np.ix_((0, 1, 2, 4), (0, 1, 2, 4))
-_WITHOUT_INTEGRAL = np.ix_((0, 1, 2, 4, 5), (0, 1, 2, 4, 5))
+_WITHOUT_INTEGRAL = np.ix_((0, 1, 2, 4, 5, 6), (0, 1, 2, 4, 5, 6))
 
 
 class Limits(NamedTuple):
@@ -75,8 +75,8 @@ class Loops(NamedTuple):
 
     @property
     def smoothing_s(self) -> float:
-        """Time constant of the low-passed specific force, s."""
-        return float(-1 / (np.log1p(-self.params.smoothing) * self.rate_hz))
+        """Delay of the low-passed specific force, two equal stages, s."""
+        return float(-2 / (np.log1p(-self.params.smoothing) * self.rate_hz))
 
 
 def one_variant(study: Study, variant: int) -> Study:
@@ -159,7 +159,7 @@ def heading_of(model: Loops, start: NDArray, times_s: NDArray) -> NDArray:
     Returns:
         (n,) deg, estimate minus truth.
     """
-    state = np.zeros(6)
+    state = np.zeros(7)
     state[1:3] = DEG * start
     level_s = float(model.params.azimuth_from) / model.rate_hz
     last = float(times_s[-1])
@@ -180,8 +180,8 @@ def heading_of(model: Loops, start: NDArray, times_s: NDArray) -> NDArray:
 
 @lru_cache(maxsize=1024)  # passes of one kind share theirs, and so do turn rules
 def _flows(matrix: bytes, steps: bytes) -> NDArray:
-    """exp(A t) for each of some times t, shape (n, 6, 6)."""
-    whole = np.frombuffer(matrix).reshape(6, 6) * np.frombuffer(steps)[:, None, None]
+    """exp(A t) for each of some times t, shape (n, 7, 7)."""
+    whole = np.frombuffer(matrix).reshape(7, 7) * np.frombuffer(steps)[:, None, None]
     return scipy.linalg.expm(whole)
 
 
@@ -195,7 +195,7 @@ def cycle_radius(
         tape_s: length of a pass, s.
         turn: what happens between two passes.
         damping: of the azimuth loop.
-        smoothing_s: time constant of the low-passed specific force, s.
+        smoothing_s: delay of the low-passed specific force, two equal stages, s.
 
     Returns:
         Of the shape that the numbers broadcast to.
@@ -204,12 +204,13 @@ def cycle_radius(
     earth = {"gravity": 1.0, "radius": 1.0}
     gains = loops.azimuth_gains(sigma, damping, **earth)
     made = _turn(turn)[_WITHOUT_INTEGRAL]
-    cycle = np.eye(5)
+    cycle = np.eye(6)
     for direction in (1, -1):
         azimuth = loops.azimuth_matrix(gains, rate_n=1.0, direction=direction, **earth)
-        matrix = np.zeros((*azimuth.shape[:-2], 5, 5))
+        matrix = np.zeros((*azimuth.shape[:-2], 6, 6))
         matrix[..., :4, :4] = azimuth
-        matrix[..., 4, 1], matrix[..., 4, 4] = 1 / smoothing_s, -1 / smoothing_s
+        matrix[..., 4, 1] = matrix[..., 5, 4] = 2 / smoothing_s
+        matrix[..., 4, 4] = matrix[..., 5, 5] = -2 / smoothing_s
         cycle = made @ scipy.linalg.expm(matrix * tape_s[..., None, None]) @ cycle
     return np.abs(np.linalg.eigvals(cycle)).max(-1)
 
@@ -217,16 +218,20 @@ def cycle_radius(
 def _turn(turn: compass.Turn) -> NDArray:
     """What a turn makes of x."""
     velocity, integral, rate, reflection = turn
-    matrix = np.diag([velocity, 1.0, 1.0, integral, rate, 1 - 2 * reflection])
-    matrix[1, 5] = -2 * reflection
+    left = 1 - 2 * reflection
+    matrix = np.diag([velocity, 1.0, 1.0, integral, rate, left, left])
+    matrix[1, 6] = -2 * reflection
     return matrix
 
 
 def _matrix(model: Loops, time_s: float, *, levelling: bool) -> NDArray:
-    """A of x' = A x, x = [dV_N, phi_E, phi_U, I_N, w_cU, f_N/g] from its limit, from a time on."""
+    """A of x' = A x from a time on, for x = [dV_N, phi_E, phi_U, I_N, w_cU, f_1/g, f_2/g].
+
+    x counts from its limit; f_1 and f_2 are the stages of the low-passed north specific force.
+    """
     direction = -1 if round(time_s / model.tape_s, 9) // 1 % 2 else 1
-    matrix = np.zeros((6, 6))
-    matrix[5, 1], matrix[5, 5] = 1 / model.smoothing_s, -1 / model.smoothing_s
+    matrix = np.zeros((7, 7))
+    matrix[5, [1, 5]] = matrix[6, [5, 6]] = np.array([2, -2]) / model.smoothing_s
     if levelling:
         matrix[_LEVEL] = loops.level_matrix(model.params.level, **model.earth)
         matrix[1, 2] = -direction * model.rate_n

@@ -102,8 +102,8 @@ def _reset(case: str, points: Sequence[Point]) -> str:
     errors = ", ".join(f"{point.error.value:.2f}" for point in points[:3])
     return (
         f"From {case} with P reset at each turn, the error is {errors} arcmin (rms) after"
-        f" {', '.join(str(point.passes) for point in points[:3])} passes: a pass has no new data, but"
-        " its linear model holds about the heading that the pass before has found."
+        f" {', '.join(str(point.passes) for point in points[:3])} passes: a pass has no new data,"
+        " but its linear model holds about the heading that the pass before has found."
     )
 
 
