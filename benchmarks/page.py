@@ -38,6 +38,7 @@ def sections(machines: Sequence[Machine], notes: str) -> list[Section]:
     made = [
         Section("Targets", [block for machine in newest for block in targets(machine)]),
         Section("Beside the limit", [block for machine in cpus for block in beside_limit(machine)]),
+        Section("Methods", [block for machine in cpus for block in methods(machine)]),
         Section("Where the time goes", [block for machine in cpus for block in work(machine)]),
         Section("Single precision", [block for machine in cpus for block in single(machine)]),
         Section("Cost model", costs.cost_model(cpus)),
@@ -121,6 +122,23 @@ def work(machine: Machine) -> list[Block]:
     ]
     note = "Counted by perf stat, in user mode; what starting and compiling took is left out."
     header = ["row", *counted]
+    return [Table(f"A step and run, {machine.name}", header, lines, note)] if lines else []
+
+
+def methods(machine: Machine) -> list[Block]:
+    """What a step of each method costs, in time and in arithmetic."""
+    lines = []
+    for name, row in machine.sets.get("methods", {}).items():
+        ratios = [f"{row[key]:.2f}" if key in row else "1" for key in ("ratio", "operations_ratio")]
+        counted = row["operations"]
+        speed = counted / row["ns_per_step_run"]
+        ns = number(row["ns_per_step_run"])
+        lines.append([f"`{name}`", ns, ratios[0], number(counted), ratios[1], f"{speed:.1f}"])
+    header = ["row", "ns", "times the filter's", "operations", "times the filter's", "a ns"]
+    note = (
+        "Operations: arithmetic on one number that the compiled program carries out. Silent"
+        " sensors, 64 variants a draw; medians of turns."
+    )
     return [Table(f"A step and run, {machine.name}", header, lines, note)] if lines else []
 
 

@@ -23,6 +23,7 @@ SCRIPTS = (
     "pairs",
     "throughput",
     "noise",
+    "methods",
     "devices",
     "cold_start",
     "derivative",

@@ -16,7 +16,7 @@ import numpy as np
 from sinsjax import kalman, mechanisation, rotations
 from sinsjax.alignment import METHODS, zero_velocity
 from sinsjax.alignment.base import Method, Options, Site
-from sinsjax.alignment.schedules import reset_covariance, reset_due
+from sinsjax.alignment.schedules import renew, reset_due, where_due
 from sinsjax.batch import Group, chunks
 from sinsjax.bench.cases import default_group, engine, shortened, without_noise
 from sinsjax.bench.timing import Row, measure_against
@@ -62,8 +62,8 @@ def build(model: ErrorModel, options: Options) -> Method:
         gain = jnp.where(reset, 1.0, jnp.where(due, params.feedback.gain, 0.0))
         fed = tuple(single(gain) * x for x in belief.x)
         nav = mechanisation.correct_velocity(nav, *double(fed[:2]))
-        kinds = params.resets._replace(**single(params.resets._replace(samples=0.0)._asdict()))
-        p = reset_covariance(kinds, reset, belief.p, single(params.p0), yaw=4)
+        renewal = single(where_due(reset, params.resets.renewal))
+        p = renew(renewal, belief.p, single(params.p0), yaw=4)
         return zero_velocity.State(
             nav=nav._replace(q=rotations.correct(Vec3(*double(fed[2:])), nav.q)),
             belief=kalman.Belief(
@@ -73,10 +73,18 @@ def build(model: ErrorModel, options: Options) -> Method:
             feedback_at=state.feedback_at + jnp.where(due, params.feedback.every, 0.0),
         )
 
+    def turn(
+        params: zero_velocity.Params, site: Site, state: zero_velocity.State
+    ) -> zero_velocity.State:
+        turned = whole.turn(params, site, state._replace(belief=double(state.belief)))
+        return turned._replace(belief=single(turned.belief))
+
     def widened(f: Callable) -> Callable:
         return lambda state: f(state._replace(belief=double(state.belief)))
 
-    return Method(init, step, widened(whole.attitude), widened(whole.covariance), whole.normalise)
+    return Method(
+        init, step, turn, widened(whole.attitude), widened(whole.covariance), whole.normalise
+    )
 
 
 def rows(quick: bool, repeats: int) -> list[Row]:

@@ -42,6 +42,7 @@ def judged(machine: Machine) -> list[Judged]:
     return [
         *_limit(machine),
         *_noise(machine),
+        *_methods(machine),
         *_devices(machine),
         *_start(machine),
         *_slopes(machine),
@@ -83,6 +84,18 @@ def _noise(machine: Machine) -> Iterator[Judged]:
                 plus_minus(row, "ratio"),
                 sizes(row),
                 row["ratio"] <= most,
+            )
+
+
+def _methods(machine: Machine) -> Iterator[Judged]:
+    for name, row in machine.sets.get("methods", {}).items():
+        if "operations_ratio" in row:
+            yield Judged(
+                f"`{name}`, times the Kalman step",
+                f"at most {row['operations_ratio']:.2f}, as its arithmetic",
+                plus_minus(row, "ratio"),
+                sizes(row),
+                row["ratio"] <= row["operations_ratio"],
             )
 
 

@@ -190,6 +190,19 @@ def test_every_row_of_the_registry_has_the_name_it_is_listed_under(monkeypatch):
     assert {name: make().name for name, make in cases.SHORT.items()} == {n: n for n in cases.SHORT}
 
 
+def test_compass_rows_have_the_samples_and_the_shape_of_the_filters():
+    kalman, compass, stored = cases.default_group(), *map(cases.compass_group, (None, 80.0))
+    for group in (compass, stored):
+        assert group.sizes == kalman.sizes
+        tape = group.world.tape
+        np.testing.assert_array_equal(tape, kalman.world.tape[: len(tape)])
+        assert group.static.method == "compass"
+        assert group.static.records == kalman.static.records
+    assert (compass.static.repeats, stored.static.repeats) == (False, True)
+    assert len(stored.world.tape) == 8000 and int(stored.world.pass_records) == 80
+    assert len({tuple(row) for row in np.stack(compass.variants.method.azimuth[:3], 1)}) == 8
+
+
 @pytest.fixture(scope="module")
 def small_group():
     axes = {"phi_u0_deg": [0.0, 10.0, 20.0, 30.0]}

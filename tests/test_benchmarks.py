@@ -24,6 +24,7 @@ import gate  # noqa: E402
 import gpu  # noqa: E402
 import instructions  # noqa: E402
 import memory  # noqa: E402
+import methods  # noqa: E402
 import noise  # noqa: E402
 import page  # noqa: E402
 import pairs  # noqa: E402
@@ -273,7 +274,7 @@ def test_the_speed_up_is_over_one_device_in_the_same_turn(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "script", [pairs, throughput, noise, devices, derivative, single_precision]
+    "script", [pairs, throughput, noise, methods, devices, derivative, single_precision]
 )
 def test_a_script_runs_quickly(script):
     if script is pairs and shutil.which("gcc") is None:
@@ -443,6 +444,33 @@ def test_the_derivatives_target_is_the_larger_one(tmp_path, operations, most):
     (row,) = judged(machine)
     assert row.target == f"at most {most}"
     assert row.reached == (most == "4.1")
+
+
+@pytest.mark.parametrize(("ratio", "reached"), [(0.22, True), (0.24, False)])
+def test_a_method_may_take_no_more_time_than_its_arithmetic(tmp_path, ratio, reached):
+    beside = {"ratio": ratio, "ratio_spread": 0.02, "operations": 145.3, "operations_ratio": 0.228}
+    rows = [told("methods", "kalman", 46.0, operations=638.1)]
+    rows.append(told("methods", "compass", 10.0, **beside))
+    machines = written(tmp_path / "history", rows)
+    (row,) = judged(machines[0])
+    assert (row.what, row.target) == (
+        "`compass`, times the Kalman step",
+        "at most 0.23, as its arithmetic",
+    )
+    assert (row.measured, row.reached) == (f"{ratio:.2f} ± 0.02", reached)
+    page.write(tmp_path / "p.md", machines, "")
+    text = (tmp_path / "p.md").read_text()
+    assert "## Methods" in text
+    assert "| `kalman` | 46.0 | 1 | 638 | 1 | 13.9 |" in text
+    assert f"| `compass` | 10.0 | {ratio:.2f} | 145 | 0.23 | 14.5 |" in text
+
+
+@pytest.mark.slow
+def test_a_compass_step_has_a_fraction_of_the_filters_arithmetic():
+    kalman, compass, tape = methods.rows(True, 1)
+    assert [row["name"] for row in (kalman, compass, tape)] == ["kalman", "compass", "compass_tape"]
+    assert 400 < kalman["operations"] < 1000
+    assert 0.1 < compass["operations_ratio"] < tape["operations_ratio"] < 0.4
 
 
 @pytest.mark.parametrize(("double", "reached"), [(105e3, True), (200e3, False)])

@@ -1,6 +1,10 @@
-"""What is timed: the compiled function of `sweep` on the default sweep, and a plain NumPy loop."""
+"""What is timed: the compiled function of `sweep` on the default sweep, and a plain NumPy loop.
+
+The default sweep's base and sensors serve every method.
+"""
 
 import time
+import tomllib
 from collections.abc import Callable
 from functools import cache, partial
 from itertools import islice
@@ -12,7 +16,7 @@ from sinsjax.baseline import Setting, align
 from sinsjax.batch import LANES, SETS, Group, Tiles, compiled, plan, spread, tiles_of
 from sinsjax.bench.assets import asset
 from sinsjax.bench.timing import Case
-from sinsjax.config import load_study
+from sinsjax.config import load_study, study_from_dict
 from sinsjax.rotations import matrix, misalign
 from sinsjax.scenario import parts
 from sinsjax.simulate import Draw, Params, World, simulate
@@ -21,13 +25,45 @@ from sinsjax.types import Quat
 TILES = 2
 """Tiles a call: the fewest, since the compiler unrolls the loop over a single one."""
 
+TAPE_S = 80.0
+"""Length of a stored tape, as in [P2]."""
+
 _BASELINE_SAMPLES = 2000
+
+_DEFAULT = "configs/reset_sweep.toml"
+_SIGMAS: dict[str, list[float]] = {
+    "level_sigma_per_s": [0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.06],
+    "azimuth_sigma_per_s": [0.01, 0.012, 0.015, 0.02, 0.025, 0.03, 0.04, 0.05],
+}
 
 
 @cache
 def default_group() -> Group:
     """What `sweep` runs for the default sweep, ``configs/reset_sweep.toml``."""
-    (part,) = parts(load_study(asset("configs/reset_sweep.toml")))
+    (part,) = parts(load_study(asset(_DEFAULT)))
+    return part.group
+
+
+@cache
+def compass_group(tape_s: float | None = None) -> Group:
+    """The default sweep with compass loops, and as many variants: sigmas in the place of resets.
+
+    Args:
+        tape_s: length of the tape that is gone over forward and backward, s; None for once.
+    """
+    data = tomllib.loads(asset(_DEFAULT).read_text("utf-8"))
+    for section, keys in (
+        ("alignment", ("specific_force", "feedback_interval_s")),
+        ("axes", ("reset_count", "reset_cycle_s")),
+    ):
+        for key in keys:
+            del data[section][key]
+    del data["filter"], data["resets"]
+    data["alignment"]["method"] = "compass"
+    data["axes"] |= _SIGMAS
+    if tape_s is not None:
+        data["passes"] = {"tape_s": tape_s}
+    (part,) = parts(study_from_dict(data, _DEFAULT))
     return part.group
 
 
@@ -158,6 +194,10 @@ def _silent() -> Group:
     return without_noise(default_group())
 
 
+def _compass(name: str, tape_s: float | None = None) -> Case:
+    return engine(name, without_noise(compass_group(tape_s)))
+
+
 def _noisy(variants: int) -> Case:
     return engine(f"kalman_noise_{variants}", some_variants(default_group(), variants))
 
@@ -168,6 +208,8 @@ SHORT: dict[str, Callable[[], Case]] = {
     "kalman_noise_6": lambda: _noisy(6),
     "kalman_noise_1": lambda: _noisy(1),
     "kalman_shared_covariance": lambda: engine("kalman_shared_covariance", at_rest(_silent())),
+    "compass_shared_record": lambda: _compass("compass_shared_record"),
+    "compass_stored_tape": lambda: _compass("compass_stored_tape", TAPE_S),
     "numpy_baseline": lambda: numpy_baseline(_silent()),
 }
 """The short set: what makes each row, by its name, in order. A new row is a line here."""

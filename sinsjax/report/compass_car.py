@@ -8,6 +8,7 @@ reference that was given, which need not be independent of the record.
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import format_estimate
@@ -18,10 +19,9 @@ from sinsjax.report.base import Block, Picture, Report, Section, Source, Table, 
 from sinsjax.report.compass_cases import (
     Case,
     cases_of,
-    first_of_kinds,
+    first_of_kinds_by_tape,
     partner,
     rms,
-    turned_by,
 )
 
 _RELATIVE = (
@@ -30,7 +30,7 @@ _RELATIVE = (
     " gyro bias, is not seen."
 )
 _SHORT = "Relative to the reference, not absolute."
-_TOGETHER = 0.7  # correlation from which two methods are said to err together
+_TOGETHER = 0.5  # correlation from which two methods are said to err together
 _QUANTITY = "heading error at the end (arcmin)"
 
 
@@ -43,7 +43,7 @@ def report(source: Source) -> Report:
         return Report([f"{starts} Without a reference: attitude only."], [attitude])
     made = [
         Section("Heading error", [_table(source, cases), _strips(cases), Text(_overlap(source))]),
-        Section("What limits the reflecting turn", list(kicks.blocks(source, cases))),
+        Section("What the turns do", list(kicks.blocks(source, cases))),
         Section("What limits a tape", list(_limits_of_tapes(source, cases))),
         Section("Heading over update time", list(_over_time(source, cases))),
     ]
@@ -54,7 +54,7 @@ def report(source: Source) -> Report:
 def _headline(cases: Sequence[Case]) -> Iterator[str]:
     """A sentence on every length of data, where there is something to compare."""
     for tape_s in dict.fromkeys(case.tape_s for case in cases):
-        shown = first_of_kinds([case for case in cases if case.tape_s == tape_s])
+        shown = [case for case in first_of_kinds_by_tape(cases) if case.tape_s == tape_s]
         parts = [f"{case.name} {rms(case.errors).value:.2f}" for case in shown]
         if len(parts) > 1:
             yield f"{tape_s:g} s of data, rms heading error in arcmin: {'; '.join(parts)}."
@@ -125,23 +125,22 @@ def _overlap(source: Source) -> str:
 
 def _limits_of_tapes(source: Source, cases: Sequence[Case]) -> Iterator[Block]:
     """Whether the compass errs where the filter does: then it is the data."""
-    stored = [(case, partner(cases, case)) for case in turned_by(cases, "velocity")]
-    pairs = [(case, other) for case, other in stored if other is not None]
+    stored = [case for case in first_of_kinds_by_tape(cases) if case.turn]
+    pairs = [(case, other) for case in stored if (other := partner(cases, case)) is not None]
     if not pairs or source.study.n_draws < 3:
         return
-    rows, panels, together = [], {}, []
+    rows, together = [], []
+    panels: dict[str, dict[str, NDArray]] = {}
     for case, other in pairs:
         together.append(float(np.corrcoef(case.errors, other.errors)[0, 1]))
-        numbers = [rms(e).value for e in (other.errors, case.errors, case.errors - other.errors)]
-        rows.append([f"{case.tape_s:g}", *(f"{x:.2f}" for x in numbers), f"{together[-1]:.2f}"])
-        panels[f"{case.tape_s:g} s of data"] = {
-            "Kalman, one pass": other.errors,
-            "compass, passes forward and backward, V flipped": case.errors,
-        }
+        numbers = [rms(e).value for e in (case.errors, other.errors, case.errors - other.errors)]
+        rows.append([case.name, *(f"{x:.2f}" for x in numbers), f"{together[-1]:.2f}"])
+        panel = panels.setdefault(f"{case.tape_s:g} s of data", {"Kalman": other.errors})
+        panel[case.kind] = case.errors
     yield Text(" ".join([*_of_repeating(cases), *_in_common(together)]))
     yield Table(
-        "Heading errors over the same data (arcmin, rms)",
-        ["data (s)", "Kalman, one pass", "compass, V flipped", "difference", "correlation"],
+        "Stored tapes beside the filter that goes once over the same data (arcmin, rms)",
+        ["", "heading error", "Kalman", "difference", "correlation"],
         rows,
     )
     assert source.study.record is not None
@@ -159,14 +158,12 @@ def _limits_of_tapes(source: Source, cases: Sequence[Case]) -> Iterator[Block]:
 
 def _of_repeating(cases: Sequence[Case]) -> Iterator[str]:
     """What going over the data again does, in sentences, as far as there are cases to tell it."""
-    for many in turned_by(cases, "velocity"):
+    for many in first_of_kinds_by_tape(cases):
         for once in cases:
-            if once.is_compass and once.passes == 1 and once.tape_s == many.tape_s:
+            if many.turn and once.is_compass and (once.tape_s, once.passes) == (many.tape_s, 1):
                 yield (
-                    f"{many.passes} passes over {many.tape_s:g} s leave"
-                    f" {rms(many.errors).value:.1f} arcmin (rms) where one leaves"
-                    f" {rms(once.errors).value:.1f}: going over the data again takes away what is"
-                    " left of the initial error."
+                    f"{many.name}: {many.passes} passes leave {rms(many.errors).value:.1f} arcmin"
+                    f" (rms) where one leaves {rms(once.errors).value:.1f}."
                 )
     for many in cases:
         single = partner(cases, many)
@@ -184,12 +181,16 @@ def _of_repeating(cases: Sequence[Case]) -> Iterator[str]:
 
 def _in_common(correlations: Sequence[float]) -> Iterator[str]:
     """Whether what is left lies in the data."""
-    if min(correlations) > _TOGETHER:
+    least, most = min(correlations), max(correlations)
+    told = f"correlation {least:.2f} to {most:.2f}"
+    if least > _TOGETHER:
         yield (
-            "Repetition brings no information: the Kalman filter, once over the same data, errs at"
-            " the same start times and in the same direction. What is left lies in the data, and"
-            " only more data lower it."
+            "Repetition takes away what is left of the initial error; it brings no information."
+            " The Kalman filter, once over the same data, errs at the same start times and in the"
+            f" same direction ({told}): what is left lies in the data, and only more data lower it."
         )
+    else:
+        yield f"The Kalman filter, once over the same data, errs otherwise ({told})."
 
 
 def _over_time(source: Source, cases: Sequence[Case]) -> Iterator[Block]:
@@ -204,7 +205,8 @@ def _over_time(source: Source, cases: Sequence[Case]) -> Iterator[Block]:
         here = [case for case in cases if case.tape_s == tape_s]
         repeated = max(case.passes for case in here)
         # A run of one pass is the beginning of one of many.
-        shown = [c for c in first_of_kinds(here) if c.passes == repeated or not c.is_compass]
+        first = first_of_kinds_by_tape(here)
+        shown = [c for c in first if c.passes == repeated or not c.is_compass]
         panel = f"{tape_s:g} s of data"
         drawn: list[plots.Line] = []
         for case in shown if repeated > 1 else here:

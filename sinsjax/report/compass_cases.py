@@ -114,9 +114,9 @@ def turned_by(cases: Sequence[Case], turn: str) -> list[Case]:
     return [case for case in cases if case.turn == turn]
 
 
-def first_of_kinds(cases: Sequence[Case]) -> list[Case]:
-    """The first case of each kind and number of passes."""
-    first: dict[tuple[str, int], Case] = {}
+def first_of_kinds_by_tape(cases: Sequence[Case]) -> list[Case]:
+    """The first case of each kind and number of passes over each length of data."""
+    first: dict[tuple[float, str, int], Case] = {}
     for case in cases:
-        first.setdefault((case.kind, case.passes), case)
+        first.setdefault((case.tape_s, case.kind, case.passes), case)
     return list(first.values())

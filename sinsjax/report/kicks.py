@@ -1,9 +1,10 @@
-"""What errors of tilt made at the turns of a tape do to the heading at the end.
+"""What the turns of a tape do to the heading at the end, told from the tilt at the turns.
 
-The reflecting turn takes the tilt from the specific force. Where the base moves, the force is not
-that of the tilt alone, and the platform is turned by a wrong angle: a kick. The azimuth loop takes
-any tilt for the sign of a wrong heading. As its heading is linear in the kicks, what they do can be
-told from the tilt at the turns.
+A turn that reflects the tilt exactly lets the loops go on as if the data were new. Any other turn
+leaves a tilt that should not be there: a kick. A reflecting turn kicks where the base moves, as the
+specific force is then not that of the tilt alone; flipping the velocity kicks by twice the tilt.
+The azimuth loop takes any tilt for the sign of a wrong heading. As its heading is linear in the
+kicks, what they do can be told.
 """
 
 from collections.abc import Iterator, Sequence
@@ -64,7 +65,7 @@ def kicks(model: Loops, runs: Ensemble) -> NDArray:
     """Tilt east right after each turn, less what an exact reflection would have made of it.
 
     Args:
-        model: loops of the runs, whose turn is a reflection.
+        model: loops of the runs.
         runs: their curves, with a record at every turn.
 
     Returns:
@@ -83,125 +84,125 @@ def heading_of_kicks(model: Loops, runs: Ensemble) -> NDArray:
     return kicks(model, runs) @ np.asarray(gains)
 
 
-class Smoothed(NamedTuple):
-    """Cases over one tape that differ in the smoothing of the reflecting turn alone.
+class Turned(NamedTuple):
+    """A case over a stored tape, and what its turns have done.
 
     Attributes:
-        cases: by their smoothing.
-        calm: the same tape and passes with the velocity flipped, which kicks no tilt.
+        case: the runs.
+        last: (starts,) kick of the last turn, arcmin.
+        heading: (starts,) what all kicks make of the heading at the end, arcmin.
     """
 
-    cases: list[Case]
-    calm: Case
+    case: Case
+    last: NDArray
+    heading: NDArray
+
+    @property
+    def rest(self) -> NDArray:
+        """(starts,) heading error without what the turns do, arcmin."""
+        return self.case.errors - self.heading
 
 
-def smoothed(cases: Sequence[Case]) -> Smoothed | None:
-    """The cases that show what the smoothing does; None without two of them and a calm one."""
-    for calm in turned_by(cases, "velocity"):
-        data = (calm.tape_s, calm.passes)
-        same = [c for c in turned_by(cases, "reflect") if (c.tape_s, c.passes) == data]
-        if len({case.smoothing_s for case in same}) > 1:
-            return Smoothed(sorted(same, key=lambda case: case.smoothing_s), calm)
-    return None
+def turned_cases(source: Source, cases: Sequence[Case]) -> list[Turned]:
+    """The cases over stored tapes; none without curves, or where the study has no latitude."""
+    shown = [case for case in cases if case.turn]
+    curves = source.curves([run for case in shown for run in case.runs])
+    if curves.num_rows == 0 or None in source.study.values("latitude_deg"):
+        return []
+    found = []
+    for case in shown:
+        model = loops_of(one_variant(source.study, case.variant))
+        (lines,) = plots.ensembles(curves, {case.name: case.runs})
+        if turn_times(model, float(lines.time_s[-1])).size:
+            last = kicks(model, lines)[:, -1]
+            found.append(Turned(case, last, heading_of_kicks(model, lines)))
+    return found
 
 
 def blocks(source: Source, cases: Sequence[Case]) -> Iterator[Block]:
-    """The heading that reflecting turns add, as found and as predicted from the tilt at the turns.
+    """What the turns do to the heading, and what the delay of the reflecting turn decides.
 
     Args:
         source: with curves and a latitude in the study; without them there is nothing to tell.
         cases: of the study.
     """
-    shown = smoothed(cases)
-    if shown is None or None in source.study.values("latitude_deg"):
+    turned = turned_cases(source, cases)
+    if not turned:
         return
-    curves = source.curves([run for case in shown.cases for run in case.runs])
-    if curves.num_rows == 0:
-        return
-    found, predicted, rows = [], [], []
-    for case in shown.cases:
-        model = loops_of(one_variant(source.study, case.variant))
-        (lines,) = plots.ensembles(curves, {case.name: case.runs})
-        made, apart = heading_of_kicks(model, lines), case.errors - shown.calm.errors
-        found.append(rms(apart))
-        predicted.append(rms(made))
-        rows.append(
-            [
-                f"{case.smoothing_s:g}",
-                f"{rms(kicks(model, lines)[:, -1]).value:.3f}",
-                f"{predicted[-1].value:.1f}",
-                f"{found[-1].value:.1f}",
-                f"{rms(apart - made).value:.1f}",
-                f"{rms(case.errors).value:.1f}",
-            ]
-        )
-    yield Text(_why(source, cases, shown))
+    yield Text(_why(source, turned))
     header = [
-        "smoothing (s)",
-        "tilt kick of the last turn",
+        "",
+        "kick of the last turn",
         "heading of all kicks, predicted",
-        "found",
-        "found minus predicted",
-        "whole heading error",
+        "heading error",
+        "heading error minus predicted",
+        "its difference from the first turn's",
     ]
+    first: dict[tuple[float, int], Turned] = {}
+    rows = []
+    for one in turned:
+        other = first.setdefault((one.case.tape_s, one.case.passes), one)
+        numbers = (one.heading, one.case.errors, one.rest, one.rest - other.rest)
+        cells = [f"{rms(values).value:.2f}" for values in numbers]
+        rows.append([one.case.name, f"{rms(one.last).value:.3f}", *cells])
     yield Table(
-        f"{shown.calm.tape_s:g} s tape: what the reflecting turns do to the heading (arcmin, rms)",
+        "What the turns do to the heading at the end (arcmin, rms)",
         header,
         rows,
-        f"*Predicted*: the tilt at the turns, from the curves, through the linear azimuth loop."
-        f" *Found*: the heading at the end minus that of '{shown.calm.name}', start time by start"
-        " time.",
+        "*Kick*: tilt after a turn that an exact reflection would not have left. *Predicted*: the"
+        " kicks, from the curves, through the linear azimuth loop. *Difference*: over one tape, the"
+        " first turn is that of the first row.",
     )
-    kalman = partner(cases, shown.calm)
-    levels = {shown.calm.name: rms(shown.calm.errors).value}
-    levels |= {kalman.name: rms(kalman.errors).value} if kalman else {}
-    yield Picture(
-        "smoothing",
-        f"Heading that the reflecting turns add, {shown.calm.tape_s:g} s tape, with bootstrap"
-        " intervals; dotted: whole heading errors without such turns.",
-        falling(
-            "smoothing of the specific force (s)",
-            [case.smoothing_s for case in shown.cases],
-            {"found": found, "predicted from the tilt at the turns": predicted},
-            levels,
-            title="What the reflecting turn costs on a base that moves",
-            quantity="heading, rms (arcmin)",
-        ),
-    )
+    yield from _delays(cases, turned)
 
 
-def _why(source: Source, cases: Sequence[Case], shown: Smoothed) -> str:
-    least, most = shown.cases[0], shown.cases[-1]
-    return (
-        "The reflecting turn takes the tilt from the smoothed specific force. Sway has no mean, but"
-        " over a time T its specific force averages only to (change of velocity)/T, so that the"
-        " platform is turned by an angle that is wrong in proportion to 1/T. The azimuth loop takes"
-        " such a tilt for a heading error: 1 arcmin of it at the last turn is, at the end,"
-        f" {_gains(source, cases)}. With {least.smoothing_s:g} s of smoothing the heading is off by"
-        f" {rms(least.errors).value:.0f} arcmin rms, with {most.smoothing_s:g} s by"
-        f" {rms(most.errors).value:.1f}; where the velocity is flipped and nothing is taken from"
-        f" the specific force, by {rms(shown.calm.errors).value:.1f}. {_cycle(source, shown.calm)}"
-    )
-
-
-def _cycle(source: Source, calm: Case) -> str:
-    """Why flipping the velocity converges, or does not."""
-    model = loops_of(one_variant(source.study, calm.variant))
-    sigma = model.sigma * float(np.max(model.params.pace.values))
-    radius = loops.cycle_radius(sigma, calm.tape_s, loops.turn_matrix(-1, 1, 1))
-    return (
-        "That turn flips no tilt and brings heading back only where sigma times the tape is large:"
-        f" here it begins with {sigma * calm.tape_s:.2g}, of which a cycle of two passes leaves"
-        f" {100 * float(radius):.1g} %."
-    )
-
-
-def _gains(source: Source, cases: Sequence[Case]) -> str:
-    """Heading at the end for 1 arcmin of tilt at the last turn, for each length of tape."""
-    told: dict[float, str] = {}
-    for case in turned_by(cases, "reflect"):
+def _why(source: Source, turned: Sequence[Turned]) -> str:
+    gains: dict[float, str] = {}
+    for case in (one.case for one in turned):
         model = loops_of(one_variant(source.study, case.variant))
         end_s = case.tape_s * case.passes
-        gain = heading_at_end(model, float(turn_times(model, end_s)[-1]), end_s)
-        told.setdefault(case.tape_s, f"{abs(gain):.0f} arcmin of heading ({case.tape_s:g} s tape)")
-    return ", ".join(told.values())
+        gain = abs(heading_at_end(model, float(turn_times(model, end_s)[-1]), end_s))
+        gains.setdefault(case.tape_s, f"{gain:.0f} arcmin of heading ({case.tape_s:g} s tape)")
+    return (
+        "A turn that reflects the tilt exactly lets the loops go on as if the data were new. Any"
+        " other one kicks the platform: the reflecting turn by what sway leaves in the low-passed"
+        " specific force and by the delay of that force, flipped velocity by twice the tilt. The"
+        " azimuth loop takes a tilt for a heading error: 1 arcmin of it at the last turn is, at"
+        f" the end, {', '.join(gains.values())}. The rest, without what the kicks do, hardly"
+        " depends on the turn. It is out of reach for whoever has the tape alone: the kicks are"
+        " told by the reference, which has seen more."
+    )
+
+
+def _delays(cases: Sequence[Case], turned: Sequence[Turned]) -> Iterator[Block]:
+    """Heading over the delay of the reflecting turn, where several were tried over one tape."""
+    reflected = [one for one in turned if one.case.turn == "reflect"]
+    for data in dict.fromkeys((one.case.tape_s, one.case.passes) for one in reflected):
+        same = [one for one in reflected if (one.case.tape_s, one.case.passes) == data]
+        same.sort(key=lambda one: one.case.smoothing_s)
+        if len({one.case.smoothing_s for one in same}) < 2:
+            continue
+        others = [*turned_by(cases, "velocity"), partner(cases, same[0].case)]
+        levels = {
+            case.name: rms(case.errors).value
+            for case in others
+            if case is not None and case.tape_s == data[0]
+        }
+        yield Picture(
+            "delay",
+            f"Heading error over the delay of the specific force that the platform is reflected"
+            f" by, {data[0]:g} s tape, rms over the start times with bootstrap intervals; dotted:"
+            " without such turns.",
+            falling(
+                "delay of the low-passed specific force (s)",
+                [one.case.smoothing_s for one in same],
+                {
+                    "heading error": [rms(one.case.errors) for one in same],
+                    "what the turns do, predicted": [rms(one.heading) for one in same],
+                },
+                levels,
+                title="The reflecting turn on a base that moves",
+                quantity="heading, rms (arcmin)",
+            ),
+        )
+        return

@@ -1,0 +1,64 @@
+"""What a step of the compass costs beside one of the Kalman filter, in time and in arithmetic.
+
+The same base, sensors, record interval and number of variants, silent; everything in turns.
+"""
+
+import common
+from derivative import operations
+
+from sinsjax.batch import Group, compiled, plan, tiles_of
+from sinsjax.bench.cases import (
+    TAPE_S,
+    TILES,
+    compass_group,
+    default_group,
+    engine,
+    shortened,
+    without_noise,
+)
+from sinsjax.bench.timing import Row, measure_against
+
+COUNTED = (2, 4)
+"""Records of the programs whose difference tells the arithmetic of a step."""
+
+
+def rows(quick: bool, repeats: int) -> list[Row]:
+    """Time the compass, once over its data and over a stored tape, in turns with the filter.
+
+    Returns:
+        ``kalman``, then ``compass`` and ``compass_tape`` with their ``ratio`` to it. All have
+        ``operations``, the arithmetic of a step and run, and the compass's ``operations_ratio``.
+    """
+    groups = {
+        "kalman": default_group(),
+        "compass": compass_group(),
+        "compass_tape": compass_group(TAPE_S),
+    }
+    if quick:
+        groups = {name: shortened(group, 2) for name, group in groups.items()}
+    silent = {name: without_noise(group) for name, group in groups.items()}
+    base, *others = (engine(name, group) for name, group in silent.items())
+    measured = measure_against(base, others, repeats)
+    counts = [arithmetic(group) for group in silent.values()]
+    for row, count in zip(measured, counts, strict=True):
+        row["operations"] = round(count, 1)
+        if row["name"] != "kalman":
+            row["operations_ratio"] = round(count / counts[0], 3)
+    return measured
+
+
+def arithmetic(group: Group) -> float:
+    """Operations of a step and run that the compiled program carries out, see `operations`.
+
+    What is done once a run drops out; what is done once a record is spread over its steps.
+    """
+    arguments = group.world, tiles_of(group, next(plan(group, tiles_a_chunk=TILES)))
+    few, many = (
+        operations(compiled(shortened(group, records).static, *arguments)) for records in COUNTED
+    )
+    steps = (COUNTED[1] - COUNTED[0]) * group.static.record_every
+    return (many - few) / (steps * arguments[1].row.size)
+
+
+if __name__ == "__main__":
+    common.main(rows)
