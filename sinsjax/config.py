@@ -62,7 +62,7 @@ _DEFAULTS: dict[str, dict[str, Any]] = {
     "compass": {"level_sigma_per_s": 0.02, "level_time_s": 150.0, "azimuth_sigma_per_s": 0.01},
     "passes": {
         "turn": "reflect",
-        "turn_smoothing_s": 2.0,
+        "turn_smoothing_s": 5.0,
         "turn_covariance": "carried",
         "turn_inflation": 10.0,
     },

@@ -273,7 +273,7 @@ class Passes(Section):
         | None
     ) = Field(None, description="what compass loops do at a turn of the tape; default 'reflect'")
     turn_smoothing_s: Positive | None = Field(
-        None, description="delay of the low-passed force that 'reflect' turns by, s; default 2"
+        None, description="delay of the low-passed force that 'reflect' turns by, s; default 5"
     )
     turn_covariance: Literal["carried", "inflated", "reset"] | None = Field(
         None, description="what becomes of a filter's P at a turn; default 'carried'"

@@ -238,14 +238,15 @@ def _reference_at(tape: Tape, times: np.ndarray) -> np.ndarray:
     if reference is None:
         return np.full((len(times), 4), np.nan)
     first, last = reference.time_s[0], reference.time_s[-1]
+    begin, end = times.min(), times.max()  # a backward pass ends before it begins
     slack = 1e-6 + 1 / tape.record.rate_hz
-    if times[0] < first - slack or times[-1] > last + slack:
+    if begin < first - slack or end > last + slack:
         raise InputError(
             f"{reference.source}: covers {first:g} to {last:g} s, but the study needs"
-            f" {times[0]:g} to {times[-1]:g} s of {tape.record.source}"
+            f" {begin:g} to {end:g} s of {tape.record.source}"
         )
-    needed = (reference.time_s >= times[0] - _LONGEST_GAP_S) & (reference.time_s <= times[-1])
-    gap = np.diff(reference.time_s[needed], prepend=times[0], append=times[-1]).max()
+    needed = (reference.time_s >= begin - _LONGEST_GAP_S) & (reference.time_s <= end)
+    gap = np.diff(reference.time_s[needed], prepend=begin, append=end).max()
     if gap > _LONGEST_GAP_S:
         raise InputError(
             f"{reference.source}: has a gap of {gap:g} s where the study needs it"

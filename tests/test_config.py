@@ -898,7 +898,7 @@ def test_sections_and_defaults_are_those_of_the_methods():
     assert (compass.level_time_s, compass.sigma_factors) == (150.0, (1.0,))
     over = built(COMPASS, passes={"tape_s": 80}).passes
     assert over is not None
-    assert (over.turn, over.turn_smoothing_s, over.turn_covariance) == ("reflect", 2.0, None)
+    assert (over.turn, over.turn_smoothing_s, over.turn_covariance) == ("reflect", 5.0, None)
     over = built(passes={"tape_s": 80}).passes
     assert over is not None
     assert (over.turn, over.turn_covariance, over.turn_inflation) == (None, "carried", 10.0)

@@ -89,6 +89,46 @@ def test_settling_status_and_floor() -> None:
     assert broken["status"].to_pylist() == ["nonfinite"]
 
 
+def test_settling_is_told_in_update_time_and_in_data() -> None:
+    """The data that was there: what had been recorded by then, and no more than the tape."""
+    study = small_study(passes={"tape_s": 2.0}, axes={"passes": [1, 3], "phi_u0_deg": [0.0, 1.0]})
+    # The first two runs end after 2 s, the others after 6 s.
+    outside = [[0.0, 1.0, 2.0], [2.0, 2.0, 2.0], [1.0, 2.0, 5.0], [3.0, 4.0, 6.0]]
+    table = results.Tables(study).summary(chunk([-21.0] * 4, outside), np.arange(4))
+    for band, settled, data in (
+        (60, [0.0, None, 1.0, 3.0], [0.0, None, 1.0, 2.0]),
+        (10, [1.0, None, 2.0, 4.0], [1.0, None, 2.0, 2.0]),
+        (3, [None, None, 5.0, None], [None, None, 2.0, None]),
+    ):
+        assert table[f"settle_{band}_s"].to_pylist() == settled
+        assert table[f"settle_{band}_data_s"].to_pylist() == data
+    assert table["status"].to_pylist() == ["ok", "not_settled", "ok", "ok"]
+    made = results.Tables(small_study(passes={"tape_s": 2.0}), has_truth=False)
+    table = made.summary(chunk([0.0], [[0.0] * 3]), np.arange(1))
+    assert table["settle_10_data_s"].null_count == 1
+
+
+def test_compass_loops_believe_nothing() -> None:
+    """No sigma and no consistency; the keys that filters read are there, and null."""
+    schedules = [([1.0], []), ([2.0, 1.0], [3.0])]
+    study = small_study(
+        alignment={"method": "compass"},
+        compass={"level_sigma_per_s": 0.5, "level_time_s": 2.0},
+        passes={"tape_s": 3.0},
+        cases=[{"sigma_factors": f, "sigma_times_s": t} for f, t in schedules],
+        axes={"turn": ["reflect", "keep"], "allow_unstable": [False, True]},
+    )
+    table = campaign.run(study).summary
+    for name in ("sigma_u_arcmin", "nees", "nis_u", "p_above_error_share", "reset_cycle_s"):
+        assert table[name].null_count == table.num_rows == 24
+    assert table["reset_count"].to_pylist() == [0] * 24
+    assert table["sigma_factors"].to_pylist()[:8] == [[1.0]] * 4 + [[2.0, 1.0]] * 4
+    assert table["sigma_times_s"].to_pylist()[:8] == [[]] * 4 + [[3.0]] * 4
+    assert table["turn"].to_pylist()[:4] == ["reflect"] * 2 + ["keep"] * 2
+    assert table["allow_unstable"].to_pylist()[:2] == [False, True]
+    assert table["phi_u_arcmin"].null_count == table["status"].null_count == 0
+
+
 def test_without_truth_attitude_and_sigma_are_what_is_left() -> None:
     made = results.Tables(small_study(), has_truth=False)
     table = made.summary(chunk([0.0], [[0.0, 0.0, 0.0]]), np.arange(1))

@@ -114,6 +114,37 @@ def test_worlds_and_programs_are_cut_apart_and_cover_every_variant() -> None:
         assert part.group.static.options.specific_force in values["specific_force"]
 
 
+def test_tapes_are_cut_apart_and_their_parts_share_a_program() -> None:
+    """Variants that read the tape alike run together; truth is that of the place on the tape."""
+    study = small_study(
+        alignment={"method": "compass"},
+        axes={"tape_s": [2.0, 3.0], "turn": ["reflect", "keep"], "azimuth_sigma_per_s": [0.1, 0.2]},
+    )
+    parts = list(scenario.parts(study))
+    np.testing.assert_array_equal([p.variant_ids for p in parts], [range(4), range(4, 8)])
+    assert parts[0].group.static == parts[1].group.static
+    assert parts[0].group.static.repeats and not group_of().static.repeats
+    worlds = [part.group.world for part in parts]
+    assert [int(world.pass_records) for world in worlds] == [2, 3]
+    np.testing.assert_array_equal(worlds[0].tape, worlds[1].tape)
+    assert len(worlds[0].tape) == 300
+    whole = group_of().world
+    np.testing.assert_allclose(worlds[0].tape, whole.tape[:300], rtol=0, atol=1e-18)
+    true = np.concatenate([whole.truth[0, :1] * np.nan, whole.truth[0]])
+    for world, places in zip(worlds, ([1, 2, 1, 0, 1, 2], [1, 2, 3, 2, 1, 0]), strict=True):
+        known = np.array(places) > 0
+        np.testing.assert_allclose(world.truth[0][known], true[places][known], rtol=0, atol=1e-15)
+
+
+def test_the_program_may_differ_with_the_length_of_the_passes() -> None:
+    study = small_study(
+        study={"window_s": [0, 2]}, passes={"tape_s": 2.0}, axes={"passes": [1, 2, 3]}
+    )
+    records = [part.group.static.records for part in scenario.parts(study)]
+    assert records == [2, 4, 6]
+    assert [span.records for span in study.spans] == records
+
+
 def test_the_floor_turns_with_the_vehicle() -> None:
     """-eps_E/omega_N + (nabla_E/g) tan L with body biases, heading 90 deg: east is body -y."""
     sensors = {"gyro_bias_deg_per_h": [0.1, 0.2, 0.0], "accel_bias_ug": [300.0, 500.0, 0.0]}
