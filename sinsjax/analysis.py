@@ -148,6 +148,30 @@ def std(values: ArrayLike) -> Estimate:
     return Estimate(float(np.std(data, ddof=1)), low, high, data.size)
 
 
+def rms(values: ArrayLike) -> Estimate:
+    """The root mean square of the finite values with a bootstrap interval.
+
+    Values that are not finite are left out; ``n`` says how many were used. One value has no
+    interval.
+
+    Args:
+        values: shape (m,), any unit.
+
+    Raises:
+        ValueError: no values at all.
+    """
+    data = _values(values)
+    data = data[np.isfinite(data)]
+    if data.size == 0:
+        return UNKNOWN
+    low, high = _bootstrap(_root_mean_square, data)
+    return Estimate(float(_root_mean_square(data)), low, high, data.size)
+
+
+def _root_mean_square(values: NDArray) -> NDArray:
+    return np.asarray(np.sqrt(np.mean(values**2, axis=-1)))
+
+
 def numbers(table: pa.Table, column: str) -> NDArray:
     """A numeric column as float64, shape (rows,); null becomes NaN.
 

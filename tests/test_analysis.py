@@ -339,3 +339,19 @@ def test_summarise_refuses():
         analysis.summarise(summary().slice(0, 0), [])
     with pytest.raises(InputError, match="column nees is missing"):
         analysis.summarise(summary().drop_columns(["nees"]), [])
+
+
+def test_rms_is_the_root_of_the_mean_square_and_its_interval_covers():
+    random = np.random.default_rng(4)
+    values = random.normal(size=40)
+    found = analysis.rms(values)
+    assert found.value == pytest.approx(math.sqrt(np.mean(values**2)))
+    assert found.low < found.value < found.high and found.n == 40
+    hits = [e.low < 1 < e.high for e in map(analysis.rms, random.normal(size=(100, 40)))]
+    assert 0.85 < np.mean(hits) < 1
+
+
+def test_rms_leaves_out_what_is_not_finite():
+    values = np.array([3.0, np.nan, 4.0, np.inf])
+    assert analysis.rms(values)[::3] == (pytest.approx(math.sqrt(12.5)), 2)
+    assert analysis.rms([np.nan]).n == 0 and math.isnan(analysis.rms([2.0]).low)

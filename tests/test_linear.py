@@ -6,8 +6,17 @@ import pytest
 from scipy.integrate import solve_ivp
 from studies import small_study
 
-from sinsjax import campaign, loops
-from sinsjax.report.linear import heading_from_limit, limits_of, loops_of, one_variant
+from sinsjax import campaign, loops, tunings
+from sinsjax.report.linear import (
+    all_loops,
+    cycle_radius,
+    heading_from_limit,
+    heading_of,
+    limits_of,
+    loops_of,
+    one_variant,
+    start_of,
+)
 
 G, R = 9.8, 6378137.0
 LATITUDE, RATE = math.radians(32.0), math.radians(15.041067) / 3600
@@ -126,3 +135,34 @@ def test_one_variant_of_a_sweep():
     assert (model.tape_s, model.sigma) == (120.0, pytest.approx(0.01))
     assert one.values("phi_u0_deg") == [2.0] and one.values("case") == ["b"]
     np.testing.assert_allclose(np.diag(model.turn), (-1, 1, 1, 1))
+
+
+def test_all_loops_of_a_sweep_are_those_of_its_variants():
+    cases = [
+        {"tape_s": 60.0, "sigma_factors": [2.0, 1.0], "sigma_times_s": [100.0]},
+        {"tape_s": 120.0, "sigma_factors": [1.0], "sigma_times_s": []},
+    ]
+    study = compass_study(axes={"turn": ["velocity", "reflect"]}, cases=cases)
+    times, start = np.array([70.0, 240.0]), start_of(study)
+    for variant, model in enumerate(all_loops(study)):
+        alone = heading_from_limit(one_variant(study, variant), times)
+        np.testing.assert_allclose(heading_of(model, start, times), alone, rtol=1e-9)
+
+
+@pytest.mark.parametrize("turn", ["velocity", "velocity_drop_rate"])
+def test_a_turn_that_reflects_nothing_has_the_radius_of_the_loops(turn):
+    made = tunings.TURNS[turn]
+    sigma, tape_s = np.array([[0.01], [0.03]]), np.array([40.0, 80.0, 200.0])
+    expected = loops.cycle_radius(sigma, tape_s, loops.turn_matrix(-1, 1, made.rate))
+    numbers = {"damping": math.sqrt(0.5), "smoothing_s": 10.0}
+    np.testing.assert_allclose(cycle_radius(sigma, tape_s, made, **numbers), expected, atol=1e-9)
+
+
+def test_a_reflection_that_lags_is_slower_than_an_exact_one():
+    made, exact = tunings.TURNS["reflect"], math.exp(-2 * 0.01 * 80)
+    found = [
+        float(cycle_radius(0.01, 80.0, made, damping=math.sqrt(0.5), smoothing_s=delay))
+        for delay in (0.01, 5.0, 20.0)
+    ]
+    assert found[0] == pytest.approx(exact, rel=0.03)
+    assert found[0] < found[1] < found[2] < 1

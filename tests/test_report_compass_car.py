@@ -12,6 +12,7 @@ from rich.console import Console
 from scipy.integrate import solve_ivp
 
 from sinsjax import analysis, campaign, loops, report, results
+from sinsjax.analysis import rms
 from sinsjax.config import load_study, study_from_dict
 from sinsjax.plots import Ensemble
 from sinsjax.report import compass_cases, kicks
@@ -162,16 +163,6 @@ def test_a_case_is_known_by_its_keys(data, tmp_path):
         kalman,
         kalman_7,
     ]
-
-
-def test_rms_is_the_root_of_the_mean_square_and_its_interval_covers():
-    random = np.random.default_rng(4)
-    values = random.normal(size=40)
-    found = compass_cases.rms(values)
-    assert found.value == pytest.approx(math.sqrt(np.mean(values**2)))
-    assert found.low < found.value < found.high and found.n == 40
-    hits = [e.low < 1 < e.high for e in map(compass_cases.rms, random.normal(size=(100, 40)))]
-    assert 0.85 < np.mean(hits) < 1
 
 
 # --- kicks --------------------------------------------------------------------------------------
@@ -358,11 +349,11 @@ def test_tilt_at_the_turns_explains_the_heading_on_the_real_record(data, data_di
     source = Source.read(tmp_path)
     cases = compass_cases.cases_of(source)
     errors = {case.name: case.errors for case in cases}
-    rms = {name: compass_cases.rms(values).value for name, values in errors.items()}
-    assert rms[kalman] < 5 and rms[careful] < 5 and rms[flipped] < 7 < rms[hasty]
+    size = {name: rms(values).value for name, values in errors.items()}
+    assert size[kalman] < 5 and size[careful] < 5 and size[flipped] < 7 < size[hasty]
     assert np.corrcoef(errors[careful], errors[kalman])[0, 1] > 0.9
     turned = kicks.turned_cases(source, cases)
     assert [one.case.name for one in turned] == [careful, flipped, hasty]
     for one in turned[1:]:
         assert np.abs(one.rest - turned[0].rest).max() < 0.1  # arcmin
-    assert compass_cases.rms(turned[2].heading).value > 7
+    assert rms(turned[2].heading).value > 7

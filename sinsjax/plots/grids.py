@@ -1,7 +1,8 @@
 """Figures of a grid of settings: heat maps over two axes, verdicts of readings."""
 
+import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,6 +18,7 @@ from sinsjax.plots.style import COLOURS, label, styled
 
 _NEVER, _NEVER_EDGE = "#dcdcdc", "#b5b5b5"
 _HATCH = "////"
+_CONTOUR = COLOURS[1]
 _LEGIBLE = 10  # cells side by side in a panel that still have room for their numbers
 _LIGHT = 0.5  # of the colour map; cells beyond it are light and carry dark numbers
 
@@ -59,9 +61,10 @@ class Shown(NamedTuple):
 
     def text(self, value: float) -> str:
         """The number in a cell."""
-        if not self.log:
-            return f"{value:.{self.digits}f}"
-        return f"{value:.{max(0, 1 - int(np.floor(np.log10(max(value, 1e-9)))))}f}"
+        digits = self.digits
+        if self.log:
+            digits = max(0, 1 - math.floor(math.log10(value))) if value > 0 else 0
+        return f"{value:.{digits}f}"
 
 
 class Contours(NamedTuple):
@@ -142,7 +145,10 @@ def heat_maps(
     )
     handles: list[Patch | Line2D] = []
     if contours:
-        handles.append(Line2D([], [], color="black", linewidth=1.1, label=contours.name))
+        styles = zip(contours.levels, _level_styles(contours.levels), strict=True)
+        for i, (level, style) in enumerate(styles):
+            name = f"{contours.name} {level:g}" if i == 0 else f"{level:g}"
+            handles.append(Line2D([], [], color=_CONTOUR, linestyle=style, label=name))
     if any(not np.isfinite(values).all() for _, values in panels):
         never = Patch(facecolor=_NEVER, edgecolor=_NEVER_EDGE, hatch=_HATCH, label="never (median)")
         handles.append(never)
@@ -152,17 +158,18 @@ def heat_maps(
 
 
 def _contour(axes: Axes, levels: Sequence[float], values: NDArray) -> None:
-    down, right = (
-        np.linspace(lim[0], lim[1], n)
-        for lim, n in zip(
-            (sorted(axes.get_ylim()), sorted(axes.get_xlim())), values.shape, strict=True
-        )
+    sides = zip((axes.get_ylim(), axes.get_xlim()), values.shape, strict=True)
+    down, right = (np.linspace(min(side), max(side), count) for side, count in sides)
+    styles = _level_styles(levels)
+    lines = axes.contour(
+        right, down, values, levels, colors=_CONTOUR, linewidths=1.3, linestyles=styles
     )
-    halo = [withStroke(linewidth=2.4, foreground="white")]
-    lines = axes.contour(right, down, values, levels, colors="black", linewidths=1.1)
-    lines.set_path_effects(halo)
-    for text in axes.clabel(lines, fontsize=6.5, fmt="%g", inline_spacing=1):
-        text.set_path_effects(halo)
+    lines.set_path_effects([withStroke(linewidth=2.2, foreground="white", alpha=0.6)])
+
+
+def _level_styles(levels: Sequence[float]) -> list[Any]:
+    """A line style a level, from the sparsest to solid."""
+    return [*((0, (1 + 2 * i, 1.5)) for i in range(len(levels) - 1)), "-"]
 
 
 def _heat_map(axes: Axes, values: NDArray, shown: Shown) -> AxesImage:

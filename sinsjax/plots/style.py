@@ -45,6 +45,7 @@ UNITS = {
     "deg_per_h": "deg/h",
     "ug": "µg",
     "m_per_s": "m/s",
+    "per_s": "1/s",
     "s": "s",
 }
 """How a unit at the end of a column's name is printed."""

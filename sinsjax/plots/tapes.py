@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from sinsjax.analysis import Estimate
 from sinsjax.plots.style import GREY, colour, legend_outside, styled
@@ -17,7 +17,7 @@ _LINEAR = 6.0  # an asinh axis is about linear up to here, and logarithmic far o
 def by_tape(
     tapes_s: Sequence[float],
     lines: Mapping[str, Sequence[Estimate]],
-    bound: tuple[ArrayLike, ArrayLike],
+    bound: tuple[NDArray, NDArray],
     *,
     title: str,
     quantity: str,
@@ -40,8 +40,16 @@ def by_tape(
         spread = np.nan_to_num([value - low, high - value], posinf=0.0)[:, known]
         # Apart by a percent each, so that intervals do not hide one another.
         x = np.asarray(tapes_s)[known] * 1.012 ** (i - (len(lines) - 1) / 2)
-        style = {"color": colour(i), "label": name, "capsize": 2.5, "markersize": 4.5}
-        axes.errorbar(x, value[known], yerr=np.maximum(spread, 0.0), fmt="o-", **style)
+        axes.errorbar(
+            x,
+            value[known],
+            yerr=np.maximum(spread, 0.0),
+            fmt="o-",
+            color=colour(i),
+            label=name,
+            capsize=2.5,
+            markersize=4.5,
+        )
     axes.plot(*bound, "--", color="black", label="information bound of the tape")
     axes.set_xscale("log")
     axes.set_yscale("log")

@@ -13,6 +13,8 @@ from sinsjax.report import (
     auto,
     car_test,
     compass_car,
+    compass_map,
+    compass_schedules,
     paper1,
     paper2,
     paper2_reasons,
@@ -30,6 +32,8 @@ LAYOUTS: dict[str, Layout] = {
     "car_test": car_test.report,
     "compass_car": compass_car.report,
     "paper2": paper2.report,
+    "compass_map": compass_map.report,
+    "compass_schedules": compass_schedules.report,
     "pass_consistency": pass_consistency.report,
 }
 """What each ``[report] layout`` is made by, in the order in which several share a page."""
@@ -40,8 +44,18 @@ TOGETHER: dict[str, Callable[[Sequence[Source]], Report]] = {"paper2": paper2_re
 PAPER1 = ("paper1_conditions", "paper1_resets", "paper1_readings")
 """The studies of the page on paper 1."""
 
-PAPER2 = ("paper2_static", "paper2_swing", "paper2_map")
+PAPER2 = ("paper2_static", "paper2_swing")
 """The studies of the page on paper 2."""
+
+MAP = ("paper2_map", "compass_80s_search", "compass_80s_best")
+"""The studies of the page on what a tape gives that is gone over again."""
+
+PAGES = {
+    "Paper 1, reproduced": PAPER1,
+    "Paper 2, reproduced": PAPER2,
+    "A tape gone over again: turn, sigma, length and gain schedule": MAP,
+}
+"""The studies of each page that has a title of its own."""
 
 
 def summarise(directories: Sequence[Path], console: Console, page: Path | None = None) -> None:
@@ -78,16 +92,16 @@ def _tell(report: Report, source: Source, console: Console) -> Made:
 
 
 def _title(names: Sequence[str]) -> str:
-    for number, studies in enumerate((PAPER1, PAPER2), start=1):
+    for title, studies in PAGES.items():
         if set(studies).intersection(names):
-            return f"Paper {number}, reproduced"
+            return title
     return ", ".join(names)
 
 
 def _missing(names: Sequence[str]) -> list[str]:
-    """Says which part of a paper's page has no results."""
+    """Says which part of a page has no results."""
     notes = []
-    for studies in (PAPER1, PAPER2):
+    for studies in PAGES.values():
         missing = [f"`configs/{name}.toml`" for name in studies if name not in names]
         if 0 < len(missing) < len(studies):
             notes.append(f"Not on this page: {', '.join(missing)}.")

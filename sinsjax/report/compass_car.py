@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
-from sinsjax.analysis import format_estimate
+from sinsjax.analysis import format_estimate, rms
 from sinsjax.plots.starts import by_start, over_passes, strips
 from sinsjax.report import kicks
 from sinsjax.report.attitudes import attitudes
@@ -21,7 +21,6 @@ from sinsjax.report.compass_cases import (
     cases_of,
     first_of_kinds_by_tape,
     partner,
-    rms,
 )
 
 _RELATIVE = (

@@ -3,12 +3,10 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numpy as np
 import pyarrow as pa
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from sinsjax import analysis
-from sinsjax.analysis import Estimate
 from sinsjax.report.base import Source, name_of, shown_keys
 from sinsjax.studies import Study
 
@@ -84,22 +82,6 @@ def _data(study: Study, variant: int) -> tuple[float, int]:
     """Length of a variant's data, s, and how many passes over them begin."""
     span = study.spans[variant]
     return span.tape * study.record_every / study.study.rate_hz, -(-span.records // span.tape)
-
-
-def rms(values: ArrayLike) -> Estimate:
-    """Root mean square with a seeded percentile bootstrap interval.
-
-    Args:
-        values: shape (n,), finite.
-    """
-    squares = np.square(np.asarray(values, dtype=float))
-    pick = np.random.default_rng(analysis.SEED).integers(
-        0, squares.size, (analysis.RESAMPLES, squares.size)
-    )
-    tail = (1 - analysis.CONFIDENCE) / 2
-    low, high = np.quantile(squares[pick].mean(axis=1), [tail, 1 - tail])
-    value, low, high = np.sqrt([squares.mean(), low, high]).tolist()
-    return Estimate(value, low, high, squares.size)
 
 
 def partner(cases: Sequence[Case], case: Case) -> Case | None:

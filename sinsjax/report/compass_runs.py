@@ -2,10 +2,10 @@
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from sinsjax import analysis
-from sinsjax.bounds import tape_bound
+from sinsjax.bounds import Number, tape_bound
 from sinsjax.report.limits import only
 from sinsjax.studies import SECTION_OF, Study
 from sinsjax.types import InputError
@@ -39,7 +39,7 @@ def heading_errors(rows: pa.Table) -> NDArray:
     return analysis.numbers(rows, "phi_u_arcmin") - analysis.numbers(rows, "floor_arcmin")
 
 
-def bound_arcmin(study: Study, tape_s: ArrayLike) -> NDArray:
+def bound_arcmin(study: Study, tape_s: Number) -> NDArray:
     """Information bound of tapes of a study's data: 1 sigma of the heading, arcmin.
 
     Args:
@@ -62,4 +62,4 @@ def bound_arcmin(study: Study, tape_s: ArrayLike) -> NDArray:
         gravity=site.place.gravity,
         rate_n=site.place.rate_n,
     )
-    return bound / ARCMIN
+    return np.asarray(bound / ARCMIN)

@@ -16,10 +16,11 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from sinsjax import loops, plots
+from sinsjax.analysis import rms
 from sinsjax.plots import Ensemble
 from sinsjax.plots.starts import falling
 from sinsjax.report.base import Block, Picture, Source, Table, Text
-from sinsjax.report.compass_cases import Case, partner, rms, turned_by
+from sinsjax.report.compass_cases import Case, partner, turned_by
 from sinsjax.report.linear import Loops, loops_of, one_variant
 
 _REFLECTED = np.array([-1.0, -1.0, 1.0, 1.0])  # the turn after which a pass goes on exactly

@@ -204,15 +204,15 @@ def cycle_radius(
     earth = {"gravity": 1.0, "radius": 1.0}
     gains = loops.azimuth_gains(sigma, damping, **earth)
     made = _turn(turn)[_WITHOUT_INTEGRAL]
-    cycle = np.eye(6)
-    for direction in (1, -1):
-        azimuth = loops.azimuth_matrix(gains, rate_n=1.0, direction=direction, **earth)
-        matrix = np.zeros((*azimuth.shape[:-2], 6, 6))
-        matrix[..., :4, :4] = azimuth
-        matrix[..., 4, 1] = matrix[..., 5, 4] = 2 / smoothing_s
-        matrix[..., 4, 4] = matrix[..., 5, 5] = -2 / smoothing_s
-        cycle = made @ scipy.linalg.expm(matrix * tape_s[..., None, None]) @ cycle
-    return np.abs(np.linalg.eigvals(cycle)).max(-1)
+    azimuth = loops.azimuth_matrix(gains, rate_n=1.0, direction=1, **earth)
+    matrix = np.zeros((*azimuth.shape[:-2], 6, 6))
+    matrix[..., :4, :4] = azimuth
+    matrix[..., 4, 1] = matrix[..., 5, 4] = 2 / smoothing_s
+    matrix[..., 4, 4] = matrix[..., 5, 5] = -2 / smoothing_s
+    forward = scipy.linalg.expm(matrix * tape_s[..., None, None])
+    mirror = np.diag([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0])  # time reversed: velocity, tilt, force
+    cycle = made @ mirror @ forward @ mirror @ made @ forward
+    return np.asarray(np.abs(np.linalg.eigvals(cycle)).max(-1))
 
 
 def _turn(turn: compass.Turn) -> NDArray:

@@ -1,16 +1,17 @@
 """The points of a sweep over turn, sigma and tape: what came out, and what was predicted."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax import analysis, tunings
-from sinsjax.analysis import Estimate
+from sinsjax.analysis import Estimate, rms
+from sinsjax.loops import Number
 from sinsjax.report.base import Source, name_of, shown_keys
-from sinsjax.report.compass_cases import rms
 from sinsjax.report.compass_runs import heading_errors, require_loops
+from sinsjax.report.limits import only
 from sinsjax.report.linear import Loops, all_loops, cycle_radius, heading_of, start_of
 from sinsjax.studies import Study
 from sinsjax.types import InputError
@@ -18,6 +19,17 @@ from sinsjax.units import ARCMIN, DEG
 
 TURN, TAPE, SIGMA = "turn", "tape_s", "azimuth_sigma_per_s"
 """The keys that the map is drawn over; all others make a schedule."""
+
+RULES = {
+    "velocity": "V to -V, azimuth rate kept, [P2]'s turn",
+    "velocity_and_rate": "V and the azimuth rate change their signs",
+    "velocity_drop_rate": "V to -V, azimuth rate set to 0",
+    "reflect": "V and the tilt about its equilibrium change their signs, the tilt by turning the"
+    " platform with the low-passed specific force",
+    "restart": "velocity and azimuth rate set to 0",
+    "keep": "V kept",
+}
+"""What is done at a turn, by its rule, in words."""
 
 
 class Point(NamedTuple):
@@ -29,6 +41,8 @@ class Point(NamedTuple):
         turn: rule at a turn of the tape.
         tape_s: length of the tape, s.
         sigma: of the azimuth loop at factor 1, 1/s.
+        last_factor: on sigma, of the last piece of the schedule.
+        start: initial heading from its floor, arcmin.
         errors: (draws,) heading from its floor at the end, arcmin; NaN if unknown.
         settle_s: (draws,) settling time to the widest band, s; infinite if never.
         linear: the heading from its floor at the end by the linear loops, arcmin.
@@ -41,6 +55,8 @@ class Point(NamedTuple):
     turn: str
     tape_s: float
     sigma: float
+    last_factor: float
+    start: float
     errors: NDArray
     settle_s: NDArray
     linear: float
@@ -96,10 +112,12 @@ def points_of(source: Source) -> list[Point]:
             turn=settings[TURN][i],
             tape_s=settings[TAPE][i],
             sigma=settings[SIGMA][i],
+            last_factor=settings["sigma_factors"][i][-1],
+            start=float(start[1]) * DEG / ARCMIN,
             errors=errors[:, i],
             settle_s=np.nan_to_num(settle[:, i], nan=np.inf),
             linear=-float(heading_of(model, start, ends[i : i + 1])[0]) * DEG / ARCMIN,
-            by_radius=abs(start[1]) * DEG / ARCMIN * float(left[i]),
+            by_radius=abs(float(start[1])) * DEG / ARCMIN * float(left[i]),
             radius=float(radii[i]),
         )
         for i, model in enumerate(models)
@@ -136,3 +154,44 @@ def _radii(study: Study, models: Sequence[Loops], ends: NDArray) -> tuple[NDArra
     cycles = np.diff(edges) / (2 * tape)
     last = cycles.shape[1] - 1 - np.argmax(cycles[:, ::-1] > 0, axis=1)
     return radii[np.arange(len(models)), last], np.prod(radii**cycles, axis=1)
+
+
+def radius_of(study: Study, turn: str, sigma: Number, tape_s: Number) -> NDArray:
+    """Spectral radius of a cycle of two passes with a study's turn, see `linear.cycle_radius`."""
+    return cycle_radius(
+        sigma,
+        tape_s,
+        tunings.TURNS[turn],
+        damping=only(study, "azimuth_damping"),
+        smoothing_s=only(study, "turn_smoothing_s"),
+    )
+
+
+def converges_from(
+    points: Sequence[Point], tape_s: float, band: float, of: Callable[[Point], float]
+) -> float | None:
+    """Smallest sigma T that leaves at most a band, as do all larger ones; None if none does.
+
+    Args:
+        points: of one turn; those with a constant sigma count.
+        tape_s: length of the tape, s.
+        band: arcmin.
+        of: what is left at a point, arcmin.
+    """
+    found = None
+    here = [p for p in points if p.tape_s == tape_s and p.constant]
+    for point in sorted(here, key=lambda p: -p.sigma):
+        if not abs(of(point)) <= band:
+            break
+        found = point.sigma * tape_s
+    return found
+
+
+def best_of(points: Sequence[Point], tape_s: float) -> Point:
+    """The point of a tape with the least rms error."""
+    return min((p for p in points if p.tape_s == tape_s), key=lambda p: p.rms.value)
+
+
+def agrees(point: Point, band: float, predicted: float) -> bool:
+    """Whether prediction and simulation say the same of the mean error's ending within a band."""
+    return (abs(point.left) <= band) == (abs(predicted) <= band)

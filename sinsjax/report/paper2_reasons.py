@@ -6,8 +6,8 @@ import numpy as np
 
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.bounds import tape_bound
 from sinsjax.report.base import Report, Section, Source, Table, Text, percent, value_text
+from sinsjax.report.compass_runs import bound_arcmin
 from sinsjax.report.gains import gain_blocks
 from sinsjax.report.limits import only
 from sinsjax.report.linear import heading_from_limit, loops_of
@@ -24,7 +24,6 @@ from sinsjax.report.paper2 import (
 from sinsjax.report.paper2_loops import Told, divergence, turns
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H, MICRO
 
-_NOISES = ("gyro_noise_deg_per_h", "accel_noise_ug")
 _HORIZON_S = 3000.0  # how far the linear loops are followed
 
 
@@ -257,20 +256,7 @@ def _spread(cases: Sequence[Case]) -> Told | None:
 
 def _bound(case: Case) -> float:
     """The least 1 sigma of the heading that the noise in a case's data leaves, deg."""
-    noise = [only(case.study, name) for name in _NOISES]
-    if None in noise:
-        return float("nan")
-    model = loops_of(case.study)
-    gravity = model.earth["gravity"]
-    least = tape_bound(
-        model.tape_s,
-        gyro_noise=noise[0] * DEG_PER_H,
-        accel_noise=noise[1] * MICRO * gravity,
-        rate_hz=model.rate_hz,
-        gravity=gravity,
-        rate_n=model.rate_n,
-    )
-    return float(least) / DEG
+    return float(bound_arcmin(case.study, loops_of(case.study).tape_s)) * ARCMIN / DEG
 
 
 def _converges(case: Case) -> bool:

@@ -7,7 +7,7 @@ import numpy as np
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.report.base import Picture, Report, Section, Source, Table, Text
+from sinsjax.report.base import Block, Picture, Report, Section, Source, Table, Text
 from sinsjax.types import InputError
 
 _KEYS = ("case", "turn_covariance", "passes")
@@ -63,12 +63,12 @@ def report(source: Source) -> Report:
     figure = plots.along_axis("passes", counts, panels, title=title)
     caption = f"Mean NEES over the draws by number of passes; {_DEGREES} is consistent."
     first, last = list(found)[0], list(found)[-1]
-    text = []
+    blocks: list[Block] = []
     if "carried" in found[first]:
-        text.append(Text(_carried(first, found[first]["carried"])))
+        blocks.append(Text(_carried(first, found[first]["carried"])))
     if "reset" in found[last]:
-        text.append(Text(_reset(last, found[last]["reset"])))
-    blocks = [*text, Picture("nees_by_passes", caption, figure)]
+        blocks.append(Text(_reset(last, found[last]["reset"])))
+    blocks.append(Picture("nees_by_passes", caption, figure))
     return Report([_headline(source)], [Section("Consistency", blocks), *sections])
 
 
@@ -113,11 +113,10 @@ def _treatments(source: Source, case: str) -> Iterator[tuple[str, list[Point]]]:
         if key["case"] != case:
             continue
         error = analysis.numbers(rows, "phi_u_arcmin") - analysis.numbers(rows, "floor_arcmin")
-        square = analysis.mean(error**2)
         point = Point(
             passes=key["passes"],
             nees=analysis.mean(analysis.numbers(rows, "nees")),
-            error=Estimate(*np.sqrt(np.maximum(square[:3], 0.0)), square.n),
+            error=analysis.rms(error),
             sigma=float(np.mean(analysis.numbers(rows, "sigma_u_arcmin"))),
         )
         points.setdefault(key["turn_covariance"], []).append(point)
