@@ -83,7 +83,8 @@ def run(
         if piece.curves is not None:
             kept.append(piece.curves)
     order = [("run_id", "ascending"), ("time_s", "ascending")]
-    kept_curves = pa.concat_tables(kept or [columns.schema(columns.CURVES).empty_table()])
+    layout = columns.curves(passes=study.passes is not None)
+    kept_curves = pa.concat_tables(kept or [columns.schema(layout).empty_table()])
     return Results(pa.concat_tables(summaries).sort_by("run_id"), kept_curves.sort_by(order))
 
 

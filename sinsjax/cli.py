@@ -177,6 +177,8 @@ def _run_study(
     tape = None if files is None else campaign.load_tape(study, *files)
     if left := study.dropped_s:
         console.print(f"The last {left:g} s are no whole record interval and are not run.")
+    if study.run_s <= study.study.window_s[0]:
+        console.print(f"Runs that end by {study.study.window_s[0]:g} s have no window statistics.")
     with _progress(console, study.study.name) as tell:
         campaign.run_into(
             study, out, tape, curves=curves, overwrite=overwrite, progress=tell, source=config

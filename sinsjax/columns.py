@@ -102,6 +102,11 @@ PASSES = (
 """Further columns of the curves where a tape is gone over more than once."""
 
 
+def curves(*, passes: bool) -> tuple[Column, ...]:
+    """Columns of the curves of a study with or without passes over a tape."""
+    return (*CURVES, *(PASSES if passes else ()))
+
+
 def settle_column(band_arcmin: float) -> Column:
     """The settling time of one band."""
     meaning = f"end of the last record interval with |phi_u - floor| > {band_arcmin:g} arcmin"

@@ -97,4 +97,4 @@ PassNumbers = Annotated[
     tuple[Annotated[int, Field(ge=1, le=10**9)], ...], AfterValidator(_increasing)
 ]
 Factors = Annotated[tuple[Positive, ...], Field(min_length=1)]
-Damping = Annotated[float, Field(gt=0, lt=1)]
+Damping = Annotated[float, Field(ge=0.01, lt=1)]

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-import scipy.linalg
 
 Number: TypeAlias = Any
 """A float, a NumPy array that broadcasts, or, where only gains are designed, a traced number."""
@@ -43,7 +42,7 @@ class AzimuthGains(NamedTuple):
     Attributes:
         k1: velocity damping, 1/s.
         k2: of the platform rate from the velocity, in units of the transport rate 1/R.
-        k3: of the azimuth rate, before the division by omega_N, rad/(m s^2) times rad/s.
+        k3: of the azimuth acceleration from the velocity, times omega_N, 1/(m s^2).
         k4: of the lag in K(s), 1/s.
     """
 
@@ -281,12 +280,14 @@ def schedule_matrix(
         radius: R, m.
         rate_n: omega_N, rad/s, not 0.
     """
+    from scipy.linalg import expm  # late: only reports need it
+
     whole = np.eye(4)
     for number, (gains, seconds) in enumerate(passes):
         matrix = azimuth_matrix(
             gains, gravity=gravity, radius=radius, rate_n=rate_n, direction=(-1) ** number
         )
-        flow = scipy.linalg.expm(matrix * np.asarray(seconds, float)[..., None, None])
+        flow = expm(matrix * np.asarray(seconds, float)[..., None, None])
         whole = flow @ (turn @ whole if number else whole)
     return whole
 

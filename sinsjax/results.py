@@ -66,7 +66,7 @@ class Tables:
             *(columns.settle_data_column(b) for b in self._bands if study.passes),
             *columns.JUDGED,
         )
-        self.curve_columns = (*columns.CURVES, *(columns.PASSES if study.passes else ()))
+        self.curve_columns = columns.curves(passes=study.passes is not None)
         kinds = {c.name: c.dtype for c in self.summary_columns}
         self._by_variant = {
             name: _swept(values, kinds[name]) for name, values in (swept | fixed).items()

@@ -206,9 +206,13 @@ def _check_whole(study: Study, where: Where, key: str, time: float, *, least: in
 
 
 def _check_window(study: Study, where: Where) -> None:
-    """Refuses a window without a standard deviation: one of fewer than two record times."""
+    """Refuses a window in which no run has a standard deviation, of two record times or more.
+
+    Runs that end before it have none; those of other lengths do.
+    """
     (start, end), every, rate = study.study.window_s, study.record_every, study.study.rate_hz
-    last = min(study.records, int(end * rate / every) + 1)
+    longest = max(span.records for span in study.distinct_spans)
+    last = min(longest, int(end * rate / every) + 1)
     # Compared as the engine does, rounding and all.
     while last * every / rate > end:
         last -= 1
@@ -218,9 +222,14 @@ def _check_window(study: Study, where: Where) -> None:
 
 
 def _end(study: Study) -> str:
-    """Where a study ends, in words."""
-    after = f"; the last partial record interval, after {study.run_s:.12g} s, is not run"
-    return f"duration_s = {study.study.duration_s:.12g}{after if study.dropped_s else ''}"
+    """Where a study and its shortest run end, in words."""
+    text = f"duration_s = {study.study.duration_s:.12g}"
+    whole_s = study.study.duration_s - study.dropped_s
+    if study.dropped_s:
+        text += f"; the last partial record interval, after {whole_s:.12g} s, is not run"
+    if study.run_s < whole_s * (1 - ROUNDING):
+        text += f"; the shortest run ends at {study.run_s:.12g} s"
+    return text
 
 
 def _check_times(study: Study, where: Where, times: tuple[float, ...]) -> None:

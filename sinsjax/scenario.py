@@ -21,7 +21,7 @@ from sinsjax.records import Record
 from sinsjax.rotations import from_euler, log
 from sinsjax.sections import Earth, Motion, Sensors
 from sinsjax.simulate import Draw, Params, Static, World, noise, sense
-from sinsjax.studies import Study
+from sinsjax.studies import PASS_KEYS, Study
 from sinsjax.types import Array, Increments, InputError, Quat, Vec3
 from sinsjax.units import ARCMIN, DEG
 from sinsjax.worlds import Tape, Variants, recorded, simulated, site_of
@@ -31,9 +31,6 @@ PROGRAM_KEYS = ("method", "specific_force", "position")
 
 WORLD_KEYS = tuple(key for model in (Earth, Motion, Sensors) for key in model.model_fields)
 """Keys whose values decide the truth that runs share."""
-
-PASS_KEYS = ("tape_s", "passes", "ending")
-"""Keys whose values decide which sample of the tape an update reads, and how many there are."""
 
 
 class Part(NamedTuple):
@@ -57,16 +54,16 @@ def parts(study: Study, tape: Tape | None = None, *, curves: bool | None = None)
         curves: whether curves are returned; None takes the study's word.
 
     Raises:
-        InputError: a record that does not fit the study.
+        InputError: a record that does not fit the study, or compass loops that cannot be run.
     """
     if study.is_recorded != (tape is not None):
         what = "reads a record, none is given" if study.is_recorded else "reads no record"
         raise InputError(f"{study.study.name}: the study {what}: see [record]")
     keep_curves = study.study.curves if curves is None else curves
-    for ids in _split(study):
-        some = Variants(study, ids)
-        tunings.check_loops(study, some, site_of(study, some, tape)[0])
-    return (_part(study, Variants(study, ids), tape, keep_curves) for ids in _split(study))
+    split = [Variants(study, ids) for ids in _split(study)]
+    for variants in split:
+        tunings.check_loops(study, variants, site_of(study, variants, tape)[0])
+    return (_part(study, variants, tape, keep_curves) for variants in split)
 
 
 def simulated_record(study: Study, draw_id: int = 0, variant_id: int = 0) -> Record:
@@ -130,7 +127,7 @@ def _part(study: Study, variants: Variants, tape: Tape | None, curves: bool) -> 
         consistency_after=np.float64(study.study.consistency_after_s),
         steady_after=np.float64(study.study.steady_after_s),
     )
-    span = study.spans[variants.ids[0]]
+    span = study.span(**{k: variants.common(k) for k in PASS_KEYS} if study.passes else {})
     if tape is None:
         world, draws, q = simulated(study, variants, span, site, criteria, ug)
     else:

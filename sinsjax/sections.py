@@ -2,7 +2,7 @@
 
 Values stay in the file's units; leaf keys are unique over all sections, so that a key alone names
 an axis and a result column. Rules that hold inside one section live here, those between sections in
-`studies`.
+`rules`.
 """
 
 from typing import Annotated, Literal

@@ -187,6 +187,61 @@ class Progress(NamedTuple):
     before: Increments
 
 
+class Interval(NamedTuple):
+    """How one record interval is gone over.
+
+    Attributes:
+        state: with which it begins.
+        samples: numbers on the tape, in the order in which they are read.
+        site: in the direction of the pass.
+        compensated: (increments, those read before) -> compensated samples of the draws.
+    """
+
+    state: Any
+    samples: Array
+    site: Site
+    compensated: Callable[[Increments, Increments], Sample]
+
+
+def reader(
+    static: Static, world: World, params: Params, fan: Fan
+) -> Callable[[Count, Any], Interval]:
+    """The function that opens a record interval, and turns the tape where a pass begins.
+
+    Args:
+        static: program.
+        world: shared.
+        params: as in `simulate`.
+        fan: as in `simulate`.
+
+    Returns:
+        (number of the record, state) -> `Interval`.
+    """
+    every = static.record_every
+    forward = fan.over_draws(imu.compensate, 0, 0)
+    either_way = fan.over_draws(reverse.compensate, 0, 0, None)
+
+    def one_turn(params: Params, state: Any, site: Site) -> Any:
+        return method_of(static).turn(params.method, site, state)
+
+    turn = fan.over_runs(one_turn, 0, 0, None)
+
+    def once_forward(number: Count, state: Any) -> Interval:
+        return Interval(state, number * every + jnp.arange(every), world.site, forward)
+
+    def in_passes(number: Count, state: Any) -> Interval:
+        read = reverse.reading(number, world.pass_records, every)
+        turned = turn(params, state, reverse.site_of_pass(world.site, ~read.backward))
+        return Interval(
+            reverse.where(read.opens_pass, turned, state),
+            read.samples,
+            reverse.site_of_pass(world.site, read.backward),
+            lambda *pair: either_way(*pair, read.backward),
+        )
+
+    return in_passes if static.repeats else once_forward
+
+
 def over_a_record(
     static: Static, world: World, draws: Draw, params: Params, fan: Fan
 ) -> Callable[[Progress, tuple[Count, Quat]], tuple[Progress, Array | None]]:
@@ -203,14 +258,11 @@ def over_a_record(
         (progress, (number of the record, true attitudes of the draws at its end)) -> progress, and
         observations (fields, *runs) if ``static.curves``.
     """
-    method = method_of(static)
     every, dt, kind = static.record_every, static.options.dt, world.tape.dtype
+    method = method_of(static)
 
     def one_step(params: Params, state: Any, site: Site, sample: Sample, n: Scalar) -> Any:
         return method.step(params.method, site, state, sample, n)
-
-    def one_turn(params: Params, state: Any, site: Site) -> Any:
-        return method.turn(params.method, site, state)
 
     def one_record(run: Run, q_true: Quat, n: Scalar) -> Run:
         state = method.normalise(run.state)
@@ -222,25 +274,13 @@ def over_a_record(
 
     axes = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
     sensed = fan.over_draws(partial(sense, static, world), axes, None, 0)
-    forward = fan.over_draws(imu.compensate, 0, 0)
-    either_way = fan.over_draws(reverse.compensate, 0, 0, None)
     step = fan.over_runs(one_step, 0, 0, None, fan.shared, None)
-    turn = fan.over_runs(one_turn, 0, 0, None)
     record = fan.over_runs(one_record, 0, fan.shared, None)
-
-    def pass_of(number: Count, state: Any) -> tuple[Any, Array, Site, Callable]:
-        """The state a record interval begins with, its samples on the tape, and their world."""
-        if not static.repeats:
-            return state, number * every + jnp.arange(every), world.site, forward
-        read = reverse.reading(number, world.pass_records, every)
-        ended = reverse.reverse_site(world.site, ~read.backward)
-        state = reverse.where(read.turn, turn(params, state, ended), state)
-        site = reverse.reverse_site(world.site, read.backward)
-        return state, read.samples, site, lambda *pair: either_way(*pair, read.backward)
+    opened = reader(static, world, params, fan)
 
     def record_step(progress: Progress, xs: tuple[Count, Quat]) -> tuple[Progress, Array | None]:
         (run, before), (number, q_true) = progress, xs
-        state, samples, site, compensated = pass_of(number, run.state)
+        state, samples, site, compensated = opened(number, run.state)
 
         def sample_step(
             carry: tuple[Any, Increments], xs: tuple[Count, Count, Any]

@@ -69,6 +69,9 @@ EARTH_CONSTANTS = {
 }
 """The keys of [earth] that only ``earth = "constants"`` has, with their defaults."""
 
+PASS_KEYS = ("tape_s", "passes", "ending")
+"""The keys that decide which sample of the tape an update reads, and how many there are."""
+
 ROUNDING = 1e-9
 """Relative; how far a product of two decimal numbers may be off."""
 
@@ -83,6 +86,11 @@ class Span(NamedTuple):
 
     records: int
     tape: int
+
+    @property
+    def read(self) -> int:
+        """Record intervals of data that the run reads."""
+        return min(self.records, self.tape)
 
 
 class Study(BaseModel):
@@ -147,11 +155,19 @@ class Study(BaseModel):
     def spans(self) -> list[Span]:
         """How long every variant runs."""
         if self.passes is None:
-            return [Span(self.records, self.records)] * self.n_variants
-        keys = zip(*map(self.values, ("tape_s", "passes", "ending")), strict=True)
-        return [self._span(*values) for values in keys]
+            return [self.span()] * self.n_variants
+        return [self.span(*values) for values in zip(*map(self.values, PASS_KEYS), strict=True)]
 
-    def _span(self, tape_s: float | None, passes: int | None, ending: str) -> Span:
+    @property
+    def distinct_spans(self) -> set[Span]:
+        """How long variants run, each length once, from the axes alone."""
+        points = self.combinations(*PASS_KEYS) if self.passes else [{}]
+        return {self.span(**point) for point in points}
+
+    def span(
+        self, tape_s: float | None = None, passes: int | None = None, ending: str = "duration"
+    ) -> Span:
+        """How long a variant with some values of `PASS_KEYS` runs."""
         if tape_s is None:
             return Span(self.records, self.records)
         tape = max(1, round(tape_s * self.study.rate_hz / self.record_every))
@@ -163,7 +179,7 @@ class Study(BaseModel):
     @property
     def run_s(self) -> float:
         """Length of the shortest run, whole record intervals, s."""
-        return min(s.records for s in self.spans) * self.record_every / self.study.rate_hz
+        return min(s.records for s in self.distinct_spans) * self.record_every / self.study.rate_hz
 
     @property
     def dropped_s(self) -> float:

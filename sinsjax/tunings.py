@@ -11,7 +11,7 @@ import numpy as np
 from sinsjax import loops
 from sinsjax.alignment import compass, zero_velocity
 from sinsjax.alignment.base import Site
-from sinsjax.alignment.schedules import Feedback, Pieces, Renewal, Resets
+from sinsjax.alignment.schedules import UNCHANGED, Feedback, Pieces, Renewal, Resets
 from sinsjax.error_model import MODELS
 from sinsjax.loops import AzimuthGains, LevelGains
 from sinsjax.studies import Study
@@ -24,7 +24,7 @@ _RENEWALS: dict[str, tuple[float | None, ...]] = {
     "full": (0.0, 0.0, 1.0, 1.0),
     "yaw": (1.0, 0.0, 0.0, 1.0),
     "scale": (None, None, 0.0, 0.0),
-    "carried": (1.0, 1.0, 0.0, 0.0),
+    "carried": UNCHANGED,
     "inflated": (None, None, 0.0, 0.0),
     "reset": (0.0, 0.0, 1.0, 1.0),
 }
@@ -39,7 +39,15 @@ TURNS = {
     "restart": compass.Turn(0.0, 0.0, 0.0, 0.0),
     "keep": compass.Turn(1.0, -1.0, 1.0, 0.0),
 }
-"""What compass loops do at a turn of the tape, by the names of ``turn``."""
+"""What compass loops do at a turn of the tape, by the names of ``turn``.
+
+``velocity``, [P2]'s own, changes the sign of the velocity and leaves azimuth rate and tilt, which a
+reversed Earth rate turns against the loop; ``velocity_and_rate`` changes that of the azimuth rate
+too, ``velocity_drop_rate`` sets it to zero. ``reflect`` changes the signs of velocity and tilt, so
+that the next pass goes on where this one stopped. ``restart`` begins again with the attitude alone,
+``keep`` goes on as if nothing had happened. All but ``restart`` change the sign of the levelling
+integrals.
+"""
 
 
 def of_method(study: Study, variants: Variants, site: Site, ug: float) -> Any:
@@ -81,7 +89,7 @@ def _filter(study: Study, variants: Variants, ug: float) -> zero_velocity.Params
         resets=_resets(study, variants),
         turn=_renewal(variants, "turn_covariance", "turn_inflation")
         if study.passes
-        else Renewal(*(zero + k for k in (1, 1, 0, 0))),
+        else Renewal(*(zero + k for k in UNCHANGED)),
     )
 
 
@@ -95,7 +103,7 @@ def _feedback(variants: Variants, rate_hz: float) -> Feedback:
 
 def _resets(study: Study, variants: Variants) -> Resets:
     times = study.reset_times()
-    samples = _starts([times[i] for i in variants.ids], study.study.rate_hz)
+    samples = _in_samples([times[i] for i in variants.ids], study.study.rate_hz)
     return Resets(samples, _renewal(variants, "reset_kind", "reset_scale"))
 
 
@@ -105,7 +113,7 @@ def _renewal(variants: Variants, kind: str, factor: str) -> Renewal:
     return Renewal(*np.asarray(numbers, dtype=float).T)
 
 
-def _starts(times: list[tuple[float, ...]], rate_hz: float) -> np.ndarray:
+def _in_samples(times: list[tuple[float, ...]], rate_hz: float) -> np.ndarray:
     """(variants, M) times in samples; inf where a variant has fewer."""
     samples = np.full((len(times), max(map(len, times))), np.inf)
     for row, own in enumerate(times):
@@ -135,7 +143,7 @@ def _compass(study: Study, variants: Variants, site: Site) -> compass.Params:
     return compass.Params(
         level=level_gains,
         azimuth=azimuth_gains,
-        pace=Pieces(_starts(pieces_s, rate), values),
+        pace=Pieces(_in_samples(pieces_s, rate), values),
         azimuth_from=np.round(np.asarray(level_s, dtype=float) * rate),
         smoothing=-np.expm1(-2 / (rate * smoothing)),  # two stages share the delay
         turn=compass.Turn(*np.asarray([TURNS[name] for name in turns]).T),
@@ -168,33 +176,54 @@ def check_loops(study: Study, variants: Variants, site: Site) -> None:
     if variants.common("method") != "compass":
         return
     refused = ~np.asarray(variants.raw("allow_unstable"), dtype=bool)
-    level, azimuth = gains(variants, site)
     earth = _earth(site)
-    level_roots = loops.roots(loops.level_polynomial(level, **earth))
-    azimuth_roots = loops.roots(loops.azimuth_polynomial(azimuth, **earth))
-    for loop, found in (("level", level_roots), ("azimuth", azimuth_roots)):
-        for row in np.flatnonzero(refused & (found.real.max(axis=-1) >= 0)):
-            raise InputError(
-                f"{study.study.name}: [compass] {loop}_gains: the loop is unstable, its roots are"
-                f" {_roots_text(found[row])} 1/s (allow_unstable = true runs it)"
-            )
     fastest = np.asarray([max(factors) for factors in variants.raw("sigma_factors")])
-    quickest = loops.at_pace(azimuth, fastest)
-    matrices = {
-        "level": (loops.level_matrix(level, **earth), level_roots),
-        "azimuth": (
-            loops.azimuth_matrix(quickest, rate_n=float(site.place.rate_n), **earth),
-            azimuth_roots * fastest[:, None],
-        ),
-    }
+    with np.errstate(over="ignore", invalid="ignore"):
+        level, azimuth = gains(variants, site)
+        azimuth = loops.at_pace(azimuth, fastest)
+    for loop, found in (("level", level), ("azimuth", azimuth)):
+        for row in np.flatnonzero(~np.isfinite(np.stack(found)).all(axis=0)):
+            raise _refusal(study, variants, loop, int(row), "gives a gain that is no finite number")
     dt = 1 / study.study.rate_hz
-    for loop, (matrix, found) in matrices.items():
-        for row in np.flatnonzero(refused & ~loops.carries(matrix, dt)):
-            key = _deciding_key(variants, loop, int(row))
-            raise InputError(
-                f"{study.study.name}: [compass] {key}: a sample of {dt:g} s cannot carry a loop"
-                f" with the roots {_roots_text(found[row])} 1/s (allow_unstable = true runs it)"
+    rate_n = float(site.place.rate_n)
+    for loop, polynomial, matrix in (
+        (
+            "level",
+            loops.level_polynomial(level, **earth),
+            loops.level_matrix(level, **earth),
+        ),
+        (
+            "azimuth",
+            loops.azimuth_polynomial(azimuth, **earth),
+            loops.azimuth_matrix(azimuth, rate_n=rate_n, **earth),
+        ),
+    ):
+        roots = loops.roots(polynomial)
+        unstable = roots.real.max(axis=-1) >= 0
+        for row in np.flatnonzero(refused & (unstable | ~loops.carries(matrix, dt))):
+            what = (
+                "makes an unstable loop"
+                if unstable[row]
+                else f"makes a loop that a sample of {dt:g} s cannot carry"
             )
+            text = f"{what}, its roots are {_roots_text(roots[row])} 1/s"
+            raise _refusal(
+                study, variants, loop, int(row), f"{text} (allow_unstable = true runs it)"
+            )
+
+
+def _refusal(study: Study, variants: Variants, loop: str, row: int, text: str) -> InputError:
+    """The error of a variant's loop, naming the key that decides its gains, and the value."""
+    keys = [f"{loop}_{kind}" for kind in ("gains", "adjustment_s", "sigma_per_s")]
+    key, value = next((k, v) for k in keys if (v := variants.raw(k)[row]) is not None)
+    shown = list(value) if isinstance(value, tuple) else f"{value:g}"
+    factor = max(variants.raw("sigma_factors")[row])
+    if loop == "azimuth" and factor != 1:
+        shown = f"{shown} with a sigma factor of {factor:g}"
+    where = "[axes]" if key in study.axes else "[compass]"
+    if study.cases and key in study.cases[0]:
+        where = "[cases]"
+    return InputError(f"{study.study.name}: {where} {key}: {shown} {text}")
 
 
 def _earth(site: Site) -> dict[str, Any]:
@@ -204,13 +233,7 @@ def _earth(site: Site) -> dict[str, Any]:
 
 def _roots_text(found: np.ndarray) -> str:
     ordered = sorted(found, key=lambda r: (-round(r.real, 9), r.imag))
-    return ", ".join(f"{r.real:.4g}{f'{r.imag:+.4g}j' if r.imag else ''}" for r in ordered)
-
-
-def _deciding_key(variants: Variants, loop: str, row: int) -> str:
-    """The key that decides a variant's gains of one loop."""
-    keys = [f"{loop}_{kind}" for kind in ("gains", "adjustment_s", "sigma_per_s")]
-    return next(key for key in keys if variants.raw(key)[row] is not None)
+    return ", ".join(f"{r.real + 0.0:.4g}{f'{r.imag:+.4g}j' if r.imag else ''}" for r in ordered)
 
 
 def _given(variants: Variants, key: str, designed: Any) -> Any:

@@ -124,7 +124,7 @@ def simulated(
     errors = errors_of(variants, ug, study.study.rate_hz)
     times = np.concatenate([[0.0], tape_times(study, span)])
     # Of one length for all parts, so that they share a program.
-    samples = max(min(s) for s in study.spans) * study.record_every
+    samples = max(s.read for s in study.distinct_spans) * study.record_every
     truth = _truth(motion, site.place, times, study.study.rate_hz, samples=samples)
     tape, attitudes, center = map(np.asarray, truth)
     n = study.n_draws
@@ -210,7 +210,7 @@ def recorded(
     coarse_n = round(study.coarse.coarse_duration_s * rate)
     starts = np.round(np.asarray(study.record.start_s) * rate).astype(int)
     for start in study.record.start_s:
-        require_span(record, start, (coarse_n + min(span) * study.record_every) / rate)
+        require_span(record, start, (coarse_n + span.read * study.record_every) / rate)
     increments = np.concatenate([record.dtheta, record.dv], axis=1)
     align = jax.jit(COARSE[study.coarse.coarse_method])
     pieces = np.stack([increments[s : s + coarse_n] for s in starts])

@@ -1022,7 +1022,7 @@ def test_how_long_passes_last(passes: dict[str, Any], spans: tuple[int, int]):
             "azimuth_gains: must have 4 values, not 5",
         ),
         ({"level_damping": 1.0}, "level_damping: must be less than 1, not 1.0"),
-        ({"azimuth_damping": 0}, "azimuth_damping: must be greater than 0, not 0"),
+        ({"azimuth_damping": 0}, "azimuth_damping: must be greater than or equal to 0.01, not 0"),
         ({"adjustment_remainder": 1.0}, "adjustment_remainder: must be less than 1, not 1.0"),
         ({"azimuth_sigma_per_s": 0}, "azimuth_sigma_per_s: must be greater than 0, not 0"),
         ({"allow_unstable": 1}, "allow_unstable: must be true or false, not 1"),

@@ -125,7 +125,10 @@ def test_turns_of_the_loops() -> None:
     passes = {"tape_s": 4.0, "turn_smoothing_s": 0.5}
     made = numbers(passes=passes, axes={"turn": list(rules)})
     np.testing.assert_array_equal(all_of(made.turn), list(rules.values()))
-    np.testing.assert_allclose(made.smoothing, 1 - np.exp(-0.01 / 0.5))
+    # Two stages of half the delay each: a force that grows steadily is seen 0.5 s late.
+    np.testing.assert_allclose(made.smoothing, 1 - np.exp(-0.01 / 0.25))
+    late = 2 * 0.01 * (1 - made.smoothing) / made.smoothing
+    np.testing.assert_allclose(late, 0.5, rtol=0, atol=0.01)
 
 
 def test_turns_of_a_filter() -> None:
@@ -146,7 +149,9 @@ UNSTABLE = "0.02538+0.08111j, 0.02538-0.08111j, -0.1108"
 def test_the_printed_level_gains_are_refused_with_their_roots() -> None:
     line = refusal(compass={"level_gains": PRINTED["level_gains"]})
     start, roots = line.split("its roots are ")
-    assert start == "some: [compass] level_gains: the loop is unstable, "
+    assert start == (
+        "some: [compass] level_gains: [0.06, 1040.33306122, 8.1632653e-05] makes an unstable loop, "
+    )
     told, rest = roots.split(" 1/s ")
     assert sorted(told.split(", ")) == sorted(UNSTABLE.split(", "))
     assert rest == "(allow_unstable = true runs it)"
@@ -169,7 +174,8 @@ def test_the_printed_level_gains_are_refused_with_their_roots() -> None:
 )
 def test_unstable_or_idle_loops_are_refused(key: str, gains: list[float]) -> None:
     line = refusal(compass={key: gains})
-    assert line.startswith(f"some: [compass] {key}: the loop is unstable, its roots are ")
+    start = f"some: [compass] {key}: {gains} makes an unstable loop, its roots are "
+    assert line.startswith(start)
     assert numbers(compass={key: gains, "allow_unstable": True})
 
 
@@ -179,7 +185,7 @@ def test_one_unstable_variant_is_enough() -> None:
     allowed = [case | {"allow_unstable": i == 1} for i, case in enumerate(cases)]
     assert numbers(cases=allowed)
     wrong = [case | {"allow_unstable": i == 0} for i, case in enumerate(cases)]
-    assert "level_gains: the loop is unstable" in refusal(cases=wrong)
+    assert refusal(cases=wrong).startswith("some: [cases] level_gains: [0.06, ")
 
 
 @pytest.mark.parametrize(
@@ -196,7 +202,8 @@ def test_one_unstable_variant_is_enough() -> None:
 )
 def test_a_sigma_that_a_sample_cannot_carry_is_refused(compass: dict[str, Any], key: str) -> None:
     line = refusal(compass=compass)
-    start = f"some: [compass] {key}: a sample of 0.01 s cannot carry a loop with the roots "
+    start = f"some: [compass] {key}: "
+    assert " makes a loop that a sample of 0.01 s cannot carry, its roots are " in line
     assert line.startswith(start)
     assert line.endswith(" 1/s (allow_unstable = true runs it)")
     assert numbers(compass=compass | {"allow_unstable": True})
@@ -209,6 +216,13 @@ def test_the_loops_of_filters_are_not_looked_at() -> None:
         "compass": {"level_gains": PRINTED["level_gains"]},
     }
     data = BASE | {"alignment": {}} | tables
-    with pytest.raises(InputError, match="level_gains: the loop is unstable"):
+    with pytest.raises(InputError, match="level_gains: .* makes an unstable loop"):
         scenario.parts(study_from_dict(data))
     assert len(list(scenario.parts(study_from_dict(data | {"compass": {}})))) == 2
+
+
+def test_a_gain_that_is_no_finite_number_is_refused() -> None:
+    line = refusal(compass={"level_adjustment_s": 1e-300})
+    assert (
+        line == "some: [compass] level_adjustment_s: 1e-300 gives a gain that is no finite number"
+    )

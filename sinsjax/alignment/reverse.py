@@ -1,4 +1,4 @@
-"""Passes over a tape, forward and backward in turn, [P2] section 2.3: a wrapper of any method.
+"""Passes over a tape, forward and backward in turn, [P2] section 2.3: with any method.
 
 A backward pass is navigation in a world where time is reversed: the samples come last to first and
 reversed (`imu.reverse`), the Earth turns the other way, velocity has the opposite sign. Method and
@@ -21,14 +21,14 @@ class Reading(NamedTuple):
 
     Attributes:
         backward: whether it belongs to a backward pass.
-        turn: whether it opens a pass other than the first.
+        opens_pass: whether it is the first of a pass other than the first.
         samples: (n,) numbers on the tape, in the order in which they are read. Backward they run
             one ahead of what is navigated, as a sample is compensated with the one before it; -1
             stands for what is before the tape.
     """
 
     backward: Flag
-    turn: Flag
+    opens_pass: Flag
     samples: Array
 
 
@@ -48,7 +48,7 @@ def reading(record: Count, pass_records: Count, every: int) -> Reading:
     return Reading(backward, (place == 0) & (number > 0), samples)
 
 
-def reverse_site(site: Site, backward: Flag) -> Site:
+def site_of_pass(site: Site, backward: Flag) -> Site:
     """The site, with the Earth turning the other way in a backward pass."""
     sign = jnp.where(backward, -1.0, 1.0)
     turned = site.earth._replace(rate=sign * site.earth.rate)

@@ -45,6 +45,10 @@ class Renewal(NamedTuple):
     renew_yaw: Scalar
 
 
+UNCHANGED = Renewal(1.0, 1.0, 0.0, 0.0)
+"""The renewal that leaves P as it is."""
+
+
 class Resets(NamedTuple):
     """A reset schedule, [P1] section 3.2.
 
@@ -98,9 +102,7 @@ def renew(renewal: Renewal, p: Triangle, p0: tuple[Scalar, ...], *, yaw: int) ->
 
 def where_due(due: Flag, renewal: Renewal) -> Renewal:
     """The renewal where it is due, elsewhere the one that leaves P as it is."""
-    return Renewal(
-        *(jnp.where(due, a, b) for a, b in zip(renewal, (1.0, 1.0, 0.0, 0.0), strict=True))
-    )
+    return Renewal(*(jnp.where(due, a, b) for a, b in zip(renewal, UNCHANGED, strict=True)))
 
 
 def value_at(pieces: Pieces, n: Scalar) -> Scalar:

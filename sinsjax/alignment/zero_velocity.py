@@ -83,6 +83,7 @@ def build(model: ErrorModel, options: Options) -> Method:
         return _close_loop(params, state._replace(nav=nav, belief=belief), n)
 
     def turn(params: Params, site: Site, state: State) -> State:
+        # x stays where P is renewed: what it says of the attitude is the filter's best either way.
         signs = model.reversal
         flipped = tuple(s * x for s, x in zip(signs, state.belief.x, strict=True))
         p = change_signs(signs, state.belief.p)

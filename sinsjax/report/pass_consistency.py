@@ -7,7 +7,7 @@ import numpy as np
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.report.base import Block, Picture, Report, Section, Source, Table, Text
+from sinsjax.report.base import Block, Picture, Report, Section, Source, Table, Text, shown_keys
 from sinsjax.types import InputError
 
 _KEYS = ("case", "turn_covariance", "passes")
@@ -32,9 +32,9 @@ class Point(NamedTuple):
 
 def report(source: Source) -> Report:
     """Mean NEES, error and believed sigma by number of passes, for each treatment of P."""
-    missing = [key for key in _KEYS if key not in source.study.axis_keys]
-    if missing:
-        raise InputError(f"{source.study.study.name}: this layout needs {', '.join(missing)} swept")
+    if set(shown_keys(source.study)) != set(_KEYS):
+        name = source.study.study.name
+        raise InputError(f"{name}: its layout needs labelled [[cases]] and [axes] {_KEYS[1:]}")
     found = {case: dict(_treatments(source, case)) for case in _unique(source, "case")}
     sections = []
     for case, treatments in found.items():
@@ -74,7 +74,8 @@ def report(source: Source) -> Report:
 
 _TITLE = "By number of passes"
 _NOTE = (
-    "Number [95 % interval over the draws]. nees = phi' P^-1 phi at the end, 3 degrees of freedom;"
+    "Number [95 % interval over the draws]. nees = phi' P^-1 phi at the end,"
+    f" {_DEGREES} degrees of freedom;"
     " error from the floor; sigma_u is the filter's own."
 )
 
