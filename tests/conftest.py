@@ -29,3 +29,15 @@ def data_dir() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no recorded data: {folder} is no folder (set SINSJAX_DATA)")
     return folder
+
+
+@pytest.fixture
+def drawn():
+    """Has a test lay its figures out, which takes most of a report's time."""
+
+
+@pytest.fixture
+def drawn_on_request(request, monkeypatch):
+    """Lays no figure out but for a test that asks for `drawn`."""
+    if "drawn" not in request.fixturenames:
+        monkeypatch.setattr("sinsjax.plots.png", lambda figure: b"not drawn")

@@ -34,15 +34,7 @@ CASES = [
 ]
 
 
-@pytest.fixture
-def drawn():
-    """Has a test lay its figures out, which takes most of a report's time."""
-
-
-@pytest.fixture(autouse=True)
-def _drawn_on_request(request, monkeypatch):
-    if "drawn" not in request.fixturenames:
-        monkeypatch.setattr("sinsjax.plots.png", lambda figure: b"not drawn")
+pytestmark = pytest.mark.usefixtures("drawn_on_request")
 
 
 def summary_of(study, *, truth=True, **given):
