@@ -223,7 +223,7 @@ def under_way(name, seconds):
 def test_two_turns_on_one_spot_are_none(name):
     method, given, here, state = under_way(name, 2)
     once = method.turn(given, here, state)
-    twice = method.turn(given, reverse.reverse_site(here, jnp.asarray(True)), once)
+    twice = method.turn(given, reverse.site_of_pass(here, jnp.asarray(True)), once)
     for a, b in zip(jax.tree.leaves(twice), jax.tree.leaves(state), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-13, atol=1e-15)
     assert once.nav.ve == -state.nav.ve != 0 and once.nav.vn == -state.nav.vn != 0

@@ -65,7 +65,7 @@ def test_every_sample_of_the_tape_is_read_once_a_pass(tape: int, every: int, rec
     paired, before, turns = [], -1, []
     for record in range(records):
         read = reverse.reading(jnp.asarray(record), jnp.asarray(tape), every)
-        turns += [bool(read.turn)] + [False] * (every - 1)
+        turns += [bool(read.opens_pass)] + [False] * (every - 1)
         for now in map(int, read.samples):
             later, earlier = (before, now) if read.backward else (now, before)
             paired.append((later, earlier, -1 if read.backward else 1))
@@ -99,12 +99,12 @@ def test_a_backward_sample_is_the_forward_one_undone() -> None:
 
 def test_the_earth_of_a_backward_pass_turns_the_other_way() -> None:
     here = site(WGS84, LATITUDE)
-    there = reverse.reverse_site(here, jnp.asarray(True))
+    there = reverse.site_of_pass(here, jnp.asarray(True))
     turned = earth.place(there.earth, LATITUDE)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-14), there.place, turned)
     assert there.place.rate_n == -here.place.rate_n and there.place.rate_u == -here.place.rate_u
     assert there.place.gravity == here.place.gravity
-    same = reverse.reverse_site(here, jnp.asarray(False))
+    same = reverse.site_of_pass(here, jnp.asarray(False))
     jax.tree.map(np.testing.assert_array_equal, same, here)
 
 

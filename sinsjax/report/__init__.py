@@ -54,6 +54,8 @@ PAGES = {
     "Paper 1, reproduced": PAPER1,
     "Paper 2, reproduced": PAPER2,
     "A tape gone over again: turn, sigma, length and gain schedule": MAP,
+    "Compass alignment of a recorded car": ("compass_car",),
+    "A Kalman filter over one tape, again and again": ("kalman_passes",),
 }
 """The studies of each page that has a title of its own."""
 
