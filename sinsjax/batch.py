@@ -29,6 +29,9 @@ LANES = 64
 SETS = 8
 """Tiles that share one covariance; as `LANES`, it decides the last bits."""
 
+MOST_IDLE = 1 / 8
+"""Share of idle lanes that a draw's last tile may have before another draw is put into it."""
+
 VECTOR = 16
 """Single-precision numbers in the widest vector of a CPU."""
 
@@ -102,13 +105,16 @@ def layout(group: Group, lanes: int = LANES) -> tuple[int, int]:
     """How many tiles share a covariance, and how many lanes a draw takes.
 
     Stacked tiles need the same variants in the same lanes: there a draw is widened, with idle
-    lanes, to whole tiles or to a part of one that leaves no rest.
+    lanes, to whole tiles or to a part of one that leaves no rest. Others are widened to whole
+    tiles where few lanes stay idle: a tile of two draws makes the samples of `VECTOR`.
     """
     _, variants = group.sizes
+    whole = lanes * -(-variants // lanes)
     if not method_of(group.static).common_covariance:
-        return 1, variants
+        few = variants > lanes and whole - variants <= MOST_IDLE * variants
+        return 1, whole if few else variants
     if variants > lanes:
-        return SETS, lanes * -(-variants // lanes)
+        return SETS, whole
     return SETS, next(n for n in range(variants, lanes + 1) if lanes % n == 0)
 
 
