@@ -118,8 +118,7 @@ def mean(values: ArrayLike) -> Estimate:
     Raises:
         ValueError: no values at all.
     """
-    data = _values(values)
-    data = data[np.isfinite(data)]
+    data = _finite(values)
     if data.size < 2:
         return UNKNOWN._replace(value=float(data[0]) if data.size else math.nan, n=data.size)
     centre = float(np.mean(data))
@@ -140,8 +139,7 @@ def std(values: ArrayLike) -> Estimate:
     Raises:
         ValueError: no values at all.
     """
-    data = _values(values)
-    data = data[np.isfinite(data)]
+    data = _finite(values)
     if data.size < 2:
         return UNKNOWN._replace(n=data.size)
     low, high = _bootstrap(lambda x: np.std(x, axis=-1, ddof=1), data)
@@ -160,8 +158,7 @@ def rms(values: ArrayLike) -> Estimate:
     Raises:
         ValueError: no values at all.
     """
-    data = _values(values)
-    data = data[np.isfinite(data)]
+    data = _finite(values)
     if data.size == 0:
         return UNKNOWN
     low, high = _bootstrap(_root_mean_square, data)
@@ -345,6 +342,12 @@ def _values(values: ArrayLike, *, missing: float = math.nan) -> NDArray:
     if data.ndim != 1 or data.size == 0:
         raise ValueError(f"one or more values in one dimension are needed, got shape {data.shape}")
     return np.where(np.isnan(data), missing, data)
+
+
+def _finite(values: ArrayLike) -> NDArray:
+    """The finite ones of some values, of which there must be one or more."""
+    data = _values(values)
+    return data[np.isfinite(data)]
 
 
 def _pair(a: ArrayLike, b: ArrayLike, *, missing: float = math.nan) -> tuple[NDArray, NDArray]:

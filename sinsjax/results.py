@@ -24,7 +24,7 @@ from sinsjax.metrics import Observation
 from sinsjax.studies import Study
 from sinsjax.types import InputError
 from sinsjax.units import ARCMIN, DEG
-from sinsjax.worlds import pass_numbers, tape_times, update_times
+from sinsjax.worlds import pass_numbers, spans_s, tape_times, update_times
 
 _DIVERGED = columns.DIVERGED_DEG * DEG
 _NAMES = ("summary", "curves", "figures", "study.toml", "manifest.json")
@@ -45,8 +45,7 @@ class Tables:
         self._has_truth = has_truth
         self._bands = columns.bands(study.study.settle_bands_arcmin)
         self._spans = study.spans
-        spans_s = np.array(self._spans) * study.record_every / study.study.rate_hz
-        self._end_s, self._tape_s = spans_s.T
+        self._end_s, self._tape_s = spans_s(study).T
         times = study.reset_times()
         swept = study.variant_values()
         fixed = {

@@ -156,7 +156,7 @@ def gains(variants: Variants, site: Site) -> tuple[LevelGains, AzimuthGains]:
     They are designed for the north channel; on an ellipsoid the east one differs in its K2 by some
     0.1 %.
     """
-    earth = _earth(site)
+    earth = earth_numbers(site)
     level = loops.level_gains(*_sigma(variants, "level"), **earth)
     azimuth = loops.azimuth_gains(*_sigma(variants, "azimuth"), **earth)
     return _given(variants, "level_gains", level), _given(variants, "azimuth_gains", azimuth)
@@ -176,7 +176,7 @@ def check_loops(study: Study, variants: Variants, site: Site) -> None:
     if variants.common("method") != "compass":
         return
     refused = ~np.asarray(variants.raw("allow_unstable"), dtype=bool)
-    earth = _earth(site)
+    earth = earth_numbers(site)
     fastest = np.asarray([max(factors) for factors in variants.raw("sigma_factors")])
     with np.errstate(over="ignore", invalid="ignore"):
         level, azimuth = gains(variants, site)
@@ -226,7 +226,7 @@ def _refusal(study: Study, variants: Variants, loop: str, row: int, text: str) -
     return InputError(f"{study.study.name}: {where} {key}: {shown} {text}")
 
 
-def _earth(site: Site) -> dict[str, Any]:
+def earth_numbers(site: Site) -> dict[str, Any]:
     """Gravity and radius as `loops` takes them."""
     return {"gravity": float(site.place.gravity), "radius": float(1 / site.place.curvature_n)}
 

@@ -61,6 +61,11 @@ class Tape(NamedTuple):
     reference: Reference | None
 
 
+def spans_s(study: Study) -> np.ndarray:
+    """(variants, 2) lengths of every variant's run and of a pass over its tape, s."""
+    return np.array(study.spans) * study.record_every / study.study.rate_hz
+
+
 def update_times(study: Study, span: Span) -> np.ndarray:
     """(records,) update times of a run's records from the start of fine alignment, s."""
     return np.arange(1, span.records + 1) * study.record_every / study.study.rate_hz

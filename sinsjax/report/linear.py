@@ -116,10 +116,7 @@ def all_loops(study: Study) -> list[Loops]:
     return [
         Loops(
             params=jax.tree.unflatten(structure, [np.asarray(leaf)[i] for leaf in leaves]),
-            earth={
-                "gravity": float(site.place.gravity),
-                "radius": float(1 / site.place.curvature_n),
-            },
+            earth=tunings.earth_numbers(site),
             rate_n=float(site.place.rate_n),
             rate_hz=study.study.rate_hz,
             tape_s=study.study.duration_s if tape_s is None else tape_s,

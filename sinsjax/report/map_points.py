@@ -16,6 +16,7 @@ from sinsjax.report.linear import Loops, all_loops, cycle_radius, heading_of, st
 from sinsjax.studies import Study
 from sinsjax.types import InputError
 from sinsjax.units import ARCMIN, DEG
+from sinsjax.worlds import spans_s
 
 TURN, TAPE, SIGMA = "turn", "tape_s", "azimuth_sigma_per_s"
 """The keys that the map is drawn over; all others make a schedule."""
@@ -101,9 +102,7 @@ def points_of(source: Source) -> list[Point]:
     others = [key for key in shown_keys(study) if key not in (TURN, TAPE, SIGMA)]
     swept = study.variant_values()
     models, start = all_loops(study), start_of(study)
-    ends = np.array([span.records for span in study.spans]) * (
-        study.record_every / study.study.rate_hz
-    )
+    ends = spans_s(study)[:, 0]
     radii, left = _radii(study, models, ends)
     return [
         Point(

@@ -8,6 +8,7 @@ import numpy as np
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.report.base import Block, Picture, Report, Section, Source, Table, Text, shown_keys
+from sinsjax.report.compass_runs import heading_errors
 from sinsjax.types import InputError
 
 _KEYS = ("case", "turn_covariance", "passes")
@@ -113,11 +114,10 @@ def _treatments(source: Source, case: str) -> Iterator[tuple[str, list[Point]]]:
     for key, rows in analysis.groups(source.summary, _KEYS):
         if key["case"] != case:
             continue
-        error = analysis.numbers(rows, "phi_u_arcmin") - analysis.numbers(rows, "floor_arcmin")
         point = Point(
             passes=key["passes"],
             nees=analysis.mean(analysis.numbers(rows, "nees")),
-            error=analysis.rms(error),
+            error=analysis.rms(heading_errors(rows)),
             sigma=float(np.mean(analysis.numbers(rows, "sigma_u_arcmin"))),
         )
         points.setdefault(key["turn_covariance"], []).append(point)

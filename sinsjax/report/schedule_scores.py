@@ -12,6 +12,7 @@ from sinsjax.analysis import Estimate
 from sinsjax.bounds import share_outside
 from sinsjax.report.base import Source, name_of, shown_keys
 from sinsjax.report.compass_runs import bound_arcmin, heading_errors
+from sinsjax.worlds import spans_s
 
 
 class Scored(NamedTuple):
@@ -82,8 +83,7 @@ def bands_of(source: Source) -> tuple[float, float]:
 def scored_of(source: Source) -> list[Scored]:
     """Every variant with its runs, in the study's order."""
     study, found = source.study, []
-    spans_s = np.array(study.spans) * study.record_every / study.study.rate_hz
-    ends, tapes = spans_s.T
+    ends, tapes = spans_s(study).T
     wide, narrow = bands_of(source)
     outside = share_outside(bound_arcmin(study, tapes), narrow)
     for key, rows in analysis.groups(source.summary, ["variant_id", *shown_keys(study)]):
