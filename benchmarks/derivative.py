@@ -120,7 +120,7 @@ def program_of(group: Group, p: int) -> tuple[jax.stages.Compiled, tuple, float]
 
         return jax.lax.map(one_tile, tiles)
 
-    tiles = tiles_of(group, next(plan(group, tiles_a_chunk=TILES)))
+    tiles = tiles_of(group, plan(group, tiles_a_chunk=TILES)[0])
     arguments = (group.world, tiles, np.ones(max(p, 1)))
     since = time.perf_counter()
     program = jax.jit(whole).lower(*arguments).compile()

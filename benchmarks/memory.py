@@ -64,7 +64,7 @@ def of_call(tiles: int, records: int, *, curves: bool) -> Row:
     """What the compiled function of `sweep` needs for one call."""
     group = shortened(default_group(), records)
     static = group.static._replace(curves=curves)
-    places = next(plan(group, tiles_a_chunk=tiles))
+    places = plan(group, tiles_a_chunk=tiles)[0]
     arguments = (group.world, tiles_of(group, places))
     found = compiled(static, *arguments).memory_analysis()
     runs = places.draw.size

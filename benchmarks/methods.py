@@ -52,7 +52,7 @@ def arithmetic(group: Group) -> float:
 
     What is done once a run drops out; what is done once a record is spread over its steps.
     """
-    arguments = group.world, tiles_of(group, next(plan(group, tiles_a_chunk=TILES)))
+    arguments = group.world, tiles_of(group, plan(group, tiles_a_chunk=TILES)[0])
     few, many = (
         operations(compiled(shortened(group, records).static, *arguments)) for records in COUNTED
     )

@@ -27,14 +27,16 @@ reset at t acts after the update of sample ``round(t/dt)``: the whole state is f
 covariance is set.
 
 Importing the package adds XLA:CPU options to ``XLA_FLAGS`` (see `sinsjax.runtime`; a jaxlib that is
-not in its table is first tried in a process of its own) and changes nothing else.
+not in its table is first tried in a process of its own) and changes nothing else, unless
+``SINSJAX_ONE_CORE=1`` asks for a process that keeps to one core (see `sinsjax.affinity`).
 `sinsjax.runtime.configure` sets the number of CPU devices and double precision.
 """
 
 # ruff: noqa: E402
-from sinsjax import runtime
+from sinsjax import affinity, runtime
 
-# XLA reads its options once, so this comes before anything that may start JAX.
+# XLA reads its options and counts its cores once, so this comes before what may start JAX.
+affinity.apply()
 runtime.apply_options()
 
 from sinsjax.analysis import summarise

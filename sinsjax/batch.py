@@ -11,10 +11,9 @@ that it does not depend on what the sets are mapped over.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache, partial
-from itertools import chain
 from typing import Any, NamedTuple
 
 import jax
@@ -34,6 +33,14 @@ MOST_IDLE = 1 / 8
 
 VECTOR = 16
 """Single-precision numbers in the widest vector of a CPU."""
+
+CHUNK_TILES = 32
+CHUNK_STEPS = 2**28
+CHUNK_RECORDS = 2**20
+"""The most that a chunk has: tiles; steps, some 15 s of a core; rows of curves, some 100 MB."""
+
+LEAST_CHUNKS = 16
+"""Chunks that a group is cut into if it has the tiles for them, so that many cores find work."""
 
 
 class Group(NamedTuple):
@@ -63,7 +70,7 @@ class Chunk(NamedTuple):
     """Results of consecutive runs of a group.
 
     Attributes:
-        draw: (runs,) place of each run's draw in the group.
+        draw: (runs,) number of each run's draw in the study.
         variant: (runs,) place of each run's variant in the group.
         outcome: `Outcome` with leaves (runs, ...).
         curves: `Observation` with leaves (runs, records), or None.
@@ -101,16 +108,15 @@ class Tiles(NamedTuple):
     params: Params
 
 
-def layout(group: Group, lanes: int = LANES) -> tuple[int, int]:
+def layout(static: Static, variants: int, lanes: int = LANES) -> tuple[int, int]:
     """How many tiles share a covariance, and how many lanes a draw takes.
 
     Stacked tiles need the same variants in the same lanes: there a draw is widened, with idle
     lanes, to whole tiles or to a part of one that leaves no rest. Others are widened to whole
     tiles where few lanes stay idle: a tile of two draws makes the samples of `VECTOR`.
     """
-    _, variants = group.sizes
     whole = lanes * -(-variants // lanes)
-    if not method_of(group.static).common_covariance:
+    if not method_of(static).common_covariance:
         few = variants > lanes and whole - variants <= MOST_IDLE * variants
         return 1, whole if few else variants
     if variants > lanes:
@@ -131,40 +137,84 @@ def distinct_draws(width: int, lanes: int = LANES) -> int:
     return min(lanes, -(-most // VECTOR) * VECTOR)
 
 
-def plan(
-    group: Group, *, devices: int = 1, tiles_a_chunk: int = 32, lanes: int = LANES
-) -> Iterator[Lanes]:
-    """Lay the runs of a group, in their order, into the lanes of calls of one size.
+class Plan(Sequence[Lanes]):
+    """The runs of a group, in their order, laid into the lanes of calls of one size.
 
-    What is missing at the end is filled up with idle lanes.
-
-    Args:
-        group: what to run.
-        devices: that share the calls.
-        tiles_a_chunk: the most tiles a call, stacked ones counted singly, if that is more than two
-            blocks. A call is never given a single one, whose loop the compiler would unroll to
-            other bits.
-        lanes: runs a tile.
+    Depends on the group alone, never on the machine. What is missing at the end is filled up with
+    idle lanes. A call is never given a single block of tiles, whose loop the compiler would unroll
+    to other bits.
     """
-    draws, _ = group.sizes
-    sets, width = layout(group, lanes)
-    # What cannot be cut: a tile, or the stacked tiles of a few draws and all variants.
-    block = lanes if sets == 1 else sets * max(lanes, width)
-    blocks = -(-draws * width // block)
-    most = max(2, tiles_a_chunk * lanes // block)
-    rounds = -(-blocks // (most * devices))
-    size = max(2, -(-blocks // (rounds * devices)))
-    for begin in range(0, draws * width, size * block):
-        blocks_of_tiles = begin + np.arange(size * block).reshape(size, sets, -1, lanes)
-        places = blocks_of_tiles.swapaxes(1, 2).reshape(-1, sets, lanes)
-        yield Lanes(places // width, places % width)
+
+    def __init__(
+        self,
+        static: Static,
+        draws: int,
+        variants: int,
+        *,
+        tiles_a_chunk: int | None = None,
+        lanes: int = LANES,
+    ) -> None:
+        """Cut a group.
+
+        Args:
+            static: its program.
+            draws: how many it has.
+            variants: how many it has.
+            tiles_a_chunk: tiles a call, stacked ones counted singly, as far as two blocks or more
+                make them; None takes what `CHUNK_TILES` and the other limits allow.
+            lanes: runs a tile.
+        """
+        self._draws, self._variants, self._lanes = draws, variants, lanes
+        self._sets, self._width = layout(static, variants, lanes)
+        # What cannot be cut: a tile, or the stacked tiles of a few draws and all variants.
+        self._block = lanes if self._sets == 1 else self._sets * max(lanes, self._width)
+        blocks = -(-draws * self._width // self._block)
+        if tiles_a_chunk is None:
+            records = lanes * static.records
+            most = min(CHUNK_TILES, CHUNK_STEPS // (records * static.record_every))
+            if static.curves:
+                most = min(most, CHUNK_RECORDS // records)
+            wanted = min(most * lanes // self._block, -(-blocks // LEAST_CHUNKS))
+        else:
+            wanted = min(tiles_a_chunk * lanes // self._block, blocks)
+        self._size = max(2, wanted)
+        self._count = -(-blocks // self._size)
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, number: Any) -> Lanes:
+        if not 0 <= number < self._count:
+            raise IndexError(number)
+        size = self._size * self._block
+        blocks = number * size + np.arange(size).reshape(self._size, self._sets, -1, self._lanes)
+        places = blocks.swapaxes(1, 2).reshape(-1, self._sets, self._lanes)
+        return Lanes(places // self._width, places % self._width)
+
+    def runs(self, number: int) -> int:
+        """How many runs a call has."""
+        size = self._size * self._block
+        first, last = number * size, min((number + 1) * size, self._draws * self._width)
+        whole, rest = divmod(last, self._width)
+        so_far = whole * self._variants + min(rest, self._variants)
+        whole, rest = divmod(first, self._width)
+        return so_far - whole * self._variants - min(rest, self._variants)
+
+    def call_of(self, draw: int, variant: int) -> int:
+        """The number of the call that has a run."""
+        return (draw * self._width + variant) // (self._size * self._block)
+
+
+def plan(group: Group, *, tiles_a_chunk: int | None = None, lanes: int = LANES) -> Plan:
+    """How the runs of a group are cut into calls, see `Plan`."""
+    return Plan(group.static, *group.sizes, tiles_a_chunk=tiles_a_chunk, lanes=lanes)
 
 
 def tiles_of(group: Group, places: Lanes) -> Tiles:
     """Arguments for the tiles of one call; idle lanes repeat the last draw or variant."""
     draws, variants = group.sizes
     _, sets, lanes = places.draw.shape
-    _, width = layout(group, lanes)
+    _, width = layout(group.static, variants, lanes)
     first = places.draw[..., :1]
     taken = np.minimum(first + np.arange(distinct_draws(width, lanes)), draws - 1)
     variant = np.minimum(places.variant[:, 0], variants - 1)
@@ -173,7 +223,9 @@ def tiles_of(group: Group, places: Lanes) -> Tiles:
         taken, q = taken[:, 0], q[:, :, 0]
     params = jax.tree.map(lambda a: np.asarray(a)[variant], group.variants)
     return Tiles(
-        draws=Draw(*(a[taken] if np.ndim(a) else np.full(len(taken), a) for a in group.draws)),
+        draws=jax.tree.map(
+            lambda a: a[taken] if np.ndim(a) else np.full(len(taken), a), group.draws
+        ),
         row=(places.draw - first)[:, 0].astype(np.int32),
         params=params._replace(q=type(group.variants.q)(*q)),
     )
@@ -238,33 +290,51 @@ def spread(call: Callable[[Any], Any], arguments: Iterable, devices: int) -> Ite
             yield ahead.popleft().result()
 
 
-def chunks(group: Group, *, devices: int = 1, tiles_a_chunk: int = 32) -> Iterator[Chunk]:
-    """Run a group, chunk by chunk.
+class Calls:
+    """A group compiled: its chunks, any of them in any order and from any thread."""
 
-    Args:
-        group: what to run.
-        devices: how many chunks are under way at a time.
-        tiles_a_chunk: tiles in a compiled call, see `plan`.
+    def __init__(self, group: Group, *, tiles_a_chunk: int | None = None) -> None:
+        """Compile a group.
 
-    Yields:
-        Results in the order of the runs.
-    """
-    draws, variants = group.sizes
-    calls = plan(group, devices=devices, tiles_a_chunk=tiles_a_chunk)
-    first = next(calls)
-    # Before there are threads, which would each compile it.
-    program = compiled(group.static, group.world, tiles_of(group, first))
+        Args:
+            group: what to run.
+            tiles_a_chunk: as for `Plan`.
+        """
+        self._group = group
+        self.plan = plan(group, tiles_a_chunk=tiles_a_chunk)
+        self._program = compiled(group.static, group.world, tiles_of(group, self.plan[0]))
 
-    def call(places: Lanes) -> Chunk:
-        outcome, curves = jax.device_get(program(group.world, tiles_of(group, places)))
+    def chunk(self, number: int) -> Chunk:
+        """Run one of the plan's calls."""
+        group, places = self._group, self.plan[number]
+        draws, variants = group.sizes
+        outcome, curves = jax.device_get(self._program(group.world, tiles_of(group, places)))
         if curves is not None:
             curves = jax.tree.map(lambda a: np.moveaxis(a, -2, -1), curves)
         draw, variant = places.draw.ravel(), places.variant.ravel()
         busy = np.flatnonzero((draw < draws) & (variant < variants))
         runs = busy[np.argsort(draw[busy] * variants + variant[busy])]
-        return Chunk(draw[runs], variant[runs], *_lanes((outcome, curves), places.draw.shape, runs))
+        return Chunk(
+            group.draws.draw_id[draw[runs]],
+            variant[runs],
+            *_lanes((outcome, curves), places.draw.shape, runs),
+        )
 
-    yield from spread(call, chain([first], calls), devices)
+
+def chunks(group: Group, *, devices: int = 1, tiles_a_chunk: int | None = None) -> Iterator[Chunk]:
+    """Run a group, chunk by chunk.
+
+    Args:
+        group: what to run.
+        devices: how many chunks are under way at a time.
+        tiles_a_chunk: as for `Plan`.
+
+    Yields:
+        Results in the order of the runs.
+    """
+    # Compiled before there are threads, which would each compile it.
+    calls = Calls(group, tiles_a_chunk=tiles_a_chunk)
+    yield from spread(calls.chunk, range(len(calls.plan)), devices)
 
 
 def _lanes(tree: Any, shape: tuple[int, ...], lanes: np.ndarray) -> Any:

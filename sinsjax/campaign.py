@@ -1,21 +1,21 @@
-"""A study carried out: every part and chunk of it, into tables in memory or a directory."""
+"""A study carried out: every task of it, into tables in memory or into a directory."""
 
-import time
-from collections.abc import Callable, Iterable, Iterator
-from itertools import chain
+import threading
+from collections.abc import Callable, Iterable
+from itertools import takewhile
 from pathlib import Path
 from typing import NamedTuple
 
 import jax
 import pyarrow as pa
 
-from sinsjax import columns, results, runtime
-from sinsjax.batch import chunks
+from sinsjax import columns, directories, runtime, stopping, store, work
+from sinsjax.batch import spread
 from sinsjax.records import Layout, read_record, read_reference
-from sinsjax.scenario import Part, parts
 from sinsjax.sections import Record
 from sinsjax.studies import Study
-from sinsjax.types import InputError
+from sinsjax.types import InputError, StudyInterrupted
+from sinsjax.work import Executor, Job, Task, Workshop
 from sinsjax.worlds import Tape
 
 
@@ -31,8 +31,24 @@ class Results(NamedTuple):
     curves: pa.Table
 
 
-Progress = Callable[[int, int], None]
-"""Called with (runs done, runs in all) after every chunk."""
+class Progress(NamedTuple):
+    """How far a study has come.
+
+    Attributes:
+        done: runs that are there.
+        total: runs in all; with [stop_when], the most there can be.
+        failures: of the runs of this session, those that diverged or broke.
+        before: runs that were there when the session began.
+    """
+
+    done: int
+    total: int
+    failures: int
+    before: int
+
+
+Tell = Callable[[Progress], None]
+"""Called before the first chunk and after every one."""
 
 
 def load_tape(study: Study, record: str | Path, reference: str | Path | None = None) -> Tape:
@@ -60,7 +76,8 @@ def run(
     tape: Tape | None = None,
     *,
     curves: bool | None = None,
-    progress: Progress | None = None,
+    chunk_runs: int | None = None,
+    tell: Tell | None = None,
 ) -> Results:
     """Run a study in memory.
 
@@ -68,7 +85,8 @@ def run(
         study: checked study.
         tape: the record of a recorded study.
         curves: whether curves are kept; None takes the study's word.
-        progress: told after every chunk.
+        chunk_runs: runs a chunk; no row depends on it.
+        tell: told how far it is, after every chunk.
 
     Returns:
         Tables of all runs.
@@ -77,15 +95,21 @@ def run(
         InputError: a record that does not fit.
         RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
-    summaries, kept = [], []
-    for piece in _pieces(study, tape, parts(study, tape, curves=curves), progress):
-        summaries.append(piece.summary)
-        if piece.curves is not None:
-            kept.append(piece.curves)
+    workshop = Workshop(Job(study, tape, curves, chunk_runs))
+    count = _Count(study, tell)
+    count.begin([])
+    summaries: list[pa.Table] = []
+    kept = [columns.schema(columns.curves(passes=study.passes is not None)).empty_table()]
+    for draws, tasks in zip(workshop.stages, workshop.tasks(), strict=True):
+        for piece in spread(workshop.do, tasks, len(jax.devices())):
+            summaries.append(piece.summary)
+            kept += [] if piece.curves is None else [piece.curves]
+            count.add(piece.task, work.failures(piece.summary))
+        if _enough(study, pa.concat_tables(summaries).select, draws):
+            break
     order = [("run_id", "ascending"), ("time_s", "ascending")]
-    layout = columns.curves(passes=study.passes is not None)
-    kept_curves = pa.concat_tables(kept or [columns.schema(layout).empty_table()])
-    return Results(pa.concat_tables(summaries).sort_by("run_id"), kept_curves.sort_by(order))
+    summary = pa.concat_tables(summaries).sort_by("run_id")
+    return Results(summary, pa.concat_tables(kept).sort_by(order))
 
 
 def run_into(
@@ -94,79 +118,99 @@ def run_into(
     tape: Tape | None = None,
     *,
     curves: bool | None = None,
+    chunk_runs: int | None = None,
     overwrite: bool = False,
-    progress: Progress | None = None,
+    resume: bool = False,
+    executor: Executor | None = None,
+    tell: Tell | None = None,
+    stop: threading.Event | None = None,
     source: Path | None = None,
 ) -> None:
     """Run a study into a directory, a Parquet part a chunk.
 
     Args:
         study: checked study.
-        directory: where; must hold no results unless ``overwrite``.
+        directory: where; must hold no results unless ``overwrite`` or ``resume``.
         tape: the record of a recorded study.
         curves: whether curves are kept; None takes the study's word.
+        chunk_runs: runs a chunk; no row depends on it. A directory keeps the one it began with.
         overwrite: whether earlier results are removed.
-        progress: told after every chunk.
+        resume: whether whole parts of the same study are kept, and only the others made.
+        executor: who does the tasks; None: all devices of this process.
+        tell: told how far it is, before the first chunk and after every one.
+        stop: set from elsewhere, it ends the study after the chunks under way.
         source: the study's file, named in the manifest.
 
     Raises:
         InputError: a record that does not fit, or a directory that cannot be used. Nothing is
-            written or removed before both are known to be good.
+            written or removed before both are known to be good. Also a directory that can no
+            longer be written: what is complete stays.
+        StudyInterrupted: ``stop`` was set; all that was under way is stored.
         RuntimeError: double precision is off.
     """
-    started, directory = time.time(), Path(directory)
-    results.check_free(directory, overwrite=overwrite)
-    remaining = parts(study, tape, curves=curves)
-    first = next(remaining)
-    store = results.Store(directory, study, overwrite=overwrite)
-    for piece in _pieces(study, tape, chain([first], remaining), progress):
-        store.write("summary", piece.name, piece.summary, seconds=piece.seconds)
-        if piece.curves is not None:
-            store.write("curves", piece.name, piece.curves, seconds=piece.seconds)
-    store.finish(
-        {
-            "config": None if source is None else source.name,
-            "record": None if tape is None else Path(tape.record.source).name,
-            "versions": runtime.versions(),
-            "devices": len(jax.devices()),
-            "started_unix_s": round(started, 3),
-            "wall_s": round(time.time() - started, 3),
-        }
-    )
+    directory = Path(directory)
+    job = Job(study, tape, curves, chunk_runs)
+    directories.check_free(directory, overwrite=overwrite or resume)
+    if resume:
+        job = directories.resumed(directory, job)
+    workshop = Workshop(job)
+    executor = executor or work.on_this_machine()
+    facts = {
+        "config": None if source is None else source.name,
+        "record": None if tape is None else Path(tape.record.source).name,
+        "session": runtime.session() | executor.facts,
+    }
+    held = store.Store(directory, workshop, resume=resume, overwrite=overwrite, facts=facts)
+    try:
+        _carry_out(workshop, held, executor, _Count(study, tell), stop or threading.Event())
+    finally:
+        held.release()
 
 
-class _Piece(NamedTuple):
-    """Tables of one chunk, and what computing it took."""
+def _carry_out(
+    workshop: Workshop,
+    held: store.Store,
+    executor: Executor,
+    count: "_Count",
+    stop: threading.Event,
+) -> None:
+    study, staged = workshop.job.study, workshop.tasks()
+    missing = set(held.missing(task for tasks in staged for task in tasks))
+    count.begin(task for tasks in staged for task in tasks if task not in missing)
+    for draws, tasks in zip(workshop.stages, staged, strict=True):
+        todo = [task for task in tasks if task in missing]
+        for packed in executor.do(workshop, takewhile(lambda _: not stop.is_set(), todo)):
+            held.write(packed)
+            missing.remove(packed.task)
+            count.add(packed.task, packed.failures)
+        if not missing.isdisjoint(todo):
+            held.finish("interrupted")
+            done, total = count.progress.done, count.progress.total
+            raise StudyInterrupted(f"{done:,} of {total:,} runs are in {held.directory}")
+        if _enough(study, held.summary, draws):
+            break
+    held.finish("complete", draws=draws.stop, runs=draws.stop * study.n_variants)
 
-    name: str
-    summary: pa.Table
-    curves: pa.Table | None
-    seconds: float
+
+def _enough(study: Study, select: Callable[[list[str]], pa.Table], draws: range) -> bool:
+    if study.stop_when is None:
+        return False
+    return stopping.look(study, select(stopping.columns(study)), draws.stop).enough
 
 
-def _pieces(
-    study: Study, tape: Tape | None, todo: Iterable[Part], progress: Progress | None
-) -> Iterator[_Piece]:
-    has_truth = tape is None or tape.reference is not None
-    made = results.Tables(study, has_truth=has_truth)
-    done, total = 0, study.n_draws * study.n_variants
-    for number, part in enumerate(todo):
-        for piece in _part_pieces(part, made, number):
-            done += piece.summary.num_rows
-            if progress is not None:
-                progress(done, total)
-            yield piece
+class _Count:
+    """Counts runs, and tells."""
 
+    def __init__(self, study: Study, tell: Tell | None) -> None:
+        self.progress = Progress(0, study.n_draws * study.n_variants, 0, 0)
+        self._tell = tell or (lambda progress: None)
 
-def _part_pieces(part: Part, made: results.Tables, number: int) -> Iterator[_Piece]:
-    since = time.perf_counter()
-    for count, chunk in enumerate(chunks(part.group, devices=len(jax.devices()))):
-        seconds = time.perf_counter() - since
-        has_curves = chunk.curves is not None
-        yield _Piece(
-            name=f"part-{number:04d}-{count:06d}",
-            summary=made.summary(chunk, part.variant_ids),
-            curves=made.curves(chunk, part.variant_ids) if has_curves else None,
-            seconds=seconds,
-        )
-        since = time.perf_counter()
+    def begin(self, there: Iterable[Task]) -> None:
+        before = sum(task.runs for task in there)
+        self.progress = self.progress._replace(done=before, before=before)
+        self._tell(self.progress)
+
+    def add(self, task: Task, failures: int) -> None:
+        done, failed = self.progress.done + task.runs, self.progress.failures + failures
+        self.progress = self.progress._replace(done=done, failures=failed)
+        self._tell(self.progress)

@@ -7,18 +7,16 @@ import atexit
 import gc
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import nullcontext
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from sinsjax import runtime
-from sinsjax.types import InputError
+from sinsjax.types import InputError, StudyInterrupted
 
 app = typer.Typer(
     help="Initial alignment of strapdown inertial navigators, thousands of runs at a time.",
@@ -41,6 +39,11 @@ Devices = Annotated[
 ]
 
 
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Go on with the results that the directory holds.")
+]
+
+
 @app.command()
 def run(config: Config, out: Out, overwrite: Overwrite = False, devices: Devices = None) -> None:
     """Simulate a few runs: curves, figures and a table.
@@ -51,12 +54,43 @@ def run(config: Config, out: Out, overwrite: Overwrite = False, devices: Devices
 
 
 @app.command()
-def sweep(config: Config, out: Out, overwrite: Overwrite = False, devices: Devices = None) -> None:
+def sweep(
+    config: Config,
+    out: Out,
+    overwrite: Overwrite = False,
+    resume: Resume = False,
+    devices: Devices = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(help="Processes to start here, one a core (extra `cluster`).", min=1),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="Dask scheduler whose workers do it, tcp://host:port (extra `cluster`)."),
+    ] = None,
+    chunk_runs: Annotated[
+        int | None,
+        typer.Option(help="Runs a chunk; no row depends on it. Default: for the study.", min=1),
+    ] = None,
+) -> None:
     """Simulate all draws and variants of a study into Parquet, with a figure and a table.
 
     Example: sinsjax sweep configs/reset_sweep.toml -o out
     """
-    _run_study(config, out, overwrite=overwrite, devices=devices, curves=None)
+    if workers is not None and scheduler is not None:
+        raise InputError("--workers: cannot go with --scheduler (give one of them)")
+    if devices is not None and (workers or scheduler):
+        raise InputError("--devices: cannot go with --workers or --scheduler, one core a worker")
+    _run_study(
+        config,
+        out,
+        overwrite=overwrite,
+        resume=resume,
+        devices=devices,
+        curves=None,
+        chunk_runs=chunk_runs,
+        cluster=(workers, scheduler),
+    )
 
 
 @app.command()
@@ -68,6 +102,7 @@ def align(
         Path | None, typer.Option(help="Reference attitude to compare with (CSV or Parquet).")
     ] = None,
     overwrite: Overwrite = False,
+    resume: Resume = False,
     devices: Devices = None,
 ) -> None:
     """Align a recorded file: attitude with its 1 sigma, from every start time of the study.
@@ -78,10 +113,32 @@ def align(
         config,
         out,
         overwrite=overwrite,
+        resume=resume,
         devices=devices,
         curves=True,
         files=(record, reference),
     )
+
+
+@app.command()
+def rerun(
+    directory: Annotated[Path, typer.Argument(help="Directory of results.", show_default=False)],
+    run_id: Annotated[int, typer.Option(help="Number of the run.", min=0, show_default=False)],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Where to put it; DIRECTORY/reruns/RUN_ID if left out."),
+    ] = None,
+    record: Annotated[Path | None, typer.Option(help="The record, of a recorded study.")] = None,
+    reference: Annotated[Path | None, typer.Option(help="And its reference attitude.")] = None,
+) -> None:
+    """Do one run of some results again, alone and with its full curve, and compare its row.
+
+    Example: sinsjax rerun out --run-id 17
+    """
+    from sinsjax import reruns
+
+    runtime.configure()
+    reruns.rerun_into(directory, run_id, Console(), out=out, files=(record, reference))
 
 
 @app.command()
@@ -147,27 +204,31 @@ def _run_study(
     overwrite: bool,
     devices: int | None,
     curves: bool | None,
+    resume: bool = False,
+    chunk_runs: int | None = None,
+    cluster: tuple[int | None, str | None] = (None, None),
     files: tuple[Path, Path | None] | None = None,
 ) -> None:
-    from sinsjax import campaign
+    from sinsjax import campaign, console, directories
     from sinsjax.config import load_study
-    from sinsjax.results import check_free
 
     study = load_study(config)
     if study.is_recorded and files is None:
         raise InputError(f"{config}: [record]: the study reads a record: use `sinsjax align`")
     if files is not None and not study.is_recorded:
         raise InputError(f"{config}: has no [record] section to read {files[0]} with")
-    check_free(out, overwrite=overwrite)
+    if overwrite and resume:
+        raise InputError("--resume: cannot go with --overwrite (give one of them)")
+    directories.check_free(out, overwrite=overwrite or resume)
     runs = study.n_draws * study.n_variants
-    console = Console()
+    screen = Console()
     if curves and runs > MOST_RUNS and files is None:
         raise InputError(
             f"{config}: {runs} runs are too many to keep every curve (at most {MOST_RUNS}):"
             " use `sinsjax sweep`"
         )
     if curves and runs > MOST_RUNS:
-        console.print(f"{runs} runs: curves are kept only where [study] curves = true.")
+        screen.print(f"{runs} runs: curves are kept only where [study] curves = true.")
         curves = None
     if devices is not None and devices > runtime.usable_cores():
         raise InputError(f"--devices: {devices} are more than the {runtime.usable_cores()} cores")
@@ -176,44 +237,37 @@ def _run_study(
     threading.Thread(target=import_module, args=("sinsjax.report",), daemon=True).start()
     tape = None if files is None else campaign.load_tape(study, *files)
     if left := study.dropped_s:
-        console.print(f"The last {left:g} s are no whole record interval and are not run.")
+        screen.print(f"The last {left:g} s are no whole record interval and are not run.")
     if study.run_s <= study.study.window_s[0]:
-        console.print(f"Runs that end by {study.study.window_s[0]:g} s have no window statistics.")
-    with _progress(console, study.study.name) as tell:
+        screen.print(f"Runs that end by {study.study.window_s[0]:g} s have no window statistics.")
+    with (
+        _executor(*cluster) as executor,
+        console.progress(screen, study.study.name) as tell,
+        console.interruptible(screen) as stop,
+    ):
         campaign.run_into(
-            study, out, tape, curves=curves, overwrite=overwrite, progress=tell, source=config
+            study,
+            out,
+            tape,
+            curves=curves,
+            chunk_runs=chunk_runs,
+            overwrite=overwrite,
+            resume=resume,
+            executor=executor,
+            tell=tell,
+            stop=stop,
+            source=config,
         )
-    import_module("sinsjax.report").summarise([out], console)
+    import_module("sinsjax.report").summarise([out], screen)
 
 
-@contextmanager
-def _progress(console: Console, name: str) -> Iterator[Any]:
-    """A bar on a terminal, a plain line every tenth of the way elsewhere."""
-    if not console.is_terminal:
-        told = -1
+def _executor(workers: int | None, scheduler: str | None) -> Any:
+    """Who does the tasks: this process, or Dask workers."""
+    if workers is None and scheduler is None:
+        return nullcontext()
+    from sinsjax import cluster
 
-        def tell_plainly(done: int, total: int) -> None:
-            nonlocal told
-            if done * 10 // total > told:
-                told = done * 10 // total
-                console.print(f"{name}: {done} of {total} runs", highlight=False)
-
-        yield tell_plainly
-        return
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("runs"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task(f"{name} (compiling)", total=None)
-
-        def tell(done: int, total: int) -> None:
-            progress.update(task, description=name, completed=done, total=total)
-
-        yield tell
+    return cluster.executor(workers=workers, scheduler=scheduler)
 
 
 def main() -> None:
@@ -225,3 +279,6 @@ def main() -> None:
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None
+    except StudyInterrupted as interrupted:
+        print(f"interrupted: {interrupted}; --resume goes on with them", file=sys.stderr)
+        raise SystemExit(130) from None

@@ -136,6 +136,11 @@ def axis_column(key: str, values: Iterable[Any]) -> Column:
     return Column(key, dtype, "", "swept by the study")
 
 
+def drawn_column(key: str, dimensions: int) -> Column:
+    """The column of a key that has a value a draw: a number, or a list of them."""
+    return Column(key, _F if dimensions == 1 else pa.list_(_F), "", "drawn by the study")
+
+
 def schema(columns: Iterable[Column]) -> pa.Schema:
     """Arrow schema with units and meanings as field metadata."""
     fields = [

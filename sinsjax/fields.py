@@ -48,6 +48,13 @@ def _increasing(times: tuple[Any, ...]) -> tuple[Any, ...]:
     return times
 
 
+def _ordered(ends: tuple[float, float]) -> tuple[float, float]:
+    low, high = ends
+    if low > high:
+        raise misfit(f"must be [low, high] with low <= high, not [{low:g}, {high:g}]")
+    return ends
+
+
 def _signed_permutation(order: str) -> str:
     """Refuses what is no permutation, and a mirror image, which no turn of the box can undo."""
     letters = re.sub("[+-]", "", order)
@@ -68,6 +75,8 @@ Share = Annotated[float, Field(ge=0, le=1)]
 Angle = Annotated[float, Field(ge=-360, le=360)]
 HalfTurn = Annotated[float, Field(ge=-180, le=180)]
 Elevation = Annotated[float, Field(gt=-90, lt=90)]
+Interval = Annotated[tuple[Finite, Finite], AfterValidator(_ordered)]
+Normal = tuple[Finite, NonNegative]
 Name = Annotated[str, Field(min_length=1)]
 Triad = tuple[Name, Name, Name]
 Times = Annotated[tuple[Positive, ...], AfterValidator(_increasing)]

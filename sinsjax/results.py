@@ -1,25 +1,22 @@
-"""Results as tables: from the engine's arrays to Parquet, and back.
+"""Results as tables: from the engine's arrays to Arrow tables, and from Parquet back.
 
 A directory of results holds ``summary/`` and perhaps ``curves/`` (Parquet datasets, one part a
-chunk), ``study.toml`` (the resolved study) and ``manifest.json`` (versions, parts, timing). A part
-is written under a temporary name, synced and renamed. Rows depend on the study alone; which part
-they lie in, on the number of devices too.
+chunk), ``study.toml`` (the resolved study) and ``manifest.json`` (versions, parts, timing); `store`
+writes it. Parts, like rows, depend on the study alone.
 """
 
 import json
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.dataset as ds
-import pyarrow.parquet as pq
 
-from sinsjax import columns
+from sinsjax import columns, designs
 from sinsjax.batch import Chunk
 from sinsjax.columns import Column
-from sinsjax.config import fingerprint, study_to_toml
-from sinsjax.files import replacing
 from sinsjax.metrics import Observation
 from sinsjax.studies import Study
 from sinsjax.types import InputError
@@ -27,8 +24,6 @@ from sinsjax.units import ARCMIN, DEG
 from sinsjax.worlds import pass_numbers, spans_s, tape_times, update_times
 
 _DIVERGED = columns.DIVERGED_DEG * DEG
-_NAMES = ("summary", "curves", "figures", "study.toml", "manifest.json")
-_OURS = ("summary/part-*.parquet", "curves/part-*.parquet", "figures/*.png", "study.toml")
 
 
 class Tables:
@@ -55,8 +50,10 @@ class Tables:
             "reset_times_s": [list(t) for t in times],
             **{f"phi_{a}0_deg": study.values(f"phi_{a}0_deg") for a in "enu"},
         }
+        self._drawn = designs.values(study, study.n_draws)
         known = {c.name: c for c in columns.IDENTITY}
         extra = [columns.axis_column(k, v) for k, v in swept.items() if k not in known]
+        extra += [columns.drawn_column(k, v.ndim) for k, v in self._drawn.items() if k not in known]
         self.summary_columns: tuple[Column, ...] = (
             *columns.IDENTITY,
             *extra,
@@ -68,7 +65,9 @@ class Tables:
         self.curve_columns = columns.curves(passes=study.passes is not None)
         kinds = {c.name: c.dtype for c in self.summary_columns}
         self._by_variant = {
-            name: _swept(values, kinds[name]) for name, values in (swept | fixed).items()
+            name: _swept(values, kinds[name])
+            for name, values in (swept | fixed).items()
+            if name not in self._drawn
         }
         starts = study.record.start_s if study.record else [0.0] * study.n_draws
         self._start_s = np.asarray(starts)
@@ -89,6 +88,9 @@ class Tables:
             "start_s": self._start_s[chunk.draw],
         }
         values |= {name: column.take(variant) for name, column in self._by_variant.items()}
+        for name, drawn in self._drawn.items():
+            own = drawn[chunk.draw]
+            values[name] = own if own.ndim == 1 else list(own)
         values |= self._observed(out.last)
         for i, band in enumerate(self._bands):
             settled = _settled(out.outside_until[:, i], self._end_s[variant])
@@ -173,112 +175,41 @@ def _table(layout: tuple[Column, ...], values: dict[str, Any]) -> pa.Table:
     return pa.Table.from_arrays(arrays, schema=columns.schema(layout))
 
 
-class Store:
-    """A directory that a study's results are streamed to."""
+def read_summary(
+    directory: str | Path,
+    names: Sequence[str] | None = None,
+    *,
+    run_ids: list[int] | None = None,
+) -> pa.Table:
+    """Rows of the summary, by run_id.
 
-    def __init__(self, directory: Path, study: Study, *, overwrite: bool = False) -> None:
-        """Make the directory ready; what it held of earlier results is removed.
-
-        Args:
-            directory: where; made if missing.
-            study: whose results.
-            overwrite: whether earlier results may be removed.
-
-        Raises:
-            InputError: the directory holds results, or cannot be written.
-        """
-        self.directory = directory
-        self._study = study
-        self._parts: list[dict[str, Any]] = []
-        check_free(directory, overwrite=overwrite)
-        try:
-            directory.mkdir(parents=True, exist_ok=True)
-            for old in (path for pattern in _OURS for path in directory.glob(pattern)):
-                old.unlink()
-        except OSError as error:
-            raise InputError(_unwritable(directory, error)) from error
-        # First of all, so that what a killed run leaves is known to be ours.
-        self._write_manifest({"state": "running"})
-        _write_text(directory / "study.toml", study_to_toml(study))
-
-    def write(self, dataset: str, name: str, table: pa.Table, *, seconds: float) -> None:
-        """Write one part of a dataset.
-
-        Args:
-            dataset: "summary" or "curves".
-            name: of the part, without extension.
-            table: its rows.
-            seconds: what computing them took, for the manifest.
-
-        Raises:
-            InputError: the directory cannot be written.
-        """
-        path = self.directory / dataset / f"{name}.parquet"
-        try:
-            path.parent.mkdir(exist_ok=True)
-        except OSError as error:
-            raise InputError(_unwritable(path, error)) from error
-        with replacing(path) as file:
-            pq.write_table(table, file, compression="zstd")
-        relative = path.relative_to(self.directory).as_posix()
-        self._parts.append({"file": relative, "rows": table.num_rows, "seconds": round(seconds, 4)})
-
-    def finish(self, facts: dict[str, Any]) -> None:
-        """Write the manifest.
-
-        Args:
-            facts: versions, timing and whatever else is worth keeping.
-        """
-        self._write_manifest({"state": "complete", **facts})
-
-    def _write_manifest(self, facts: dict[str, Any]) -> None:
-        manifest = {
-            "schema": columns.SCHEMA_VERSION,
-            "fingerprint": fingerprint(self._study),
-            "seed": self._study.study.seed,
-            "runs": self._study.n_draws * self._study.n_variants,
-            **facts,
-            "parts": self._parts,
-        }
-        _write_text(self.directory / "manifest.json", json.dumps(manifest, indent=1) + "\n")
-
-
-def check_free(directory: Path, *, overwrite: bool) -> None:
-    """Refuse a directory that holds results, unless they may be removed, or files like ours.
-
-    Results are known by their manifest: other files of our names are never touched.
+    Args:
+        directory: of the results.
+        names: which columns, in this order; all of them without it.
+        run_ids: which runs; all of them without it.
 
     Raises:
-        InputError: the directory cannot be used.
+        InputError: the directory holds no results, or a column is missing.
     """
-    try:
-        if directory.exists() and not directory.is_dir():
-            raise InputError(f"{directory}: is a file, not a directory")
-        taken = [name for name in _NAMES if (directory / name).exists()]
-    except OSError as error:
-        raise InputError(_unwritable(directory, error)) from error
-    if not taken:
-        return
-    if not _is_ours(directory):
-        raise InputError(f"{directory}: holds a {taken[0]} that is no result: give another one")
-    if not overwrite:
-        raise InputError(f"{directory}: holds results already (give --overwrite to replace them)")
+    directory = Path(directory)
+    rows = None if run_ids is None else ds.field("run_id").isin(run_ids)
+    if names is None:
+        return _read(directory, "summary", filter=rows).sort_by("run_id")
+    there = _ask(directory, "summary", lambda dataset: dataset.schema.names)
+    if missing := [name for name in names if name not in there]:
+        raise InputError(f"{directory}: summary: column {missing[0]} is missing")
+    wanted = list(dict.fromkeys([*names, "run_id"]))
+    table = _read(directory, "summary", columns=wanted, filter=rows)
+    return table.sort_by("run_id").select(list(names))
 
 
-def _is_ours(directory: Path) -> bool:
-    try:
-        return "fingerprint" in read_manifest(directory)
-    except InputError:
-        return False
-
-
-def read_summary(directory: str | Path) -> pa.Table:
-    """All rows of the summary, by run_id.
+def count_runs(directory: str | Path) -> int:
+    """Number of rows of the summary.
 
     Raises:
         InputError: the directory holds no results.
     """
-    return _dataset(Path(directory), "summary").to_table().sort_by("run_id")
+    return _ask(Path(directory), "summary", lambda dataset: dataset.count_rows())
 
 
 def read_curves(directory: str | Path, run_ids: list[int] | None = None) -> pa.Table:
@@ -292,7 +223,7 @@ def read_curves(directory: str | Path, run_ids: list[int] | None = None) -> pa.T
     if not (directory / "curves").is_dir():
         return columns.schema(columns.CURVES).empty_table()
     wanted = None if run_ids is None else ds.field("run_id").isin(run_ids)
-    table = _dataset(directory, "curves").to_table(filter=wanted)
+    table = _read(directory, "curves", filter=wanted)
     return table.sort_by([("run_id", "ascending"), ("time_s", "ascending")])
 
 
@@ -304,20 +235,23 @@ def read_manifest(directory: str | Path) -> dict[str, Any]:
         raise InputError(f"{directory}: holds no readable manifest.json ({error})") from error
 
 
-def _dataset(directory: Path, name: str) -> ds.Dataset:
+def _read(directory: Path, name: str, **options: Any) -> pa.Table:
+    """Rows of a dataset, its pages checked; raises `InputError` if that cannot be."""
+    table = _ask(directory, name, lambda dataset: dataset.to_table(**options))
+    # What the first part says of itself does not hold for the rows of all.
+    return table.replace_schema_metadata({"sinsjax.schema": columns.SCHEMA_VERSION})
+
+
+def _ask(directory: Path, name: str, question: Callable[[ds.Dataset], Any]) -> Any:
     path = directory / name
     if not path.is_dir():
         raise InputError(f"{directory}: holds no results (no {name}/ in it)")
+    checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
+    form = ds.ParquetFileFormat(default_fragment_scan_options=checked)
     try:
-        return ds.dataset(path, format="parquet")
-    except (OSError, pa.ArrowInvalid) as error:
-        raise InputError(f"{path}: cannot be read: {error}".splitlines()[0]) from error
-
-
-def _write_text(path: Path, text: str) -> None:
-    with replacing(path) as file:
-        file.write(text.encode())
-
-
-def _unwritable(path: Path, error: OSError) -> str:
-    return f"{path}: cannot be written: {error.strerror or error}"
+        return question(ds.dataset(path, format=form))
+    except (OSError, pa.ArrowException) as error:
+        what = str(error).splitlines()[0]
+        raise InputError(
+            f"{path}: cannot be read: {what} (`sinsjax sweep --resume` makes broken parts again)"
+        ) from error

@@ -8,11 +8,19 @@ import math
 from collections.abc import Iterable
 from typing import NoReturn
 
-from sinsjax.studies import EARTH_CONSTANTS, ROUNDING, SECTION_OF, SECTIONS, Study
+from sinsjax import columns
+from sinsjax.studies import (
+    EARTH_CONSTANTS,
+    ROUNDING,
+    SECTION_OF,
+    SECTIONS,
+    Study,
+    counted_resets,
+)
 from sinsjax.types import InputError
 
 Where = dict[str, str]
-"""The table, in brackets, of every key that a file gives: that of the axes or cases if swept."""
+"""The table, in brackets, of every key that a file gives: that which sweeps or draws it if any."""
 
 RESET = "5 with resets"
 CONDITIONS = ("1", "2", "3", "4", "5", RESET)
@@ -26,6 +34,7 @@ _LAYOUT_CONDITIONS = {
 _READINGS = ("q_reading", "r_reading", "feedback_interval_s")
 _MAX_SAMPLES, _MAX_RUNS = 10**8, 10**9
 _RECORDED_LAYOUTS = ("car_test", "compass_car")
+_GENERAL_LAYOUTS = ("auto", "consistency", "reset_cycle")  # the others know each key of theirs
 _OF_COMPASS = {*SECTIONS["compass"].model_fields, "turn", "turn_smoothing_s"}
 _OF_FILTERS = {
     *SECTIONS["filter"].model_fields,
@@ -63,12 +72,14 @@ def check_study(study: Study, where: Where) -> None:
     _check_passes(study, where)
     _check_schedules(study, where)
     _check_window(study, where)
-    keys = ("reset_count", "reset_cycle_s", "reset_times_s")
+    _check_stop(study, where)
+    keys = ("reset_times_s", "reset_count", "reset_cycle_s", "reset_first_s")
     for point in study.combinations(*keys) if study.resets else ():
-        if point["reset_times_s"] is not None:
-            _check_times(study, where, point["reset_times_s"])
-        elif point["reset_count"]:
-            _check_cycle(study, where, point["reset_count"], point["reset_cycle_s"])
+        times, count, cycle, first = (point[key] for key in keys)
+        if times is not None:
+            _check_times(study, where, times)
+        elif count:
+            _check_counted(study, where, count, cycle, first)
 
 
 def _refuse(key: str, where: Where, text: str) -> NoReturn:
@@ -84,7 +95,10 @@ def _check_required(study: Study, where: Where) -> None:
             _refuse(key, where, f"required ({description})")
     for angle in ("pitch", "roll", "yaw") if simulated else ():
         amplitude, period = f"{angle}_amplitude_deg", f"{angle}_period_s"
-        if period not in where and any(p[amplitude] for p in study.combinations(amplitude)):
+        sways = amplitude in study.drawn_keys or any(
+            p[amplitude] for p in study.combinations(amplitude)
+        )
+        if period not in where and sways:
             _refuse(period, where, f"required where {amplitude} > 0")
     if all(point["earth"] != "constants" for point in study.combinations("earth")):
         for key in EARTH_CONSTANTS:
@@ -99,6 +113,10 @@ def _check_layout(study: Study, where: Where) -> None:
     if layout != "auto" and study.is_recorded != (kind == "recorded"):
         _refuse("layout", where, f"'{layout}' needs a {kind} study")
     labels = [case.get("case") for case in study.cases]
+    if layout not in _GENERAL_LAYOUTS:
+        tables = [*(["[drawn]"] if study.drawn else []), *(f"[axes.{zip_}]" for zip_ in study.zips)]
+        if tables:
+            _refuse("layout", where, f"'{layout}' takes no {tables[0]}")
     for name in _LAYOUT_CONDITIONS.get(layout, ()):
         if f"condition {name}" not in labels:
             _refuse("layout", where, f"'{layout}' needs [[cases]] with case = 'condition {name}'")
@@ -232,31 +250,66 @@ def _end(study: Study) -> str:
     return text
 
 
-def _check_times(study: Study, where: Where, times: tuple[float, ...]) -> None:
-    """Refuses explicit resets after the end, on the start, or two on one sample."""
+def _check_times(
+    study: Study, where: Where, times: tuple[float, ...], key: str = "reset_times_s"
+) -> None:
+    """Refuses resets at given times after the end, on the start, or two on one sample."""
     rate = study.study.rate_hz
     earlier, taken = 0.0, 0
     for time in times:
         if time > study.run_s * (1 + ROUNDING):
             text = f"{time:.12g} s is after the study's end ({_end(study)})"
-            _refuse("reset_times_s", where, text)
+            _refuse(key, where, text)
         sample = round(time * rate)
         if sample == taken:
             other = f"the reset at {earlier:.12g} s" if taken else "the start"
             text = f"{time:.12g} s falls on the sample of {other} ({1 / rate:.12g} s a sample)"
-            _refuse("reset_times_s", where, text)
+            _refuse(key, where, text)
         earlier, taken = time, sample
 
 
-def _check_cycle(study: Study, where: Where, count: int, cycle: float | None) -> None:
+def _check_stop(study: Study, where: Where) -> None:
+    """Refuses a statistic that the study has not, and a share that says nothing."""
+    if study.stop_when is None:
+        return
+    bands = columns.bands(study.study.settle_bands_arcmin)
+    known = ["success_rate", *(f"{columns.settle_column(band).name}_mean" for band in bands)]
+    if study.stop_when.statistic not in known:
+        text = f"'{study.stop_when.statistic}' is none of {', '.join(known)}"
+        _refuse("statistic", where, text)
+    if study.stop_when.statistic == "success_rate" and study.stop_when.half_width >= 1:
+        _refuse(
+            "half_width",
+            where,
+            f"must be less than 1, a share, not {study.stop_when.half_width:.12g}",
+        )
+
+
+def _check_counted(
+    study: Study, where: Where, count: int, cycle: float | None, first: float | None
+) -> None:
     """Refuses counted resets after the end, on the start, or two on one sample."""
+    alone = 0 if first is None else 1  # resets that need no cycle
+    if cycle is None and count > alone:
+        _refuse("reset_cycle_s", where, f"required where reset_count > {alone} (it is {count})")
+    if first is not None:
+        _check_times(study, where, (first,), key="reset_first_s")
+    if cycle is None or count <= alone:
+        return
     rate = study.study.rate_hz
-    if cycle is None:
-        _refuse("reset_cycle_s", where, f"required where reset_count > 0 (it is {count})")
-    if count * cycle > study.run_s * (1 + ROUNDING):
+    begin, last = ("", count * cycle)
+    if first is not None:
+        begin, last = f" from {first:.12g} s", first + (count - 1) * cycle
+    if last > study.run_s * (1 + ROUNDING):
         key = "reset_cycle_s" if where.get("reset_count") == "[resets]" else "reset_count"
-        text = f"{count} resets every {cycle:.12g} s last {count * cycle:.12g} s"
+        text = f"{count} resets{begin} every {cycle:.12g} s last {last:.12g} s"
         _refuse(key, where, f"{text}, longer than the study ({_end(study)})")
     if cycle * rate < 1 - ROUNDING:
         text = f"{cycle:.12g} s is shorter than a sample of {1 / rate:.12g} s"
         _refuse("reset_cycle_s", where, text)
+    if first is not None and cycle * rate < 2:
+        # Halves are rounded to even: a sample apart, 1.5 and 2.5 samples are both 2.
+        samples = [round(time * rate) for time in counted_resets(count, cycle, first)]
+        if len(set(samples)) < count:
+            text = f"{first:.12g} s and a cycle of {cycle:.12g} s put two resets on one sample"
+            _refuse("reset_first_s", where, f"{text} ({1 / rate:.12g} s a sample)")

@@ -236,6 +236,17 @@ def versions() -> dict[str, str]:
     }
 
 
+def session() -> dict[str, Any]:
+    """What this process brings to results, for a manifest: versions, machine, XLA's options."""
+    cpu = machine.cpu()
+    return {
+        "versions": versions(),
+        "platform": platform.platform(),
+        "cpu": cpu.get("model name") or platform.processor() or platform.machine(),
+        "xla_flags": os.environ.get("XLA_FLAGS", ""),
+    }
+
+
 def info() -> dict[str, Any]:
     """What this process computes with; starts JAX's backend and compiles a tiny loop.
 
@@ -251,11 +262,11 @@ def info() -> dict[str, Any]:
     from sinsjax.hlo import options_seen
 
     present = flag_values(os.environ.get("XLA_FLAGS", ""))
-    cpu = machine.cpu()
+    this, cpu = session(), machine.cpu()
     return {
-        **versions(),
-        "platform": platform.platform(),
-        "cpu": cpu.get("model name") or platform.processor() or platform.machine(),
+        **this["versions"],
+        "platform": this["platform"],
+        "cpu": this["cpu"],
         "avx512": "avx512f" in cpu["flags"].split() if "flags" in cpu else None,
         "cores": usable_cores(),
         "devices": [str(device) for device in jax.devices()],

@@ -5,8 +5,8 @@ within a part everything that differs is a number. Parts are cut from the study'
 values of `PROGRAM_KEYS`, `WORLD_KEYS` and `PASS_KEYS`, wherever these are swept.
 """
 
-from collections.abc import Iterator
-from functools import partial
+from collections.abc import Iterator, Sequence
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -20,8 +20,8 @@ from sinsjax.metrics import Criteria
 from sinsjax.records import Record
 from sinsjax.rotations import from_euler, log
 from sinsjax.sections import Earth, Motion, Sensors
-from sinsjax.simulate import Draw, Params, Static, World, noise, sense
-from sinsjax.studies import PASS_KEYS, Study
+from sinsjax.simulate import Draw, Params, Static, World, made, noise, sense
+from sinsjax.studies import PASS_KEYS, Span, Study
 from sinsjax.types import Array, Increments, InputError, Quat, Vec3
 from sinsjax.units import ARCMIN, DEG
 from sinsjax.worlds import Tape, Variants, recorded, simulated, site_of
@@ -31,6 +31,9 @@ PROGRAM_KEYS = ("method", "specific_force", "position")
 
 WORLD_KEYS = tuple(key for model in (Earth, Motion, Sensors) for key in model.model_fields)
 """Keys whose values decide the truth that runs share."""
+
+_NOISES = tuple(key for key in Sensors.model_fields if key.split("_")[1] in ("noise", "arw", "vrw"))
+_AMPLITUDES = tuple(key for key in Motion.model_fields if "amplitude" in key)
 
 
 class Part(NamedTuple):
@@ -45,25 +48,78 @@ class Part(NamedTuple):
     variant_ids: np.ndarray
 
 
-def parts(study: Study, tape: Tape | None = None, *, curves: bool | None = None) -> Iterator[Part]:
-    """What the engine runs for a study, part by part: a part is made when it is asked for.
+class Scenario:
+    """A study ready to be run: how it falls into parts, each made when it is asked for.
 
-    Args:
+    Attributes:
         study: checked study.
         tape: the record of a recorded study, else None.
-        curves: whether curves are returned; None takes the study's word.
-
-    Raises:
-        InputError: a record that does not fit the study, or compass loops that cannot be run.
+        curves: whether curves are returned.
+        variant_ids: of each part, the numbers of its variants.
     """
-    if study.is_recorded != (tape is not None):
-        what = "reads a record, none is given" if study.is_recorded else "reads no record"
-        raise InputError(f"{study.study.name}: the study {what}: see [record]")
-    keep_curves = study.study.curves if curves is None else curves
-    split = [Variants(study, ids) for ids in _split(study)]
-    for variants in split:
-        tunings.check_loops(study, variants, site_of(study, variants, tape)[0])
-    return (_part(study, variants, tape, keep_curves) for variants in split)
+
+    def __init__(
+        self, study: Study, tape: Tape | None = None, *, curves: bool | None = None
+    ) -> None:
+        """Check what can be checked before anything runs.
+
+        Args:
+            study: checked study.
+            tape: the record of a recorded study, else None.
+            curves: whether curves are returned; None takes the study's word.
+
+        Raises:
+            InputError: a record where there should be none or the other way round, or compass
+                loops that cannot be run.
+            RuntimeError: double precision is off.
+        """
+        runtime.require_x64()
+        if study.is_recorded != (tape is not None):
+            what = "reads a record, none is given" if study.is_recorded else "reads no record"
+            raise InputError(f"{study.study.name}: the study {what}: see [record]")
+        self.study, self.tape = study, tape
+        self.curves = study.study.curves if curves is None else curves
+        self.variant_ids = list(_split(study))
+        for ids in self.variant_ids:
+            variants = Variants(study, ids)
+            tunings.check_loops(study, variants, site_of(study, variants, tape)[0])
+
+    @cached_property
+    def programs(self) -> list[Static]:
+        """The program of each part."""
+        variants = (Variants(self.study, ids) for ids in self.variant_ids)
+        return [_program(self.study, some, self.curves) for some in variants]
+
+    def part(self, number: int, draws: range | None = None) -> Part:
+        """A part with all its draws, or some in a row.
+
+        Raises:
+            InputError: a record that does not fit the study.
+        """
+        study, ids = self.study, self.variant_ids[number]
+        variants = Variants(study, ids)
+        site, ug = site_of(study, variants, self.tape)
+        criteria = Criteria(
+            bands=np.asarray(bands(study.study.settle_bands_arcmin)) * ARCMIN,
+            window_start=np.float64(study.study.window_s[0]),
+            window_end=np.float64(study.study.window_s[1]),
+            consistency_after=np.float64(study.study.consistency_after_s),
+            steady_after=np.float64(study.study.steady_after_s),
+        )
+        span = _span(study, variants)
+        if self.tape is None:
+            draws = range(study.n_draws) if draws is None else draws
+            world, drawn, q = simulated(study, variants, span, criteria, draws)
+        else:
+            world, drawn, q = recorded(study, variants, span, criteria, self.tape)
+        params = _params(study, variants, site, ug)
+        return Part(Group(self.programs[number], world, drawn, q, params), ids)
+
+
+def parts(study: Study, tape: Tape | None = None, *, curves: bool | None = None) -> Iterator[Part]:
+    """What the engine runs for a study, part by part: see `Scenario`."""
+    scenario = Scenario(study, tape, curves=curves)
+    return (scenario.part(number) for number in range(len(scenario.variant_ids)))
 
 
 def simulated_record(study: Study, draw_id: int = 0, variant_id: int = 0) -> Record:
@@ -79,9 +135,13 @@ def simulated_record(study: Study, draw_id: int = 0, variant_id: int = 0) -> Rec
     """
     if study.is_recorded or not 0 <= variant_id < study.n_variants:
         raise InputError(f"{study.study.name}: has no simulated variant {variant_id}")
-    part = _part(study, Variants(study, np.array([variant_id])), None, False)
+    scenario = Scenario(study, curves=False)
+    number = next(i for i, ids in enumerate(scenario.variant_ids) if variant_id in ids)
+    part = scenario.part(number, range(draw_id, draw_id + 1))
     static, world = part.group.static, part.group.world
-    draw = Draw(np.asarray(draw_id), np.asarray(0), np.asarray(0))
+    draw = jax.tree.map(lambda a: a[0] if np.ndim(a) else a, part.group.draws)
+    draw = draw._replace(made=made(static, world, draw))
+    site = world.site if draw.made.site is None else draw.made.site
 
     @jax.jit
     def rows(world: World, draw: Draw, numbers: Array) -> Increments:
@@ -94,9 +154,9 @@ def simulated_record(study: Study, draw_id: int = 0, variant_id: int = 0) -> Rec
         dtheta=np.stack(out.dtheta, axis=1),
         dv=np.stack(out.dv, axis=1),
         rate_hz=study.study.rate_hz,
-        latitude_deg=float(world.site.latitude / DEG),
-        height_m=float(world.site.earth.height),
-        gravity_m_per_s2=float(world.site.place.gravity),
+        latitude_deg=float(site.latitude / DEG),
+        height_m=float(site.earth.height),
+        gravity_m_per_s2=float(site.place.gravity),
         source=study.study.name,
     )
 
@@ -112,62 +172,55 @@ def _split(study: Study) -> Iterator[np.ndarray]:
     yield from (np.asarray(ids) for ids in groups.values())
 
 
-def _part(study: Study, variants: Variants, tape: Tape | None, curves: bool) -> Part:
-    runtime.require_x64()
-    options = Options(
-        dt=1 / study.study.rate_hz,
-        specific_force=variants.common("specific_force") or "measured",
-        position=variants.common("position"),
-    )
-    site, ug = site_of(study, variants, tape)
-    criteria = Criteria(
-        bands=np.asarray(bands(study.study.settle_bands_arcmin)) * ARCMIN,
-        window_start=np.float64(study.study.window_s[0]),
-        window_end=np.float64(study.study.window_s[1]),
-        consistency_after=np.float64(study.study.consistency_after_s),
-        steady_after=np.float64(study.study.steady_after_s),
-    )
-    span = study.span(**{k: variants.common(k) for k in PASS_KEYS} if study.passes else {})
-    if tape is None:
-        world, draws, q = simulated(study, variants, span, site, criteria, ug)
-    else:
-        world, draws, q = recorded(study, tape, span, site, criteria)
-    noise = (world.errors.gyro_noise, world.errors.accel_noise)
-    static = Static(
+def _span(study: Study, variants: Variants) -> Span:
+    return study.span(**{k: variants.common(k) for k in PASS_KEYS} if study.passes else {})
+
+
+def _program(study: Study, variants: Variants, curves: bool) -> Static:
+    """The program of some variants."""
+    return Static(
         variants.common("method"),
-        options,
+        Options(
+            dt=1 / study.study.rate_hz,
+            specific_force=variants.common("specific_force") or "measured",
+            position=variants.common("position"),
+        ),
         study.record_every,
-        span.records,
+        _span(study, variants).records,
         curves,
-        noisy=bool(np.any(noise)),
+        noisy=_takes(study, variants, _NOISES),
         repeats=study.passes is not None,
+        sways=_takes(study, variants, _AMPLITUDES),
     )
-    group = Group(static, world, draws, q, _params(study, variants, site, ug))
-    return Part(group, variants.ids)
+
+
+def _takes(study: Study, variants: Variants, keys: Sequence[str]) -> bool:
+    """Whether one of some keys of a simulated study is drawn, or not zero."""
+    if study.is_recorded:
+        return False
+    return any(key in study.drawn_keys or np.any(variants.common(key) or 0) for key in keys)
 
 
 def _params(study: Study, variants: Variants, site: Site, ug: float) -> Params:
     """Numbers of the part's variants, leaves (variants, ...)."""
     zero = np.zeros(len(variants.ids))
+    phi = Vec3(*(variants.column(f"phi_{axis}0_deg", DEG) for axis in "enu"))
+    euler = np.asarray(variants.raw("misalignment")) == "euler"
+    drawn = any(f"phi_{axis}0_deg" in study.drawn_keys for axis in "enu")
+    if euler.any() and not drawn:
+        # [P1] section 1: angles from the ideal to the computed frame, about U, E, N in turn.
+        vector = _euler_vectors(*phi)
+        phi = Vec3(*(np.where(euler, v, a) for v, a in zip(vector, phi, strict=True)))
     return Params(
         q=Quat(zero, zero, zero, zero),
-        phi=_misalignment(variants),
+        phi=phi,
         ve=variants.column("ve0_m_per_s"),
         vn=variants.column("vn0_m_per_s"),
         method=tunings.of_method(study, variants, site, ug),
+        euler=euler if drawn and euler.any() else None,
     )
 
 
 @jax.jit
 def _euler_vectors(e: Array, n: Array, u: Array) -> Vec3:
     return jax.vmap(lambda *angles: log(from_euler(*angles)))(e, n, u)
-
-
-def _misalignment(variants: Variants) -> Vec3:
-    e, n, u = (variants.column(f"phi_{axis}0_deg", DEG) for axis in "enu")
-    euler = np.asarray(variants.raw("misalignment")) == "euler"
-    if not euler.any():
-        return Vec3(e, n, u)
-    # [P1] section 1: angles from the ideal to the computed frame, about U, E, N in turn.
-    vector = _euler_vectors(e, n, u)
-    return Vec3(*(np.where(euler, v, a) for v, a in zip(vector, (e, n, u), strict=True)))

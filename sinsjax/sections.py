@@ -52,9 +52,11 @@ class Settings(Section):
     rate_hz: Positive = Field(description="sample rate, Hz; a record's rate must equal it")
     record_interval_s: Positive = Field(1.0, description="time between recorded values, s")
     draws: Annotated[Count, Field(ge=1)] | None = Field(
-        None, description="sensor noise realisations; default 64 where the sensors are simulated"
+        None,
+        description="draws of noise and of [drawn], with [stop_when] at most; default 64 where the"
+        " sensors are simulated",
     )
-    seed: int = Field(1, ge=0, lt=2**63, description="seed of the sensor noise")
+    seed: int = Field(1, ge=0, lt=2**63, description="seed of all that is drawn")
     settle_bands_arcmin: Bands = Field(
         (60.0, 10.0, 3.0), description="heading error bands of the settling times, arcmin"
     )
@@ -201,9 +203,12 @@ class Resets(Section):
     """[resets]: covariance resets, by count and cycle or at explicit times."""
 
     reset_count: Count | None = Field(
-        None, description="number of resets, at the cycle and its multiples; default 0"
+        None, description="number of resets, a cycle apart; default 0"
     )
     reset_cycle_s: Positive | None = Field(None, description="time between resets, s")
+    reset_first_s: Positive | None = Field(
+        None, description="time of the first of counted resets, s; default: the cycle"
+    )
     reset_times_s: Times | None = Field(None, description="explicit reset times, s")
     reset_kind: Literal["full", "yaw", "scale"] = Field("full", description="what P is set to")
     reset_scale: Positive = Field(10.0, description="factor on P, for kind 'scale'")
@@ -350,6 +355,8 @@ class Report(Section):
         "compass_schedules",
         "pass_consistency",
         "compass_car",
+        "consistency",
+        "reset_cycle",
     ] = Field("auto", description="page layout")
 
 

@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sinsjax import imu, metrics, rotations
+from sinsjax import earth, imu, metrics, rotations, trajectory
 from sinsjax.alignment import METHODS, reverse
 from sinsjax.alignment.base import Method, Options, Site
 from sinsjax.metrics import Criteria, Metrics, Observation, Outcome
-from sinsjax.types import Array, Count, Increments, Navigation, Quat, Sample, Scalar, Vec3
+from sinsjax.types import Array, Count, Flag, Increments, Navigation, Quat, Sample, Scalar, Vec3
 
 
 class Static(NamedTuple):
@@ -30,6 +30,7 @@ class Static(NamedTuple):
         curves: whether observations at all record times are returned.
         noisy: whether the sensors have any noise to draw.
         repeats: whether the tape is gone over backward and again; else forward, once.
+        sways: whether a base that draws have for themselves sways; a still one is sensed once.
     """
 
     method: str
@@ -39,6 +40,7 @@ class Static(NamedTuple):
     curves: bool
     noisy: bool
     repeats: bool = False
+    sways: bool = True
 
 
 class World(NamedTuple):
@@ -53,6 +55,8 @@ class World(NamedTuple):
         criteria: what runs are judged against.
         floor: what phi_u should settle to, rad.
         pass_records: record intervals a pass over the tape; of no effect without repeats.
+        times: (records,) record times on the tape, s; None where `truth` has all that is needed.
+        motion: of the base, where draws have something for themselves.
     """
 
     site: Site
@@ -63,20 +67,62 @@ class World(NamedTuple):
     criteria: Criteria
     floor: Scalar
     pass_records: Count
+    times: Array | None = None
+    motion: trajectory.Motion | None = None
+
+
+class Start(NamedTuple):
+    """What a draw begins with instead of its runs' `Params`; None for what is theirs.
+
+    Attributes:
+        phi: angles of the initial misalignment, rad.
+        ve: initial velocity east, m/s.
+        vn: initial velocity north, m/s.
+    """
+
+    phi: tuple[Scalar | None, Scalar | None, Scalar | None] = (None, None, None)
+    ve: Scalar | None = None
+    vn: Scalar | None = None
+
+
+class Made(NamedTuple):
+    """What follows from what a draw has for itself; None for what is the world's.
+
+    Attributes:
+        site: at its latitude.
+        floor: what phi_u of its runs should settle to, rad.
+        rest: (6,) ideal increments of its base, where that does not sway.
+    """
+
+    site: Site | None = None
+    floor: Scalar | None = None
+    rest: Array | None = None
 
 
 class Draw(NamedTuple):
-    """One sensor realisation.
+    """One realisation of what is random: noise, and whatever else a study draws.
+
+    What is None is that of the world, or of the run.
 
     Attributes:
         draw_id: decides its noise.
         start: first sample on the tape; of many draws, one number if it is the same for all.
         row: of `World.truth`.
+        begins: what its runs begin with.
+        errors: of its sensors.
+        motion: of its base; its increments are made sample by sample, in place of the tape's.
+        latitude: of its base, which then has a motion too, rad.
+        made: what follows from these.
     """
 
     draw_id: Count
     start: Count
     row: Count
+    begins: Start = Start()
+    errors: imu.SensorErrors | None = None
+    motion: trajectory.Motion | None = None
+    latitude: Scalar | None = None
+    made: Made = Made()
 
 
 class Params(NamedTuple):
@@ -88,6 +134,7 @@ class Params(NamedTuple):
         ve: initial velocity east, m/s.
         vn: initial velocity north, m/s.
         method: numbers of the method.
+        euler: whether ``phi`` are Euler angles yet, where a draw has some of its own.
     """
 
     q: Quat
@@ -95,6 +142,7 @@ class Params(NamedTuple):
     ve: Scalar
     vn: Scalar
     method: Any
+    euler: Flag | None = None
 
 
 class Run(NamedTuple):
@@ -109,7 +157,7 @@ def method_of(static: Static) -> Method:
     return METHODS[static.method](static.options)
 
 
-def begin(static: Static, world: World, params: Params) -> Run:
+def begin(static: Static, world: World, site: Site, params: Params) -> Run:
     """The run before its first sample."""
     method = method_of(static)
     zero = jnp.zeros_like(params.ve)
@@ -117,11 +165,27 @@ def begin(static: Static, world: World, params: Params) -> Run:
         q=rotations.misalign(params.phi, params.q),
         ve=params.ve,
         vn=params.vn,
-        latitude=world.site.latitude + zero,
+        latitude=site.latitude + zero,
         longitude=zero,
     )
     state = method.init(params.method, nav)
     return Run(state, metrics.start(world.criteria, zero))
+
+
+def started(params: Params, own: Start, q: Quat | None) -> Params:
+    """A run's numbers with what its draw begins with, its true attitude included if it has one."""
+    angles = Vec3(*(a if b is None else b for a, b in zip(params.phi, own.phi, strict=True)))
+    if params.euler is not None:
+        # [P1] section 1: angles from the ideal to the computed frame, about U, E, N in turn.
+        vector = rotations.log(rotations.from_euler(*angles))
+        pairs = zip(vector, angles, strict=True)
+        angles = Vec3(*(jnp.where(params.euler, v, a) for v, a in pairs))
+    return params._replace(
+        q=params.q if q is None else q,
+        phi=angles,
+        ve=params.ve if own.ve is None else own.ve,
+        vn=params.vn if own.vn is None else own.vn,
+    )
 
 
 def noise(static: Static, world: World, draws: Draw, numbers: Array) -> Increments | None:
@@ -148,16 +212,53 @@ def sense(
 
     Zeros for a negative number, before the tape: with them nothing is compensated.
     """
-    ideal = imu.split(jnp.asarray(world.tape)[draw.start + n])
-    put_out = imu.measure(ideal, world.errors, normal, static.options.dt)
+    dt = static.options.dt
+    if draw.made.rest is not None:
+        row = draw.made.rest
+    elif draw.motion is not None:
+        place = (world.site if draw.made.site is None else draw.made.site).place
+        k = jnp.asarray(n, world.tape.dtype)
+        row = trajectory.increment(draw.motion, place, 1 / dt, k)
+    else:
+        row = jnp.asarray(world.tape)[draw.start + n]
+    errors = world.errors if draw.errors is None else draw.errors
+    put_out = imu.measure(imu.split(row), errors, normal, dt)
     if not static.repeats:
         return put_out
     return reverse.where(n < 0, jax.tree.map(jnp.zeros_like, put_out), put_out)
 
 
-def end(static: Static, world: World, run: Run) -> Outcome:
+def made(static: Static, world: World, draw: Draw) -> Made:
+    """What follows from what a draw has for itself."""
+    if draw.errors is None and draw.motion is None and draw.latitude is None:
+        return Made()
+    site = world.site
+    if draw.latitude is not None:
+        site = Site(site.earth, earth.place(site.earth, draw.latitude), draw.latitude)
+    errors = world.errors if draw.errors is None else draw.errors
+    motion = world.motion if draw.motion is None else draw.motion
+    assert motion is not None
+    rest = None
+    if draw.motion is not None and not static.sways:
+        rest = trajectory.increment(motion, site.place, 1 / static.options.dt, 0.0)
+    own = None if draw.latitude is None else site
+    return Made(own, floor_of(errors, motion, site.place), rest)
+
+
+def floor_of(errors: imu.SensorErrors, motion: trajectory.Motion, place: earth.Place) -> Scalar:
+    """Limit of phi_u for constant biases, -eps_E/omega_N + (nabla_E/g) tan L, rad.
+
+    Biases are turned to n at the attitude swayed about.
+    """
+    center = rotations.from_euler(*(sway.center for sway in motion))
+    eps = rotations.rotate(center, Vec3(*errors.gyro_bias)).x
+    nabla = rotations.rotate(center, Vec3(*errors.accel_bias)).x
+    return -eps / place.rate_n + nabla / place.gravity * place.tan_latitude
+
+
+def end(static: Static, run: Run, floor: Scalar) -> Outcome:
     """The outcome of a run after its last record."""
-    return metrics.finish(run.metrics, method_of(static).covariance(run.state), world.floor)
+    return metrics.finish(run.metrics, method_of(static).covariance(run.state), floor)
 
 
 class Fan(NamedTuple):
@@ -178,6 +279,43 @@ class Fan(NamedTuple):
 
 
 ONE = Fan(lambda f, *axes: f, lambda f, *axes: f, lambda tree: tree, None)
+
+
+class Shared(NamedTuple):
+    """What runs take as they are or from their draws, and the axis along which runs differ in it.
+
+    Attributes:
+        site: Earth and place.
+        site_axis: None where all runs share it.
+        floor: what phi_u should settle to, rad.
+        floor_axis: likewise.
+    """
+
+    site: Site
+    site_axis: int | None
+    floor: Scalar
+    floor_axis: int | None
+
+
+def shared_by(world: World, draws: Draw, fan: Fan) -> Shared:
+    """Site and floor of the world, or of the draws that have their own."""
+    site, floor, _ = fan.hand_out(draws.made)
+    return Shared(
+        *((world.site, None) if site is None else (site, fan.shared)),
+        *((world.floor, None) if floor is None else (floor, fan.shared)),
+    )
+
+
+def attitudes(static: Static, world: World, draws: Draw) -> Quat:
+    """True attitudes at record times, leaves (records, *draws); NaN if unknown."""
+    if draws.motion is None:
+        # From (*draws, records, 4) to leaves (records, *draws).
+        truth = jnp.asarray(world.truth)[draws.row, : static.records]
+        return Quat(*jnp.moveaxis(truth, (-1, -2), (0, 1)))
+    times = jnp.asarray(world.times)[: static.records]
+    at = jax.vmap(trajectory.attitude, in_axes=(None, 0))
+    many = at if draws.draw_id.ndim == 0 else jax.vmap(at, in_axes=(0, None), out_axes=1)
+    return many(draws.motion, times)
 
 
 class Progress(NamedTuple):
@@ -204,13 +342,14 @@ class Interval(NamedTuple):
 
 
 def reader(
-    static: Static, world: World, params: Params, fan: Fan
+    static: Static, world: World, shared: Shared, params: Params, fan: Fan
 ) -> Callable[[Count, Any], Interval]:
     """The function that opens a record interval, and turns the tape where a pass begins.
 
     Args:
         static: program.
-        world: shared.
+        world: shared by all.
+        shared: site and floor.
         params: as in `simulate`.
         fan: as in `simulate`.
 
@@ -224,18 +363,18 @@ def reader(
     def one_turn(params: Params, state: Any, site: Site) -> Any:
         return method_of(static).turn(params.method, site, state)
 
-    turn = fan.over_runs(one_turn, 0, 0, None)
+    turn = fan.over_runs(one_turn, 0, 0, shared.site_axis)
 
     def once_forward(number: Count, state: Any) -> Interval:
-        return Interval(state, number * every + jnp.arange(every), world.site, forward)
+        return Interval(state, number * every + jnp.arange(every), shared.site, forward)
 
     def in_passes(number: Count, state: Any) -> Interval:
         read = reverse.reading(number, world.pass_records, every)
-        turned = turn(params, state, reverse.site_of_pass(world.site, ~read.backward))
+        turned = turn(params, state, reverse.site_of_pass(shared.site, ~read.backward))
         return Interval(
             reverse.where(read.opens_pass, turned, state),
             read.samples,
-            reverse.site_of_pass(world.site, read.backward),
+            reverse.site_of_pass(shared.site, read.backward),
             lambda *pair: either_way(*pair, read.backward),
         )
 
@@ -243,13 +382,14 @@ def reader(
 
 
 def over_a_record(
-    static: Static, world: World, draws: Draw, params: Params, fan: Fan
+    static: Static, world: World, shared: Shared, draws: Draw, params: Params, fan: Fan
 ) -> Callable[[Progress, tuple[Count, Quat]], tuple[Progress, Array | None]]:
     """The function that takes runs over one record interval.
 
     Args:
         static: program.
-        world: shared.
+        world: shared by all.
+        shared: site and floor.
         draws: as in `simulate`.
         params: as in `simulate`.
         fan: as in `simulate`.
@@ -264,19 +404,17 @@ def over_a_record(
     def one_step(params: Params, state: Any, site: Site, sample: Sample, n: Scalar) -> Any:
         return method.step(params.method, site, state, sample, n)
 
-    def one_record(run: Run, q_true: Quat, n: Scalar) -> Run:
+    def one_record(run: Run, q_true: Quat, n: Scalar, floor: Scalar) -> Run:
         state = method.normalise(run.state)
         now = metrics.observe(q_true, method.attitude(state), method.covariance(state))
-        so_far = metrics.accumulate(
-            run.metrics, world.criteria, now, floor=world.floor, time=n * dt
-        )
+        so_far = metrics.accumulate(run.metrics, world.criteria, now, floor=floor, time=n * dt)
         return Run(state, so_far)
 
     axes = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
     sensed = fan.over_draws(partial(sense, static, world), axes, None, 0)
-    step = fan.over_runs(one_step, 0, 0, None, fan.shared, None)
-    record = fan.over_runs(one_record, 0, fan.shared, None)
-    opened = reader(static, world, params, fan)
+    step = fan.over_runs(one_step, 0, 0, shared.site_axis, fan.shared, None)
+    record = fan.over_runs(one_record, 0, fan.shared, None, shared.floor_axis)
+    opened = reader(static, world, shared, params, fan)
 
     def record_step(progress: Progress, xs: tuple[Count, Quat]) -> tuple[Progress, Array | None]:
         (run, before), (number, q_true) = progress, xs
@@ -299,7 +437,7 @@ def over_a_record(
         pieces = tuple(a.reshape(-1, piece(static, draws)) for a in (updates, samples))
         (state, before), _ = jax.lax.scan(piece_step, (state, before), pieces)
         n = ((number + 1) * every).astype(kind)
-        run = record(Run(state, run.metrics), fan.hand_out(q_true), n)
+        run = record(Run(state, run.metrics), fan.hand_out(q_true), n, shared.floor)
         # One array: XLA:CPU updates several side by side by copying them whole, every record.
         out = jnp.stack(jax.tree.leaves(run.metrics.last)) if static.curves else None
         return Progress(run, before), out
@@ -322,17 +460,24 @@ def simulate(
     Returns:
         Outcomes, and, if ``static.curves``, observations with leaves (records,) in front.
     """
-    run = fan.over_runs(lambda p: begin(static, world, p), 0)(params)
+    axes = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
+    draws = draws._replace(made=fan.over_draws(partial(made, static, world), axes)(draws))
+    shared = shared_by(world, draws, fan)
+    q = None
+    if draws.motion is not None:
+        q = fan.hand_out(fan.over_draws(lambda m: trajectory.attitude(m, 0.0), 0)(draws.motion))
+    own = fan.hand_out(draws.begins)
+    params = fan.over_runs(started, 0, fan.shared, fan.shared)(params, own, q)
+    run = fan.over_runs(lambda p, site: begin(static, world, site, p), 0, shared.site_axis)(
+        params, shared.site
+    )
     # A run's first sample has none before it: with zeros nothing is compensated, as with itself.
     zero = jnp.zeros(draws.draw_id.shape, world.tape.dtype)
     before = Increments(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
-    # From (*draws, records, 4) to leaves (records, *draws).
-    truth = jnp.asarray(world.truth)[draws.row, : static.records]
-    truth = Quat(*jnp.moveaxis(truth, (-1, -2), (0, 1)))
-    record_step = over_a_record(static, world, draws, params, fan)
-    records = (jnp.arange(static.records), truth)
+    record_step = over_a_record(static, world, shared, draws, params, fan)
+    records = (jnp.arange(static.records), attitudes(static, world, draws))
     (run, _), curves = jax.lax.scan(record_step, Progress(run, before), records)
-    outcome = fan.over_runs(lambda r: end(static, world, r), 0)(run)
+    outcome = fan.over_runs(partial(end, static), 0, shared.floor_axis)(run, shared.floor)
     if curves is None:
         return outcome, None
     fields = [curves[:, i] for i in range(curves.shape[1])]

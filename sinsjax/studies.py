@@ -4,12 +4,13 @@ The rules between its keys stand in `rules`.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import product
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict
 
+from sinsjax.drawing import Drawn, StopWhen
 from sinsjax.sections import (
     Alignment,
     Coarse,
@@ -39,6 +40,7 @@ SECTIONS: dict[str, type[Section]] = {
     "passes": Passes,
     "record": Record,
     "coarse": Coarse,
+    "stop_when": StopWhen,
     "report": Report,
     "statements": Statements,
 }
@@ -56,7 +58,7 @@ SWEEPABLE = (
 )
 """The sections whose keys may be axes."""
 
-SIMULATED_ONLY = ("motion", "sensors")
+SIMULATED_ONLY = ("motion", "sensors", "stop_when")
 """The sections that have no place in a recorded study."""
 
 SECTION_OF = {key: name for name, model in SECTIONS.items() for key in model.model_fields}
@@ -74,6 +76,41 @@ PASS_KEYS = ("tape_s", "passes", "ending")
 
 ROUNDING = 1e-9
 """Relative; how far a product of two decimal numbers may be off."""
+
+
+Table = dict[str, Any]
+Dimension = dict[str, tuple[Any, ...]]
+
+
+def dimensions_of(
+    cases: Sequence[Table], zips: Iterable[Dimension], axes: Dimension
+) -> list[Dimension]:
+    """What a sweep is the product of: values by key, those of one dimension going together.
+
+    Args:
+        cases: one table a case.
+        zips: values by key of every zip.
+        axes: values by key, each a dimension of its own.
+
+    Returns:
+        The cases first, as the slowest, a label before their keys; then the zips; then the axes.
+    """
+    keys = sorted(cases[0] if cases else (), key=lambda key: key != "case")
+    joint = {key: tuple(case[key] for case in cases) for key in keys}
+    return [*([joint] if joint else ()), *zips, *({key: axes[key]} for key in axes)]
+
+
+def counted_resets(count: int, cycle_s: float | None, first_s: float | None) -> tuple[float, ...]:
+    """Times of counted resets, s.
+
+    Args:
+        count: how many.
+        cycle_s: between two of them; not needed for a first one alone.
+        first_s: of the first; without it they come at the cycle and its multiples.
+    """
+    if first_s is None:
+        return tuple((i + 1) * (cycle_s or 0.0) for i in range(count))
+    return tuple(first_s + i * (cycle_s or 0.0) for i in range(count))
 
 
 class Span(NamedTuple):
@@ -94,17 +131,21 @@ class Span(NamedTuple):
 
 
 class Study(BaseModel):
-    """A checked study: its sections with all defaults filled in, its axes and its cases.
+    """A checked study: its sections with all defaults filled in, and what it sweeps and draws.
 
-    A variant is one point of the sweep: cases outermost, then the axes as written, the last one
-    fastest. A section that does not apply is None: ``motion`` and ``sensors`` of a recorded study,
-    ``record`` and ``coarse`` of a simulated one, ``filter``, ``resets`` and ``compass`` where no
-    method reads them, ``passes`` where no tape is gone over again. So is a key that does not apply,
-    such as ``gravity_m_per_s2`` where no variant has constants.
+    A variant is one point of the sweep: cases outermost, then the zips, then the axes, each as
+    written, the last one fastest. A section that does not apply is None: ``motion`` and ``sensors``
+    of a recorded study, ``record`` and ``coarse`` of a simulated one, ``filter``, ``resets`` and
+    ``compass`` where no method reads them, ``passes`` where no tape is gone over again, ``drawn``
+    and ``stop_when`` where not given. So is a key that does not apply, such as
+    ``gravity_m_per_s2`` where no variant has constants.
 
     Attributes:
-        axes: values by leaf key, in the order written.
+        axes: values by leaf key, in the order written, of the axes that stand alone.
+        zips: axes that go together, by the name of their table: values by leaf key, of one length.
         cases: one table of leaf keys a case, all with the same keys, ``case`` being its label.
+        drawn: how the keys are drawn whose value differs from draw to draw; no section, axis or
+            case has them.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -120,10 +161,13 @@ class Study(BaseModel):
     passes: Passes | None = None
     record: Record | None = None
     coarse: Coarse | None = None
+    drawn: Drawn | None = None
+    stop_when: StopWhen | None = None
     report: Report
     statements: Statements
-    axes: dict[str, tuple[Any, ...]]
-    cases: tuple[dict[str, Any], ...]
+    axes: Dimension
+    zips: dict[str, Dimension] = {}
+    cases: tuple[Table, ...]
 
     @property
     def is_recorded(self) -> bool:
@@ -132,13 +176,18 @@ class Study(BaseModel):
 
     @property
     def n_draws(self) -> int:
-        """Number of sensor realisations: noise draws, or the start times in a record."""
+        """Number of draws, or of the start times in a record; with ``stop_when`` the most."""
         return len(self.record.start_s) if self.record else self.study.draws or 1
 
     @property
     def n_variants(self) -> int:
-        """Number of points of the sweep; 1 without axes and cases."""
-        return (len(self.cases) or 1) * math.prod(map(len, self.axes.values()))
+        """Number of points of the sweep; 1 where nothing is swept."""
+        return math.prod(map(_length, self.dimensions))
+
+    @property
+    def dimensions(self) -> list[Dimension]:
+        """What the sweep is the product of, as `dimensions_of` gives it."""
+        return dimensions_of(self.cases, self.zips.values(), self.axes)
 
     @property
     def record_every(self) -> int:
@@ -191,58 +240,67 @@ class Study(BaseModel):
         """Reset times of every variant, s."""
         if self.resets is None:
             return [()] * self.n_variants
-        keys = ("reset_times_s", "reset_count", "reset_cycle_s")
+        keys = ("reset_times_s", "reset_count", "reset_cycle_s", "reset_first_s")
         return [
-            tuple((i + 1) * cycle for i in range(count or 0)) if times is None else tuple(times)
-            for times, count, cycle in zip(*map(self.values, keys), strict=True)
+            counted_resets(count or 0, cycle, first) if times is None else tuple(times)
+            for times, count, cycle, first in zip(*map(self.values, keys), strict=True)
         ]
 
     @property
     def axis_keys(self) -> tuple[str, ...]:
-        """Every key that varies: ``case`` if labelled, the keys of the cases, the axes."""
-        keys = dict.fromkeys(self.cases[0] if self.cases else ())
-        label = ("case",) if "case" in keys else ()
-        return (*label, *(key for key in keys if key != "case"), *self.axes)
+        """Every key that varies over the variants: ``case`` if labelled, then as they number them.
+
+        Those of the cases, of the zips, the axes.
+        """
+        return tuple(key for dimension in self.dimensions for key in dimension)
+
+    @property
+    def drawn_keys(self) -> tuple[str, ...]:
+        """Every key whose value differs from draw to draw, in the order written."""
+        return tuple(self.drawn.laws) if self.drawn else ()
 
     def variant_values(self) -> dict[str, list[Any]]:
         """The values of every axis key, one a variant, in variant order."""
-        return {key: self._swept(key) for key in self.axis_keys}
+        return {key: self.values(key) for key in self.axis_keys}
 
     def values(self, key: str) -> list[Any]:
         """The values of a sweepable leaf key, one a variant, in the units of the file.
 
         Args:
-            key: leaf key of a section in `SWEEPABLE`.
+            key: leaf key of a section in `SWEEPABLE`; one that is drawn is None.
 
         Raises:
             KeyError: no sweepable section of this study has the key.
         """
-        if key in self.axis_keys:
-            return self._swept(key)
-        return [self._constant(key)] * self.n_variants
+        fastest = variants = self.n_variants
+        for dimension in self.dimensions:
+            fastest //= _length(dimension)
+            if key in dimension:
+                once = [value for value in dimension[key] for _ in range(fastest)]
+                return once * (variants // len(once))
+        return [self._constant(key)] * variants
 
     def combinations(self, *keys: str) -> Iterator[dict[str, Any]]:
-        """The distinct values that sweepable keys take together over all variants."""
-        fixed = {key: self._constant(key) for key in keys if key not in self.axis_keys}
-        zipped = [key for key in keys if key in self.axis_keys and key not in self.axes]
-        grid = [key for key in keys if key in self.axes]
-        rows = dict.fromkeys(tuple(case[key] for key in zipped) for case in self.cases) or [()]
-        for row, point in product(rows, product(*(self.axes[key] for key in grid))):
-            yield fixed | dict(zip((*zipped, *grid), (*row, *point), strict=True))
+        """The distinct values that sweepable keys take together over all variants.
+
+        A drawn key is None.
+        """
+        points = []
+        for dimension in self.dimensions:
+            if here := [key for key in keys if key in dimension]:
+                rows = dict.fromkeys(zip(*(dimension[key] for key in here), strict=True))
+                points.append([dict(zip(here, row, strict=True)) for row in rows])
+        swept = {key for rows in points for key in rows[0]}
+        fixed = {key: self._constant(key) for key in keys if key not in swept}
+        for parts in product(*points):
+            yield fixed | {key: value for part in parts for key, value in part.items()}
 
     def _constant(self, key: str) -> Any:
         section = getattr(self, SECTION_OF[key])
         if SECTION_OF[key] not in SWEEPABLE or section is None:
             raise KeyError(key)
-        return getattr(section, key)
+        return None if key in self.drawn_keys else getattr(section, key)
 
-    def _swept(self, key: str) -> list[Any]:
-        if key in self.axes:
-            values: Sequence[Any] = self.axes[key]
-            names = list(self.axes)
-            fastest = math.prod(len(self.axes[name]) for name in names[names.index(key) + 1 :])
-        else:
-            values = [case[key] for case in self.cases]
-            fastest = math.prod(map(len, self.axes.values()))
-        once = [value for value in values for _ in range(fastest)]
-        return once * (self.n_variants // len(once))
+
+def _length(dimension: Dimension) -> int:
+    return len(next(iter(dimension.values())))

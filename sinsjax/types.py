@@ -28,6 +28,10 @@ class InputError(ValueError):
     """A user's mistake: one line that names the file and the key or row, and what is wrong."""
 
 
+class StudyInterrupted(Exception):
+    """A study was asked to stop before its end; what was done is kept."""
+
+
 class Vec3(NamedTuple):
     """A 3-vector as three scalars, so that a batch of runs becomes contiguous arrays."""
 

@@ -3,6 +3,7 @@
 Everything that runs of a part share is made here, in SI units, from the study's own.
 """
 
+from collections.abc import Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -10,17 +11,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax import earth, imu, rotations, trajectory, units
+from sinsjax import designs, earth, imu, trajectory, units
 from sinsjax.alignment.base import Site
 from sinsjax.alignment.coarse import COARSE
 from sinsjax.metrics import Criteria
 from sinsjax.records import Record, Reference, require_span
-from sinsjax.simulate import Draw, World
+from sinsjax.sections import Earth, Motion, Section, Sensors
+from sinsjax.simulate import Draw, Start, World, floor_of
 from sinsjax.studies import EARTH_CONSTANTS, Span, Study
-from sinsjax.types import Array, InputError, Quat, Scalar
+from sinsjax.types import Array, InputError, Scalar
 from sinsjax.units import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, PPM
 
 _LONGEST_GAP_S = 5.0  # in a reference; a swinging base turns within seconds
+
+
+NOMINAL_LATITUDE_DEG = 45.0
+"""What stands for a drawn latitude where one is needed for all draws: in the gains of compass
+loops, which know of it by gravity and radius alone, 0.3 % on an ellipsoid."""
 
 
 class Variants:
@@ -30,9 +37,12 @@ class Variants:
         ids: (variants,) their numbers in the study.
     """
 
-    def __init__(self, study: Study, ids: np.ndarray) -> None:
-        """Take the variants ``ids`` of a study."""
+    def __init__(
+        self, study: Study, ids: np.ndarray, drawn: Mapping[str, np.ndarray] | None = None
+    ) -> None:
+        """Take the variants ``ids`` of a study, and perhaps the values of its draws."""
         self._study = study
+        self._drawn = drawn or {}
         self.ids = ids
 
     def raw(self, key: str) -> list[Any]:
@@ -41,12 +51,17 @@ class Variants:
         return [values[i] for i in self.ids]
 
     def column(self, key: str, factor: float = 1.0) -> np.ndarray:
-        """Values of a numeric key times a factor, (variants,)."""
+        """Values of a numeric key times a factor, (variants,); zero for what is drawn."""
+        if key in self._study.drawn_keys:
+            return np.zeros(len(self.ids))
         return np.asarray(self.raw(key), dtype=float) * factor
 
     def common(self, key: str) -> Any:
-        """The one value of a key that does not differ between these variants."""
-        return self._study.values(key)[self.ids[0]]
+        """The one value of a key that does not differ between these variants.
+
+        Of a drawn key, None or the draws' values, (draws, ...), if they were given.
+        """
+        return self._drawn[key] if key in self._drawn else self._study.values(key)[self.ids[0]]
 
 
 class Tape(NamedTuple):
@@ -100,6 +115,8 @@ def site_of(study: Study, variants: Variants, tape: Tape | None) -> tuple[Site, 
     latitude = variants.common("latitude_deg")
     if latitude is None and tape is not None:
         latitude = tape.record.latitude_deg
+    if latitude is None and "latitude_deg" in study.drawn_keys:
+        latitude = NOMINAL_LATITUDE_DEG
     if latitude is None:
         source = tape.record.source if tape else study.study.name
         raise InputError(f"{source}: no latitude in the record: give [earth] latitude_deg")
@@ -111,28 +128,33 @@ def site_of(study: Study, variants: Variants, tape: Tape | None) -> tuple[Site, 
 @partial(jax.jit, static_argnames=("samples",))
 def _truth(
     motion: trajectory.Motion, place: earth.Place, times: Array, rate: Scalar, *, samples: int
-) -> tuple[Array, Array, Array]:
-    """Ideal increments (samples, 6), true attitudes (n, 4) at n times, and the one swayed about."""
-    still = trajectory.Motion(*(sway._replace(amplitude=0.0) for sway in motion))
+) -> tuple[Array, Array]:
+    """Ideal increments (samples, 6), and true attitudes (n, 4) at n times."""
     return (
         trajectory.increments(motion, place, rate, samples),
         jax.vmap(lambda t: jnp.stack(trajectory.attitude(motion, t)))(times),
-        jnp.stack(trajectory.attitude(still, 0.0)),
     )
 
 
 def simulated(
-    study: Study, variants: Variants, span: Span, site: Site, criteria: Criteria, ug: float
+    study: Study, variants: Variants, span: Span, criteria: Criteria, draws: range
 ) -> tuple[World, Draw, np.ndarray]:
-    """World, draws and their true starting attitudes of a simulated part."""
-    motion = _motion(variants)
-    errors = errors_of(variants, ug, study.study.rate_hz)
+    """World, draws and their true starting attitudes of a simulated part.
+
+    A key that is drawn has a nominal value in the world: zero, or its default.
+    """
+    site, ug = site_of(study, variants, None)
+    errors, motion = errors_of(variants, ug, study.study.rate_hz), _motion(variants)
     times = np.concatenate([[0.0], tape_times(study, span)])
-    # Of one length for all parts, so that they share a program.
-    samples = max(s.read for s in study.distinct_spans) * study.record_every
-    truth = _truth(motion, site.place, times, study.study.rate_hz, samples=samples)
-    tape, attitudes, center = map(np.asarray, truth)
-    n = study.n_draws
+    if draws_own(study, Earth, Motion):
+        # Each draw makes its own as it goes.
+        tape, attitudes = np.zeros((1, 6)), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+    else:
+        # Of one length for all parts, so that they share a program.
+        samples = max(s.read for s in study.distinct_spans) * study.record_every
+        truth = _truth(motion, site.place, times, study.study.rate_hz, samples=samples)
+        tape, attitudes = map(np.asarray, truth)
+    n = len(draws)
     world = World(
         site=site,
         tape=tape,
@@ -140,30 +162,69 @@ def simulated(
         errors=errors,
         seed=np.asarray(study.study.seed),
         criteria=criteria,
-        floor=_floor(errors, Quat(*center), site),
+        floor=np.asarray(floor_of(errors, motion, site.place), dtype=float),
         pass_records=np.asarray(span.tape),
+        times=times[1:] if draws_own(study, Earth, Motion) else None,
+        motion=motion if study.drawn_keys else None,
     )
-    draws = Draw(np.arange(n), np.asarray(0), np.zeros(n, int))
-    return world, draws, np.tile(attitudes[0], (n, 1))
+    ids = np.arange(draws.start, draws.stop)
+    own = _own(study, variants.ids, draws, ug, (errors, motion)) if study.drawn_keys else {}
+    return world, Draw(ids, np.asarray(0), np.zeros(n, int), **own), np.tile(attitudes[0], (n, 1))
 
 
-def _floor(errors: imu.SensorErrors, center: Quat, site: Site) -> np.ndarray:
-    """Limit of phi_u for constant biases, -eps_E/omega_N + (nabla_E/g) tan L, rad."""
-    c: np.ndarray = np.array(rotations.matrix(center))
-    eps, nabla = c @ errors.gyro_bias, c @ errors.accel_bias
-    place = site.place
-    return np.asarray(
-        -eps[0] / place.rate_n + nabla[0] / place.gravity * place.tan_latitude, dtype=float
+def draws_own(study: Study, *sections: type[Section]) -> bool:
+    """Whether a study draws a key of some sections."""
+    return any(key in section.model_fields for key in study.drawn_keys for section in sections)
+
+
+def _own(
+    study: Study,
+    ids: np.ndarray,
+    draws: range,
+    ug: float,
+    nominal: tuple[imu.SensorErrors, trajectory.Motion],
+) -> dict[str, Any]:
+    """What the draws of a simulated study have for themselves, as fields of `Draw`."""
+    values = designs.values(study, len(draws), first=draws.start)
+    variants = Variants(study, ids, values)
+    drawn = errors_of(variants, ug, study.study.rate_hz), _motion(variants)
+    errors, motion = jax.tree.map(
+        lambda a, like: np.broadcast_to(a, (len(draws), *np.shape(like))), drawn, nominal
+    )
+    own: dict[str, Any] = {"begins": begins(study, draws)}
+    if draws_own(study, Sensors):
+        own["errors"] = errors
+    if draws_own(study, Motion, Earth):
+        own["motion"] = motion
+    if draws_own(study, Earth):
+        own["latitude"] = values["latitude_deg"] * DEG
+    return own
+
+
+def begins(study: Study, draws: range) -> Start:
+    """What the draws of a study begin with, where that is drawn."""
+    values = designs.values(study, len(draws), first=draws.start)
+    phi = (values.get(f"phi_{axis}0_deg") for axis in "enu")
+    return Start(
+        phi=tuple(None if angle is None else angle * DEG for angle in phi),
+        ve=values.get("ve0_m_per_s"),
+        vn=values.get("vn0_m_per_s"),
     )
 
 
 def _motion(variants: Variants) -> trajectory.Motion:
+    def number(key: str, factor: float = 1.0) -> np.ndarray:
+        value = variants.common(key)
+        default = Motion.model_fields[key].default  # stands for a drawn value
+        given = np.asarray((default or 0.0) if value is None else value, dtype=float)
+        return np.asarray(given * factor)
+
     def sway(angle: str) -> trajectory.Sway:
         return trajectory.Sway(
-            center=np.float64(variants.common(f"{angle}_center_deg") * DEG),
-            amplitude=np.float64(variants.common(f"{angle}_amplitude_deg") * DEG),
-            period=np.float64(variants.common(f"{angle}_period_s")),
-            phase=np.float64(variants.common(f"{angle}_phase_deg") * DEG),
+            center=number(f"{angle}_center_deg", DEG),
+            amplitude=number(f"{angle}_amplitude_deg", DEG),
+            period=number(f"{angle}_period_s"),
+            phase=number(f"{angle}_phase_deg", DEG),
         )
 
     return trajectory.Motion(sway("pitch"), sway("roll"), sway("yaw"))
@@ -173,26 +234,28 @@ def errors_of(variants: Variants, ug: float, rate_hz: float) -> imu.SensorErrors
     """What the sensors of a part do: its ug in m/s^2, its rate in Hz."""
     dt = 1 / rate_hz
 
-    def vector(key: str, factor: float) -> np.ndarray:
-        return np.broadcast_to(np.asarray(variants.common(key), float) * factor, 3).copy()
+    def numbers(key: str, factor: float, count: int = 3) -> np.ndarray:
+        """(..., count): a number stands for all axes, and zero for what is drawn."""
+        value = variants.common(key)
+        given = np.asarray(0.0 if value is None else value, dtype=float) * factor
+        return np.broadcast_to(given, np.broadcast_shapes(given.shape, (count,)))
 
     def noise(per_sample: str, density: str, units_: tuple[float, float]) -> np.ndarray:
         # A rate's standard deviation a sample integrates to dt times it; a density to sqrt(dt).
         if variants.common(density) is not None:
-            return vector(density, units_[1] * np.sqrt(dt))
-        if variants.common(per_sample) is not None:
-            return vector(per_sample, units_[0] * dt)
-        return np.zeros(3)
+            return numbers(density, units_[1] * np.sqrt(dt))
+        return numbers(per_sample, units_[0] * dt)
 
     def matrix(scale: str, cross: str) -> np.ndarray:
-        out = np.diag(vector(scale, PPM))
-        angles = np.broadcast_to(np.asarray(variants.common(cross), float) * ARCSEC, 6)
-        out[~np.eye(3, dtype=bool)] = angles
+        scales, angles = numbers(scale, PPM), numbers(cross, ARCSEC, 6)
+        out = np.zeros((*np.broadcast_shapes(scales.shape[:-1], angles.shape[:-1]), 3, 3))
+        out[..., range(3), range(3)] = scales
+        out[..., ~np.eye(3, dtype=bool)] = angles
         return out
 
     return imu.SensorErrors(
-        gyro_bias=vector("gyro_bias_deg_per_h", DEG_PER_H),
-        accel_bias=vector("accel_bias_ug", ug),
+        gyro_bias=numbers("gyro_bias_deg_per_h", DEG_PER_H),
+        accel_bias=numbers("accel_bias_ug", ug),
         gyro_noise=noise(
             "gyro_noise_deg_per_h", "gyro_arw_deg_per_sqrt_h", (DEG_PER_H, DEG_PER_SQRT_H)
         ),
@@ -203,10 +266,11 @@ def errors_of(variants: Variants, ug: float, rate_hz: float) -> imu.SensorErrors
 
 
 def recorded(
-    study: Study, tape: Tape, span: Span, site: Site, criteria: Criteria
+    study: Study, variants: Variants, span: Span, criteria: Criteria, tape: Tape
 ) -> tuple[World, Draw, np.ndarray]:
     """World, draws (one a start time) and coarsely aligned attitudes of a recorded part."""
     assert study.record is not None and study.coarse is not None
+    site, _ = site_of(study, variants, tape)
     record, rate = tape.record, study.study.rate_hz
     if abs(record.rate_hz - rate) > 1e-6 * rate:
         raise InputError(
@@ -234,7 +298,8 @@ def recorded(
         pass_records=np.asarray(span.tape),
     )
     n = len(starts)
-    return world, Draw(np.arange(n), fine, np.arange(n)), np.asarray(q)
+    draws = Draw(np.arange(n), fine, np.arange(n), begins=begins(study, range(n)))
+    return world, draws, np.asarray(q)
 
 
 def _reference_at(tape: Tape, times: np.ndarray) -> np.ndarray:

@@ -14,7 +14,17 @@ from sinsjax.alignment.base import Site
 from sinsjax.alignment.schedules import Feedback, Pieces, Renewal, Resets
 from sinsjax.loops import AzimuthGains, LevelGains
 from sinsjax.metrics import Criteria
-from sinsjax.simulate import ONE, Draw, Params, Progress, Static, World, begin, over_a_record
+from sinsjax.simulate import (
+    ONE,
+    Draw,
+    Params,
+    Progress,
+    Static,
+    World,
+    begin,
+    over_a_record,
+    shared_by,
+)
 from sinsjax.types import Increments, Navigation, Quat, Vec3
 
 ARCMIN = DEG / 60
@@ -148,12 +158,13 @@ def trail(static: Static, world: World, params: Params) -> Any:
     draw = Draw(jnp.asarray(0), jnp.asarray(0), jnp.asarray(0))
     zero = jnp.zeros(())
     nothing = Increments(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
-    step = over_a_record(static, world, draw, params, ONE)
+    shared = shared_by(world, draw, ONE)
+    step = over_a_record(static, world, shared, draw, params, ONE)
     unknown = Quat(*(zero + jnp.nan for _ in range(4)))
 
     def record(progress: Progress, number: Any) -> tuple[Progress, Any]:
         progress, _ = step(progress, (number, unknown))
         return progress, progress.run.state
 
-    start = Progress(begin(static, world, params), nothing)
+    start = Progress(begin(static, world, world.site, params), nothing)
     return jax.lax.scan(record, start, jnp.arange(static.records))[1]

@@ -3,12 +3,9 @@ import math
 import numpy as np
 import pyarrow as pa
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy import stats
 
 from sinsjax import analysis
-from sinsjax.analysis import Estimate
 from sinsjax.types import InputError
 
 NEVER = math.inf
@@ -21,193 +18,13 @@ def summary(n=12, **columns):
         "status": ["ok"] * n,
         "phi_u_arcmin": np.full(n, -27.0),
         "phi_u_mean_arcmin": np.linspace(-28.0, -26.0, n),
+        "phi_u_std_arcmin": np.linspace(0.1, 0.4, n),
         "floor_arcmin": np.full(n, -27.0),
         "settle_10_s": np.linspace(50.0, 160.0, n),
         "nees": np.linspace(1.0, 5.0, n),
+        "nis_u": np.linspace(0.2, 2.0, n),
     }
     return pa.table(base | columns)
-
-
-@pytest.mark.parametrize(
-    ("estimate", "unit", "text"),
-    [
-        (Estimate(12.31, 11.88, 12.84, 5), "", "12.3 [11.9, 12.8]"),
-        (Estimate(12.31, 11.88, 12.84, 5), "s", "12.3 [11.9, 12.8] s"),
-        (Estimate(NEVER, 300.0, NEVER, 5), "s", "never [300.0, never] s"),
-        (Estimate(-NEVER, -NEVER, 0.0, 5), "", "-never [-never, 0.0]"),
-        (Estimate(1.0, math.nan, math.nan, 1), "", "1.0 [unknown, unknown]"),
-    ],
-)
-def test_format(estimate, unit, text):
-    assert analysis.format_estimate(estimate, unit) == text
-
-
-def test_format_digits():
-    assert (
-        analysis.format_estimate(Estimate(0.5, 0.25, 0.75, 9), digits=3) == "0.500 [0.250, 0.750]"
-    )
-
-
-@pytest.mark.parametrize(("k", "n"), [(0, 1), (1, 1), (0, 64), (61, 64), (64, 64), (500, 1000)])
-def test_proportion_is_wilsons_closed_form(k, n):
-    z = stats.norm.ppf(0.975)
-    share = k / n
-    centre = (share + z * z / (2 * n)) / (1 + z * z / n)
-    half = z / (1 + z * z / n) * math.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
-    found = analysis.proportion(k, n)
-    assert (found.value, found.n) == (share, n)
-    assert found[1:3] == pytest.approx((max(0, centre - half), min(1, centre + half)), abs=1e-12)
-
-
-@pytest.mark.parametrize(("k", "n"), [(0, 0), (-1, 4), (5, 4)])
-def test_proportion_refuses(k, n):
-    with pytest.raises(ValueError, match="a share needs"):
-        analysis.proportion(k, n)
-
-
-@given(
-    st.lists(st.floats(-1e3, 1e3) | st.just(math.nan) | st.just(NEVER), min_size=1, max_size=80),
-    st.sampled_from([0.1, 0.5, 0.75, 0.9]),
-)
-def test_quantile_is_the_first_value_that_enough_reach(values, q):
-    data = [NEVER if math.isnan(v) else v for v in values]
-    found = analysis.quantile(values, q)
-    enough = [v for v in sorted(data) if sum(w <= v for w in data) >= q * len(data) - 1e-9]
-    assert found.value == enough[0]
-    oracle = stats.quantile_test(data, p=q).confidence_interval(0.95)
-    np.testing.assert_array_equal(found[1:3], oracle)
-
-
-def test_quantile_never():
-    assert analysis.quantile([math.nan] * 64) == Estimate(NEVER, NEVER, NEVER, 64)
-    half = analysis.quantile([10.0] * 32 + [math.nan] * 32)
-    assert half == Estimate(10.0, 10.0, NEVER, 64)
-    assert analysis.quantile([10.0] * 31 + [math.nan] * 33).value == NEVER
-
-
-def test_quantile_of_one_value_has_no_interval():
-    found = analysis.quantile([7.0])
-    assert found.value == 7.0
-    assert math.isnan(found.low) and math.isnan(found.high)
-
-
-def test_quantile_interval_covers():
-    random = np.random.default_rng(3)
-    draws = random.lognormal(size=(400, 40))
-    hits = 0
-    for row in draws:
-        found = analysis.quantile(row)
-        hits += found.low <= 1.0 <= found.high
-    assert hits / 400 > 0.93
-
-
-def test_mean_is_students():
-    values = np.random.default_rng(1).normal(3.0, 2.0, 20)
-    found = analysis.mean(np.append(values, [math.nan, NEVER]))
-    oracle = stats.ttest_1samp(values, 0.0).confidence_interval(0.95)
-    assert found == pytest.approx((values.mean(), oracle.low, oracle.high, 20), rel=1e-12)
-
-
-def test_std_agrees_with_scipys_bootstrap():
-    values = np.random.default_rng(2).normal(3.0, 2.0, 64)
-    found = analysis.std(np.append(values, math.nan))
-    oracle = stats.bootstrap(
-        (values,), lambda x, axis: np.std(x, axis=axis, ddof=1), n_resamples=9999,
-        method="percentile", random_state=5,
-    ).confidence_interval  # fmt: skip
-    assert (found.value, found.n) == (pytest.approx(values.std(ddof=1)), 64)
-    assert found[1:3] == pytest.approx(tuple(oracle), rel=0.02)
-    assert found == analysis.std(values)
-
-
-def test_bootstrap_in_small_blocks_is_the_same(monkeypatch):
-    values = np.random.default_rng(2).normal(size=30)
-    whole = analysis.std(values)
-    monkeypatch.setattr(analysis, "_BLOCK", 700)
-    assert analysis.std(values) == whole
-
-
-def test_constant_values_have_an_interval_of_no_width():
-    assert analysis.mean([2.0, 2.0, 2.0]) == Estimate(2.0, 2.0, 2.0, 3)
-    assert analysis.std([2.0, 2.0, 2.0]) == Estimate(0.0, 0.0, 0.0, 3)
-
-
-@pytest.mark.parametrize("values", [[5.0], [math.nan, 5.0], [math.nan]])
-def test_too_few_values_are_unknown(values):
-    finite = [v for v in values if not math.isnan(v)]
-    centre, spread = analysis.mean(values), analysis.std(values)
-    assert centre.value == finite[0] if finite else math.isnan(centre.value)
-    assert centre.n == spread.n == len(finite)
-    assert np.isnan([*centre[1:3], *spread[:3]]).all()
-
-
-@pytest.mark.parametrize("statistic", [analysis.quantile, analysis.mean, analysis.std])
-@pytest.mark.parametrize("values", [[], [[1.0, 2.0]]])
-def test_statistics_refuse(statistic, values):
-    with pytest.raises(ValueError, match="one or more values"):
-        statistic(values)
-
-
-@pytest.mark.parametrize("compare", [analysis.difference, analysis.quantile_difference])
-def test_differences_refuse(compare):
-    with pytest.raises(ValueError, match="equal lengths"):
-        compare([1.0, 2.0], [1.0])
-    with pytest.raises(ValueError, match="one or more values"):
-        compare([], [])
-
-
-def test_quantile_out_of_range_is_refused():
-    with pytest.raises(ValueError):
-        analysis.quantile([1.0, 2.0], 1.5)
-
-
-def test_difference_is_the_paired_t_test():
-    random = np.random.default_rng(4)
-    a = random.normal(size=30)
-    b = a + random.normal(0.3, 0.1, 30)
-    oracle = stats.ttest_rel(b, a).confidence_interval(0.95)
-    found = analysis.difference(b, a)
-    assert found == pytest.approx(((b - a).mean(), oracle.low, oracle.high, 30), rel=1e-9)
-    a[3], b[4] = math.nan, NEVER
-    a[5] = b[5] = NEVER
-    assert analysis.difference(b, a).n == 27
-
-
-def test_quantile_difference_against_a_naive_loop():
-    random = np.random.default_rng(6)
-    b = random.uniform(50, 150, 40)
-    a = b + random.uniform(0, 30, 40)
-    a[:8] = math.nan
-    found = analysis.quantile_difference(a, b)
-
-    def median(values):
-        return sorted(NEVER if math.isnan(v) else v for v in values)[len(values) // 2 - 1]
-
-    resampled = []
-    for _ in range(2000):
-        pick = random.integers(0, 40, 40)
-        resampled.append(median(a[pick]) - median(b[pick]))
-    assert found.value == median(a) - median(b)
-    assert found[1:3] == pytest.approx(np.quantile(resampled, [0.025, 0.975]), abs=4.0)
-
-
-def test_quantile_difference_keeps_the_pairs():
-    noise = np.random.default_rng(7).normal(0, 100, 50)
-    assert analysis.quantile_difference(noise + 5.0, noise)[:3] == pytest.approx((5.0, 5.0, 5.0))
-
-
-@pytest.mark.parametrize(
-    ("a", "b", "expected"), [(None, 9.0, NEVER), (9.0, None, -NEVER), (None, None, 0.0)]
-)
-def test_quantile_difference_of_never(a, b, expected):
-    found = analysis.quantile_difference(np.full(20, a, float), np.full(20, b, float))
-    assert found == Estimate(expected, expected, expected, 20)
-
-
-def test_one_pair_has_no_interval():
-    found = analysis.quantile_difference([3.0], [1.0])
-    assert (found.value, found.n) == (2.0, 1)
-    assert np.isnan(found[1:3]).all()
 
 
 def test_paired_joins_on_the_draw():
@@ -299,7 +116,16 @@ def test_summarise_one_row_a_group():
     holds("phi_u_mean_arcmin_mean", analysis.mean(finite))
     holds("phi_u_mean_arcmin_std", analysis.std(finite))
     holds("phi_u_from_floor_arcmin_mean", analysis.mean(finite + 27.0))
+    holds("settle_10_s_mean", analysis.mean(settle[:6]))
+    holds("phi_u_std_arcmin_mean", analysis.mean(np.linspace(0.1, 0.4, 12)))
     holds("nees_median", analysis.quantile(np.linspace(1, 5, 12)))
+    holds("nees_mean", analysis.mean(np.linspace(1, 5, 12)))
+    holds("nis_u_mean", analysis.mean(np.linspace(0.2, 2, 12)))
+    for name, freedom in (("nees_mean", 3), ("nis_u_mean", 1)):
+        band = stats.chi2.ppf([0.025, 0.975], freedom * 12) / 12
+        assert [first[f"{name}_chi2_{end}"] for end in ("low", "high")] == pytest.approx(list(band))
+    assert (first["never_settled_10"], second["never_settled_10"]) == (6, 0)
+    assert (first["settle_10_s_mean_n"], first["phi_u_mean_arcmin_mean_n"]) == (6, 11)
     assert first["settle_10_s_median"] == 100.0 and first["settle_10_s_median_high"] == NEVER
     assert second["success_rate"] == 1.0
 
@@ -308,30 +134,50 @@ def test_summarise_a_single_run_and_every_band():
     table = analysis.summarise(summary(1, settle_3_s=[None], settle_60_s=[20.0]), [])
     (row,) = table.to_pylist()
     assert row["settle_3_s_median"] == NEVER and row["settle_60_s_median"] == 20.0
+    assert (row["never_settled_3"], row["never_settled_60"]) == (1, 0)
+    assert (row["settle_3_s_mean"], row["settle_3_s_mean_n"]) == (None, 0)
     assert row["phi_u_mean_arcmin_mean"] == -28.0
     assert row["phi_u_mean_arcmin_mean_low"] is row["phi_u_mean_arcmin_std"] is None
 
 
 def test_summarise_without_truth_says_unknown():
     nothing = pa.nulls(12, pa.float64())
-    names = ("phi_u_arcmin", "phi_u_mean_arcmin", "floor_arcmin", "settle_10_s", "nees")
+    names = [name for name in summary().column_names if name not in ("draw_id", "status")]
     status = pa.nulls(12, pa.string())
     table = summary(**dict.fromkeys(names, nothing), status=status)
     (row,) = analysis.summarise(table, []).to_pylist()
     assert row.pop("n") == 12 and row.pop("nonfinite") == 0
-    assert set(row.values()) == {None}
+    assert {value for name, value in row.items() if not name.endswith("_n")} == {None}
+    assert {value for name, value in row.items() if name.endswith("_n")} == {0}
 
 
 def test_summarise_all_nonfinite_is_not_without_truth():
     nothing = np.full(12, math.nan)
     table = summary(
         status=["nonfinite"] * 12, phi_u_arcmin=nothing, phi_u_mean_arcmin=nothing,
-        settle_10_s=nothing, nees=nothing,
+        settle_10_s=nothing, nees=nothing, nis_u=nothing,
     )  # fmt: skip
     (row,) = analysis.summarise(table, []).to_pylist()
     assert (row["nonfinite"], row["success_rate"]) == (12, 0.0)
     assert row["settle_10_s_median"] == NEVER
-    assert row["phi_u_mean_arcmin_mean"] is None
+    assert row["phi_u_mean_arcmin_mean"] is None and row["never_settled_10"] == 12
+    assert row["nees_mean_chi2_low"] is row["nees_mean"] is None
+
+
+def test_summarise_of_chosen_statistics_needs_their_columns_alone():
+    whole = summary(case=["a", "b"] * 6)
+    table = whole.select(["case", "status", "phi_u_arcmin", "settle_10_s"])
+    names = ["never_settled_10", "success_rate", "settle_10_s_median"]
+    found = analysis.summarise(table, ["case"], names)
+    assert found.column_names[:4] == ["case", "n", "nonfinite", "never_settled_10"]
+    assert found.column_names[4:7] == ["success_rate", "success_rate_low", "success_rate_high"]
+    assert found.equals(analysis.summarise(whole, ["case"]).select(found.column_names))
+
+
+def test_data_columns_of_a_tape_have_no_count_of_their_own():
+    names = analysis.summarise(summary(settle_10_data_s=np.full(12, 40.0)), []).column_names
+    assert "settle_10_data_s_median" in names and "settle_10_data_s_mean_n" in names
+    assert [name for name in names if name.startswith("never")] == ["never_settled_10"]
 
 
 def test_summarise_refuses():
@@ -339,19 +185,67 @@ def test_summarise_refuses():
         analysis.summarise(summary().slice(0, 0), [])
     with pytest.raises(InputError, match="column nees is missing"):
         analysis.summarise(summary().drop_columns(["nees"]), [])
+    with pytest.raises(InputError, match="no statistic settle_60_s_median"):
+        analysis.summarise(summary(), [], ["settle_60_s_median"])
 
 
-def test_rms_is_the_root_of_the_mean_square_and_its_interval_covers():
-    random = np.random.default_rng(4)
-    values = random.normal(size=40)
-    found = analysis.rms(values)
-    assert found.value == pytest.approx(math.sqrt(np.mean(values**2)))
-    assert found.low < found.value < found.high and found.n == 40
-    hits = [e.low < 1 < e.high for e in map(analysis.rms, random.normal(size=(100, 40)))]
-    assert 0.85 < np.mean(hits) < 1
+def variants(n=40):
+    """Three variants on the same draws, which the table holds in no order."""
+    random = np.random.default_rng(11)
+    shared = random.normal(0.0, 5.0, n)
+    parts = []
+    for times, slower, failing in (([], 0.0, 0), ([50.0], 30.0, 0), ([50.0, 100.0], 60.0, 25)):
+        settle = 100.0 + shared + slower
+        settle[:failing] = np.nan
+        part = summary(
+            n,
+            settle_10_s=settle,
+            status=["not_settled"] * failing + ["ok"] * (n - failing),
+            phi_u_mean_arcmin=-27.0 + shared * (1.0 + slower / 60.0),
+        ).append_column("reset_times_s", pa.array([times] * n, pa.list_(pa.float64())))
+        parts.append(part.take(random.permutation(n)))
+    return parts
 
 
-def test_rms_leaves_out_what_is_not_finite():
-    values = np.array([3.0, np.nan, 4.0, np.inf])
-    assert analysis.rms(values)[::3] == (pytest.approx(math.sqrt(12.5)), 2)
-    assert analysis.rms([np.nan]).n == 0 and math.isnan(analysis.rms([2.0]).low)
+def test_compare_pairs_by_draw():
+    base, later, failing = parts = variants()
+    table = analysis.compare(pa.concat_tables(parts), ["reset_times_s"], {"reset_times_s": ()})
+    first, second = table.to_pylist()
+    assert [row["reset_times_s"] for row in (first, second)] == [[50.0], [50.0, 100.0]]
+    # The same settling times 30 s later, so no interval, though draws differ by far more.
+    names = [f"settle_10_s_median_difference{end}" for end in ("", "_low", "_high")]
+    assert [first[name] for name in names] == pytest.approx([30.0, 30.0, 30.0])
+    assert second[names[0]] == NEVER
+    ok = [np.asarray(t.sort_by("draw_id")["status"]) == "ok" for t in (failing, base)]
+    expected = analysis.proportion_difference(*ok)
+    ends = [second[f"success_rate_difference{end}"] for end in ("", "_low", "_high")]
+    assert ends == pytest.approx(list(expected[:3])) and second["success_rate_difference"] < -0.5
+    assert first["success_rate_difference"] == 0.0
+    errors = (np.abs(x + 27.0) for x in analysis.paired(later, base, "phi_u_mean_arcmin"))
+    error = analysis.difference(*errors)
+    ends = [first[f"phi_u_error_arcmin_difference{end}"] for end in ("", "_low", "_high", "_n")]
+    assert ends == pytest.approx(list(error)) and first["n"] == 40
+
+
+def test_compare_without_truth_says_unknown():
+    lost = pa.nulls(40, pa.float64())
+    names = ("phi_u_arcmin", "phi_u_mean_arcmin", "floor_arcmin", "settle_10_s", "status")
+    parts = [t.drop_columns(names) for t in variants()]
+    for name in names:
+        nulls = pa.nulls(40, pa.string()) if name == "status" else lost
+        parts = [t.append_column(name, nulls) for t in parts]
+    row, _ = analysis.compare(
+        pa.concat_tables(parts), ["reset_times_s"], {"reset_times_s": []}
+    ).to_pylist()
+    keys = ("reset_times_s", "n", "phi_u_error_arcmin_difference_n")
+    assert {value for name, value in row.items() if name not in keys} == {None}
+
+
+def test_compare_refuses():
+    table = pa.concat_tables(variants())
+    with pytest.raises(InputError, match="no runs of the baseline {'reset_times_s': \\[7.0\\]}"):
+        analysis.compare(table, ["reset_times_s"], {"reset_times_s": [7.0]})
+    with pytest.raises(InputError, match="draws differ"):
+        analysis.compare(table.slice(1), ["reset_times_s"], {"reset_times_s": []})
+    with pytest.raises(InputError, match="draw_id repeats"):
+        analysis.compare(table.append_column("case", table["status"]), ["case"], {"case": "ok"})

@@ -105,11 +105,11 @@ def some_group(force: str, method: str = "kalman5", *, draws: int, variants: int
     st.sampled_from(["measured", "gravity"]),
     st.integers(1, 150),
     st.integers(1, 200),
-    st.sampled_from([(1, 2), (2, 2), (2, 40)]),
+    st.sampled_from([None, 2, 40]),
 )
 @settings(max_examples=20)
 def test_every_run_has_one_lane(
-    force: str, draws: int, variants: int, call: tuple[int, int]
+    force: str, draws: int, variants: int, tiles_a_chunk: int | None
 ) -> None:
     """Calls of one size; each run once, in order; its tile holds its draw; sets share variants."""
     group = some_group(force, draws=1, variants=1)._replace(
@@ -118,9 +118,10 @@ def test_every_run_has_one_lane(
         variants=jax.tree.map(lambda a: np.arange(variants), Params(*range(5))),
     )
     group = group._replace(variants=group.variants._replace(q=Quat(*[np.zeros(variants)] * 4)))
-    devices, tiles_a_chunk = call
     runs, shapes = [], set()
-    for places in batch.plan(group, devices=devices, tiles_a_chunk=tiles_a_chunk):
+    plan = batch.plan(group, tiles_a_chunk=tiles_a_chunk)
+    assert sum(map(plan.runs, range(len(plan)))) == draws * variants
+    for number, places in enumerate(plan):
         tiles = batch.tiles_of(group, places)
         shapes.add(jax.tree.leaves(jax.tree.map(lambda a: a.shape, tuple(tiles))).__repr__())
         assert len(tiles.row) >= 2
@@ -133,6 +134,8 @@ def test_every_run_has_one_lane(
         taken = np.broadcast_to(tiles.params.ve[:, None], places.draw.shape)
         np.testing.assert_array_equal(taken[busy], places.variant[busy])
         chunk = np.sort((places.draw * variants + places.variant)[busy])
+        assert len(chunk) == plan.runs(number)
+        assert {plan.call_of(*divmod(int(run), variants)) for run in chunk} == {number}
         runs.extend(chunk)
     np.testing.assert_array_equal(runs, np.arange(draws * variants))
     assert len(shapes) == 1
@@ -171,7 +174,7 @@ def test_only_a_covariance_that_no_draw_changes_is_shared(
         alignment={"specific_force": "gravity", "method": method, **changes},
     )
     (part,) = scenario.parts(study)
-    assert batch.layout(part.group)[0] == sets
+    assert batch.layout(part.group.static, 1)[0] == sets
 
 
 @pytest.mark.parametrize("every", [0.07, 0.5])

@@ -88,6 +88,21 @@ short_time_s = 100.0
 """
 
 
+STOP = {"statistic": "success_rate", "half_width": 0.02}
+ZIPPED: dict[str, Any] = {
+    "reset_kind": ["full", "yaw"],
+    "z level": {"phi_n0_deg": [0, 5], "phi_e0_deg": [0, 5]},
+    "errors": {"gyro_scale_ppm": [0, [1, 2, 3]], "accel_scale_ppm": [1, 1]},
+}
+DRAWN: dict[str, Any] = {
+    "sampling": "sobol",
+    "vn0_m_per_s": {"uniform": [0, 1]},
+    "accel_bias_ug": {"normal": [0, 1]},
+    "gyro_arw_deg_per_sqrt_h": {"values": [0, [1, 2, 3], 0]},
+    "phi_u0_deg": {"grid": [3, 2, 1]},
+}
+
+
 def built(base: dict[str, Any] = SIMULATED, **tables: Any) -> Study:
     return study_from_dict(merged(base, **tables), "s.toml")
 
@@ -220,6 +235,79 @@ def test_combinations_are_those_of_the_variants():
     assert len(list(study.combinations(*keys))) == len(met) == 4
 
 
+def test_zips_go_together_between_cases_and_axes():
+    study = built(
+        axes={
+            "reset_kind": ["full", "yaw"],
+            "level": {"phi_e0_deg": [0, 5], "phi_n0_deg": [1, 5]},
+            "method": {"phi_u0_deg": [0, 10, 20]},  # any name will do
+        },
+        cases=[{"ve0_m_per_s": 0.0}, {"ve0_m_per_s": 1.0}],
+    )
+    level = {"phi_e0_deg": (0.0, 5.0), "phi_n0_deg": (1.0, 5.0)}
+    assert study.zips == {"level": level, "method": {"phi_u0_deg": (0.0, 10.0, 20.0)}}
+    assert study.axes == {"reset_kind": ("full", "yaw")}
+    keys = ("ve0_m_per_s", "phi_e0_deg", "phi_n0_deg", "phi_u0_deg", "reset_kind")
+    assert study.axis_keys == keys and study.n_variants == 24
+    product = itertools.product((0, 1), ((0, 1), (5, 5)), (0, 10, 20), ("full", "yaw"))
+    expected = [(ve, *pair, u, kind) for ve, pair, u, kind in product]
+    assert list(zip(*study.variant_values().values(), strict=True)) == expected
+    assert list(study.combinations("phi_n0_deg", "phi_e0_deg")) == [
+        {"phi_n0_deg": 1.0, "phi_e0_deg": 0.0},
+        {"phi_n0_deg": 5.0, "phi_e0_deg": 5.0},
+    ]
+
+
+SWEPT = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg", "ve0_m_per_s", "vn0_m_per_s", "height_m")
+
+
+@st.composite
+def sweeps(draw: st.DrawFn) -> tuple[list[dict], list[dict], dict]:
+    """Cases, zips and axes over some of the keys, with values that repeat within a zip or case."""
+    keys = draw(st.permutations(SWEPT))
+    sizes = draw(st.lists(st.integers(0, 2), min_size=3, max_size=3))
+    cuts = list(itertools.accumulate([0, *sizes]))
+    joint = [keys[a:b] for a, b in itertools.pairwise(cuts)]
+    rows = [
+        draw(st.lists(st.tuples(*[st.integers(0, 2)] * len(some)), min_size=1, unique=True))
+        for some in joint
+    ]
+    cases, *zips = (
+        [dict(zip(some, row, strict=True)) for row in table] if some else []
+        for some, table in zip(joint, rows, strict=True)
+    )
+    alone = draw(st.lists(st.sampled_from(keys[cuts[-1] :] or ["roll_phase_deg"]), unique=True))
+    axes = {
+        key: draw(st.lists(st.integers(0, 9), min_size=1, max_size=3, unique=True)) for key in alone
+    }
+    return cases, [table for table in zips if table], axes
+
+
+@given(sweep=sweeps(), data=st.data())
+def test_variants_are_numbered_as_a_product_is(sweep: tuple, data: st.DataObject):
+    cases, zips, axes = sweep
+    tables = {
+        f"zip {i}": {k: [row[k] for row in rows] for k in rows[0]} for i, rows in enumerate(zips)
+    }
+    # A zip may stand before an axis in a dictionary.
+    study = built(axes=tables | axes, **({"cases": cases} if cases else {}))
+    grids = [[{key: value} for value in values] for key, values in axes.items()]
+    points = [
+        {key: value for part in parts for key, value in part.items()}
+        for parts in itertools.product(cases or [{}], *zips, *grids)
+    ]
+    assert study.n_variants == len(points)
+    values = study.variant_values()
+    assert list(values) == list(study.axis_keys) == list(points[0])
+    assert [dict(zip(values, row, strict=True)) for row in zip(*values.values(), strict=True)] == (
+        points if values else []
+    )
+    keys = data.draw(st.lists(st.sampled_from([*SWEPT, "method"]), unique=True))
+    met = {tuple(row) for row in zip(*(study.values(key) for key in keys), strict=True)} or {()}
+    found = [tuple(point[key] for key in keys) for point in study.combinations(*keys)]
+    assert set(found) == met and len(found) == len(met)
+
+
 def test_required_keys_may_be_swept():
     data = merged(SIMULATED, axes={"latitude_deg": [0, 80], "yaw_center_deg": [0, 90]})
     del data["earth"], data["motion"]
@@ -301,6 +389,16 @@ def test_a_file_of_any_value_is_refused_with_its_name(tmp_path: Path):
             SIMULATED, study={"name": 'tab\t "quotes" \\ and\nlines', "settle_bands_arcmin": []}
         ),
         merged(RECORDED, record=TABULAR | {"time_column": "t", "start_s": [0, 2.5]}),
+        merged(SIMULATED, resets={"reset_count": 1, "reset_first_s": 25}),
+        merged(SIMULATED, stop_when={"statistic": "success_rate", "half_width": 0.02}),
+        merged(SIMULATED, axes=ZIPPED, cases=[{"case": "a"}]),
+        merged(SIMULATED, drawn=DRAWN),
+        merged(
+            SIMULATED,
+            drawn=dict(reversed(DRAWN.items())),
+            axes={"phi_n0_deg": [0, 5], "phi_e0_deg": [0, 5]},
+        ),
+        merged(RECORDED, drawn={"phi_u0_deg": {"normal": [0, 10]}}),
         COMPASS,
         merged(COMPASS, filter={}, resets={}),
         merged(SIMULATED, compass={}, passes={}),
@@ -328,6 +426,7 @@ def test_resolved_study_loads_equal(data: dict[str, Any], tmp_path: Path):
     again = load_study(path)
     assert again == study
     assert again.axis_keys == study.axis_keys and list(again.axes) == list(study.axes)
+    assert list(again.zips) == list(study.zips) and again.drawn_keys == study.drawn_keys
     assert study_to_toml(again) == text
     assert fingerprint(again) == fingerprint(study)
 
@@ -413,6 +512,49 @@ def test_fingerprint_changes_with_the_order_of_the_axes():
     assert fingerprint(study_from_dict(other)) != fingerprint(study_from_dict(data))
 
 
+OLD = {
+    "paper1_conditions": "9967e7214256c2ad",
+    "compass_80s_search": "d1cad6779ee56132",
+    "car_batch": "ef17d00f4cb90346",
+    "kalman_passes": "a4334b310c7fb4bf",
+}
+
+
+@pytest.mark.parametrize("name", OLD)
+def test_fingerprints_of_stored_results_stay(name: str):
+    """What a version adds changes none that does not use it: results of 0.3.0 remain readable."""
+    path = Path(__file__).parents[1] / "configs" / f"{name}.toml"
+    assert fingerprint(load_study(path)) == OLD[name]
+
+
+def test_fingerprint_changes_with_what_is_zipped_drawn_or_stopped():
+    drawn = [
+        DRAWN,
+        DRAWN | {"sampling": "random"},
+        DRAWN | {"vn0_m_per_s": {"uniform": [0, 2]}},
+        DRAWN | {"vn0_m_per_s": {"normal": [0, 1]}},
+        DRAWN | {"phi_u0_deg": {"values": [3, 2, 1]}},
+        dict(reversed(DRAWN.items())),
+        {"phi_u0_deg": {"values": [0]}},
+    ]
+    other: list[dict[str, Any]] = [
+        {},
+        *({"drawn": table} for table in drawn),
+        {"axes": {"a": {"phi_u0_deg": [0, 1], "phi_e0_deg": [0, 1]}}},
+        {"axes": {"a": {"phi_u0_deg": [0, 1]}, "b": {"phi_e0_deg": [0, 1]}}},
+        {"axes": {"b": {"phi_e0_deg": [0, 1]}, "a": {"phi_u0_deg": [0, 1]}}},
+        {"axes": {"phi_u0_deg": [0, 1], "phi_e0_deg": [0, 1]}},
+        {"resets": {"reset_first_s": 25}},
+        {"resets": {"reset_first_s": 26}},
+        {"stop_when": {"statistic": "success_rate", "half_width": 0.02}},
+        {"stop_when": {"statistic": "success_rate", "half_width": 0.03}},
+        {"stop_when": {"statistic": "settle_60_s_mean", "half_width": 0.03}},
+    ]
+    assert len({fingerprint(built(**tables)) for tables in other}) == len(other)
+    named = {"other": {"phi_e0_deg": [0, 1], "phi_u0_deg": [0, 1]}}
+    assert fingerprint(built(axes=named)) == fingerprint(built(**other[len(drawn) + 1]))
+
+
 # Unknown names
 
 
@@ -441,6 +583,15 @@ def test_fingerprint_changes_with_the_order_of_the_axes():
         (
             {"axes": {"phi_u_deg": [1]}},
             "[axes] phi_u_deg: unknown key (did you mean phi_u0_deg?)",
+        ),
+        (
+            {"axes": {"level": {"phi_u_deg": [1]}}},
+            "[axes.level] phi_u_deg: unknown key (did you mean phi_u0_deg?)",
+        ),
+        ({"draw": {}}, "[draw]: unknown section (did you mean [drawn]?)"),
+        (
+            {"axes": {"half_width": [1]}},
+            "[axes] half_width: cannot be swept (it is a key of [stop_when])",
         ),
         ({"axes": {"case": ["a"]}}, "[axes] case: unknown key (did you mean passes?)"),
         (
@@ -573,8 +724,11 @@ NUMBERS = [
 @pytest.mark.parametrize(("section", "key"), NUMBERS, ids=".".join)
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, True, "1"], ids=str)
 def test_no_number_takes_nan_inf_bool_or_text(section: str, key: str, value: Any):
-    assert refusal(**{section: {key: value}}).startswith(f"[{section}] {key}: must be ")
+    given = STOP if section == "stop_when" else {}
+    assert refusal(**{section: given | {key: value}}).startswith(f"[{section}] {key}: must be ")
     if section in SWEEPABLE:
+        zipped = refusal(axes={"name": {key: [value]}})
+        assert zipped.startswith(f"[axes.name] {key}[0]: must be ")
         assert refusal(axes={key: [value]}).startswith(f"[axes] {key}[0]: must be ")
 
 
@@ -614,6 +768,33 @@ def test_missing_latitude_and_heading():
         ),
         ({"reset_times_s": [[50], [60, 50]]}, "[axes] reset_times_s[1]: must increase"),
         ({"accel_bias_ug": [1, [1, 2, "3"]]}, "[axes] accel_bias_ug[1][2]: must be a number"),
+        (
+            {"phi_u0_deg": {"uniform": [0, 1]}},
+            "[axes.phi_u0_deg] uniform: unknown key",
+        ),
+        ({"level": {}}, "[axes.level]: must not be empty"),
+        ({"level": [1]}, "[axes] level: unknown key"),
+        ({"level": {"phi_u0_deg": 3}}, "[axes.level] phi_u0_deg: must be a list of values, not 3"),
+        ({"level": {"phi_u0_deg": None}}, "[axes.level] phi_u0_deg: must be a list of values"),
+        ({"level": {"phi_u0_deg": []}}, "[axes.level] phi_u0_deg: must not be empty"),
+        ({"level": {"phi_u0_deg": [1, 181]}}, "[axes.level] phi_u0_deg[1]: must be less than"),
+        ({"level": {"rate_hz": [1]}}, "[axes.level] rate_hz: cannot be swept (all runs of a"),
+        (
+            {"level": {"phi_u0_deg": [1, 2], "phi_e0_deg": [1]}},
+            "[axes.level] phi_e0_deg: has 1 values, phi_u0_deg has 2 (the axes of a table",
+        ),
+        (
+            {"level": {"phi_u0_deg": [1, 1, 1], "phi_e0_deg": [1, 2, 1.0]}},
+            "[axes.level] phi_u0_deg, phi_e0_deg[2]: repeats what [0] says",
+        ),
+        (
+            {"phi_u0_deg": [1], "level": {"phi_u0_deg": [1]}},
+            "[axes.level] phi_u0_deg: is an axis already (drop one of them)",
+        ),
+        (
+            {"level": {"phi_u0_deg": [1]}, "heading": {"phi_u0_deg": [1]}},
+            "[axes.heading] phi_u0_deg: is an axis already (drop one of them)",
+        ),
     ],
 )
 def test_axis_values(axes: dict[str, Any], start: str):
@@ -648,6 +829,7 @@ def test_axis_values(axes: dict[str, Any], start: str):
 )
 def test_case_values(cases: Any, start: str):
     assert refusal(cases=cases, axes={"reset_kind": ["full"]}).startswith(start)
+    assert refusal(cases=cases, axes={"zip": {"reset_kind": ["full"]}}).startswith(start)
 
 
 # Rules between keys
@@ -740,6 +922,43 @@ def test_noise_is_given_in_one_way(one: str, other: str):
             "[axes] reset_times_s: 50.004 s falls on the sample of the reset at 50 s"
             " (0.01 s a sample)",
         ),
+        (
+            {"reset_times_s": [1], "reset_first_s": 50},
+            {},
+            "[resets] reset_times_s: cannot go with reset_first_s in [resets] (give one of them)",
+        ),
+        (
+            {"reset_first_s": 25},
+            {"reset_count": [0, 1, 2]},
+            "[resets] reset_cycle_s: required where reset_count > 1 (it is 2)",
+        ),
+        (
+            {"reset_count": 1},
+            {"reset_first_s": [25, 901]},
+            "[axes] reset_first_s: 901 s is after the study's end (duration_s = 900)",
+        ),
+        (
+            {"reset_count": 2, "reset_first_s": 0.004, "reset_cycle_s": 50},
+            {},
+            "[resets] reset_first_s: 0.004 s falls on the sample of the start (0.01 s a sample)",
+        ),
+        (
+            {"reset_count": 3, "reset_first_s": 101, "reset_cycle_s": 400},
+            {},
+            "[resets] reset_cycle_s: 3 resets from 101 s every 400 s last 901 s,"
+            " longer than the study (duration_s = 900)",
+        ),
+        (
+            {"reset_count": 2, "reset_first_s": 25, "reset_cycle_s": 0.006},
+            {},
+            "[resets] reset_cycle_s: 0.006 s is shorter than a sample of 0.01 s",
+        ),
+        (
+            {"reset_count": 2, "reset_first_s": 0.015, "reset_cycle_s": 0.01},
+            {},
+            "[resets] reset_first_s: 0.015 s and a cycle of 0.01 s put two resets on one sample"
+            " (0.01 s a sample)",
+        ),
     ],
 )
 def test_resets(resets: dict[str, Any], axes: dict[str, Any], line: str):
@@ -750,6 +969,9 @@ def test_resets_that_are_fine():
     built(resets={"reset_count": 3, "reset_cycle_s": 300})  # the last one exactly at the end
     built(resets={"reset_times_s": [0.01, 0.02, 900]})
     built(resets={"reset_count": 0, "reset_cycle_s": 1e6})
+    built(resets={"reset_count": 0, "reset_first_s": 1e6})
+    built(resets={"reset_count": 1, "reset_first_s": 900, "reset_cycle_s": 1e6})
+    built(resets={"reset_count": 3, "reset_first_s": 100, "reset_cycle_s": 400})
     # 3 x 0.1 is a rounding error more than 0.3.
     built(
         study={"duration_s": 0.3, "record_interval_s": 0.1},
@@ -758,6 +980,61 @@ def test_resets_that_are_fine():
     # Each case with its own cycle: only what happens together is checked.
     pairs = [{"reset_count": 2, "reset_cycle_s": 400}, {"reset_count": 8, "reset_cycle_s": 100}]
     built(cases=pairs)
+
+
+def test_times_of_counted_resets():
+    """A first one of its own; without it the cycle's multiples, as exactly as ever."""
+    cycle = {"reset_cycle_s": 0.1}
+    study = built(resets=cycle, axes={"reset_count": [0, 1, 3], "reset_first_s": [25, 7.5]})
+    assert study.reset_times() == [
+        (),
+        (),
+        (25.0,),
+        (7.5,),
+        (25.0, 25.0 + 0.1, 25.0 + 2 * 0.1),
+        (7.5, 7.5 + 0.1, 7.5 + 2 * 0.1),
+    ]
+    (times,) = built(resets=cycle | {"reset_count": 3}).reset_times()
+    assert times == (0.1, 0.2, 3 * 0.1)
+    alone = built(resets={"reset_first_s": 25}, axes={"reset_count": [0, 1]})
+    assert alone.reset_times() == [(), (25.0,)]
+
+
+# A rule for stopping
+
+
+@pytest.mark.parametrize("statistic", ["success_rate", "settle_60_s_mean", "settle_10_s_mean"])
+def test_statistics_that_stop_a_study(statistic: str):
+    stop = built(
+        study={"settle_bands_arcmin": [60]}, stop_when=STOP | {"statistic": statistic}
+    ).stop_when
+    assert stop is not None and (stop.statistic, stop.half_width) == (statistic, 0.02)
+    assert built().stop_when is None
+
+
+@pytest.mark.parametrize(
+    ("stop", "line"),
+    [
+        (
+            STOP | {"statistic": "settle_3_s_mean"},
+            "[stop_when] statistic: 'settle_3_s_mean' is none of success_rate, settle_60_s_mean,"
+            " settle_10_s_mean",
+        ),
+        (STOP | {"statistic": 3}, "[stop_when] statistic: must be text, not 3"),
+        ({"half_width": 1}, "[stop_when] statistic: required ("),
+        ({"statistic": "success_rate"}, "[stop_when] half_width: required ("),
+        ({}, "[stop_when] statistic: required ("),
+        (STOP | {"half_width": 0}, "[stop_when] half_width: must be greater than 0, not 0"),
+        (STOP | {"half_width": 1}, "[stop_when] half_width: must be less than 1, a share, not 1"),
+        (STOP | {"until": 3}, "[stop_when] until: unknown key"),
+    ],
+)
+def test_rules_for_stopping(stop: dict[str, Any], line: str):
+    assert refusal(study={"settle_bands_arcmin": [60]}, stop_when=stop).startswith(line)
+
+
+def test_a_mean_time_may_be_known_to_more_than_a_second():
+    built(stop_when={"statistic": "settle_10_s_mean", "half_width": 5})
 
 
 @pytest.mark.parametrize(
@@ -1290,6 +1567,11 @@ def test_record_keys_by_format():
 )
 def test_tabular_records(change: dict[str, Any], line: str):
     assert refusal(RECORDED, record=TABULAR | change).startswith(f"[record] {line}")
+
+
+def test_a_recorded_study_draws_what_it_has():
+    line = "[stop_when]: has no place in a recorded study (drop it or [record])"
+    assert refusal(RECORDED, stop_when=STOP) == line
 
 
 def test_coarse_needs_a_record():

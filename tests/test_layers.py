@@ -9,8 +9,29 @@ import pytest
 import sinsjax
 
 LAYERS = (
-    {"columns", "compile_cache", "files", "hlo", "machine", "runtime", "types", "units"},
-    {"config", "fields", "records", "rules", "sections", "studies"},
+    {
+        "affinity",
+        "columns",
+        "compile_cache",
+        "files",
+        "hlo",
+        "machine",
+        "runtime",
+        "types",
+        "units",
+    },
+    {
+        "config",
+        "designs",
+        "drawing",
+        "fields",
+        "records",
+        "rules",
+        "sections",
+        "studies",
+        "sweeps",
+        "wording",
+    },
     {"algebra", "earth", "kalman", "randomness", "rotations"},
     {"bounds", "error_model", "imu", "loops", "mechanisation", "trajectory"},
     {"alignment"},

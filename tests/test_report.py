@@ -1,4 +1,3 @@
-import io
 import math
 import re
 from pathlib import Path
@@ -7,8 +6,8 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from matplotlib.figure import Figure
-from rich.console import Console
 from scipy.spatial.transform import Rotation
+from stored import store, told
 from studies import small_study
 
 from sinsjax import analysis, columns, report, results, statements
@@ -93,21 +92,6 @@ def curves_of(study, *, truth=True):
     return pa.Table.from_arrays(arrays, schema=columns.schema(columns.CURVES))
 
 
-def write(directory: Path, study, summary, curves=None) -> Path:
-    store = results.Store(directory, study)
-    store.write("summary", "part-0000", summary, seconds=0.0)
-    if curves is not None:
-        store.write("curves", "part-0000", curves, seconds=0.0)
-    store.finish({})
-    return directory
-
-
-def told(*directories: Path, page: Path | None = None) -> str:
-    file = io.StringIO()
-    report.summarise(directories, Console(file=file), page)
-    return file.getvalue()
-
-
 def recorded_study(**changes):
     data = {
         "study": {"duration_s": 6.0, "rate_hz": 100.0, "window_s": [2, 6], "name": "car"},
@@ -139,7 +123,7 @@ def test_the_table_holds_the_statistics(tmp_path):
     settle = np.where(np.arange(80) % 4 == 1, np.nan, 20.0 + np.arange(80))
     ok = np.where(np.isnan(settle), "not_settled", "ok")
     summary = summary_of(study, settle_10_s=settle, status=list(ok))
-    text = told(write(tmp_path, study, summary))
+    text = told(store(tmp_path, study, summary))
     rows = summary.filter(summary["phi_u0_deg"].combine_chunks().cast(pa.int64()).to_numpy() == 30)
     share = analysis.proportion(rows["status"].to_pylist().count("ok"), 40)
     median = analysis.quantile(rows["settle_10_s"].to_numpy())
@@ -155,14 +139,14 @@ def test_the_table_holds_the_statistics(tmp_path):
 
 def test_lines_are_whole_where_the_console_is_no_terminal(tmp_path):
     study = small_study(axes={"phi_u0_deg": [0.0, 30.0]})
-    lines = told(write(tmp_path, study, summary_of(study))).splitlines()
+    lines = told(store(tmp_path, study, summary_of(study))).splitlines()
     assert any("phi_u0_deg" in line and "from its limit" in line for line in lines)
 
 
 def test_many_variants_are_pooled_without_intervals(tmp_path):
     axes = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 2.0], "phi_u0_deg": [0, 5, 10, 20]}
     study = small_study(axes=axes, resets={})
-    text = told(write(tmp_path, study, summary_of(study)))
+    text = told(store(tmp_path, study, summary_of(study)))
     assert "24 variants: each table takes one key" in text
     table = text.partition("By reset_count")[2].partition("By reset_cycle_s")[0]
     assert [line.split()[:2] for line in table.splitlines()[4:7]] == [
@@ -181,7 +165,7 @@ def test_the_best_schedule_settles_most_runs_and_first(tmp_path):
     settle[3] = np.nan  # the fastest one fails once
     status = list(np.where(np.isnan(settle), "diverged", "ok"))
     summary = summary_of(study, settle_10_s=settle, status=status)
-    text = told(write(tmp_path, study, summary))
+    text = told(store(tmp_path, study, summary))
     row = text.partition("Where most runs settle")[2].splitlines()[4].split()
     assert row[:3] == ["1", "1", "100"]
     assert "3 [" in " ".join(row)
@@ -191,12 +175,12 @@ def test_incomplete_results_are_told(tmp_path):
     study = small_study(axes={"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]})
     summary = summary_of(study).slice(0, 11)
     with pytest.raises(InputError, match="11 runs where the study has 12"):
-        told(write(tmp_path, study, summary))
+        told(store(tmp_path, study, summary))
 
 
 def test_curves_are_drawn_where_they_were_stored(tmp_path):
     study = small_study()
-    told(write(tmp_path, study, summary_of(study), curves_of(study)))
+    told(store(tmp_path, study, summary_of(study), curves_of(study)))
     names = {path.name for path in (tmp_path / "figures").iterdir()}
     assert names == {"misalignment.png", "distribution.png"}
 
@@ -204,7 +188,7 @@ def test_curves_are_drawn_where_they_were_stored(tmp_path):
 def test_a_record_without_reference_tells_attitude_and_sigma(tmp_path):
     study = recorded_study()
     summary = summary_of(study, truth=False, yaw_deg=[-90.1234, 1.0, 2.0])
-    text = told(write(tmp_path, study, summary, curves_of(study, truth=False)))
+    text = told(store(tmp_path, study, summary, curves_of(study, truth=False)))
     assert "-90.1234" in text and "sigma_u_arcmin" in text and "success" not in text
     assert {path.name for path in (tmp_path / "figures").iterdir()} == {"attitude.png"}
 
@@ -220,7 +204,7 @@ def test_results_that_are_missing(tmp_path):
 @pytest.mark.usefixtures("drawn")
 def test_a_page(tmp_path):
     study = small_study(study={"name": "swing"}, axes={"phi_u0_deg": [0.0, 30.0]})
-    results_at = write(tmp_path / "results", study, summary_of(study))
+    results_at = store(tmp_path / "results", study, summary_of(study))
     page = tmp_path / "docs" / "swing.md"
     told(results_at, page=page)
     text = page.read_text()
@@ -240,7 +224,7 @@ def test_a_page(tmp_path):
 @pytest.mark.usefixtures("drawn")
 def test_a_page_is_written_the_same_again(tmp_path):
     study = small_study(axes={"phi_u0_deg": [0.0, 30.0]})
-    directory = write(tmp_path / "results", study, summary_of(study))
+    directory = store(tmp_path / "results", study, summary_of(study))
     content = []
     for name in ("a", "b"):
         page = tmp_path / name / "page.md"
@@ -251,7 +235,7 @@ def test_a_page_is_written_the_same_again(tmp_path):
 
 def test_a_page_that_cannot_be_written(tmp_path):
     study = small_study()
-    directory = write(tmp_path / "results", study, summary_of(study))
+    directory = store(tmp_path / "results", study, summary_of(study))
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
         told(directory, page=tmp_path / "file" / "page.md")
@@ -295,7 +279,7 @@ def test_limit_accuracy_turns_the_biases_to_n():
 def test_conditions_page(tmp_path):
     study = paper1("paper1_conditions")
     summary = summary_of(study, phi_n_mean_arcmin=np.full(48, 1.2345))
-    directory = write(tmp_path / "r", study, summary, curves_of(study))
+    directory = store(tmp_path / "r", study, summary, curves_of(study))
     page = tmp_path / "docs" / "paper1.md"
     text = told(directory, page=page) + page.read_text()
     for number in ("-1.7189", "-27.0248", "-25.9507", "-26.9510", "-25.8769", "+1.0741"):
@@ -308,7 +292,7 @@ def test_conditions_page(tmp_path):
 def test_resets_page_tells_the_paired_difference(tmp_path):
     study = paper1("paper1_resets", 0, 4, 5)
     yaw = FLOOR + np.random.default_rng(2).normal(size=24)
-    directory = write(tmp_path, study, summary_of(study, phi_u_mean_arcmin=yaw), curves_of(study))
+    directory = store(tmp_path, study, summary_of(study, phi_u_mean_arcmin=yaw), curves_of(study))
     text = told(directory)
     apart = analysis.difference(yaw[2::3], yaw[0::3])
     assert analysis.format_estimate(apart, "arcmin", 2) in text
@@ -319,13 +303,13 @@ def test_resets_page_tells_the_paired_difference(tmp_path):
 def test_a_layout_needs_curves(tmp_path):
     study = paper1("paper1_resets")
     with pytest.raises(InputError, match="needs curves"):
-        told(write(tmp_path, study, summary_of(study)))
+        told(store(tmp_path, study, summary_of(study)))
 
 
 def test_paper1_needs_one_reading(tmp_path):
     study = paper1("paper1_conditions", earth={"earth": "wgs84"})
     with pytest.raises(InputError, match="needs? earth = 'constants'"):
-        told(write(tmp_path / "a", study, summary_of(study), curves_of(study)))
+        told(store(tmp_path / "a", study, summary_of(study), curves_of(study)))
 
 
 # --- the readings -------------------------------------------------------------------------------
@@ -336,7 +320,7 @@ READINGS = {"q_reading": ["per_step", "psd"], "feedback_interval_s": [0.01, 1.0]
 def test_readings_page(tmp_path):
     study = paper1("paper1_readings", axes=READINGS)
     settle = np.random.default_rng(3).uniform(20, 80, 24 * 8)
-    directory = write(tmp_path / "r", study, summary_of(study, settle_10_s=settle))
+    directory = store(tmp_path / "r", study, summary_of(study, settle_10_s=settle))
     page = tmp_path / "docs" / "p.md"
     told(directory, page=page)
     text = page.read_text()
@@ -395,7 +379,7 @@ def test_paper1s_page_takes_its_parts_in_any_order(tmp_path):
         "paper1_conditions": paper1("paper1_conditions"),
     }
     made = [
-        write(tmp_path / name, study, summary_of(study), curves_of(study))
+        store(tmp_path / name, study, summary_of(study), curves_of(study))
         for name, study in parts.items()
     ]
     page = tmp_path / "docs" / "paper1.md"
@@ -438,7 +422,7 @@ def test_car_test_tables(tmp_path):
     yaw = np.arange(12.0) - 20.0
     summary = summary_of(study, phi_u_arcmin=yaw, yaw_mean_deg=np.full(12, -90.5))
     curves = curves_of(study)
-    text = told(write(tmp_path, study, summary, curves))
+    text = told(store(tmp_path, study, summary, curves))
     run = curves.slice(0, TIMES.size)
     window = car_test.reference_attitude(run)[(TIMES > 2) & (TIMES <= 6)]
     mean, std = window[:, 2].mean(), window[:, 2].std(ddof=1)
@@ -461,7 +445,7 @@ def test_car_test_tables(tmp_path):
 def test_car_test_without_reference(tmp_path):
     study = car_study(axes={"feedback_interval_s": [0.01, 1.0]})
     summary = summary_of(study, truth=False)
-    text = told(write(tmp_path, study, summary, curves_of(study, truth=False)))
+    text = told(store(tmp_path, study, summary, curves_of(study, truth=False)))
     assert "Without a reference" in text and "Yaw error phi_u" not in text
     assert "tuning a, feedback_interval 0.01 s" in text
 

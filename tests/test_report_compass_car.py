@@ -1,6 +1,5 @@
 """The report on a recorded compass study, on results that no engine made but where it says so."""
 
-import io
 import math
 import tomllib
 from pathlib import Path
@@ -8,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
-from rich.console import Console
 from scipy.integrate import solve_ivp
+from stored import store, told
 
-from sinsjax import analysis, campaign, loops, report, results
+from sinsjax import analysis, campaign, loops
 from sinsjax.analysis import rms
 from sinsjax.config import load_study, study_from_dict
 from sinsjax.plots import Ensemble
@@ -90,23 +89,12 @@ def curves_of(study, tilt=lambda time: np.zeros_like(time)):
 
 
 def write(directory, study, errors, curves=True):
-    store = results.Store(directory, study)
-    store.write("summary", "a", summary_of(study, errors), seconds=0.0)
-    if curves:
-        store.write("curves", "a", curves_of(study), seconds=0.0)
-    store.finish({})
-    return directory
-
-
-def told(directory, page=None):
-    file = io.StringIO()
-    report.summarise([directory], Console(file=file), page)
-    return file.getvalue()
+    return store(directory, study, summary_of(study, errors), curves_of(study) if curves else None)
 
 
 @pytest.fixture
 def not_drawn(monkeypatch):
-    monkeypatch.setattr("sinsjax.plots.png", lambda figure: b"not drawn")
+    monkeypatch.setattr("sinsjax.plots.png", lambda *_: b"not drawn")
 
 
 # --- the shipped study --------------------------------------------------------------------------
@@ -318,7 +306,7 @@ def test_one_start_time_has_no_spread(data, tmp_path, not_drawn):
 def test_a_page_with_its_figures(data, tmp_path):
     study = study_of(data, *SMALL)
     page = tmp_path / "docs" / "car.md"
-    told(write(tmp_path / "r", study, errors_of(study)), page)
+    told(write(tmp_path / "r", study, errors_of(study)), page=page)
     text = page.read_text()
     assert "## What the turns do" in text and "## Attitude" in text
     assert text.index("## What limits a tape") < text.index("## Heading over update time")

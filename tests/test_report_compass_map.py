@@ -1,3 +1,4 @@
+import dataclasses
 import io
 import math
 import tomllib
@@ -7,8 +8,9 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from rich.console import Console
+from stored import store
 
-from sinsjax import analysis, campaign, loops, report, results
+from sinsjax import analysis, campaign, loops, report
 from sinsjax.config import load_study, study_from_dict
 from sinsjax.report import compass_map, map_points
 from sinsjax.report.base import Source, Table
@@ -53,14 +55,11 @@ def source_of(study, errors, settle=100.0):
         "floor_arcmin": np.full(run.size, FLOOR),
         "settle_6_s": pa.array(np.broadcast_to(settle, shape).ravel(), from_pandas=True),
     }
-    return Source(Path("results"), study, pa.table(summary), "map.toml")
+    return Source(Path("results"), study, "map.toml", pa.table(summary))
 
 
 def write(directory, source):
-    store = results.Store(directory, source.study)
-    store.write("summary", "a", source.summary, seconds=0.0)
-    store.finish({})
-    return directory
+    return store(directory, source.study, source.summary)
 
 
 def tables(made):
@@ -130,7 +129,7 @@ def test_the_linear_loops_are_what_the_engine_does_without_noise():
         axes=AXES | {"tape_s": [40.0]},
     )
     run = campaign.run(study)
-    points = map_points.points_of(Source(Path("x"), study, run.summary, "map.toml"))
+    points = map_points.points_of(Source(Path("x"), study, "map.toml", run.summary))
     found, expected = (np.array([getattr(p, name) for p in points]) for name in ("left", "linear"))
     # The east channel's part in the north one is left out of the linear loops.
     np.testing.assert_allclose(found, expected, atol=0.3, rtol=0.03)
@@ -248,7 +247,7 @@ def test_a_key_that_is_missing_is_named(key):
 def test_incomplete_results_are_told():
     source = source_of(map_study(), 0.0)
     with pytest.raises(InputError, match="95 runs where the study has 96"):
-        compass_map.report(source._replace(summary=source.summary.slice(1)))
+        compass_map.report(dataclasses.replace(source, table=source.summary.slice(1)))
 
 
 def test_the_shipped_study_is_the_one_of_the_issue():

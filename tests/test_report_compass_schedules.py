@@ -8,8 +8,9 @@ import pyarrow as pa
 import pytest
 from rich.console import Console
 from scipy import stats
+from stored import store
 
-from sinsjax import analysis, report, results
+from sinsjax import analysis, report
 from sinsjax.analysis import format_estimate
 from sinsjax.config import load_study, study_from_dict
 from sinsjax.report import compass_schedules, schedule_scores
@@ -25,7 +26,7 @@ NEVER = math.inf
 
 @pytest.fixture(autouse=True)
 def _not_drawn(monkeypatch):
-    monkeypatch.setattr("sinsjax.plots.png", lambda figure: b"not drawn")
+    monkeypatch.setattr("sinsjax.plots.png", lambda *_: b"not drawn")
 
 
 def study_of(name, **changes):
@@ -57,14 +58,11 @@ def source_of(study, wide, narrow, errors=0.5):
     for band, times in (("6", wide), ("1.2", narrow)):
         flat = np.broadcast_to(times, shape).astype(float).ravel()
         summary[f"settle_{band}_s"] = pa.array(flat, mask=np.isinf(flat))
-    return Source(Path("results"), study, pa.table(summary), "search.toml")
+    return Source(Path("results"), study, "search.toml", pa.table(summary))
 
 
 def write(directory, source):
-    store = results.Store(directory, source.study)
-    store.write("summary", "a", source.summary, seconds=0.0)
-    store.finish({})
-    return directory
+    return store(directory, source.study, source.summary)
 
 
 def blocks(made, kind):

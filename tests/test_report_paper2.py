@@ -1,4 +1,3 @@
-import io
 import math
 import re
 import tomllib
@@ -7,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
-from rich.console import Console
+from stored import store, told
 
-from sinsjax import analysis, loops, report, results
+from sinsjax import analysis, loops
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.config import load_study, study_from_dict
 from sinsjax.report import paper2, paper2_loops
@@ -24,7 +23,7 @@ K3_CASE = "Scheme 1, K3 as printed"
 
 @pytest.fixture(autouse=True)
 def _not_drawn(monkeypatch):
-    monkeypatch.setattr("sinsjax.plots.png", lambda figure: b"not drawn")
+    monkeypatch.setattr("sinsjax.plots.png", lambda *_: b"not drawn")
 
 
 def study_of(base: str, **changes):
@@ -66,18 +65,8 @@ def curves_of(study, error=lambda variant, time: 0.1 + 0 * time):
 def write(directory, study, errors=None, curves=True, **shape):
     count = study.n_variants * DRAWS
     noise = np.random.default_rng(3).normal(size=(count, 3))
-    store = results.Store(directory, study)
-    store.write("summary", "a", summary_of(study, noise if errors is None else errors), seconds=0.0)
-    if curves:
-        store.write("curves", "a", curves_of(study, **shape), seconds=0.0)
-    store.finish({})
-    return directory
-
-
-def told(*directories, page=None):
-    file = io.StringIO()
-    report.summarise(directories, Console(file=file), page)
-    return file.getvalue()
+    summary = summary_of(study, noise if errors is None else errors)
+    return store(directory, study, summary, curves_of(study, **shape) if curves else None)
 
 
 def variant_of(study, label, drift=0.02):

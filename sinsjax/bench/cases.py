@@ -7,7 +7,6 @@ import time
 import tomllib
 from collections.abc import Callable
 from functools import cache, partial
-from itertools import islice
 
 import jax
 import numpy as np
@@ -114,7 +113,8 @@ def engine(
         devices: that make a call each, at the same time.
     """
     draws, variants = group.sizes
-    places = list(islice(plan(group, devices=devices, tiles_a_chunk=tiles, lanes=lanes), devices))
+    calls = plan(group, tiles_a_chunk=tiles, lanes=lanes)
+    places = [calls[i % len(calls)] for i in range(devices)]
     runs = sum(int(np.sum((p.draw < draws) & (p.variant < variants))) for p in places)
     arguments = [(group.world, tiles_of(group, p)) for p in places]
     since = time.perf_counter()

@@ -4,6 +4,7 @@ Every function returns a matplotlib `Figure` of its own; `png` turns it into byt
 the figure alone. Nothing here touches matplotlib's global state.
 """
 
+from sinsjax.plots.beliefs import Belief, beliefs
 from sinsjax.plots.curves import (
     Ensemble,
     Line,
@@ -24,22 +25,25 @@ from sinsjax.plots.grids import (
     spread,
     verdict_matrix,
 )
-from sinsjax.plots.spreads import along_axis, distributions
+from sinsjax.plots.spreads import Spread, along_axis, distributions
 from sinsjax.plots.style import COLOURS, colour, label, png, setting
 from sinsjax.plots.tapes import by_tape, prediction, survival
 
 __all__ = [
     "COLOURS",
+    "Belief",
     "Contours",
     "Ensemble",
     "Line",
     "Mark",
     "Scale",
     "Shown",
+    "Spread",
     "Verdicts",
     "along_axis",
     "attitude",
     "attitude_errors",
+    "beliefs",
     "by_tape",
     "colour",
     "distributions",

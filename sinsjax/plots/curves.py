@@ -8,10 +8,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
-from sinsjax.plots.style import GREY, colour, legend_outside, styled
+from sinsjax.plots.style import GREY, both_sides, colour, legend_outside, styled
 
 BAND = (0.025, 0.975)
 """Quantiles over the draws that bound a band."""
@@ -163,12 +162,7 @@ def _fit(axes: Axes, extents: Sequence[Extent]) -> str:
     edges = np.concatenate([edge for extent in extents for edge in extent[1:]])
     if np.abs(edges).max(initial=0.0) <= _WIDE:
         return ""
-    axes.set_yscale("asinh", linear_width=_LINEAR)
-    decades = 10.0 ** np.arange(1, 6)
-    axes.yaxis.set_major_locator(FixedLocator([*-decades[::-1], 0.0, *decades]))
-    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axes.yaxis.set_minor_locator(NullLocator())
-    return "\nlogarithmic far from 0"
+    return both_sides(axes.yaxis, _LINEAR)
 
 
 def _enlarge(axes: Axes, span: tuple[float, float], extents: Sequence[Extent]) -> None:

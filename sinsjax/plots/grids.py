@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from textwrap import fill
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ _NEVER, _NEVER_EDGE = "#dcdcdc", "#b5b5b5"
 _HATCH = "////"
 _CONTOUR = COLOURS[1]
 _LEGIBLE = 10  # cells side by side in a panel that still have room for their numbers
+_LETTERS = 9  # of a panel's title in an inch
 _LIGHT = 0.5  # of the colour map; cells beyond it are light and carry dark numbers
 
 
@@ -107,6 +109,7 @@ def heat_maps(
     rows: Scale,
     columns: Scale,
     contours: Contours | None = None,
+    across: int | None = None,
 ) -> Figure:
     """Heat maps of one quantity over two swept keys, side by side.
 
@@ -118,15 +121,19 @@ def heat_maps(
         rows: the key from bottom to top.
         columns: the key from left to right.
         contours: drawn over the panels.
+        across: panels in a line, such as the values of a third key; 4 at most.
     """
-    width = min(4, len(panels))
+    width = min(4, across or 4, len(panels))
     height = -(-len(panels) // width)
-    figure = Figure(figsize=(1.2 + max(2.5 * width, 5.0), 1.4 + 2.5 * height))
+    side = max(2.5, 7.2 / width)  # in, of a panel; together as wide as the title
+    names = [fill(name, int(_LETTERS * side)) for name, _ in panels]
+    line = 0.2 * max(name.count("\n") for name in names)
+    figure = Figure(figsize=(1.2 + side * width, 1.4 + (2.5 + line) * height))
     figure.suptitle(title)
     grid = figure.subplots(height, width, sharex=True, sharey=True, squeeze=False)
-    for number, (axes, (name, values)) in enumerate(zip(grid.flat, panels, strict=False)):
+    for number, (axes, (_, values)) in enumerate(zip(grid.flat, panels, strict=False)):
         image = _heat_map(axes, values, shown)
-        axes.set_title(name)
+        axes.set_title(names[number])
         axes.set_xticks(range(len(columns.values)), [f"{v:g}" for v in columns.values])
         axes.set_yticks(range(len(rows.values)), [f"{v:g}" for v in rows.values])
         if contours:
@@ -192,7 +199,7 @@ def _heat_map(axes: Axes, values: NDArray, shown: Shown) -> AxesImage:
 def _write(axes: Axes, cell: tuple[int, int], value: float, shown: Shown) -> None:
     light = (shown.norm(value) > _LIGHT) != shown.reverse
     shade = "black" if light else "white"
-    axes.text(*cell, shown.text(value), ha="center", va="center", fontsize=6.5, color=shade)
+    axes.text(*cell, shown.text(value), ha="center", va="center", fontsize=8.5, color=shade)
 
 
 class Verdicts(NamedTuple):

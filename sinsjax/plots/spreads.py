@@ -1,13 +1,20 @@
 """Figures of statistics over the draws: along one swept key, and whole distributions."""
 
+import math
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 
 from sinsjax.analysis import Estimate
-from sinsjax.plots.style import GREY, colour, label, legend_outside, styled
+from sinsjax.plots.style import GREY, both_sides, colour, label, legend_outside, styled
+
+_MOST_STEPS = 1000
+_APART = 0.06  # share of an axis that its marks need between them
+_LINE = 0.055  # height of a line of text, of the axes
 
 
 @styled
@@ -44,6 +51,8 @@ def along_axis(
                 edge = axes.get_xaxis_transform()
                 axes.plot(never, height, "x", color=colour(i), transform=edge)
         axes.set_ylabel(name)
+    if np.diff(np.sort(x)).min(initial=np.inf) > _APART * np.ptp(x):
+        grid[-1].set_xticks(x, [f"{value:g}" for value in x])
     grid[-1].set_xlabel(label(key))
     if any(np.isposinf(e.value) for p in panels.values() for line in p.values() for e in line):
         grid[0].plot([], [], "x", color=GREY, label="never (median)")
@@ -51,29 +60,81 @@ def along_axis(
     return figure
 
 
+class Spread(NamedTuple):
+    """A panel of distributions.
+
+    Attributes:
+        quantity: axis label, with its unit.
+        lines: line label to one value a run, (runs,).
+        missing: what a value that is not finite means.
+        far: size of a value beyond which the axis is logarithmic on both sides of 0.
+    """
+
+    quantity: str
+    lines: Mapping[str, NDArray]
+    missing: str
+    far: float = math.inf
+
+
 @styled
-def distributions(panels: Mapping[str, Mapping[str, ArrayLike]], title: str) -> Figure:
+def distributions(panels: Sequence[Spread], title: str) -> Figure:
     """Cumulative distributions over the runs: the share of runs at or below a value.
 
+    A line with values that are not finite ends below 1 and goes on dotted; beside it stands the
+    share that is missing.
+
     Args:
-        panels: axis label to lines, line label to one value a run. A value that is not finite
-            counts as never reached, so such a line ends below 1.
+        panels: side by side, with the same lines.
         title: of the figure.
     """
-    figure = Figure(figsize=(9.2, 4.4))
+    figure = Figure(figsize=(9.2, 4.8))
     figure.suptitle(title)
     grid = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
-    for axes, (name, lines) in zip(grid, panels.items(), strict=True):
-        for i, (line, values) in enumerate(lines.items()):
-            data = np.asarray(values, dtype=float)
-            known = np.sort(data[np.isfinite(data)])
-            share = np.arange(known.size + 1) / max(data.size, 1)
-            steps = np.concatenate([known[:1], known])
-            axes.plot(
-                steps, share[: steps.size], drawstyle="steps-post", color=colour(i), label=line
-            )
-        axes.set_xlabel(name)
+    for axes, panel in zip(grid, panels, strict=True):
+        drawn = [steps(values) for values in panel.lines.values()]
+        for i, (line, (x, share)) in enumerate(zip(panel.lines, drawn, strict=True)):
+            axes.plot(x, share, drawstyle="steps-post", color=colour(i), label=line)
+        ends = [end for x, _ in drawn for end in (x[:1], x[-1:])]
+        wide = np.abs(np.concatenate(ends)).max(initial=0.0) > panel.far
+        axes.set_xlabel(panel.quantity + (both_sides(axes.xaxis, panel.far / 6) if wide else ""))
         axes.set_ylim(0, 1.02)
+        _tell_missing(axes, drawn, panel.missing)
     grid[0].set_ylabel("share of runs")
     legend_outside(figure, grid[0])
     return figure
+
+
+def steps(values: NDArray) -> tuple[NDArray, NDArray]:
+    """The cumulative distribution of some values as points of a staircase.
+
+    Args:
+        values: (n,); what is not finite counts among them, but is at no place.
+
+    Returns:
+        Places, ascending, and the share of the values up to each; of many values so few that a
+        line through them looks the same.
+    """
+    known = np.sort(values[np.isfinite(values)])
+    if known.size == 0:
+        return known, known
+    ranks = np.arange(known.size + 1)
+    if known.size > _MOST_STEPS:
+        ranks = np.unique(np.linspace(0, known.size, _MOST_STEPS).round().astype(int))
+    return known[np.maximum(ranks - 1, 0)], ranks / values.size
+
+
+def _tell_missing(axes: Axes, drawn: Sequence[tuple[NDArray, NDArray]], word: str) -> None:
+    """Goes on with lines that end below 1, and writes what is missing beside them."""
+    left, right = axes.get_xlim()
+    axes.set_xlim(left, right)
+    ends = [
+        (share[-1], x[-1], i) if x.size else (0.0, left, i) for i, (x, share) in enumerate(drawn)
+    ]
+    beside = axes.get_yaxis_transform()
+    height = -math.inf
+    for share, x, i in sorted(end for end in ends if end[0] < 1):
+        axes.plot([x, right], [share, share], ":", color=colour(i))
+        height = max(share, height + _LINE)  # apart, so that all of them can be read
+        percent = 100 * (1 - share)
+        text = f"{percent:.{0 if percent >= 1 else 1}f} % {word}"
+        axes.text(1.02, height, text, color=colour(i), va="center", size=10, transform=beside)

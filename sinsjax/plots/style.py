@@ -1,13 +1,20 @@
 """One look for every figure: sizes, a palette that colour-blind readers can tell apart, PNG out."""
 
 import io
+import math
 from collections.abc import Callable
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis, XAxis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.image import imsave
+from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
+from numpy.typing import NDArray
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#555555")
 """Okabe and Ito's palette; lines beyond its length repeat it."""
@@ -15,19 +22,23 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5
 GREY = "#8a8a8a"
 """Of what is marked but not measured: reset moments, limits, cells without a number."""
 
+_SMALL = "#555555"
+_STRIP = 0.28  # in, of the strip with the footer
+
 STYLE: Any = {
-    "figure.dpi": 110,
+    "figure.dpi": 130,
     "figure.facecolor": "white",
     "figure.constrained_layout.use": True,
-    "font.size": 9.5,
-    "axes.titlesize": 10.5,
+    # On a slide a figure is half as wide again: these come to 16 points and more.
+    "font.size": 11.5,
+    "axes.titlesize": 12,
     "axes.titlelocation": "left",
-    "axes.labelsize": 9.5,
-    "figure.titlesize": 12,
+    "axes.labelsize": 11.5,
+    "figure.titlesize": 14,
     "figure.titleweight": "bold",
-    "xtick.labelsize": 8.5,
-    "ytick.labelsize": 8.5,
-    "legend.fontsize": 9,
+    "xtick.labelsize": 10.5,
+    "ytick.labelsize": 10.5,
+    "legend.fontsize": 11,
     "legend.frameon": False,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -35,7 +46,7 @@ STYLE: Any = {
     "axes.axisbelow": True,
     "grid.color": "#e3e3e3",
     "grid.linewidth": 0.6,
-    "lines.linewidth": 1.5,
+    "lines.linewidth": 1.7,
     "hatch.linewidth": 0.6,
 }
 
@@ -90,18 +101,56 @@ def _split(column: str) -> tuple[str, str]:
     return (column.removesuffix(f"_{unit}"), UNITS[unit]) if unit else (column, "")
 
 
+def both_sides(axis: Axis, linear: float) -> str:
+    """Makes an axis logarithmic on both sides of 0, so that a wide range is legible to its ends.
+
+    Args:
+        axis: of values with either sign.
+        linear: size of a value up to which it is about linear.
+
+    Returns:
+        What is to be said at the end of its label.
+    """
+    decades = 10.0 ** np.arange(math.floor(math.log10(linear) + 0.5), 7)
+    set_scale = axis.axes.set_xscale if isinstance(axis, XAxis) else axis.axes.set_yscale
+    set_scale("asinh", linear_width=linear)
+    axis.set_major_locator(FixedLocator([*-decades[::-1], 0.0, *decades]))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_locator(NullLocator())
+    return "\nlogarithmic far from 0"
+
+
 def legend_outside(figure: Figure, axes: Axes) -> None:
     """Puts the legend of some axes below the whole figure, clear of the data."""
     handles, labels = axes.get_legend_handles_labels()
     if handles:
-        room = 15 * figure.get_figwidth()  # letters in a line
+        room = 12 * figure.get_figwidth()  # letters in a line
         columns = max(1, min(len(labels), int(room / (max(map(len, labels)) + 6))))
         figure.legend(handles, labels, loc="outside lower center", ncols=columns)
 
 
 @styled
-def png(figure: Figure) -> bytes:
-    """The figure as a PNG file; the same figure gives the same bytes."""
+def png(figure: Figure, footer: str = "") -> bytes:
+    """The figure as a PNG file; the same figure and footer give the same bytes.
+
+    Args:
+        figure: to draw.
+        footer: what the figure rests on, in small letters on a strip below it.
+    """
+    drawn = [_pixels(figure)]
+    if footer:
+        # A figure of its own, which no layout, legend or title of the other one reaches.
+        strip = Figure(figsize=(figure.get_figwidth(), _STRIP))
+        strip.text(0.1 / figure.get_figwidth(), 0.5, footer, va="center", size=9, color=_SMALL)
+        drawn.append(_pixels(strip))
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None})
+    pixels = np.vstack(drawn)
+    anonymous: Any = {"Software": None}
+    imsave(buffer, pixels, format="png", dpi=figure.dpi, metadata=anonymous)
     return buffer.getvalue()
+
+
+def _pixels(figure: Figure) -> NDArray:
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.array(canvas.buffer_rgba())[..., :3]

@@ -15,6 +15,7 @@ from sinsjax.report import (
     compass_car,
     compass_map,
     compass_schedules,
+    consistency,
     paper1,
     paper2,
     paper2_reasons,
@@ -22,6 +23,7 @@ from sinsjax.report import (
     readings,
 )
 from sinsjax.report.base import Layout, Report, Source
+from sinsjax.report.html import write_html
 from sinsjax.report.output import FIGURES, Made, print_report, save_figures, write_page
 
 LAYOUTS: dict[str, Layout] = {
@@ -35,6 +37,7 @@ LAYOUTS: dict[str, Layout] = {
     "compass_map": compass_map.report,
     "compass_schedules": compass_schedules.report,
     "pass_consistency": pass_consistency.report,
+    "consistency": consistency.report,
 }
 """What each ``[report] layout`` is made by, in the order in which several share a page."""
 
@@ -56,17 +59,25 @@ PAGES = {
     "A tape gone over again: turn, sigma, length and gain schedule": MAP,
     "Compass alignment of a recorded car": ("compass_car",),
     "A Kalman filter over one tape, again and again": ("kalman_passes",),
+    "A filter whose belief is true": ("consistency",),
+    "How many resets, and when?": ("reset_cycle_study",),
 }
 """The studies of each page that has a title of its own."""
 
 
-def summarise(directories: Sequence[Path], console: Console, page: Path | None = None) -> None:
-    """Prints the tables of some results and draws their figures; writes a page on request.
+def summarise(
+    directories: Sequence[Path],
+    console: Console,
+    page: Path | None = None,
+    html: Path | None = None,
+) -> None:
+    """Prints the tables of some results and draws their figures; writes pages on request.
 
     Args:
         directories: of results; the figures of each go to ``figures/`` in it.
         console: where the tables are printed.
         page: Markdown file to write, with figures beside it in ``figures/``.
+        html: HTML file to write, with all figures in it.
 
     Raises:
         InputError: a directory holds no results that its layout can use, or cannot be written.
@@ -78,11 +89,13 @@ def summarise(directories: Sequence[Path], console: Console, page: Path | None =
     for layout, report in TOGETHER.items():
         if here := [source for source in sources if source.study.report.layout == layout]:
             made.append(_tell(report(here), here[0], console))
+    places = list(LAYOUTS)
+    made.sort(key=lambda one: places.index(one.source.study.report.layout))
+    names = list(dict.fromkeys(one.source.study.study.name for one in made))
     if page is not None:
-        places = list(LAYOUTS)
-        made.sort(key=lambda one: places.index(one.source.study.report.layout))
-        names = list(dict.fromkeys(one.source.study.study.name for one in made))
         write_page(page, _title(names), made, _missing(names))
+    if html is not None:
+        write_html(html, _title(names), made, _missing(names))
 
 
 def _tell(report: Report, source: Source, console: Console) -> Made:

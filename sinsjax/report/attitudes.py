@@ -17,9 +17,9 @@ def attitudes(source: Source) -> Table:
     rows = [
         [value_text(row[key]) for key in keys]
         + [_number(row[name], places) for name, places in digits.items()]
-        for row in source.summary.slice(0, shown).to_pylist()
+        for row in source.rows([*keys, *digits]).slice(0, shown).to_pylist()
     ]
-    left = source.summary.num_rows - len(rows)
+    left = source.runs - len(rows)
     note = f"{left} more runs are in `summary/`." if left else ""
     return Table("Attitude at the end, with the filter's own 1 sigma", [*keys, *digits], rows, note)
 

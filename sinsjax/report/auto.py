@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
@@ -24,6 +23,7 @@ from sinsjax.report.base import (
     value_text,
 )
 from sinsjax.report.over_axes import over_axes
+from sinsjax.report.spreads import spreads
 
 _MOST_LINES = 6
 _MOST_DRAWS = 256  # in a line's band
@@ -34,11 +34,13 @@ _STATISTICS = (
     ("phi_u, window mean (arcmin)", "phi_u_mean_arcmin_mean", 1),
     ("... from its limit (arcmin)", "phi_u_from_floor_arcmin_mean", 1),
 )
+_NEEDED = ("status", "phi_u_arcmin", "settle_10_s", "phi_u_mean_arcmin", "floor_arcmin")
 
 
 def report(source: Source) -> Report:
     """Tables of the variants, curves where they were stored, and figures over the axes."""
-    has_truth = bool(np.isfinite(analysis.numbers(source.summary, "phi_u_arcmin")).any())
+    yaw = analysis.numbers(source.rows(["phi_u_arcmin"]), "phi_u_arcmin")
+    has_truth = bool(np.isfinite(yaw).any())
     tables = _tables(source) if has_truth else []
     if source.study.is_recorded or not has_truth:
         tables = [attitudes(source), *tables]
@@ -47,23 +49,25 @@ def report(source: Source) -> Report:
         blocks = over_axes(source)
         tables += [block for block in blocks if isinstance(block, Table)]
         figures += [block for block in blocks if not isinstance(block, Table)]
+        figures += spreads(source)
     sections = [Section("Figures", figures)] if figures else []
     return Report([_headline(source, has_truth)], [*sections, Section("Tables", tables)])
 
 
 def statistics(
-    table: pa.Table, keys: Sequence[str], title: str, *, note: str = "", pooled: bool = False
+    source: Source, keys: Sequence[str], title: str, *, note: str = "", pooled: bool = False
 ) -> Table:
     """The statistics of each group of runs as a table.
 
     Args:
-        table: the summary.
+        source: whose runs.
         keys: what tells the groups apart.
         title: of the table.
         note: said below it.
         pooled: whether a group mixes variants, whose runs share draws: no interval is given.
     """
-    found = analysis.summarise(table, keys).to_pylist()
+    names = ["success_rate", *(name for _, name, _ in _STATISTICS)]
+    found = analysis.summarise(source.rows([*keys, *_NEEDED]), keys, names).to_pylist()
     rows = []
     for row in found[:MOST_ROWS]:
         found_here = [(_estimate(row, name), digits) for _, name, digits in _STATISTICS]
@@ -77,6 +81,31 @@ def statistics(
     return Table(title, [*keys, "runs", "ok (%)", *(name for name, *_ in _STATISTICS)], rows, note)
 
 
+def against_first(source: Source) -> Table:
+    """How each variant differs from the first one, draw by draw."""
+    keys = shown_keys(source.study)
+    table = source.rows(["draw_id", *keys, *_NEEDED])
+    first = {key: table[key][0].as_py() for key in keys}
+    rows = []
+    for row in analysis.compare(table, keys, first).to_pylist():
+        cells = (
+            percent(_estimate(row, "success_rate_difference")),
+            format_estimate(_estimate(row, "settle_10_s_median_difference"), digits=0),
+            format_estimate(_estimate(row, "phi_u_error_arcmin_difference"), digits=1),
+        )
+        rows.append([*(value_text(row[key]) for key in keys), *cells])
+    shared = "from the same start times" if source.study.is_recorded else "on the same noise"
+    header = ["ok (% points)", "settled to 10', median (s)", "phi_u error (arcmin)"]
+    return Table(
+        f"Against {name_of(first)}, {shared}",
+        [*keys, *header],
+        rows,
+        "Difference [95 % interval over the pairs of runs of a draw]; *never*: only the first"
+        " settles, *-never*: only the other. phi_u error: how far its window mean lies from its"
+        " limit.",
+    )
+
+
 def _estimate(row: dict[str, Any], name: str) -> Estimate:
     ends = (row[f"{name}{end}"] for end in ("", "_low", "_high"))
     value, low, high = (math.nan if end is None else end for end in ends)
@@ -84,12 +113,12 @@ def _estimate(row: dict[str, Any], name: str) -> Estimate:
 
 
 def _headline(source: Source, has_truth: bool) -> str:
-    study, n = source.study, source.summary.num_rows
+    study = source.study
     draws = "start times" if study.is_recorded else "draws"
-    text = f"{n:,} runs: {study.n_variants} variants, {study.n_draws} {draws}."
+    text = f"{source.runs:,} runs: {study.n_variants} variants, {source.draws} {draws}."
     if not has_truth:
         return f"{text} Without truth or reference, attitude and its 1 sigma is what is known."
-    ok = source.summary["status"].to_pylist().count("ok")
+    ok = int(analysis.has_status(source.rows(["status"]), "ok").sum())
     return f"{text} The heading error ends within 10 arcmin of its limit in {ok:,} of them."
 
 
@@ -100,16 +129,22 @@ def _tables(source: Source) -> list[Block]:
     keys = shown_keys(study)
     if study.n_variants <= MOST_ROWS:
         note = f"Number [95 % interval over the draws]. {note}"
-        return [statistics(source.summary, keys, "Every variant", note=note)]
+        tables: list[Block] = [statistics(source, keys, "Every variant", note=note)]
+        compared = study.n_variants > 1 and source.draws > 1
+        return [*tables, against_first(source)] if compared else tables
     return [
         Text(f"{study.n_variants} variants: each table takes one key and pools the others."),
-        *(statistics(source.summary, [key], f"By {key}", note=note, pooled=True) for key in keys),
+        *(statistics(source, [key], f"By {key}", note=note, pooled=True) for key in keys),
     ]
 
 
 def _curves(source: Source, has_truth: bool) -> Iterator[Block]:
     """Misalignment, or attitude, over time: the first few variants."""
-    groups = list(analysis.groups(source.summary, shown_keys(source.study)))
+    if not source.has_curves:
+        return
+    keys = shown_keys(source.study)
+    table = source.rows([*keys, "run_id", "reset_times_s", "floor_arcmin"])
+    groups = list(analysis.groups(table, keys))
     drawn = {name_of(key): rows.slice(0, _MOST_DRAWS) for key, rows in groups[:_MOST_LINES]}
     runs = {name: rows["run_id"].to_pylist() for name, rows in drawn.items()}
     curves = source.curves(run for ids in runs.values() for run in ids)
@@ -126,7 +161,7 @@ def _curves(source: Source, has_truth: bool) -> Iterator[Block]:
         shading = "; shading: the filter's own 1 sigma" if has_sigma else ""
         yield Picture("attitude", f"{caption}{shading}.", plots.attitude(shown, title))
         return
-    floors = np.unique(analysis.numbers(source.summary, "floor_arcmin"))
+    floors = np.unique(analysis.numbers(table, "floor_arcmin"))
     moments = {time for rows in drawn.values() for time in rows["reset_times_s"][0].as_py()}
     figure = plots.misalignment(
         shown,

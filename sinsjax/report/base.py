@@ -1,6 +1,8 @@
 """What a report is made of: where it reads from, and the blocks that a layout returns."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,34 +13,83 @@ from sinsjax import plots, results
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.config import load_study
 from sinsjax.studies import Study
+from sinsjax.types import InputError
 
 
-class Source(NamedTuple):
-    """A directory of results, read.
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A directory of results; what is asked for is read, and no more.
 
     Attributes:
         directory: where they are.
         study: the resolved study.
-        summary: one row a run, by run_id.
         config: file name of the study, as a page names it.
+        table: the summary by run_id, where it need not be read.
     """
 
     directory: Path
     study: Study
-    summary: pa.Table
     config: str
+    table: pa.Table | None = None
 
     @classmethod
     def read(cls, directory: Path) -> "Source":
-        """Reads a directory of results.
+        """Opens a directory of results.
 
         Raises:
             InputError: it holds none, or its study cannot be read.
         """
-        summary = results.read_summary(directory)
+        results.count_runs(directory)
         study = load_study(directory / "study.toml")
         name = results.read_manifest(directory).get("config") or f"{study.study.name}.toml"
-        return cls(directory, study, summary, name)
+        return cls(directory, study, name)
+
+    @cached_property
+    def runs(self) -> int:
+        """Number of runs, which is that of the rows of the summary."""
+        return results.count_runs(self.directory) if self.table is None else self.table.num_rows
+
+    @property
+    def draws(self) -> int:
+        """Draws of every variant: fewer than the study's where it may stop before.
+
+        Raises:
+            InputError: runs are missing.
+        """
+        study = self.study
+        draws = self.runs // study.n_variants if study.stop_when else study.n_draws
+        if not draws or self.runs != draws * study.n_variants:
+            raise InputError(
+                f"{self.directory}: {self.runs} runs where the study has"
+                f" {(draws or 1) * study.n_variants}: are the results complete?"
+            )
+        return draws
+
+    @cached_property
+    def summary(self) -> pa.Table:
+        """All columns, one row a run, by run_id; kept. A large study has no room for it."""
+        return results.read_summary(self.directory) if self.table is None else self.table
+
+    def rows(self, names: Iterable[str]) -> pa.Table:
+        """Some columns, one row a run, by run_id; read anew each time.
+
+        Args:
+            names: of the columns; repeated ones are there once.
+
+        Raises:
+            InputError: a column is missing.
+        """
+        wanted = list(dict.fromkeys(names))
+        if self.table is None:
+            return results.read_summary(self.directory, wanted)
+        if missing := [name for name in wanted if name not in self.table.column_names]:
+            raise InputError(f"{self.directory}: summary: column {missing[0]} is missing")
+        return self.table.select(wanted)
+
+    @property
+    def has_curves(self) -> bool:
+        """Whether curves of any run were stored."""
+        return (self.directory / "curves").is_dir()
 
     def curves(self, run_ids: Iterable[int] | None = None) -> pa.Table:
         """Curves of some runs, or of all; empty where none were stored."""
@@ -108,10 +159,25 @@ class Report(NamedTuple):
 Layout = Callable[[Source], Report]
 
 
+def swept(study: Study) -> dict[tuple[str, ...], tuple[Any, ...]]:
+    """What a study sweeps as a reader counts it: the values of each axis by the keys that tell it.
+
+    Keys that go together, in cases or in axes, are one axis. It is told by the label or the first
+    of its keys if no two of its points share that value, else by all of them, and by tuples then.
+    """
+    axes: dict[tuple[str, ...], tuple[Any, ...]] = {}
+    for dimension in study.dimensions:
+        first, values = next(iter(dimension.items()))
+        if len(set(values)) == len(values):
+            axes[(first,)] = tuple(values)
+        else:
+            axes[tuple(dimension)] = tuple(zip(*dimension.values(), strict=True))
+    return axes
+
+
 def shown_keys(study: Study) -> tuple[str, ...]:
-    """The swept keys that tell variants apart: a case's label stands for the keys that it sets."""
-    labelled = "case" in study.axis_keys
-    return ("case", *study.axes) if labelled else study.axis_keys
+    """The swept keys that tell variants apart, see `swept`."""
+    return tuple(key for keys in swept(study) for key in keys)
 
 
 def name_of(key: Mapping[str, Any]) -> str:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from operator import attrgetter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,7 +152,7 @@ def _panels(
     ]
 
 
-def _scales(source: Source) -> dict[str, Scale]:
+def _scales(source: Source) -> dict[str, Any]:
     rows, columns = (Scale(key, source.study.axes[key]) for key in (SIGMA, TAPE))
     return {"rows": rows, "columns": columns}
 

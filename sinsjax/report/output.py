@@ -37,7 +37,18 @@ class Made(NamedTuple):
         """Draws the figures of a report."""
         blocks = (block for section in report.sections for block in section.blocks)
         pictures = (block for block in blocks if isinstance(block, Picture))
-        return cls(source, report, {block.name: plots.png(block.figure) for block in pictures})
+        images = {block.name: plots.png(block.figure, counted(source)) for block in pictures}
+        return cls(source, report, images)
+
+
+def counted(source: Source) -> str:
+    """What a figure rests on, for its footer: the study's name and how many runs it has."""
+    study = source.study
+    unit = "start times" if study.is_recorded else "draws"
+    if study.n_variants == 1:
+        return f"{study.study.name}: {source.runs:,} {unit if source.runs > 1 else unit[:-1]}"
+    each = f"{source.runs / study.n_variants:,g} {unit}"
+    return f"{study.study.name}: {study.n_variants:,} variants × {each} = {source.runs:,} runs"
 
 
 def print_report(made: Made, console: Console) -> None:

@@ -1,7 +1,6 @@
-"""Tables and figures over a study's swept numbers: heat maps, curves with intervals, spreads."""
+"""Tables and figures over a study's swept numbers: heat maps, and curves with intervals."""
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,34 +15,39 @@ from sinsjax.report.base import (
     name_of,
     percent,
     shown_keys,
+    swept,
     value_text,
 )
 from sinsjax.studies import SECTION_OF
-from sinsjax.types import InputError
 
 _MOST_PANELS = 12
 _MOST_LINES = 7
 _SETTLED = "settle_10_s"
 _CHOSEN = ("filter", "resets")  # sections whose values a user chooses, so that one can be best
 
+Axes = Mapping[str, Sequence[float]]
+
 
 def over_axes(source: Source) -> list[Block]:
     """What the swept numbers decide.
 
     With two numeric axes or more, heat maps over the first two as the study writes them, a panel
-    for each point of all other keys; with one, curves with intervals; with none, distributions.
+    for each point of all other keys; with one, curves with intervals; with none, nothing.
     """
-    numeric = [key for key, values in source.study.axes.items() if all(map(_is_number, values))]
-    others = [key for key in shown_keys(source.study) if key not in numeric[:2]]
-    if len(numeric) >= 2:
-        return list(_heat_maps(source, (numeric[0], numeric[1]), others))
-    if numeric:
-        return list(_along_axis(source, numeric[0], others))
-    return list(_distributions(source))
+    numeric = {
+        keys[0]: tuple(map(float, values))
+        for keys, values in swept(source.study).items()
+        if _are_numbers(values)
+    }
+    shown = dict(list(numeric.items())[:2])
+    others = [key for key in shown_keys(source.study) if key not in shown]
+    if len(shown) == 2:
+        return list(_heat_maps(source, shown, others))
+    return [_along_axis(source, *axis, others) for axis in shown.items()]
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+def _are_numbers(values: Sequence[Any]) -> bool:
+    return all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
 
 
 class _Map(NamedTuple):
@@ -62,18 +66,13 @@ class _Map(NamedTuple):
     ok: NDArray
 
 
-def _maps(source: Source, axes: tuple[str, str], others: Sequence[str]) -> list[_Map]:
-    shape = (source.study.n_draws, *(len(source.study.axes[key]) for key in axes))
+def _maps(source: Source, axes: Axes, others: Sequence[str]) -> list[_Map]:
+    shape = (source.draws, *map(len, axes.values()))
     maps = []
-    for point, rows in analysis.groups(source.summary, others):
-        if rows.num_rows != math.prod(shape):
-            raise InputError(
-                f"{source.directory}: {rows.num_rows} runs where the study has {math.prod(shape)}"
-                f" ({name_of(point)}): are the results complete?"
-            )
+    for point, rows in analysis.groups(source.rows([*others, _SETTLED, "status"]), others):
         # In run order the draws are outermost; among the variants of a point, the first axis.
         settle = np.nan_to_num(analysis.numbers(rows, _SETTLED), nan=np.inf)
-        ok = np.asarray(rows["status"]) == "ok"
+        ok = analysis.has_status(rows, "ok")
         maps.append(_Map(name_of(point), point, settle.reshape(shape), ok.reshape(shape)))
     return maps
 
@@ -83,12 +82,14 @@ def _median(settle_s: NDArray) -> NDArray:
     return np.quantile(settle_s, 0.5, axis=0, method="inverted_cdf")
 
 
-def _heat_maps(source: Source, axes: tuple[str, str], others: Sequence[str]) -> Iterator[Block]:
+def _heat_maps(source: Source, axes: Axes, others: Sequence[str]) -> Iterator[Block]:
     maps = _maps(source, axes, others)
     if all(SECTION_OF[key] in _CHOSEN for key in axes):
-        yield _best(source, axes, maps)
-    rows, columns = (plots.Scale(key, source.study.axes[key]) for key in axes)
-    drawn = maps[:_MOST_PANELS]
+        yield _best(axes, maps)
+    rows, columns = (plots.Scale(key, values) for key, values in axes.items())
+    # A line of panels for each value of the other keys but the last, if it is short enough.
+    across = len({value_text(m.point[others[-1]]) for m in maps}) if others else 1
+    drawn = maps[: _MOST_PANELS // across * across or _MOST_PANELS]
     left = len(maps) - len(drawn)
     rest = f" The first {len(drawn)} of {len(maps)} panels." if left else ""
     medians = [(m.name, _median(m.settle_s)) for m in drawn]
@@ -96,7 +97,7 @@ def _heat_maps(source: Source, axes: tuple[str, str], others: Sequence[str]) -> 
     high = float(finite.max()) if finite.size else 1.0
     yield Picture(
         "settling_time",
-        f"Median settling time to 10 arcmin over {source.study.n_draws} draws; hatched where at"
+        f"Median settling time to 10 arcmin over {source.draws} draws; hatched where at"
         f" least half of the runs never settle.{rest}",
         plots.heat_maps(
             medians,
@@ -104,22 +105,24 @@ def _heat_maps(source: Source, axes: tuple[str, str], others: Sequence[str]) -> 
             plots.Shown("median settling time (s)", 0.0, high, reverse=True),
             rows=rows,
             columns=columns,
+            across=across,
         ),
     )
     yield Picture(
         "success_rate",
-        f"Share of the {source.study.n_draws} draws that end settled (status ok).{rest}",
+        f"Share of the {source.draws} draws that end settled (status ok).{rest}",
         plots.heat_maps(
             [(m.name, 100 * m.ok.mean(axis=0)) for m in drawn],
             "How many runs settle at all?",
             plots.Shown("runs that settle (%)", 0.0, 100.0),
             rows=rows,
             columns=columns,
+            across=across,
         ),
     )
 
 
-def _best(source: Source, axes: tuple[str, str], maps: Sequence[_Map]) -> Table:
+def _best(axes: Axes, maps: Sequence[_Map]) -> Table:
     """At each point of the other keys, where most runs settle, and among those the fastest."""
     rows = []
     for here in maps[: 2 * _MOST_PANELS]:
@@ -130,35 +133,34 @@ def _best(source: Source, axes: tuple[str, str], maps: Sequence[_Map]) -> Table:
         rows.append(
             [
                 *(value_text(value) for value in here.point.values()),
-                *(
-                    value_text(source.study.axes[key][at])
-                    for key, at in zip(axes, best, strict=True)
-                ),
+                *(value_text(values[at]) for values, at in zip(axes.values(), best, strict=True)),
                 percent(analysis.proportion(int(here.ok[place].sum()), here.ok.shape[0])),
                 analysis.format_estimate(analysis.quantile(here.settle_s[place]), digits=0),
                 percent(analysis.proportion(int(here.ok[:, 0, 0].sum()), here.ok.shape[0])),
             ]
         )
-    first = ", ".join(f"{key} {value_text(source.study.axes[key][0])}" for key in axes)
+    first = ", ".join(f"{key} {value_text(values[0])}" for key, values in axes.items())
     others = list(maps[0].point)
     header = [*others, *(f"best {key}" for key in axes), "ok (%)", "median settling time (s)"]
     return Table(
-        f"Where most runs settle, and settle first, over {axes[0]} and {axes[1]}",
+        f"Where most runs settle, and settle first, over {' and '.join(axes)}",
         [*header, f"ok at {first} (%)"],
         rows,
         "Equals: the first in the study's order.",
     )
 
 
-def _along_axis(source: Source, axis: str, others: Sequence[str]) -> Iterator[Block]:
-    values = source.study.axes[axis]
+def _along_axis(
+    source: Source, axis: str, values: Sequence[float], others: Sequence[str]
+) -> Picture:
     panels: dict[str, dict[str, list[analysis.Estimate]]] = {
         "runs that settle (share)": {},
         "median settling time (s)": {},
         "phi_u from its limit (arcmin)": {},
     }
     settling, time, error = panels.values()
-    groups = list(analysis.groups(source.summary, others))
+    columns = (*others, axis, "status", _SETTLED, "phi_u_mean_arcmin", "floor_arcmin")
+    groups = list(analysis.groups(source.rows(columns), others))
     for point, rows in groups[:_MOST_LINES]:
         name = name_of(point)
         by_value = [group for _, group in analysis.groups(rows, [axis])]
@@ -172,7 +174,7 @@ def _along_axis(source: Source, axis: str, others: Sequence[str]) -> Iterator[Bl
         ]
     left = len(groups) - len(settling)
     rest = f" {left} more lines are not drawn." if left else ""
-    yield Picture(
+    return Picture(
         "along_axis",
         f"Estimates with 95 % intervals over the draws; settled: within 10 arcmin.{rest}",
         plots.along_axis(axis, values, panels, title=f"What {axis} decides"),
@@ -180,23 +182,4 @@ def _along_axis(source: Source, axis: str, others: Sequence[str]) -> Iterator[Bl
 
 
 def _success(rows: Any) -> analysis.Estimate:
-    return analysis.proportion(rows["status"].to_pylist().count("ok"), rows.num_rows)
-
-
-def _distributions(source: Source) -> Iterator[Block]:
-    groups = list(analysis.groups(source.summary, shown_keys(source.study)))
-    settle: dict[str, NDArray] = {}
-    error: dict[str, NDArray] = {}
-    for key, rows in groups[:_MOST_LINES]:
-        name = name_of(key)
-        settle[name] = analysis.numbers(rows, _SETTLED)
-        error[name] = analysis.numbers(rows, "phi_u_mean_arcmin") - analysis.numbers(
-            rows, "floor_arcmin"
-        )
-    left = len(groups) - len(settle)
-    rest = f" {left} more variants are not drawn." if left else ""
-    panels = {"settling time to 10 arcmin (s)": settle, "phi_u from its limit (arcmin)": error}
-    figure = plots.distributions(panels, "Settling time and remaining heading error over the runs")
-    yield Picture(
-        "distribution", f"A line that ends below 1: the rest never settles.{rest}", figure
-    )
+    return analysis.proportion(int(analysis.has_status(rows, "ok").sum()), rows.num_rows)

@@ -1,0 +1,240 @@
+"""Tables of statistics: one row a group of runs, or one row a group against a baseline."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from sinsjax.analysis.differences import difference, proportion_difference, quantile_difference
+from sinsjax.analysis.estimates import (
+    UNKNOWN,
+    Estimate,
+    chi2_mean_band,
+    mean,
+    proportion,
+    quantile,
+    std,
+)
+from sinsjax.analysis.tables import by_draw, groups, has_status, has_truth, numbers, require
+from sinsjax.types import InputError
+
+NEES_FREEDOM = 3
+"""Degrees of freedom of ``nees``: three angles."""
+
+_YAW, _FLOOR = "phi_u_mean_arcmin", "floor_arcmin"
+_INTERVAL = ("", "_low", "_high")
+_MEAN = (*_INTERVAL, "_n")  # leaves out what is not finite, so that its own number is told
+_CHI2 = (*_MEAN, "_chi2_low", "_chi2_high")
+
+
+class _Statistic(NamedTuple):
+    """One statistic of a group.
+
+    Attributes:
+        columns: that it is made of.
+        of: the estimate of a group's rows.
+        told: ends of the names of the columns that it makes.
+        judged: whether it would be an invention where there is no truth.
+        freedom: of the chi-square values that it is the mean of; 0 for others.
+    """
+
+    columns: tuple[str, ...]
+    of: Callable[[pa.Table], Estimate]
+    told: tuple[str, ...] = _INTERVAL
+    judged: bool = False
+    freedom: int = 0
+
+
+def summarise(table: pa.Table, by: Sequence[str], names: Sequence[str] | None = None) -> pa.Table:
+    """The statistics of each group of runs, one row a group.
+
+    Columns: the keys; ``n`` runs, of which ``nonfinite``; then ``X``, ``X_low`` and ``X_high`` for
+    every statistic X, with its 95 % interval:
+
+    * ``success_rate`` (status ``ok``) and ``diverged_rate``: shares of all runs;
+    * for each band B of the table ``settle_B_s_median`` and ``settle_B_s_q90`` (infinite: never),
+      ``settle_B_s_mean`` of the runs that settled, and ``never_settled_B``, a count without
+      interval; all but the count also for ``settle_B_data_s``, where a tape is gone over again;
+    * ``phi_u_mean_arcmin_mean`` and ``phi_u_mean_arcmin_std``: the window means over the runs;
+      ``phi_u_from_floor_arcmin_mean``: window mean minus floor; ``phi_u_std_arcmin_mean``: the
+      standard deviation inside a run's window;
+    * ``nees_median`` (a run that is not finite counts as infinite), ``nees_mean`` and
+      ``nis_u_mean``, these two with the chi-square band of the mean in ``X_chi2_low`` and
+      ``X_chi2_high``: to be asserted only where the filter's belief is true.
+
+    A mean or standard deviation leaves out what is not finite; ``X_n`` says how many runs it rests
+    on. Null is unknown; without truth or reference all but ``n`` and ``nonfinite`` are.
+
+    Args:
+        table: the summary, one row a run.
+        by: key columns as for :func:`groups`.
+        names: which X, and counts, in this order; all of them without it. The columns that others
+            are made of may be missing.
+
+    Raises:
+        InputError: the table has no rows, a column is missing, or there is no such statistic.
+    """
+    if table.num_rows == 0:
+        raise InputError("summary: there are no runs to summarise")
+    offered = _offered(table.column_names)
+    chosen = list(offered) if names is None else list(names)
+    if unknown := [name for name in chosen if name not in offered]:
+        raise InputError(f"summary: there is no statistic {unknown[0]} of these columns")
+    statistics = {name: offered[name] for name in chosen}
+    used = [column for statistic in statistics.values() for column in statistic.columns]
+    made = (
+        key | _row(rows, statistics)
+        for key, rows in groups(_select(table, *by, "status", "phi_u_arcmin", *used), by)
+    )
+    return _table(made, table.schema, by)
+
+
+def compare(table: pa.Table, by: Sequence[str], baseline: Mapping[str, Any]) -> pa.Table:
+    """How each group of runs differs from a baseline group on the same draws.
+
+    Columns: the keys; ``n`` draws; then ``X``, ``X_low`` and ``X_high``, group minus baseline, for
+    X in ``success_rate_difference`` (paired shares, Newcombe's interval),
+    ``settle_B_s_median_difference`` for each band B (infinite: only one of both ever settles) and
+    ``phi_u_error_arcmin_difference`` (by draw, how far the window mean of phi_u lies from its
+    floor; mean with Student's t interval), whose ``X_n`` says how many draws it rests on. Null is
+    unknown, as all are without truth or reference.
+
+    Args:
+        table: the summary, one row a run.
+        by: key columns as for :func:`groups`; one run a draw in each group.
+        baseline: the key values of the group that all others are held against.
+
+    Returns:
+        One row for each group but the baseline, by first appearance.
+
+    Raises:
+        InputError: no runs, no such baseline, a missing column, or draws that differ or repeat.
+    """
+    settling = [name for name in table.column_names if name.startswith("settle_")]
+    used = ("draw_id", "status", "phi_u_arcmin", _YAW, _FLOOR, *settling)
+    found = list(groups(_select(table, *by, *used), by))
+    wanted = {key: _plain(value) for key, value in baseline.items()}
+    base = next((rows for key, rows in found if key == wanted), None)
+    if base is None:
+        raise InputError(f"summary: there are no runs of the baseline {wanted}")
+    known = has_truth(table)
+    made = (
+        key | {"n": rows.num_rows} | _differences(rows, base, settling, known=known)
+        for key, rows in found
+        if rows is not base
+    )
+    return _table(made, table.schema, by)
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _differences(
+    rows: pa.Table, base: pa.Table, settling: Sequence[str], *, known: bool
+) -> dict[str, Any]:
+    """One group's cells of :func:`compare`."""
+    mine, others = by_draw(rows, base)
+
+    def pair(column: str) -> tuple[NDArray, NDArray]:
+        return numbers(rows, column)[mine], numbers(base, column)[others]
+
+    yaw, floor = pair(_YAW), pair(_FLOOR)
+    errors = (np.abs(a - b) for a, b in zip(yaw, floor, strict=True))
+    ok = has_status(rows, "ok")[mine], has_status(base, "ok")[others]
+    found = {"success_rate_difference": proportion_difference(*ok) if known else UNKNOWN}
+    for name in settling:
+        apart = quantile_difference(*pair(name)) if known else UNKNOWN
+        found[f"{name}_median_difference"] = apart
+    cells: dict[str, Any] = {}
+    for name, estimate in found.items():
+        cells |= _cells(name, estimate, _INTERVAL)
+    return cells | _cells("phi_u_error_arcmin_difference", difference(*errors), _MEAN)
+
+
+def _offered(columns: Sequence[str]) -> dict[str, _Statistic]:
+    """Every statistic of a table with these columns by its name."""
+    offered = {
+        f"{name}_rate": _Statistic(("status",), partial(_share, status=status), judged=True)
+        for name, status in {"success": "ok", "diverged": "diverged"}.items()
+    }
+    for name in (name for name in columns if name.startswith("settle_")):
+        if not name.endswith("_data_s"):
+            count = name.replace("settle_", "never_settled_").removesuffix("_s")
+            offered[count] = _of(_missing, name, told=("",), judged=True)
+        offered[f"{name}_median"] = _of(quantile, name, judged=True)
+        offered[f"{name}_q90"] = _of(partial(quantile, q=0.9), name, judged=True)
+        offered[f"{name}_mean"] = _of(mean, name, told=_MEAN, judged=True)
+    return offered | {
+        "phi_u_mean_arcmin_mean": _of(mean, _YAW, told=_MEAN),
+        "phi_u_mean_arcmin_std": _of(std, _YAW, told=_MEAN),
+        "phi_u_from_floor_arcmin_mean": _of(difference, _YAW, _FLOOR, told=_MEAN),
+        "phi_u_std_arcmin_mean": _of(mean, "phi_u_std_arcmin", told=_MEAN),
+        "nees_median": _of(_known_median, "nees"),
+        "nees_mean": _of(mean, "nees", told=_CHI2, freedom=NEES_FREEDOM),
+        "nis_u_mean": _of(mean, "nis_u", told=_CHI2, freedom=1),
+    }
+
+
+def _of(function: Callable[..., Estimate], *columns: str, **properties: Any) -> _Statistic:
+    """A function of some numeric columns as a statistic."""
+
+    def estimate(rows: pa.Table) -> Estimate:
+        return function(*(numbers(rows, column) for column in columns))
+
+    return _Statistic(columns, estimate, **properties)
+
+
+def _share(rows: pa.Table, status: str) -> Estimate:
+    return proportion(int(has_status(rows, status).sum()), rows.num_rows)
+
+
+def _missing(values: NDArray) -> Estimate:
+    return UNKNOWN._replace(value=float(np.isnan(values).sum()))
+
+
+def _known_median(values: NDArray) -> Estimate:
+    return quantile(values) if np.isfinite(values).any() else UNKNOWN
+
+
+def _row(rows: pa.Table, statistics: Mapping[str, _Statistic]) -> dict[str, Any]:
+    """One group's cells of :func:`summarise`."""
+    truth = has_truth(rows)
+    row = {"n": rows.num_rows, "nonfinite": int(has_status(rows, "nonfinite").sum())}
+    for name, statistic in statistics.items():
+        estimate = statistic.of(rows) if truth or not statistic.judged else UNKNOWN
+        row |= _cells(name, estimate, statistic.told, statistic.freedom)
+    return row
+
+
+def _cells(name: str, estimate: Estimate, told: Sequence[str], freedom: int = 0) -> dict[str, Any]:
+    cells: dict[str, Any] = dict(zip(_MEAN, estimate, strict=True))
+    if freedom:
+        cells |= zip(_CHI2[len(_MEAN) :], chi2_mean_band(freedom, estimate.n), strict=True)
+    return {f"{name}{end}": cells[end] for end in told}
+
+
+def _select(table: pa.Table, *columns: str) -> pa.Table:
+    for column in columns:
+        require(table, column)
+    return table.select(list(dict.fromkeys(columns)))
+
+
+def _table(rows: Iterable[Mapping[str, Any]], schema: pa.Schema, by: Sequence[str]) -> pa.Table:
+    """Rows as a table: keys as they were, counts as whole numbers, NaN as null."""
+    columns: dict[str, list] = {}
+    for row in rows:
+        for name, value in row.items():
+            columns.setdefault(name, []).append(value)
+
+    def kind(name: str) -> pa.DataType:
+        if name in by:
+            return schema.field(name).type
+        whole = name in ("n", "nonfinite") or name.endswith("_n")
+        return pa.int64() if whole or name.startswith("never_settled_") else pa.float64()
+
+    arrays = [pa.array(v, kind(name), from_pandas=True) for name, v in columns.items()]
+    return pa.table(arrays, names=list(columns))

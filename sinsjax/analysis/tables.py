@@ -1,0 +1,131 @@
+"""The summary table: its columns as numbers, its groups of runs, runs paired by draw."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from sinsjax.types import InputError
+
+_SLICE = 2**16  # rows turned into Python's objects at a time
+
+
+def numbers(table: pa.Table, column: str) -> NDArray:
+    """A numeric column as float64, shape (rows,); null becomes NaN.
+
+    Raises:
+        InputError: the column is missing.
+    """
+    return require(table, column).cast(pa.float64()).to_numpy()
+
+
+def has_status(table: pa.Table, status: str) -> NDArray:
+    """Which runs ended with a status, shape (rows,), bool; null is no status.
+
+    Raises:
+        InputError: the column ``status`` is missing.
+    """
+    return pc.equal(require(table, "status"), status).fill_null(False).to_numpy()
+
+
+def has_truth(table: pa.Table) -> bool:
+    """Whether the runs were judged against a truth or a reference.
+
+    Without one every misalignment is null; so it is where every run is not finite.
+
+    Raises:
+        InputError: a column is missing.
+    """
+    known = bool(np.isfinite(numbers(table, "phi_u_arcmin")).any())
+    return known or bool(has_status(table, "nonfinite").any())
+
+
+def paired(a: pa.Table, b: pa.Table, column: str) -> tuple[NDArray, NDArray]:
+    """One column of two tables, row by row on the same draw.
+
+    Args:
+        a: one row a draw, with ``draw_id``.
+        b: the same draws, in any order.
+        column: a numeric column of both.
+
+    Returns:
+        The column in a and in b, each in ascending order of ``draw_id``; null is NaN.
+
+    Raises:
+        InputError: a missing column, a repeated draw, or draws that differ.
+    """
+    first, second = by_draw(a, b)
+    return numbers(a, column)[first], numbers(b, column)[second]
+
+
+def by_draw(a: pa.Table, b: pa.Table) -> tuple[NDArray, NDArray]:
+    """The rows of two tables in ascending order of ``draw_id``.
+
+    Args:
+        a: one row a draw.
+        b: the same draws, in any order.
+
+    Raises:
+        InputError: no ``draw_id``, a repeated draw, or draws that differ.
+    """
+    (draws, first), (others, second) = (np.unique(numbers(t, "draw_id"), True) for t in (a, b))
+    if draws.size < a.num_rows or others.size < b.num_rows:
+        raise InputError("summary: draw_id repeats, so that runs cannot be paired by draw")
+    if not np.array_equal(draws, others):
+        raise InputError("summary: the draws differ, so that runs cannot be paired by draw")
+    return first, second
+
+
+def groups(table: pa.Table, by: Sequence[str]) -> Iterator[tuple[dict[str, Any], pa.Table]]:
+    """Splits a table by the values of some columns.
+
+    The table is copied once, in the order of the groups: give it the columns that are needed.
+
+    Args:
+        table: any table.
+        by: key columns of any type, lists too; null is a key as any other. No column, one group.
+
+    Yields:
+        The key values and the group's rows in their order; groups by first appearance.
+
+    Raises:
+        InputError: a key column is missing.
+    """
+    code = np.zeros(table.num_rows, dtype=np.int64)
+    for name in by:
+        # Numbered anew after each key, so that the product of many keys cannot overflow.
+        code = code * (table.num_rows + 1) + _codes(require(table, name))
+        code = np.unique(code, return_inverse=True)[1]
+    _, first, size = np.unique(code, return_index=True, return_counts=True)
+    ordered = table.take(np.argsort(code, kind="stable"))
+    start = np.cumsum(size) - size
+    for group in np.argsort(first):
+        rows = ordered.slice(start[group], size[group])
+        yield {name: rows[name][0].as_py() for name in by}, rows
+
+
+def _codes(column: pa.ChunkedArray) -> NDArray:
+    """A number for each distinct value of a column, shape (rows,)."""
+    if not (pa.types.is_nested(column.type) or pa.types.is_dictionary(column.type)):
+        whole = column.combine_chunks()
+        return pc.dictionary_encode(whole, null_encoding="encode").indices.to_numpy()
+    seen: dict[str, int] = {}
+    codes = np.empty(len(column), dtype=np.int64)
+    for start in range(0, len(column), _SLICE):
+        values = column.slice(start, _SLICE).to_pylist()
+        codes[start : start + _SLICE] = [seen.setdefault(repr(v), len(seen)) for v in values]
+    return codes
+
+
+def require(table: pa.Table, name: str) -> pa.ChunkedArray:
+    """A column of a table.
+
+    Raises:
+        InputError: it is missing.
+    """
+    if name not in table.column_names:
+        raise InputError(f"summary: column {name} is missing")
+    return table[name]

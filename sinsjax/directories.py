@@ -1,0 +1,182 @@
+"""What a directory of results holds, and whether a study may be written there."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from sinsjax.config import fingerprint, load_study
+from sinsjax.files import unwritable
+from sinsjax.results import read_manifest
+from sinsjax.studies import Study
+from sinsjax.types import InputError
+from sinsjax.work import Job
+
+DATASETS = ("summary", "curves")
+_NAMES = (*DATASETS, "figures", "study.toml", "manifest.json")
+
+
+class _Checked(BaseModel):
+    model_config = ConfigDict(extra="allow", allow_inf_nan=False)
+
+
+class Session(_Checked):
+    """What a manifest says of a process that wrote.
+
+    Attributes:
+        started_unix_s: when.
+        wall_s: how long.
+    """
+
+    started_unix_s: float
+    wall_s: float
+
+
+class File(_Checked):
+    """What a manifest says of a part: its place in the directory, its rows and its checksum."""
+
+    file: str
+    rows: int
+    sha256: str
+
+
+class Done(_Checked):
+    """What a manifest says of a chunk; without files it is not done."""
+
+    name: str
+    state: str
+    seconds: float | None = None
+    files: list[File] = []
+
+
+class Manifest(_Checked):
+    """What of a manifest is needed to go on with its results.
+
+    Attributes:
+        identity: of the job, see `Job.identity`.
+        curves: whether curves are kept; None takes the study's word.
+        chunk_runs: runs a chunk, as the job was given it.
+        sessions: processes that wrote.
+        chunks: every chunk of the study.
+    """
+
+    identity: str
+    curves: bool | None
+    chunk_runs: int | None
+    sessions: list[Session] = []
+    chunks: list[Done] = []
+
+
+def manifest(directory: Path) -> Manifest | None:
+    """The manifest of a directory; None if it has none with which one can go on."""
+    try:
+        return Manifest.model_validate(read_manifest(directory))
+    except (InputError, ValidationError):
+        return None
+
+
+def resumed(directory: Path, job: Job) -> Job:
+    """A job as the directory of its results began it: with its chunks, and with curves or not.
+
+    Raises:
+        InputError: the directory holds results of another study or record; the keys that differ
+            are named.
+    """
+    kept = _kept_study(directory)
+    if kept is not None and fingerprint(kept) != fingerprint(job.study):
+        text = "; ".join(differences(kept, job.study)) or "another version wrote them"
+        raise InputError(f"{directory}: holds results of another study: {text}")
+    known = manifest(directory) or _told_by_parts(directory)
+    if known is None:
+        if (directory / "manifest.json").exists():
+            raise InputError(
+                f"{directory}: holds results of another version of sinsjax, which cannot be gone on"
+                " with (give --overwrite to replace them)"
+            )
+        return job
+    job = job._replace(curves=known.curves, chunk_runs=known.chunk_runs)
+    if known.identity != job.identity:
+        what = "study" if kept is None else "record or reference"
+        raise InputError(f"{directory}: holds results of another {what}")
+    return job
+
+
+def _kept_study(directory: Path) -> Study | None:
+    """The study of a directory; None if it cannot be read: its parts know whose they are."""
+    try:
+        return load_study(directory / "study.toml")
+    except InputError:
+        return None
+
+
+def _told_by_parts(directory: Path) -> Manifest | None:
+    """What the first part that can be read says of all; None if there is none."""
+    for path in sorted(directory.glob("summary/part-*.parquet")):
+        try:
+            said = pq.read_schema(path).metadata or {}
+            chunk, identity = json.loads(said[b"sinsjax.chunk"]), said[b"sinsjax.study"].decode()
+        except (OSError, pa.ArrowException, KeyError):
+            continue
+        curves = True if any(directory.glob("curves/part-*")) else None
+        return Manifest(identity=identity, curves=curves, chunk_runs=chunk["chunk_runs"])
+    return None
+
+
+def differences(there: Study, here: Study) -> list[str]:
+    """The keys in which two studies differ, with both values, as far as results depend on them."""
+    found = []
+    sections = (study.model_dump(exclude={"report", "statements"}) for study in (there, here))
+    old, new = ({k: v for k, v in s.items() if v is not None} for s in sections)
+    for section in dict.fromkeys((*old, *new)):
+        one, other = old.get(section), new.get(section)
+        if not isinstance(one, dict) or not isinstance(other, dict):
+            if one != other:
+                found.append(f"[{section}] {_said(one)} there, {_said(other)} here")
+            continue
+        for key in dict.fromkeys((*one, *other)):
+            if one.get(key) != other.get(key) and (section, key) != ("study", "name"):
+                text = f"{_said(one.get(key))} there, {_said(other.get(key))} here"
+                found.append(f"[{section}] {key}: {text}")
+        if section == "axes" and not found and list(one) != list(other):
+            found.append("[axes] stand in another order")
+    return found
+
+
+def _said(value: Any) -> str:
+    text = "none" if value is None else str(list(value) if isinstance(value, tuple) else value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def check_free(directory: Path, *, overwrite: bool) -> None:
+    """Refuse a directory that holds results, unless they may be used, or files like ours.
+
+    Results are known by their manifest or their parts: other files of our names are never touched.
+
+    Raises:
+        InputError: the directory cannot be used.
+    """
+    try:
+        if directory.exists() and not directory.is_dir():
+            raise InputError(f"{directory}: is a file, not a directory")
+        taken = [name for name in _NAMES if (directory / name).exists()]
+    except OSError as error:
+        raise InputError(unwritable(directory, error)) from error
+    if not taken:
+        return
+    if not _is_ours(directory):
+        raise InputError(f"{directory}: holds a {taken[0]} that is no result: give another one")
+    if not overwrite:
+        raise InputError(
+            f"{directory}: holds results already (give --resume to go on with them, or --overwrite"
+            " to replace them)"
+        )
+
+
+def _is_ours(directory: Path) -> bool:
+    try:
+        return "fingerprint" in read_manifest(directory)
+    except (InputError, TypeError):
+        return _told_by_parts(directory) is not None

@@ -1,0 +1,95 @@
+"""Figures of what a filter believes of its error, against what the error is."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
+from numpy.typing import NDArray
+from scipy import special
+
+from sinsjax.analysis import NEES_FREEDOM, Estimate
+from sinsjax.plots.spreads import steps
+from sinsjax.plots.style import GREY, colour, legend_outside, styled
+
+_WITHIN_SIGMA = float(special.erf(0.5**0.5))  # share of a normal variable within 1 sigma
+_FAR = (1e-2, 1e4)  # of the NEES axis, which may be narrower
+_MARKS = ("o", "s", "^")
+
+
+class Belief(NamedTuple):
+    """A line's runs.
+
+    Attributes:
+        label: what the legend calls it.
+        nees: (runs,).
+        shares: of records with P above the squared error, by what the error is counted from.
+    """
+
+    label: str
+    nees: NDArray
+    shares: Mapping[str, Estimate]
+
+
+@styled
+def beliefs(shown: Sequence[Belief], title: str) -> Figure:
+    """The distribution of NEES against chi-square, and how often P lies above the error.
+
+    Args:
+        shown: one line each; all with shares by the same names.
+        title: of the figure.
+    """
+    figure = Figure(figsize=(9.2, 4.8))
+    figure.suptitle(title)
+    left, right = figure.subplots(1, 2, width_ratios=[3, 2])
+    _nees(left, shown)
+    _shares(right, shown)
+    legend_outside(figure, left)
+    return figure
+
+
+def _nees(axes: Axes, shown: Sequence[Belief]) -> None:
+    for i, belief in enumerate(shown):
+        x, share = steps(belief.nees)
+        axes.plot(x, share[: x.size], drawstyle="steps-post", color=colour(i), label=belief.label)
+    known = np.concatenate([b.nees[np.isfinite(b.nees) & (b.nees > 0)] for b in shown])
+    low, high = np.quantile(known, [0.002, 0.998]) if known.size else (1.0, 1.0)
+    low, high = max(min(low, 0.05), _FAR[0]), min(max(high, 30.0), _FAR[1])
+    at = np.geomspace(low, high, 400)
+    name = f"chi-square, {NEES_FREEDOM} degrees of freedom"
+    axes.plot(at, special.chdtr(NEES_FREEDOM, at), "--", color="black", label=name)
+    axes.set_xscale("log")
+    axes.set_xlim(low, high)
+    axes.xaxis.set_major_locator(FixedLocator(list(10.0 ** np.arange(-2, 5))))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.set_ylim(0, 1.02)
+    axes.set_xlabel("NEES at the end")
+    axes.set_ylabel("share of runs")
+
+
+def _shares(axes: Axes, shown: Sequence[Belief]) -> None:
+    for i, belief in enumerate(shown):
+        for j, (value, low, high, _) in enumerate(belief.shares.values()):
+            spread = [[np.nan_to_num(value - low)], [np.nan_to_num(high - value)]]
+            place = i + 0.12 * (2 * j - len(belief.shares) + 1)
+            axes.errorbar(
+                [value],
+                [place],
+                xerr=np.maximum(spread, 0.0),
+                fmt=_MARKS[j],
+                color=colour(i),
+                capsize=2.5,
+                markersize=6,
+            )
+    names = list(shown[0].shares) if shown else []
+    for mark, name in zip(_MARKS, names, strict=False):
+        axes.plot([], [], mark, color=GREY, label=name)
+    axes.axvline(_WITHIN_SIGMA, color="black", linestyle="--")
+    axes.set_xlim(-0.03, 1.03)
+    axes.set_ylim(len(shown) - 0.5, -0.5)
+    axes.set_yticks([])
+    axes.set_xlabel("share of records with P_UU above")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.16), ncols=len(names) or 1)

@@ -1,0 +1,83 @@
+"""Figures of verdicts over two swept keys."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from sinsjax.plots.grids import Scale
+from sinsjax.plots.style import label, styled
+
+
+class Kind(NamedTuple):
+    """What a cell can be.
+
+    Attributes:
+        mark: a letter or sign in the cell, so that no one needs the colours.
+        name: in the legend.
+        colour: of the cell.
+        dark: whether the mark is white.
+    """
+
+    mark: str
+    name: str
+    colour: str
+    dark: bool = False
+
+
+@styled
+def kind_maps(
+    panels: Sequence[tuple[str, NDArray]],
+    kinds: Sequence[Kind],
+    title: str,
+    *,
+    rows: Scale,
+    columns: Scale,
+    across: int,
+) -> Figure:
+    """Maps of what holds at each point of two swept keys, side by side.
+
+    Args:
+        panels: title and values (rows, columns) of each, places in ``kinds``.
+        kinds: what a cell can be; all of them are in the legend.
+        title: of the figure.
+        rows: the key from bottom to top.
+        columns: the key from left to right.
+        across: panels in a line.
+    """
+    height = -(-len(panels) // across)
+    figure = Figure(figsize=(max(2.6 * across, 7.5), 1.9 + 2.3 * height))
+    figure.suptitle(title)
+    grid = figure.subplots(height, across, sharex=True, sharey=True, squeeze=False)
+    colours = ListedColormap([kind.colour for kind in kinds])
+    for axes, (name, values) in zip(grid.flat, panels, strict=False):
+        axes.imshow(
+            values, cmap=colours, vmin=-0.5, vmax=len(kinds) - 0.5, aspect="auto", origin="lower"
+        )
+        for (row, column), value in np.ndenumerate(values):
+            kind = kinds[value]
+            shade = "white" if kind.dark else "black"
+            axes.text(column, row, kind.mark, ha="center", va="center", color=shade)
+        axes.set_title(name)
+        axes.set_xticks(range(len(columns.values)), [f"{v:g}" for v in columns.values])
+        axes.set_yticks(range(len(rows.values)), [f"{v:g}" for v in rows.values])
+        axes.set_xticks(np.arange(len(columns.values) + 1) - 0.5, minor=True)
+        axes.set_yticks(np.arange(len(rows.values) + 1) - 0.5, minor=True)
+        axes.grid(visible=False, which="major")
+        axes.grid(which="minor", color="white", linewidth=1.2)
+        axes.tick_params(which="both", length=0)
+    for axes in list(grid.flat)[len(panels) :]:
+        axes.set_visible(False)
+    for axes in grid[:, 0]:
+        axes.set_ylabel(label(rows.key))
+    for axes in grid[-1]:
+        axes.set_xlabel(label(columns.key))
+    handles = [Patch(facecolor=kind.colour, label=f"{kind.mark}  {kind.name}") for kind in kinds]
+    widest = max(len(kind.name) for kind in kinds)
+    fit = max(1, int(figure.get_figwidth() * 11 / (widest + 8)))
+    figure.legend(handles=handles, loc="outside lower center", ncols=fit)
+    return figure

@@ -1,0 +1,106 @@
+"""A report as one HTML page that needs nothing else: no network, no file beside it, no script."""
+
+import base64
+from collections.abc import Iterator, Sequence
+from html import escape
+from pathlib import Path
+
+from markdown_it import MarkdownIt
+
+from sinsjax import runtime
+from sinsjax.files import replacing
+from sinsjax.report.base import Block, Picture, Table, Text
+from sinsjax.report.output import Made
+
+# What a report says is Markdown without links or images; anything else in it is text.
+_MARKDOWN = MarkdownIt("commonmark", {"html": False}).disable(["link", "image", "autolink"])
+
+_STYLE = """
+:root { color-scheme: light dark; --line: #8888; --soft: #8881; }
+body { font: 16px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; }
+h1, h2, h3 { line-height: 1.2; }
+h2 { margin-top: 2.5rem; border-bottom: 1px solid var(--line); padding-bottom: .3rem; }
+figure { margin: 1.5rem 0; }
+img { max-width: 100%; height: auto; background: #fff; border-radius: 4px; }
+figcaption, .note { font-size: .9rem; opacity: .85; }
+.table { overflow-x: auto; margin: 1.5rem 0 .5rem; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .9rem; }
+caption { text-align: left; font-weight: 600; padding-bottom: .4rem; }
+th, td { text-align: left; padding: .25rem .8rem .25rem 0; border-bottom: 1px solid var(--line); }
+th { vertical-align: bottom; }
+tbody tr:hover { background: var(--soft); }
+details { margin: 1rem 0; }
+summary { cursor: pointer; font-weight: 600; }
+footer { margin-top: 3rem; font-size: .85rem; opacity: .75; }
+@media print { body { max-width: none; } }
+""".strip()
+
+
+def write_html(path: Path, title: str, made: Sequence[Made], notes: Sequence[str] = ()) -> None:
+    """Writes a page with all that is said, every table and every figure.
+
+    Args:
+        path: HTML file.
+        title: of the page.
+        made: what stands on it, in this order.
+        notes: said below the headline.
+
+    Raises:
+        InputError: the page cannot be written.
+    """
+    with replacing(path) as file:
+        file.write("\n".join(_page(title, made, notes)).encode())
+
+
+def _page(title: str, made: Sequence[Made], notes: Sequence[str]) -> Iterator[str]:
+    yield "<!DOCTYPE html>"
+    yield '<html lang="en">'
+    yield f'<head>\n<meta charset="utf-8">\n<title>{escape(title)}</title>'
+    yield '<meta name="viewport" content="width=device-width, initial-scale=1">'
+    yield f"<style>\n{_STYLE}\n</style>\n</head>\n<body>\n<main>"
+    yield f"<h1>{_inline(title)}</h1>"
+    if lines := [line for _, report, _ in made for line in report.headline]:
+        items = "\n".join(f"<li>{_inline(line)}</li>" for line in lines)
+        yield f"<ul>\n{items}\n</ul>"
+    yield from (f"<p>{_inline(note)}</p>" for note in notes)
+    for one in made:
+        for section in one.report.sections:
+            yield f"<section>\n<h2>{_inline(section.heading)}</h2>"
+            yield from (_block(block, one) for block in section.blocks)
+            yield "</section>"
+    studies = ", ".join(dict.fromkeys(f"configs/{one.source.config}" for one in made))
+    version = runtime.package_version()
+    yield f"</main>\n<footer>{escape(studies)}; sinsjax {escape(version)}</footer>"
+    yield "</body>\n</html>\n"
+
+
+def _block(block: Block, made: Made) -> str:
+    if isinstance(block, Text):
+        return str(_MARKDOWN.render(block.text)).rstrip()
+    if isinstance(block, Table):
+        return _table(block)
+    return _figure(block, made.images[block.name])
+
+
+def _figure(picture: Picture, content: bytes) -> str:
+    data = base64.b64encode(content).decode()
+    image = f'<img src="data:image/png;base64,{data}" alt="{escape(picture.caption)}">'
+    return f"<figure>\n{image}\n<figcaption>{_inline(picture.caption)}</figcaption>\n</figure>"
+
+
+def _table(table: Table) -> str:
+    head = "".join(f'<th scope="col">{_inline(name)}</th>' for name in table.header)
+    rows = "\n".join(
+        f"<tr>{''.join(f'<td>{_inline(cell)}</td>' for cell in row)}</tr>" for row in table.rows
+    )
+    title = _inline(table.title)
+    caption = "" if table.folded else f"\n<caption>{title}</caption>"
+    body = f"<thead>\n<tr>{head}</tr>\n</thead>\n<tbody>\n{rows}\n</tbody>"
+    lines = f'<div class="table">\n<table>{caption}\n{body}\n</table>\n</div>'
+    if table.note:
+        lines += f'\n<p class="note">{_inline(table.note)}</p>'
+    return f"<details>\n<summary>{title}</summary>\n{lines}\n</details>" if table.folded else lines
+
+
+def _inline(text: str) -> str:
+    return str(_MARKDOWN.renderInline(text))

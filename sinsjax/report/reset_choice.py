@@ -1,0 +1,334 @@
+"""Whether more than one reset is ever better than one: the best of each against the other."""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sinsjax import analysis, plots
+from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.plots import Scale, Shown
+from sinsjax.report.base import Block, Picture, Table, Text, percent, value_text
+from sinsjax.report.reset_grid import (
+    BAND_ARCMIN,
+    LEVEL,
+    NONE,
+    READING_CELLS,
+    YAW,
+    Answer,
+    Grid,
+    median,
+    percent_mean,
+    schedule_name,
+)
+
+_CHANCE = (1 - analysis.CONFIDENCE) / 2  # of an interval that lies to one side of no difference
+
+
+class Pick(NamedTuple):
+    """The best of some schedules, told by draws that did not choose it.
+
+    Attributes:
+        places: (draws,) place of the schedule that the half without the draw chose.
+        settle_s: (draws,) settling times with it.
+    """
+
+    places: NDArray
+    settle_s: NDArray
+
+    @property
+    def median(self) -> Estimate:
+        """Median settling time, s."""
+        return analysis.quantile(self.settle_s)
+
+    @property
+    def settled(self) -> Estimate:
+        """Share of the draws that settle."""
+        return analysis.proportion(int(np.isfinite(self.settle_s).sum()), self.settle_s.size)
+
+    def name(self, grid: Grid) -> str:
+        """What was chosen, in words; two schedules where the halves differ."""
+        return " / ".join(schedule_name(grid.schedules[i]) for i in dict.fromkeys(self.places))
+
+
+class Contest(NamedTuple):
+    """The best single reset against the best of more than one, at a point.
+
+    Attributes:
+        at: places of its reading, level and yaw.
+        one: the best with exactly one reset.
+        more: the best with more.
+        saved_s: median settling time of more minus that of one, on the same draws.
+    """
+
+    at: tuple[int, int, int]
+    one: Pick
+    more: Pick
+    saved_s: Estimate
+
+    @property
+    def better(self) -> str:
+        """``more``, ``one``, ``neither`` where neither settles, or empty: no difference shown."""
+        if np.isinf(self.one.median.value) and np.isinf(self.more.median.value):
+            return "neither"
+        return "more" if self.saved_s.high < 0 else "one" if self.saved_s.low > 0 else ""
+
+    @property
+    def only_more(self) -> bool:
+        """Whether half of the draws settle with more than one reset, and not with one."""
+        return bool(np.isinf(self.one.median.value) and np.isfinite(self.more.median.value))
+
+
+def held_out(settle_s: NDArray, places: Sequence[int]) -> Pick:
+    """The best of some schedules, chosen on every other draw and told by the rest, both ways.
+
+    The best is where most draws settle; among those, the least median settling time; among those,
+    the first.
+
+    Args:
+        settle_s: (schedules, draws), infinite where a run never settled.
+        places: of the schedules to choose from.
+    """
+
+    def best(seen: NDArray) -> int:
+        failed = np.isinf(seen).sum(axis=-1)
+        return int(np.lexsort((median(seen), failed))[0])
+
+    return _crossed(settle_s, places, best)
+
+
+def held_out_for_all(settle_s: NDArray, places: Sequence[int], run_s: float) -> Pick:
+    """One schedule for all misalignments: that with the least mean settling time over all of them.
+
+    Args:
+        settle_s: (levels, yaws, schedules, draws), infinite where a run never settled.
+        places: of the schedules to choose from.
+        run_s: what counts for a run that never settled.
+
+    Returns:
+        Instead of settling times, their means over the misalignments, by draw.
+    """
+    mean_s = np.minimum(settle_s, run_s).mean(axis=(0, 1))
+    return _crossed(mean_s, places, lambda seen: int(np.argmin(seen.mean(axis=-1))))
+
+
+def _crossed(values: NDArray, places: Sequence[int], best: Callable[[NDArray], int]) -> Pick:
+    """Values (schedules, draws) of each half with the schedule that is best for the other."""
+    chosen = np.empty(values.shape[-1], dtype=int)
+    halves = slice(0, None, 2), slice(1, None, 2)
+    for choosing, judging in (halves, halves[::-1]):
+        chosen[judging] = places[best(values[places][:, choosing])]
+    return Pick(chosen, np.take_along_axis(values, chosen[None], axis=0)[0])
+
+
+def contests(grid: Grid, readings: Sequence[int]) -> list[Contest]:
+    """The best single reset against the best of more, at every misalignment of some readings."""
+    ones, mores = grid.with_count(1, 1), grid.with_count(2)
+    found = []
+    for at in np.ndindex(grid.settle_s.shape[:3]):
+        if at[0] in readings:
+            one, more = (held_out(grid.settle_s[at], places) for places in (ones, mores))
+            saved = analysis.quantile_difference(more.settle_s, one.settle_s)
+            found.append(Contest(at, one, more, saved))
+    return found
+
+
+def answer(grid: Grid) -> Answer:
+    """Question 1, with the figures of what no, one and more resets give."""
+    found = contests(grid, range(len(grid.readings)))
+    measured = [c for c in found if c.at[0] in grid.measured]
+    blocks: list[Block] = [
+        Text(_method(grid)),
+        *_pictures(grid, found),
+        _counts(grid, found),
+        _for_all(grid),
+        _points(grid, measured),
+    ]
+    return Answer(_headline(grid, measured), "Is more than one reset ever better than one?", blocks)
+
+
+def _headline(grid: Grid, found: Sequence[Contest]) -> str:
+    told = [c.better for c in found]
+    only = sum(c.only_more for c in found)
+    at = (grid.paper_reading, *grid.paper_point)
+    here = next(c for c in found if c.at == at)
+    level, yaw = grid.levels[at[1]], grid.yaws[at[2]]
+    return (
+        f"More than one reset, measured force: at {told.count('more')} of {len(found)} points of"
+        f" misalignment and reading the heading settles sooner than with the best single reset, at"
+        f" {only} it settles with more than one only; the single one is sooner at"
+        f" {told.count('one')}. By chance it would be {_CHANCE * len(found):.1f} each way. At the"
+        f" paper's ({level:g}, {level:g}, {yaw:g}) deg, {grid.readings[at[0]].name}, the best of more"
+        f" than one settles {format_estimate(here.saved_s, 's', 0)} after the best single one."
+    )
+
+
+def _method(grid: Grid) -> str:
+    ones, mores = len(grid.with_count(1, 1)), len(grid.with_count(2))
+    return (
+        f"At every misalignment and reading the best of {ones} schedules with one reset stands"
+        f" against the best of {mores} with more. The best is where most draws settle (phi_u within"
+        f" {BAND_ARCMIN} arcmin of its limit to the end), then where the median settling time is"
+        " least. A choice told by the draws that made it would flatter the longer list, so each"
+        f" half of the {grid.draws} draws chooses, and the other half tells; differences are paired"
+        " on the same noise. A run that never settles counts as one that takes for ever."
+    )
+
+
+def _pictures(grid: Grid, found: Sequence[Contest]) -> Iterator[Picture]:
+    shape = (len(grid.levels), len(grid.yaws))
+    picked = {c.at: (c.one.median.value, c.more.median.value) for c in found}
+    none = median(grid.settle_s[:, :, :, grid.schedule(NONE)])
+    for q in dict.fromkeys(r.q for r in grid.readings):
+        panels = []
+        for feedback in dict.fromkeys(r.feedback_s for r in grid.readings if r.q == q):
+            here, there = (grid.reading(f, q, feedback) for f in ("measured", "gravity"))
+            best = np.array([picked[here, *at] for at in np.ndindex(shape)]).reshape(*shape, 2)
+            panels += [
+                (f"none, feedback {feedback:g} s", none[here]),
+                (f"one, feedback {feedback:g} s", best[..., 0]),
+                (f"more, feedback {feedback:g} s", best[..., 1]),
+                (f"none, gravity, {feedback:g} s", none[there]),
+            ]
+        yield Picture(
+            f"settling_{q}",
+            f"Median settling time to {BAND_ARCMIN} arcmin over {grid.draws} draws, Q `{q}`:"
+            " without reset, with the best single one, with the best of more, and without reset"
+            " where A(t) has gravity instead of the measured force. Hatched: at least half of the"
+            " draws never settle.",
+            plots.heat_maps(
+                panels,
+                f"How long until the heading settles with no, one, more resets? Q {q}",
+                Shown("median settling time (s)", 0.0, grid.study.run_s, reverse=True),
+                rows=Scale(LEVEL, grid.levels),
+                columns=Scale(YAW, grid.yaws),
+                across=4,
+            ),
+        )
+
+
+def _counts(grid: Grid, found: Sequence[Contest]) -> Table:
+    rows = []
+    for i, reading in enumerate(grid.readings):
+        here = [c for c in found if c.at[0] == i]
+        told = [c.better for c in here]
+        most = min(here, key=lambda c: c.saved_s.value if np.isfinite(c.saved_s.value) else np.inf)
+        gain = most if np.isfinite(most.saved_s.value) else None
+        rows.append(
+            [
+                *reading.cells,
+                *(str(told.count(word)) for word in ("more", "one", "", "neither")),
+                str(sum(c.only_more for c in here)),
+                format_estimate(gain.saved_s, digits=0) if gain else "-",
+                _point(grid, gain) if gain else "-",
+            ]
+        )
+    header = [
+        *READING_CELLS,
+        "more is better",
+        "one is better",
+        "no difference shown",
+        "neither settles",
+        "only more settles",
+        "more minus one, least (s)",
+        "at",
+    ]
+    return Table(
+        f"At how many of {grid.n_points} misalignments, by reading",
+        header,
+        rows,
+        "*Better*: the 95 % interval of the difference of the median settling times lies to one"
+        f" side of 0; by chance that would be so at {_CHANCE * grid.n_points:.1f} points of a row,"
+        " each way. *Only more settles*: half of the draws or more, where fewer settle with one;"
+        " counted as better too if the interval says so. *Least*: the finite difference most in"
+        " favour of more resets, picked, so its interval is too hopeful.",
+    )
+
+
+def _point(grid: Grid, contest: Contest) -> str:
+    _, level, yaw = contest.at
+    return f"level {grid.levels[level]:g}, yaw {grid.yaws[yaw]:g} deg"
+
+
+def _for_all(grid: Grid) -> Table:
+    rows = []
+    ones, mores = grid.with_count(1, 1), grid.with_count(2)
+    for i in grid.measured:
+        picks = [
+            held_out_for_all(grid.settle_s[i], places, grid.study.run_s) for places in (ones, mores)
+        ]
+        cells = [
+            cell
+            for pick in picks
+            for cell in (
+                pick.name(grid),
+                percent_mean(_settled_share(grid, i, pick)),
+                format_estimate(analysis.mean(pick.settle_s), digits=0),
+            )
+        ]
+        apart = analysis.difference(picks[1].settle_s, picks[0].settle_s)
+        rows.append([*grid.readings[i].cells[1:], *cells, format_estimate(apart, digits=0)])
+    kinds = [
+        f"{kind}: {what}"
+        for kind in ("one", "more")
+        for what in ("schedule", "settled (%)", "mean (s)")
+    ]
+    return Table(
+        "One schedule for all misalignments",
+        [*READING_CELLS[1:], *kinds, "more minus one (s)"],
+        rows,
+        "Measured force. The schedule with the least mean settling time over all misalignments, a"
+        f" run that never settles counted as {grid.study.run_s:g} s; chosen by one half of the"
+        " draws and told by the other, both named where they differ. Intervals over the noise, the"
+        " misalignments being given: where no draw differs they have no width.",
+    )
+
+
+def _settled_share(grid: Grid, reading: int, pick: Pick) -> Estimate:
+    """Share of the misalignments that settle, mean over the draws."""
+    settled = np.isfinite(grid.settle_s[reading]).mean(axis=(0, 1))
+    return analysis.mean(np.take_along_axis(settled, pick.places[None], axis=0)[0])
+
+
+def _points(grid: Grid, found: Sequence[Contest]) -> Table:
+    rows = []
+    for contest in found:
+        reading, level, yaw = contest.at
+        none = grid.settle_s[*contest.at, grid.schedule(NONE)]
+        cells = [
+            cell
+            for pick in (contest.one, contest.more)
+            for cell in (
+                pick.name(grid),
+                percent(pick.settled),
+                format_estimate(pick.median, digits=0),
+            )
+        ]
+        rows.append(
+            [
+                *grid.readings[reading].cells[1:],
+                value_text(grid.levels[level]),
+                value_text(grid.yaws[yaw]),
+                format_estimate(analysis.quantile(none), digits=0),
+                *cells,
+                format_estimate(contest.saved_s, digits=0),
+                contest.better or "-",
+            ]
+        )
+    kinds = [
+        f"{kind}: {what}"
+        for kind in ("one", "more")
+        for what in ("schedule", "settled (%)", "median (s)")
+    ]
+    header = [
+        *READING_CELLS[1:],
+        "level (deg)",
+        "yaw (deg)",
+        "none: median (s)",
+        *kinds,
+        "more minus one (s)",
+        "better",
+    ]
+    note = "Number [95 % interval]. Measured force; two schedules: each half chose its own."
+    return Table("Every misalignment and reading", header, rows, note, folded=True)

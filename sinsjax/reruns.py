@@ -1,0 +1,147 @@
+"""One run of some results, done again alone: its row must come out the same, and has a curve."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from rich.console import Console
+
+from sinsjax import plots, results
+from sinsjax.batch import Calls
+from sinsjax.campaign import load_tape
+from sinsjax.config import load_study
+from sinsjax.files import replacing, unwritable
+from sinsjax.results import Tables
+from sinsjax.scenario import Scenario
+from sinsjax.studies import Study
+from sinsjax.types import InputError
+from sinsjax.work import Job
+from sinsjax.worlds import Tape
+
+
+class Rerun(NamedTuple):
+    """A run done again.
+
+    Attributes:
+        row: of the summary, one row.
+        curve: one row a record time.
+    """
+
+    row: pa.Table
+    curve: pa.Table
+
+
+def rerun(study: Study, run_id: int, tape: Tape | None = None) -> Rerun:
+    """Do one run of a study, with its curve: its row is that of the whole study, to the last bit.
+
+    Raises:
+        InputError: the study has no such run, or a record that does not fit.
+        RuntimeError: double precision is off.
+    """
+    runs = study.n_draws * study.n_variants
+    if not 0 <= run_id < runs:
+        raise InputError(f"{study.study.name}: has no run {run_id} (runs are 0 to {runs - 1})")
+    draw, variant = divmod(run_id, study.n_variants)
+    scenario = Scenario(study, tape, curves=True)
+    number = next(i for i, ids in enumerate(scenario.variant_ids) if variant in ids)
+    group, ids = scenario.part(number, range(draw, draw + 1))
+    place = int(np.flatnonzero(group.draws.draw_id == draw)[0])
+    # The smallest call there is: which lane and which call a run has leaves its bits alone.
+    calls = Calls(group, tiles_a_chunk=1)
+    chunk = calls.chunk(calls.plan.call_of(place, int(np.flatnonzero(ids == variant)[0])))
+    tables = Tables(study, has_truth=tape is None or tape.reference is not None)
+    made = tables.summary(chunk, ids), tables.curves(chunk, ids)
+    return Rerun(*(table.filter(pa.compute.equal(table["run_id"], run_id)) for table in made))
+
+
+def rerun_into(
+    directory: Path,
+    run_id: int,
+    console: Console,
+    *,
+    out: Path | None = None,
+    files: tuple[Path | None, Path | None] = (None, None),
+) -> None:
+    """Do one run of a directory of results again, compare its row, and keep row, curve and figure.
+
+    Args:
+        directory: of the results.
+        run_id: which run.
+        console: where is told what came out.
+        out: where to put it; None: ``reruns/RUN_ID`` in the directory.
+        files: record and reference of a recorded study.
+
+    Raises:
+        InputError: no results, no such run, another record, or nothing can be written.
+    """
+    study = load_study(directory / "study.toml")
+    if study.is_recorded and files[0] is None:
+        raise InputError(f"{directory}: its study reads a record: give it with --record")
+    tape = None if files[0] is None else load_tape(study, files[0], files[1])
+    told = results.read_manifest(directory).get("identity")
+    if told not in (None, Job(study, tape).identity):
+        raise InputError(f"{directory}: was made from another record or reference than is given")
+    made = rerun(study, run_id, tape)
+    stored = results.read_summary(directory, run_ids=[run_id])
+    if not stored.num_rows:
+        raise InputError(f"{directory}: holds no row of run {run_id} (yet)")
+    target = directory / "reruns" / str(run_id) if out is None else out
+    _write(target, made, study)
+    for line in [
+        *_told(made.row),
+        "",
+        _verdict(stored, made.row),
+        f"Row, curve and figure: {target}",
+    ]:
+        console.print(line, highlight=False, soft_wrap=True)
+
+
+def _write(target: Path, made: Rerun, study: Study) -> None:
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(unwritable(target, error)) from error
+    for name, table in (("summary", made.row), ("curve", made.curve)):
+        with replacing(target / f"{name}.parquet") as file:
+            pq.write_table(table, file, compression="zstd")
+    with replacing(target / "curve.png") as file:
+        file.write(plots.png(_figure(made, study)))
+
+
+def _figure(made: Rerun, study: Study) -> Any:
+    run_id = made.row["run_id"][0].as_py()
+    title = f"{study.study.name}, run {run_id}"
+    shown = plots.ensembles(made.curve, {f"run {run_id}": [run_id]})
+    if made.curve["phi_u_arcmin"].null_count == made.curve.num_rows:
+        return plots.attitude(shown, title)
+    return plots.misalignment(
+        shown,
+        title,
+        limits={"u": made.row["floor_arcmin"][0].as_py()},
+        resets_s=made.row["reset_times_s"][0].as_py(),
+        zoom_s=study.study.window_s,
+        with_sigma=made.curve["sigma_u_arcmin"].null_count < made.curve.num_rows,
+    )
+
+
+def _told(row: pa.Table) -> list[str]:
+    (values,) = row.to_pylist()
+    width = max(map(len, values))
+    return [f"{name:>{width}}  {value}" for name, value in values.items()]
+
+
+def _verdict(stored: pa.Table, again: pa.Table) -> str:
+    """Whether two rows are the same, else where they differ most."""
+    (one,), (other,) = stored.to_pylist(), again.to_pylist()
+    differ = [name for name in dict.fromkeys((*one, *other)) if one.get(name) != other.get(name)]
+    if not differ:
+        return f"The row is identical to the stored one, in all {len(one)} columns."
+    shown = ", ".join(
+        f"{name} {one.get(name)} there, {other.get(name)} here" for name in differ[:3]
+    )
+    return (
+        f"{len(differ)} of {len(one)} columns differ from the stored row: {shown}. Last bits depend"
+        " on jaxlib, its flags and the processor; `manifest.json` tells those of the stored row."
+    )

@@ -1,0 +1,269 @@
+"""Reading the tables that vary a study: [axes] with their zips, [[cases]] and [drawn].
+
+Every value is checked as the key that it stands for. One that is wrong is named by its place, from
+0: ``[axes] phi_u0_deg[3]``, ``[axes.level] phi_e0_deg[0]``, ``[drawn] phi_u0_deg.values[2]``.
+"""
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from sinsjax import designs
+from sinsjax.drawing import NUMBERS, STARTS, Drawn, Law
+from sinsjax.fields import Name
+from sinsjax.studies import (
+    SECTION_OF,
+    SECTIONS,
+    SIMULATED_ONLY,
+    SWEEPABLE,
+    Dimension,
+    Study,
+    Table,
+    dimensions_of,
+)
+from sinsjax.types import InputError
+from sinsjax.wording import explained, index, near, rule
+
+_LAWS = tuple(Law.model_fields)
+_BLOCK = 2**19  # draws that are looked at together, which bounds the memory
+
+
+class Sweep(NamedTuple):
+    """What varies a study; attributes as those of `Study`."""
+
+    axes: Dimension
+    zips: dict[str, Dimension]
+    cases: tuple[Table, ...]
+    drawn: Drawn | None
+
+    @property
+    def where(self) -> dict[str, str]:
+        """The table, in brackets, of every key that is swept or drawn."""
+        return {
+            **dict.fromkeys(self.axes, "[axes]"),
+            **{key: f"[axes.{name}]" for name, keys in self.zips.items() for key in keys},
+            **dict.fromkeys(self.cases[0] if self.cases else (), "[cases]"),
+            **dict.fromkeys(self.drawn.laws if self.drawn else (), "[drawn]"),
+        }
+
+    def values(self, key: str) -> set[Any]:
+        """The values that a key is swept over; empty where it is not swept."""
+        dimensions = dimensions_of(self.cases, self.zips.values(), self.axes)
+        return {value for dimension in dimensions for value in dimension.get(key, ())}
+
+
+def read(tables: Table) -> Sweep:
+    """The axes, zips, cases and drawn keys of a study.
+
+    Args:
+        tables: of the file, lists as tuples.
+
+    Raises:
+        InputError: ``[table] key: what is wrong (hint)``.
+    """
+    axes, zips = _axes(tables)
+    cases = _cases(tables, {*axes, *(key for keys in zips.values() for key in keys)})
+    swept = Sweep(axes, zips, cases, None)
+    taken = {key: f"[{name}]" for name in SWEEPABLE for key in tables.get(name, ())}
+    return swept._replace(drawn=_drawn(tables, taken | swept.where))
+
+
+def check_draws(study: Study) -> None:
+    """Refuses a study in which a draw gives a value that its key does not take.
+
+    Raises:
+        InputError: ``[drawn] key: draw N gives X: what is wrong``.
+    """
+    for first in range(0, study.n_draws if study.drawn else 0, _BLOCK):
+        count = min(_BLOCK, study.n_draws - first)
+        for key, rows in designs.values(study, count, first=first).items():
+            for at in map(int, (rows.argmin(), rows.argmax())):
+                _check_draw(key, first + at // NUMBERS[key], float(rows.flat[at]))
+
+
+def _check_draw(key: str, draw: int, value: float) -> None:
+    try:
+        _validator(key)(value)
+    except ValidationError as error:
+        text = f"draw {draw} gives {value!r}: {rule(error.errors()[0])}"
+        raise InputError(f"[drawn] {key}: {text}") from None
+
+
+def _axes(tables: Table) -> tuple[Dimension, dict[str, Dimension]]:
+    """The axes that stand alone, and the zips."""
+    axes, zips = {}, {}
+    for key, values in tables.get("axes", {}).items():
+        if isinstance(values, Mapping):
+            zips[key] = _zip(tables, key, values)
+        else:
+            axes[key] = _axis("axes", key, values, "record" in tables)
+            _refuse_repeated(axes[key], f"[axes] {key}")
+    taken = set(axes)
+    for name, keys in zips.items():
+        for key in keys:
+            if key in taken:
+                raise InputError(f"[axes.{name}] {key}: is an axis already (drop one of them)")
+        taken |= keys.keys()
+    return axes, zips
+
+
+def _zip(tables: Table, name: str, keys: Mapping[str, Any]) -> Dimension:
+    """The axes of a table, which go together."""
+    table = f"axes.{name}"
+    if not keys:
+        raise InputError(f"[{table}]: must not be empty")
+    joint = {key: _axis(table, key, values, "record" in tables) for key, values in keys.items()}
+    first = next(iter(joint))
+    for key, values in joint.items():
+        if len(values) != len(joint[first]):
+            text = f"has {len(values)} values, {first} has {len(joint[first])}"
+            raise InputError(f"[{table}] {key}: {text} (the axes of a table go together)")
+    _refuse_repeated(list(zip(*joint.values(), strict=True)), f"[{table}] {', '.join(joint)}")
+    return joint
+
+
+def _axis(table: str, key: str, values: Any, recorded: bool) -> tuple[Any, ...]:
+    _check_sweepable(table, key, recorded)
+    if not isinstance(values, tuple):
+        raise InputError(f"[{table}] {key}: must be a list of values, not {values!r}")
+    if not values:
+        raise InputError(f"[{table}] {key}: must not be empty")
+    return tuple(_value(value, key, f"[{table}] {key}[{i}]") for i, value in enumerate(values))
+
+
+def _cases(tables: Table, axes: set[str]) -> tuple[Table, ...]:
+    """The cases, none of whose keys is an axis."""
+    rows = tables.get("cases", ())
+    if not isinstance(rows, tuple) or not all(isinstance(row, Mapping) for row in rows):
+        raise InputError("[cases]: must be tables that each begin with [[cases]]")
+    if "cases" in tables and not any(rows):
+        raise InputError("[cases]: must not be empty")
+    keys = list(rows[0]) if rows else []
+    for key in keys:
+        if key != "case":
+            _check_sweepable("cases", key, "record" in tables)
+        if key in axes:
+            raise InputError(f"[cases] {key}: is an axis already (drop one of them)")
+    for i, row in enumerate(rows):
+        for key in (*keys, *row):
+            if key not in row or key not in keys:
+                raise InputError(f"[cases] {key}[{i}]: all cases must set the same keys")
+    cases = tuple(
+        {key: _value(row[key], key, f"[cases] {key}[{i}]") for key in keys}
+        for i, row in enumerate(rows)
+    )
+    values = [key for key in keys if key != "case"]
+    place = f"[cases] {', '.join(values) or 'case'}"
+    _refuse_repeated([tuple(case[key] for key in values) for case in cases], place)
+    if "case" in keys:
+        _refuse_repeated([case["case"] for case in cases], "[cases] case")
+    return cases
+
+
+def _drawn(tables: Table, taken: Mapping[str, str]) -> Drawn | None:
+    """How keys are drawn, none of which is given elsewhere."""
+    if "drawn" not in tables:
+        return None
+    table = dict(tables["drawn"])
+    sampling = {"sampling": table.pop("sampling")} if "sampling" in table else {}
+    if not table:
+        raise InputError("[drawn]: names no key to draw")
+    laws = {}
+    for key, law in table.items():
+        _check_drawable(key, "record" in tables)
+        if key in taken:
+            raise InputError(f"[drawn] {key}: is in {taken[key]} already (drop one of them)")
+        laws[key] = _law(key, law)
+    try:
+        return Drawn.model_validate(sampling | laws)
+    except ValidationError as error:
+        raise InputError(f"[drawn] sampling: {explained(error.errors()[0])}") from None
+
+
+def _law(key: str, table: Any) -> Law:
+    """How a key is drawn, every entry of a list checked as the key."""
+    if not isinstance(table, Mapping):
+        example = f"{key} = {{ uniform = [0, 1] }}"
+        raise InputError(f"[drawn] {key}: must be a table such as {example}, not {table!r}")
+    for name in table:
+        if name not in _LAWS:
+            raise InputError(f"[drawn] {key}.{name}: unknown key{near(name, _LAWS)}")
+    if len(table) != 1:
+        given = " and ".join(table) or "none"
+        raise InputError(f"[drawn] {key}: needs one of {', '.join(_LAWS)}, not {given}")
+    ((name, value),) = table.items()
+    place = f"[drawn] {key}.{name}"
+    if value is None:
+        raise InputError(f"{place}: None is no value")
+    try:
+        law = Law.model_validate({name: value})
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise InputError(f"{place}{index(first)}: {explained(first)}") from None
+    if name not in ("values", "grid"):
+        return law
+    entries = tuple(_value(entry, key, f"{place}[{i}]") for i, entry in enumerate(value))
+    return Law.model_validate({name: entries})
+
+
+def _check_sweepable(table: str, key: str, recorded: bool) -> None:
+    section = SECTION_OF.get(key)
+    if key == "start_s":
+        reason = "is no axis (list the start times in [record]: one draw each)"
+    elif section is None:
+        sweepable = [name for name, home in SECTION_OF.items() if home in SWEEPABLE]
+        reason = f"unknown key{near(key, sweepable)}"
+    elif section == "study":
+        reason = "cannot be swept (all runs of a study share [study])"
+    elif section not in SWEEPABLE:
+        reason = f"cannot be swept (it is a key of [{section}])"
+    elif recorded and section in SIMULATED_ONLY:
+        reason = f"has no place in a recorded study ([{section}] is the simulation's)"
+    else:
+        return
+    raise InputError(f"[{table}] {key}: {reason}")
+
+
+def _check_drawable(key: str, recorded: bool) -> None:
+    section = SECTION_OF.get(key)
+    if section is None:
+        reason = f"unknown key{near(key, NUMBERS)}"
+    elif key not in NUMBERS:
+        kinds = "latitude_deg, keys of [motion] and [sensors]"
+        reason = f"cannot be drawn (what can: {kinds}, {', '.join(STARTS)})"
+    elif recorded and section in SIMULATED_ONLY:
+        reason = f"has no place in a recorded study ([{section}] is the simulation's)"
+    elif recorded and key not in STARTS:
+        reason = f"cannot be drawn in a recorded study (what can: {', '.join(STARTS)})"
+    else:
+        return
+    raise InputError(f"[drawn] {key}: {reason}")
+
+
+def _refuse_repeated(values: Sequence[Any], place: str) -> None:
+    seen: dict[Any, int] = {}
+    for i, value in enumerate(values):
+        if seen.setdefault(value, i) < i:
+            raise InputError(f"{place}[{i}]: repeats what [{seen[value]}] says")
+
+
+@functools.cache
+def _validator(key: str) -> Callable[[Any], Any]:
+    annotation: Any = Name
+    if key != "case":
+        field = SECTIONS[SECTION_OF[key]].model_fields[key]
+        annotation = Annotated[field.annotation, field]
+    strict = ConfigDict(strict=True, allow_inf_nan=False)
+    return TypeAdapter(annotation, config=strict).validate_python
+
+
+def _value(value: Any, key: str, place: str) -> Any:
+    if value is None:
+        raise InputError(f"{place}: None is no value")
+    try:
+        return _validator(key)(value)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise InputError(f"{place}{index(first)}: {explained(first)}") from None

@@ -1,0 +1,49 @@
+"""What is wrong with a key or a value, in the words of a user."""
+
+import difflib
+from collections.abc import Iterable
+
+from pydantic_core import ErrorDetails
+
+_MISFITS = {
+    "float_type": "must be a number",
+    "int_type": "must be a whole number",
+    "bool_type": "must be true or false",
+    "string_type": "must be text",
+    "tuple_type": "must be a list",
+    "finite_number": "must be finite",
+    "string_too_short": "must not be empty",
+    "too_short": "must not be empty",
+}
+
+
+def near(word: str, words: Iterable[str], form: str = "{}") -> str:
+    """A hint at the known word that an unknown one resembles; empty where there is none."""
+    found = difflib.get_close_matches(str(word), list(words), n=1)
+    return f" (did you mean {form.format(found[0])}?)" if found else ""
+
+
+def index(error: ErrorDetails) -> str:
+    """Where in a list an error is, ``[3]`` or ``[3][0]``; empty where the value is no list."""
+    return "".join(f"[{part}]" for part in error["loc"] if isinstance(part, int))
+
+
+def rule(error: ErrorDetails) -> str:
+    """The rule that a value breaks."""
+    kind = error["type"]
+    if kind == "misfit":
+        return error["msg"]
+    if kind == "missing":
+        return "required"
+    if kind == "too_long":
+        return f"must have {error['ctx']['max_length']} values, not {error['ctx']['actual_length']}"
+    return _MISFITS.get(kind, error["msg"].replace("Input should be", "must be"))
+
+
+def explained(error: ErrorDetails) -> str:
+    """The rule that a value breaks, and the value where the rule does not show it."""
+    if error["type"] in ("misfit", "missing", "too_long"):
+        return rule(error)
+    given = error["input"]
+    value = repr(list(given) if isinstance(given, tuple) else given)
+    return f"{rule(error)}, not {value if len(value) <= 60 else value[:57] + '...'}"

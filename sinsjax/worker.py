@@ -1,0 +1,108 @@
+"""What runs on a worker of `cluster`, and what it tells of itself.
+
+Every answer carries what the worker computed it with, so that no row of another version is ever
+written, and rows of unlike machines are noticed.
+"""
+
+import os
+import pickle
+import re
+import threading
+from functools import cache
+from typing import NamedTuple
+
+from sinsjax import affinity, machine, runtime
+from sinsjax.work import Job, Packed, Task, Workshop
+
+DECISIVE = ("sinsjax", "jax", "jaxlib", "numpy", "pyarrow")
+"""Packages whose versions decide rows, or the bytes of their files."""
+
+_VECTORS = re.compile("avx|fma|sve|asimd")
+
+
+class Machine(NamedTuple):
+    """What decides the last bits of a worker's rows, beside the versions.
+
+    Attributes:
+        cpu: model.
+        vectors: its vector instructions, of those that XLA has code for.
+        options: XLA:CPU options by name, as far as they are set.
+        platform: of JAX: cpu, gpu.
+    """
+
+    cpu: str
+    vectors: tuple[str, ...]
+    options: tuple[tuple[str, str], ...]
+    platform: str
+
+
+class Answer(NamedTuple):
+    """What a worker hands back.
+
+    Attributes:
+        packed: files of the task.
+        worker: its address.
+        versions: of the packages that decide the rows and the files.
+        machine: see `Machine`.
+    """
+
+    packed: Packed
+    worker: str
+    versions: dict[str, str]
+    machine: Machine
+
+
+def answer(key: str, sent: bytes, task: Task) -> Answer:
+    """Do a task; to be called by a Dask worker.
+
+    Args:
+        key: tells jobs apart.
+        sent: pickled `Job`.
+        task: one of its tasks.
+
+    Raises:
+        InputError: the job cannot be done here.
+    """
+    from distributed import get_worker
+
+    worker = get_worker()
+    workshop = _workshop(key, sent, worker.state.nthreads)
+    return Answer(workshop.pack(task), worker.address, versions(), machine_here())
+
+
+_held: dict[str, Workshop] = {}
+_building = threading.Lock()
+
+
+def _workshop(key: str, sent: bytes, threads: int) -> Workshop:
+    """The workshop of a job, made once in a worker and kept until another job comes."""
+    with _building:
+        if key not in _held:
+            if threads == 1 and os.environ.get(affinity.VARIABLE, "").strip() != "0":
+                affinity.keep_to_one_core()
+            runtime.configure(devices=1)
+            _held.clear()
+            job: Job = pickle.loads(sent)
+            _held[key] = Workshop(job)
+        return _held[key]
+
+
+def versions() -> dict[str, str]:
+    """The versions of the packages in `DECISIVE`."""
+    every = runtime.versions()
+    return {name: every[name] for name in DECISIVE}
+
+
+@cache
+def machine_here() -> Machine:
+    """Of this process; starts JAX's backend."""
+    import jax
+
+    told = machine.cpu()
+    given = runtime.flag_values(os.environ.get("XLA_FLAGS", ""))
+    return Machine(
+        cpu=runtime.session()["cpu"],
+        vectors=tuple(f for f in sorted(told.get("flags", "").split()) if _VECTORS.match(f)),
+        options=tuple((o.name, given[o.name]) for o in runtime.OPTIONS if o.name in given),
+        platform=jax.default_backend(),
+    )

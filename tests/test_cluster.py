@@ -1,0 +1,404 @@
+"""Dask workers, real ones: the same bytes as here, whatever becomes of them."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import dask
+import psutil
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import tomli_w
+from studies import BASE
+
+from sinsjax import campaign, cluster, compile_cache, results, work, worker
+from sinsjax.config import Study, study_from_dict
+from sinsjax.types import InputError
+
+pytestmark = pytest.mark.slow
+
+CHUNK = 128
+STUDY: dict[str, Any] = BASE | {
+    "study": BASE["study"] | {"duration_s": 200.0, "window_s": [100, 200], "draws": 1200},
+    "axes": {"reset_times_s": [[], [2.5]]},
+}
+"""2400 runs in 19 chunks of some 0.2 s."""
+
+Parts = dict[str, bytes]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Every worker is a new process: they share what is compiled, or would need minutes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(compile_cache.VARIABLE, str(tmp_path_factory.mktemp("compiled")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return study_from_dict(STUDY)
+
+
+@pytest.fixture(scope="module")
+def here(study: Study, tmp_path_factory: pytest.TempPathFactory) -> Parts:
+    """The parts that this process makes."""
+    out = tmp_path_factory.mktemp("here")
+    campaign.run_into(study, out, chunk_runs=CHUNK)
+    return parts(out)
+
+
+@pytest.fixture(scope="module")
+def two(compiled_once: None) -> Iterator[work.Executor]:
+    with cluster.executor(workers=2) as executor:
+        yield executor
+
+
+def parts(directory: Path) -> Parts:
+    return {
+        str(path.relative_to(directory)): path.read_bytes() for path in directory.glob("*/part-*")
+    }
+
+
+def rows(directory: Path) -> pa.Table:
+    tables = [pq.read_table(path) for path in sorted(directory.glob("summary/*"))]
+    return pa.concat_tables([t.replace_schema_metadata() for t in tables]).sort_by("run_id")
+
+
+def worker_processes(parent: int | None = None) -> list[psutil.Process]:
+    """Processes that a local cluster of this or another process has now."""
+    return [
+        process
+        for process in psutil.Process(parent).children()
+        if any("spawn_main" in word for word in process.cmdline())
+    ]
+
+
+def test_workers_give_the_bytes_of_this_process(
+    two: work.Executor, study: Study, here: Parts, tmp_path: Path
+) -> None:
+    campaign.run_into(study, tmp_path, chunk_runs=CHUNK, executor=two)
+    assert len(here) == 19
+    assert parts(tmp_path) == here
+    (session,) = results.read_manifest(tmp_path)["sessions"]
+    assert (session["workers"], session["scheduler"]) == (2, "local")
+
+
+def test_rows_are_the_same_in_other_chunks(
+    two: work.Executor, study: Study, here: Parts, tmp_path: Path
+) -> None:
+    campaign.run_into(study, tmp_path, executor=two)
+    assert len(parts(tmp_path)) != len(here)
+    for name, content in here.items():
+        path = tmp_path / "here" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    assert rows(tmp_path).equals(rows(tmp_path / "here"))
+
+
+def test_every_worker_keeps_to_a_core_of_its_own(two: work.Executor) -> None:
+    cores = []
+    for process in worker_processes():
+        of_threads = {frozenset(psutil.Process(t.id).cpu_affinity()) for t in process.threads()}
+        assert len(of_threads) == 1
+        cores.append(*of_threads.pop())
+    assert len(cores) == len(set(cores)) == 2
+
+
+def test_tasks_are_taken_when_there_is_a_place_for_them(two: work.Executor, study: Study) -> None:
+    workshop = work.Workshop(work.Job(study, chunk_runs=CHUNK))
+    (tasks,) = workshop.tasks()
+    taken: list[work.Task] = []
+
+    def offered() -> Iterator[work.Task]:
+        for task in tasks[:9]:
+            taken.append(task)
+            yield task
+
+    done = []
+    for packed in two.do(workshop, offered()):
+        done.append(packed.task)
+        assert len(taken) - len(done) < 2 * cluster.AHEAD
+    assert sorted(done) == taken == tasks[:9]
+
+
+def test_a_worker_that_is_killed_costs_no_row(study: Study, here: Parts, tmp_path: Path) -> None:
+    killed: list[psutil.Process] = []
+
+    def tell(progress: campaign.Progress) -> None:
+        if progress.done >= 3 * CHUNK and not killed:
+            killed.append(worker_processes()[0])
+            # Stopped with tasks in hand, it takes them with it a second later.
+            killed[0].suspend()
+            threading.Timer(1.0, killed[0].kill).start()
+
+    with cluster.executor(workers=2) as executor:
+        campaign.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
+        assert killed and not killed[0].is_running()
+    assert parts(tmp_path) == here
+    assert rows(tmp_path)["run_id"].to_pylist() == list(range(2400))
+
+
+def test_a_task_that_workers_die_of_is_named(study: Study, here: Parts, tmp_path: Path) -> None:
+    def tell(progress: campaign.Progress) -> None:
+        if progress.done == 2 * CHUNK:
+            worker_processes()[0].kill()
+
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        cluster.executor(workers=1) as executor,
+        pytest.raises(InputError, match=r"^part-0000-\d{6}: 1 workers died with it"),
+    ):
+        campaign.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
+    there = parts(tmp_path)
+    assert len(there) >= 2 and there.items() <= here.items()
+
+
+def test_a_task_that_fails_is_named(
+    study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv(compile_cache.VARIABLE, str(tmp_path / "file"))
+    with (
+        cluster.executor(workers=1) as executor,
+        pytest.raises(InputError, match=rf"^part-0000-000000: {compile_cache.VARIABLE}: "),
+    ):
+        campaign.run_into(study, tmp_path / "out", executor=executor)
+
+
+# --- A scheduler and workers that others started -------------------------------------------------
+
+Begin = Callable[..., subprocess.Popen]
+
+
+@pytest.fixture
+def begin() -> Iterator[Begin]:
+    """Starts a Dask command; it ends with the test."""
+    started: list[subprocess.Popen] = []
+
+    def dask_command(*words: str, **environment: str) -> subprocess.Popen:
+        command = [sys.executable, "-m", "dask", *words, "--no-dashboard"]
+        with open(os.devnull, "w") as nowhere:
+            process = subprocess.Popen(
+                command, env=os.environ | environment, stdout=nowhere, stderr=nowhere
+            )
+        started.append(process)
+        return process
+
+    yield dask_command
+    for process in reversed(started):
+        process.terminate()
+        process.wait(60)
+
+
+@pytest.fixture
+def scheduler(begin: Begin, tmp_path: Path) -> str:
+    """Address of a scheduler without workers."""
+    about = tmp_path / "scheduler.json"
+    begin("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(about))
+    for _ in range(600):
+        with suppress(FileNotFoundError, json.JSONDecodeError):
+            return str(json.loads(about.read_text())["address"])
+        time.sleep(0.05)
+    raise AssertionError("no scheduler within 30 s")
+
+
+def test_a_scheduler_gives_the_same_bytes(
+    begin: Begin, scheduler: str, study: Study, here: Parts, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    # Workers that come late are waited for, and take part.
+    begin("worker", scheduler, "--nthreads", "1")
+    joined = []
+
+    def tell(progress: campaign.Progress) -> None:
+        if progress.done and not joined:
+            joined.append(begin("worker", scheduler, "--nthreads", "1"))
+
+    with cluster.executor(scheduler=scheduler) as executor:
+        campaign.run_into(study, out, chunk_runs=CHUNK, executor=executor, tell=tell)
+    assert parts(out) == here
+    (session,) = results.read_manifest(out)["sessions"]
+    assert (session["workers"], session["scheduler"]) == (1, scheduler)
+
+
+def test_a_scheduler_that_dies_is_told(
+    begin: Begin, scheduler: str, study: Study, here: Parts, tmp_path: Path
+) -> None:
+    begin("worker", scheduler, "--nthreads", "1")
+    (process,) = (
+        p for p in psutil.Process().children() if p.cmdline()[1:4] == ["-m", "dask", "scheduler"]
+    )
+
+    def tell(progress: campaign.Progress) -> None:
+        if progress.done == 3 * CHUNK:
+            process.kill()
+
+    with (
+        cluster.executor(scheduler=scheduler) as executor,
+        pytest.raises(InputError, match=f"^{scheduler}: the scheduler is gone"),
+    ):
+        campaign.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
+    there = parts(tmp_path)
+    assert len(there) >= 3 and there.items() <= here.items()
+
+
+def test_workers_of_another_version_are_refused(
+    begin: Begin, scheduler: str, tmp_path: Path
+) -> None:
+    about = tmp_path / "pyarrow-18.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: pyarrow\nVersion: 18.0\n")
+    begin("worker", scheduler, "--nthreads", "1", PYTHONPATH=str(tmp_path))
+    with (
+        pytest.raises(InputError, match=r"^tcp://127\.0\.0\.1:\d+: .* pyarrow 18\.0, this process"),
+        cluster.executor(scheduler=scheduler),
+    ):
+        pass
+
+
+def test_a_scheduler_without_workers_is_left_in_the_end(
+    scheduler: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(cluster, "_CONNECT_S", 0.5)
+    monkeypatch.setattr(cluster, "_PATIENCE_S", 1.2)
+    with (
+        pytest.raises(InputError, match=f"^{scheduler}: no worker for 0.02 min$"),
+        cluster.executor(scheduler=scheduler),
+    ):
+        pass
+    assert capsys.readouterr().err.count("waiting") == 1
+
+
+# --- What a person sees --------------------------------------------------------------------------
+
+
+def test_an_address_where_nobody_answers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "_CONNECT_S", 0.5)
+    for address in ("tcp://127.0.0.1:1", "nowhere"):
+        with (
+            pytest.raises(InputError, match=f"^{address}: no Dask scheduler answers") as told,
+            cluster.executor(scheduler=address),
+        ):
+            pass
+        assert "\n" not in str(told.value)
+
+
+def test_more_workers_than_cores_are_refused() -> None:
+    with (
+        pytest.raises(InputError, match="--workers: 4096 are more"),
+        cluster.executor(workers=4096),
+    ):
+        pass
+
+
+def test_the_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with (
+        pytest.raises(InputError, match=r'pip install "sinsjax\[cluster\]"'),
+        cluster.executor(workers=1),
+    ):
+        pass
+
+
+def answer(**changes: Any) -> worker.Answer:
+    task = work.Task("part-0000-000000", 0, (0, 1), 0, 1, 0)
+    this = worker.Answer(
+        work.Packed(task, {}, 0, 0.0), "tcp://far:1", worker.versions(), worker.machine_here()
+    )
+    return this._replace(**changes)
+
+
+def test_every_answer_is_checked_and_unlike_machines_are_told_once(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    crew = cluster.Crew(None, "tcp://there:1")
+    crew.check(answer())
+    crew.check(answer())
+    assert capsys.readouterr().err == ""
+    other = worker.machine_here()._replace(cpu="Abacus")
+    crew.check(answer(machine=other))
+    crew.check(answer(machine=other))
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("tcp://far:1: computes with Abacus")
+    late = worker.versions() | {"jaxlib": "0.1"}
+    with pytest.raises(InputError, match="^tcp://far:1: the worker has jaxlib 0.1, this process"):
+        crew.check(answer(versions=late))
+
+
+Sweep = Callable[..., subprocess.Popen]
+
+
+@pytest.fixture
+def sweep(tmp_path: Path) -> Iterator[Sweep]:
+    """Starts `sinsjax sweep` in a process group of its own, as a shell does."""
+    config = tmp_path / "study.toml"
+    config.write_text(tomli_w.dumps(STUDY))
+    started: list[subprocess.Popen] = []
+
+    def start(out: Path, *words: str) -> subprocess.Popen:
+        command = [sys.executable, "-m", "sinsjax", "sweep", str(config), "-o", str(out), *words]
+        command += ["--chunk-runs", str(CHUNK)]
+        process = subprocess.Popen(
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def test_ctrl_c_lets_the_workers_finish_and_resume_goes_on(
+    sweep: Sweep, here: Parts, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    process = sweep(out, "--workers", "2")
+    first = process.stdout.readline()
+    children = worker_processes(process.pid)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all
+    told, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, (first, told, errors)
+    assert "Stopping: the chunks under way are finished first" in told
+    assert errors.startswith("interrupted: ") and errors.count("\n") == 1
+    assert len(children) == 2 and not psutil.wait_procs(children, timeout=10)[1]
+    there = parts(out)
+    assert there.items() < here.items()
+    chunks = results.read_manifest(out)["chunks"]
+    assert sum(chunk["state"] == "done" for chunk in chunks) == len(there)
+
+    process = sweep(out, "--workers", "2", "--resume")
+    told, errors = process.communicate(timeout=120)
+    assert (process.returncode, errors) == (0, "")
+    lines = [line for line in told.splitlines() if "runs/s" in line]
+    assert lines and len(set(lines)) == len(lines)
+    assert parts(out) == here
+
+
+def test_workers_die_with_the_process_that_asked(
+    sweep: Sweep, here: Parts, study: Study, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    process = sweep(out, "--workers", "2")
+    process.stdout.readline()
+    children = worker_processes(process.pid)
+    process.kill()
+    assert len(children) == 2 and not psutil.wait_procs(children, timeout=10)[1]
+    assert parts(out).items() < here.items()
+    campaign.run_into(study, out, resume=True)
+    assert parts(out) == here

@@ -1,0 +1,308 @@
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from sinsjax import analysis
+from sinsjax.analysis import Estimate, estimates
+
+NEVER = math.inf
+
+
+@pytest.mark.parametrize(
+    ("estimate", "unit", "text"),
+    [
+        (Estimate(12.31, 11.88, 12.84, 5), "", "12.3 [11.9, 12.8]"),
+        (Estimate(12.31, 11.88, 12.84, 5), "s", "12.3 [11.9, 12.8] s"),
+        (Estimate(NEVER, 300.0, NEVER, 5), "s", "never [300.0, never] s"),
+        (Estimate(-NEVER, -NEVER, 0.0, 5), "", "-never [-never, 0.0]"),
+        (Estimate(1.0, math.nan, math.nan, 1), "", "1.0 [unknown, unknown]"),
+    ],
+)
+def test_format(estimate, unit, text):
+    assert analysis.format_estimate(estimate, unit) == text
+
+
+def test_format_digits():
+    assert (
+        analysis.format_estimate(Estimate(0.5, 0.25, 0.75, 9), digits=3) == "0.500 [0.250, 0.750]"
+    )
+
+
+@pytest.mark.parametrize(("k", "n"), [(0, 1), (1, 1), (0, 64), (61, 64), (64, 64), (500, 1000)])
+def test_proportion_is_wilsons_closed_form(k, n):
+    z = stats.norm.ppf(0.975)
+    share = k / n
+    centre = (share + z * z / (2 * n)) / (1 + z * z / n)
+    half = z / (1 + z * z / n) * math.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
+    found = analysis.proportion(k, n)
+    assert (found.value, found.n) == (share, n)
+    assert found[1:3] == pytest.approx((max(0, centre - half), min(1, centre + half)), abs=1e-12)
+
+
+@pytest.mark.parametrize(("k", "n"), [(0, 0), (-1, 4), (5, 4)])
+def test_proportion_refuses(k, n):
+    with pytest.raises(ValueError, match="a share needs"):
+        analysis.proportion(k, n)
+
+
+def exact(values, q):
+    """The bootstrap distribution of a sample quantile: every resample of a small sample once."""
+    n = len(values)
+    at = max(math.ceil(round(n * q, 9)), 1) - 1
+    return sorted(sorted(drawn)[at] for drawn in itertools.product(values, repeat=n))
+
+
+VALUES = st.lists(
+    st.floats(-1e3, 1e3) | st.just(math.nan) | st.just(NEVER), min_size=1, max_size=80
+)
+SHARES = st.sampled_from([0.1, 0.25, 0.5, 0.75, 0.9, 0.95])
+
+
+@given(VALUES, SHARES)
+def test_quantile_is_the_first_value_that_enough_reach(values, q):
+    data = sorted(NEVER if math.isnan(v) else v for v in values)
+    found = analysis.quantile(values, q)
+    assert found.value == next(v for v in data if sum(w <= v for w in data) >= q * len(data) - 1e-9)
+    assert found.n == len(data)
+    assert math.isnan(found.low) or (found.low in data and found.low <= found.value)
+    assert math.isnan(found.high) or (found.high in data and found.value <= found.high)
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 6])
+@pytest.mark.parametrize("q", [0.1, 0.5, 0.9])
+def test_quantile_interval_is_the_percentile_interval_over_all_resamples(n, q):
+    values = np.random.default_rng(n).permutation([10.0, 20.0, 40.0, 70.0, 110.0, NEVER])[:n]
+    resampled = exact(list(values), q)
+    low, high = (resampled[math.ceil(p * len(resampled)) - 1] for p in (0.025, 0.975))
+    found = analysis.quantile(values, q)
+    # Where too few values bound the quantile, the end is unknown.
+    assert math.isnan(found.low) if (1 - q) ** n > 0.025 else found.low == low
+    assert math.isnan(found.high) if q**n > 0.025 else found.high == high
+
+
+def test_quantile_interval_agrees_with_resampling():
+    values = np.append(np.random.default_rng(8).lognormal(4.0, 0.5, 150), [NEVER] * 14)
+    picks = np.random.default_rng(9).integers(0, values.size, (20_000, values.size))
+    for q in (0.5, 0.9):
+        drawn = np.quantile(values[picks], q, axis=1, method="inverted_cdf")
+        found = analysis.quantile(values, q)
+        # In ranks: the share of resamples up to an end, whose steps are a rank wide.
+        for end, share in ((found.low, 0.025), (found.high, 0.975)):
+            assert np.mean(drawn < end) < share + 0.005 and np.mean(drawn <= end) > share - 0.005
+
+
+def test_quantile_interval_of_many_values_is_that_of_the_order_statistics():
+    values = np.random.default_rng(10).normal(size=100_000)
+    for q in (0.5, 0.9):
+        found = analysis.quantile(values, q)
+        oracle = stats.quantile_test(values, p=q).confidence_interval(0.95)
+        assert found[1:3] == pytest.approx(tuple(oracle), abs=2e-4)
+
+
+@pytest.mark.parametrize(("n", "q"), [(20, 0.5), (100, 0.5), (100, 0.9), (1000, 0.9)])
+def test_quantile_interval_covers(n, q):
+    draws = np.random.default_rng(3).uniform(size=(1500, n))
+    found = [analysis.quantile(row, q) for row in draws]
+    assert 0.90 < np.mean([e.low <= q <= e.high for e in found]) < 0.975
+
+
+def test_quantile_of_few_values_has_no_interval():
+    found = analysis.quantile([7.0])
+    assert found.value == 7.0
+    assert math.isnan(found.low) and math.isnan(found.high)
+    some = analysis.quantile([*range(16)], 0.9)
+    assert some.low == 11.0 and math.isnan(some.high)  # 0.9^16 is 0.19: it may lie above them all
+
+
+@given(VALUES.filter(lambda v: len(v) > 1), SHARES)
+def test_quantile_does_not_depend_on_the_order(values, q):
+    one, other = analysis.quantile(values, q), analysis.quantile(values[::-1], q)
+    np.testing.assert_array_equal(one, other)
+
+
+def test_quantile_never():
+    assert analysis.quantile([math.nan] * 64) == Estimate(NEVER, NEVER, NEVER, 64)
+    half = analysis.quantile([10.0] * 32 + [math.nan] * 32)
+    assert half == Estimate(10.0, 10.0, NEVER, 64)
+    assert analysis.quantile([10.0] * 31 + [math.nan] * 33).value == NEVER
+
+
+def test_mean_is_students():
+    values = np.random.default_rng(1).normal(3.0, 2.0, 20)
+    found = analysis.mean(np.append(values, [math.nan, NEVER]))
+    oracle = stats.ttest_1samp(values, 0.0).confidence_interval(0.95)
+    assert found == pytest.approx((values.mean(), oracle.low, oracle.high, 20), rel=1e-12)
+
+
+def test_std_agrees_with_scipys_bootstrap():
+    values = np.random.default_rng(2).normal(3.0, 2.0, 64)
+    found = analysis.std(np.append(values, math.nan))
+    oracle = stats.bootstrap(
+        (values,), lambda x, axis: np.std(x, axis=axis, ddof=1), n_resamples=9999,
+        method="percentile", random_state=5,
+    ).confidence_interval  # fmt: skip
+    assert (found.value, found.n) == (pytest.approx(values.std(ddof=1)), 64)
+    assert found[1:3] == pytest.approx(tuple(oracle), rel=0.02)
+    assert found == analysis.std(values)
+
+
+def test_bootstrap_in_small_blocks_is_the_same(monkeypatch):
+    values = np.random.default_rng(2).normal(size=30)
+    whole = analysis.std(values)
+    monkeypatch.setattr(estimates, "_BLOCK", 700)
+    assert analysis.std(values) == whole
+
+
+def test_constant_values_have_an_interval_of_no_width():
+    assert analysis.mean([2.0, 2.0, 2.0]) == Estimate(2.0, 2.0, 2.0, 3)
+    assert analysis.std([2.0, 2.0, 2.0]) == Estimate(0.0, 0.0, 0.0, 3)
+
+
+@pytest.mark.parametrize("values", [[5.0], [math.nan, 5.0], [math.nan]])
+def test_too_few_values_are_unknown(values):
+    finite = [v for v in values if not math.isnan(v)]
+    centre, spread = analysis.mean(values), analysis.std(values)
+    assert centre.value == finite[0] if finite else math.isnan(centre.value)
+    assert centre.n == spread.n == len(finite)
+    assert np.isnan([*centre[1:3], *spread[:3]]).all()
+
+
+@pytest.mark.parametrize("statistic", [analysis.quantile, analysis.mean, analysis.std])
+@pytest.mark.parametrize("values", [[], [[1.0, 2.0]]])
+def test_statistics_refuse(statistic, values):
+    with pytest.raises(ValueError, match="one or more values"):
+        statistic(values)
+
+
+@pytest.mark.parametrize(
+    "compare",
+    [analysis.difference, analysis.quantile_difference, analysis.proportion_difference],
+)
+def test_differences_refuse(compare):
+    with pytest.raises(ValueError, match="equal lengths"):
+        compare([1.0, 2.0], [1.0])
+    with pytest.raises(ValueError, match="one or more values"):
+        compare([], [])
+
+
+def test_quantile_out_of_range_is_refused():
+    with pytest.raises(ValueError):
+        analysis.quantile([1.0, 2.0], 1.5)
+
+
+def test_difference_is_the_paired_t_test():
+    random = np.random.default_rng(4)
+    a = random.normal(size=30)
+    b = a + random.normal(0.3, 0.1, 30)
+    oracle = stats.ttest_rel(b, a).confidence_interval(0.95)
+    found = analysis.difference(b, a)
+    assert found == pytest.approx(((b - a).mean(), oracle.low, oracle.high, 30), rel=1e-9)
+    a[3], b[4] = math.nan, NEVER
+    a[5] = b[5] = NEVER
+    assert analysis.difference(b, a).n == 27
+
+
+@pytest.mark.parametrize(
+    ("table", "interval"),
+    [
+        # Fagerland, Lydersen and Laake 2017, tables 8.1 and 8.2 (Bentur 2009, Cavo 2012)
+        ((1, 1, 7, 12), (-0.507, -0.026)),
+        ((59, 6, 16, 80), (-0.1186, -0.0046)),
+        # Altman, Machin, Bryant and Gardner 2000, table 6.2
+        ((14, 5, 0, 22), (0.011, 0.226)),
+    ],
+)
+def test_proportion_difference_is_newcombes(table, interval):
+    a = np.repeat([True, True, False, False], table)
+    b = np.repeat([True, False, True, False], table)
+    found = analysis.proportion_difference(a, b)
+    assert (found.value, found.n) == (pytest.approx((table[1] - table[2]) / sum(table)), sum(table))
+    digits = 4 if table[0] == 59 else 3
+    assert tuple(round(end, digits) for end in found[1:3]) == interval
+    swapped = analysis.proportion_difference(b, a)
+    assert swapped[:3] == pytest.approx((-found.value, -found.high, -found.low))
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_proportion_difference_of_equals_has_a_width(share):
+    same = np.full(64, share)
+    found = analysis.proportion_difference(same, same)
+    reach = abs(analysis.proportion(int(64 * share), 64)[2 - int(share)] - share)
+    assert found[:3] == pytest.approx((0.0, -reach, reach))
+
+
+def test_proportion_difference_covers():
+    # Strongly paired: a run that settles in one variant mostly does in the other.
+    random = np.random.default_rng(12)
+    hits = 0
+    for _ in range(400):
+        common, alone = random.uniform(size=(2, 60))
+        a, b = common < 0.9, (common < 0.8) | (alone < 0.1)
+        found = analysis.proportion_difference(a, b)
+        hits += found.low <= 0.9 - 0.82 <= found.high
+    assert 0.92 < hits / 400 < 0.99
+
+
+def test_quantile_difference_against_a_naive_loop():
+    random = np.random.default_rng(6)
+    b = random.uniform(50, 150, 40)
+    a = b + random.uniform(0, 30, 40)
+    a[:8] = math.nan
+    found = analysis.quantile_difference(a, b)
+
+    def median(values):
+        return sorted(NEVER if math.isnan(v) else v for v in values)[len(values) // 2 - 1]
+
+    resampled = []
+    for _ in range(2000):
+        pick = random.integers(0, 40, 40)
+        resampled.append(median(a[pick]) - median(b[pick]))
+    assert found.value == median(a) - median(b)
+    assert found[1:3] == pytest.approx(np.quantile(resampled, [0.025, 0.975]), abs=4.0)
+
+
+def test_quantile_difference_keeps_the_pairs():
+    noise = np.random.default_rng(7).normal(0, 100, 50)
+    assert analysis.quantile_difference(noise + 5.0, noise)[:3] == pytest.approx((5.0, 5.0, 5.0))
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "expected"), [(None, 9.0, NEVER), (9.0, None, -NEVER), (None, None, 0.0)]
+)
+def test_quantile_difference_of_never(a, b, expected):
+    found = analysis.quantile_difference(np.full(20, a, float), np.full(20, b, float))
+    assert found == Estimate(expected, expected, expected, 20)
+
+
+def test_one_pair_has_no_interval():
+    found = analysis.quantile_difference([3.0], [1.0])
+    assert (found.value, found.n) == (2.0, 1)
+    assert np.isnan(found[1:3]).all()
+
+
+def test_rms_is_the_root_of_the_mean_square_and_its_interval_covers():
+    random = np.random.default_rng(4)
+    values = random.normal(size=40)
+    found = analysis.rms(values)
+    assert found.value == pytest.approx(math.sqrt(np.mean(values**2)))
+    assert found.low < found.value < found.high and found.n == 40
+    hits = [e.low < 1 < e.high for e in map(analysis.rms, random.normal(size=(100, 40)))]
+    assert 0.85 < np.mean(hits) < 1
+
+
+def test_rms_leaves_out_what_is_not_finite():
+    values = np.array([3.0, np.nan, 4.0, np.inf])
+    assert analysis.rms(values)[::3] == (pytest.approx(math.sqrt(12.5)), 2)
+    assert analysis.rms([np.nan]).n == 0 and math.isnan(analysis.rms([2.0]).low)
+
+
+@pytest.mark.parametrize(("freedom", "n"), [(1, 1), (3, 1), (3, 256), (1, 100_000)])
+def test_chi2_mean_band(freedom, n):
+    band = analysis.chi2_mean_band(freedom, n)
+    assert band == pytest.approx(tuple(stats.chi2.ppf([0.025, 0.975], freedom * n) / n), rel=1e-9)
+    assert np.isnan(analysis.chi2_mean_band(freedom, 0)).all()
