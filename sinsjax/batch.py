@@ -11,7 +11,7 @@ that it does not depend on what the sets are mapped over.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache, partial
 from typing import Any, NamedTuple
@@ -19,8 +19,9 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from sinsjax.draws import Draw, Static, World
 from sinsjax.metrics import Observation, Outcome
-from sinsjax.simulate import Draw, Fan, Params, Static, World, method_of, simulate
+from sinsjax.simulate import Fan, Params, method_of, simulate
 
 LANES = 64
 """Runs a tile. Results are bit-equal for any chunk and device count only at one lane count."""
@@ -137,7 +138,7 @@ def distinct_draws(width: int, lanes: int = LANES) -> int:
     return min(lanes, -(-most // VECTOR) * VECTOR)
 
 
-class Plan(Sequence[Lanes]):
+class Plan:
     """The runs of a group, in their order, laid into the lanes of calls of one size.
 
     Depends on the group alone, never on the machine. What is missing at the end is filled up with
@@ -183,13 +184,16 @@ class Plan(Sequence[Lanes]):
     def __len__(self) -> int:
         return self._count
 
-    def __getitem__(self, number: Any) -> Lanes:
+    def __getitem__(self, number: int) -> Lanes:
         if not 0 <= number < self._count:
             raise IndexError(number)
         size = self._size * self._block
         blocks = number * size + np.arange(size).reshape(self._size, self._sets, -1, self._lanes)
         places = blocks.swapaxes(1, 2).reshape(-1, self._sets, self._lanes)
         return Lanes(places // self._width, places % self._width)
+
+    def __iter__(self) -> Iterator[Lanes]:
+        return map(self.__getitem__, range(len(self)))
 
     def runs(self, number: int) -> int:
         """How many runs a call has."""

@@ -149,6 +149,9 @@ def report(
     page: Annotated[
         Path | None, typer.Option(help="Also write a documentation page (Markdown) there.")
     ] = None,
+    html: Annotated[
+        Path | None, typer.Option(help="Also write one self-contained HTML file there.")
+    ] = None,
 ) -> None:
     """Draw the figures and print the tables again, from the Parquet files alone.
 
@@ -156,7 +159,7 @@ def report(
     """
     from sinsjax import report as reports
 
-    reports.summarise(directories, Console(), page)
+    reports.summarise(directories, Console(), page, html)
 
 
 @app.command()

@@ -227,6 +227,7 @@ def _local(workers: int) -> Iterator[Any]:
                     processes=True,
                     memory_limit=0,
                     dashboard_address=None,
+                    scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
                     silence_logs=logging.ERROR,
                 )
             )

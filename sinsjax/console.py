@@ -4,7 +4,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
@@ -25,55 +25,69 @@ def progress(console: Console, name: str) -> Iterator[Tell]:
 
     Both tell the runs done, runs a second, the time left and the failures so far.
     """
-    since = time.monotonic()
     if not console.is_terminal:
-        yield _plainly(console, name, since)
+        yield _plainly(console, name, _Pace())
         return
     bar = Bar(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn("runs {task.fields[pace]}"),
+        TextColumn("runs{task.fields[pace]}"),
         console=console,
     )
     with bar:
         shown = bar.add_task(f"{name} (compiling)", total=None, pace="")
+        pace = _Pace()
 
         def tell(now: Progress) -> None:
-            name_now = name if now.done > now.before else f"{name} (compiling)"
-            pace = _pace(now, time.monotonic() - since)
-            bar.update(shown, description=name_now, completed=now.done, total=now.total, pace=pace)
+            text = pace.text(now)
+            called = name if text else f"{name} (compiling)"
+            bar.update(shown, description=called, completed=now.done, total=now.total, pace=text)
 
         yield tell
 
 
-def _plainly(console: Console, name: str, since: float) -> Callable[[Progress], None]:
-    told, last = -1, since
+def _plainly(console: Console, name: str, pace: "_Pace") -> Tell:
+    told, last = -1, time.monotonic()
 
     def tell(now: Progress) -> None:
         nonlocal told, last
-        tenth, time_now = now.done * 10 // now.total, time.monotonic()
-        first = now.done == now.before
+        text = pace.text(now)
+        tenth, clock = now.done * 10 // now.total, time.monotonic()
+        began = now.done == now.before
         if (
-            first
+            began
             and not now.before
-            or not first
+            or not began
             and tenth == told
-            and time_now < last + _PLAIN_EVERY_S
+            and clock < last + _PLAIN_EVERY_S
         ):
             return
-        told, last = tenth, time_now
-        text = f"{name}: {now.done:,} of {now.total:,} runs"
-        pace = "there already" if first else _pace(now, time_now - since)
-        console.print(f"{text}, {pace}", highlight=False, soft_wrap=True)
+        told, last = tenth, clock
+        there = ", there already" if began else text
+        line = f"{name}: {now.done:,} of {now.total:,} runs{there}"
+        console.print(line, highlight=False, soft_wrap=True)
 
     return tell
 
 
-def _pace(now: Progress, elapsed_s: float) -> str:
-    rate = (now.done - now.before) / elapsed_s if elapsed_s > 0 else 0.0
-    left = f"{_clock((now.total - now.done) / rate)} left" if rate else "time left unknown"
-    return f"{rate:,.0f} runs/s, {left}, {now.failures:,} failed"
+class _Pace:
+    """Runs a second since the first chunk came in: what is before it is mostly compiling."""
+
+    def __init__(self) -> None:
+        self._first: tuple[float, int] | None = None
+
+    def text(self, now: Progress) -> str:
+        """The pace in words; empty before there is a chunk."""
+        if now.done == now.before:
+            return ""
+        clock = time.monotonic()
+        since, done = self._first = self._first or (clock, now.done)
+        if now.done == done:
+            return f", {now.failures:,} failed"
+        rate = (now.done - done) / max(clock - since, 1e-3)
+        left = _clock((now.total - now.done) / rate)
+        return f", {rate:,.0f} runs/s, {left} left, {now.failures:,} failed"
 
 
 def _clock(seconds: float) -> str:

@@ -16,11 +16,12 @@ from sinsjax import runtime, tunings
 from sinsjax.alignment.base import Options, Site
 from sinsjax.batch import Group
 from sinsjax.columns import bands
+from sinsjax.draws import Draw, Static, World, made, noise, sense
 from sinsjax.metrics import Criteria
 from sinsjax.records import Record
 from sinsjax.rotations import from_euler, log
 from sinsjax.sections import Earth, Motion, Sensors
-from sinsjax.simulate import Draw, Params, Static, World, made, noise, sense
+from sinsjax.simulate import Params
 from sinsjax.studies import PASS_KEYS, Span, Study
 from sinsjax.types import Array, Increments, InputError, Quat, Vec3
 from sinsjax.units import ARCMIN, DEG

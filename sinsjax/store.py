@@ -196,7 +196,7 @@ class Store:
                 return None
             entry = self._entry(path, rows, content)
             same = told.get(entry["file"]) == entry
-            if not same and not self._is_whole(content, rows, task):
+            if not same and not self._is_whole(dataset, content, rows, task):
                 return None
             files.append(entry)
         seconds = known.get("seconds")
@@ -204,15 +204,17 @@ class Store:
             "files": files
         }
 
-    def _is_whole(self, content: bytes, rows: int, task: Task) -> bool:
-        """Whether a part of which no manifest tells is what it would be if written again."""
+    def _is_whole(self, dataset: str, content: bytes, rows: int, task: Task) -> bool:
+        """Whether a part whose checksum is not known is what it would be if written again."""
         try:
-            file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
-            table = file.read()
+            part = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
+            table = part.read()
+            # The pages have checksums of their own, the footer has none.
+            return (
+                table.num_rows == rows and self._workshop.parquet(dataset, table, task) == content
+            )
         except (OSError, ValueError, pa.ArrowException):
             return False
-        # Pages have checksums, the footer has none.
-        return table.num_rows == rows and self._workshop.parquet(table, task) == content
 
     def _write_manifest(self, state: str) -> None:
         began = time.monotonic()

@@ -220,7 +220,8 @@ def _refusal(study: Study, variants: Variants, loop: str, row: int, text: str) -
     factor = max(variants.raw("sigma_factors")[row])
     if loop == "azimuth" and factor != 1:
         shown = f"{shown} with a sigma factor of {factor:g}"
-    where = "[axes]" if key in study.axes else "[compass]"
+    zipped = (f"[axes.{name}]" for name, keys in study.zips.items() if key in keys)
+    where = next(zipped, "[axes]" if key in study.axes else "[compass]")
     if study.cases and key in study.cases[0]:
         where = "[cases]"
     return InputError(f"{study.study.name}: {where} {key}: {shown} {text}")

@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from sinsjax import stopping
+from sinsjax import columns, stopping
 from sinsjax.batch import LANES, Calls, Plan, spread
 from sinsjax.config import fingerprint
 from sinsjax.results import Tables
@@ -181,12 +181,19 @@ class Workshop:
         tables = {"summary": piece.summary}
         if piece.curves is not None:
             tables["curves"] = piece.curves
-        files = {name: self.parquet(table, task) for name, table in tables.items()}
+        files = {name: self.parquet(name, table, task) for name, table in tables.items()}
         return Packed(task, files, failures(piece.summary), piece.seconds)
 
-    def parquet(self, table: pa.Table, task: Task) -> bytes:
-        """A table of a task as a Parquet file: the same table gives the same bytes."""
-        marked = table.replace_schema_metadata((table.schema.metadata or {}) | self._marks(task))
+    def parquet(self, dataset: str, table: pa.Table, task: Task) -> bytes:
+        """A table of a task as a Parquet file: the same rows give the same bytes.
+
+        Raises:
+            ValueError: the table has not the columns of the dataset.
+        """
+        made = self.tables
+        layout = made.summary_columns if dataset == "summary" else made.curve_columns
+        schema = columns.schema(layout)
+        marked = table.cast(schema.with_metadata(schema.metadata | self._marks(task)))
         sink = pa.BufferOutputStream()
         pq.write_table(marked, sink, compression="zstd", write_page_checksum=True)
         return sink.getvalue().to_pybytes()

@@ -14,10 +14,10 @@ import numpy as np
 from sinsjax import designs, earth, imu, trajectory, units
 from sinsjax.alignment.base import Site
 from sinsjax.alignment.coarse import COARSE
+from sinsjax.draws import Draw, Start, World, floor_of
 from sinsjax.metrics import Criteria
 from sinsjax.records import Record, Reference, require_span
 from sinsjax.sections import Earth, Motion, Section, Sensors
-from sinsjax.simulate import Draw, Start, World, floor_of
 from sinsjax.studies import EARTH_CONSTANTS, Span, Study
 from sinsjax.types import Array, InputError, Scalar
 from sinsjax.units import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, PPM
@@ -204,12 +204,16 @@ def _own(
 def begins(study: Study, draws: range) -> Start:
     """What the draws of a study begin with, where that is drawn."""
     values = designs.values(study, len(draws), first=draws.start)
-    phi = (values.get(f"phi_{axis}0_deg") for axis in "enu")
+    e, n, u = (values.get(f"phi_{axis}0_deg") for axis in "enu")
     return Start(
-        phi=tuple(None if angle is None else angle * DEG for angle in phi),
+        phi=(_angle(e), _angle(n), _angle(u)),
         ve=values.get("ve0_m_per_s"),
         vn=values.get("vn0_m_per_s"),
     )
+
+
+def _angle(degrees: np.ndarray | None) -> np.ndarray | None:
+    return None if degrees is None else degrees * DEG
 
 
 def _motion(variants: Variants) -> trajectory.Motion:

@@ -12,19 +12,10 @@ from sinsjax import earth, imu, trajectory
 from sinsjax.alignment import compass, zero_velocity
 from sinsjax.alignment.base import Site
 from sinsjax.alignment.schedules import Feedback, Pieces, Renewal, Resets
+from sinsjax.draws import Draw, Static, World
 from sinsjax.loops import AzimuthGains, LevelGains
 from sinsjax.metrics import Criteria
-from sinsjax.simulate import (
-    ONE,
-    Draw,
-    Params,
-    Progress,
-    Static,
-    World,
-    begin,
-    over_a_record,
-    shared_by,
-)
+from sinsjax.simulate import ONE, Params, Progress, begin, over_a_record, shared_by
 from sinsjax.types import Increments, Navigation, Quat, Vec3
 
 ARCMIN = DEG / 60

@@ -1,4 +1,4 @@
-"""Directories of results as the tests look at them: parts, checksums, and what must not be there."""
+"""Directories of results as tests look at them: parts, checksums, what must not be there."""
 
 import hashlib
 import json

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from studies import small_study
 
 from sinsjax import batch, scenario
-from sinsjax.simulate import ONE, Draw, Params, simulate
+from sinsjax.draws import Draw
+from sinsjax.simulate import ONE, Params, simulate
 from sinsjax.types import Quat
 
 

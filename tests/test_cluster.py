@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import tomli_w
-from studies import BASE
+from studies import BASE, small_study
 
 from sinsjax import campaign, cluster, compile_cache, results, work, worker
 from sinsjax.config import Study, study_from_dict
@@ -28,10 +28,12 @@ pytestmark = pytest.mark.slow
 
 CHUNK = 128
 STUDY: dict[str, Any] = BASE | {
-    "study": BASE["study"] | {"duration_s": 200.0, "window_s": [100, 200], "draws": 1200},
-    "axes": {"reset_times_s": [[], [2.5]]},
+    "study": BASE["study"] | {"duration_s": 300.0, "window_s": [100, 300], "draws": 600},
+    "alignment": BASE["alignment"] | {"method": "compass"},
+    "compass": {"level_time_s": 2.0},
+    "axes": {"phi_u0_deg": [0.0, 1.0, 3.0, 5.0]},
 }
-"""2400 runs in 19 chunks of some 0.2 s."""
+"""2400 runs in 19 chunks of some 0.2 s; a compass is compiled quickly."""
 
 Parts = dict[str, bytes]
 
@@ -57,12 +59,6 @@ def here(study: Study, tmp_path_factory: pytest.TempPathFactory) -> Parts:
     return parts(out)
 
 
-@pytest.fixture(scope="module")
-def two(compiled_once: None) -> Iterator[work.Executor]:
-    with cluster.executor(workers=2) as executor:
-        yield executor
-
-
 def parts(directory: Path) -> Parts:
     return {
         str(path.relative_to(directory)): path.read_bytes() for path in directory.glob("*/part-*")
@@ -83,52 +79,59 @@ def worker_processes(parent: int | None = None) -> list[psutil.Process]:
     ]
 
 
-def test_workers_give_the_bytes_of_this_process(
-    two: work.Executor, study: Study, here: Parts, tmp_path: Path
-) -> None:
-    campaign.run_into(study, tmp_path, chunk_runs=CHUNK, executor=two)
-    assert len(here) == 19
-    assert parts(tmp_path) == here
-    (session,) = results.read_manifest(tmp_path)["sessions"]
-    assert (session["workers"], session["scheduler"]) == (2, "local")
+class TestTwoWorkers:
+    """Of one cluster, which ends with these tests: others count their processes."""
 
+    @pytest.fixture(scope="class")
+    def two(self) -> Iterator[work.Executor]:
+        with cluster.executor(workers=2) as executor:
+            yield executor
 
-def test_rows_are_the_same_in_other_chunks(
-    two: work.Executor, study: Study, here: Parts, tmp_path: Path
-) -> None:
-    campaign.run_into(study, tmp_path, executor=two)
-    assert len(parts(tmp_path)) != len(here)
-    for name, content in here.items():
-        path = tmp_path / "here" / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
-    assert rows(tmp_path).equals(rows(tmp_path / "here"))
+    def test_workers_give_the_bytes_of_this_process(
+        self, two: work.Executor, study: Study, here: Parts, tmp_path: Path
+    ) -> None:
+        campaign.run_into(study, tmp_path, chunk_runs=CHUNK, executor=two)
+        assert len(here) == 19
+        assert parts(tmp_path) == here
+        (session,) = results.read_manifest(tmp_path)["sessions"]
+        assert (session["workers"], session["scheduler"]) == (2, "local")
 
+    def test_the_filter_gives_the_bytes_of_this_process(
+        self, two: work.Executor, tmp_path: Path
+    ) -> None:
+        study = small_study(
+            study={"draws": 500, "curves": True}, drawn={"gyro_scale_ppm": {"normal": [0, 9]}}
+        )
+        campaign.run_into(study, tmp_path / "here", chunk_runs=CHUNK)
+        campaign.run_into(study, tmp_path / "there", chunk_runs=CHUNK, executor=two)
+        assert len(parts(tmp_path / "here")) == 2 * 4
+        assert parts(tmp_path / "here") == parts(tmp_path / "there")
 
-def test_every_worker_keeps_to_a_core_of_its_own(two: work.Executor) -> None:
-    cores = []
-    for process in worker_processes():
-        of_threads = {frozenset(psutil.Process(t.id).cpu_affinity()) for t in process.threads()}
-        assert len(of_threads) == 1
-        cores.append(*of_threads.pop())
-    assert len(cores) == len(set(cores)) == 2
+    def test_every_worker_keeps_to_a_core_of_its_own(self, two: work.Executor) -> None:
+        cores = []
+        for process in worker_processes():
+            of_threads = {frozenset(psutil.Process(t.id).cpu_affinity()) for t in process.threads()}
+            assert len(of_threads) == 1
+            cores.append(*of_threads.pop())
+        assert len(cores) == len(set(cores)) == 2
 
+    def test_tasks_are_taken_when_there_is_a_place_for_them(
+        self, two: work.Executor, study: Study
+    ) -> None:
+        workshop = work.Workshop(work.Job(study, chunk_runs=CHUNK))
+        (tasks,) = workshop.tasks()
+        taken: list[work.Task] = []
 
-def test_tasks_are_taken_when_there_is_a_place_for_them(two: work.Executor, study: Study) -> None:
-    workshop = work.Workshop(work.Job(study, chunk_runs=CHUNK))
-    (tasks,) = workshop.tasks()
-    taken: list[work.Task] = []
+        def offered() -> Iterator[work.Task]:
+            for task in tasks[:9]:
+                taken.append(task)
+                yield task
 
-    def offered() -> Iterator[work.Task]:
-        for task in tasks[:9]:
-            taken.append(task)
-            yield task
-
-    done = []
-    for packed in two.do(workshop, offered()):
-        done.append(packed.task)
-        assert len(taken) - len(done) < 2 * cluster.AHEAD
-    assert sorted(done) == taken == tasks[:9]
+        done = []
+        for packed in two.do(workshop, offered()):
+            done.append(packed.task)
+            assert len(taken) - len(done) < 2 * cluster.AHEAD
+        assert sorted(done) == taken == tasks[:9]
 
 
 def test_a_worker_that_is_killed_costs_no_row(study: Study, here: Parts, tmp_path: Path) -> None:

@@ -35,9 +35,20 @@ LAYERS = (
     {"algebra", "earth", "kalman", "randomness", "rotations"},
     {"bounds", "error_model", "imu", "loops", "mechanisation", "trajectory"},
     {"alignment"},
-    {"batch", "metrics", "scenario", "simulate", "tunings", "worlds"},
-    {"analysis", "plots", "results", "statements"},
-    {"__main__", "baseline", "bench", "campaign", "cli", "cluster", "report", "tuning"},
+    {"batch", "draws", "metrics", "scenario", "simulate", "tunings", "worlds"},
+    {"analysis", "plots", "results", "statements", "stopping", "store", "work"},
+    {
+        "__main__",
+        "baseline",
+        "bench",
+        "campaign",
+        "cli",
+        "cluster",
+        "console",
+        "report",
+        "reruns",
+        "tuning",
+    },
 )
 """Level 0 first. A package stands for all of its modules."""
 

@@ -19,18 +19,9 @@ from scipy.spatial.transform import Rotation
 
 from sinsjax import imu
 from sinsjax.alignment.base import Options
+from sinsjax.draws import NOISE_ROW, Draw, Static, World, noise, piece, sense
 from sinsjax.metrics import Criteria
-from sinsjax.simulate import (
-    NOISE_ROW,
-    Draw,
-    Params,
-    Static,
-    World,
-    noise,
-    piece,
-    sense,
-    simulate,
-)
+from sinsjax.simulate import Params, simulate
 from sinsjax.types import Quat, Vec3
 
 RATE, LATITUDE, SEED = 100, 32 * DEG, 11

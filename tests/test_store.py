@@ -169,7 +169,7 @@ MANIFESTS: dict[str, Callable[[Path], Any]] = {
 }
 
 
-@pytest.mark.parametrize("told", MANIFESTS)
+@pytest.mark.parametrize("told", ["there", "deleted"])
 @pytest.mark.parametrize("name", BEFALL)
 def test_a_part_that_is_not_whole_is_found_and_made_again(
     whole: Path, out: Path, name: str, told: str
@@ -182,6 +182,27 @@ def test_a_part_that_is_not_whole_is_found_and_made_again(
     assert_complete(out, whole)
     kept = {key for key, time in times(out).items() if before[key] == time}
     assert {key for key in before if chunk(2) in key or chunk(7) in key} == before.keys() - kept
+
+
+def test_a_part_that_no_manifest_knows_is_checked_to_the_last_bit(tmp_path: Path) -> None:
+    """Pages have checksums in the format, all else in a part has none: statistics, names, units."""
+    workshop = Workshop(Job(STUDY, None, None, CHUNK_RUNS))
+    ((task, *_),) = workshop.tasks()
+    packed = workshop.pack(task)
+    held = store.Store(tmp_path / "out", workshop)
+    held.write(packed)
+    held._chunks.clear()
+    assert held._found(task) is not None
+    path = tmp_path / "out" / "summary" / f"{task.name}.parquet"
+    content = packed.files["summary"]
+    footer = int.from_bytes(content[-8:-4], "little") + 8
+    random = np.random.default_rng(1)
+    for place in random.integers(len(content) - footer, len(content), 100):
+        changed = bytearray(content)
+        changed[place] ^= 1 << random.integers(8)
+        path.write_bytes(changed)
+        assert held._found(task) is None, place
+    held.release()
 
 
 @pytest.mark.parametrize("told", MANIFESTS)
@@ -203,9 +224,7 @@ def test_a_wrong_checksum_of_a_whole_part_is_put_right(whole: Path, out: Path) -
 
 
 @pytest.mark.parametrize("name", ["chunk_runs", "all of it", "study.toml too"])
-def test_parts_know_their_chunks_where_no_manifest_does(
-    whole: Path, out: Path, name: str
-) -> None:
+def test_parts_know_their_chunks_where_no_manifest_does(whole: Path, out: Path, name: str) -> None:
     """The default would cut this study into other chunks, none of which is there."""
     (out / "manifest.json").unlink()
     (out / "summary" / f"{chunk(0)}.parquet").write_bytes(b"no part")
@@ -248,7 +267,10 @@ DIFFERING: dict[str, tuple[dict[str, Any], list[str]]] = {
         {"axes": {"p0_yaw_deg": [10.0]}},
         ["[axes] p0_yaw_deg: [10.0, 20.0, ", " there, [10.0] here"],
     ),
-    "another axis": ({"axes": {"phi_u0_deg": [0.0]}}, ["[axes] phi_u0_deg: none there, [0.0] here"]),
+    "another axis": (
+        {"axes": {"phi_u0_deg": [0.0]}},
+        ["[axes] phi_u0_deg: none there, [0.0] here"],
+    ),
     "curves": ({"study": {"curves": False}}, ["[study] curves: True there, False here"]),
     "a section": (
         {"drawn": {"phi_e0_deg": {"normal": [0, 1]}}, "alignment": {"phi_e0_deg": None}},
@@ -281,9 +303,10 @@ def test_another_study_is_refused_with_the_keys_that_differ(out: Path, name: str
 
 
 def test_the_order_of_axes_numbers_the_variants(out: Path) -> None:
-    axes = dict(reversed(STUDY.axes.items()))
-    study = small_study(**(sweep_study().model_dump(exclude_none=True, include={"study"})), axes=axes)
     before = everything(out)
+    data = STUDY.model_dump(exclude_none=True)
+    axes = dict(reversed(STUDY.axes.items()))
+    study = study_from_dict({k: v for k, v in data.items() if v and k != "zips"} | {"axes": axes})
     with pytest.raises(InputError, match="another study: .*order"):
         sweep(out, study, resume=True)
     assert everything(out) == before
@@ -293,7 +316,7 @@ def test_name_report_and_statements_may_differ(whole: Path, out: Path) -> None:
     before = times(out)
     study = changed(
         study={"name": "renamed"},
-        report={"layout": "paper1_readings"},
+        report={"layout": "consistency"},
         statements={"short_time_s": 50.0},
     )
     assert sweep(out, study, resume=True) == []
@@ -499,6 +522,7 @@ def test_overwriting_leaves_nothing_of_what_was_there(out: Path) -> None:
     assert len(sweep(out, study, overwrite=True)) == CHUNKS // 2
     assert not list(out.glob("curves/*")) and not list(out.glob("reruns/3/*"))
     assert results.count_runs(out) == CHUNKS * CHUNK_RUNS // 2
+    assert results.read_curves(out).num_rows == 0
     assert_checksums(out)
 
 
@@ -522,7 +546,7 @@ def test_resuming_nothing_begins(whole: Path, tmp_path: Path) -> None:
 # --- stopping -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("chunks", [0, 1, 5, CHUNKS - 1])
+@pytest.mark.parametrize("chunks", [0, 1, 5, CHUNKS - 4])
 def test_a_stop_keeps_what_is_done_and_says_so(whole: Path, tmp_path: Path, chunks: int) -> None:
     stop, seen = threading.Event(), []
 
@@ -574,7 +598,7 @@ def test_resuming_what_is_complete_cannot_be_interrupted(out: Path) -> None:
 # --- failing writes -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("failing", range(2, 27, 3))
+@pytest.mark.parametrize("failing", range(2, 27, 5))
 def test_a_write_that_fails_is_one_clear_line_and_costs_nothing_else(
     whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing: int
 ) -> None:
@@ -624,9 +648,10 @@ def test_the_manifest_tells_what_made_the_results(whole: Path, out: Path) -> Non
     assert told["fingerprint"] == store.fingerprint(STUDY)
     assert told["identity"] == Job(STUDY).identity
     assert (told["seed"], told["schema"], told["draws"]) == (1, "1", 48)
-    assert study_from_dict(
-        {k: v for k, v in told["study"].items() if v and k != "zips"}
-    ).axes == STUDY.axes
+    assert (
+        study_from_dict({k: v for k, v in told["study"].items() if v and k != "zips"}).axes
+        == STUDY.axes
+    )
     assert all(chunk["seconds"] > 0 for chunk in told["chunks"])
     sweep(out, resume=True)
     again = manifest(out)

@@ -100,26 +100,34 @@ def quantile(values: ArrayLike, q: float = 0.5) -> Estimate:
         ValueError: no values, or q out of range.
     """
     data = clean(values, missing=math.inf)
-    if not 0 <= q <= 1:
-        raise ValueError(f"a quantile needs 0 <= q <= 1, got {q}")
-    n = data.size
-    at, low, high = _ranks(n, q)
-    sorted_there = np.partition(data, [at, low, high])
+    n, at = data.size, place(data.size, q)
+    low, high = _bounds(n, at + 1)
+    ordered = np.partition(data, [at, low, high])
     return Estimate(
-        float(sorted_there[at]),
-        float(sorted_there[low]) if (1 - q) ** n <= TAIL else math.nan,
-        float(sorted_there[high]) if q**n <= TAIL else math.nan,
+        float(ordered[at]),
+        float(ordered[low]) if (1 - q) ** n <= TAIL else math.nan,
+        float(ordered[high]) if q**n <= TAIL else math.nan,
         n,
     )
 
 
+def place(n: int, q: float) -> int:
+    """Where a quantile stands among n sorted values, from 0; as numpy's method "inverted_cdf".
+
+    Raises:
+        ValueError: q out of range.
+    """
+    if not 0 <= q <= 1:
+        raise ValueError(f"a quantile needs 0 <= q <= 1, got {q}")
+    rounding = 1 - 4 * np.finfo(float).eps  # of the product
+    return max(math.ceil(n * q * rounding), 1) - 1
+
+
 @lru_cache(maxsize=256)
-def _ranks(n: int, q: float) -> tuple[int, int, int]:
-    """Places from 0 of a quantile and of its interval's ends among n sorted values."""
-    # As numpy's method "inverted_cdf"; the product may be off by its rounding.
-    k = min(max(math.ceil(n * q * (1 - 4 * np.finfo(float).eps)), 1), n)
+def _bounds(n: int, k: int) -> tuple[int, int]:
+    """Where the ends of the interval of the k-th of n sorted values stand, from 0."""
     low, high = (math.ceil(n * special.betaincinv(k, n - k + 1, p)) for p in (TAIL, 1 - TAIL))
-    return k - 1, low - 1, high - 1
+    return low - 1, high - 1
 
 
 def mean(values: ArrayLike) -> Estimate:

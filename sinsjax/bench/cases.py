@@ -16,9 +16,10 @@ from sinsjax.batch import LANES, SETS, Group, Tiles, compiled, plan, spread, til
 from sinsjax.bench.assets import asset
 from sinsjax.bench.timing import Case
 from sinsjax.config import load_study, study_from_dict
+from sinsjax.draws import Draw, World
 from sinsjax.rotations import matrix, misalign
 from sinsjax.scenario import parts
-from sinsjax.simulate import Draw, Params, World, simulate
+from sinsjax.simulate import Params, simulate
 from sinsjax.types import Quat
 
 TILES = 2

@@ -1,15 +1,14 @@
 """Whether more than one reset is ever better than one: the best of each against the other."""
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.plots import Scale, Shown
 from sinsjax.report.base import Block, Picture, Table, Text, percent, value_text
+from sinsjax.report.reset_best import Contest, Pick, contests, held_out_for_all
 from sinsjax.report.reset_grid import (
     BAND_ARCMIN,
     LEVEL,
@@ -18,120 +17,13 @@ from sinsjax.report.reset_grid import (
     YAW,
     Answer,
     Grid,
+    against,
     median,
     percent_mean,
-    schedule_name,
+    point_name,
 )
 
 _CHANCE = (1 - analysis.CONFIDENCE) / 2  # of an interval that lies to one side of no difference
-
-
-class Pick(NamedTuple):
-    """The best of some schedules, told by draws that did not choose it.
-
-    Attributes:
-        places: (draws,) place of the schedule that the half without the draw chose.
-        settle_s: (draws,) settling times with it.
-    """
-
-    places: NDArray
-    settle_s: NDArray
-
-    @property
-    def median(self) -> Estimate:
-        """Median settling time, s."""
-        return analysis.quantile(self.settle_s)
-
-    @property
-    def settled(self) -> Estimate:
-        """Share of the draws that settle."""
-        return analysis.proportion(int(np.isfinite(self.settle_s).sum()), self.settle_s.size)
-
-    def name(self, grid: Grid) -> str:
-        """What was chosen, in words; two schedules where the halves differ."""
-        return " / ".join(schedule_name(grid.schedules[i]) for i in dict.fromkeys(self.places))
-
-
-class Contest(NamedTuple):
-    """The best single reset against the best of more than one, at a point.
-
-    Attributes:
-        at: places of its reading, level and yaw.
-        one: the best with exactly one reset.
-        more: the best with more.
-        saved_s: median settling time of more minus that of one, on the same draws.
-    """
-
-    at: tuple[int, int, int]
-    one: Pick
-    more: Pick
-    saved_s: Estimate
-
-    @property
-    def better(self) -> str:
-        """``more``, ``one``, ``neither`` where neither settles, or empty: no difference shown."""
-        if np.isinf(self.one.median.value) and np.isinf(self.more.median.value):
-            return "neither"
-        return "more" if self.saved_s.high < 0 else "one" if self.saved_s.low > 0 else ""
-
-    @property
-    def only_more(self) -> bool:
-        """Whether half of the draws settle with more than one reset, and not with one."""
-        return bool(np.isinf(self.one.median.value) and np.isfinite(self.more.median.value))
-
-
-def held_out(settle_s: NDArray, places: Sequence[int]) -> Pick:
-    """The best of some schedules, chosen on every other draw and told by the rest, both ways.
-
-    The best is where most draws settle; among those, the least median settling time; among those,
-    the first.
-
-    Args:
-        settle_s: (schedules, draws), infinite where a run never settled.
-        places: of the schedules to choose from.
-    """
-
-    def best(seen: NDArray) -> int:
-        failed = np.isinf(seen).sum(axis=-1)
-        return int(np.lexsort((median(seen), failed))[0])
-
-    return _crossed(settle_s, places, best)
-
-
-def held_out_for_all(settle_s: NDArray, places: Sequence[int], run_s: float) -> Pick:
-    """One schedule for all misalignments: that with the least mean settling time over all of them.
-
-    Args:
-        settle_s: (levels, yaws, schedules, draws), infinite where a run never settled.
-        places: of the schedules to choose from.
-        run_s: what counts for a run that never settled.
-
-    Returns:
-        Instead of settling times, their means over the misalignments, by draw.
-    """
-    mean_s = np.minimum(settle_s, run_s).mean(axis=(0, 1))
-    return _crossed(mean_s, places, lambda seen: int(np.argmin(seen.mean(axis=-1))))
-
-
-def _crossed(values: NDArray, places: Sequence[int], best: Callable[[NDArray], int]) -> Pick:
-    """Values (schedules, draws) of each half with the schedule that is best for the other."""
-    chosen = np.empty(values.shape[-1], dtype=int)
-    halves = slice(0, None, 2), slice(1, None, 2)
-    for choosing, judging in (halves, halves[::-1]):
-        chosen[judging] = places[best(values[places][:, choosing])]
-    return Pick(chosen, np.take_along_axis(values, chosen[None], axis=0)[0])
-
-
-def contests(grid: Grid, readings: Sequence[int]) -> list[Contest]:
-    """The best single reset against the best of more, at every misalignment of some readings."""
-    ones, mores = grid.with_count(1, 1), grid.with_count(2)
-    found = []
-    for at in np.ndindex(grid.settle_s.shape[:3]):
-        if at[0] in readings:
-            one, more = (held_out(grid.settle_s[at], places) for places in (ones, mores))
-            saved = analysis.quantile_difference(more.settle_s, one.settle_s)
-            found.append(Contest(at, one, more, saved))
-    return found
 
 
 def answer(grid: Grid) -> Answer:
@@ -150,17 +42,17 @@ def answer(grid: Grid) -> Answer:
 
 def _headline(grid: Grid, found: Sequence[Contest]) -> str:
     told = [c.better for c in found]
-    only = sum(c.only_more for c in found)
+    only = sum(c.only_more for c in found if c.better == "more")
     at = (grid.paper_reading, *grid.paper_point)
     here = next(c for c in found if c.at == at)
-    level, yaw = grid.levels[at[1]], grid.yaws[at[2]]
     return (
-        f"More than one reset, measured force: at {told.count('more')} of {len(found)} points of"
-        f" misalignment and reading the heading settles sooner than with the best single reset, at"
-        f" {only} it settles with more than one only; the single one is sooner at"
-        f" {told.count('one')}. By chance it would be {_CHANCE * len(found):.1f} each way. At the"
-        f" paper's ({level:g}, {level:g}, {yaw:g}) deg, {grid.readings[at[0]].name}, the best of more"
-        f" than one settles {format_estimate(here.saved_s, 's', 0)} after the best single one."
+        f"Is more than one reset better than one? With the measured force the best of more than one"
+        f" settles sooner than the best single reset at {told.count('more')} of {len(found)} points"
+        f" of misalignment and reading, of which at {only} most draws never settle with one;"
+        f" the single one is sooner at {told.count('one')}, and no difference is shown at the rest."
+        f" By chance it would be {_CHANCE * len(found):.1f} each way. At the"
+        f" paper's {point_name(grid, at)}, {grid.readings[at[0]].name}, it"
+        f" {against(here.saved_s, 'the best single reset')}."
     )
 
 
@@ -186,20 +78,20 @@ def _pictures(grid: Grid, found: Sequence[Contest]) -> Iterator[Picture]:
             here, there = (grid.reading(f, q, feedback) for f in ("measured", "gravity"))
             best = np.array([picked[here, *at] for at in np.ndindex(shape)]).reshape(*shape, 2)
             panels += [
-                (f"none, feedback {feedback:g} s", none[here]),
-                (f"one, feedback {feedback:g} s", best[..., 0]),
-                (f"more, feedback {feedback:g} s", best[..., 1]),
+                (f"none, {feedback:g} s", none[here]),
+                (f"one, {feedback:g} s", best[..., 0]),
+                (f"more, {feedback:g} s", best[..., 1]),
                 (f"none, gravity, {feedback:g} s", none[there]),
             ]
         yield Picture(
             f"settling_{q}",
             f"Median settling time to {BAND_ARCMIN} arcmin over {grid.draws} draws, Q `{q}`:"
             " without reset, with the best single one, with the best of more, and without reset"
-            " where A(t) has gravity instead of the measured force. Hatched: at least half of the"
-            " draws never settle.",
+            " where A(t) has gravity instead of the measured force; a line for each feedback"
+            " interval. Hatched: at least half of the draws never settle.",
             plots.heat_maps(
                 panels,
-                f"How long until the heading settles with no, one, more resets? Q {q}",
+                f"How long does the heading take? Resets and feedback interval, Q {q}",
                 Shown("median settling time (s)", 0.0, grid.study.run_s, reverse=True),
                 rows=Scale(LEVEL, grid.levels),
                 columns=Scale(YAW, grid.yaws),
@@ -221,7 +113,7 @@ def _counts(grid: Grid, found: Sequence[Contest]) -> Table:
                 *(str(told.count(word)) for word in ("more", "one", "", "neither")),
                 str(sum(c.only_more for c in here)),
                 format_estimate(gain.saved_s, digits=0) if gain else "-",
-                _point(grid, gain) if gain else "-",
+                point_name(grid, gain.at) if gain else "-",
             ]
         )
     header = [
@@ -242,13 +134,9 @@ def _counts(grid: Grid, found: Sequence[Contest]) -> Table:
         f" side of 0; by chance that would be so at {_CHANCE * grid.n_points:.1f} points of a row,"
         " each way. *Only more settles*: half of the draws or more, where fewer settle with one;"
         " counted as better too if the interval says so. *Least*: the finite difference most in"
-        " favour of more resets, picked, so its interval is too hopeful.",
+        " favour of more resets, picked, so its interval is too hopeful; all differences are in the"
+        " folded table, -never where only more settles.",
     )
-
-
-def _point(grid: Grid, contest: Contest) -> str:
-    _, level, yaw = contest.at
-    return f"level {grid.levels[level]:g}, yaw {grid.yaws[yaw]:g} deg"
 
 
 def _for_all(grid: Grid) -> Table:

@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax import analysis, plots
+from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.plots import COLOURS, Scale
 from sinsjax.plots.kinds import Kind, kind_maps
-from sinsjax.report.base import Picture, Table, Text, percent, value_text
-from sinsjax.report.reset_choice import held_out
+from sinsjax.report.base import Block, Picture, Table, Text, percent, value_text
+from sinsjax.report.reset_best import held_out
 from sinsjax.report.reset_grid import (
     LEVEL,
     NONE,
@@ -21,16 +21,18 @@ from sinsjax.report.reset_grid import (
     YAW,
     Answer,
     Grid,
+    against,
+    point_name,
 )
 
 KINDS = (
     Kind("o", "settles without reset", "#dcdcdc"),
-    Kind("+", "fails without; the three cure it, one does too", COLOURS[5]),
-    Kind("3", "fails without; the three cure it, one does not", COLOURS[0], dark=True),
-    Kind("~", "fails without; settles with the three, not as precise", COLOURS[4]),
-    Kind("x", "fails without, and with the three", COLOURS[1], dark=True),
+    Kind("+", "cured by the three, by one too", COLOURS[5]),
+    Kind("3", "cured by the three, not by one", COLOURS[0], dark=True),
+    Kind("~", "settles with the three, precision not shown", COLOURS[4]),
+    Kind("x", "fails with the three too", COLOURS[1], dark=True),
 )
-"""What the paper's claim comes to at a point; *one*: the best single reset."""
+"""What the paper's claim comes to at a point, all but the first where it fails without reset."""
 
 NOT_NEEDED, ONE_TOO, SEVERAL, COARSE, NOT_CURED = range(len(KINDS))
 _HOLDS = (ONE_TOO, SEVERAL)
@@ -72,18 +74,16 @@ def claims(grid: Grid, readings: Sequence[int]) -> list[Claim]:
 def _claim(grid: Grid, at: tuple[int, int, int]) -> Claim:
     without, three = (grid.schedule(schedule) for schedule in (NONE, PAPER_SCHEDULE))
     settle, small = grid.settle_s[at], (at[0], 0, 0, without)
-    shares = (
-        _settled(settle[without]),
-        _settled(settle[three]),
-        held_out(settle, grid.with_count(1, 1)).settled,
-    )
+    shares = _settled(settle[without]), _settled(settle[three])
+    one = held_out(settle, grid.with_count(1, 1)).settled
     apart = analysis.difference(grid.yaw_mean[*at, three], grid.yaw_mean[small])
     return Claim(
         at,
         *shares,
-        apart=apart,
+        one,
+        apart,
         later_s=analysis.quantile_difference(settle[three], grid.settle_s[small]),
-        kind=_kind(grid, *(share.value for share in shares), apart),
+        kind=_kind(grid, (*shares, one), apart),
     )
 
 
@@ -91,22 +91,24 @@ def _settled(settle_s: NDArray) -> Estimate:
     return analysis.proportion(int(np.isfinite(settle_s).sum()), settle_s.size)
 
 
-def _kind(grid: Grid, none: float, three: float, one: float, apart: Estimate) -> int:
+def _kind(grid: Grid, shares: Sequence[Estimate], apart: Estimate) -> int:
+    """Place in `KINDS`, from the shares without reset, with the three, with the best one."""
     meaning = grid.study.statements
-    if none >= meaning.converges_share:
+    none, three, one = (share.value >= meaning.converges_share for share in shares)
+    if none:
         return NOT_NEEDED
-    if three < meaning.converges_share:
+    if not three:
         return NOT_CURED
     limit = meaning.as_precise_arcmin
     if not (-limit < apart.low and apart.high < limit and apart.n == grid.draws):
         return COARSE
-    return ONE_TOO if one >= meaning.converges_share else SEVERAL
+    return ONE_TOO if one else SEVERAL
 
 
 def answer(grid: Grid) -> Answer:
     """Question 4."""
     found = claims(grid, grid.measured)
-    blocks = [
+    blocks: list[Block] = [
         Text(_words(grid)),
         _at_condition_5(grid, found),
         _picture(grid, found),
@@ -120,22 +122,19 @@ def _headline(grid: Grid, found: Sequence[Claim]) -> str:
     holding = [grid.readings[c.at[0]].name for c in paper if c.kind in _HOLDS]
     here = next(c for c in paper if c.at[0] == grid.paper_reading)
     counts = Counter(c.kind for c in found)
-    level, yaw = (
-        values[i] for values, i in zip((grid.levels, grid.yaws), here.at[1:], strict=True)
-    )
     return (
-        f"Where does the paper's claim hold? At ({level:g}, {level:g}, {yaw:g}) deg under"
+        f"Where does the paper's claim hold? At {point_name(grid, here.at)} under"
         f" {len(holding)} of {len(paper)} readings ({'; '.join(holding) or 'none'}). Over"
         f" {len(found)} points of misalignment and reading {counts[NOT_NEEDED]} settle without"
         f" reset; of the others the paper's three cure {counts[ONE_TOO] + counts[SEVERAL]}, and at"
         f" {counts[ONE_TOO]} of these one does too. It is no claim on speed: at the paper's point,"
-        f" {grid.readings[here.at[0]].name}, the three settle"
-        f" {format_estimate(here.later_s, 's', 0)} later than the smallest misalignment."
+        f" {grid.readings[here.at[0]].name}, the heading with the three"
+        f" {against(here.later_s, 'that of the smallest misalignment without reset')}."
     )
 
 
 def _words(grid: Grid) -> str:
-    meaning, level, yaw = grid.study.statements, grid.levels[0], grid.yaws[0]
+    meaning, small = grid.study.statements, point_name(grid, (0, 0, 0))
     start, end = grid.study.study.window_s
     return (
         "The paper: the standard filter fails with large misalignment; reset several times before"
@@ -143,8 +142,8 @@ def _words(grid: Grid) -> str:
         f" *fails*: less than {meaning.converges_share:g} of the draws settle; *cure*: at least"
         f" {meaning.converges_share:g} settle with resets at {value_text(list(PAPER_SCHEDULE))} s,"
         f" and the mean of phi_u over {start:g} to {end:g} s is, interval included, within"
-        f" {meaning.as_precise_arcmin:g} arcmin of that of the smallest misalignment"
-        f" ({level:g}, {level:g}, {yaw:g}) deg without reset, same reading and noise."
+        f" {meaning.as_precise_arcmin:g} arcmin of that of the smallest misalignment, {small},"
+        " without reset, same reading and noise."
     )
 
 
@@ -173,12 +172,8 @@ def _at_condition_5(grid: Grid, found: Sequence[Claim]) -> Table:
         f"Number [95 % interval over {grid.draws} draws]. Measured force. *From*, *later*: with the"
         " three, paired on the same noise."
     )
-    level, yaw = (values[i] for values, i in zip(_sides(grid), grid.paper_point, strict=True))
-    return Table(f"The paper's ({level:g}, {level:g}, {yaw:g}) deg", header, rows, note)
-
-
-def _sides(grid: Grid) -> tuple[Sequence[float], Sequence[float]]:
-    return grid.levels, grid.yaws
+    here = (grid.paper_reading, *grid.paper_point)
+    return Table(f"The paper's {point_name(grid, here)}", header, rows, note)
 
 
 def _picture(grid: Grid, found: Sequence[Claim]) -> Picture:
@@ -187,17 +182,18 @@ def _picture(grid: Grid, found: Sequence[Claim]) -> Picture:
         kinds[c.at] = c.kind
     readings = [grid.readings[i] for i in grid.measured]
     panels = [
-        (f"{r.q}, feedback {r.feedback_s:g} s", kinds[i])
+        (f"{r.q}, {r.feedback_s:g} s", kinds[i])
         for i, r in zip(grid.measured, readings, strict=True)
     ]
     return Picture(
         "claim",
         "What the paper's three resets do at each misalignment, by reading of Q and feedback"
-        f" interval, {grid.draws} draws, measured force.",
+        f" interval, {grid.draws} draws, measured force. All but the first kind fail without reset;"
+        " *one*: the best single reset.",
         kind_maps(
             panels,
             KINDS,
-            "Where do the paper's three resets help?",
+            "Where do the paper's three resets help? By Q and feedback",
             rows=Scale(LEVEL, grid.levels),
             columns=Scale(YAW, grid.yaws),
             across=len({r.feedback_s for r in readings}),

@@ -49,8 +49,8 @@ def cost(source: Source) -> Answer:
         ["versions", ", ".join(f"{name} {v}" for name, v in manifest["versions"].items())],
     ]
     headline = (
-        f"What did it cost? {steps / 1e9:,.1f} thousand million steps in {wall_s / 60:,.1f} min on"
-        f" {devices} devices."
+        f"What did it cost? {wall_s / 60:,.1f} min on {devices} devices, for {steps:.2g} steps of"
+        " sensors, navigation and filter."
     )
     note = "From the manifest of the results; compilation and writing are in the wall time."
     return Answer(headline, "What did it cost?", [Table("Cost", ["", ""], rows, note)])

@@ -50,14 +50,12 @@ def governed(failed: NDArray) -> Governed:
     Returns:
         (draws,) each, 1 together; NaN where all or none fail.
     """
-    values = failed.astype(float)
-    centred = values - values.mean(axis=(0, 1))
-    level = (centred.mean(axis=1) ** 2).mean(axis=0)
-    yaw = (centred.mean(axis=0) ** 2).mean(axis=0)
-    whole = (centred**2).mean(axis=(0, 1))
+    values = failed - failed.mean(axis=(0, 1))
+    level, yaw = values.mean(axis=1, keepdims=True), values.mean(axis=0, keepdims=True)
+    whole = (values**2).mean(axis=(0, 1))
     with np.errstate(invalid="ignore"):  # nothing varies: unknown
-        shares = level / whole, yaw / whole
-    return Governed(*shares, both=1 - shares[0] - shares[1])
+        parts = ((p**2).mean(axis=(0, 1)) / whole for p in (level, yaw, values - level - yaw))
+        return Governed(*parts)
 
 
 def answer(grid: Grid) -> Answer:
@@ -102,7 +100,7 @@ def _picture(grid: Grid, failed: NDArray) -> Picture:
     here = [r for r in grid.readings if r.q == PAPER_READING.q]
     panels = [
         (
-            f"{reading.force}, feedback {reading.feedback_s:g} s",
+            f"{reading.force}, {reading.feedback_s:g} s",
             100 * failed[grid.readings.index(reading)].mean(axis=-1),
         )
         for force in ("measured", "gravity")
@@ -112,10 +110,11 @@ def _picture(grid: Grid, failed: NDArray) -> Picture:
     return Picture(
         "failure",
         f"Share of {grid.draws} draws that never settle without reset, Q `{PAPER_READING.q}`: above"
-        " with the measured specific force in A(t), below with gravity.",
+        " with the measured specific force in A(t), below with gravity; a column for each feedback"
+        " interval.",
         plots.heat_maps(
             panels,
-            f"Which misalignments fail without reset? Q {PAPER_READING.q}",
+            f"Which fail without reset? By feedback interval, Q {PAPER_READING.q}",
             Shown("runs that never settle (%)", 0.0, 100.0, reverse=True),
             rows=Scale(LEVEL, grid.levels),
             columns=Scale(YAW, grid.yaws),
@@ -155,6 +154,7 @@ def _variances(grid: Grid, failed: NDArray) -> Table:
     header = [*READING_CELLS, "level (%)", "yaw (%)", "both together (%)"]
     note = (
         "Failure, 0 or 1, over the full grid of level and yaw: variance of its means over the yaws,"
-        f" over the levels, and the rest. -: all or none fail. {_NOTE}"
+        f" over the levels, and the rest; for the levels and yaws of this grid. -: all or none fail."
+        f" {_NOTE}"
     )
     return Table("What the variance of failure without reset comes from", header, rows, note)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax import analysis
-from sinsjax.analysis import Estimate
+from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.report.base import Block, Source, percent, value_text
 from sinsjax.studies import Study
 from sinsjax.types import InputError
@@ -95,15 +95,11 @@ class Grid:
         """
         study = source.study
         keys = ("specific_force", "q_reading", "feedback_interval_s")
-        levels, norths, yaws = (study.values(f"phi_{a}0_deg") for a in "enu")
-        if levels != norths:
+        east, north, up = (study.values(f"phi_{axis}0_deg") for axis in "enu")
+        if east != north:
             raise _unfit(study, "level errors about east and north that are the same")
-        points = (
-            [Reading(*point) for point in zip(*map(study.values, keys), strict=True)],
-            levels,
-            yaws,
-            study.reset_times(),
-        )
+        each = [Reading(*point) for point in zip(*map(study.values, keys), strict=True)]
+        points = (each, east, up, study.reset_times())
         orders = [list(dict.fromkeys(values)) for values in points]
         shape = tuple(map(len, orders))
         at = [list(map(o.index, values)) for o, values in zip(orders, points, strict=True)]
@@ -111,18 +107,15 @@ class Grid:
         if not np.array_equal(np.sort(place), np.arange(np.prod(shape))):
             raise _unfit(study, "every schedule once at every misalignment and reading")
         _require(study, *orders)
-        rows = source.rows((_SETTLED, _YAW))
+        draws, rows = source.draws, source.rows((_SETTLED, _YAW))
         settle, yaw = (
-            np.moveaxis(column.reshape(-1, study.n_variants)[:, np.argsort(place)], 0, -1)
-            for column in (analysis.numbers(rows, name) for name in (_SETTLED, _YAW))
+            analysis.numbers(rows, name).reshape(draws, -1)[:, np.argsort(place)].T
+            for name in (_SETTLED, _YAW)
         )
-        shape = (*shape, source.draws)
-        return cls(
-            study,
-            *map(tuple, orders),
-            settle_s=np.nan_to_num(settle, nan=np.inf).reshape(shape),
-            yaw_mean=yaw.reshape(shape),
-        )
+        shape = (*shape, draws)
+        settle = np.nan_to_num(settle, nan=np.inf).reshape(shape)
+        readings, levels, yaws, schedules = map(tuple, orders)
+        return cls(study, readings, levels, yaws, schedules, settle, yaw.reshape(shape))
 
     @property
     def measured(self) -> list[int]:
@@ -194,9 +187,25 @@ def schedule_name(times: Schedule) -> str:
     return f"{len(times)} from {times[0]:g} s, {times[1] - times[0]:g} s apart"
 
 
+def point_name(grid: Grid, at: tuple[int, int, int]) -> str:
+    """The misalignment of a point by the places of its reading, level and yaw."""
+    level, yaw = grid.levels[at[1]], grid.yaws[at[2]]
+    return f"({level:g}, {level:g}, {yaw:g}) deg"
+
+
 def median(settle_s: NDArray) -> NDArray:
     """Median over the draws, the last axis; infinite where fewer than half of them settled."""
     return np.quantile(settle_s, 0.5, axis=-1, method="inverted_cdf")
+
+
+def against(later_s: Estimate, other: str) -> str:
+    """A difference of settling times in words, such as ``settles 12 s [3, 20] later than ...``."""
+    if np.isinf(later_s.value):
+        return f"settles where {other} does not" if later_s.value < 0 else "does not settle"
+    if later_s.value >= 0:
+        return f"settles {format_estimate(later_s, 's', 0)} later than {other}"
+    sooner = Estimate(-later_s.value, -later_s.high, -later_s.low, later_s.n)
+    return f"settles {format_estimate(sooner, 's', 0)} sooner than {other}"
 
 
 def percent_mean(share: Estimate) -> str:

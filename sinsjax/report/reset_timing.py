@@ -19,6 +19,7 @@ from sinsjax.report.reset_grid import (
     Answer,
     Grid,
     median,
+    point_name,
     schedule_name,
 )
 
@@ -90,14 +91,13 @@ def singles(grid: Grid) -> list[Single]:
 def _headline(grid: Grid, found: Sequence[Single]) -> str:
     at = (grid.paper_reading, *grid.paper_point)
     here = next(one for one in found if one.at == at)
-    level, yaw = grid.levels[at[1]], grid.yaws[at[2]]
     first, last = (end(grid.schedules[i][0] for i in grid.with_count(1, 1)) for end in (min, max))
     counts = [
         sum(condition(one.works) for one in found)
         for condition in (bool, lambda w: first in w, lambda w: last in w)
     ]
     return (
-        f"When must it come? With a single reset at ({level:g}, {level:g}, {yaw:g}) deg,"
+        f"When must it come? With a single reset at {point_name(grid, at)},"
         f" {PAPER_READING.name}, the heading {_works(here)}; soonest with one at"
         f" {here.fastest:g} s, {format_estimate(here.fastest_s, 's', 0)}; at {last:g} s it is"
         f" {format_estimate(here.latest_s, 's', 0)}. Over {len(found)} points of misalignment and"
@@ -119,7 +119,7 @@ def _picture(grid: Grid) -> Picture:
     readings = [i for i in grid.measured if grid.readings[i].q == PAPER_READING.q]
     panels = [
         (
-            f"yaw {yaw:g} deg, feedback {grid.readings[i].feedback_s:g} s",
+            f"yaw {yaw:g} deg, {grid.readings[i].feedback_s:g} s",
             median(grid.settle_s[i, :, j][:, places]),
         )
         for i in readings
@@ -128,11 +128,11 @@ def _picture(grid: Grid) -> Picture:
     return Picture(
         "single_reset",
         f"Median settling time to {BAND_ARCMIN} arcmin over {grid.draws} draws against the time of"
-        f" the only reset, Q `{PAPER_READING.q}`, measured force. Hatched: at least half of the"
-        " draws never settle.",
+        f" the only reset, Q `{PAPER_READING.q}`, measured force; a column for each yaw error, a"
+        " line for each feedback interval. Hatched: at least half of the draws never settle.",
         plots.heat_maps(
             panels,
-            f"When must a single reset come? Q {PAPER_READING.q}",
+            f"When must a single reset come? By yaw and feedback interval, Q {PAPER_READING.q}",
             Shown("median settling time (s)", 0.0, grid.study.run_s, reverse=True),
             rows=Scale(LEVEL, grid.levels),
             columns=Scale("time of the reset_s", [grid.schedules[i][0] for i in places]),

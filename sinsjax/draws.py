@@ -1,0 +1,198 @@
+"""What runs share, what a draw has for itself, and what the sensors of a draw put out."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from sinsjax import earth, imu, rotations, trajectory
+from sinsjax.alignment import reverse
+from sinsjax.alignment.base import Options, Site
+from sinsjax.metrics import Criteria
+from sinsjax.types import Array, Count, Increments, Quat, Scalar, Vec3
+
+
+class Static(NamedTuple):
+    """What decides the compiled program; hashable.
+
+    Attributes:
+        method: name in `alignment.METHODS`.
+        options: of that method.
+        record_every: samples a record interval.
+        records: record intervals in a run; the run is records * record_every samples long.
+        curves: whether observations at all record times are returned.
+        noisy: whether the sensors have any noise to draw.
+        repeats: whether the tape is gone over backward and again; else forward, once.
+        sways: whether a base that draws have for themselves sways; a still one is sensed once.
+    """
+
+    method: str
+    options: Options
+    record_every: int
+    records: int
+    curves: bool
+    noisy: bool
+    repeats: bool = False
+    sways: bool = True
+
+
+class World(NamedTuple):
+    """What all runs of a batch share.
+
+    Attributes:
+        site: Earth and place.
+        tape: (T, 6) ideal or recorded increments, rad and m/s.
+        truth: (rows, records, 4) true or reference attitude at record times; NaN if unknown.
+        errors: of the sensors.
+        seed: of the noise.
+        criteria: what runs are judged against.
+        floor: what phi_u should settle to, rad.
+        pass_records: record intervals a pass over the tape; of no effect without repeats.
+        times: (records,) record times on the tape, s; None where `truth` has all that is needed.
+        motion: of the base, where draws have something for themselves.
+    """
+
+    site: Site
+    tape: Array
+    truth: Array
+    errors: imu.SensorErrors
+    seed: Count
+    criteria: Criteria
+    floor: Scalar
+    pass_records: Count
+    times: Array | None = None
+    motion: trajectory.Motion | None = None
+
+
+class Start(NamedTuple):
+    """What a draw begins with instead of its runs' `Params`; None for what is theirs.
+
+    Attributes:
+        phi: angles of the initial misalignment, rad.
+        ve: initial velocity east, m/s.
+        vn: initial velocity north, m/s.
+    """
+
+    phi: tuple[Scalar | None, Scalar | None, Scalar | None] = (None, None, None)
+    ve: Scalar | None = None
+    vn: Scalar | None = None
+
+
+class Made(NamedTuple):
+    """What follows from what a draw has for itself; None for what is the world's.
+
+    Attributes:
+        site: at its latitude.
+        floor: what phi_u of its runs should settle to, rad.
+        rest: (6,) ideal increments of its base, where that does not sway.
+    """
+
+    site: Site | None = None
+    floor: Scalar | None = None
+    rest: Array | None = None
+
+
+class Draw(NamedTuple):
+    """One realisation of what is random: noise, and whatever else a study draws.
+
+    What is None is that of the world, or of the run.
+
+    Attributes:
+        draw_id: decides its noise.
+        start: first sample on the tape; of many draws, one number if it is the same for all.
+        row: of `World.truth`.
+        begins: what its runs begin with.
+        errors: of its sensors.
+        motion: of its base; its increments are made sample by sample, in place of the tape's.
+        latitude: of its base, which then has a motion too, rad.
+        made: what follows from these.
+    """
+
+    draw_id: Count
+    start: Count
+    row: Count
+    begins: Start = Start()
+    errors: imu.SensorErrors | None = None
+    motion: trajectory.Motion | None = None
+    latitude: Scalar | None = None
+    made: Made = Made()
+
+
+def noise(static: Static, world: World, draws: Draw, numbers: Array) -> Increments | None:
+    """Standard normal numbers, leaves (n, *draws), for n samples; None if no sensor has noise."""
+    return imu.noise(world.seed, draws.draw_id, numbers) if static.noisy else None
+
+
+NOISE_ROW = 64
+"""Samples times draws whose noise is made at a time: fewer leave the vector units idle, more leave
+the first-level cache."""
+
+
+def piece(static: Static, draws: Draw) -> int:
+    """Samples whose noise is made at a time; a record interval is cut into equal pieces."""
+    every = static.record_every
+    most = NOISE_ROW // draws.draw_id.size if static.noisy else every
+    return max(n for n in range(1, max(1, min(most, every)) + 1) if every % n == 0)
+
+
+def sense(
+    static: Static, world: World, draw: Draw, n: Count, normal: Increments | None
+) -> Increments:
+    """What the sensors of one draw put out over its sample number ``n`` (from 0): rad, m/s.
+
+    Zeros for a negative number, before the tape: with them nothing is compensated.
+    """
+    dt = static.options.dt
+    if draw.made.rest is not None:
+        row = draw.made.rest
+    elif draw.motion is not None:
+        place = (world.site if draw.made.site is None else draw.made.site).place
+        k = jnp.asarray(n, world.tape.dtype)
+        row = trajectory.increment(draw.motion, place, 1 / dt, k)
+    else:
+        row = jnp.asarray(world.tape)[draw.start + n]
+    errors = world.errors if draw.errors is None else draw.errors
+    put_out = imu.measure(imu.split(row), errors, normal, dt)
+    if not static.repeats:
+        return put_out
+    return reverse.where(n < 0, jax.tree.map(jnp.zeros_like, put_out), put_out)
+
+
+def made(static: Static, world: World, draw: Draw) -> Made:
+    """What follows from what a draw has for itself."""
+    if draw.errors is None and draw.motion is None and draw.latitude is None:
+        return Made()
+    site = world.site
+    if draw.latitude is not None:
+        site = Site(site.earth, earth.place(site.earth, draw.latitude), draw.latitude)
+    errors = world.errors if draw.errors is None else draw.errors
+    motion = world.motion if draw.motion is None else draw.motion
+    assert motion is not None
+    rest = None
+    if draw.motion is not None and not static.sways:
+        rest = trajectory.increment(motion, site.place, 1 / static.options.dt, 0.0)
+    own = None if draw.latitude is None else site
+    return Made(own, floor_of(errors, motion, site.place), rest)
+
+
+def floor_of(errors: imu.SensorErrors, motion: trajectory.Motion, place: earth.Place) -> Scalar:
+    """Limit of phi_u for constant biases, -eps_E/omega_N + (nabla_E/g) tan L, rad.
+
+    Biases are turned to n at the attitude swayed about.
+    """
+    center = rotations.from_euler(*(sway.center for sway in motion))
+    eps = rotations.rotate(center, Vec3(*errors.gyro_bias)).x
+    nabla = rotations.rotate(center, Vec3(*errors.accel_bias)).x
+    return -eps / place.rate_n + nabla / place.gravity * place.tan_latitude
+
+
+def attitudes(static: Static, world: World, draws: Draw) -> Quat:
+    """True attitudes at record times, leaves (records, *draws); NaN if unknown."""
+    if draws.motion is None:
+        # From (*draws, records, 4) to leaves (records, *draws).
+        truth = jnp.asarray(world.truth)[draws.row, : static.records]
+        return Quat(*jnp.moveaxis(truth, (-1, -2), (0, 1)))
+    times = jnp.asarray(world.times)[: static.records]
+    at = jax.vmap(trajectory.attitude, in_axes=(None, 0))
+    many = at if draws.draw_id.ndim == 0 else jax.vmap(at, in_axes=(0, None), out_axes=1)
+    return many(draws.motion, times)
