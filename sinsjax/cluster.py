@@ -5,6 +5,7 @@ worker that is lost costs the tasks that it had, which Dask gives to others. Eve
 what the worker computed it with, so that no row of another version is ever written.
 """
 
+import gc
 import logging
 import multiprocessing
 import os
@@ -146,6 +147,7 @@ class Crew:
         raise InputError(f"{task.name}: {text}") from error
 
     def check(self, answer: Answer) -> None:
+        """Refuse rows of other versions; say once that machines differ."""
         _check_versions(answer.worker, answer.versions, versions())
         self._machine = self._machine or answer.machine
         if answer.machine != self._machine and not self._told:
@@ -171,7 +173,7 @@ class Crew:
     def _ask(self, what: str, **arguments: Any) -> Any:
         try:
             return getattr(self._client, what)(**arguments)
-        except (OSError, RuntimeError) as error:
+        except Exception as error:  # Dask has many names for it
             raise self._gone() from error
 
     def _gone(self) -> InputError:
@@ -219,7 +221,7 @@ def _local(workers: int) -> Iterator[Any]:
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(_CONFIG))
         stack.enter_context(_environment(_for_workers()))
-        with _signals_kept_away():
+        with _signals_kept_away(), _collector_off():
             cluster = stack.enter_context(
                 distributed.LocalCluster(
                     n_workers=workers,
@@ -272,6 +274,18 @@ def _environment(values: dict[str, str]) -> Iterator[None]:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+@contextmanager
+def _collector_off() -> Iterator[None]:
+    """No garbage collection: Dask hooks into it as it starts, and one under way would trip it."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
 
 
 @contextmanager

@@ -28,10 +28,10 @@ pytestmark = pytest.mark.slow
 
 CHUNK = 128
 STUDY: dict[str, Any] = BASE | {
-    "study": BASE["study"] | {"duration_s": 300.0, "window_s": [100, 300], "draws": 600},
-    "alignment": BASE["alignment"] | {"method": "compass"},
-    "compass": {"level_time_s": 2.0},
-    "axes": {"phi_u0_deg": [0.0, 1.0, 3.0, 5.0]},
+    "study": BASE["study"] | {"duration_s": 300.0, "window_s": [200, 300], "draws": 600},
+    "alignment": {"method": "compass", "phi_e0_deg": 0.1, "phi_n0_deg": 0.1},
+    "compass": {"level_time_s": 60.0},
+    "axes": {"phi_u0_deg": [0.0, 0.3, 0.6, 1.0]},
 }
 """2400 runs in 19 chunks of some 0.2 s; a compass is compiled quickly."""
 
@@ -83,7 +83,8 @@ class TestTwoWorkers:
     """Of one cluster, which ends with these tests: others count their processes."""
 
     @pytest.fixture(scope="class")
-    def two(self) -> Iterator[work.Executor]:
+    @classmethod
+    def two(cls) -> Iterator[work.Executor]:
         with cluster.executor(workers=2) as executor:
             yield executor
 
@@ -92,6 +93,7 @@ class TestTwoWorkers:
     ) -> None:
         campaign.run_into(study, tmp_path, chunk_runs=CHUNK, executor=two)
         assert len(here) == 19
+        assert "ok" in rows(tmp_path)["status"].to_pylist()
         assert parts(tmp_path) == here
         (session,) = results.read_manifest(tmp_path)["sessions"]
         assert (session["workers"], session["scheduler"]) == (2, "local")

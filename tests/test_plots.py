@@ -7,10 +7,12 @@ import pyarrow as pa
 import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from scipy import stats
 
 from sinsjax import plots
 from sinsjax.analysis import Estimate
-from sinsjax.plots import Ensemble, Line, Scale, Shown, Verdicts
+from sinsjax.plots import Belief, Ensemble, Line, Scale, Shown, Spread, Verdicts
+from sinsjax.plots.spreads import steps
 
 TIME = np.arange(1.0, 11.0)
 
@@ -239,14 +241,128 @@ def test_along_axis_marks_never():
     assert plots.png(figure)
 
 
-def test_distributions_end_below_one_where_some_never_settle():
-    values = np.array([30.0, np.nan, 10.0, np.inf])
-    figure = plots.distributions({"time (s)": {"a": values, "none": [np.nan]}}, "Title")
-    line, empty = figure.axes[0].get_lines()
+@pytest.mark.parametrize(
+    ("values", "marks"), [([0.0, 1.0, 2.0], ["0", "1", "2"]), ([0.0, 0.1, 9.0], None)]
+)
+def test_an_axis_is_marked_at_its_values_where_they_have_room(values, marks):
+    lines = {"a": [Estimate(1.0, 0.5, 2.0, 8)] * 3}
+    axes = plots.along_axis("reset_count", values, {"x": lines}, title="Title").axes[0]
+    found = [t.get_text() for t in axes.get_xticklabels()]
+    assert found == marks if marks else len(found) > 3
+
+
+def spread(*lines, far=math.inf, missing="never"):
+    named = {str(i): np.asarray(values, dtype=float) for i, values in enumerate(lines)}
+    return Spread("time (s)", named, missing, far)
+
+
+def test_distributions_tell_what_is_missing():
+    panels = [spread([30.0, np.nan, 10.0, np.inf], [np.nan, np.nan], [1.0, 2.0])]
+    figure = plots.distributions(panels, "Title")
+    axes = figure.axes[0]
+    line, empty, whole = (one for one in axes.get_lines() if one.get_linestyle() == "-")
     np.testing.assert_array_equal(line.get_xdata(), [10.0, 10.0, 30.0])
     np.testing.assert_array_equal(line.get_ydata(), [0.0, 0.25, 0.5])
+    np.testing.assert_array_equal(whole.get_ydata(), [0.0, 0.5, 1.0])
     assert empty.get_xdata().size == 0
+    on = [one for one in axes.get_lines() if one.get_linestyle() == ":"]
+    assert [list(one.get_ydata()) for one in on] == [[0.0, 0.0], [0.5, 0.5]]
+    assert on[1].get_xdata()[0] == 30.0 and on[1].get_xdata()[1] == axes.get_xlim()[1]
+    assert [t.get_text() for t in axes.texts] == ["100 % never", "50 % never"]
+    assert [t.get_color() for t in axes.texts] == [plots.colour(1), plots.colour(0)]
     assert plots.png(figure)
+
+
+def test_shares_of_what_is_missing_do_not_overlap():
+    values = [np.where(np.arange(1000) < n, np.nan, 1.0 + np.arange(1000)) for n in (4, 6, 9, 500)]
+    axes = plots.distributions([spread(*values, missing="no number")], "Title").axes[0]
+    heights = [t.get_position()[1] for t in axes.texts]
+    assert min(np.diff(heights)) > 0.05
+    assert [t.get_text().split(" %")[0] for t in axes.texts] == ["50", "0.9", "0.6", "0.4"]
+
+
+def test_a_wide_distribution_is_legible_from_end_to_end():
+    near, wide = (spread([-9.0, 1.0, far], far=60.0) for far in (50.0, 500.0))
+    first, second = plots.distributions([near, wide], "Title").axes
+    assert (first.get_xscale(), second.get_xscale()) == ("linear", "asinh")
+    assert first.get_xlabel() == "time (s)" and "logarithmic far from 0" in second.get_xlabel()
+    assert {-10.0, 0.0, 10.0, 100.0} <= set(second.get_xticks())
+
+
+def test_a_staircase_of_many_values_keeps_its_shape():
+    values = np.random.default_rng(3).normal(size=100_000)
+    values[:20_000] = np.nan
+    x, share = steps(values)
+    assert x.size <= 1000
+    assert (share[0], share[-1]) == (0.0, 0.8) and x[-1] == np.nanmax(values)
+    known = np.sort(values[20_000:])
+    np.testing.assert_allclose(np.searchsorted(known, x[1:], side="right") / 100_000, share[1:])
+
+
+def test_beliefs():
+    nees = np.array([0.5, 2.0, np.nan, 8.0])
+    shares = {"a": Estimate(0.7, 0.6, 0.8, 4), "b": Estimate(0.4, math.nan, math.nan, 4)}
+    shown = [Belief("x", nees, shares), Belief("y", 4 * nees, shares)]
+    left, right = plots.beliefs(shown, "Title").axes
+    first, second, chi2 = left.get_lines()
+    assert [line.get_label() for line in (first, second)] == ["x", "y"]
+    np.testing.assert_array_equal(first.get_ydata(), [0.0, 0.25, 0.5, 0.75])
+    expected = stats.chi2.cdf(chi2.get_xdata(), 3)
+    np.testing.assert_allclose(chi2.get_ydata(), expected, atol=1e-12)
+    assert left.get_xscale() == "log" and "NEES" in left.get_xlabel()
+    dashed = [line for line in right.get_lines() if line.get_linestyle() == "--"]
+    assert dashed[0].get_xdata()[0] == pytest.approx(stats.chi2.cdf(1.0, 1))
+    points = [container.lines[0].get_xdata()[0] for container in right.containers]
+    assert points == [0.7, 0.4, 0.7, 0.4]
+    assert [t.get_text() for t in right.get_legend().get_texts()] == ["a", "b"]
+
+
+def test_beliefs_where_nothing_is_known():
+    shown = [Belief("x", np.full(3, np.nan), {"a": Estimate(*[math.nan] * 3, 0)})]
+    assert plots.png(plots.beliefs(shown, "Title"))
+
+
+def test_panels_go_side_by_side_as_asked_and_long_names_wrap():
+    name = "feedback_interval 0.5 s, reset_kind full, q_reading per_step"
+    figure = plots.heat_maps(
+        [(name, np.ones((2, 2)))] * 6,
+        "Title",
+        Shown("share (%)", 0.0, 100.0),
+        rows=Scale("a", [0, 1]),
+        columns=Scale("b", [0, 1]),
+        across=3,
+    )
+    axes = figure.axes[:6]
+    assert axes[0].get_subplotspec().get_gridspec().get_geometry() == (2, 3)
+    assert all("\n" in a.get_title(loc="left") for a in axes)
+    assert axes[0].get_title(loc="left").replace("\n", " ") == name
+
+
+def image(content):
+    from PIL import Image
+
+    return np.asarray(Image.open(io.BytesIO(content)))
+
+
+def test_a_footer_stands_on_a_strip_below_the_figure():
+    figure = plots.misalignment([ensemble("a")], "Title")
+    plain, signed = (image(plots.png(figure, text)) for text in ("", "swing: 3 draws"))
+    height = plain.shape[0]
+    assert signed.shape[0] > height and signed.shape[1] == plain.shape[1]
+    np.testing.assert_array_equal(signed[:height], plain)
+    strip = signed[height:]
+    assert (strip < 128).any() and (strip[:2] == 255).all()
+    other = image(plots.png(figure, "swing: 4 draws"))
+    assert (other[height:] != strip).any()
+
+
+def test_letters_are_large_enough_for_a_slide():
+    figure = plots.misalignment([ensemble("a")], "Title", zoom_s=(2.0, 6.0))
+    plots.png(figure)
+    # A figure fills a slide of 13.3 in.
+    scale = 13.3 / figure.get_figwidth()
+    texts = [t for t in figure.findobj(mpl.text.Text) if t.get_text().strip()]
+    assert min(t.get_fontsize() for t in texts) * scale > 15
 
 
 def test_png_depends_on_the_figure_alone(monkeypatch):

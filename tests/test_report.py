@@ -13,7 +13,7 @@ from studies import small_study
 from sinsjax import analysis, columns, report, results, statements
 from sinsjax.analysis import Estimate
 from sinsjax.config import study_from_dict
-from sinsjax.report import base, car_test, limits, readings
+from sinsjax.report import base, car_test, limits, over_axes, readings
 from sinsjax.report.readings import CONCLUSIONS, Judged
 from sinsjax.statements import STATEMENTS, Verdict
 from sinsjax.types import InputError
@@ -153,9 +153,11 @@ def test_many_variants_are_pooled_without_intervals(tmp_path):
         [str(count), "24"] for count in (0, 1, 2)
     ]
     assert "[" not in table
-    assert {path.name for path in (tmp_path / "figures").iterdir()} == {
-        "settling_time.png",
-        "success_rate.png",
+    assert {path.stem for path in (tmp_path / "figures").iterdir()} == {
+        "settling_time",
+        "success_rate",
+        "distribution",
+        "consistency",
     }
 
 
@@ -171,6 +173,103 @@ def test_the_best_schedule_settles_most_runs_and_first(tmp_path):
     assert "3 [" in " ".join(row)
 
 
+def test_variants_are_compared_with_the_first_on_the_same_noise(tmp_path):
+    study = small_study(study={"draws": 40}, axes={"phi_u0_deg": [0.0, 30.0]})
+    settle = 50.0 + np.repeat(np.arange(40.0), 2) + np.tile([0.0, 7.0], 40)
+    status = ["ok"] * 79 + ["diverged"]
+    summary = summary_of(study, settle_10_s=settle, status=status)
+    text = told(store(tmp_path, study, summary)).partition("Against phi_u0 0 deg, on the same")[2]
+    row = next(line for line in text.splitlines() if line.startswith(" 30"))
+    share = analysis.proportion_difference(np.arange(40) < 39, np.full(40, True))
+    yaw = np.abs(summary["phi_u_mean_arcmin"].to_numpy() - FLOOR)
+    error = analysis.format_estimate(analysis.difference(yaw[1::2], yaw[::2]))
+    assert "7 [7, 7]" in row and base.percent(share) in row and error in row
+
+
+@pytest.mark.parametrize("changes", [{"study": {"draws": 1}}, {}])
+def test_one_draw_or_one_variant_is_compared_with_nothing(tmp_path, changes):
+    study = small_study(axes={"phi_u0_deg": [0.0, 30.0]} if changes else {}, **changes)
+    assert "Against" not in told(store(tmp_path, study, summary_of(study)))
+
+
+def test_axes_that_go_together_are_one(tmp_path):
+    level = {"phi_e0_deg": [0.0, 5.0, 10.0], "phi_n0_deg": [0.0, 5.0, 5.0]}
+    study = small_study(axes={"level": level, "phi_u0_deg": [0.0, 30.0]})
+    assert base.swept(study) == {("phi_e0_deg",): (0.0, 5.0, 10.0), ("phi_u0_deg",): (0.0, 30.0)}
+    settle = np.tile([10.0, 20.0, 30.0, 40.0, 50.0, 60.0], 3)
+    source = base.Source(tmp_path, study, "x.toml", summary_of(study, settle_10_s=settle))
+    blocks = {block.name: block for block in over_axes.over_axes(source)}
+    axes = blocks["settling_time"].figure.axes[0]
+    assert (axes.get_ylabel(), axes.get_xlabel()) == ("phi_e0 (deg)", "phi_u0 (deg)")
+    np.testing.assert_allclose(axes.get_images()[0].get_array(), settle[:6].reshape(3, 2))
+
+
+def test_an_axis_whose_first_key_repeats_is_told_by_all_of_its_keys():
+    both = {"phi_e0_deg": [0.0, 0.0], "phi_n0_deg": [0.0, 5.0]}
+    study = small_study(axes={"level": both})
+    assert base.swept(study) == {("phi_e0_deg", "phi_n0_deg"): ((0.0, 0.0), (0.0, 5.0))}
+    assert base.shown_keys(study) == ("phi_e0_deg", "phi_n0_deg")
+
+
+def test_a_study_that_stopped_early_has_the_draws_that_it_has(tmp_path):
+    stop = {"statistic": "success_rate", "half_width": 0.2}
+    axes = {"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]}
+    study = small_study(study={"draws": 100}, stop_when=stop, axes=axes)
+    summary = summary_of(study).slice(0, 4 * 64)
+    text = told(store(tmp_path, study, summary))
+    assert "256 runs: 4 variants, 64 draws." in text
+
+
+def test_no_column_is_read_that_is_not_told(tmp_path, monkeypatch):
+    study = small_study(axes={"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]})
+    directory = store(tmp_path, study, summary_of(study), curves_of(study))
+    seen = []
+
+    def read(directory, names=None):
+        assert names is not None, "the whole summary was read"
+        seen.append(names)
+        return read_summary(directory, names)
+
+    read_summary = results.read_summary
+    monkeypatch.setattr(results, "read_summary", read)
+    told(directory)
+    assert seen and max(map(len, seen)) < 10
+
+
+def test_rows_are_some_columns_by_run(tmp_path):
+    study = small_study(axes={"phi_u0_deg": [0.0, 30.0]})
+    whole = summary_of(study)
+    source = base.Source.read(store(tmp_path, study, whole.take([5, 1, 3, 0, 2, 4])))
+    names = ["nees", "phi_u0_deg", "nees"]
+    assert source.rows(names).equals(whole.select(["nees", "phi_u0_deg"]))
+    assert source.runs == 6 and source.draws == 3
+    held = base.Source(tmp_path, study, "x.toml", whole)
+    assert held.rows(names).equals(source.rows(names))
+    for one in (source, held):
+        with pytest.raises(InputError, match="summary: column nothing is missing"):
+            one.rows(["nothing"])
+
+
+@pytest.mark.parametrize(
+    ("axes", "draws", "text"),
+    [
+        ({"phi_u0_deg": [0.0, 30.0]}, 3, "swing: 2 variants × 3 draws = 6 runs"),
+        ({}, 1200, "swing: 1,200 draws"),
+        ({}, 1, "swing: 1 draw"),
+    ],
+)
+def test_figures_say_what_they_rest_on(tmp_path, axes, draws, text):
+    study = small_study(study={"name": "swing", "draws": draws}, axes=axes)
+    source = base.Source(tmp_path, study, "x.toml", summary_of(study))
+    assert report.output.counted(source) == text
+
+
+def test_figures_of_a_record_count_its_start_times(tmp_path):
+    study = recorded_study()
+    source = base.Source(tmp_path, study, "x.toml", summary_of(study))
+    assert report.output.counted(source) == "car: 3 start times"
+
+
 def test_incomplete_results_are_told(tmp_path):
     study = small_study(axes={"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]})
     summary = summary_of(study).slice(0, 11)
@@ -182,7 +281,7 @@ def test_curves_are_drawn_where_they_were_stored(tmp_path):
     study = small_study()
     told(store(tmp_path, study, summary_of(study), curves_of(study)))
     names = {path.name for path in (tmp_path / "figures").iterdir()}
-    assert names == {"misalignment.png", "distribution.png"}
+    assert names == {"misalignment.png", "distribution.png", "consistency.png"}
 
 
 def test_a_record_without_reference_tells_attitude_and_sigma(tmp_path):
@@ -214,11 +313,15 @@ def test_a_page(tmp_path):
     assert (blank, title) == ("", "# swing")
     assert str(tmp_path) not in text
     links = re.findall(r"!\[.*?\]\((.*?)\)", text)
-    assert links == ["figures/swing_along_axis.png"]
+    names = ("along_axis", "distribution", "consistency")
+    assert links == [f"figures/swing_{name}.png" for name in names]
     for link in links:
         assert 0 < (page.parent / link).stat().st_size < 300_000
-    header, rule, *rows = [line for line in text.splitlines() if line.startswith("|")]
-    assert len(rows) == 2 and {line.count("|") for line in (header, rule, *rows)} == {7}
+    tables = [
+        [line.count("|") for line in part.splitlines() if line.startswith("|")]
+        for part in text.split("**Against")
+    ]
+    assert tables == [[7, 7, 7, 7], [5, 5, 5]]
 
 
 @pytest.mark.usefixtures("drawn")

@@ -50,8 +50,8 @@ def reset_study(*, turned=False, **changes):
     data["axes"] |= {
         "q_reading": ["per_step", "psd"],
         "feedback_interval_s": [1, 10],
-        "phi_u0_deg": [5, 30, 120],
-        "level": {"phi_e0_deg": [0, 5], "phi_n0_deg": [0, 5]},
+        "phi_u0_deg": [5, 120, 30],
+        "level": {"phi_e0_deg": [5, 0], "phi_n0_deg": [5, 0]},
         "schedule": dict(zip(keys, map(list, zip(*SCHEDULES, strict=True)), strict=True)),
     }
     for section, change in changes.items():
@@ -148,7 +148,13 @@ def test_every_run_is_found_at_its_place(turned):
 
     assert by_variant(study, check).size == study.n_variants
     assert grid.settle_s.shape == (8, 2, 3, 6, DRAWS) and grid.draws == DRAWS
-    assert [grid.readings[i].force for i in grid.measured] == ["measured"] * 4
+    assert [grid.readings[i][1:] for i in grid.measured] == [
+        ("per_step", 1.0),
+        ("per_step", 10.0),
+        ("psd", 1.0),
+        ("psd", 10.0),
+    ]
+    assert grid.levels == (0.0, 5.0) and grid.yaws == (5.0, 30.0, 120.0)
     assert sorted([*grid.measured, *grid.gravity]) == list(range(8))
     assert grid.readings[grid.paper_reading] == ("measured", "per_step", 1.0)
     level, yaw = grid.paper_point
@@ -158,12 +164,13 @@ def test_every_run_is_found_at_its_place(turned):
 def test_schedules_are_found_by_their_count():
     grid = grid_of(lambda *point: 100.0)
     assert [grid.schedules[i] for i in grid.with_count(1, 1)] == [(10.0,), (100.0,)]
-    assert [len(grid.schedules[i]) for i in grid.with_count(2)] == [2, 3, 2]
-    assert [schedule_name(times) for times in grid.schedules[:5]] == [
+    assert [len(grid.schedules[i]) for i in grid.with_count(2)] == [2, 2, 3]
+    assert [schedule_name(times) for times in grid.schedules] == [
         "none",
         "1 at 10 s",
         "1 at 100 s",
         "2 from 10 s, 100 s apart",
+        "2 from 25 s, 50 s apart",
         "3 from 50 s, 50 s apart",
     ]
 
@@ -232,11 +239,11 @@ def test_each_half_tells_what_the_other_chose(settle):
 
 
 def test_a_choice_among_equals_gains_nothing():
-    settle = 100 + 20 * np.random.default_rng(0).standard_normal((400, 40, 8))
+    settle = 100 + 20 * np.random.default_rng(0).standard_normal((100, 40, 8))
     places = list(range(40))
     told = np.mean([reset_best.held_out(one, places).settle_s.mean() for one in settle])
     flattered = np.mean([np.sort(one.mean(axis=1))[0] for one in settle])
-    assert told == pytest.approx(100, abs=1.5) and flattered < 90
+    assert told == pytest.approx(100, abs=2) and flattered < 90
 
 
 def test_one_schedule_for_all_has_the_least_mean_with_failures_at_the_end_of_the_run():
@@ -390,10 +397,7 @@ def test_variance_is_split_as_by_least_squares(failed):
 
 
 def failing(reading, level, yaw, times):
-    """Measured: fails by level at 1 s, by yaw at 10 s; gravity cures all but psd, which has both.
-
-    With one draw in eight failing everywhere at psd, 1 s.
-    """
+    """Measured: by level at 1 s, by yaw at 10 s; gravity cures it. With psd: by either alone."""
     if reading.q == "psd":
         return NEVER if (level > 0) != (yaw > 5) else 100.0
     if reading.force == "gravity":
@@ -491,15 +495,19 @@ def test_question_4_counts_readings_and_points():
 MANIFEST = {"runs": 2304, "wall_s": 120.0, "devices": 2, "versions": {"sinsjax": "1", "jax": "2"}}
 
 
-def made(tmp_path, manifest=MANIFEST):
-    (tmp_path / "manifest.json").write_text(json.dumps(manifest))
+def results_in(directory, **changes):
+    (directory / "manifest.json").write_text(json.dumps(MANIFEST | changes))
     study = reset_study()
     settle = by_variant(study, times_of) + np.arange(DRAWS)[:, None]
-    return reset_cycle.report(source_of(study, settle, directory=tmp_path))
+    return source_of(study, settle, directory=directory)
 
 
-def test_the_page_answers_five_questions(tmp_path):
-    report = made(tmp_path)
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    return reset_cycle.report(results_in(tmp_path_factory.mktemp("results")))
+
+
+def test_the_page_answers_five_questions(report):
     assert [section.heading for section in report.sections] == [
         "Is more than one reset ever better than one?",
         "When must the reset come?",
@@ -519,19 +527,19 @@ def test_the_page_answers_five_questions(tmp_path):
 
 def test_the_cost_is_the_manifests(tmp_path):
     sessions = [{"cpu": "A"}, {"cpu": "B"}, {"cpu": "A"}, {}]
-    cost = dict(made(tmp_path, MANIFEST | {"sessions": sessions}).sections[-1].blocks[0].rows[:7])
+    answer = reset_cycle.cost(results_in(tmp_path, sessions=sessions))
+    rows = answer.blocks[0].rows
+    cost = dict(rows[:7])
     steps = 2304 * 90_000
     assert cost["steps of sensors, navigation and filter"] == f"{steps:,}"
     assert cost["time a step and run on one device (ns)"] == f"{120 * 2 / steps * 1e9:.0f}"
     assert cost["runs a second"] == "19" and cost["times real time"] == "17,280"
-    rows = made(tmp_path, MANIFEST | {"sessions": sessions}).sections[-1].blocks[0].rows
     assert [row[1] for row in rows if row[0] == "processor"] == ["A", "B"]
     assert rows[-1] == ["versions", "sinsjax 1, jax 2"]
-    assert "2.0 min on 2 devices, for 2.1e+08 steps" in made(tmp_path).headline[-1]
+    assert "2.0 min on 2 devices, for 2.1e+08 steps" in answer.headline
 
 
-def test_figures_show_the_medians(tmp_path):
-    report = made(tmp_path)
+def test_figures_show_the_medians(report):
     pictures = {b.name: b for s in report.sections for b in s.blocks if isinstance(b, Picture)}
     panels = {axes.get_title(loc="left"): axes for axes in pictures["settling_psd"].figure.axes}
     values = {name: axes.images[0].get_array() for name, axes in panels.items() if axes.images}

@@ -20,7 +20,8 @@ from sinsjax.plots.style import COLOURS, label, styled
 _NEVER, _NEVER_EDGE = "#dcdcdc", "#b5b5b5"
 _HATCH = "////"
 _CONTOUR = COLOURS[1]
-_LEGIBLE = 10  # cells side by side in a panel that still have room for their numbers
+_ROOMY = 6  # cells side by side in a panel that have room for numbers of full size,
+_LEGIBLE = 10  # and for small ones
 _LETTERS = 9  # of a panel's title in an inch
 _LIGHT = 0.5  # of the colour map; cells beyond it are light and carry dark numbers
 
@@ -134,7 +135,8 @@ def heat_maps(
     for number, (axes, (_, values)) in enumerate(zip(grid.flat, panels, strict=False)):
         image = _heat_map(axes, values, shown)
         axes.set_title(names[number])
-        axes.set_xticks(range(len(columns.values)), [f"{v:g}" for v in columns.values])
+        marks = [f"{v:g}" for v in columns.values]
+        axes.set_xticks(range(len(marks)), marks, fontsize=10.5 if len(marks) <= _ROOMY else 9)
         axes.set_yticks(range(len(rows.values)), [f"{v:g}" for v in rows.values])
         if contours:
             _contour(axes, contours.levels, contours.values[number])
@@ -189,17 +191,18 @@ def _heat_map(axes: Axes, values: NDArray, shown: Shown) -> AxesImage:
     )
     axes.grid(visible=False)
     axes.patch.set(facecolor=_NEVER, edgecolor=_NEVER_EDGE, hatch=_HATCH)  # behind masked cells
+    size = 9.0 if values.shape[1] <= _ROOMY else 7.5
     if values.shape[1] <= _LEGIBLE:
         for (row, column), value in np.ndenumerate(values):
             if np.isfinite(value):
-                _write(axes, (column, row), value, shown)
+                _write(axes, (column, row), value, shown, size=size)
     return image
 
 
-def _write(axes: Axes, cell: tuple[int, int], value: float, shown: Shown) -> None:
+def _write(axes: Axes, cell: tuple[int, int], value: float, shown: Shown, *, size: float) -> None:
     light = (shown.norm(value) > _LIGHT) != shown.reverse
     shade = "black" if light else "white"
-    axes.text(*cell, shown.text(value), ha="center", va="center", fontsize=8.5, color=shade)
+    axes.text(*cell, shown.text(value), ha="center", va="center", fontsize=size, color=shade)
 
 
 class Verdicts(NamedTuple):

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -58,18 +59,10 @@ def kind_maps(
         axes.imshow(
             values, cmap=colours, vmin=-0.5, vmax=len(kinds) - 0.5, aspect="auto", origin="lower"
         )
-        for (row, column), value in np.ndenumerate(values):
-            kind = kinds[value]
-            shade = "white" if kind.dark else "black"
-            axes.text(column, row, kind.mark, ha="center", va="center", color=shade)
+        _mark(axes, values, kinds)
         axes.set_title(name)
         axes.set_xticks(range(len(columns.values)), [f"{v:g}" for v in columns.values])
         axes.set_yticks(range(len(rows.values)), [f"{v:g}" for v in rows.values])
-        axes.set_xticks(np.arange(len(columns.values) + 1) - 0.5, minor=True)
-        axes.set_yticks(np.arange(len(rows.values) + 1) - 0.5, minor=True)
-        axes.grid(visible=False, which="major")
-        axes.grid(which="minor", color="white", linewidth=1.2)
-        axes.tick_params(which="both", length=0)
     for axes in list(grid.flat)[len(panels) :]:
         axes.set_visible(False)
     for axes in grid[:, 0]:
@@ -81,3 +74,17 @@ def kind_maps(
     fit = max(1, int(figure.get_figwidth() * 11 / (widest + 8)))
     figure.legend(handles=handles, loc="outside lower center", ncols=fit)
     return figure
+
+
+def _mark(axes: Axes, values: NDArray, kinds: Sequence[Kind]) -> None:
+    """Writes the marks into the cells, and draws lines between these."""
+    for (row, column), value in np.ndenumerate(values):
+        kind = kinds[value]
+        shade = "white" if kind.dark else "black"
+        axes.text(column, row, kind.mark, ha="center", va="center", color=shade)
+    down, right = values.shape
+    axes.set_xticks(np.arange(right + 1) - 0.5, minor=True)
+    axes.set_yticks(np.arange(down + 1) - 0.5, minor=True)
+    axes.grid(visible=False, which="major")
+    axes.grid(which="minor", color="white", linewidth=1.2)
+    axes.tick_params(which="both", length=0)

@@ -75,7 +75,7 @@ def prediction(
         quantity: what both are, with its unit; drawn about linear near 0, logarithmic far from it.
         band: dotted lines at +- this value.
     """
-    figure = Figure(figsize=(9.2, 3.4))
+    figure = Figure(figsize=(9.2, 4.2))
     figure.suptitle(title)
     grid = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     known = [
@@ -100,7 +100,7 @@ def prediction(
         axes.set_xlim(-reach, reach)
         axes.set_ylim(-reach, reach)
         axes.set_title(name)
-    figure.supxlabel(f"predicted {quantity}", fontsize=9.5)
+    figure.supxlabel(f"predicted {quantity}", fontsize=11.5)
     grid[0].set_ylabel(f"simulated {quantity}")
     return figure
 

@@ -21,6 +21,7 @@ from sinsjax.report import (
     paper2_reasons,
     pass_consistency,
     readings,
+    reset_cycle,
 )
 from sinsjax.report.base import Layout, Report, Source
 from sinsjax.report.html import write_html
@@ -38,6 +39,7 @@ LAYOUTS: dict[str, Layout] = {
     "compass_schedules": compass_schedules.report,
     "pass_consistency": pass_consistency.report,
     "consistency": consistency.report,
+    "reset_cycle": reset_cycle.report,
 }
 """What each ``[report] layout`` is made by, in the order in which several share a page."""
 

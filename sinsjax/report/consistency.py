@@ -74,25 +74,25 @@ class Checked(NamedTuple):
 
 def report(source: Source) -> Report:
     """Mean NEES and NIS of every variant in their bands or out, and the distribution of NEES."""
-    checked = list(_checked(source))
+    checked = list(checked_of(source))
     if not any(one.expected for one in checked):
         name = source.study.study.name
         raise InputError(f"{name}: its layout needs a variant whose filter believes what is true")
     blocks: list[Block] = [
         _table(checked),
         Text(
-            "In 95 of 100 studies such as this one a filter whose belief is true lies in its band."
-            f" A run lies in it with a NEES up to {_CHI2:.2f}, which 95 % of the runs of such a"
-            " filter have. *Belief true*: initial errors and velocities are drawn from P0, Q is"
-            " the variance of the noise, and nothing is biased; errors are small enough for the"
-            " linear model."
+            "*Belief true*: initial errors and velocities are drawn from P0, Q is the variance of"
+            " the noise, and nothing is biased; errors are small enough for the linear model. In 95"
+            " of 100 studies such as this one the mean of such a filter lies in its band, and 95 %"
+            f" of its runs have a NEES up to {_CHI2:.2f}."
         ),
         consistency([belief(one.name, one.rows) for one in checked]),
     ]
     return Report(list(_headline(source, checked)), [Section("Consistency", blocks)])
 
 
-def _checked(source: Source) -> Iterator[Checked]:
+def checked_of(source: Source) -> Iterator[Checked]:
+    """Every variant of a study against its bands, in the study's order."""
     keys = shown_keys(source.study)
     true = belief_is_true(source.study)
     table = source.rows(["variant_id", *keys, *_COLUMNS])
@@ -145,13 +145,15 @@ def _table(checked: Sequence[Checked]) -> Table:
         ]
         for one in checked
     ]
-    header = ["variant", "belief", "NEES, mean", "band", "", "NIS of phi_u, mean", "band", ""]
+    header = ["variant", "belief", "NEES, mean", "its band", "lies"]
+    header += ["NIS of phi_u, mean", "its band", "lies"]
     return Table(
         "Mean NEES and NIS against the 95 % band of a filter whose belief is true",
         [*header, "runs up to the 95 % quantile (%)"],
         rows,
         "Number [95 % interval over the draws]. NEES = phi' P^-1 phi at the end,"
-        f" {analysis.NEES_FREEDOM} degrees of freedom; NIS of phi_u = (phi_u - floor)^2 / P_UU, 1.",
+        f" {analysis.NEES_FREEDOM} degrees of freedom; NIS of phi_u = (phi_u - floor)^2 / P_UU, 1:"
+        " what a bias does to the floor is not in it.",
     )
 
 
@@ -171,7 +173,7 @@ def _headline(source: Source, checked: Sequence[Checked]) -> Iterator[str]:
             yield (
                 f"{one.name}: over {source.draws:,} draws the mean NEES is {one.nees.value:.2f},"
                 f" {_verdict(one.nees, one.nees_band)} its 95 % band of {_band(one.nees_band)};"
-                f" {percent(one.inside)} % of the runs lie up to the 95 % quantile."
+                f" {percent(one.inside)} % of the runs have a NEES up to the 95 % quantile."
             )
     if wrong := [one for one in checked if not one.expected]:
         outside = sum(not one.holds for one in wrong)

@@ -2,18 +2,15 @@
 
 import base64
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from html import escape
 from pathlib import Path
-
-from markdown_it import MarkdownIt
+from typing import Any
 
 from sinsjax import runtime
 from sinsjax.files import replacing
 from sinsjax.report.base import Block, Picture, Table, Text
 from sinsjax.report.output import Made
-
-# What a report says is Markdown without links or images; anything else in it is text.
-_MARKDOWN = MarkdownIt("commonmark", {"html": False}).disable(["link", "image", "autolink"])
 
 _STYLE = """
 :root { color-scheme: light dark; --line: #8888; --soft: #8881; }
@@ -76,7 +73,7 @@ def _page(title: str, made: Sequence[Made], notes: Sequence[str]) -> Iterator[st
 
 def _block(block: Block, made: Made) -> str:
     if isinstance(block, Text):
-        return str(_MARKDOWN.render(block.text)).rstrip()
+        return str(_markdown().render(block.text)).rstrip()
     if isinstance(block, Table):
         return _table(block)
     return _figure(block, made.images[block.name])
@@ -103,4 +100,12 @@ def _table(table: Table) -> str:
 
 
 def _inline(text: str) -> str:
-    return str(_MARKDOWN.renderInline(text))
+    return str(_markdown().renderInline(text))
+
+
+@lru_cache(maxsize=1)
+def _markdown() -> Any:
+    """What a report says is Markdown without links or images; anything else in it is text."""
+    from markdown_it import MarkdownIt  # late, for reports without such a page
+
+    return MarkdownIt("commonmark", {"html": False}).disable(["link", "image", "autolink"])

@@ -11,6 +11,7 @@ from sinsjax.report.base import Block, Picture, Table, Text, percent, value_text
 from sinsjax.report.reset_best import Contest, Pick, contests, held_out_for_all
 from sinsjax.report.reset_grid import (
     BAND_ARCMIN,
+    FORCES,
     LEVEL,
     NONE,
     READING_CELLS,
@@ -75,7 +76,7 @@ def _pictures(grid: Grid, found: Sequence[Contest]) -> Iterator[Picture]:
     for q in dict.fromkeys(r.q for r in grid.readings):
         panels = []
         for feedback in dict.fromkeys(r.feedback_s for r in grid.readings if r.q == q):
-            here, there = (grid.reading(f, q, feedback) for f in ("measured", "gravity"))
+            here, there = (grid.reading(f, q, feedback) for f in FORCES)
             best = np.array([picked[here, *at] for at in np.ndindex(shape)]).reshape(*shape, 2)
             panels += [
                 (f"none, {feedback:g} s", none[here]),

@@ -29,8 +29,8 @@ KINDS = (
     Kind("o", "settles without reset", "#dcdcdc"),
     Kind("+", "cured by the three, by one too", COLOURS[5]),
     Kind("3", "cured by the three, not by one", COLOURS[0], dark=True),
-    Kind("~", "settles with the three, precision not shown", COLOURS[4]),
-    Kind("x", "fails with the three too", COLOURS[1], dark=True),
+    Kind("~", "settled, precision not shown", COLOURS[4]),
+    Kind("x", "not settled by the three", COLOURS[1], dark=True),
 )
 """What the paper's claim comes to at a point, all but the first where it fails without reset."""
 

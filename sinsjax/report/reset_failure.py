@@ -9,6 +9,7 @@ from sinsjax import analysis, plots
 from sinsjax.plots import Scale, Shown
 from sinsjax.report.base import Block, Picture, Table, percent
 from sinsjax.report.reset_grid import (
+    FORCES,
     LEVEL,
     NONE,
     PAPER_READING,
@@ -103,7 +104,7 @@ def _picture(grid: Grid, failed: NDArray) -> Picture:
             f"{reading.force}, {reading.feedback_s:g} s",
             100 * failed[grid.readings.index(reading)].mean(axis=-1),
         )
-        for force in ("measured", "gravity")
+        for force in FORCES
         for reading in here
         if reading.force == force
     ]
@@ -154,7 +155,7 @@ def _variances(grid: Grid, failed: NDArray) -> Table:
     header = [*READING_CELLS, "level (%)", "yaw (%)", "both together (%)"]
     note = (
         "Failure, 0 or 1, over the full grid of level and yaw: variance of its means over the yaws,"
-        f" over the levels, and the rest; for the levels and yaws of this grid. -: all or none fail."
+        " over the levels, and the rest; for the levels and yaws of this grid. -: all or none fail."
         f" {_NOTE}"
     )
     return Table("What the variance of failure without reset comes from", header, rows, note)

@@ -30,6 +30,10 @@ _SETTLED = f"settle_{BAND_ARCMIN}_s"
 _YAW = "phi_u_mean_arcmin"
 
 
+FORCES = ("measured", "gravity")
+"""The specific force in A(t), and that of the ablation."""
+
+
 class Reading(NamedTuple):
     """What paper 1 does not print, and the force of the ablation.
 
@@ -70,10 +74,10 @@ class Grid:
 
     Attributes:
         study: whose runs.
-        readings: in the study's order.
-        levels: initial level errors, east and north alike, deg.
-        yaws: initial yaw errors, deg.
-        schedules: in the study's order.
+        readings: by force, by Q in the study's order, by feedback interval.
+        levels: initial level errors, east and north alike, ascending, deg.
+        yaws: initial yaw errors, ascending, deg.
+        schedules: by the number of resets, by their times.
         settle_s: (readings, levels, yaws, schedules, draws), infinite where a run never settled.
         yaw_mean: the same shape, window mean of phi_u, arcmin; NaN where it is unknown.
     """
@@ -99,14 +103,20 @@ class Grid:
         if east != north:
             raise _unfit(study, "level errors about east and north that are the same")
         each = [Reading(*point) for point in zip(*map(study.values, keys), strict=True)]
-        points = (each, east, up, study.reset_times())
-        orders = [list(dict.fromkeys(values)) for values in points]
-        shape = tuple(map(len, orders))
-        at = [list(map(o.index, values)) for o, values in zip(orders, points, strict=True)]
+        times = study.reset_times()
+        qs = list(dict.fromkeys(reading.q for reading in each))
+        readings = tuple(
+            sorted(set(each), key=lambda r: (FORCES.index(r.force), qs.index(r.q), r.feedback_s))
+        )
+        schedules = tuple(sorted(set(times), key=lambda times: (len(times), times)))
+        levels, yaws = tuple(sorted(set(east))), tuple(sorted(set(up)))
+        _require(study, readings, levels, yaws, schedules)
+        points = ((readings, each), (levels, east), (yaws, up), (schedules, times))
+        shape = tuple(len(order) for order, _ in points)
+        at = [[order.index(value) for value in values] for order, values in points]
         place = np.ravel_multi_index(at, shape)
         if not np.array_equal(np.sort(place), np.arange(np.prod(shape))):
             raise _unfit(study, "every schedule once at every misalignment and reading")
-        _require(study, *orders)
         draws, rows = source.draws, source.rows((_SETTLED, _YAW))
         settle, yaw = (
             analysis.numbers(rows, name).reshape(draws, -1)[:, np.argsort(place)].T
@@ -114,7 +124,6 @@ class Grid:
         )
         shape = (*shape, draws)
         settle = np.nan_to_num(settle, nan=np.inf).reshape(shape)
-        readings, levels, yaws, schedules = map(tuple, orders)
         return cls(study, readings, levels, yaws, schedules, settle, yaw.reshape(shape))
 
     @property
@@ -227,7 +236,7 @@ def _require(
     """Refuses a study without the points that the page speaks of."""
     if PAPER_READING not in readings:
         raise _unfit(study, f"the reading {PAPER_READING.name}, with the measured force")
-    forces = [{(r.q, r.feedback_s) for r in readings if r.force == f} for f in _FORCES]
+    forces = [{(r.q, r.feedback_s) for r in readings if r.force == f} for f in FORCES]
     if forces[0] != forces[1]:
         raise _unfit(study, "every reading with both specific forces, measured and gravity")
     if PAPER_LEVEL_DEG not in levels or PAPER_YAW_DEG not in yaws:
@@ -241,6 +250,3 @@ def _require(
         raise _unfit(study, "a schedule of one reset")
     if study.n_draws < 2:
         raise _unfit(study, "two draws or more, of which one half judges what the other chooses")
-
-
-_FORCES = ("measured", "gravity")

@@ -64,7 +64,7 @@ def answer(grid: Grid) -> Answer:
 
 def singles(grid: Grid) -> list[Single]:
     """A single reset at every misalignment and reading with the measured force."""
-    places = sorted(grid.with_count(1, 1), key=lambda i: grid.schedules[i])
+    places = grid.with_count(1, 1)
     times = [grid.schedules[i][0] for i in places]
     least = grid.study.statements.converges_share
     found = []
@@ -91,7 +91,8 @@ def singles(grid: Grid) -> list[Single]:
 def _headline(grid: Grid, found: Sequence[Single]) -> str:
     at = (grid.paper_reading, *grid.paper_point)
     here = next(one for one in found if one.at == at)
-    first, last = (end(grid.schedules[i][0] for i in grid.with_count(1, 1)) for end in (min, max))
+    singly = grid.with_count(1, 1)
+    first, last = (grid.schedules[singly[end]][0] for end in (0, -1))
     counts = [
         sum(condition(one.works) for one in found)
         for condition in (bool, lambda w: first in w, lambda w: last in w)
@@ -115,7 +116,7 @@ def _works(one: Single) -> str:
 
 
 def _picture(grid: Grid) -> Picture:
-    places = sorted(grid.with_count(1, 1), key=lambda i: grid.schedules[i])
+    places = grid.with_count(1, 1)
     readings = [i for i in grid.measured if grid.readings[i].q == PAPER_READING.q]
     panels = [
         (
@@ -157,7 +158,7 @@ def _windows(grid: Grid, found: Sequence[Single], title: str, *, folded: bool = 
                 format_estimate(one.latest_s, digits=0),
             ]
         )
-    last = max(grid.schedules[i][0] for i in grid.with_count(1, 1))
+    last = grid.schedules[grid.with_count(1, 1)[-1]][0]
     header = [
         *READING_CELLS[1:],
         "level (deg)",
@@ -177,7 +178,7 @@ def _windows(grid: Grid, found: Sequence[Single], title: str, *, folded: bool = 
 
 
 def _by_misalignment(grid: Grid, found: Sequence[Single]) -> Table:
-    times = sorted(grid.schedules[i][0] for i in grid.with_count(1, 1))
+    times = [grid.schedules[i][0] for i in grid.with_count(1, 1)]
     settling = [one for one in found if np.isfinite(one.fastest_s.value)]
     rows = []
     for name, axis, values in (("level", 1, grid.levels), ("yaw", 2, grid.yaws)):

@@ -1,0 +1,47 @@
+"""The pages written by hand are facts too: what they tell to type runs."""
+
+import re
+from pathlib import Path
+
+import pytest
+from studies import small_study
+
+from sinsjax import campaign
+
+ROOT = Path(__file__).parents[1]
+RESULTS = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("docs")
+    study = small_study(study={"curves": True}, axes={"phi_u0_deg": [0.0, 10.0, 30.0]})
+    campaign.run_into(study, folder / "out")
+    return folder
+
+
+@pytest.mark.parametrize("number", range(5))
+def test_examples_of_reading_run(
+    number: int, out: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One after another, as a reader would type them; the last one needs a name of the second."""
+    examples = re.findall(r"```python\n(.*?)```", RESULTS, re.DOTALL)
+    assert len(examples) == 5
+    monkeypatch.chdir(out)
+    names: dict[str, object] = {}
+    if number == 4:
+        exec("import pyarrow.dataset as ds", names)
+    exec(compile(examples[number], "docs/results.md", "exec"), names)
+    told = capsys.readouterr().out
+    if number == 1:
+        assert int(told) == 3
+    if number in (2, 3):
+        assert re.search(r"30(\.0)?\D+3\D", told)
+    if number == 4:
+        assert "'settle_10_s': 's'" in told
+
+
+def test_links_of_every_page_lead_somewhere() -> None:
+    for page in (ROOT / "docs").glob("*.md"):
+        for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8")):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"

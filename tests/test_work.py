@@ -1,0 +1,233 @@
+"""A study cut into tasks: the same rows however it is cut, and the same bytes wherever it is done."""
+
+import random
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from kept import parts
+from studies import small_study
+
+from sinsjax import campaign, results, scenario, work
+from sinsjax.batch import LANES
+from sinsjax.config import Study, study_from_dict
+from sinsjax.records import Reference
+from sinsjax.types import InputError
+from sinsjax.work import Executor, Job, Workshop
+from sinsjax.worlds import Tape
+
+SHORT: dict[str, Any] = {"duration_s": 2.0, "window_s": [0, 2], "curves": True}
+
+STUDIES: dict[str, dict[str, Any]] = {
+    "worlds": {
+        "study": SHORT | {"draws": 50},
+        "axes": {
+            "yaw_center_deg": [10.0, 100.0],
+            "phi_u0_deg": [0.0, 10.0, 30.0],
+            "reset_times_s": [[], [1.37]],
+        },
+    },
+    "shared covariance": {
+        "study": SHORT | {"draws": 200},
+        "alignment": {"specific_force": "gravity"},
+        "axes": {"phi_u0_deg": [0.0, 10.0, 30.0]},
+    },
+    "passes": {
+        "study": SHORT | {"draws": 60},
+        "passes": {"tape_s": 1.0},
+        "axes": {
+            "method": ["kalman5", "kalman10", "compass"],
+            "passes": [1, 2],
+            "phi_u0_deg": [0.0, 3.0],
+        },
+    },
+    "drawn": {
+        "study": SHORT | {"draws": 150},
+        "alignment": {"phi_e0_deg": 1.0},
+        "drawn": {
+            "sampling": "sobol",
+            "phi_u0_deg": {"uniform": [-10, 10]},
+            "gyro_bias_deg_per_h": {"normal": [0, 0.01]},
+            "yaw_center_deg": {"values": [0, 90, 180]},
+            "phi_n0_deg": {"grid": [0.0, 1.0]},
+        },
+        "axes": {"reset_count": [0, 1]},
+        "resets": {"reset_cycle_s": 1.0},
+    },
+}
+
+
+def study_of(name: str, **changes: Any) -> Study:
+    sections = {key: dict(table) for key, table in STUDIES[name].items()}
+    drawn = sections.get("drawn", {})
+    for key, change in changes.items():
+        sections[key] = sections.get(key, {}) | change
+    study = small_study(**sections) if not drawn else drawn_study(sections)
+    return study
+
+
+def drawn_study(sections: dict[str, Any]) -> Study:
+    """A drawn key is in no other section."""
+    from studies import BASE
+
+    data = {name: dict(table) for name, table in BASE.items()}
+    for name, table in sections.items():
+        data[name] = data.get(name, {}) | table
+    for table in (data["motion"], data["sensors"], data["alignment"]):
+        for key in sections["drawn"]:
+            table.pop(key, None)
+    return study_from_dict(data)
+
+
+@pytest.fixture(scope="module", params=STUDIES)
+def name(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def reference(name: str) -> campaign.Results:
+    return campaign.run(study_of(name))
+
+
+def assert_same(one: campaign.Results, other: campaign.Results) -> None:
+    """To the last bit; `equals` takes every nan for another."""
+    for a, b in zip(one, other, strict=True):
+        assert a.schema.equals(b.schema)
+        assert a.equals(b)
+
+
+@pytest.mark.parametrize("chunk_runs", [2, 500, 10**6])
+def test_rows_are_the_same_for_any_chunk(
+    name: str, reference: campaign.Results, chunk_runs: int
+) -> None:
+    assert_same(campaign.run(study_of(name), chunk_runs=chunk_runs), reference)
+
+
+def test_bytes_are_the_same_in_any_order_and_place(
+    name: str, reference: campaign.Results, tmp_path: Path
+) -> None:
+    """Every task is done by a workshop of its own, which knows of no other."""
+    study, chunk_runs = study_of(name), 128
+    campaign.run_into(study, tmp_path / "there", chunk_runs=chunk_runs)
+
+    def elsewhere(_: Workshop, tasks: Any) -> Any:
+        todo = list(tasks)
+        random.Random(3).shuffle(todo)
+        for task in todo:
+            yield Workshop(Job(study, None, None, chunk_runs)).pack(task)
+
+    executor = Executor(elsewhere, {})
+    campaign.run_into(study, tmp_path / "here", chunk_runs=chunk_runs, executor=executor)
+    assert parts(tmp_path / "here") == parts(tmp_path / "there")
+    read = campaign.Results(
+        results.read_summary(tmp_path / "here"), results.read_curves(tmp_path / "here")
+    )
+    for a, b in zip(read, reference, strict=True):
+        assert a.cast(b.schema).equals(b)
+
+
+def test_draws_added_later_leave_earlier_rows_alone(name: str, reference: campaign.Results) -> None:
+    study = study_of(name)
+    fewer = study_of(name, study={"draws": study.n_draws - 17})
+    count = fewer.n_draws * fewer.n_variants
+    got = campaign.run(fewer)
+    assert got.summary.equals(reference.summary.slice(0, count))
+    assert got.curves.equals(
+        reference.curves.filter(pa.compute.less(reference.curves["run_id"], count))
+    )
+
+
+def test_every_run_is_there_once(name: str, reference: campaign.Results) -> None:
+    study = study_of(name)
+    runs = np.arange(study.n_draws * study.n_variants)
+    np.testing.assert_array_equal(reference.summary["run_id"], runs)
+    np.testing.assert_array_equal(reference.summary["draw_id"], runs // study.n_variants)
+    np.testing.assert_array_equal(reference.summary["variant_id"], runs % study.n_variants)
+    records = [study.spans[run % study.n_variants].records for run in runs]
+    np.testing.assert_array_equal(reference.curves["run_id"], np.repeat(runs, records))
+
+
+# --- tasks --------------------------------------------------------------------------------------
+
+
+@settings(max_examples=30)
+@given(st.integers(1, 3000), st.integers(1, 30), st.none() | st.integers(1, 5000))
+def test_tasks_depend_on_the_study_alone_and_hold_every_run(
+    draws: int, variants: int, chunk_runs: int | None
+) -> None:
+    study = small_study(
+        study={"draws": draws}, axes={"p0_yaw_deg": [float(i + 1) for i in range(variants)]}
+    )
+    (tasks,) = Workshop(Job(study, None, None, chunk_runs)).tasks()
+    assert (tasks,) == tuple(Workshop(Job(study, None, None, chunk_runs)).tasks())
+    assert sum(task.runs for task in tasks) == draws * variants
+    assert [task.call for task in tasks] == list(range(len(tasks)))
+    assert sorted({task.name for task in tasks}) == [task.name for task in tasks]
+    if chunk_runs is not None:
+        assert all(task.runs <= max(2 * LANES, chunk_runs + LANES) for task in tasks)
+
+
+def test_a_job_knows_study_record_and_reference() -> None:
+    study = study_from_dict(
+        {
+            "study": {"duration_s": 2.0, "rate_hz": 100.0, "window_s": [0, 2]},
+            "record": {"format": "psins", "start_s": [0.0, 1.0]},
+            "coarse": {"coarse_duration_s": 3.0},
+        }
+    )
+    record = scenario.simulated_record(small_study())
+    time_s = np.arange(0, 6.01, 0.01)
+    level = Reference(time_s, np.zeros((len(time_s), 3)), "true.csv")
+    tilted = level._replace(attitude_deg=level.attitude_deg + 1e-12)
+    late = level._replace(time_s=time_s + 1e-9)
+    turned = record._replace(dtheta=record.dtheta * (1 + 1e-15))
+    tapes = [
+        Tape(record, None),
+        Tape(turned, None),
+        Tape(record._replace(rate_hz=100.0000001), None),
+        Tape(record, level),
+        Tape(record, tilted),
+        Tape(record, late),
+    ]
+    known = [Job(study, tape).identity for tape in tapes]
+    known.append(Job(small_study()).identity)
+    known.append(Job(small_study(study={"seed": 2})).identity)
+    assert len(set(known)) == len(known)
+    moved = Tape(record._replace(source="elsewhere"), level._replace(source="elsewhere"))
+    assert Job(study, moved).identity == Job(study, tapes[3]).identity
+    assert Job(small_study(study={"name": "other"}), None, True, 64).identity == known[-2]
+
+
+def test_many_threads_compile_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever comes first compiles a part; the others wait for it."""
+    made: list[int] = []
+    compile_part = Workshop._compile
+
+    def counted(self: Workshop, part: int, draws: range) -> Any:
+        made.append(part)
+        return compile_part(self, part, draws)
+
+    monkeypatch.setattr(Workshop, "_compile", counted)
+    workshop = Workshop(Job(study_of("worlds"), None, None, 128))
+    (tasks,) = workshop.tasks()
+    threads = [threading.Thread(target=workshop.do, args=(task,)) for task in tasks]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(made) == [0, 1]
+
+
+def test_failures_are_counted_as_they_are_called() -> None:
+    status = ["ok", "diverged", "not_settled", "nonfinite", None, "diverged"]
+    assert work.failures(pa.table({"status": status})) == 3
+
+
+def test_a_study_and_a_record_must_go_together() -> None:
+    with pytest.raises(InputError, match="reads no record"):
+        Workshop(Job(small_study(), Tape(scenario.simulated_record(small_study()), None)))
