@@ -68,7 +68,7 @@ class Group(NamedTuple):
 
 
 class Chunk(NamedTuple):
-    """Results of consecutive runs of a group.
+    """Results of some runs of a group, by draw and variant.
 
     Attributes:
         draw: (runs,) number of each run's draw in the study.
@@ -139,11 +139,11 @@ def distinct_draws(width: int, lanes: int = LANES) -> int:
 
 
 class Plan:
-    """The runs of a group, in their order, laid into the lanes of calls of one size.
+    """The runs of a group laid into the lanes of calls of one size.
 
-    Depends on the group alone, never on the machine. What is missing at the end is filled up with
-    idle lanes. A call is never given a single block of tiles, whose loop the compiler would unroll
-    to other bits.
+    In their order; where tiles are stacked, a few draws at a time. Depends on the group alone,
+    never on the machine. What is missing at the end is filled up with idle lanes. A call is never
+    given a single block of tiles, whose loop the compiler would unroll to other bits.
     """
 
     def __init__(
@@ -167,17 +167,18 @@ class Plan:
         """
         self._draws, self._variants, self._lanes = draws, variants, lanes
         self._sets, self._width = layout(static, variants, lanes)
-        # What cannot be cut: a tile, or the stacked tiles of a few draws and all variants.
-        self._block = lanes if self._sets == 1 else self._sets * max(lanes, self._width)
-        blocks = -(-draws * self._width // self._block)
+        # A block, which cannot be cut, is a tile, or the stacked ones of several draws.
+        self._stride = lanes if self._sets == 1 else max(lanes, self._width)
+        self._across = self._stride // lanes  # blocks beside one another for the same draws
+        blocks = -(-draws * self._width // (self._sets * self._stride)) * self._across
         if tiles_a_chunk is None:
             records = lanes * static.records
             most = min(CHUNK_TILES, CHUNK_STEPS // (records * static.record_every))
             if static.curves:
                 most = min(most, CHUNK_RECORDS // records)
-            wanted = min(most * lanes // self._block, -(-blocks // LEAST_CHUNKS))
+            wanted = min(most // self._sets, -(-blocks // LEAST_CHUNKS))
         else:
-            wanted = min(tiles_a_chunk * lanes // self._block, blocks)
+            wanted = min(tiles_a_chunk // self._sets, blocks)
         self._size = max(2, wanted)
         self._count = -(-blocks // self._size)
 
@@ -187,9 +188,10 @@ class Plan:
     def __getitem__(self, number: int) -> Lanes:
         if not 0 <= number < self._count:
             raise IndexError(number)
-        size = self._size * self._block
-        blocks = number * size + np.arange(size).reshape(self._size, self._sets, -1, self._lanes)
-        places = blocks.swapaxes(1, 2).reshape(-1, self._sets, self._lanes)
+        blocks = number * self._size + np.arange(self._size)
+        stacks, beside = np.divmod(blocks, self._across)
+        draws = stacks[:, None, None] * self._sets + np.arange(self._sets)[:, None]
+        places = draws * self._stride + beside[:, None, None] * self._lanes + np.arange(self._lanes)
         return Lanes(places // self._width, places % self._width)
 
     def __iter__(self) -> Iterator[Lanes]:
@@ -197,16 +199,15 @@ class Plan:
 
     def runs(self, number: int) -> int:
         """How many runs a call has."""
-        size = self._size * self._block
-        first, last = number * size, min((number + 1) * size, self._draws * self._width)
-        whole, rest = divmod(last, self._width)
-        so_far = whole * self._variants + min(rest, self._variants)
-        whole, rest = divmod(first, self._width)
-        return so_far - whole * self._variants - min(rest, self._variants)
+        places = self[number]
+        busy = (places.draw < self._draws) & (places.variant < self._variants)
+        return int(np.count_nonzero(busy))
 
     def call_of(self, draw: int, variant: int) -> int:
         """The number of the call that has a run."""
-        return (draw * self._width + variant) // (self._size * self._block)
+        row, place = divmod(draw * self._width + variant, self._stride)
+        block = row // self._sets * self._across + place // self._lanes
+        return block // self._size
 
 
 def plan(group: Group, *, tiles_a_chunk: int | None = None, lanes: int = LANES) -> Plan:
@@ -334,7 +335,7 @@ def chunks(group: Group, *, devices: int = 1, tiles_a_chunk: int | None = None) 
         tiles_a_chunk: as for `Plan`.
 
     Yields:
-        Results in the order of the runs.
+        Results in the order of the plan.
     """
     # Compiled before there are threads, which would each compile it.
     calls = Calls(group, tiles_a_chunk=tiles_a_chunk)

@@ -142,8 +142,7 @@ class Crew:
         elif isinstance(error, KilledWorker):
             text = f"{error.allowed_failures + 1} workers died with it (out of memory?)"
         else:
-            first = next(iter(str(error).splitlines()), "")
-            text = f"failed on a worker: {type(error).__name__}: {first}"
+            text = f"failed on a worker: {type(error).__name__}: {_first_line(error)}"
         raise InputError(f"{task.name}: {text}") from error
 
     def check(self, answer: Answer) -> None:
@@ -177,7 +176,9 @@ class Crew:
             raise self._gone() from error
 
     def _gone(self) -> InputError:
-        return InputError(f"{self._name}: the scheduler is gone (what is complete is kept)")
+        return InputError(
+            f"{self._name}: the scheduler is gone (--resume goes on)"
+        )
 
 
 def _check_versions(worker: str, theirs: dict[str, Any], ours: dict[str, Any]) -> None:
@@ -194,6 +195,10 @@ def _said(about: Machine) -> str:
     return f"{about.cpu} ({about.platform}; {options})"
 
 
+def _first_line(error: BaseException) -> str:
+    return next(iter(str(error).splitlines()), "")
+
+
 def _say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
@@ -205,8 +210,9 @@ def _connected(address: str) -> Iterator[Any]:
     with dask.config.set(_CONFIG):
         try:
             client = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
-        except (OSError, ValueError) as error:
-            raise InputError(f"{address}: no Dask scheduler answers there ({error})") from error
+        except Exception as error:  # whatever else may answer there
+            text = f"{address}: no Dask scheduler answers there ({_first_line(error)})"
+            raise InputError(text) from error
         with client:
             yield client
 
@@ -230,6 +236,7 @@ def _local(workers: int) -> Iterator[Any]:
                     memory_limit=0,
                     dashboard_address=None,
                     scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+                    preload=["sinsjax.worker"],
                     silence_logs=logging.ERROR,
                 )
             )

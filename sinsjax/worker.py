@@ -4,12 +4,13 @@ Every answer carries what the worker computed it with, so that no row of another
 written, and rows of unlike machines are noticed.
 """
 
+import logging
 import os
 import pickle
 import re
 import threading
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from sinsjax import affinity, machine, runtime
 from sinsjax.work import Job, Packed, Task, Workshop
@@ -50,6 +51,15 @@ class Answer(NamedTuple):
     worker: str
     versions: dict[str, str]
     machine: Machine
+
+
+def dask_setup(worker: Any) -> None:
+    """Called by Dask in the workers that `cluster` starts, which preload this module.
+
+    What fails is told to the process that asked, and told there once; what is left is that this
+    process is gone.
+    """
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
 
 
 def answer(key: str, sent: bytes, task: Task) -> Answer:

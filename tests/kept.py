@@ -1,4 +1,4 @@
-"""Directories of results as tests look at them: parts, checksums, what must not be there."""
+"""Studies of many runs, and directories of their results: parts, checksums, what must not be."""
 
 import hashlib
 import json
@@ -6,10 +6,10 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from studies import small_study
+from studies import BASE, small_study
 
 from sinsjax.batch import spread
-from sinsjax.config import Study
+from sinsjax.config import Study, study_from_dict
 from sinsjax.work import Executor, Packed, Task, Workshop
 
 CHUNK_RUNS = 128
@@ -28,6 +28,55 @@ def sweep_study(**changes: Any) -> Study:
     for name, change in changes.items():
         sections[name] = sections.get(name, {}) | change
     return small_study(**sections)
+
+
+SHORT: dict[str, Any] = {"duration_s": 2.0, "window_s": [0, 2], "curves": True}
+
+STUDIES: dict[str, dict[str, Any]] = {
+    "worlds": {
+        "study": SHORT | {"draws": 50},
+        "axes": {
+            "yaw_center_deg": [10.0, 100.0],
+            "phi_u0_deg": [0.0, 10.0, 30.0],
+            "reset_times_s": [[], [1.37]],
+        },
+    },
+    "shared covariance": {
+        "study": SHORT | {"draws": 200},
+        "alignment": {"specific_force": "gravity"},
+        "axes": {"phi_u0_deg": [0.0, 10.0, 30.0]},
+    },
+    "passes": {
+        "study": SHORT | {"draws": 60},
+        "passes": {"tape_s": 1.0},
+        "axes": {"method": ["kalman10", "compass"], "phi_u0_deg": [0.0, 3.0]},
+    },
+    "drawn": {
+        "study": SHORT | {"draws": 150},
+        "alignment": {"phi_e0_deg": 1.0},
+        "drawn": {
+            "sampling": "sobol",
+            "phi_u0_deg": {"uniform": [-10, 10]},
+            "gyro_bias_deg_per_h": {"normal": [0, 0.01]},
+            "yaw_center_deg": {"values": [0, 90, 180]},
+            "phi_n0_deg": {"grid": [0.0, 1.0]},
+        },
+        "axes": {"reset_count": [0, 1]},
+        "resets": {"reset_cycle_s": 1.0},
+    },
+}
+
+
+def study_of(name: str, draws: int | None = None) -> Study:
+    """One of `STUDIES`, perhaps with another number of draws; a drawn key stands nowhere else."""
+    data: dict[str, Any] = {section: dict(table) for section, table in BASE.items()}
+    for section, table in STUDIES[name].items():
+        data[section] = data.get(section, {}) | table
+    for section in ("motion", "sensors", "alignment"):
+        data[section] = {k: v for k, v in data[section].items() if k not in data.get("drawn", {})}
+    if draws is not None:
+        data["study"]["draws"] = draws
+    return study_from_dict(data)
 
 
 def parts(directory: Path) -> dict[str, bytes]:

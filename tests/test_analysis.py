@@ -6,6 +6,7 @@ import pytest
 from scipy import stats
 
 from sinsjax import analysis
+from sinsjax.analysis import tables
 from sinsjax.types import InputError
 
 NEVER = math.inf
@@ -61,7 +62,8 @@ def keyed(dictionary=False):
 @pytest.mark.parametrize(
     "by", [["case"], ["reset_times_s"], ["case", "reset_times_s"], ["reset_times_s", "case"], []]
 )
-def test_groups_against_a_naive_loop(by, dictionary):
+def test_groups_against_a_naive_loop(by, dictionary, monkeypatch):
+    monkeypatch.setattr(tables, "_SLICE", 4)
     # Two chunks, as a dataset of several parts gives them.
     table = pa.concat_tables([keyed(dictionary).slice(0, 4), keyed(dictionary).slice(4)])
     expected: list[tuple[dict, list]] = []
@@ -91,12 +93,12 @@ def test_summarise_one_row_a_group():
     yaw = [-27.5, -26.5] * 5 + [-27.0, math.nan]
     one = summary(status=status, settle_10_s=settle, phi_u_mean_arcmin=yaw)
     other = summary(settle_60_s=np.full(12, 30.0)).select(one.column_names)
-    tables = [
+    parts = [
         t.append_column("reset_times_s", pa.array([times] * 12, pa.list_(pa.float64())))
         .append_column("reset_count", pa.array([len(times)] * 12, pa.int32()))
         for t, times in ((one, [50.0, 100.0]), (other, []))
     ]  # fmt: skip
-    table = analysis.summarise(pa.concat_tables(tables), KEYS)
+    table = analysis.summarise(pa.concat_tables(parts), KEYS)
     assert table.column_names[:4] == [*KEYS, "n", "nonfinite"]
     assert table.schema.field("reset_count").type == pa.int32()
     first, second = table.to_pylist()

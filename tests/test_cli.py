@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import tomli_w
+from kept import everything
 from studies import BASE, small_study
 
 from sinsjax import cli, results, scenario
@@ -80,8 +81,13 @@ def test_run_leaves_results_figures_and_a_table(sinsjax: Command, tmp_path: Path
     assert list((out / "figures").glob("*.png"))
     assert "phi_u0_deg" in told
     manifest = json.loads((out / "manifest.json").read_text())
-    assert manifest["runs"] == 6 and manifest["seed"] == 1
-    assert {part["rows"] for part in manifest["parts"]} == {6, 36}
+    assert manifest["runs"] == manifest["runs_done"] == 6 and manifest["seed"] == 1
+    assert (manifest["state"], manifest["config"]) == ("complete", config.name)
+    (chunk,) = manifest["chunks"]
+    assert {file["rows"] for file in chunk["files"]} == {6, 36}
+    (session,) = manifest["sessions"]
+    assert session["devices"] == manifest["devices"] == 2
+    assert session["versions"].keys() >= {"sinsjax", "jaxlib", "pyarrow"}
 
 
 def test_results_are_not_overwritten_unasked(sinsjax: Command, tmp_path: Path) -> None:
@@ -116,6 +122,86 @@ def test_a_sweep_is_repeatable_byte_for_byte(sinsjax: Command, tmp_path: Path) -
     parts = [sorted((tmp_path / name / "summary").iterdir()) for name in ("one", "two")]
     assert [p.read_bytes() for p in parts[0]] == [p.read_bytes() for p in parts[1]]
     assert not (tmp_path / "one" / "curves").exists()
+
+
+def test_a_sweep_is_gone_on_with_where_it_was_left(sinsjax: Command, tmp_path: Path) -> None:
+    config, out = write_study(tmp_path, study={"draws": 200}), tmp_path / "out"
+    words = ("sweep", config, "-o", out, "--resume")
+    assert sinsjax(*words, "--chunk-runs", 64)[0] == 0
+    before = everything(out)
+    lost, *kept = sorted(out.glob("summary/*.parquet"))
+    assert len(kept) == 1
+    lost.unlink()
+    code, told, _ = sinsjax(*words)
+    assert code == 0
+    assert "study: 72 of 200 runs, there already" in told
+    assert "study: 200 of 200 runs" in told
+    assert {k: v[0] for k, v in everything(out).items() if "summary" in k} == {
+        k: v[0] for k, v in before.items() if "summary" in k
+    }
+    assert kept[0].stat().st_mtime_ns == before[str(kept[0].relative_to(out))][1]
+    code, told, _ = sinsjax(*words)
+    assert code == 0 and "study: 200 of 200 runs, there already" in told
+    assert "Window" in told
+
+
+def test_what_cannot_be_gone_on_with_is_one_clear_line(sinsjax: Command, tmp_path: Path) -> None:
+    config, out = write_study(tmp_path), tmp_path / "out"
+    assert sinsjax("sweep", config, "-o", out)[0] == 0
+    before = everything(out)
+    both = ("sweep", config, "-o", out, "--resume", "--overwrite")
+    assert_refused(sinsjax(*both), tmp_path / "none", "--resume", "--overwrite")
+    write_study(tmp_path, study={"seed": 2}, alignment={"phi_u0_deg": 31.0})
+    named = ("[study] seed: 1 there, 2 here", "[alignment] phi_u0_deg: 30.0 there, 31.0 here")
+    told = sinsjax("sweep", config, "-o", out, "--resume")
+    assert_refused(told, tmp_path / "none", str(out), "another study", *named)
+    assert everything(out) == before
+
+
+def test_words_that_do_not_go_together_are_one_clear_line(sinsjax: Command, tmp_path: Path) -> None:
+    words = ("sweep", write_study(tmp_path), "-o", tmp_path / "out")
+    address = ("--scheduler", "tcp://127.0.0.1:1")
+    none = tmp_path / "out"
+    assert_refused(sinsjax(*words, "--workers", 2, *address), none, "--workers", "--scheduler")
+    assert_refused(sinsjax(*words, "--workers", 2, "--devices", 1), none, "--devices")
+    assert_refused(sinsjax(*words, "--devices", 1, *address), none, "--devices")
+    assert_refused(sinsjax(*words, "--devices", 4096), none, "--devices", "4096")
+
+
+def test_rerun_does_one_run_again(sinsjax: Command, tmp_path: Path) -> None:
+    config, out = write_study(tmp_path, axes={"phi_u0_deg": [0.0, 30.0]}), tmp_path / "out"
+    assert sinsjax("sweep", config, "-o", out)[0] == 0
+    code, told, error = sinsjax("rerun", out, "--run-id", 3)
+    assert (code, error) == (0, "")
+    assert "identical to the stored one" in told
+    curve = pq.read_table(out / "reruns" / "3" / "curve.parquet")
+    row = results.read_summary(out, run_ids=[3])
+    assert curve["phi_u_arcmin"].to_pylist()[-1] == row["phi_u_arcmin"].to_pylist()[0]
+    assert_refused(sinsjax("rerun", out, "--run-id", 6), tmp_path / "none", "run 6", "0 to 5")
+    told = sinsjax("rerun", tmp_path / "nothing", "--run-id", 0)
+    assert_refused(told, tmp_path / "none", "nothing")
+
+
+def test_a_recorded_run_is_gone_on_with_and_done_again(
+    sinsjax: Command, tmp_path: Path, record: scenario.Record
+) -> None:
+    path, other = tmp_path / "swing.imu", tmp_path / "other.imu"
+    write_psins(record, path)
+    write_psins(record._replace(dv=record.dv * 1.01), other)
+    config, out = write_study(tmp_path, **RECORDED), tmp_path / "out"
+    assert sinsjax("align", path, config, "-o", out)[0] == 0
+    before = everything(out)
+    told = sinsjax("align", other, config, "-o", out, "--resume")
+    assert_refused(told, tmp_path / "none", str(out), "another record or reference")
+    told = sinsjax("rerun", out, "--run-id", 1)
+    assert_refused(told, tmp_path / "none", str(out), "--record")
+    told = sinsjax("rerun", out, "--run-id", 1, "--record", other)
+    assert_refused(told, tmp_path / "none", str(out), "another record")
+    assert everything(out) == before
+    code, told, _ = sinsjax("align", path, config, "-o", out, "--resume")
+    assert code == 0 and "2 of 2 runs, there already" in told
+    code, told, _ = sinsjax("rerun", out, "--run-id", 1, "--record", path)
+    assert code == 0 and "identical to the stored one" in told
 
 
 def test_report_needs_parquet_alone(sinsjax: Command, tmp_path: Path) -> None:

@@ -36,7 +36,7 @@ LAYERS = (
     {"bounds", "error_model", "imu", "loops", "mechanisation", "trajectory"},
     {"alignment"},
     {"batch", "draws", "metrics", "scenario", "simulate", "tunings", "worlds"},
-    {"analysis", "plots", "results", "statements", "stopping", "store", "work"},
+    {"analysis", "directories", "plots", "results", "statements", "stopping", "store", "work"},
     {
         "__main__",
         "baseline",
@@ -48,6 +48,7 @@ LAYERS = (
         "report",
         "reruns",
         "tuning",
+        "worker",
     },
 )
 """Level 0 first. A package stands for all of its modules."""

@@ -5,11 +5,14 @@ from pathlib import Path
 import jax
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
-from studies import small_study
+from kept import everything
+from studies import BASE, small_study
 
-from sinsjax import campaign, columns, results, scenario
+from sinsjax import campaign, columns, designs, results, scenario
 from sinsjax.batch import Chunk
+from sinsjax.config import study_from_dict
 from sinsjax.metrics import Observation, Outcome
 from sinsjax.types import InputError, Vec3
 from sinsjax.units import ARCMIN, DEG
@@ -146,37 +149,129 @@ def test_bands_always_hold_the_one_that_decides_the_status() -> None:
     np.testing.assert_allclose(part.group.world.criteria.bands, np.array([30, 10]) * ARCMIN)
 
 
+def test_drawn_keys_are_columns() -> None:
+    """A number, or one for each axis of a vector key, of the draw that a run belongs to."""
+    drawn = {
+        "yaw_period_s": {"values": [9.0, 10.0]},
+        "gyro_scale_ppm": {"values": [[1.0, 2.0, 3.0], 4.0]},
+        "phi_u0_deg": {"uniform": [-5, 5]},
+    }
+    data = {name: dict(section) for name, section in BASE.items()}
+    del data["motion"]["yaw_period_s"], data["alignment"]["phi_u0_deg"]
+    study = study_from_dict(data | {"drawn": drawn, "axes": {"p0_yaw_deg": [40.0, 80.0]}})
+    rows = chunk([0.0] * 4, [[0.0] * 3] * 4)
+    rows = rows._replace(draw=np.array([1, 1, 2, 2]), variant=np.array([0, 1, 0, 1]))
+    table = results.Tables(study).summary(rows, np.arange(2))
+    assert table["run_id"].to_pylist() == [2, 3, 4, 5]
+    assert table["yaw_period_s"].to_pylist() == [10.0, 10.0, 9.0, 9.0]
+    assert table["gyro_scale_ppm"].to_pylist() == [[4.0] * 3] * 2 + [[1.0, 2.0, 3.0]] * 2
+    phi = designs.values(study, 3)["phi_u0_deg"]
+    assert table["phi_u0_deg"].to_pylist() == [phi[1], phi[1], phi[2], phi[2]]
+    names = table.column_names
+    assert len(set(names)) == len(names)
+
+
 def test_single_precision_is_refused_before_earlier_results_go(tmp_path: Path) -> None:
     study = small_study()
-    results.Store(tmp_path / "out", study)
-    before = (tmp_path / "out" / "manifest.json").read_bytes()
+    campaign.run_into(study, tmp_path / "out")
+    before = everything(tmp_path / "out")
     with jax.enable_x64(False):
         for call in (
             lambda: campaign.run_into(study, tmp_path / "out", overwrite=True),
+            lambda: campaign.run_into(study, tmp_path / "out", resume=True),
             lambda: campaign.run(study),
             lambda: scenario.simulated_record(study),
         ):
             with pytest.raises(RuntimeError, match="double precision"):
                 call()
-    assert (tmp_path / "out" / "study.toml").exists()
-    assert (tmp_path / "out" / "manifest.json").read_bytes() == before
+    assert everything(tmp_path / "out") == before
 
 
-def test_a_part_appears_whole_or_not_at_all(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    study = small_study()
-    store = results.Store(tmp_path / "out", study)
-    made = results.Tables(study)
-    table = made.summary(chunk([0.0], [[0.0] * 3]), np.arange(1))
-    store.write("summary", "part-0", table, seconds=1.0)
+# --- reading ------------------------------------------------------------------------------------
 
-    def full(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(results.pq, "write_table", full)
-    with pytest.raises(InputError, match="part-1.parquet: cannot be written: No space left"):
-        store.write("summary", "part-1", table, seconds=1.0)
-    names = [path.name for path in (tmp_path / "out" / "summary").iterdir()]
-    assert names == ["part-0.parquet"]
-    assert results.read_summary(tmp_path / "out").num_rows == 1
+@pytest.fixture
+def stored(tmp_path: Path) -> Path:
+    """Two parts of two runs, the later ones first."""
+    for dataset in ("summary", "curves"):
+        (tmp_path / dataset).mkdir()
+    for part, runs in enumerate(([2, 3], [0, 1])):
+        rows = {"run_id": runs, "status": ["ok", None], "nees": [float(runs[0]), None]}
+        curves = {"run_id": [*runs, *runs], "time_s": [2.0, 2.0, 1.0, 1.0]}
+        for dataset, values in (("summary", rows), ("curves", curves)):
+            path = tmp_path / dataset / f"part-0000-00000{part}.parquet"
+            marks = {"sinsjax.chunk": f"of part {part} alone"}
+            table = pa.table(values).replace_schema_metadata(marks)
+            pq.write_table(table, path, compression="none", write_page_checksum=True)
+    return tmp_path
+
+
+def test_rows_come_by_run_and_time(stored: Path) -> None:
+    assert results.read_summary(stored)["run_id"].to_pylist() == [0, 1, 2, 3]
+    curves = results.read_curves(stored)
+    assert curves["run_id"].to_pylist() == [0, 0, 1, 1, 2, 2, 3, 3]
+    assert curves["time_s"].to_pylist() == [1.0, 2.0] * 4
+    assert results.read_curves(stored, [1, 2])["run_id"].to_pylist() == [1, 1, 2, 2]
+    assert results.read_curves(stored, []).num_rows == 0
+    assert results.count_runs(stored) == 4
+    # What a part says of itself does not hold for all rows.
+    assert results.read_summary(stored).schema.metadata == {b"sinsjax.schema": b"1"}
+
+
+def test_some_columns_and_runs(stored: Path) -> None:
+    table = results.read_summary(stored, ["status", "nees"])
+    assert table.column_names == ["status", "nees"]
+    assert table["nees"].to_pylist() == [0.0, None, 2.0, None]
+    table = results.read_summary(stored, ["nees", "run_id"], run_ids=[2, 0, 9])
+    assert table.to_pylist() == [{"nees": 0.0, "run_id": 0}, {"nees": 2.0, "run_id": 2}]
+    with pytest.raises(InputError, match="summary: column nees_u is missing"):
+        results.read_summary(stored, ["nees", "nees_u"])
+
+
+def test_only_parts_are_read(stored: Path) -> None:
+    """Not what a killed process left half written, nor what a person put there."""
+    (stored / "summary" / ".part-0000-000002.parquet.77.tmp").write_bytes(b"PAR1")
+    (stored / "summary" / "notes.txt").write_text("mine")
+    assert results.count_runs(stored) == 4
+    assert results.read_summary(stored).num_rows == 4
+
+
+@pytest.mark.parametrize("left", ["no directory", "an empty one", "one that holds no part"])
+def test_what_holds_no_part_yet_is_one_clear_line(tmp_path: Path, left: str) -> None:
+    out = tmp_path / "out"
+    if left != "no directory":
+        for dataset in ("summary", "curves"):
+            (out / dataset).mkdir(parents=True)
+    if left == "one that holds no part":
+        (out / "summary" / ".part-0000-000000.parquet.77.tmp").write_bytes(b"PAR1")
+    for read in (
+        lambda: results.read_summary(out),
+        lambda: results.read_summary(out, ["status"]),
+        lambda: results.read_summary(out, run_ids=[1]),
+        lambda: results.count_runs(out),
+    ):
+        with pytest.raises(InputError, match="out: holds no results"):
+            read()
+    for run_ids in (None, [1]):
+        assert results.read_curves(out, run_ids).num_rows == 0
+
+
+@pytest.mark.parametrize("damage", ["a page", "the end"])
+def test_a_broken_part_is_one_clear_line(stored: Path, damage: str) -> None:
+    """A bit in a page is seen by its checksum: no row comes out wrong."""
+    path = stored / "summary" / "part-0000-000001.parquet"
+    content = bytearray(path.read_bytes())
+    if damage == "a page":
+        content[content.index(np.float64(0.0).tobytes())] ^= 1
+    path.write_bytes(content if damage == "a page" else content[:-9])
+    with pytest.raises(InputError, match="summary: cannot be read: .*--resume") as told:
+        results.read_summary(stored)
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize("content", [None, b"", b"{", b"\x80", b"[]", b"null", b"3"])
+def test_a_manifest_that_is_none_is_one_clear_line(tmp_path: Path, content: bytes | None) -> None:
+    if content is not None:
+        (tmp_path / "manifest.json").write_bytes(content)
+    with pytest.raises(InputError, match="holds no readable manifest.json"):
+        results.read_manifest(tmp_path)

@@ -526,6 +526,33 @@ def test_overwriting_leaves_nothing_of_what_was_there(out: Path) -> None:
     assert_checksums(out)
 
 
+@pytest.mark.parametrize("removed", [1, 7, 24])
+def test_overwriting_that_is_killed_leaves_what_can_be_gone_on_with(
+    whole: Path, out: Path, monkeypatch: pytest.MonkeyPatch, removed: int
+) -> None:
+    other = sweep_study(study={"seed": 2})
+    with monkeypatch.context() as patch:
+        left, unlink = [removed], Path.unlink
+
+        def killed(self: Path, missing_ok: bool = False) -> None:
+            if self.suffix == ".parquet":
+                left[0] -= 1
+            if left[0] < 0:
+                raise KeyboardInterrupt
+            unlink(self, missing_ok)
+
+        patch.setattr(Path, "unlink", killed)
+        with pytest.raises(KeyboardInterrupt):
+            sweep(out, other, overwrite=True)
+    there = parts(out)
+    assert there.items() < parts(whole).items()
+    with pytest.raises(InputError, match="holds results of another study"):
+        sweep(out, other, resume=True)
+    assert parts(out) == there
+    sweep(out, resume=True)
+    assert_complete(out, whole)
+
+
 def test_resuming_a_complete_directory_does_nothing(whole: Path, out: Path) -> None:
     before = times(out)
     assert sweep(out, resume=True) == []
