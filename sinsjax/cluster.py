@@ -176,9 +176,7 @@ class Crew:
             raise self._gone() from error
 
     def _gone(self) -> InputError:
-        return InputError(
-            f"{self._name}: the scheduler is gone (--resume goes on)"
-        )
+        return InputError(f"{self._name}: the scheduler is gone (--resume goes on)")
 
 
 def _check_versions(worker: str, theirs: dict[str, Any], ours: dict[str, Any]) -> None:

@@ -570,3 +570,16 @@ def test_paper1_configs_load_and_fit_their_layouts():
     sweep = base.load_study(folder / "reset_sweep.toml")
     assert sweep.n_variants % 64 == 0
     assert sweep.values("r_reading")[0] == studies["paper1_conditions"].values("r_reading")[0]
+
+
+def test_a_study_that_stops_by_itself_tells_why(tmp_path, drawn_on_request):
+    """From the rows alone, and with the numbers of the rule."""
+    study = small_study(
+        study={"draws": 100},
+        stop_when={"statistic": "success_rate", "half_width": 0.9},
+    )
+    campaign.run_into(study, tmp_path / "out")
+    source = Source.read(tmp_path / "out")
+    assert source.draws == 64
+    (_, why) = auto.report(source).headline
+    assert "after 64 draws" in why and "is narrow enough" in why and "0.9" in why

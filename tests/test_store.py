@@ -526,7 +526,7 @@ def test_overwriting_leaves_nothing_of_what_was_there(out: Path) -> None:
     assert_checksums(out)
 
 
-@pytest.mark.parametrize("removed", [1, 7, 24])
+@pytest.mark.parametrize("removed", [1, 7, 23])
 def test_overwriting_that_is_killed_leaves_what_can_be_gone_on_with(
     whole: Path, out: Path, monkeypatch: pytest.MonkeyPatch, removed: int
 ) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sinsjax import analysis, plots
+from sinsjax import analysis, plots, stopping
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.report.attitudes import MOST_ROWS, attitudes
 from sinsjax.report.base import (
@@ -51,7 +51,8 @@ def report(source: Source) -> Report:
         figures += [block for block in blocks if not isinstance(block, Table)]
         figures += spreads(source)
     sections = [Section("Figures", figures)] if figures else []
-    return Report([_headline(source, has_truth)], [*sections, Section("Tables", tables)])
+    headline = [_headline(source, has_truth), *_stopped(source)]
+    return Report(headline, [*sections, Section("Tables", tables)])
 
 
 def statistics(
@@ -120,6 +121,23 @@ def _headline(source: Source, has_truth: bool) -> str:
         return f"{text} Without truth or reference, attitude and its 1 sigma is what is known."
     ok = int(analysis.has_status(source.rows(["status"]), "ok").sum())
     return f"{text} The heading error ends within 10 arcmin of its limit in {ok:,} of them."
+
+
+def _stopped(source: Source) -> Iterator[str]:
+    """Why drawing ended where it did, for a study that decides it by itself."""
+    study = source.study
+    if study.stop_when is None:
+        return
+    rule = study.stop_when
+    found = stopping.look(study, source.rows(stopping.columns(study)), source.draws)
+    why = (
+        "is narrow enough" if found.enough else "is not narrow enough, but there are no more draws"
+    )
+    yield (
+        f"Drawing ended after {found.draws:,} draws: the widest interval of {rule.statistic} over the"
+        f" variants has a half-width of {found.half_width:.3g} (asked: {rule.half_width:g}), which"
+        f" {why}."
+    )
 
 
 def _tables(source: Source) -> list[Block]:
