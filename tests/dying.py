@@ -56,8 +56,8 @@ def arm(killer: Killer) -> None:
             kill()
         return path
 
-    files.open = lambda path, mode: Half(io.FileIO(path, mode))  # type: ignore[attr-defined]
-    Path.replace = replace  # type: ignore[method-assign]
+    files.open = lambda path, mode: Half(io.FileIO(path, mode))
+    Path.replace = replace
 
 
 if __name__ == "__main__":

@@ -377,18 +377,18 @@ def test_ctrl_c_lets_the_workers_finish_and_resume_goes_on(
     first = process.stdout.readline()
     children = worker_processes(process.pid)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all
-    told, errors = process.communicate(timeout=60)
+    told, errors = process.communicate(timeout=300)
     assert process.returncode == 130, (first, told, errors)
     assert "Stopping: the chunks under way are finished first" in told
     assert errors.startswith("interrupted: ") and errors.count("\n") == 1
-    assert len(children) == 2 and not psutil.wait_procs(children, timeout=10)[1]
+    assert len(children) == 2 and not psutil.wait_procs(children, timeout=60)[1]
     there = parts(out)
     assert there.items() < here.items()
     chunks = results.read_manifest(out)["chunks"]
     assert sum(chunk["state"] == "done" for chunk in chunks) == len(there)
 
     process = sweep(out, "--workers", "2", "--resume")
-    told, errors = process.communicate(timeout=120)
+    told, errors = process.communicate(timeout=300)
     assert (process.returncode, errors) == (0, "")
     lines = [line for line in told.splitlines() if "runs/s" in line]
     assert lines and len(set(lines)) == len(lines)
@@ -403,7 +403,7 @@ def test_workers_die_with_the_process_that_asked(
     process.stdout.readline()
     children = worker_processes(process.pid)
     process.kill()
-    assert len(children) == 2 and not psutil.wait_procs(children, timeout=10)[1]
+    assert len(children) == 2 and not psutil.wait_procs(children, timeout=60)[1]
     assert parts(out).items() < here.items()
     campaign.run_into(study, out, resume=True)
     assert parts(out) == here

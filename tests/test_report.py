@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from stored import store, told
 from studies import small_study
 
-from sinsjax import analysis, columns, report, results, statements
+from sinsjax import analysis, campaign, columns, report, results, statements
 from sinsjax.analysis import Estimate
 from sinsjax.config import study_from_dict
 from sinsjax.report import base, car_test, limits, over_axes, readings
@@ -572,14 +572,14 @@ def test_paper1_configs_load_and_fit_their_layouts():
     assert sweep.values("r_reading")[0] == studies["paper1_conditions"].values("r_reading")[0]
 
 
-def test_a_study_that_stops_by_itself_tells_why(tmp_path, drawn_on_request):
+def test_a_study_that_stops_by_itself_tells_why(tmp_path):
     """From the rows alone, and with the numbers of the rule."""
     study = small_study(
         study={"draws": 100},
         stop_when={"statistic": "success_rate", "half_width": 0.9},
     )
     campaign.run_into(study, tmp_path / "out")
-    source = Source.read(tmp_path / "out")
+    source = base.Source.read(tmp_path / "out")
     assert source.draws == 64
-    (_, why) = auto.report(source).headline
-    assert "after 64 draws" in why and "is narrow enough" in why and "0.9" in why
+    (_, why) = report.LAYOUTS["auto"](source).headline
+    assert "after 64 draws" in why and ", narrow enough" in why and "0.9" in why

@@ -130,13 +130,11 @@ def _stopped(source: Source) -> Iterator[str]:
         return
     rule = study.stop_when
     found = stopping.look(study, source.rows(stopping.columns(study)), source.draws)
-    why = (
-        "is narrow enough" if found.enough else "is not narrow enough, but there are no more draws"
-    )
+    why = "narrow enough" if found.enough else "not narrow enough, but there are no more draws"
     yield (
-        f"Drawing ended after {found.draws:,} draws: the widest interval of {rule.statistic} over the"
-        f" variants has a half-width of {found.half_width:.3g} (asked: {rule.half_width:g}), which"
-        f" {why}."
+        f"Drawing ended after {found.draws:,} draws: the widest interval of {rule.statistic} over"
+        f" the variants has a half-width of {found.half_width:.3g}, {why} (asked:"
+        f" {rule.half_width:g})."
     )
 
 
