@@ -45,12 +45,18 @@ Resume = Annotated[
 
 
 @app.command()
-def run(config: Config, out: Out, overwrite: Overwrite = False, devices: Devices = None) -> None:
+def run(
+    config: Config,
+    out: Out,
+    overwrite: Overwrite = False,
+    resume: Resume = False,
+    devices: Devices = None,
+) -> None:
     """Simulate a few runs: curves, figures and a table.
 
     Example: sinsjax run configs/paper1_resets.toml -o out
     """
-    _run_study(config, out, overwrite=overwrite, devices=devices, curves=True)
+    _run_study(config, out, overwrite=overwrite, resume=resume, devices=devices, curves=True)
 
 
 @app.command()

@@ -6,7 +6,7 @@ writes it. Parts, like rows, depend on the study alone.
 """
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -220,7 +220,7 @@ def read_curves(directory: str | Path, run_ids: list[int] | None = None) -> pa.T
         run_ids: which runs; None for all.
     """
     directory = Path(directory)
-    if not (directory / "curves").is_dir():
+    if not any(_parts(directory, "curves")):
         return columns.schema(columns.CURVES).empty_table()
     wanted = None if run_ids is None else ds.field("run_id").isin(run_ids)
     table = _read(directory, "curves", filter=wanted)
@@ -230,9 +230,12 @@ def read_curves(directory: str | Path, run_ids: list[int] | None = None) -> pa.T
 def read_manifest(directory: str | Path) -> dict[str, Any]:
     """The manifest of a directory of results."""
     try:
-        return json.loads(Path(directory, "manifest.json").read_text(encoding="utf-8"))
+        manifest = json.loads(Path(directory, "manifest.json").read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(f"{directory}: holds no readable manifest.json ({error})") from error
+    if not isinstance(manifest, dict):
+        raise InputError(f"{directory}: holds no readable manifest.json (it is no table)")
+    return manifest
 
 
 def _read(directory: Path, name: str, **options: Any) -> pa.Table:
@@ -243,15 +246,18 @@ def _read(directory: Path, name: str, **options: Any) -> pa.Table:
 
 
 def _ask(directory: Path, name: str, question: Callable[[ds.Dataset], Any]) -> Any:
-    path = directory / name
-    if not path.is_dir():
-        raise InputError(f"{directory}: holds no results (no {name}/ in it)")
+    if not (parts := sorted(_parts(directory, name))):
+        raise InputError(f"{directory}: holds no results (no part in {name}/)")
     checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
     form = ds.ParquetFileFormat(default_fragment_scan_options=checked)
     try:
-        return question(ds.dataset(path, format=form))
+        return question(ds.dataset(parts, format=form))
     except (OSError, pa.ArrowException) as error:
         what = str(error).splitlines()[0]
-        raise InputError(
-            f"{path}: cannot be read: {what} (`sinsjax sweep --resume` makes broken parts again)"
-        ) from error
+        hint = "`sinsjax sweep --resume` makes broken parts again"
+        raise InputError(f"{directory / name}: cannot be read: {what} ({hint})") from error
+
+
+def _parts(directory: Path, name: str) -> Iterator[Path]:
+    """The parts of a dataset, whole ones as they have their names, and nothing else."""
+    return directory.glob(f"{name}/*.parquet")
