@@ -97,9 +97,12 @@ def test_curves_say_where_on_the_tape_a_run_is(
     assert worlds.pass_numbers(span).tolist() == numbers
 
 
+TURNS = {"turn": ["reflect", "velocity"]}
+
+
 @cache
 def swept() -> campaign.Results:
-    return run(QUICK, {"passes": {}, "axes": {"tape_s": [3.0, 4.0]}})
+    return run(QUICK, {"passes": {}, "axes": {"tape_s": [3.0, 4.0]} | TURNS})
 
 
 def test_columns_of_the_curves_and_of_the_summary() -> None:
@@ -130,15 +133,16 @@ def test_a_tape_as_long_as_the_study_changes_no_bit() -> None:
 
 def test_tapes_swept_together_give_the_rows_of_each_alone() -> None:
     """Every bit of them, though the parts share a tape of one length."""
-    alone = run(QUICK, {"passes": {"tape_s": 3.0}})
-    rows = swept().summary.filter(pc.equal(swept().summary["variant_id"], 0))
-    names = [n for n in alone.summary.column_names if n not in ("run_id", "variant_id")]
+    alone = run(QUICK, {"passes": {"tape_s": 3.0}, "axes": TURNS})
+    rows = swept().summary.filter(pc.less(swept().summary["variant_id"], 2))
+    names = [n for n in alone.summary.column_names if n != "run_id"]
     assert rows.select(names).equals(alone.summary.select(names))
     names = [n for n in alone.curves.column_names if n != "run_id"]
-    for draw in range(2):
-        together = columns_of(swept().curves, 2 * draw, *names)
-        assert together == columns_of(alone.curves, draw, *names)
-        assert together != columns_of(swept().curves, 2 * draw + 1, *names)
+    for number in range(4):
+        draw, turn = divmod(number, 2)
+        together = columns_of(swept().curves, 4 * draw + turn, *names)
+        assert together == columns_of(alone.curves, number, *names)
+        assert together != columns_of(swept().curves, 4 * draw + 2 + turn, *names)
 
 
 @pytest.mark.parametrize("method", ["compass", pytest.param("kalman10", marks=pytest.mark.slow)])
@@ -161,7 +165,7 @@ def test_at_truth_a_run_stays_at_truth_over_every_pass(method: str) -> None:
 @pytest.mark.parametrize(
     "tables",
     [
-        pytest.param(QUICK | {"axes": {"turn": ["reflect", "velocity"]}}, id="compass"),
+        pytest.param(QUICK | {"axes": TURNS}, id="compass"),
         pytest.param(
             {
                 "alignment": {"specific_force": "gravity"},
@@ -194,9 +198,11 @@ def test_a_pass_hears_the_noise_of_the_tape_again() -> None:
     start = {"method": "compass", "phi_e0_deg": 0.0, "phi_n0_deg": 0.0, "phi_u0_deg": 0.0}
     loops = {"alignment": start, "compass": still}
     loud = {"sensors": {"gyro_noise_deg_per_h": 1e4, "accel_noise_ug": 0.0}}
-    out = run(loops, loud, {"passes": {"tape_s": 4.0, "turn": "velocity"}})
-    for draw in range(2):
-        (phi,) = columns_of(out.curves, draw, "phi_u_arcmin")
+    out = run(loops, loud, {"passes": {"tape_s": 4.0}, "axes": TURNS})
+    flipped = out.summary.filter(pc.equal(out.summary["turn"], "velocity"))["run_id"]
+    assert len(flipped) == 2
+    for run_id in flipped.to_pylist():
+        (phi,) = columns_of(out.curves, run_id, "phi_u_arcmin")
         assert abs(phi[3]) > 1 and abs(phi[7]) < 1e-6 * abs(phi[3])
         np.testing.assert_allclose(phi[:3], phi[6:3:-1], rtol=1e-6)
 

@@ -422,9 +422,9 @@ def test_reference_parquet(tmp_path):
 
 @needs_data
 def test_real_record(tmp_path):
-    start = time.perf_counter()
+    start = time.process_time()  # other processes may share the cores
     record = records.read_record(REAL, records.PSINS_LAYOUT)
-    assert time.perf_counter() - start < 1.0
+    assert time.process_time() - start < 1.0
     assert record.dtheta.shape == record.dv.shape == (90_000, 3)
     assert (record.rate_hz, record.latitude_deg) == (100.0, 34.246048)
     assert np.linalg.norm(record.dv.mean(0)) * 100 == pytest.approx(9.79548, abs=2e-5)
