@@ -9,11 +9,11 @@ again, and those of several schedulers on one machine, find cores of their own.
 
 import os
 import platform
-import stat
-import tempfile
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
+
+from sinsjax import machine
 
 VARIABLE = "SINSJAX_ONE_CORE"
 
@@ -40,7 +40,10 @@ def keep_to_one_core() -> int | None:
 
     # Not to be found, not ours, or on a disk without locks: a process that moves is no error.
     with suppress(OSError):
-        folder = _own_folder()
+        folder = machine.temporary_folder()
+        folder.mkdir(mode=0o700, exist_ok=True)
+        if not machine.is_private(folder):  # or others could have us write anywhere
+            return None
         for core in sorted(os.sched_getaffinity(0)):
             lock = filelock.FileLock(folder / f"core-{platform.node()}-{core}.lock", timeout=0)
             with suppress(filelock.Timeout):
@@ -56,13 +59,3 @@ def _keep_to(core: int) -> None:
     for thread in threads:
         with suppress(ProcessLookupError):  # it ended meanwhile
             os.sched_setaffinity(thread, {core})
-
-
-def _own_folder() -> Path:
-    """A folder of this user; whoever else could write there could have us write anywhere."""
-    folder = Path(tempfile.gettempdir()) / f"sinsjax-{os.getuid()}"
-    folder.mkdir(mode=0o700, exist_ok=True)
-    about = folder.lstat()
-    if about.st_uid != os.getuid() or about.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        raise PermissionError(folder)
-    return folder

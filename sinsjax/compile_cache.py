@@ -9,8 +9,6 @@ processor; and whoever can write there can run code here, so it must belong to t
 import hashlib
 import importlib.metadata
 import os
-import stat
-import tempfile
 from pathlib import Path
 
 from sinsjax import machine
@@ -35,23 +33,17 @@ def enable() -> Path | None:
         return None
     import jax
 
-    folder = (_own_root() if asked == "1" else Path(asked).expanduser()) / _key()
+    folder = (machine.temporary_folder() if asked == "1" else Path(asked).expanduser()) / _key()
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        about = folder.stat()
+        private = machine.is_private(folder)
     except OSError as error:
         raise InputError(f"{VARIABLE}: {folder}: {error.strerror}") from None
-    theirs = hasattr(os, "getuid") and about.st_uid != os.getuid()
-    if theirs or about.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+    if not private:
         raise InputError(f"{VARIABLE}: {folder}: others can write there, and what it holds is run")
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", _WORTH_KEEPING_S)
     return folder
-
-
-def _own_root() -> Path:
-    user = os.getuid() if hasattr(os, "getuid") else "user"
-    return Path(tempfile.gettempdir()) / f"sinsjax-{user}"
 
 
 def _key() -> str:

@@ -17,7 +17,7 @@ KEYS = "jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs"
 def unchanged(monkeypatch, tmp_path):
     """What a test sets is undone; the system's temporary folder is its own."""
     before = {key: jax.config.values[key] for key in KEYS}
-    monkeypatch.setattr(compile_cache.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr(machine.tempfile, "gettempdir", lambda: str(tmp_path))
     monkeypatch.delenv(compile_cache.VARIABLE, raising=False)
     yield monkeypatch
     for key, value in before.items():

@@ -78,17 +78,19 @@ def test_noise_is_white_and_differs_between_axes_and_draws(normal):
 
 
 def test_noise_is_a_function_of_seed_draw_and_sample_alone():
+    noise = jax.jit(imu.noise)
+
     def once(seed, draw, sample):
-        return joined(imu.noise(jnp.asarray(seed), jnp.asarray(draw), jnp.asarray([sample])))[0]
+        return joined(noise(jnp.asarray(seed), jnp.asarray(draw), jnp.asarray([sample])))[0]
 
     here = once(3, 5, 8)
     assert here.shape == (6,) and here.dtype == np.float32
     # To the last bit of single precision, which fused operations may round differently.
     rounding = {"rtol": 0, "atol": 1e-6}
-    many = jax.jit(imu.noise)(jnp.asarray(3), jnp.arange(2, 9), jnp.arange(4, 50))
+    many = noise(jnp.asarray(3), jnp.arange(2, 9), jnp.arange(4, 50))
     assert many.dv.x.shape == (46, 7)
     np.testing.assert_allclose(here, joined(many)[4, 3], **rounding)
-    over_draws = jax.vmap(imu.noise, in_axes=(None, 0, None))
+    over_draws = jax.jit(jax.vmap(imu.noise, in_axes=(None, 0, None)))
     mapped = over_draws(jnp.asarray(3), jnp.arange(9), jnp.arange(4, 50))
     np.testing.assert_allclose(here, joined(mapped)[5, 4], **rounding)
     others = (4, 5, 8), (3, 6, 8), (3, 5, 9), (5, 3, 8), (8, 5, 3), (3 + 2**32, 5, 8)
