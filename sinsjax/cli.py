@@ -76,7 +76,7 @@ def sweep(
     ] = None,
     chunk_runs: Annotated[
         int | None,
-        typer.Option(help="Runs a chunk; no row depends on it. Default: for the study.", min=1),
+        typer.Option(help="Runs a chunk; no row depends on it. With --resume: as begun.", min=1),
     ] = None,
 ) -> None:
     """Simulate all draws and variants of a study into Parquet, with a figure and a table.
@@ -144,7 +144,8 @@ def rerun(
     from sinsjax import reruns
 
     runtime.configure()
-    reruns.rerun_into(directory, run_id, Console(), out=out, files=(record, reference))
+    if not reruns.rerun_into(directory, run_id, Console(), out=out, files=(record, reference)):
+        raise typer.Exit(1)
 
 
 @app.command()

@@ -23,7 +23,7 @@ from typing import Any
 from sinsjax import affinity, runtime
 from sinsjax.types import InputError
 from sinsjax.work import Executor, Packed, Task, Workshop
-from sinsjax.worker import DECISIVE, Answer, Machine, answer, versions
+from sinsjax.worker import Answer, Machine, answer, versions
 
 AHEAD = 2
 """Tasks that a thread of a worker has at a time, so that it never waits for the next one."""
@@ -81,7 +81,7 @@ class Crew:
             self._alone(since)
             time.sleep(_LOOK_S / 10)
         # Dask compares by name, so this works whatever sinsjax the workers have, or none.
-        found = self._ask("get_versions", packages=list(DECISIVE))
+        found = self._ask("get_versions", packages=list(runtime.DECISIVE))
         ours = found["client"]["packages"]
         for worker, about in found["workers"].items():
             _check_versions(worker, about["packages"], ours)
@@ -180,7 +180,7 @@ class Crew:
 
 
 def _check_versions(worker: str, theirs: dict[str, Any], ours: dict[str, Any]) -> None:
-    for name in DECISIVE:
+    for name in runtime.DECISIVE:
         if theirs.get(name) != ours.get(name):
             raise InputError(
                 f"{worker}: the worker has {name} {theirs.get(name) or '(none)'}, this process"

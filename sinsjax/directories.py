@@ -8,6 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from sinsjax import runtime
 from sinsjax.config import fingerprint, load_study
 from sinsjax.files import unwritable
 from sinsjax.results import read_manifest
@@ -29,10 +30,12 @@ class Session(_Checked):
     Attributes:
         started_unix_s: when.
         wall_s: how long.
+        versions: of the packages that decide rows.
     """
 
     started_unix_s: float
     wall_s: float
+    versions: dict[str, str] = {}
 
 
 class File(_Checked):
@@ -98,10 +101,24 @@ def resumed(directory: Path, job: Job) -> Job:
             )
         return job
     job = job._replace(curves=known.curves, chunk_runs=known.chunk_runs)
+    _check_versions(directory, known)
     if known.identity != job.identity:
         what = "study" if kept is None else "record or reference"
         raise InputError(f"{directory}: holds results of another {what}")
     return job
+
+
+def _check_versions(directory: Path, known: Manifest) -> None:
+    """Refuses to add rows of other versions: last bits and chunks may differ."""
+    here = runtime.versions()
+    for session in known.sessions:
+        for name in runtime.DECISIVE:
+            there = session.versions.get(name, here[name])
+            if there != here[name]:
+                raise InputError(
+                    f"{directory}: was made with {name} {there}, here is {here[name]}: install that"
+                    " one, or give --overwrite"
+                )
 
 
 def _kept_study(directory: Path) -> Study | None:
@@ -118,7 +135,7 @@ def _told_by_parts(directory: Path) -> Manifest | None:
         try:
             said = pq.read_schema(path).metadata or {}
             chunk, identity = json.loads(said[b"sinsjax.chunk"]), said[b"sinsjax.study"].decode()
-        except (OSError, pa.ArrowException, KeyError):
+        except (OSError, ValueError, pa.ArrowException, KeyError, TypeError):
             continue
         curves = True if any(directory.glob("curves/part-*")) else None
         return Manifest(identity=identity, curves=curves, chunk_runs=chunk["chunk_runs"])
@@ -127,22 +144,29 @@ def _told_by_parts(directory: Path) -> Manifest | None:
 
 def differences(there: Study, here: Study) -> list[str]:
     """The keys in which two studies differ, with both values, as far as results depend on them."""
-    found = []
-    sections = (study.model_dump(exclude={"report", "statements"}) for study in (there, here))
-    old, new = ({k: v for k, v in s.items() if v is not None} for s in sections)
-    for section in dict.fromkeys((*old, *new)):
-        one, other = old.get(section), new.get(section)
-        if not isinstance(one, dict) or not isinstance(other, dict):
-            if one != other:
-                found.append(f"[{section}] {_said(one)} there, {_said(other)} here")
-            continue
-        for key in dict.fromkeys((*one, *other)):
-            if one.get(key) != other.get(key) and (section, key) != ("study", "name"):
-                text = f"{_said(one.get(key))} there, {_said(other.get(key))} here"
-                found.append(f"[{section}] {key}: {text}")
-        if section == "axes" and not found and list(one) != list(other):
-            found.append("[axes] stand in another order")
-    return found
+    old, new = _by_key(there), _by_key(here)
+    found = [
+        f"{key}: {_said(old.get(key))} there, {_said(new.get(key))} here"
+        for key in dict.fromkeys((*old, *new))
+        if old.get(key) != new.get(key)
+    ]
+    return found or ["its keys stand in another order"]
+
+
+def _by_key(study: Study) -> dict[str, Any]:
+    """The values of a study by the place and key that its file gives them."""
+    content = study.model_dump(exclude={"report", "statements"}, exclude_none=True)
+    content["study"].pop("name")
+    tables = {f"axes.{name}": keys for name, keys in content.pop("zips", {}).items()}
+    drawn = content.pop("drawn", {})
+    tables["drawn"] = drawn.get("laws", {}) | {k: v for k, v in drawn.items() if k != "laws"}
+    for i, case in enumerate(content.pop("cases", ())):
+        tables[f"cases {i}"] = case
+    return {
+        f"[{table}] {key}": value
+        for table, keys in (content | tables).items()
+        for key, value in keys.items()
+    }
 
 
 def _said(value: Any) -> str:

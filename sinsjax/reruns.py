@@ -20,6 +20,8 @@ from sinsjax.types import InputError
 from sinsjax.work import Job
 from sinsjax.worlds import Tape
 
+_FILES = ("summary.parquet", "curve.parquet", "curve.png")
+
 
 class Rerun(NamedTuple):
     """A run done again.
@@ -63,7 +65,7 @@ def rerun_into(
     *,
     out: Path | None = None,
     files: tuple[Path | None, Path | None] = (None, None),
-) -> None:
+) -> bool:
     """Do one run of a directory of results again, compare its row, and keep row, curve and figure.
 
     Args:
@@ -73,29 +75,41 @@ def rerun_into(
         out: where to put it; None: ``reruns/RUN_ID`` in the directory.
         files: record and reference of a recorded study.
 
+    Returns:
+        Whether the row came out the same.
+
     Raises:
         InputError: no results, no such run, another record, or nothing can be written.
     """
     study = load_study(directory / "study.toml")
+    if files[0] is None and files[1] is not None:
+        raise InputError("--reference: needs the record too (give --record)")
     if study.is_recorded and files[0] is None:
         raise InputError(f"{directory}: its study reads a record: give it with --record")
     tape = None if files[0] is None else load_tape(study, files[0], files[1])
     told = results.read_manifest(directory).get("identity")
     if told not in (None, Job(study, tape).identity):
         raise InputError(f"{directory}: was made from another record or reference than is given")
-    made = rerun(study, run_id, tape)
+    runs = study.n_draws * study.n_variants
+    if run_id >= runs:
+        raise InputError(f"{directory}: has no run {run_id} (runs are 0 to {runs - 1})")
     stored = results.read_summary(directory, run_ids=[run_id])
     if not stored.num_rows:
         raise InputError(f"{directory}: holds no row of run {run_id} (yet)")
+    if out is not None and (there := [name for name in _FILES if (out / name).exists()]):
+        raise InputError(f"{out}: holds a {there[0]} already: give another one")
+    made = rerun(study, run_id, tape)
     target = directory / "reruns" / str(run_id) if out is None else out
     _write(target, made, study)
+    differ = _differing(stored, made.row)
     for line in [
         *_told(made.row),
         "",
-        _verdict(stored, made.row),
+        _verdict(stored, made.row, differ),
         f"Row, curve and figure: {target}",
     ]:
         console.print(line, highlight=False, soft_wrap=True)
+    return not differ
 
 
 def _write(target: Path, made: Rerun, study: Study) -> None:
@@ -132,16 +146,20 @@ def _told(row: pa.Table) -> list[str]:
     return [f"{name:>{width}}  {value}" for name, value in values.items()]
 
 
-def _verdict(stored: pa.Table, again: pa.Table) -> str:
-    """Whether two rows are the same, else where they differ most."""
+def _differing(stored: pa.Table, again: pa.Table) -> list[str]:
+    """Columns in which two rows are not the same."""
     (one,), (other,) = stored.to_pylist(), again.to_pylist()
-    differ = [name for name in dict.fromkeys((*one, *other)) if one.get(name) != other.get(name)]
+    return [name for name in dict.fromkeys((*one, *other)) if one.get(name) != other.get(name)]
+
+
+def _verdict(stored: pa.Table, again: pa.Table, differ: list[str]) -> str:
+    """Whether two rows are the same, else where they are not."""
+    (one,), (other,) = stored.to_pylist(), again.to_pylist()
     if not differ:
         return f"The row is identical to the stored one, in all {len(one)} columns."
-    shown = ", ".join(
-        f"{name} {one.get(name)} there, {other.get(name)} here" for name in differ[:3]
-    )
+    said = [f"{name} {one.get(name)} there, {other.get(name)} here" for name in differ[:3]]
     return (
-        f"{len(differ)} of {len(one)} columns differ from the stored row: {shown}. Last bits depend"
-        " on jaxlib, its flags and the processor; `manifest.json` tells those of the stored row."
+        f"{len(differ)} of {len(one)} columns differ from the stored row: {', '.join(said)}. Last"
+        " bits depend on jaxlib, its flags and the processor; `manifest.json` tells those of the"
+        " stored row."
     )

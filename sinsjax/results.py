@@ -50,10 +50,10 @@ class Tables:
             "reset_times_s": [list(t) for t in times],
             **{f"phi_{a}0_deg": study.values(f"phi_{a}0_deg") for a in "enu"},
         }
-        self._drawn = designs.values(study, study.n_draws)
+        shapes = designs.values(study, 1)
         known = {c.name: c for c in columns.IDENTITY}
         extra = [columns.axis_column(k, v) for k, v in swept.items() if k not in known]
-        extra += [columns.drawn_column(k, v.ndim) for k, v in self._drawn.items() if k not in known]
+        extra += [columns.drawn_column(k, v.ndim) for k, v in shapes.items() if k not in known]
         self.summary_columns: tuple[Column, ...] = (
             *columns.IDENTITY,
             *extra,
@@ -67,7 +67,7 @@ class Tables:
         self._by_variant = {
             name: _swept(values, kinds[name])
             for name, values in (swept | fixed).items()
-            if name not in self._drawn
+            if name not in shapes
         }
         starts = study.record.start_s if study.record else [0.0] * study.n_draws
         self._start_s = np.asarray(starts)
@@ -88,8 +88,10 @@ class Tables:
             "start_s": self._start_s[chunk.draw],
         }
         values |= {name: column.take(variant) for name, column in self._by_variant.items()}
-        for name, drawn in self._drawn.items():
-            own = drawn[chunk.draw]
+        first = int(chunk.draw.min())
+        drawn = designs.values(self._study, int(chunk.draw.max()) + 1 - first, first=first)
+        for name, column in drawn.items():
+            own = column[chunk.draw - first]
             values[name] = own if own.ndim == 1 else list(own)
         values |= self._observed(out.last)
         for i, band in enumerate(self._bands):

@@ -33,6 +33,7 @@ _LAYOUT_CONDITIONS = {
 }
 _READINGS = ("q_reading", "r_reading", "feedback_interval_s")
 _MAX_SAMPLES, _MAX_RUNS = 10**8, 10**9
+_FILTER_LAYOUTS = ("consistency", "reset_cycle")
 _RECORDED_LAYOUTS = ("car_test", "compass_car")
 _GENERAL_LAYOUTS = ("auto", "consistency", "reset_cycle")  # the others know each key of theirs
 _OF_COMPASS = {*SECTIONS["compass"].model_fields, "turn", "turn_smoothing_s"}
@@ -112,6 +113,10 @@ def _check_layout(study: Study, where: Where) -> None:
     kind = "recorded" if layout in _RECORDED_LAYOUTS else "simulated"
     if layout != "auto" and study.is_recorded != (kind == "recorded"):
         _refuse("layout", where, f"'{layout}' needs a {kind} study")
+    if layout in _FILTER_LAYOUTS and "compass" in {
+        p["method"] for p in study.combinations("method")
+    }:
+        _refuse("layout", where, f"'{layout}' needs methods with a filter, not compass")
     labels = [case.get("case") for case in study.cases]
     if layout not in _GENERAL_LAYOUTS:
         tables = [*(["[drawn]"] if study.drawn else []), *(f"[axes.{zip_}]" for zip_ in study.zips)]

@@ -56,6 +56,9 @@ OPTIONS = (
 )
 """The options, in one place."""
 
+DECISIVE = ("sinsjax", "jax", "jaxlib", "numpy", "scipy", "pyarrow")
+"""Packages whose versions decide rows, or the bytes of their files."""
+
 TESTED_JAXLIB = frozenset({"0.10.0", "0.10.2", "0.11.2", "0.12.0.1"})
 """jaxlib versions on which all options were seen at work in a compiled loop."""
 
@@ -228,12 +231,9 @@ def usable_cores() -> int:
 
 
 def versions() -> dict[str, str]:
-    """The versions that decide a result: of sinsjax, Python, jax, jaxlib, numpy and pyarrow."""
-    return {
-        "sinsjax": package_version(),
-        "python": platform.python_version(),
-        **{name: _version(name) for name in ("jax", "jaxlib", "numpy", "pyarrow")},
-    }
+    """The versions of Python and of the packages in `DECISIVE`."""
+    packages = {name: _version(name) for name in DECISIVE if name != "sinsjax"}
+    return {"sinsjax": package_version(), "python": platform.python_version(), **packages}
 
 
 def session() -> dict[str, Any]:

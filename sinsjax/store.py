@@ -23,7 +23,8 @@ from sinsjax.files import replacing, unwritable
 from sinsjax.types import InputError
 from sinsjax.work import Packed, Task, Workshop
 
-_OURS = ("summary/part-*", "curves/part-*", "figures/*.png", "reruns/*/*.p*", "study.toml")
+_OURS = ("summary/part-*", "curves/part-*", "figures/*.png", "study.toml")
+_RERUN = tuple(f"reruns/*/{name}" for name in ("summary.parquet", "curve.parquet", "curve.png"))
 _LEFT = (".manifest.json.*.tmp", ".study.toml.*.tmp", "*/.part-*.tmp", "figures/.*.png.*.tmp")
 _LOCK = ".lock"
 _MANIFEST_SHARE = 0.05  # of the time, at the most, goes into writing manifests
@@ -86,7 +87,7 @@ class Store:
         job = self._workshop.job
         if resume and directories.resumed(self.directory, job)[2:] != job[2:]:
             raise InputError(f"{self.directory}: another process has just written there")
-        patterns = _LEFT if resume else (*_LEFT, *_OURS)
+        patterns = _LEFT if resume else (*_LEFT, *_OURS, *_RERUN)
         _remove(path for pattern in patterns for path in self.directory.glob(pattern))
         if resume and (known := directories.manifest(self.directory)):
             self._sessions = [session.model_dump() for session in known.sessions]

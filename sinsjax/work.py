@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
+from itertools import product
 from typing import Any, NamedTuple
 
 import jax
@@ -25,6 +26,7 @@ from sinsjax.scenario import Scenario
 from sinsjax.studies import Study
 from sinsjax.worlds import Tape
 
+_DRAWS_READY = 2**16  # some 30 MB where everything is drawn
 _PARTS_READY = 3  # a part has its own tape; threads at the seam of two parts need both
 
 
@@ -135,7 +137,7 @@ class Workshop:
         self._lock = threading.Lock()
         self._part = lru_cache(_PARTS_READY)(self.scenario.part)
         self._calls = lru_cache(_PARTS_READY)(self._compile)
-        self._part(0, self.stages[0])
+        self._part(0, self._blocks(self.stages[0])[0])
 
     @property
     def stages(self) -> list[range]:
@@ -149,11 +151,10 @@ class Workshop:
         records = [s.records if scenario.curves else 0 for s in scenario.programs]
         before = [0] * len(scenario.programs)
         staged = []
-        for draws in self.stages:
+        for stage in self.stages:
             tasks = []
-            for part, (static, ids) in enumerate(
-                zip(scenario.programs, scenario.variant_ids, strict=True)
-            ):
+            parts = enumerate(zip(scenario.programs, scenario.variant_ids, strict=True))
+            for (part, (static, ids)), draws in product(parts, self._blocks(stage)):
                 plan = Plan(static, len(draws), len(ids), tiles_a_chunk=self._tiles)
                 ends = (draws.start, draws.stop)
                 for call in range(len(plan)):
@@ -164,6 +165,13 @@ class Workshop:
             staged.append(tasks)
         assert sum(t.runs for tasks in staged for t in tasks) == study.n_draws * study.n_variants
         return staged
+
+    def _blocks(self, stage: range) -> list[range]:
+        """The draws of a stage, in groups that fit into memory with all that is drawn for them."""
+        if not self.job.study.drawn_keys:
+            return [stage]
+        firsts = range(stage.start, stage.stop, _DRAWS_READY)
+        return [range(first, min(first + _DRAWS_READY, stage.stop)) for first in firsts]
 
     def do(self, task: Task) -> Piece:
         """The tables of one task."""

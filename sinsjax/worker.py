@@ -15,9 +15,6 @@ from typing import Any, NamedTuple
 from sinsjax import affinity, machine, runtime
 from sinsjax.work import Job, Packed, Task, Workshop
 
-DECISIVE = ("sinsjax", "jax", "jaxlib", "numpy", "pyarrow")
-"""Packages whose versions decide rows, or the bytes of their files."""
-
 _VECTORS = re.compile("avx|fma|sve|asimd")
 
 
@@ -98,9 +95,9 @@ def _workshop(key: str, sent: bytes, threads: int) -> Workshop:
 
 
 def versions() -> dict[str, str]:
-    """The versions of the packages in `DECISIVE`."""
+    """The versions of the packages in `runtime.DECISIVE`."""
     every = runtime.versions()
-    return {name: every[name] for name in DECISIVE}
+    return {name: every[name] for name in runtime.DECISIVE}
 
 
 @cache

@@ -191,7 +191,7 @@ def _own(
     errors, motion = jax.tree.map(
         lambda a, like: np.broadcast_to(a, (len(draws), *np.shape(like))), drawn, nominal
     )
-    own: dict[str, Any] = {"begins": begins(study, draws)}
+    own: dict[str, Any] = {"begins": _begins(values)}
     if draws_own(study, Sensors):
         own["errors"] = errors
     if draws_own(study, Motion, Earth):
@@ -201,9 +201,8 @@ def _own(
     return own
 
 
-def begins(study: Study, draws: range) -> Start:
-    """What the draws of a study begin with, where that is drawn."""
-    values = designs.values(study, len(draws), first=draws.start)
+def _begins(values: Mapping[str, np.ndarray]) -> Start:
+    """What draws begin with, where that is drawn."""
     e, n, u = (values.get(f"phi_{axis}0_deg") for axis in "enu")
     return Start(
         phi=(_angle(e), _angle(n), _angle(u)),
@@ -302,7 +301,7 @@ def recorded(
         pass_records=np.asarray(span.tape),
     )
     n = len(starts)
-    draws = Draw(np.arange(n), fine, np.arange(n), begins=begins(study, range(n)))
+    draws = Draw(np.arange(n), fine, np.arange(n), begins=_begins(designs.values(study, n)))
     return world, draws, np.asarray(q)
 
 

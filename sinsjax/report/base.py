@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from sinsjax import plots, results
+from sinsjax import analysis, plots, results
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.config import load_study
 from sinsjax.studies import Study
@@ -57,11 +57,13 @@ class Source:
             InputError: runs are missing.
         """
         study = self.study
-        draws = self.runs // study.n_variants if study.stop_when else study.n_draws
-        if not draws or self.runs != draws * study.n_variants:
+        draws = study.n_draws
+        if study.stop_when and self.runs:
+            draws = int(analysis.numbers(self.rows(["draw_id"]), "draw_id").max()) + 1
+        if self.runs != draws * study.n_variants:
             raise InputError(
                 f"{self.directory}: {self.runs} runs where the study has"
-                f" {(draws or 1) * study.n_variants}: are the results complete?"
+                f" {draws * study.n_variants}: are the results complete?"
             )
         return draws
 

@@ -118,11 +118,15 @@ def belief_is_true(study: Study) -> list[bool]:
     starts = {key: laws[key].normal if key in laws else None for key in _STARTS}
     if study.sensors is None or study.filter is None or laws.keys() & Sensors.model_fields.keys():
         return [False] * study.n_variants
+    if study.drawn and study.drawn.sampling != "random":  # draws that know of one another
+        return [False] * study.n_variants
     pairs = [
         *((noise, study.values(believed)) for noise, believed in _NOISES.items()),
         *((bias, [0.0] * study.n_variants) for bias in Sensors.model_fields if "noise" not in bias),
     ]
     true = np.array([reading == "per_sample" for reading in study.values("q_reading")])
+    true &= [method == "kalman5" for method in study.values("method")]
+    true &= [not times for times in study.reset_times()]
     for key, sigma in _STARTS.items():
         true &= [starts[key] == (0.0, believed) for believed in study.values(sigma)]
     for key, believed in pairs:

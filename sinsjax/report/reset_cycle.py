@@ -34,23 +34,27 @@ def _scope(source: Source, grid: Grid) -> str:
 def cost(source: Source) -> Answer:
     """What the runs took, as the manifest tells."""
     study, manifest = source.study, results.read_manifest(source.directory)
-    wall_s, devices = manifest["wall_s"], manifest["devices"]
+    sessions = manifest.get("sessions") or [manifest]
+    wall_s = sum(session["wall_s"] for session in sessions)
+    each = [session.get("devices") or session.get("workers") or 1 for session in sessions]
+    busy_s = sum(session["wall_s"] * n for session, n in zip(sessions, each, strict=True))
+    devices = " and ".join(map(str, dict.fromkeys(each)))
     steps = source.runs * study.records * study.record_every
-    cpus = {session.get("cpu") for session in manifest.get("sessions", [])} - {None}
+    cpus = {session.get("cpu") for session in sessions} - {None}
     rows = [
         ["runs", f"{source.runs:,}"],
         ["steps of sensors, navigation and filter", f"{steps:,}"],
         ["wall time (s)", f"{wall_s:,.0f}"],
-        ["devices", str(devices)],
-        ["time a step and run on one device (ns)", f"{wall_s * devices / steps * 1e9:.0f}"],
+        ["devices or workers", devices],
+        ["time a step and run on one of them (ns)", f"{busy_s / steps * 1e9:.0f}"],
         ["runs a second", f"{source.runs / wall_s:,.0f}"],
         ["times real time", f"{source.runs * study.run_s / wall_s:,.0f}"],
         *(["processor", cpu] for cpu in sorted(cpus)),
         ["versions", ", ".join(f"{name} {v}" for name, v in manifest["versions"].items())],
     ]
     headline = (
-        f"What did it cost? {wall_s / 60:,.1f} min on {devices} devices, for {steps:.2g} steps of"
-        " sensors, navigation and filter."
+        f"What did it cost? {wall_s / 60:,.1f} min on {devices} devices or workers, for"
+        f" {steps:.2g} steps of sensors, navigation and filter."
     )
     note = "From the manifest of the results; compilation and writing are in the wall time."
     return Answer(headline, "What did it cost?", [Table("Cost", ["", ""], rows, note)])
