@@ -583,3 +583,18 @@ def test_a_study_that_stops_by_itself_tells_why(tmp_path):
     assert source.draws == 64
     (_, why) = report.LAYOUTS["auto"](source).headline
     assert "after 64 draws" in why and ", narrow enough" in why and "0.9" in why
+
+
+def test_a_stopped_study_that_lacks_a_part_is_told(tmp_path):
+    """Variants that are not there must not pass for fewer draws."""
+    study = small_study(
+        study={"draws": 65},
+        stop_when={"statistic": "success_rate", "half_width": 0.9},
+        axes={"specific_force": ["measured", "gravity"]},
+    )
+    campaign.run_into(study, tmp_path / "out")
+    assert base.Source.read(tmp_path / "out").draws == 64
+    for path in (tmp_path / "out" / "summary").glob("part-0001-*"):
+        path.unlink()
+    with pytest.raises(InputError, match="64 runs where the study has 128"):
+        report.LAYOUTS["auto"](base.Source.read(tmp_path / "out"))

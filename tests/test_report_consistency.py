@@ -135,3 +135,20 @@ def test_the_filter_is_consistent_where_its_belief_is_true_and_only_there():
         unseen = one.expected or "bias" in one.name  # a bias moves the floor, not the NIS from it
         assert (low <= one.nis_u.value <= high) == unseen, one.name
         assert (one.inside.low <= 0.95 <= one.inside.high) == one.expected, one.name
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"alignment": {"method": "kalman10"}},
+        {"resets": {"reset_count": 1, "reset_cycle_s": 10.0}},
+        {"drawn": {"sampling": "sobol"}},
+    ],
+)
+def test_what_breaks_the_chi_square_law_is_no_true_belief(change):
+    """States that have no error, a covariance that is set anew, draws that know of one another."""
+    data = tomllib.loads(CONFIG.read_text(encoding="utf-8"))
+    assert any(consistency.belief_is_true(study_from_dict(data)))
+    for section, keys in change.items():
+        data[section] = data.get(section, {}) | keys
+    assert not any(consistency.belief_is_true(study_from_dict(data)))

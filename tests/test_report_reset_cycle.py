@@ -526,17 +526,23 @@ def test_the_page_answers_five_questions(report):
 
 
 def test_the_cost_is_the_manifests(tmp_path):
-    sessions = [{"cpu": "A"}, {"cpu": "B"}, {"cpu": "A"}, {}]
+    """Of all sessions, on devices or with workers: each second counts as often as there were."""
+    sessions = [
+        {"cpu": "A", "wall_s": 60.0, "devices": 2},
+        {"cpu": "B", "wall_s": 40.0, "workers": 4},
+        {"cpu": "A", "wall_s": 20.0, "devices": 2},
+    ]
     answer = reset_cycle.cost(results_in(tmp_path, sessions=sessions))
     rows = answer.blocks[0].rows
     cost = dict(rows[:7])
     steps = 2304 * 90_000
     assert cost["steps of sensors, navigation and filter"] == f"{steps:,}"
-    assert cost["time a step and run on one device (ns)"] == f"{120 * 2 / steps * 1e9:.0f}"
+    busy_s = 60 * 2 + 40 * 4 + 20 * 2
+    assert cost["time a step and run on one of them (ns)"] == f"{busy_s / steps * 1e9:.0f}"
     assert cost["runs a second"] == "19" and cost["times real time"] == "17,280"
     assert [row[1] for row in rows if row[0] == "processor"] == ["A", "B"]
     assert rows[-1] == ["versions", "sinsjax 1, jax 2"]
-    assert "2.0 min on 2 devices, for 2.1e+08 steps" in answer.headline
+    assert "2.0 min on 2 and 4 devices or workers, for 2.1e+08 steps" in answer.headline
 
 
 def test_figures_show_the_medians(report):
