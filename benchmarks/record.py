@@ -25,6 +25,7 @@ SCRIPTS = (
     "noise",
     "methods",
     "devices",
+    "scaling",
     "cold_start",
     "derivative",
     "memory",
