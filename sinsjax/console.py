@@ -55,13 +55,8 @@ def _plainly(console: Console, name: str, pace: "_Pace") -> Tell:
         text = pace.text(now)
         tenth, clock = now.done * 10 // now.total, time.monotonic()
         began = now.done == now.before
-        if (
-            began
-            and not now.before
-            or not began
-            and tenth == told
-            and clock < last + _PLAIN_EVERY_S
-        ):
+        news = now.before > 0 if began else tenth != told or clock >= last + _PLAIN_EVERY_S
+        if not news:
             return
         told, last = tenth, clock
         there = ", there already" if began else text

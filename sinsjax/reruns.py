@@ -42,9 +42,7 @@ def rerun(study: Study, run_id: int, tape: Tape | None = None) -> Rerun:
         InputError: the study has no such run, or a record that does not fit.
         RuntimeError: double precision is off.
     """
-    runs = study.n_draws * study.n_variants
-    if not 0 <= run_id < runs:
-        raise InputError(f"{study.study.name}: has no run {run_id} (runs are 0 to {runs - 1})")
+    _check_number(study, run_id, study.study.name)
     draw, variant = divmod(run_id, study.n_variants)
     scenario = Scenario(study, tape, curves=True)
     number = next(i for i, ids in enumerate(scenario.variant_ids) if variant in ids)
@@ -53,9 +51,15 @@ def rerun(study: Study, run_id: int, tape: Tape | None = None) -> Rerun:
     # The smallest call there is: which lane and which call a run has leaves its bits alone.
     calls = Calls(group, tiles_a_chunk=1)
     chunk = calls.chunk(calls.plan.call_of(place, int(np.flatnonzero(ids == variant)[0])))
-    tables = Tables(study, has_truth=tape is None or tape.reference is not None)
+    tables = Tables(study, has_truth=scenario.has_truth)
     made = tables.summary(chunk, ids), tables.curves(chunk, ids)
     return Rerun(*(table.filter(pa.compute.equal(table["run_id"], run_id)) for table in made))
+
+
+def _check_number(study: Study, run_id: int, source: str | Path) -> None:
+    runs = study.n_draws * study.n_variants
+    if not 0 <= run_id < runs:
+        raise InputError(f"{source}: has no run {run_id} (runs are 0 to {runs - 1})")
 
 
 def rerun_into(
@@ -90,9 +94,7 @@ def rerun_into(
     told = results.read_manifest(directory).get("identity")
     if told not in (None, Job(study, tape).identity):
         raise InputError(f"{directory}: was made from another record or reference than is given")
-    runs = study.n_draws * study.n_variants
-    if run_id >= runs:
-        raise InputError(f"{directory}: has no run {run_id} (runs are 0 to {runs - 1})")
+    _check_number(study, run_id, directory)
     stored = results.read_summary(directory, run_ids=[run_id])
     if not stored.num_rows:
         raise InputError(f"{directory}: holds no row of run {run_id} (yet)")

@@ -127,6 +127,15 @@ def misalignment(q_true: Quat, q_hat: Quat) -> Vec3:
     return log(multiply(q_true, conjugate(q_hat)))
 
 
+def euler_vector(pitch: Scalar, roll: Scalar, yaw: Scalar) -> Vec3:
+    """Rotation vector of Euler angles, rad.
+
+    [P1] section 1 gives a misalignment so: angles from the ideal to the computed frame, about U, E
+    and N in turn.
+    """
+    return log(from_euler(pitch, roll, yaw))
+
+
 _HALF_PI = (1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
 _SIN = (
     1.58969099521155010221e-10,

@@ -19,7 +19,7 @@ from sinsjax.columns import bands
 from sinsjax.draws import Draw, Static, World, made, noise, sense
 from sinsjax.metrics import Criteria
 from sinsjax.records import Record
-from sinsjax.rotations import from_euler, log
+from sinsjax.rotations import euler_vector
 from sinsjax.sections import Earth, Motion, Sensors
 from sinsjax.simulate import Params
 from sinsjax.studies import PASS_KEYS, Span, Study
@@ -84,6 +84,11 @@ class Scenario:
         for ids in self.variant_ids:
             variants = Variants(study, ids)
             tunings.check_loops(study, variants, site_of(study, variants, tape)[0])
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether runs can be judged: by a simulation's truth, or a record's reference."""
+        return self.tape is None or self.tape.reference is not None
 
     @cached_property
     def programs(self) -> list[Static]:
@@ -209,7 +214,6 @@ def _params(study: Study, variants: Variants, site: Site, ug: float) -> Params:
     euler = np.asarray(variants.raw("misalignment")) == "euler"
     drawn = any(f"phi_{axis}0_deg" in study.drawn_keys for axis in "enu")
     if euler.any() and not drawn:
-        # [P1] section 1: angles from the ideal to the computed frame, about U, E, N in turn.
         vector = _euler_vectors(*phi)
         phi = Vec3(*(np.where(euler, v, a) for v, a in zip(vector, phi, strict=True)))
     return Params(
@@ -224,4 +228,4 @@ def _params(study: Study, variants: Variants, site: Site, ug: float) -> Params:
 
 @jax.jit
 def _euler_vectors(e: Array, n: Array, u: Array) -> Vec3:
-    return jax.vmap(lambda *angles: log(from_euler(*angles)))(e, n, u)
+    return jax.vmap(euler_vector)(e, n, u)

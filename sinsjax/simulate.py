@@ -71,8 +71,7 @@ def started(params: Params, own: Start, q: Quat | None) -> Params:
     """A run's numbers with what its draw begins with, its true attitude included if it has one."""
     angles = Vec3(*(a if b is None else b for a, b in zip(params.phi, own.phi, strict=True)))
     if params.euler is not None:
-        # [P1] section 1: angles from the ideal to the computed frame, about U, E, N in turn.
-        vector = rotations.log(rotations.from_euler(*angles))
+        vector = rotations.euler_vector(*angles)
         pairs = zip(vector, angles, strict=True)
         angles = Vec3(*(jnp.where(params.euler, v, a) for v, a in pairs))
     return params._replace(

@@ -129,9 +129,7 @@ class Workshop:
         """
         self.job = job
         self.scenario = Scenario(job.study, job.tape, curves=job.curves)
-        self.tables = Tables(
-            job.study, has_truth=job.tape is None or job.tape.reference is not None
-        )
+        self.tables = Tables(job.study, has_truth=self.scenario.has_truth)
         self._tiles = None if job.chunk_runs is None else -(-job.chunk_runs // LANES)
         self.identity = job.identity
         self._lock = threading.Lock()

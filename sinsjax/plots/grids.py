@@ -140,12 +140,7 @@ def heat_maps(
         axes.set_yticks(range(len(rows.values)), [f"{v:g}" for v in rows.values])
         if contours:
             _contour(axes, contours.levels, contours.values[number])
-    for axes in list(grid.flat)[len(panels) :]:
-        axes.set_visible(False)
-    for axes in grid[:, 0]:
-        axes.set_ylabel(label(rows.key))
-    for axes in grid[-1]:
-        axes.set_xlabel(label(columns.key))
+    label_rim(grid, len(panels), rows=rows, columns=columns)
     finite = np.concatenate([values[np.isfinite(values)] for _, values in panels])
     below, above = bool(np.any(finite < shown.low)), bool(np.any(finite > shown.high))
     extend = {(True, True): "both", (True, False): "min", (False, True): "max"}.get((below, above))
@@ -179,6 +174,23 @@ def _contour(axes: Axes, levels: Sequence[float], values: NDArray) -> None:
 def _level_styles(levels: Sequence[float]) -> list[Any]:
     """A line style a level, from the sparsest to solid."""
     return [*((0, (1 + 2 * i, 1.5)) for i in range(len(levels) - 1)), "-"]
+
+
+def label_rim(grid: NDArray, panels: int, *, rows: Scale, columns: Scale) -> None:
+    """Names the scales at the left and lower rim of a grid of axes, and hides the unused ones.
+
+    Args:
+        grid: of axes, two-dimensional.
+        panels: how many of them are used, row by row.
+        rows: what the panels' y axes show.
+        columns: what their x axes show.
+    """
+    for axes in list(grid.flat)[panels:]:
+        axes.set_visible(False)
+    for axes in grid[:, 0]:
+        axes.set_ylabel(label(rows.key))
+    for axes in grid[-1]:
+        axes.set_xlabel(label(columns.key))
 
 
 def _heat_map(axes: Axes, values: NDArray, shown: Shown) -> AxesImage:

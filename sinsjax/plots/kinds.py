@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from sinsjax.plots.grids import Scale
-from sinsjax.plots.style import label, styled
+from sinsjax.plots.grids import Scale, label_rim
+from sinsjax.plots.style import styled
 
 
 class Kind(NamedTuple):
@@ -63,12 +63,7 @@ def kind_maps(
         axes.set_title(name)
         axes.set_xticks(range(len(columns.values)), [f"{v:g}" for v in columns.values])
         axes.set_yticks(range(len(rows.values)), [f"{v:g}" for v in rows.values])
-    for axes in list(grid.flat)[len(panels) :]:
-        axes.set_visible(False)
-    for axes in grid[:, 0]:
-        axes.set_ylabel(label(rows.key))
-    for axes in grid[-1]:
-        axes.set_xlabel(label(columns.key))
+    label_rim(grid, len(panels), rows=rows, columns=columns)
     handles = [Patch(facecolor=kind.colour, label=f"{kind.mark}  {kind.name}") for kind in kinds]
     widest = max(len(kind.name) for kind in kinds)
     fit = max(1, int(figure.get_figwidth() * 11 / (widest + 8)))

@@ -11,7 +11,7 @@ from rich.measure import Measurement
 from rich.text import Text as RichText
 
 from sinsjax import plots, runtime
-from sinsjax.files import replacing
+from sinsjax.files import replacing, unwritable
 from sinsjax.report.base import Block, Picture, Report, Source, Table, Text
 from sinsjax.types import InputError
 
@@ -81,7 +81,7 @@ def save_figures(images: Mapping[str, bytes], directory: Path) -> None:
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{directory}: cannot be written: {error.strerror or error}") from error
+        raise InputError(unwritable(directory, error)) from error
     for name, content in images.items():
         with replacing(directory / f"{name}.png") as file:
             file.write(content)
