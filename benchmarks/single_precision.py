@@ -63,7 +63,7 @@ def build(model: ErrorModel, options: Options) -> Method:
         fed = tuple(single(gain) * x for x in belief.x)
         nav = mechanisation.correct_velocity(nav, *double(fed[:2]))
         renewal = single(where_due(reset, params.resets.renewal))
-        p = renew(renewal, belief.p, single(params.p0), yaw=4)
+        p = renew(renewal, belief.p, single(params.reset_to), yaw=4)
         return zero_velocity.State(
             nav=nav._replace(q=rotations.correct(Vec3(*double(fed[2:])), nav.q)),
             belief=kalman.Belief(

@@ -58,7 +58,27 @@ _DEFAULTS: dict[str, dict[str, Any]] = {
     },
 }
 """Values of keys that apply: to a method of the study, and where none of their rivals is given."""
+_TRIGGER_DEFAULTS = {
+    "trigger_window_s": 10.0,
+    "trigger_refractory_s": 5.0,
+    "trigger_most": 10,
+}
+"""Values of keys that apply where a variant has a trigger."""
 _DEFAULT_DRAWS = 64
+_LATER = {
+    "filter": ("q_scale", "r_scale"),
+    "resets": (
+        "reset_first_s",
+        *(key for key in SECTIONS["resets"].model_fields if key.startswith("trigger")),
+        "reset_trigger",
+        "reset_velocity_m_per_s",
+        "reset_level_deg",
+        "reset_yaw_deg",
+        "reset_gyro_bias_deg_per_h",
+        "reset_accel_bias_ug",
+    ),
+}
+"""Keys that came later than others: a study that leaves them out is told as it was before."""
 _SWEEPS = ("axes", "cases", "drawn")
 
 
@@ -127,8 +147,10 @@ def fingerprint(study: Study) -> str:
     for name in ("zips", "drawn", "stop_when"):
         if not content[name]:
             del content[name]
-    if study.resets and study.resets.reset_first_s is None:
-        del content["resets"]["reset_first_s"]
+    for name, keys in _LATER.items():
+        for key in keys if content[name] else ():
+            if content[name][key] is None:
+                del content[name][key]
     text = json.dumps(content, sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -206,6 +228,10 @@ def _filled(tables: Table, sweep: sweeps.Sweep, where: Where, name: str) -> Tabl
         for white, density in _NOISES:
             if white not in where and density not in where:
                 sections["sensors"][white] = 0.0
+    if _values_of("reset_trigger", tables, sweep) - {None, "none"}:
+        for key, value in _TRIGGER_DEFAULTS.items() if "resets" in sections else ():
+            if key not in where:
+                sections["resets"].setdefault(key, value)
     for section, defaults in _DEFAULTS.items():
         for key, value in defaults.items() if section in sections else ():
             if key not in unread and where.keys().isdisjoint(_rivals(key)):

@@ -43,12 +43,22 @@ def predict(belief: Belief, transition: Entries, q: Sequence[Scalar]) -> Belief:
         transition: non-zero entries of Phi - I = A dt.
         q: n diagonal entries of the discrete process noise.
     """
+    return add_noise(propagate(belief, transition), q)
+
+
+def propagate(belief: Belief, transition: Entries) -> Belief:
+    """Predict over one step without process noise; arguments as of `predict`."""
+    p = congruence(transition, belief.p, len(belief.x))
+    return Belief(times_plus_identity(transition, belief.x), p)
+
+
+def add_noise(belief: Belief, q: Sequence[Scalar]) -> Belief:
+    """Add the process noise of one step; arguments as of `predict`."""
     n = len(belief.x)
-    p = list(congruence(transition, belief.p, n))
-    at = triangle_index(n)
+    p, at = list(belief.p), triangle_index(n)
     for i in range(n):
         p[at[i, i]] = p[at[i, i]] + q[i]
-    return Belief(times_plus_identity(transition, belief.x), tuple(p))
+    return Belief(belief.x, tuple(p))
 
 
 def update(belief: Belief, measured: Sequence[int], z: Sequence[Scalar], r: Scalar) -> Belief:

@@ -6,10 +6,12 @@ Everything is observed at record times, for one run. phi is the misalignment tha
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from sinsjax.algebra import dot, solve3
-from sinsjax.alignment.base import AttitudeCovariance
+from sinsjax.alignment.base import AttitudeCovariance, Fired
+from sinsjax.alignment.schedules import mix
 from sinsjax.rotations import misalignment, to_euler
 from sinsjax.types import Array, Flag, Quat, Scalar, Vec3
 
@@ -33,6 +35,9 @@ class Criteria(NamedTuple):
         window_end: s.
         consistency_after: record times after this one count for the P above error shares, s.
         steady_after: record times after this one are the steady process, s.
+        sharpness: None, or how sharp the edge of a band is where settling times are relaxed to be
+            differentiated: an error of x times the band is outside with the share
+            x^k / (1 + x^k), k being the sharpness.
     """
 
     bands: Array
@@ -40,6 +45,7 @@ class Criteria(NamedTuple):
     window_end: Scalar
     consistency_after: Scalar
     steady_after: Scalar
+    sharpness: Scalar | None = None
 
 
 class Window(NamedTuple):
@@ -89,6 +95,7 @@ class Outcome(NamedTuple):
         nees: phi' P^-1 phi over the attitude states.
         nis_u: (phi_u - floor)^2 / P_UU.
         floor: rad, the floor phi_u was compared with.
+        fired: what the method's trigger did, None without one.
     """
 
     last: Observation
@@ -99,6 +106,7 @@ class Outcome(NamedTuple):
     nees: Scalar
     nis_u: Scalar
     floor: Scalar
+    fired: Fired | None = None
 
 
 def observe(q_true: Quat, q_hat: Quat, covariance: AttitudeCovariance) -> Observation:
@@ -135,10 +143,8 @@ def accumulate(
     after = known & (time > criteria.consistency_after)
     judged = jnp.stack([after, after, known & (time > criteria.steady_after)])
     above = variance > jnp.stack([now.phi.z, error, now.phi.z]) ** 2
-    # NaN is outside every band.
-    inside = jnp.abs(error) <= criteria.bands
     return Metrics(
-        outside_until=jnp.where(inside, metrics.outside_until, time),
+        outside_until=mix(_outside(criteria, error), time, metrics.outside_until),
         window=_widen(
             metrics.window,
             now,
@@ -148,6 +154,15 @@ def accumulate(
         judged=_count(metrics.judged, judged),
         last=now,
     )
+
+
+def _outside(criteria: Criteria, error: Scalar) -> Array:
+    """Whether an error is outside each band, NaN being outside; or which share of it is."""
+    if criteria.sharpness is None:
+        return ~(jnp.abs(error) <= criteria.bands)
+    # Of the square, and never of zero, where the logarithm has no slope.
+    ratio = error * error / criteria.bands**2 + jnp.finfo(error.dtype).tiny
+    return jax.nn.sigmoid(criteria.sharpness / 2 * jnp.log(ratio))
 
 
 def _widen(window: Window, now: Observation, inside: Flag) -> Window:
@@ -172,7 +187,9 @@ def _wrap(angle: Array) -> Array:
     return angle - 2 * jnp.pi * jnp.round(angle / (2 * jnp.pi))
 
 
-def finish(metrics: Metrics, covariance: AttitudeCovariance, floor: Scalar) -> Outcome:
+def finish(
+    metrics: Metrics, covariance: AttitudeCovariance, floor: Scalar, fired: Fired | None = None
+) -> Outcome:
     """What a run is reported with.
 
     The standard deviation is that of the record times in the window (divisor n - 1). An empty
@@ -191,4 +208,5 @@ def finish(metrics: Metrics, covariance: AttitudeCovariance, floor: Scalar) -> O
         nees=dot(phi, solve3(tuple(covariance), phi)),
         nis_u=(phi.z - floor) ** 2 / covariance.uu,
         floor=floor,
+        fired=fired,
     )

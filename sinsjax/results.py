@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 
 from sinsjax import columns, designs
+from sinsjax.alignment.base import Fired
 from sinsjax.batch import Chunk
 from sinsjax.columns import Column
 from sinsjax.metrics import Observation
@@ -61,6 +62,7 @@ class Tables:
             *(columns.settle_column(b) for b in self._bands),
             *(columns.settle_data_column(b) for b in self._bands if study.passes),
             *columns.JUDGED,
+            *(columns.FIRED if study.has_trigger else ()),
         )
         self.curve_columns = columns.curves(passes=study.passes is not None)
         kinds = {c.name: c.dtype for c in self.summary_columns}
@@ -112,6 +114,8 @@ class Tables:
         values["nees"] = self._known(out.nees)
         values["nis_u"] = self._known(out.nis_u)
         values["status"] = self._status(chunk, self._end_s[variant])
+        if self._study.has_trigger:
+            values |= self._fired(out.fired, len(variant))
         return _table(self.summary_columns, values)
 
     def curves(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
@@ -132,6 +136,19 @@ class Tables:
         values |= {f"sigma_{a}_arcmin": _nullable(v / ARCMIN) for a, v in _axes(seen.sigma)}
         angles = {"pitch": seen.pitch, "roll": seen.roll, "yaw": seen.yaw}
         return values | {f"{name}_deg": _nullable(v / DEG) for name, v in angles.items()}
+
+    def _fired(self, fired: Fired | None, runs: int) -> dict[str, pa.Array]:
+        """What the trigger did; nothing, of runs without one."""
+        count, first, last = Fired(*np.zeros((3, runs))) if fired is None else fired
+        rate = self._study.study.rate_hz
+        first_s, last_s = (
+            np.where(t > 0, t / rate, np.nan) for t in map(np.asarray, (first, last))
+        )
+        return {
+            "triggered_count": pa.array(np.asarray(count).astype(int)),
+            "triggered_first_s": _nullable(first_s),
+            "triggered_last_s": _nullable(last_s),
+        }
 
     def _known(self, values: Any) -> pa.Array:
         """Values that need a truth: null without one, and where they are no number."""

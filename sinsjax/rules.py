@@ -74,6 +74,7 @@ def check_study(study: Study, where: Where) -> None:
     _check_schedules(study, where)
     _check_window(study, where)
     _check_stop(study, where)
+    _check_trigger(study, where)
     keys = ("reset_times_s", "reset_count", "reset_cycle_s", "reset_first_s")
     for point in study.combinations(*keys) if study.resets else ():
         times, count, cycle, first = (point[key] for key in keys)
@@ -271,6 +272,20 @@ def _check_times(
             text = f"{time:.12g} s falls on the sample of {other} ({1 / rate:.12g} s a sample)"
             _refuse(key, where, text)
         earlier, taken = time, sample
+
+
+def _check_trigger(study: Study, where: Where) -> None:
+    """Refuses a trigger without a threshold, and numbers of one where there is none."""
+    if study.resets is None:
+        return
+    keys = [key for key in SECTIONS["resets"].model_fields if key.startswith("trigger_")]
+    for key in keys if not study.has_trigger else ():
+        if key in where:
+            _refuse(key, where, "has no place without a reset_trigger")
+    for point in study.combinations("reset_trigger", "trigger_threshold"):
+        name, threshold = point["reset_trigger"], point["trigger_threshold"]
+        if name not in (None, "none") and threshold is None:
+            _refuse("trigger_threshold", where, f"required with reset_trigger = '{name}'")
 
 
 def _check_stop(study: Study, where: Where) -> None:

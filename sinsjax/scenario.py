@@ -27,7 +27,7 @@ from sinsjax.types import Array, Increments, InputError, Quat, Vec3
 from sinsjax.units import ARCMIN, DEG
 from sinsjax.worlds import Tape, Variants, recorded, simulated, site_of
 
-PROGRAM_KEYS = ("method", "specific_force", "position")
+PROGRAM_KEYS = ("method", "specific_force", "position", "reset_trigger")
 """Keys whose values decide the compiled program."""
 
 WORLD_KEYS = tuple(key for model in (Earth, Motion, Sensors) for key in model.model_fields)
@@ -190,6 +190,7 @@ def _program(study: Study, variants: Variants, curves: bool) -> Static:
             dt=1 / study.study.rate_hz,
             specific_force=variants.common("specific_force") or "measured",
             position=variants.common("position"),
+            trigger=(study.resets and variants.common("reset_trigger")) or "none",
         ),
         study.record_every,
         _span(study, variants).records,

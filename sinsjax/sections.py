@@ -37,6 +37,19 @@ GYRO_INCREMENTS = ("rad", "deg", "arcsec")
 ACCEL_INCREMENTS = ("m_per_s", "g_s", "ug_s")
 _DAMPING = 0.5**0.5
 
+TriggerName = Literal[
+    "none",
+    "innovation",
+    "nis",
+    "whiteness",
+    "tilt_drift",
+    "levelled",
+    "linearisation",
+    "strong_tracking",
+    "fading",
+]
+"""The triggers of `alignment.triggers`."""
+
 
 class Section(BaseModel):
     """A table of keys: frozen, no key unknown, no value coerced, NaN and infinity refused."""
@@ -197,10 +210,12 @@ class Filter(Section):
     r_reading: Literal["per_update", "psd"] = Field(
         "per_update", description="R of an update: as is, divided by dt"
     )
+    q_scale: Positive | None = Field(None, description="factor on Q; default 1")
+    r_scale: Positive | None = Field(None, description="factor on R; default 1")
 
 
 class Resets(Section):
-    """[resets]: covariance resets, by count and cycle or at explicit times."""
+    """[resets]: covariance resets, by count and cycle, at explicit times, or by a trigger."""
 
     reset_count: Count | None = Field(
         None, description="number of resets, a cycle apart; default 0"
@@ -212,6 +227,40 @@ class Resets(Section):
     reset_times_s: Times | None = Field(None, description="explicit reset times, s")
     reset_kind: Literal["full", "yaw", "scale"] = Field("full", description="what P is set to")
     reset_scale: Positive = Field(10.0, description="factor on P, for kind 'scale'")
+    reset_velocity_m_per_s: Positive | None = Field(
+        None, description="what the velocity is reset to, m/s; default: as at the start"
+    )
+    reset_level_deg: Positive | None = Field(
+        None, description="what the level angles are reset to, deg; default: as at the start"
+    )
+    reset_yaw_deg: Positive | None = Field(
+        None, description="what the heading is reset to, deg; default: as at the start"
+    )
+    reset_gyro_bias_deg_per_h: Positive | None = Field(
+        None, description="what gyro biases are reset to, deg/h; default: as at the start"
+    )
+    reset_accel_bias_ug: Positive | None = Field(
+        None,
+        description="what accelerometer biases are reset to, ug; default: as at the start",
+    )
+    reset_trigger: TriggerName | None = Field(
+        None, description="what calls for resets besides the schedule; default 'none'"
+    )
+    trigger_threshold: NonNegative | None = Field(
+        None, description="score above which the trigger resets; what a fading one fades by"
+    )
+    trigger_window_s: Positive | None = Field(
+        None, description="what a trigger that looks back sums up, s; default 10"
+    )
+    trigger_refractory_s: NonNegative | None = Field(
+        None, description="least time after the start and after a reset, s; default 5"
+    )
+    trigger_most: Annotated[Count, Field(ge=1)] | None = Field(
+        None, description="most resets that a trigger calls for; default 10"
+    )
+    trigger_until_s: Positive | None = Field(
+        None, description="time after which a trigger calls for none, s; default: no limit"
+    )
 
 
 class Compass(Section):

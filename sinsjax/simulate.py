@@ -84,7 +84,9 @@ def started(params: Params, own: Start, q: Quat | None) -> Params:
 
 def end(static: Static, run: Run, floor: Scalar) -> Outcome:
     """The outcome of a run after its last record."""
-    return metrics.finish(run.metrics, method_of(static).covariance(run.state), floor)
+    method = method_of(static)
+    fired = method.fired(run.state) if method.fired else None
+    return metrics.finish(run.metrics, method.covariance(run.state), floor, fired)
 
 
 class Fan(NamedTuple):

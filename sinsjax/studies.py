@@ -236,6 +236,12 @@ class Study(BaseModel):
         left = self.study.duration_s - self.records * self.record_every / self.study.rate_hz
         return left if left > ROUNDING * self.study.duration_s else 0.0
 
+    @property
+    def has_trigger(self) -> bool:
+        """Whether a trigger calls for resets in some variant."""
+        points = self.combinations("reset_trigger") if self.resets else ()
+        return any(point["reset_trigger"] not in (None, "none") for point in points)
+
     def reset_times(self) -> list[tuple[float, ...]]:
         """Reset times of every variant, s."""
         if self.resets is None:

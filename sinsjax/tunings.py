@@ -4,12 +4,13 @@ What a filter believes and when it is reset, or the gains of compass loops and w
 leaves (variants, ...).
 """
 
+import math
 from typing import Any
 
 import numpy as np
 
 from sinsjax import loops
-from sinsjax.alignment import compass, zero_velocity
+from sinsjax.alignment import compass, triggers, zero_velocity
 from sinsjax.alignment.base import Site
 from sinsjax.alignment.schedules import UNCHANGED, Feedback, Pieces, Renewal, Resets
 from sinsjax.error_model import MODELS
@@ -74,23 +75,61 @@ def _filter(study: Study, variants: Variants, ug: float) -> zero_velocity.Params
     eps = variants.column("p0_gyro_bias_deg_per_h", DEG_PER_H) ** 2
     readings = {"per_step": 1.0, "psd": dt, "per_sample": dt * dt}
     reading = np.asarray([readings[name] for name in variants.raw("q_reading")])
-    q_v = variants.column("q_accel_ug", ug) ** 2 * reading
-    q_phi = variants.column("q_gyro_deg_per_h", DEG_PER_H) ** 2 * reading
+    q_scale, r_scale = (_factor(variants, key) for key in ("q_scale", "r_scale"))
+    q_v = variants.column("q_accel_ug", ug) ** 2 * reading * q_scale
+    q_phi = variants.column("q_gyro_deg_per_h", DEG_PER_H) ** 2 * reading * q_scale
     spread = np.asarray([1 if r == "per_update" else dt for r in variants.raw("r_reading")])
     zero = np.zeros_like(velocity)
     p0 = {"dve": velocity, "dvn": velocity, "phi_e": level, "phi_n": level, "phi_u": yaw}
     p0 |= {f"nabla_{axis}": nabla for axis in "xyz"} | {f"eps_{axis}": eps for axis in "xyz"}
     q = {"dve": q_v, "dvn": q_v, "phi_e": q_phi, "phi_n": q_phi, "phi_u": q_phi}
+    start = tuple(p0[state] for state in states)
     return zero_velocity.Params(
-        p0=tuple(p0[state] for state in states),
+        p0=start,
         q=tuple(q.get(state, zero) for state in states),  # biases are constant
-        r=variants.column("r_velocity_m_per_s") ** 2 / spread,
+        r=variants.column("r_velocity_m_per_s") ** 2 / spread * r_scale,
         feedback=_feedback(variants, study.study.rate_hz),
         resets=_resets(study, variants),
+        reset_to=tuple(
+            _reset_to(variants, state, p, ug) for state, p in zip(states, start, strict=True)
+        ),
         turn=_renewal(variants, "turn_covariance", "turn_inflation")
         if study.passes
         else Renewal(*(zero + k for k in UNCHANGED)),
+        trigger=_trigger(variants, study.study.rate_hz),
     )
+
+
+def _reset_to(variants: Variants, state: str, p0: np.ndarray, ug: float) -> np.ndarray:
+    """The variance of a state that P is reset to: its own, or that of the start."""
+    key, unit = {
+        "dve": ("reset_velocity_m_per_s", 1.0),
+        "dvn": ("reset_velocity_m_per_s", 1.0),
+        "phi_e": ("reset_level_deg", DEG),
+        "phi_n": ("reset_level_deg", DEG),
+        "phi_u": ("reset_yaw_deg", DEG),
+        "nabla": ("reset_accel_bias_ug", ug),
+        "eps": ("reset_gyro_bias_deg_per_h", DEG_PER_H),
+    }[state if state.startswith(("d", "phi")) else state.partition("_")[0]]
+    own = zip(variants.raw(key), p0, strict=True)
+    return np.asarray([p if value is None else (value * unit) ** 2 for value, p in own])
+
+
+def _trigger(variants: Variants, rate_hz: float) -> triggers.Numbers | None:
+    if variants.common("reset_trigger") in (None, "none"):
+        return None
+    until = [math.inf if t is None else t for t in variants.raw("trigger_until_s")]
+    return triggers.Numbers(
+        threshold=variants.column("trigger_threshold"),
+        window=np.round(variants.column("trigger_window_s") * rate_hz),
+        refractory=np.round(variants.column("trigger_refractory_s") * rate_hz),
+        most=variants.column("trigger_most"),
+        until=np.round(np.asarray(until) * rate_hz),
+    )
+
+
+def _factor(variants: Variants, key: str) -> np.ndarray:
+    return np.asarray([1.0 if value is None else value for value in variants.raw(key)])
 
 
 def _feedback(variants: Variants, rate_hz: float) -> Feedback:

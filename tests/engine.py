@@ -75,6 +75,7 @@ def params(filt: Filter) -> zero_velocity.Params:
         resets=Resets(
             np.array(when, dtype=float), Renewal(*map(np.float64, _KINDS.get(filt.kind, scale)))
         ),
+        reset_to=tuple(filt.p0),
         turn=Renewal(*map(np.float64, _turn(filt))),
     )
 

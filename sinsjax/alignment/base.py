@@ -33,11 +33,27 @@ class Options(NamedTuple):
         specific_force: in A(t): "measured" (turned to n by the computed attitude) or "gravity"
             (the constant (0, 0, g), with the velocity zero: A(t) of a base that is at rest).
         position: "fixed" or "integrated".
+        trigger: name in `triggers.TRIGGERS`, or "none".
     """
 
     dt: float
     specific_force: str = "measured"
     position: str = "fixed"
+    trigger: str = "none"
+
+
+class Fired(NamedTuple):
+    """What a trigger did in a run.
+
+    Attributes:
+        count: resets that it called for.
+        first: sample of the first of them, 0 for none.
+        last: sample of the last of them, 0 for none.
+    """
+
+    count: Scalar
+    first: Scalar
+    last: Scalar
 
 
 class AttitudeCovariance(NamedTuple):
@@ -62,6 +78,7 @@ class Method(NamedTuple):
         attitude: state -> best attitude, i.e. with the estimated misalignment taken out.
         covariance: state -> `AttitudeCovariance` of that attitude.
         normalise: state -> state with its quaternion scaled to unit length.
+        fired: state -> `Fired`; None of a method without a trigger.
         common_covariance: whether the covariance depends on params and n alone, so that runs that
             differ in their draw can share it.
     """
@@ -72,4 +89,5 @@ class Method(NamedTuple):
     attitude: Callable[[Any], Quat]
     covariance: Callable[[Any], AttitudeCovariance]
     normalise: Callable[[Any], Any]
+    fired: Callable[[Any], Fired] | None = None
     common_covariance: bool = False

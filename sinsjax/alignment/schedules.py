@@ -28,8 +28,8 @@ class Renewal(NamedTuple):
     """What becomes of P when it is reset.
 
     Entries that touch the yaw state are multiplied by ``keep_yaw``, all others by ``keep``; then
-    ``renew`` times the initial variance is added to each diagonal entry, ``renew_yaw`` times for
-    yaw. So (0, 0, 1, 1) is the full reset to P0, (1, 0, 0, 1) resets yaw and clears its cross
+    ``renew`` times the variance that is reset to is added to each diagonal entry, ``renew_yaw``
+    times for yaw. So (0, 0, 1, 1) is the full reset, (1, 0, 0, 1) resets yaw and clears its cross
     terms, (a, a, 0, 0) multiplies P by a, and (1, 1, 0, 0) leaves it.
 
     Attributes:
@@ -61,6 +61,27 @@ class Resets(NamedTuple):
     renewal: Renewal
 
 
+class Windows(NamedTuple):
+    """A reset schedule relaxed: each reset is spread over a smooth window.
+
+    What comes of a run can then be differentiated by the times. The narrower the windows, the
+    nearer to `Resets`.
+
+    Attributes:
+        samples: (M,) counts of the samples about which P is reset, in any order.
+        width: half the width of a window, samples.
+        renewal: what a reset does, all windows of one put together.
+    """
+
+    samples: Array
+    width: Scalar
+    renewal: Renewal
+
+
+WINDOW_STRENGTH = 8.0
+"""A relaxed reset leaves some exp(-8), 3e-4, of what a whole one would take away."""
+
+
 class Pieces(NamedTuple):
     """A number that is constant piece by piece.
 
@@ -73,36 +94,55 @@ class Pieces(NamedTuple):
     values: Array
 
 
-def reset_due(resets: Resets, n: Scalar) -> Flag:
-    """Whether P is reset after the n-th sample."""
+def reset_due(resets: Resets | Windows, n: Scalar) -> Flag | Scalar:
+    """Whether P is reset after the n-th sample; of a relaxed schedule, which share of a reset."""
+    if isinstance(resets, Windows):
+        return _window_share(resets, n)
     due = jnp.asarray(False)
     for sample in resets.samples:
         due = due | (n == sample)
     return due
 
 
-def renew(renewal: Renewal, p: Triangle, p0: tuple[Scalar, ...], *, yaw: int) -> Triangle:
+def _window_share(windows: Windows, n: Scalar) -> Scalar:
+    left = jnp.ones_like(windows.width)
+    for sample in windows.samples:
+        place = (n - sample) / windows.width
+        # A biweight, whose integral over the window is 1: its slope is continuous.
+        bump = 15 / 16 * jnp.maximum(1 - place * place, 0.0) ** 2 / windows.width
+        left = left / (1 + WINDOW_STRENGTH * bump)
+    return 1 - left
+
+
+def mix(share: Array, one: Array | float, other: Array | float) -> Array:
+    """``one`` where a flag holds, else ``other``; of a share, so far from ``other`` to ``one``."""
+    if jnp.issubdtype(jnp.result_type(share), bool):
+        return jnp.where(share, one, other)
+    return other + share * (one - other)
+
+
+def renew(renewal: Renewal, p: Triangle, to: tuple[Scalar, ...], *, yaw: int) -> Triangle:
     """P after a reset.
 
     Args:
         renewal: what a reset does.
         p: covariance of n states.
-        p0: n initial variances.
+        to: n variances that a full reset sets.
         yaw: number of the yaw state.
     """
     keep, keep_yaw, new, new_yaw = renewal
     out = list(p)
-    for (i, j), k in triangle_index(len(p0)).items():
+    for (i, j), k in triangle_index(len(to)).items():
         if i <= j:
             out[k] = p[k] * (keep_yaw if yaw in (i, j) else keep)
         if i == j:
-            out[k] = out[k] + (new_yaw if i == yaw else new) * p0[i]
+            out[k] = out[k] + (new_yaw if i == yaw else new) * to[i]
     return tuple(out)
 
 
-def where_due(due: Flag, renewal: Renewal) -> Renewal:
-    """The renewal where it is due, elsewhere the one that leaves P as it is."""
-    return Renewal(*(jnp.where(due, a, b) for a, b in zip(renewal, UNCHANGED, strict=True)))
+def where_due(due: Flag | Scalar, renewal: Renewal) -> Renewal:
+    """The renewal where it is due, elsewhere the one that leaves P as it is; or between them."""
+    return Renewal(*(mix(due, a, b) for a, b in zip(renewal, UNCHANGED, strict=True)))
 
 
 def value_at(pieces: Pieces, n: Scalar) -> Scalar:

@@ -2,19 +2,31 @@
 
 The filter measures the navigator's velocity, which should be zero, and feeds its estimate back
 into velocity and attitude (closed loop, [P1] section 2.3). Its covariance is reset on a schedule
-([P1] section 3.2). Order within a sample: mechanise, predict, update, feedback, reset.
+([P1] section 3.2), and where a trigger calls for it. Order within a sample: mechanise, predict,
+update, feedback, reset.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
 from sinsjax import earth, kalman, mechanisation, rotations
-from sinsjax.algebra import change_signs, triangle_index
+from sinsjax.algebra import add, change_signs, triangle_index
+from sinsjax.alignment import triggers
 from sinsjax.alignment.base import AttitudeCovariance, Method, Options, Site
-from sinsjax.alignment.schedules import Feedback, Renewal, Resets, renew, reset_due, where_due
+from sinsjax.alignment.schedules import (
+    Feedback,
+    Renewal,
+    Resets,
+    Windows,
+    mix,
+    renew,
+    reset_due,
+    where_due,
+)
+from sinsjax.alignment.triggers import TRIGGERS, Noise, Seen, Trigger
 from sinsjax.error_model import PHI_E, PHI_N, PHI_U, VE, VN, ErrorModel
-from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
+from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar, Vec3
 
 
 class Params(NamedTuple):
@@ -26,15 +38,19 @@ class Params(NamedTuple):
         r: variance of each velocity measurement, (m/s)^2.
         feedback: when and how much is fed back.
         resets: when and how P is reset.
+        reset_to: variances that a full reset sets, SI squared.
         turn: what becomes of P when the tape is turned.
+        trigger: `triggers.Numbers`, None without a trigger.
     """
 
     p0: tuple[Scalar, ...]
     q: tuple[Scalar, ...]
     r: Scalar
     feedback: Feedback
-    resets: Resets
+    resets: Resets | Windows
+    reset_to: tuple[Scalar, ...]
     turn: Renewal
+    trigger: Any = None
 
 
 class State(NamedTuple):
@@ -45,12 +61,14 @@ class State(NamedTuple):
         belief: estimated errors of ``nav`` and of the sensors, with covariance.
         bias: sensor biases fed back so far, one for each state beyond the fifth, SI.
         feedback_at: sample count of the next feedback.
+        watch: `triggers.Watch`, None without a trigger.
     """
 
     nav: Navigation
     belief: kalman.Belief
     bias: tuple[Scalar, ...]
     feedback_at: Scalar
+    watch: Any = None
 
 
 def build(model: ErrorModel, options: Options) -> Method:
@@ -62,10 +80,12 @@ def build(model: ErrorModel, options: Options) -> Method:
     """
     at_rest = options.specific_force == "gravity"
     integrated = options.position == "integrated"
+    trigger = TRIGGERS.get(options.trigger)
 
     def init(params: Params, nav: Navigation) -> State:
         belief = kalman.start(params.p0)
-        return State(nav, belief, belief.x[len(_LEVEL_AND_YAW) :], params.feedback.every)
+        watch = triggers.start(trigger, params.trigger, belief.p) if trigger else None
+        return State(nav, belief, belief.x[len(_LEVEL_AND_YAW) :], params.feedback.every, watch)
 
     def step(params: Params, site: Site, state: State, sample: Sample, n: Scalar) -> State:
         before = state.nav
@@ -78,20 +98,46 @@ def build(model: ErrorModel, options: Options) -> Method:
             f_dt = Vec3(0.0, 0.0, place.gravity * options.dt)
             before = before._replace(ve=0.0, vn=0.0)
         transition = model.transition(before, place, f_dt, options.dt)
-        belief = kalman.predict(state.belief, transition, params.q)
-        belief = kalman.update(belief, (VE, VN), (nav.ve, nav.vn), params.r)
-        return _close_loop(params, state._replace(nav=nav, belief=belief), n)
+        measured = nav.ve, nav.vn
+        belief, watch = kalman.propagate(state.belief, transition), state.watch
+        noise = Noise(params.q, params.r)
+        if trigger is not None:
+            watch, belief = triggers.fade(trigger, params.trigger, noise, watch, belief, measured)
+        predicted = kalman.add_noise(belief, params.q)
+        belief = kalman.update(predicted, (VE, VN), measured, params.r)
+        reset = reset_due(params.resets, n)
+        if trigger is not None:
+            gravity = Vec3(0.0, 0.0, place.gravity * options.dt)
+            still = nav._replace(ve=0.0, vn=0.0)
+            seen = Seen(
+                innovation=(measured[0] - predicted.x[VE], measured[1] - predicted.x[VN]),
+                variance=_innovation_variance(predicted, params.r),
+                belief=belief,
+                correction=add(watch.fed, _misalignment(belief)),
+                at_rest=model.transition(still, place, gravity, options.dt),
+                place=place,
+                dt=options.dt,
+            )
+            watch, fires = triggers.look(trigger, params.trigger, noise, watch, seen, n)
+            reset = reset | fires
+        state = state._replace(nav=nav, belief=belief, watch=watch)
+        return _close_loop(trigger, params, state, reset, n)
 
     def turn(params: Params, site: Site, state: State) -> State:
         # x stays where P is renewed: what it says of the attitude is the filter's best either way.
         signs = model.reversal
         flipped = tuple(s * x for s, x in zip(signs, state.belief.x, strict=True))
         p = change_signs(signs, state.belief.p)
+        p = renew(params.turn, p, params.p0, yaw=PHI_U)
         biases = zip(signs[len(_LEVEL_AND_YAW) :], state.bias, strict=True)
+        watch = state.watch
+        if trigger is not None:
+            watch = watch._replace(memory=trigger.start(params.trigger, p))
         return state._replace(
             nav=mechanisation.reverse(state.nav),
-            belief=kalman.Belief(flipped, renew(params.turn, p, params.p0, yaw=PHI_U)),
+            belief=kalman.Belief(flipped, p),
             bias=tuple(s * b for s, b in biases),
+            watch=watch,
         )
 
     return Method(
@@ -101,35 +147,54 @@ def build(model: ErrorModel, options: Options) -> Method:
         _attitude,
         _covariance,
         _normalise,
-        common_covariance=at_rest and not integrated and not model.uses_attitude,
+        fired=(lambda state: state.watch.fired) if trigger else None,
+        common_covariance=at_rest
+        and not integrated
+        and not model.uses_attitude
+        and trigger is None,
     )
 
 
 _LEVEL_AND_YAW = (VE, VN, PHI_E, PHI_N, PHI_U)
 
 
-def _close_loop(params: Params, state: State, n: Scalar) -> State:
+def _close_loop(
+    trigger: Trigger | None, params: Params, state: State, reset: Flag | Scalar, n: Scalar
+) -> State:
     """Feed the estimate back and reset P where due; a reset first feeds all of x back."""
-    reset = reset_due(params.resets, n)
     due = n >= state.feedback_at
-    gain = jnp.where(reset, 1.0, jnp.where(due, params.feedback.gain, 0.0))
+    gain = mix(reset, 1.0, jnp.where(due, params.feedback.gain, 0.0))
     fed = tuple(gain * x for x in state.belief.x)
     nav = mechanisation.correct_velocity(state.nav, fed[VE], fed[VN])
     phi = Vec3(fed[PHI_E], fed[PHI_N], fed[PHI_U])
+    renewal = where_due(reset, params.resets.renewal)
+    p = renew(renewal, state.belief.p, params.reset_to, yaw=PHI_U)
+    watch = state.watch
+    if trigger is not None:
+        watch = triggers.after(trigger, params.trigger, watch, reset=reset, p=p, fed=phi, n=n)
     return State(
         nav=nav._replace(q=rotations.correct(phi, nav.q)),
         belief=kalman.Belief(
             x=tuple(x - f for x, f in zip(state.belief.x, fed, strict=True)),
-            p=renew(where_due(reset, params.resets.renewal), state.belief.p, params.p0, yaw=PHI_U),
+            p=p,
         ),
         bias=tuple(b + f for b, f in zip(state.bias, fed[len(_LEVEL_AND_YAW) :], strict=True)),
         feedback_at=jnp.where(due, state.feedback_at + params.feedback.every, state.feedback_at),
+        watch=watch,
     )
 
 
+def _innovation_variance(predicted: kalman.Belief, r: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    at = triangle_index(len(predicted.x))
+    return predicted.p[at[VE, VE]] + r, predicted.p[at[VE, VN]], predicted.p[at[VN, VN]] + r
+
+
+def _misalignment(belief: kalman.Belief) -> Vec3:
+    return Vec3(belief.x[PHI_E], belief.x[PHI_N], belief.x[PHI_U])
+
+
 def _attitude(state: State) -> Quat:
-    x = state.belief.x
-    return rotations.correct(Vec3(x[PHI_E], x[PHI_N], x[PHI_U]), state.nav.q)
+    return rotations.correct(_misalignment(state.belief), state.nav.q)
 
 
 def _covariance(state: State) -> AttitudeCovariance:

@@ -1,0 +1,362 @@
+"""When a filter resets itself: small pure objects that watch it and are carried along with it.
+
+A trigger has a memory, which begins anew with every reset, and gives a score after each update; P
+is reset where the score exceeds the threshold. Two rivals do not reset: they fade, multiplying the
+propagated P before the process noise is added.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from sinsjax import kalman
+from sinsjax.algebra import Entries, Triangle, triangle_index
+from sinsjax.alignment.base import Fired
+from sinsjax.earth import Place
+from sinsjax.error_model import PHI_U, VE, VN
+from sinsjax.kalman import Belief
+from sinsjax.types import Flag, Scalar, Vec3
+
+Pair = tuple[Scalar, Scalar]
+"""Of east and north."""
+
+
+class Numbers(NamedTuple):
+    """Numbers of a trigger; times in samples.
+
+    Attributes:
+        threshold: that the score has to exceed; of what fades, see there.
+        window: over which a trigger that looks back sums up.
+        refractory: that a reset has to be after the start, and after the reset before it.
+        most: resets that it may call for.
+        until: last sample after which it may.
+    """
+
+    threshold: Scalar
+    window: Scalar
+    refractory: Scalar
+    most: Scalar
+    until: Scalar
+
+
+class Noise(NamedTuple):
+    """What the filter believes: variances added to the states, variance of a measurement."""
+
+    q: tuple[Scalar, ...]
+    r: Scalar
+
+
+class Seen(NamedTuple):
+    """What a trigger sees after the update of a sample.
+
+    Attributes:
+        innovation: measured minus predicted velocity, m/s.
+        variance: upper triangle of its believed covariance S (ee, en, nn), (m/s)^2.
+        belief: after the update.
+        correction: of the attitude since the last reset: what was fed back and what is not yet,
+            rad.
+        at_rest: transition of a base at rest, its specific force (0, 0, g).
+        place: Earth rates there.
+        dt: s.
+    """
+
+    innovation: Pair
+    variance: tuple[Scalar, Scalar, Scalar]
+    belief: Belief
+    correction: Vec3
+    at_rest: Entries
+    place: Place
+    dt: float
+
+
+class Watch(NamedTuple):
+    """A trigger at work.
+
+    Attributes:
+        memory: of the trigger.
+        fed: attitude corrections fed back since the last reset, rad.
+        fired: what it did so far.
+        since: sample of the last reset of any kind.
+    """
+
+    memory: Any
+    fed: Vec3
+    fired: Fired
+    since: Scalar
+
+
+class Trigger(NamedTuple):
+    """A trigger.
+
+    Attributes:
+        start: (numbers, P) -> memory at the start and after a reset, which leaves P.
+        look: (numbers, noise, memory, seen) -> memory and score.
+        fade: (numbers, noise, memory, propagated P, innovation) -> memory and factor on P.
+    """
+
+    start: Callable[[Numbers, Triangle], Any]
+    look: Callable[[Numbers, Noise, Any, Seen], tuple[Any, Scalar]] | None = None
+    fade: Callable[[Numbers, Noise, Any, Triangle, Pair], tuple[Any, Scalar]] | None = None
+
+
+def start(trigger: Trigger, numbers: Numbers, p: Triangle) -> Watch:
+    """A trigger before the first sample, and the covariance P of the start."""
+    zero = jnp.zeros_like(numbers.threshold)
+    fired = Fired(zero, zero, zero)
+    return Watch(trigger.start(numbers, p), Vec3(zero, zero, zero), fired, zero)
+
+
+def fade(
+    trigger: Trigger, numbers: Numbers, noise: Noise, watch: Watch, belief: Belief, measured: Pair
+) -> tuple[Watch, Belief]:
+    """Multiply P by the trigger's factor, if it has one.
+
+    Args:
+        trigger: which.
+        numbers: its numbers.
+        noise: that the filter believes in.
+        watch: so far.
+        belief: propagated, its process noise not yet added.
+        measured: velocity, m/s.
+    """
+    if trigger.fade is None:
+        return watch, belief
+    r = (measured[0] - belief.x[VE], measured[1] - belief.x[VN])
+    memory, factor = trigger.fade(numbers, noise, watch.memory, belief.p, r)
+    return watch._replace(memory=memory), Belief(belief.x, tuple(factor * v for v in belief.p))
+
+
+def look(
+    trigger: Trigger, numbers: Numbers, noise: Noise, watch: Watch, seen: Seen, n: Scalar
+) -> tuple[Watch, Flag]:
+    """Take one sample in, and say whether P is to be reset after it.
+
+    Args:
+        trigger: which.
+        numbers: its numbers.
+        noise: that the filter believes in.
+        watch: so far.
+        seen: what there is to see.
+        n: number of the sample.
+    """
+    if trigger.look is None:
+        return watch, jnp.zeros_like(n, dtype=bool)
+    memory, score = trigger.look(numbers, noise, watch.memory, seen)
+    fired = watch.fired
+    fires = (
+        (score > numbers.threshold)
+        & (n - watch.since >= numbers.refractory)
+        & (fired.count < numbers.most)
+        & (n <= numbers.until)
+    )
+    fired = Fired(
+        count=jnp.where(fires, fired.count + 1, fired.count),
+        first=jnp.where(fires & (fired.count == 0), n, fired.first),
+        last=jnp.where(fires, n, fired.last),
+    )
+    return watch._replace(memory=memory, fired=fired), fires
+
+
+def after(
+    trigger: Trigger,
+    numbers: Numbers,
+    watch: Watch,
+    *,
+    reset: Flag,
+    p: Triangle,
+    fed: Vec3,
+    n: Scalar,
+) -> Watch:
+    """The watch after a sample's feedback, and after its reset if there was one.
+
+    Args:
+        trigger: which.
+        numbers: its numbers.
+        watch: so far.
+        reset: whether P was reset.
+        p: the covariance that is left.
+        fed: attitude correction that was fed back, rad.
+        n: number of the sample.
+    """
+    anew = trigger.start(numbers, p)
+    total = Vec3(*(jnp.where(reset, 0.0, a + b) for a, b in zip(watch.fed, fed, strict=True)))
+    return watch._replace(
+        memory=jax.tree.map(lambda a, b: jnp.where(reset, a, b), anew, watch.memory),
+        fed=total,
+        since=jnp.where(reset, n, watch.since),
+    )
+
+
+class _Block(NamedTuple):
+    """Sums over a window that begins anew when it is full."""
+
+    count: Scalar
+    sums: tuple[Scalar, ...]
+
+
+def _block(terms: int) -> Callable[[Numbers, Triangle], _Block]:
+    def start(numbers: Numbers, p: Triangle) -> _Block:
+        zero = jnp.zeros_like(numbers.threshold)
+        return _Block(zero, tuple(zero for _ in range(terms)))
+
+    return start
+
+
+def _add(numbers: Numbers, block: _Block, terms: tuple[Scalar, ...]) -> tuple[_Block, Flag]:
+    """Add one sample to the window, which begins anew where it was full; and whether it is now."""
+    again = block.count >= numbers.window
+    sums = tuple(jnp.where(again, 0.0, s) + t for s, t in zip(block.sums, terms, strict=True))
+    count = jnp.where(again, 0.0, block.count) + 1
+    return _Block(count, sums), count >= numbers.window
+
+
+def _normalised(r: Pair, s: tuple[Scalar, ...]) -> Scalar:
+    """R' S^-1 r."""
+    (e, n), (ee, en, nn) = r, s
+    return (nn * e * e - 2 * en * e * n + ee * n * n) / (ee * nn - en * en)
+
+
+def _innovation(numbers: Numbers, noise: Noise, block: _Block, seen: Seen) -> Any:
+    """Innovation windowed over time: (sum r)' (sum S)^-1 (sum r), chi-square with 2 degrees."""
+    block, full = _add(numbers, block, (*seen.innovation, *seen.variance))
+    e, n, *s = block.sums
+    return block, jnp.where(full, _normalised((e, n), tuple(s)), 0.0)
+
+
+def _nis(numbers: Numbers, noise: Noise, memory: Any, seen: Seen) -> Any:
+    """Normalised innovation squared of a sample, r' S^-1 r, chi-square with 2 degrees."""
+    return memory, _normalised(seen.innovation, seen.variance)
+
+
+def _whiteness(numbers: Numbers, noise: Noise, memory: Any, seen: Seen) -> Any:
+    """sqrt(N) |rho|, rho the innovations' correlation over one sample in a window of N."""
+    block, before = memory
+    e, n = seen.innovation
+    block, full = _add(numbers, block, (e * before[0] + n * before[1], e * e + n * n))
+    lagged, power = block.sums
+    rho = jnp.abs(lagged) / jnp.maximum(power, jnp.finfo(power.dtype).tiny)
+    return (block, seen.innovation), jnp.where(full, jnp.sqrt(block.count) * rho, 0.0)
+
+
+def _whiteness_start(numbers: Numbers, p: Triangle) -> Any:
+    zero = jnp.zeros_like(numbers.threshold)
+    return _block(2)(numbers, p), (zero, zero)
+
+
+class _Levels(NamedTuple):
+    """A window over the corrections of the level: samples so far, and where it began, rad."""
+
+    count: Scalar
+    east: Scalar
+    north: Scalar
+
+
+def _levels_start(numbers: Numbers, p: Triangle) -> _Levels:
+    zero = jnp.zeros_like(numbers.threshold)
+    return _Levels(zero, zero, zero)
+
+
+def _drift(numbers: Numbers, levels: _Levels, seen: Seen) -> tuple[_Levels, Flag, Pair]:
+    """Rates at which the level was corrected over a window, rad/s, and whether it is full."""
+    count = levels.count + 1
+    full, span = count >= numbers.window, count * seen.dt
+    e, n, _ = seen.correction
+    begun = _Levels(
+        jnp.where(full, 0.0, count),
+        jnp.where(full, e, levels.east),
+        jnp.where(full, n, levels.north),
+    )
+    return begun, full, ((e - levels.east) / span, (n - levels.north) / span)
+
+
+def _tilt_drift(numbers: Numbers, noise: Noise, levels: _Levels, seen: Seen) -> Any:
+    """Measured tilt drift about east over the predicted one: (drift / omega_N)^2 / P_UU.
+
+    A heading error phi_U tilts the platform at omega_N phi_U, which the filter corrects; what it
+    goes on correcting is more than its belief allows where that is false.
+    """
+    levels, full, (east, _) = _drift(numbers, levels, seen)
+    p_uu = seen.belief.p[triangle_index(len(seen.belief.x))[PHI_U, PHI_U]]
+    score = (east / seen.place.rate_n) ** 2 / p_uu
+    return levels, jnp.where(full, score, 0.0)
+
+
+STILL = 9.21
+"""r' S^-1 r under which velocity is still: 99 % of chi-square with 2 degrees of freedom."""
+
+
+def _levelled(numbers: Numbers, noise: Noise, levels: _Levels, seen: Seen) -> Any:
+    """Levelled now: omega_N over the rate at which the level is corrected, where velocity is still.
+
+    Once it exceeds 1, what is left of the drift can be the work of heading alone.
+    """
+    levels, full, (east, north) = _drift(numbers, levels, seen)
+    still = _normalised(seen.innovation, seen.variance) < STILL
+    score = seen.place.rate_n / jnp.sqrt(east**2 + north**2)
+    return levels, jnp.where(full & still, score, 0.0)
+
+
+def _linearisation(numbers: Numbers, noise: Noise, p: Triangle, seen: Seen) -> Any:
+    """How far P_UU is below what the linearisation can bear: sqrt(honest P_UU / P_UU).
+
+    Two things let the linear model know more of heading than there is to know. While the level is
+    wrong, the horizontal specific force enters A(t), and heading seems to show in velocity; a
+    second covariance, of a base at rest (f = (0, 0, g)), does without. And a heading correction d
+    leaves errors of second order, d^2 / 2, of which P knows nothing: their square is added.
+    """
+    zeros = tuple(jnp.zeros_like(v) for v in seen.belief.x)
+    honest = kalman.predict(Belief(zeros, p), seen.at_rest, noise.q)
+    honest = kalman.update(honest, (VE, VN), (zeros[VE], zeros[VN]), noise.r)
+    at = triangle_index(len(zeros))[PHI_U, PHI_U]
+    second = seen.correction.z**2 / 2
+    score = jnp.sqrt((honest.p[at] + second * second) / seen.belief.p[at])
+    return honest.p, score
+
+
+def _as_it_is(numbers: Numbers, p: Triangle) -> Triangle:
+    return p
+
+
+def _fading(numbers: Numbers, noise: Noise, memory: Any, p: Triangle, r: Pair) -> Any:
+    """Fading memory: P is multiplied by the threshold at each sample, such as 1.0001."""
+    return memory, numbers.threshold
+
+
+def _strong(numbers: Numbers, noise: Noise, memory: Any, p: Triangle, r: Pair) -> Any:
+    """Strong tracking (Zhou and Frank 1996), one factor; the threshold is its beta, from 0 to 1.
+
+    V <- (rho V + r r') / (1 + rho), rho = 0.95; N = V - H Q H' - beta R; M = H Phi P Phi' H';
+    the factor is max(1, tr N / tr M).
+    """
+    forgetting = 0.95
+    begun, before = memory
+    power = r[0] ** 2 + r[1] ** 2
+    v = jnp.where(begun, (forgetting * before + power) / (1 + forgetting), power)
+    n = v - noise.q[VE] - noise.q[VN] - 2 * numbers.threshold * noise.r
+    at = triangle_index(len(noise.q))
+    factor = jnp.maximum(1.0, n / (p[at[VE, VE]] + p[at[VN, VN]]))
+    return (jnp.ones_like(begun), v), factor
+
+
+def _strong_start(numbers: Numbers, p: Triangle) -> Any:
+    zero = jnp.zeros_like(numbers.threshold)
+    return zero.astype(bool), zero
+
+
+def _nothing(numbers: Numbers, p: Triangle) -> Any:
+    return ()
+
+
+TRIGGERS = {
+    "innovation": Trigger(_block(5), _innovation),
+    "nis": Trigger(_nothing, _nis),
+    "whiteness": Trigger(_whiteness_start, _whiteness),
+    "tilt_drift": Trigger(_levels_start, _tilt_drift),
+    "levelled": Trigger(_levels_start, _levelled),
+    "linearisation": Trigger(_as_it_is, _linearisation),
+    "strong_tracking": Trigger(_strong_start, fade=_strong),
+    "fading": Trigger(_nothing, fade=_fading),
+}
+"""Every trigger by the name of ``reset_trigger``."""
