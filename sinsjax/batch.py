@@ -260,6 +260,23 @@ def run_tile(static: Static, world: World, tile: Tiles) -> tuple[Outcome, Observ
     return simulate(static, world, tile.draws, tile.params, fan)
 
 
+def over_sets(static: Static, one: Callable[[Tiles], Any], tiles: Tiles) -> Callable[[Tiles], Any]:
+    """A function of one tile, mapped over the sets of stacked ones where the method has such.
+
+    Args:
+        static: program.
+        one: of a tile.
+        tiles: that it will be applied to, one after the other.
+    """
+    if not method_of(static).common_covariance:
+        return one
+    # Only what belongs to draws differs between the sets.
+    axes: Any = jax.tree.map(lambda a: None, tiles)
+    draws = jax.tree.map(lambda a: 0 if a.ndim > 1 else None, tiles.draws)
+    q = jax.tree.map(lambda a: 0, tiles.params.q)
+    return jax.vmap(one, in_axes=(axes._replace(draws=draws, params=axes.params._replace(q=q)),))
+
+
 def compiled(static: Static, world: World, tiles: Tiles) -> jax.stages.Compiled:
     """The program for arguments of these shapes: the same bits, whatever thread calls it."""
     leaves, structure = jax.tree.flatten((world, tiles))
@@ -271,14 +288,7 @@ def compiled(static: Static, world: World, tiles: Tiles) -> jax.stages.Compiled:
 def _compile(static: Static, structure: Any, shapes: tuple) -> jax.stages.Compiled:
     def run_tiles(world: World, tiles: Tiles) -> Any:
         one = partial(run_tile, static, world)
-        if method_of(static).common_covariance:
-            # Only what belongs to draws differs between the sets.
-            axes: Any = jax.tree.map(lambda a: None, tiles)
-            draws = jax.tree.map(lambda a: 0 if a.ndim > 1 else None, tiles.draws)
-            q = jax.tree.map(lambda a: 0, tiles.params.q)
-            axes = axes._replace(draws=draws, params=axes.params._replace(q=q))
-            one = jax.vmap(one, in_axes=(axes,))
-        return jax.lax.map(one, tiles)
+        return jax.lax.map(over_sets(static, one, tiles), tiles)
 
     return jax.jit(run_tiles).lower(*jax.tree.unflatten(structure, shapes)).compile()
 

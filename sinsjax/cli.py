@@ -127,6 +127,50 @@ def align(
 
 
 @app.command()
+def tune(
+    config: Config,
+    out: Out,
+    record: Annotated[Path | None, typer.Option(help="The record, of a recorded study.")] = None,
+    reference: Annotated[Path | None, typer.Option(help="And its reference attitude.")] = None,
+    overwrite: Overwrite = False,
+    resume: Resume = False,
+    devices: Devices = None,
+) -> None:
+    """Search the variables of a study's [tune] for the best ones, and judge them on other draws.
+
+    Example: sinsjax tune configs/tune_condition5.toml -o out
+    """
+    from sinsjax import campaign, console
+    from sinsjax.config import load_study
+    from sinsjax.tuning import carry_out
+
+    study = load_study(config)
+    carry_out.require_tune(study)
+    if study.is_recorded and record is None:
+        raise InputError(f"{config}: [record]: the study reads a record: give it with --record")
+    for given in (record, reference):
+        if given is not None and not study.is_recorded:
+            raise InputError(f"{config}: has no [record] section to read {given} with")
+    _check_options(overwrite=overwrite, resume=resume, devices=devices)
+    carry_out.check_free(out, overwrite=overwrite or resume)
+    _configure(devices)
+    tape = None if record is None else campaign.load_tape(study, record, reference)
+    screen = Console()
+    with console.interruptible(screen) as stop:
+        carry_out.tune(
+            study,
+            out,
+            tape,
+            overwrite=overwrite,
+            resume=resume,
+            watch=lambda name: console.progress(screen, f"{study.study.name}: {name}"),
+            stop=stop,
+            source=config,
+        )
+    import_module("sinsjax.report").summarise([out], screen)
+
+
+@app.command()
 def rerun(
     directory: Annotated[Path, typer.Argument(help="Directory of results.", show_default=False)],
     run_id: Annotated[int, typer.Option(help="Number of the run.", min=0, show_default=False)],
@@ -227,8 +271,7 @@ def _run_study(
         raise InputError(f"{config}: [record]: the study reads a record: use `sinsjax align`")
     if files is not None and not study.is_recorded:
         raise InputError(f"{config}: has no [record] section to read {files[0]} with")
-    if overwrite and resume:
-        raise InputError("--resume: cannot go with --overwrite (give one of them)")
+    _check_options(overwrite=overwrite, resume=resume, devices=devices)
     directories.check_free(out, overwrite=overwrite or resume)
     runs = study.n_draws * study.n_variants
     screen = Console()
@@ -240,11 +283,7 @@ def _run_study(
     if curves and runs > MOST_RUNS:
         screen.print(f"{runs} runs: curves are kept only where [study] curves = true.")
         curves = None
-    if devices is not None and devices > runtime.usable_cores():
-        raise InputError(f"--devices: {devices} are more than the {runtime.usable_cores()} cores")
-    runtime.configure(devices)
-    # What the report needs takes a third of a second to import, which XLA's compiling leaves idle.
-    threading.Thread(target=import_module, args=("sinsjax.report",), daemon=True).start()
+    _configure(devices)
     tape = None if files is None else campaign.load_tape(study, *files)
     if left := study.dropped_s:
         screen.print(f"The last {left:g} s are no whole record interval and are not run.")
@@ -269,6 +308,21 @@ def _run_study(
             source=config,
         )
     import_module("sinsjax.report").summarise([out], screen)
+
+
+def _check_options(*, overwrite: bool, resume: bool, devices: int | None) -> None:
+    """Refuses options that exclude one another, and devices that are not there."""
+    if overwrite and resume:
+        raise InputError("--resume: cannot go with --overwrite (give one of them)")
+    if devices is not None and devices > runtime.usable_cores():
+        raise InputError(f"--devices: {devices} are more than the {runtime.usable_cores()} cores")
+
+
+def _configure(devices: int | None) -> None:
+    """Makes JAX ready, and begins to import what a report needs."""
+    runtime.configure(devices)
+    # Takes a third of a second, which XLA's compiling leaves idle.
+    threading.Thread(target=import_module, args=("sinsjax.report",), daemon=True).start()
 
 
 def _executor(workers: int | None, scheduler: str | None) -> Any:

@@ -16,32 +16,32 @@ from typing import Any
 import tomli_w
 from pydantic import ValidationError
 
-from sinsjax import sweeps
+from sinsjax import sweeps, tuned_keys, variables
 from sinsjax.rules import Where, check_study, keys_unread
-from sinsjax.studies import EARTH_CONSTANTS, SECTION_OF, SECTIONS, SIMULATED_ONLY, Study, Table
+from sinsjax.studies import (
+    EARTH_CONSTANTS,
+    EXCLUSIVE,
+    NOISES,
+    SECTION_OF,
+    SECTIONS,
+    SIMULATED_ONLY,
+    Study,
+    Table,
+    rivals,
+)
 from sinsjax.types import InputError
 from sinsjax.wording import explained, index, near
 
-__all__ = ["Study", "fingerprint", "load_study", "study_from_dict", "study_to_toml"]
+__all__ = [
+    "Study",
+    "fingerprint",
+    "load_study",
+    "study_from_dict",
+    "study_to_toml",
+    "tables_of",
+    "with_point",
+]
 
-_NOISES = (
-    ("gyro_noise_deg_per_h", "gyro_arw_deg_per_sqrt_h"),
-    ("accel_noise_ug", "accel_vrw_ug_per_sqrt_hz"),
-)
-_EXCLUSIVE = (
-    *_NOISES,
-    ("reset_times_s", "reset_count"),
-    ("reset_times_s", "reset_cycle_s"),
-    ("reset_times_s", "reset_first_s"),
-    ("level_gains", "level_sigma_per_s"),
-    ("level_gains", "level_adjustment_s"),
-    ("level_adjustment_s", "level_sigma_per_s"),
-    ("level_passes", "level_time_s"),
-    ("azimuth_gains", "azimuth_sigma_per_s"),
-    ("azimuth_gains", "azimuth_adjustment_s"),
-    ("azimuth_adjustment_s", "azimuth_sigma_per_s"),
-    ("sigma_passes", "sigma_times_s"),
-)
 _DEFAULTS: dict[str, dict[str, Any]] = {
     "alignment": {
         "specific_force": "measured",
@@ -110,27 +110,41 @@ def study_from_dict(data: Table, source: str = "study") -> Study:
         InputError: the study is not valid; one line says why.
     """
     try:
-        tables = _tables(_with_tuples(data))
-        sweep = sweeps.read(tables)
-        where = {key: f"[{name}]" for name in SECTIONS for key in tables.get(name, ())}
-        where |= sweep.where
-        _check_forms(where)
-        study = _validated(_filled(tables, sweep, where, Path(source).stem))
-        check_study(study, where)
-        sweeps.check_draws(study)
+        study = _checked(data, Path(source).stem)
+        if study.tune:
+            _check_tuning(study)
     except InputError as error:
         raise InputError(" ".join(f"{source}: {error}".splitlines())) from None
     return study
 
 
-def study_to_toml(study: Study) -> str:
-    """The resolved study as TOML, all defaults filled in; loading it gives an equal study."""
+def tables_of(study: Study) -> Table:
+    """The resolved study as nested dictionaries: `study_from_dict` makes an equal study of them."""
     content = study.model_dump(exclude_none=True)
     for key in study.drawn_keys:
         content[SECTION_OF[key]].pop(key, None)
     content["axes"] |= content.pop("zips")
-    content = {name: table for name, table in content.items() if table}
-    return "# The resolved study: every value, defaults filled in.\n" + tomli_w.dumps(content)
+    return {name: table for name, table in content.items() if table}
+
+
+def study_to_toml(study: Study) -> str:
+    """The resolved study as TOML, all defaults filled in; loading it gives an equal study."""
+    text = tomli_w.dumps(tables_of(study))
+    return "# The resolved study: every value, defaults filled in.\n" + text
+
+
+def with_point(study: Study, point: Table) -> Study:
+    """A study with the values of some keys put in their places, and without [tune].
+
+    Args:
+        study: checked study, left as it is; none of the keys is swept or drawn.
+        point: values by leaf key. What says the same in another way goes: a study with
+            ``reset_times_s`` has no ``reset_count``.
+
+    Raises:
+        InputError: that is no study.
+    """
+    return study_from_dict(variables.put(tables_of(study), point), study.study.name)
 
 
 def fingerprint(study: Study) -> str:
@@ -139,7 +153,8 @@ def fingerprint(study: Study) -> str:
     The order of the axes, of the zips and of the drawn keys counts: it numbers the variants and
     points. What a study does not use leaves it as it was before that came.
     """
-    content = study.model_dump(exclude={"report": True, "statements": True, "study": {"name"}})
+    unused: Any = {"report": True, "statements": True, "tune": True, "study": {"name"}}
+    content = study.model_dump(exclude=unused)
     content["axes"] = list(study.axes.items())
     content["zips"] = list(study.zips.values())
     if study.drawn:
@@ -153,6 +168,37 @@ def fingerprint(study: Study) -> str:
                 del content[name][key]
     text = json.dumps(content, sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _checked(data: Table, name: str) -> Study:
+    """The study that tables make, but for what is between [tune] and the rest of it."""
+    tables = _tables(_with_tuples(data))
+    sweep = sweeps.read(tables)
+    where = {key: f"[{name}]" for name in SECTIONS for key in tables.get(name, ())}
+    where |= sweep.where
+    _check_forms(where)
+    study = _validated(_filled(tables, sweep, where, name))
+    check_study(study, where)
+    sweeps.check_draws(study)
+    return study
+
+
+def _check_tuning(study: Study) -> None:
+    """Refuses a [tune] that does not go with its study, or whose points make no study."""
+    assert study.tune is not None
+    variables.check(study)
+    tables, baseline = tables_of(study), study.tune.baseline
+
+    def at(place: str, point: Table) -> Study:
+        try:
+            return _checked(variables.put(tables, point), study.study.name)
+        except InputError as error:
+            raise InputError(f"{place}: {error}") from None
+
+    corners = {f"[tune.variables] {text}": point for text, point in variables.corners(study)}
+    for place, point in corners.items():
+        at(place, point)
+    variables.comparable(study, at("[tune.baseline]", baseline), corners)
 
 
 def _with_tuples(value: Any) -> Any:
@@ -201,7 +247,7 @@ def _hint(key: str, section: str) -> str:
 
 def _check_forms(where: Where) -> None:
     """Refuses two keys that say the same thing in two ways."""
-    for one, other in _EXCLUSIVE:
+    for one, other in EXCLUSIVE:
         if one in where and other in where:
             raise InputError(
                 f"{where[one]} {one}: cannot go with {other} in {where[other]} (give one of them)"
@@ -214,7 +260,7 @@ def _filled(tables: Table, sweep: sweeps.Sweep, where: Where, name: str) -> Tabl
     unused: tuple[str, ...] = SIMULATED_ONLY if recorded else ("record", "coarse")
     unread = keys_unread(_values_of("method", tables, sweep))
     given = {SECTION_OF.get(key) for key in where}
-    unused += tuple({"passes", "stop_when"} - given - tables.keys())
+    unused += tuple({"passes", "stop_when", "tune"} - given - tables.keys())
     unused += tuple(
         name
         for name in ("filter", "resets", "compass")
@@ -225,7 +271,7 @@ def _filled(tables: Table, sweep: sweeps.Sweep, where: Where, name: str) -> Tabl
     if not recorded:
         sections["study"].setdefault("draws", _DEFAULT_DRAWS)
         sections["earth"].setdefault("height_m", 0.0)
-        for white, density in _NOISES:
+        for white, density in NOISES:
             if white not in where and density not in where:
                 sections["sensors"][white] = 0.0
     if _values_of("reset_trigger", tables, sweep) - {None, "none"}:
@@ -234,10 +280,12 @@ def _filled(tables: Table, sweep: sweeps.Sweep, where: Where, name: str) -> Tabl
                 sections["resets"].setdefault(key, value)
     for section, defaults in _DEFAULTS.items():
         for key, value in defaults.items() if section in sections else ():
-            if key not in unread and where.keys().isdisjoint(_rivals(key)):
+            if key not in unread and where.keys().isdisjoint(rivals(key)):
                 sections[section].setdefault(key, value)
     if "constants" in _values_of("earth", tables, sweep):
         sections["earth"] = EARTH_CONSTANTS | sections["earth"]
+    if "tune" in sections:
+        sections["tune"] = tuned_keys.read(sections["tune"], sweep.where, recorded=recorded)
     return sections | sweep._asdict()
 
 
@@ -246,11 +294,6 @@ def _values_of(key: str, tables: Table, sweep: sweeps.Sweep) -> set[Any]:
     section = SECTION_OF[key]
     default = SECTIONS[section].model_fields[key].default
     return sweep.values(key) or {tables.get(section, {}).get(key, default)}
-
-
-def _rivals(key: str) -> set[str]:
-    """The keys that say in another way what a key says."""
-    return {other for pair in _EXCLUSIVE if key in pair for other in pair} - {key}
 
 
 def _validated(sections: Table) -> Study:

@@ -155,7 +155,7 @@ def differences(there: Study, here: Study) -> list[str]:
 
 def _by_key(study: Study) -> dict[str, Any]:
     """The values of a study by the place and key that its file gives them."""
-    content = study.model_dump(exclude={"report", "statements"}, exclude_none=True)
+    content = study.model_dump(exclude={"report", "statements", "tune"}, exclude_none=True)
     content["study"].pop("name")
     tables = {f"axes.{name}": keys for name, keys in content.pop("zips", {}).items()}
     drawn = content.pop("drawn", {})

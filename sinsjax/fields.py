@@ -28,7 +28,8 @@ def _shape(value: Any) -> str:
     return "list" if isinstance(value, tuple) else "number"
 
 
-def _unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
+def unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Refuses a list that names a value twice."""
     if len(set(values)) < len(values):
         raise misfit("names a value twice")
     return values
@@ -80,12 +81,12 @@ Normal = tuple[Finite, NonNegative]
 Name = Annotated[str, Field(min_length=1)]
 Triad = tuple[Name, Name, Name]
 Times = Annotated[tuple[Positive, ...], AfterValidator(_increasing)]
-Bands = Annotated[tuple[Positive, ...], AfterValidator(_unique), AfterValidator(_own_columns)]
+Bands = Annotated[tuple[Positive, ...], AfterValidator(unique), AfterValidator(_own_columns)]
 Starts = Annotated[
     tuple[NonNegative, ...],
     Field(min_length=1),
     BeforeValidator(lambda value: value if isinstance(value, tuple) else (value,)),
-    AfterValidator(_unique),
+    AfterValidator(unique),
 ]
 AxesOrder = Annotated[str, AfterValidator(_signed_permutation)]
 Vector = Annotated[

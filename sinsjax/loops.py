@@ -102,6 +102,17 @@ def at_pace(gains: AzimuthGains, pace: Number) -> AzimuthGains:
     return AzimuthGains(pace * k1, pace**2 * (1 + k2) - 1, pace**4 * k3, pace * k4)
 
 
+def level_at_pace(gains: LevelGains, pace: Number) -> LevelGains:
+    """Levelling gains whose roots lie a factor further out: sigma times the pace, xi kept.
+
+    Args:
+        gains: at pace 1.
+        pace: factor > 0 on every root.
+    """
+    k1, k2, k3 = gains
+    return LevelGains(pace * k1, pace**2 * (1 + k2) - 1, pace**3 * k3)
+
+
 def sigma_of_period(time: Number, damping: Number) -> Number:
     """Decay rate (1/s) of which the adjustment time is one damped period, [P2] eq. (18).
 

@@ -144,7 +144,7 @@ def accumulate(
     judged = jnp.stack([after, after, known & (time > criteria.steady_after)])
     above = variance > jnp.stack([now.phi.z, error, now.phi.z]) ** 2
     return Metrics(
-        outside_until=mix(_outside(criteria, error), time, metrics.outside_until),
+        outside_until=mix(outside(criteria, error), time, metrics.outside_until),
         window=_widen(
             metrics.window,
             now,
@@ -156,12 +156,13 @@ def accumulate(
     )
 
 
-def _outside(criteria: Criteria, error: Scalar) -> Array:
+def outside(criteria: Criteria, error: Scalar) -> Array:
     """Whether an error is outside each band, NaN being outside; or which share of it is."""
     if criteria.sharpness is None:
         return ~(jnp.abs(error) <= criteria.bands)
-    # Of the square, and never of zero, where the logarithm has no slope.
-    ratio = error * error / criteria.bands**2 + jnp.finfo(error.dtype).tiny
+    # Of the square, and never of zero, where the logarithm has no slope; nor so near to it that
+    # the slope overflows.
+    ratio = error * error / criteria.bands**2 + 1e-24
     return jax.nn.sigmoid(criteria.sharpness / 2 * jnp.log(ratio))
 
 

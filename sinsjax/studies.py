@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel, ConfigDict
 
 from sinsjax.drawing import Drawn, StopWhen
+from sinsjax.ranges import Tune
 from sinsjax.sections import (
     Alignment,
     Coarse,
@@ -41,6 +42,7 @@ SECTIONS: dict[str, type[Section]] = {
     "record": Record,
     "coarse": Coarse,
     "stop_when": StopWhen,
+    "tune": Tune,
     "report": Report,
     "statements": Statements,
 }
@@ -71,6 +73,28 @@ EARTH_CONSTANTS = {
 }
 """The keys of [earth] that only ``earth = "constants"`` has, with their defaults."""
 
+NOISES = (
+    ("gyro_noise_deg_per_h", "gyro_arw_deg_per_sqrt_h"),
+    ("accel_noise_ug", "accel_vrw_ug_per_sqrt_hz"),
+)
+"""The keys of white noise, each beside the one that gives its density."""
+
+EXCLUSIVE = (
+    *NOISES,
+    ("reset_times_s", "reset_count"),
+    ("reset_times_s", "reset_cycle_s"),
+    ("reset_times_s", "reset_first_s"),
+    ("level_gains", "level_sigma_per_s"),
+    ("level_gains", "level_adjustment_s"),
+    ("level_adjustment_s", "level_sigma_per_s"),
+    ("level_passes", "level_time_s"),
+    ("azimuth_gains", "azimuth_sigma_per_s"),
+    ("azimuth_gains", "azimuth_adjustment_s"),
+    ("azimuth_adjustment_s", "azimuth_sigma_per_s"),
+    ("sigma_passes", "sigma_times_s"),
+)
+"""Pairs of keys that say the same thing in two ways: a study gives one of them."""
+
 PASS_KEYS = ("tape_s", "passes", "ending")
 """The keys that decide which sample of the tape an update reads, and how many there are."""
 
@@ -80,6 +104,11 @@ ROUNDING = 1e-9
 
 Table = dict[str, Any]
 Dimension = dict[str, tuple[Any, ...]]
+
+
+def rivals(key: str) -> set[str]:
+    """The keys that say in another way what a key says."""
+    return {other for pair in EXCLUSIVE if key in pair for other in pair} - {key}
 
 
 def dimensions_of(
@@ -136,8 +165,8 @@ class Study(BaseModel):
     A variant is one point of the sweep: cases outermost, then the zips, then the axes, each as
     written, the last one fastest. A section that does not apply is None: ``motion`` and ``sensors``
     of a recorded study, ``record`` and ``coarse`` of a simulated one, ``filter``, ``resets`` and
-    ``compass`` where no method reads them, ``passes`` where no tape is gone over again, ``drawn``
-    and ``stop_when`` where not given. So is a key that does not apply, such as
+    ``compass`` where no method reads them, ``passes`` where no tape is gone over again, ``drawn``,
+    ``stop_when`` and ``tune`` where not given. So is a key that does not apply, such as
     ``gravity_m_per_s2`` where no variant has constants.
 
     Attributes:
@@ -163,6 +192,7 @@ class Study(BaseModel):
     coarse: Coarse | None = None
     drawn: Drawn | None = None
     stop_when: StopWhen | None = None
+    tune: Tune | None = None
     report: Report
     statements: Statements
     axes: Dimension

@@ -91,6 +91,26 @@ def _check_draw(key: str, draw: int, value: float) -> None:
         raise InputError(f"[drawn] {key}: {text}") from None
 
 
+def checked(value: Any, key: str, place: str) -> Any:
+    """A value of a key, as a study holds it.
+
+    Args:
+        value: to check.
+        key: leaf key, or ``case``.
+        place: what an error names.
+
+    Raises:
+        InputError: it is none.
+    """
+    if value is None:
+        raise InputError(f"{place}: None is no value")
+    try:
+        return _validator(key)(value)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise InputError(f"{place}{index(first)}: {explained(first)}") from None
+
+
 def _axes(tables: Table) -> tuple[Dimension, dict[str, Dimension]]:
     """The axes that stand alone, and the zips."""
     axes, zips = {}, {}
@@ -130,7 +150,7 @@ def _axis(table: str, key: str, values: Any, recorded: bool) -> tuple[Any, ...]:
         raise InputError(f"[{table}] {key}: must be a list of values, not {values!r}")
     if not values:
         raise InputError(f"[{table}] {key}: must not be empty")
-    return tuple(_value(value, key, f"[{table}] {key}[{i}]") for i, value in enumerate(values))
+    return tuple(checked(value, key, f"[{table}] {key}[{i}]") for i, value in enumerate(values))
 
 
 def _cases(tables: Table, axes: set[str]) -> tuple[Table, ...]:
@@ -151,7 +171,7 @@ def _cases(tables: Table, axes: set[str]) -> tuple[Table, ...]:
             if key not in row or key not in keys:
                 raise InputError(f"[cases] {key}[{i}]: all cases must set the same keys")
     cases = tuple(
-        {key: _value(row[key], key, f"[cases] {key}[{i}]") for key in keys}
+        {key: checked(row[key], key, f"[cases] {key}[{i}]") for key in keys}
         for i, row in enumerate(rows)
     )
     values = [key for key in keys if key != "case"]
@@ -204,7 +224,7 @@ def _law(key: str, table: Any) -> Law:
         raise InputError(f"{place}{index(first)}: {explained(first)}") from None
     if name not in ("values", "grid"):
         return law
-    entries = tuple(_value(entry, key, f"{place}[{i}]") for i, entry in enumerate(value))
+    entries = tuple(checked(entry, key, f"{place}[{i}]") for i, entry in enumerate(value))
     return Law.model_validate({name: entries})
 
 
@@ -257,13 +277,3 @@ def _validator(key: str) -> Callable[[Any], Any]:
         annotation = Annotated[field.annotation, field]
     strict = ConfigDict(strict=True, allow_inf_nan=False)
     return TypeAdapter(annotation, config=strict).validate_python
-
-
-def _value(value: Any, key: str, place: str) -> Any:
-    if value is None:
-        raise InputError(f"{place}: None is no value")
-    try:
-        return _validator(key)(value)
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise InputError(f"{place}{index(first)}: {explained(first)}") from None

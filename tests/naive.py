@@ -163,6 +163,38 @@ class Filter(NamedTuple):
     turn_factor: float = 10.0
 
 
+class Innovation(NamedTuple):
+    """What a watcher sees of sample k: r and its covariance s, Earth, latitude, attitude before."""
+
+    k: int
+    r: np.ndarray
+    s: np.ndarray
+    earth: Planet
+    latitude: float
+    c: np.ndarray
+
+
+class Unwatched:
+    """Watches a filter and does nothing; `naive_triggers` do."""
+
+    def factor(self, p, r):
+        """By which the propagated P is multiplied, the innovation being r."""
+        return 1.0
+
+    def look(self, seen, x, p):
+        """Whether P is to be reset after an update that gave x and P."""
+        return False
+
+    def feed(self, phi):
+        """Take an attitude correction in that is fed back."""
+
+    def begin(self, k, p):
+        """Take in that sample k ended with a reset that left P."""
+
+    def turn(self, x, p):
+        """Take in that the tape is turned, with x and P."""
+
+
 class History(NamedTuple):
     """After every sample: attitude, velocity, place, estimate, covariance, fed-back biases."""
 
@@ -246,8 +278,14 @@ def turned(x, p, bias, filt):
     return flip @ x, flip @ p @ flip.T, signs[5:] * bias
 
 
-def closed_loop(increments, dt, planet, *, latitude, c, v, filt, tape=None, count=None):
-    """Mechanise, predict, update, feed back and reset, sample after sample, over a tape."""
+def closed_loop(
+    increments, dt, planet, *, latitude, c, v, filt, tape=None, count=None, watcher=None
+):
+    """Mechanise, predict, update, feed back and reset, sample after sample, over a tape.
+
+    A ``watcher`` of `naive_triggers` fades P, and resets it beside the schedule.
+    """
+    watcher = watcher or Unwatched()
     n = len(filt.p0)
     x, p, bias = np.zeros(n), np.diag(filt.p0), np.zeros(n - 5)
     h = np.eye(n)[:2]
@@ -255,6 +293,7 @@ def closed_loop(increments, dt, planet, *, latitude, c, v, filt, tape=None, coun
     for k, turn, dv, way, turns in updates(increments, tape, count):
         if turns:
             v, (x, p, bias) = -v, turned(x, p, bias, filt)
+            watcher.turn(x, p)
         earth = planet._replace(rate=way * planet.rate)
         at = latitude if filt.position == "integrated" else fixed
         # The gravity reading linearises about a base at rest.
@@ -269,16 +308,21 @@ def closed_loop(increments, dt, planet, *, latitude, c, v, filt, tape=None, coun
             f = np.array([0.0, 0.0, planet.g(at)])
         a = error_matrix(v0, f, earth, at) if n == 5 else error_matrix_10(v0, f, earth, at, c0)
         phi = np.eye(n) + a * dt
-        x, p = phi @ x, phi @ p @ phi.T + np.diag(filt.q)
+        x, p = phi @ x, phi @ p @ phi.T
+        p = watcher.factor(p, v - x[:2]) * p + np.diag(filt.q)
+        seen = Innovation(k, v - x[:2], p[:2, :2] + filt.r * np.eye(2), earth, at, c0)
         x, p = update(x, p, h, v, filt.r)
-        share = 1.0 if k in filt.resets else filt.gain if k % filt.every == 0 else 0.0
+        due = watcher.look(seen, x, p) or k in filt.resets
+        share = 1.0 if due else filt.gain if k % filt.every == 0 else 0.0
+        watcher.feed(share * x[2:5])
         if share:
             v = v - share * x[:2]
             c = exp(share * x[2:5]) @ c
             bias = bias + share * x[5:]
             x = (1 - share) * x
-        if k in filt.resets:
+        if due:
             p = reset(p, filt)
+            watcher.begin(k, p)
         history.append((c, v, latitude, longitude, x, p, bias))
     return History(*(np.array(column) for column in zip(*history, strict=True)))
 

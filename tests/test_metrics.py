@@ -195,3 +195,57 @@ def test_observation_compares_with_the_truth(seed):
     np.testing.assert_allclose(now.phi, log(c_true @ c_hat.T), atol=1e-7)
     np.testing.assert_allclose((now.pitch, now.roll, now.yaw), angles, atol=1e-12)
     np.testing.assert_allclose(now.sigma, np.sqrt(variances[[0, 3, 5]]), rtol=1e-15)
+
+
+# Relaxed settling times
+
+
+def relaxed_until(off, sharpness):
+    """When the errors ``off`` from the floor (N,) were last outside each band, relaxed."""
+    values = jnp.zeros((N, 6)).at[:, 2].set(FLOOR + off)
+    relaxed = criteria()._replace(sharpness=sharpness)
+    return outcome(relaxed, values, jnp.full((N, 3), ARCMIN), jnp.eye(3), FLOOR).outside_until
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_relaxed_settling_times_as_from_whole_curves(seed):
+    """Each record is outside with a share of x^k / (1 + x^k), x being the error over the band."""
+    off, k = random_curves(seed)[0][:, 2] - FLOOR, 5.0
+    for band, got in zip(BANDS, relaxed_until(off, k), strict=True):
+        share = (np.abs(off) / band) ** k / (1 + (np.abs(off) / band) ** k)
+        # The time of each record, by the share of it that no later record has taken over.
+        later = np.append(np.cumprod((1 - share)[::-1])[-2::-1], 1.0)
+        np.testing.assert_allclose(got, np.sum(TIMES * share * later), rtol=1e-9)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_relaxed_settling_times_tend_to_the_hard_ones(seed):
+    """With the sharpness, unless an error lies on the edge of a band."""
+    off = random_curves(seed)[0][:, 2] - FLOOR
+    hard = np.asarray(outcome(criteria(), *curves(FLOOR + off), FLOOR).outside_until)
+    away = np.abs(np.log(np.abs(off)[:, None] / BANDS)).min(axis=0)
+    # N records that are each off by exp(-k away).
+    for times in (10.0, 20.0, 40.0):
+        for i in range(len(BANDS)):
+            got = relaxed_until(off, np.float64(times / away[i]))[i]
+            assert abs(got - hard[i]) <= N * TIMES[-1] * np.exp(-times)
+
+
+@pytest.mark.parametrize("sharpness", [2.0, 8.0])
+def test_the_derivative_of_a_settling_time_is_that_of_finite_differences(sharpness):
+    off = (90 * np.exp(-TIMES / 6) * np.cos(TIMES) + 2) * ARCMIN
+    k = np.float64(sharpness)
+    for way in (np.cos(3 * TIMES) * ARCMIN, off):
+        _, got = jax.jvp(lambda at: relaxed_until(at, k), (off,), (way,))
+        h = 1e-5
+        ahead, behind = (relaxed_until(off + sign * h * way, k) for sign in (1, -1))
+        assert np.all(np.isfinite(got)) and np.all(np.asarray(got) != 0)
+        np.testing.assert_allclose(got, (ahead - behind) / (2 * h), rtol=1e-5)
+
+
+@pytest.mark.parametrize("sharpness", [1.0, 2.0, 8.0])
+def test_an_error_of_zero_has_a_slope(sharpness):
+    off, k = np.zeros(N), np.float64(sharpness)
+    until, slope = jax.jvp(lambda at: relaxed_until(at, k), (off,), (off + ARCMIN,))
+    np.testing.assert_allclose(until, 0, atol=1e-9)
+    np.testing.assert_allclose(slope, 0, atol=1e-9)

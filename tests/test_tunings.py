@@ -1,4 +1,4 @@
-"""The numbers of compass loops and of turns, from the units of a study; loops that are refused."""
+"""The numbers of each method, from the units of a study; loops that are refused."""
 
 import copy
 from typing import Any
@@ -139,6 +139,76 @@ def test_turns_of_a_filter() -> None:
     )
     # keep, keep_yaw, renew, renew_yaw
     np.testing.assert_array_equal(all_of(made.turn), [[1, 1, 0, 0], [3, 3, 0, 0], [0, 0, 1, 1]])
+
+
+# Filters
+
+UG, DEG = 9.8e-6, np.pi / 180
+DEG_PER_H = DEG / 3600
+STATES = ("dve", "dvn", "phi_e", "phi_n", "phi_u", "nabla_x", "nabla_y", "eps_x", "eps_y", "eps_z")
+
+
+def of_filter(method: str = "kalman10", **tables: Any) -> Any:
+    return numbers(alignment={"method": method}, **tables)
+
+
+@pytest.mark.parametrize("method", ["kalman5", "kalman10"])
+@pytest.mark.parametrize(
+    ("key", "value", "states", "sigma"),
+    [
+        ("reset_velocity_m_per_s", 0.3, "dve dvn", 0.3),
+        ("reset_level_deg", 2.0, "phi_e phi_n", 2.0 * DEG),
+        ("reset_yaw_deg", 30.0, "phi_u", 30.0 * DEG),
+        ("reset_accel_bias_ug", 70.0, "nabla_x nabla_y", 70.0 * UG),
+        ("reset_gyro_bias_deg_per_h", 0.02, "eps_x eps_y eps_z", 0.02 * DEG_PER_H),
+    ],
+)
+def test_what_p_is_reset_to(method: str, key: str, value: float, states: str, sigma: float) -> None:
+    """A key of its own for each kind of state; the others are reset to what they began with."""
+    plain, own = of_filter(method), of_filter(method, resets={key: value})
+    assert len(plain.p0) == {"kalman5": 5, "kalman10": 10}[method]
+    np.testing.assert_array_equal(plain.reset_to, plain.p0)
+    np.testing.assert_array_equal(own.p0, plain.p0)
+    for state, start, to in zip(STATES, plain.p0, own.reset_to, strict=False):
+        expected = [sigma**2] if state in states.split() else start
+        np.testing.assert_allclose(to, expected, rtol=1e-14)
+    np.testing.assert_array_equal(all_of(own.resets.renewal), all_of(plain.resets.renewal))
+
+
+def test_what_p_is_reset_to_may_differ_from_variant_to_variant() -> None:
+    made = of_filter(axes={"reset_yaw_deg": [1.0, 2.0], "p0_yaw_deg": [80.0, 40.0]})
+    np.testing.assert_allclose(made.reset_to[4], np.array([1, 1, 2, 2]) ** 2 * DEG**2)
+    np.testing.assert_allclose(made.p0[4], np.array([80, 40] * 2) ** 2 * DEG**2)
+    np.testing.assert_array_equal(made.reset_to[3], made.p0[3])
+
+
+@pytest.mark.parametrize("readings", [{}, {"q_reading": "psd", "r_reading": "psd"}])
+def test_scales_multiply_q_and_r_and_nothing_else(readings: dict[str, str]) -> None:
+    plain = of_filter(filter=readings)
+    for key, names in (("q_scale", {"q"}), ("r_scale", {"r"})):
+        made = of_filter(filter=readings, axes={key: [1.0, 0.25, 4.0]})
+        for name in ("p0", "q", "r", "reset_to"):
+            before = np.array(getattr(plain, name))
+            factors = np.array([1.0, 0.25, 4.0]) if name in names else np.ones(3)
+            np.testing.assert_array_equal(getattr(made, name), before * factors)
+
+
+def test_numbers_of_a_trigger_are_in_samples() -> None:
+    trigger = {"reset_trigger": "nis", "trigger_threshold": 9.5, "trigger_until_s": 12.34}
+    given = {"trigger_window_s": 2.0, "trigger_refractory_s": 0.5, "trigger_most": 3}
+    made = of_filter(resets=trigger | given).trigger
+    assert made._asdict() == {
+        "threshold": [9.5],
+        "window": [200.0],
+        "refractory": [50.0],
+        "most": [3.0],
+        "until": [1234.0],
+    }
+    # What is left out.
+    short = {key: trigger[key] for key in ("reset_trigger", "trigger_threshold")}
+    assert all_of(of_filter(resets=short).trigger).tolist() == [[9.5, 1000, 500, 10, np.inf]]
+    for none in ({}, {"reset_trigger": "none"}):
+        assert of_filter(resets=none).trigger is None
 
 
 # Loops that are refused

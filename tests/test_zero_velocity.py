@@ -16,11 +16,13 @@ from engine import (
 )
 from naive import DEG, PAPER, WGS84, closed_loop, exp, of_quaternion
 from scipy.spatial.transform import Rotation
+from studies import BASE
 
-from sinsjax import imu
+from sinsjax import imu, scenario
 from sinsjax.algebra import triangle_index
 from sinsjax.alignment import METHODS
 from sinsjax.alignment.base import Options
+from sinsjax.config import study_from_dict
 
 RATE, SAMPLES = 100, 2000
 PHI0, V0 = np.array([5.0, 5.0, 30.0]) * DEG, np.array([0.3, -0.2])
@@ -171,3 +173,28 @@ def test_a_reset_sets_p_after_all_of_x_is_fed_back(kind):
     np.testing.assert_array_equal(
         np.array(state.belief.x)[:, : k - 1], np.array(alone.belief.x)[:, : k - 1]
     )
+
+
+@pytest.mark.parametrize(("name", "position"), [("kalman5", "fixed"), ("kalman10", "integrated")])
+def test_a_full_reset_sets_p_to_values_of_its_own(name, position):
+    """As the study gives them, in the units of its keys; yaw resets take theirs."""
+    data = {name: dict(table) for name, table in BASE.items()}
+    data["alignment"] = {"method": name, "position": position}
+    data["resets"] = {"reset_times_s": [1.0, 2.0, 3.0, 4.0], "reset_yaw_deg": 20.0}
+    data["resets"] |= {"reset_velocity_m_per_s": 0.5, "reset_level_deg": 1.5}
+    data["resets"] |= {"reset_accel_bias_ug": 40.0, "reset_gyro_bias_deg_per_h": 0.03}
+    angles, biases = [1.5 * DEG, 1.5 * DEG, 20 * DEG], [40 * UG] * 2 + [0.03 * DEG_PER_H] * 3
+    sigma = np.array([0.5, 0.5, *angles, *biases])
+    n = {"kalman5": 5, "kalman10": 10}[name]
+    here, nav = site(PAPER, 0.5), navigation(exp(-PHI0) @ PAPER1.matrix(0.0), V0, 0.5)
+    for kind in ("full", "yaw"):
+        data["resets"]["reset_kind"] = kind
+        (part,) = scenario.parts(study_from_dict(data))
+        filt = jax.tree.map(lambda a: a[0], part.group.variants.method)
+        state, _, _ = runner(name, "measured", position)(filt, here, nav, measured(PAPER, 0.5))
+        for k in (100, 400):
+            p = states(state.belief.p)[k - 1]
+            if kind == "full":
+                np.testing.assert_allclose(p, np.diag(sigma[:n] ** 2), rtol=1e-13, atol=0)
+            else:
+                np.testing.assert_allclose(p[4], np.eye(n)[4] * sigma[4] ** 2, rtol=1e-13, atol=0)

@@ -141,8 +141,16 @@ def renew(renewal: Renewal, p: Triangle, to: tuple[Scalar, ...], *, yaw: int) ->
 
 
 def where_due(due: Flag | Scalar, renewal: Renewal) -> Renewal:
-    """The renewal where it is due, elsewhere the one that leaves P as it is; or between them."""
-    return Renewal(*(mix(due, a, b) for a, b in zip(renewal, UNCHANGED, strict=True)))
+    """The renewal where it is due, elsewhere the one that leaves P as it is; or between them.
+
+    The parts of a relaxed one, one after the other, make what it makes at once.
+    """
+    keep, keep_yaw, new, new_yaw = (mix(due, a, b) for a, b in zip(renewal, UNCHANGED, strict=True))
+    if not jnp.issubdtype(jnp.result_type(due), bool):
+        # What P is multiplied by is a product over the window; of zero, it leaves exp(-8).
+        part, least = -jnp.log1p(-due) / WINDOW_STRENGTH, jnp.exp(-WINDOW_STRENGTH)
+        keep, keep_yaw = (jnp.maximum(k, least) ** part for k in (renewal.keep, renewal.keep_yaw))
+    return Renewal(keep, keep_yaw, new, new_yaw)
 
 
 def value_at(pieces: Pieces, n: Scalar) -> Scalar:

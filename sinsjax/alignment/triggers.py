@@ -15,9 +15,10 @@ from sinsjax import kalman
 from sinsjax.algebra import Entries, Triangle, triangle_index
 from sinsjax.alignment.base import Fired
 from sinsjax.earth import Place
-from sinsjax.error_model import PHI_U, VE, VN
+from sinsjax.error_model import PHI_E, PHI_N, PHI_U, VE, VN
 from sinsjax.kalman import Belief
 from sinsjax.types import Flag, Scalar, Vec3
+from sinsjax.units import DEG
 
 Pair = tuple[Scalar, Scalar]
 """Of east and north."""
@@ -55,8 +56,8 @@ class Seen(NamedTuple):
         innovation: measured minus predicted velocity, m/s.
         variance: upper triangle of its believed covariance S (ee, en, nn), (m/s)^2.
         belief: after the update.
-        correction: of the attitude since the last reset: what was fed back and what is not yet,
-            rad.
+        correction: of the attitude since the last reset or turn of the tape: what was fed back and
+            what is not yet, rad.
         at_rest: transition of a base at rest, its specific force (0, 0, g).
         place: Earth rates there.
         dt: s.
@@ -76,7 +77,8 @@ class Watch(NamedTuple):
 
     Attributes:
         memory: of the trigger.
-        fed: attitude corrections fed back since the last reset, rad.
+        fed: attitude corrections fed back since the last reset or turn, less what was estimated
+            before that turn, rad.
         fired: what it did so far.
         since: sample of the last reset of any kind.
     """
@@ -189,6 +191,22 @@ def after(
     )
 
 
+def turned(
+    trigger: Trigger, numbers: Numbers, watch: Watch, *, p: Triangle, misalignment: Vec3
+) -> Watch:
+    """The watch after a turn of the tape: its memory begins anew, what it did stays.
+
+    Args:
+        trigger: which.
+        numbers: its numbers.
+        watch: so far.
+        p: the covariance that is left.
+        misalignment: estimated and not yet fed back, rad: no correction of the pass that begins.
+    """
+    fed = Vec3(*(-angle for angle in misalignment))
+    return watch._replace(memory=trigger.start(numbers, p), fed=fed)
+
+
 class _Block(NamedTuple):
     """Sums over a window that begins anew when it is full."""
 
@@ -294,24 +312,39 @@ def _levelled(numbers: Numbers, noise: Noise, levels: _Levels, seen: Seen) -> An
     """
     levels, full, (east, north) = _drift(numbers, levels, seen)
     still = _normalised(seen.innovation, seen.variance) < STILL
-    score = seen.place.rate_n / jnp.sqrt(east**2 + north**2)
+    # The Earth of a backward pass turns the other way.
+    score = jnp.abs(seen.place.rate_n) / jnp.sqrt(east**2 + north**2)
     return levels, jnp.where(full & still, score, 0.0)
 
 
-def _linearisation(numbers: Numbers, noise: Noise, p: Triangle, seen: Seen) -> Any:
-    """How far P_UU is below what the linearisation can bear: sqrt(honest P_UU / P_UU).
+_MUCH = 4 * DEG
+"""Heading below which what a correction left out does no harm, rad."""
 
-    Two things let the linear model know more of heading than there is to know. While the level is
-    wrong, the horizontal specific force enters A(t), and heading seems to show in velocity; a
-    second covariance, of a base at rest (f = (0, 0, g)), does without. And a heading correction d
-    leaves errors of second order, d^2 / 2, of which P knows nothing: their square is added.
+
+def _linearisation(numbers: Numbers, noise: Noise, p: Triangle, seen: Seen) -> Any:
+    """How much more the filter knows of heading, or is about to, than its linear model can tell.
+
+    While the level is wrong, the horizontal specific force enters A(t), and heading seems to show
+    in velocity. The honest covariance P* of a base at rest (f = (0, 0, g)) does without. Three
+    shares of variance make up the score, the root of their sum:
+
+    * P*_UU / P_UU: what is known already that there was not to know;
+    * P*_UU (phi_E^2 / P*_EE + phi_N^2 / P*_NN) / 4: what will be when the level phi that is not
+      yet fed back (in units of 2 sigma) is, and the specific force jumps;
+    * (d - sin d)^2 / (P_UU + (4 deg)^2): what a heading correction d since the last reset left
+      out, as the tilt it was told by goes with sin d; corrections up to 30 deg do not count.
+
+    A filter of whose corrections all are small, or with gravity in A(t), has a score of 1.
     """
     zeros = tuple(jnp.zeros_like(v) for v in seen.belief.x)
     honest = kalman.predict(Belief(zeros, p), seen.at_rest, noise.q)
     honest = kalman.update(honest, (VE, VN), (zeros[VE], zeros[VN]), noise.r)
-    at = triangle_index(len(zeros))[PHI_U, PHI_U]
-    second = seen.correction.z**2 / 2
-    score = jnp.sqrt((honest.p[at] + second * second) / seen.belief.p[at])
+    at = triangle_index(len(zeros))
+    p_ee, p_nn, p_uu = (honest.p[at[i, i]] for i in (PHI_E, PHI_N, PHI_U))
+    believed = seen.belief.p[at[PHI_U, PHI_U]]
+    told = 1 / believed + (seen.belief.x[PHI_E] ** 2 / p_ee + seen.belief.x[PHI_N] ** 2 / p_nn) / 4
+    left_out = seen.correction.z - jnp.sin(seen.correction.z)
+    score = jnp.sqrt(p_uu * told + left_out**2 / (believed + _MUCH**2))
     return honest.p, score
 
 

@@ -108,7 +108,7 @@ def build(model: ErrorModel, options: Options) -> Method:
         reset = reset_due(params.resets, n)
         if trigger is not None:
             gravity = Vec3(0.0, 0.0, place.gravity * options.dt)
-            still = nav._replace(ve=0.0, vn=0.0)
+            still = before._replace(ve=0.0, vn=0.0)
             seen = Seen(
                 innovation=(measured[0] - predicted.x[VE], measured[1] - predicted.x[VN]),
                 variance=_innovation_variance(predicted, params.r),
@@ -129,13 +129,15 @@ def build(model: ErrorModel, options: Options) -> Method:
         flipped = tuple(s * x for s, x in zip(signs, state.belief.x, strict=True))
         p = change_signs(signs, state.belief.p)
         p = renew(params.turn, p, params.p0, yaw=PHI_U)
+        belief = kalman.Belief(flipped, p)
         biases = zip(signs[len(_LEVEL_AND_YAW) :], state.bias, strict=True)
         watch = state.watch
         if trigger is not None:
-            watch = watch._replace(memory=trigger.start(params.trigger, p))
+            left = _misalignment(belief)
+            watch = triggers.turned(trigger, params.trigger, watch, p=p, misalignment=left)
         return state._replace(
             nav=mechanisation.reverse(state.nav),
-            belief=kalman.Belief(flipped, p),
+            belief=belief,
             bias=tuple(s * b for s, b in biases),
             watch=watch,
         )

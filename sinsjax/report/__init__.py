@@ -22,10 +22,12 @@ from sinsjax.report import (
     pass_consistency,
     readings,
     reset_cycle,
+    tuned,
 )
 from sinsjax.report.base import Layout, Report, Source
 from sinsjax.report.html import write_html
 from sinsjax.report.output import FIGURES, Made, print_report, save_figures, write_page
+from sinsjax.tuning.carry_out import is_tuning
 
 LAYOUTS: dict[str, Layout] = {
     "auto": auto.report,
@@ -76,7 +78,7 @@ def summarise(
     """Prints the tables of some results and draws their figures; writes pages on request.
 
     Args:
-        directories: of results; the figures of each go to ``figures/`` in it.
+        directories: of results or of tunings; the figures of each go to ``figures/`` in it.
         console: where the tables are printed.
         page: Markdown file to write, with figures beside it in ``figures/``.
         html: HTML file to write, with all figures in it.
@@ -84,10 +86,14 @@ def summarise(
     Raises:
         InputError: a directory holds no results that its layout can use, or cannot be written.
     """
-    sources = [Source.read(directory) for directory in directories]
-    made = [
-        _tell(LAYOUTS[source.study.report.layout](source), source, console) for source in sources
-    ]
+    sources, made = [], []
+    for directory in directories:
+        if is_tuning(directory):
+            source = tuned.read(directory)
+            made.append(_tell(tuned.report(source), source, console))
+        else:
+            sources.append(source := Source.read(directory))
+            made.append(_tell(LAYOUTS[source.study.report.layout](source), source, console))
     for layout, report in TOGETHER.items():
         if here := [source for source in sources if source.study.report.layout == layout]:
             made.append(_tell(report(here), here[0], console))

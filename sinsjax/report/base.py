@@ -152,10 +152,12 @@ class Report(NamedTuple):
     Attributes:
         headline: what was found, a sentence or two each.
         sections: in the order in which they are read.
+        rests_on: said below the figures, where they rest on other runs than those of the source.
     """
 
     headline: Sequence[str]
     sections: Sequence[Section]
+    rests_on: str = ""
 
 
 Layout = Callable[[Source], Report]

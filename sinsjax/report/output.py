@@ -37,7 +37,8 @@ class Made(NamedTuple):
         """Draws the figures of a report."""
         blocks = (block for section in report.sections for block in section.blocks)
         pictures = (block for block in blocks if isinstance(block, Picture))
-        images = {block.name: plots.png(block.figure, counted(source)) for block in pictures}
+        footer = report.rests_on or counted(source)
+        images = {block.name: plots.png(block.figure, footer) for block in pictures}
         return cls(source, report, images)
 
 

@@ -1,0 +1,125 @@
+"""A tuning: what its searches found, judged on draws that tuned nothing, and how they did."""
+
+from pathlib import Path
+
+from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.report import tuned_figures
+from sinsjax.report.base import Report, Section, Source, Table, value_text
+from sinsjax.report.tuned_results import Tuning, words
+from sinsjax.tuning.carry_out import EVALUATION, GRADIENT
+from sinsjax.types import InputError
+
+_MILLION = 1e6
+
+
+def read(directory: Path) -> Source:
+    """Opens a tuning: the results of its judging, with the directory of all of it.
+
+    Raises:
+        InputError: it is not complete, or cannot be read.
+    """
+    if not (directory / EVALUATION / "summary").is_dir():
+        raise InputError(
+            f"{directory}: holds a tuning that is not complete (`sinsjax tune --resume` goes on"
+            " with it)"
+        )
+    judged = Source.read(directory / EVALUATION)
+    assert judged.draws  # of which none is missing, or that is told
+    return Source(directory, judged.study, judged.config, judged.summary)
+
+
+def report(source: Source) -> Report:
+    """The candidates on the unused draws, and how the searches came to them.
+
+    Raises:
+        InputError: a file of the tuning cannot be read.
+    """
+    tuning = Tuning.of(source)
+    pictures = [*tuned_figures.landscape(tuning), tuned_figures.course(tuning)]
+    variants = tuning.runs.shape[1]
+    each = f" × {variants} variants" if variants > 1 else ""
+    return Report(
+        _headline(tuning),
+        [
+            Section("What was found", [_candidates(tuning)]),
+            Section("How it was found", pictures),
+        ],
+        f"{tuning.study.study.name}: {_drawn(tuning)}{each} a point",
+    )
+
+
+def _drawn(tuning: Tuning) -> str:
+    """The draws that tuned, in words."""
+    if record := tuning.study.record:
+        return f"{len(record.start_s[::2])} start times"
+    return f"{tuning.tune.tune_draws} draws"
+
+
+def _headline(tuning: Tuning) -> list[str]:
+    tune, best = tuning.tune, tuning.best
+    unit = "start times" if tuning.study.is_recorded else "draws"
+    name, across = words(tune)[0], {"mean": "mean", "worst": "worst"}[tune.objective_across]
+    over = f", {across} over {tuning.runs.shape[1]} variants" if tuning.runs.shape[1] > 1 else ""
+    lines = [
+        f"Tuned on {_drawn(tuning)}, judged on {tuning.runs.shape[2]} others by the {name}{over}.",
+        f"The best on the tuning {unit}, which is in `tuned.toml`, is that of the search"
+        f" '{best}': {_said(tuning, tuning.score(best))} on the others, the baseline"
+        f" {_said(tuning, tuning.score('baseline'))}.",
+    ]
+    if GRADIENT in tuning.found and tuning.rival != GRADIENT:
+        difference = tuning.difference(GRADIENT)
+        share = tuning.found[GRADIENT].cost / tuning.found[tuning.rival].cost
+        verdict = (
+            "better than"
+            if difference.high < 0
+            else "worse than"
+            if difference.low > 0
+            else "not told apart from"
+        )
+        lines.append(
+            f"The gradient is {verdict} the best of '{tuning.rival}' (difference"
+            f" {_said(tuning, difference)}), at {_percent(share)} of its cost."
+        )
+    return lines
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:,.{0 if share >= 1 else 1}f} %"
+
+
+def _said(tuning: Tuning, estimate: Estimate) -> str:
+    digits = {"final_error": 2, "failure_rate": 3}.get(tuning.tune.objective, 1)
+    return format_estimate(estimate, words(tuning.tune)[1], digits)
+
+
+def _candidates(tuning: Tuning) -> Table:
+    rival = tuning.rival
+    paid = tuning.found[rival].cost if rival in tuning.found else None
+    keys = [key for key in tuning.judged.cases[0] if key != "case"]
+    rows = []
+    for name, place in tuning.places.items():
+        case = tuning.judged.cases[place]
+        found = tuning.found.get(name)
+        rows.append(
+            [
+                name,
+                _said(tuning, tuning.score(name)),
+                "-" if name == rival else _said(tuning, tuning.difference(name)),
+                f"{found.cost / _MILLION:,.4g}" if found else "-",
+                _percent(found.cost / paid) if found and paid else "-",
+                *(value_text(case[key]) for key in keys),
+            ]
+        )
+    header = [
+        "candidate",
+        words(tuning.tune)[0],
+        f"less that of '{rival}'",
+        "cost (10^6 steps)",
+        f"of that of '{rival}'",
+        *keys,
+    ]
+    note = (
+        "On draws that tuned nothing, the same for all, with 95 % intervals by bootstrap over them."
+        " Cost: plain-run steps of the search, tangents included."
+    )
+    return Table("Candidates on the unused draws", header, rows, note)

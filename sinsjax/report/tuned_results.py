@@ -1,0 +1,115 @@
+"""A complete tuning as reports read it: what was found, and its objective on the unused draws."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sinsjax.analysis import Estimate
+from sinsjax.analysis.estimates import bootstrap
+from sinsjax.config import load_study
+from sinsjax.ranges import Tune
+from sinsjax.report.base import Source
+from sinsjax.studies import Study
+from sinsjax.tuning import history, objective, search
+from sinsjax.tuning.carry_out import STUDY, require_tune
+from sinsjax.tuning.history import Found
+from sinsjax.variables import Space
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """A complete tuning.
+
+    Attributes:
+        study: with [tune].
+        judged: the study of the judging, whose cases are what was found.
+        source: of its results.
+        found: by search.
+    """
+
+    study: Study
+    judged: Study
+    source: Source
+    found: dict[str, Found]
+
+    @classmethod
+    def of(cls, source: Source) -> "Tuning":
+        """Reads what is told of."""
+        study = load_study(source.directory / STUDY)
+        found = history.read(source.directory, Space.of(study))
+        return cls(
+            study, source.study, source, {one.search.replace("_", " "): one for one in found}
+        )
+
+    @property
+    def tune(self) -> Tune:
+        """The section [tune]."""
+        return require_tune(self.study)
+
+    @cached_property
+    def places(self) -> dict[str, int]:
+        """Number of the case of each candidate: one may be that of several."""
+        labels = [case["case"] for case in self.judged.cases]
+        return {name: i for i, label in enumerate(labels) for name in label.split(", ")}
+
+    @cached_property
+    def runs(self) -> NDArray:
+        """(cases, variants, draws) numbers that the objective is made of, on the unused draws."""
+        table = self.source.rows(objective.columns_of(self.tune))
+        return search.run_values(self.study, self.judged, table)
+
+    @property
+    def rival(self) -> str:
+        """The candidate that all others are compared with: the grid's, if there is one."""
+        return next(name for name in ("grid", *self.found, "baseline") if name in self.places)
+
+    @property
+    def best(self) -> str:
+        """The candidate with the best objective on the tuning draws, which is in tuned.toml."""
+        return min(self.found, key=lambda name: self.found[name].best.objective)
+
+    def score(self, name: str) -> Estimate:
+        """The objective of a candidate on the unused draws."""
+        runs = self.runs[self.places[name]]
+        return _estimate(lambda pick: objective.score(self.tune, runs[:, pick]), runs.shape[1])
+
+    def difference(self, name: str) -> Estimate:
+        """The objective of a candidate less that of the rival, on the same draws."""
+        own, other = (self.runs[self.places[one]] for one in (name, self.rival))
+        return _estimate(
+            lambda pick: (
+                objective.score(self.tune, own[:, pick])
+                - objective.score(self.tune, other[:, pick])
+            ),
+            own.shape[1],
+        )
+
+
+def _estimate(score: Callable[[NDArray], float], draws: int) -> Estimate:
+    """A number of some draws, with a bootstrap interval over them."""
+    every = np.arange(draws)
+    low, high = bootstrap(lambda picks: np.array([score(pick) for pick in picks]), every)
+    return Estimate(score(every), low, high, draws)
+
+
+def words(tune: Tune) -> tuple[str, str]:
+    """The objective in words, and its unit."""
+    band = f"{tune.objective_band_arcmin:g} arcmin"
+    return {
+        "settle_mean": (f"mean settling time to {band}", "s"),
+        "settle_quantile": (
+            f"{100 * tune.objective_quantile:g} % quantile of the settling time to {band}",
+            "s",
+        ),
+        "final_error": ("root mean square heading error at the end", "arcmin"),
+        "failure_rate": (f"share that never settled to {band}", ""),
+    }[tune.objective]
+
+
+def axis(tune: Tune) -> str:
+    """The objective as an axis label."""
+    name, unit = words(tune)
+    return f"{name} ({unit})" if unit else name

@@ -1,0 +1,211 @@
+"""All that a study's [tune] asks for: its searches, the rival at equal cost, the judging, a study.
+
+In order: the searches; with a gradient a Sobol search with as many points as its cost pays for; all
+that was found, and the baseline, on draws that tuned nothing; ``tuned.toml`` with the best point on
+the tuning draws. Whatever is complete is kept when a tuning is gone on with.
+"""
+
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+
+from sinsjax import directories
+from sinsjax.campaign import Progress, Tell
+from sinsjax.config import fingerprint, load_study, study_to_toml, with_point
+from sinsjax.files import replacing, unwritable
+from sinsjax.ranges import Tune
+from sinsjax.studies import Study, Table
+from sinsjax.tuning import history, search
+from sinsjax.tuning.history import Found
+from sinsjax.tuning.search import Session
+from sinsjax.types import InputError, StudyInterrupted
+from sinsjax.variables import Space, comparable
+from sinsjax.worlds import Tape
+
+STUDY, TUNED, EVALUATION = "study.toml", "tuned.toml", "evaluation"
+GRADIENT, EQUAL_COST = "gradient", "equal_cost"
+_NAMES = (STUDY, TUNED, history.FILE, "figures", "grid", "sobol", "random", EQUAL_COST, EVALUATION)
+
+Watch = Callable[[str], AbstractContextManager[Tell | None]]
+
+
+def tune(
+    study: Study,
+    directory: str | Path,
+    tape: Tape | None = None,
+    *,
+    overwrite: bool = False,
+    resume: bool = False,
+    watch: Watch | None = None,
+    stop: threading.Event | None = None,
+    source: Path | None = None,
+) -> None:
+    """Tune a study into a directory.
+
+    Args:
+        study: with [tune].
+        directory: where; must hold no tuning unless ``overwrite`` or ``resume``.
+        tape: the record of a recorded study, with a reference.
+        overwrite: whether an earlier tuning is replaced.
+        resume: whether whole searches of the same tuning are kept, and only the rest is made.
+        watch: gives, by the name of a search, what is told how far it is.
+        stop: set from elsewhere, it ends the tuning; what is complete stays.
+        source: the study's file, named in manifests.
+
+    Raises:
+        InputError: nothing to tune or to judge by, a record that does not fit, or a directory that
+            cannot be used.
+        StudyInterrupted: ``stop`` was set.
+        RuntimeError: double precision is off.
+    """
+    directory = Path(directory)
+    settings = require_tune(study)
+    if tape is not None and tape.reference is None:
+        text = "a record is tuned by a reference (give it with --reference)"
+        raise InputError(f"{study.study.name}: [tune]: {text}")
+    space = Space.of(study)
+    check_free(directory, overwrite=overwrite or resume)
+    session = Session(
+        directory,
+        tape,
+        overwrite,
+        resume,
+        watch or (lambda name: nullcontext()),
+        stop or threading.Event(),
+        source,
+    )
+    known = _begin(study, space, session)
+    found: list[Found] = []
+    for name in settings.searches:
+        found.append(_search(study, space, name, session, known))
+        history.write(directory, space, found)
+        if name == GRADIENT:
+            counts = _counts(study, space, found[-1].cost)
+            design = search.sobol(space, counts, search.seed_of(study, EQUAL_COST))
+            found.append(search.look(study, EQUAL_COST, design, session))
+            history.write(directory, space, found)
+    _judge(study, space, found, session)
+    best = min(found, key=lambda one: one.best.objective)
+    tuned = study_to_toml(with_point(study, best.point(space)))
+    with replacing(directory / TUNED) as file:
+        file.write(tuned.encode())
+
+
+def require_tune(study: Study) -> Tune:
+    """The section [tune] of a study.
+
+    Raises:
+        InputError: it has none.
+    """
+    if study.tune is None:
+        raise InputError(f"{study.study.name}: has no [tune] section that says what to tune")
+    return study.tune
+
+
+def check_free(directory: Path, *, overwrite: bool) -> None:
+    """Refuse a directory that holds a tuning, unless it may be used, or files like ours.
+
+    Raises:
+        InputError: the directory cannot be used.
+    """
+    if directory.exists() and not directory.is_dir():
+        raise InputError(f"{directory}: is a file, not a directory")
+    taken = [name for name in _NAMES if (directory / name).exists()]
+    if taken and not is_tuning(directory):
+        raise InputError(f"{directory}: holds a {taken[0]} that is of no tuning: give another one")
+    if taken and not overwrite:
+        raise InputError(
+            f"{directory}: holds a tuning already (give --resume to go on with it, or --overwrite"
+            " to replace it)"
+        )
+
+
+def is_tuning(directory: Path) -> bool:
+    """Whether a directory holds a tuning, be it one that is not complete."""
+    if (directory / "manifest.json").exists():  # results of a study that could be tuned
+        return False
+    try:
+        return load_study(directory / STUDY).tune is not None
+    except InputError:
+        return False
+
+
+def _begin(study: Study, space: Space, session: Session) -> list[Found]:
+    """Makes a directory ready; gives the searches that it is gone on with."""
+    directory, known = session.directory, []
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        if session.resume and (directory / STUDY).exists():
+            _check_same(load_study(directory / STUDY), study, directory)
+            if (directory / history.FILE).exists():
+                known = history.read(directory, space)
+        else:
+            for name in (TUNED, history.FILE):
+                (directory / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(unwritable(directory, error)) from error
+    with replacing(directory / STUDY) as file:
+        file.write(study_to_toml(study).encode())
+    return known
+
+
+def _check_same(there: Study, here: Study, directory: Path) -> None:
+    """Refuses to go on with the tuning of another study."""
+    old, new = (require_tune(study).model_dump() for study in (there, here))
+    differ = [f"[tune] {key}" for key in old if old[key] != new[key]]
+    if fingerprint(there) != fingerprint(here):
+        differ += directories.differences(there, here)
+    if differ:
+        raise InputError(f"{directory}: holds a tuning of another study: {'; '.join(differ)}")
+
+
+def _search(
+    study: Study, space: Space, name: str, session: Session, known: Sequence[Found]
+) -> Found:
+    """What one search finds."""
+    settings = require_tune(study)
+    if name == GRADIENT:
+        done = [one for one in known if one.search == GRADIENT]
+        return done[0] if done else _gradient(study, session)
+    if name == "grid":
+        return search.look(study, name, search.grid(space, settings.grid_points), session)
+    draw = {"sobol": search.sobol, "random": search.random}[name]
+    count = {"sobol": settings.sobol_points, "random": settings.random_points}[name]
+    design = draw(space, [count] * len(space.combinations), search.seed_of(study, name))
+    return search.look(study, name, design, session)
+
+
+def _gradient(study: Study, session: Session) -> Found:
+    # Optax takes a while to import, and only this search needs it.
+    from sinsjax.tuning import descent
+
+    with session.watch(GRADIENT) as tell:
+
+        def told(progress: Progress) -> None:
+            if session.stop.is_set():
+                raise StudyInterrupted(f"what was complete before is in {session.directory}")
+            if tell is not None:
+                tell(progress)
+
+        return descent.descend(study, session.tape, tell=told)
+
+
+def _counts(study: Study, space: Space, cost: int) -> list[int]:
+    """Points of a search that costs as much as another one, shared out over the combinations."""
+    point = space.point(space.values([0.5] * len(space.variables)), space.combinations[0])
+    each = search.cost(search.derive(study, {"one": point}, name=study.study.name))
+    count = len(space.combinations)
+    points = max(count, round(cost / each))
+    return [points // count + (number < points % count) for number in range(count)]
+
+
+def _judge(study: Study, space: Space, found: Sequence[Found], session: Session) -> None:
+    """Runs all that was found, and the baseline, on draws that tuned nothing."""
+    baseline = with_point(study, require_tune(study).baseline)
+    points = {one.search.replace("_", " "): one.point(space) for one in found}
+    cases: dict[tuple[object, ...], tuple[list[str], Table]] = {}
+    for name, point in comparable(study, baseline, points).items():
+        cases.setdefault(tuple(point.values()), ([], point))[0].append(name)
+    judged = {", ".join(names): point for names, point in cases.values()}
+    session.run(search.derive(study, judged, name=study.study.name, judging=True), EVALUATION)

@@ -1,0 +1,335 @@
+"""Search by gradient: several descents in parallel lanes, differentiated in forward mode.
+
+A descent begins at the best of some points, looked at on a few draws. A step looks at a few draws,
+the next step at the next ones. Resets are smooth windows and the edge of the band is soft; both
+sharpen from step to step. What the descents end with is scored as any other point: with hard
+resets, on all tuning draws.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from numpy.typing import NDArray
+
+from sinsjax import batch, campaign
+from sinsjax.batch import Group, Plan, Tiles
+from sinsjax.campaign import Progress, Tell
+from sinsjax.draws import World
+from sinsjax.ranges import Tune
+from sinsjax.scenario import Scenario
+from sinsjax.studies import Study
+from sinsjax.tuning import objective, search
+from sinsjax.tuning.history import Found, Look
+from sinsjax.tuning.relaxation import Relaxation
+from sinsjax.types import Array, Count
+from sinsjax.variables import Space
+from sinsjax.worlds import Tape
+
+NAME = "gradient"
+
+TANGENT_STEPS = 2
+"""Plain-run steps that one tangent of a step counts as; the benchmark ``derivative`` times it."""
+
+
+class Softness(NamedTuple):
+    """How far a step is relaxed.
+
+    Attributes:
+        window_s: half width of the reset windows, s.
+        sharpness: of the band's edge, see `metrics.Criteria`.
+    """
+
+    window_s: float
+    sharpness: float
+
+
+class Lane(NamedTuple):
+    """What a lane runs.
+
+    Attributes:
+        base: `Params` of the method at the base point.
+        start: number of the descent whose point it is moved to.
+    """
+
+    base: Any
+    start: Count
+
+
+def sensitivities(
+    function: Callable[[Array], Any], point: Array, directions: Array
+) -> tuple[Any, Any]:
+    """Value and derivatives of a function along some directions, in one forward pass.
+
+    Args:
+        function: of an array of the shape of ``point``.
+        point: where.
+        directions: (p, *shape of the point).
+
+    Returns:
+        The value, and its derivatives with a leading axis of p.
+    """
+
+    def along(direction: Array) -> tuple[Any, Any]:
+        return jax.jvp(function, (point,), (direction,))
+
+    # The value does not depend on the direction: it is computed once for all of them.
+    return jax.vmap(along, out_axes=(None, 0))(directions)
+
+
+class Slope:
+    """The relaxed objective of some descents and its gradient, for one combination of candidates.
+
+    Attributes:
+        used: places in the space of the variables that the combination uses, (p,).
+        draws: that a step looks at.
+        n_draws: that there are to tune by.
+        run_steps: plain-run steps of one draw and descent.
+    """
+
+    def __init__(
+        self, study: Study, tape: Tape | None, number: int, *, starts: int, draws: int
+    ) -> None:
+        """Prepare the runs.
+
+        Args:
+            study: with [tune].
+            tape: the record of a recorded study.
+            number: of the combination of candidates.
+            starts: number of descents.
+            draws: that a step looks at, at the most.
+
+        Raises:
+            InputError: a variable without a gradient, or a record that does not fit.
+        """
+        assert study.tune is not None
+        space = Space.of(study)
+        combination = space.combinations[number]
+        self.used = space.used(combination)
+        self._relaxation = Relaxation(study, space, combination)
+        derived = search.derive(study, {"base": self._relaxation.point}, name=study.study.name)
+        self._tune, self._starts = study.tune, starts
+        scenario = Scenario(derived, tape, curves=False)
+        groups = [scenario.part(i).group for i in range(len(scenario.programs))]
+        self.n_draws = len(groups[0].draws.draw_id)
+        self.draws = min(draws, self.n_draws)
+        self.run_steps = search.cost(derived) // self.n_draws
+        self._rate_hz = study.study.rate_hz
+        self._fans = [self._fanned(group) for group in groups]
+
+    @property
+    def cost(self) -> int:
+        """Plain-run steps that one gradient of all descents costs, tangents included."""
+        factor = 1 + TANGENT_STEPS * len(self.used)
+        return self._starts * self.draws * self.run_steps * factor
+
+    def __call__(self, box: NDArray, draws: NDArray, softness: Softness) -> tuple[NDArray, NDArray]:
+        """The objective of each descent, and its gradient.
+
+        Args:
+            box: (starts, p) places of the variables, from 0 to 1.
+            draws: (draws,) places of the draws to look at.
+            softness: how far it is relaxed.
+
+        Returns:
+            (starts,) in the unit of the objective, and (starts, p).
+        """
+        found = [self._runs(fan, box, draws, softness) for fan in self._fans]
+        runs, slopes = (np.concatenate(some, axis=1) for some in zip(*found, strict=True))
+        score, by_run = map(np.asarray, objective.relaxed_score(self._tune, runs))
+        return score, np.einsum("svd,svdp->sp", by_run, slopes)
+
+    def _fanned(self, group: Group) -> "_Fan":
+        """A group with lanes for each descent and variant."""
+        params = jax.tree.map(
+            lambda a: np.concatenate([np.asarray(a)] * self._starts), group.variants
+        )
+        start = np.repeat(np.arange(self._starts), group.sizes[1])
+        group = group._replace(variants=params._replace(method=Lane(params.method, start)))
+        runs, devices = self.draws * len(start), len(jax.devices())
+        # Few runs take fewer lanes, and a call has two blocks at the least.
+        lanes = min(batch.LANES, 1 << (max(runs // (2 * devices), 8) - 1).bit_length())
+        tiles = -(-runs // (lanes * devices))
+        plan = Plan(group.static, self.draws, len(start), tiles_a_chunk=tiles, lanes=lanes)
+        return _Fan(group, plan, jax.jit(partial(self._tiles, group)))
+
+    def _runs(
+        self, fan: "_Fan", box: NDArray, draws: NDArray, softness: Softness
+    ) -> tuple[NDArray, NDArray]:
+        """Relaxed numbers of runs (starts, variants, draws), and their derivatives (..., p)."""
+        group, plan, program = fan
+        some = jax.tree.map(lambda a: a[draws] if np.ndim(a) else a, group.draws)
+        group = group._replace(draws=some, q=group.q[draws])
+        soft = group.world.criteria._replace(sharpness=np.float64(softness.sharpness))
+        world = group.world._replace(criteria=soft)
+        width = np.float64(softness.window_s * self._rate_hz)
+        arguments = [(world, batch.tiles_of(group, lanes), box, width) for lanes in plan]
+        program.lower(*arguments[0]).compile()  # or every thread would
+        calls = batch.spread(
+            lambda one: jax.device_get(program(*one)), arguments, len(jax.devices())
+        )
+        _, variants = group.sizes
+        out = np.empty((len(draws) * variants, 1 + len(self.used)))
+        for places, (value, slope) in zip(plan, calls, strict=True):
+            draw, variant = places.draw.ravel(), places.variant.ravel()
+            busy = np.flatnonzero((draw < len(draws)) & (variant < variants))
+            rows = draw[busy] * variants + variant[busy]
+            out[rows, 0] = value.ravel()[busy]
+            out[rows, 1:] = np.moveaxis(slope, -2, -1).reshape(-1, len(self.used))[busy]
+        shape = (len(draws), self._starts, variants // self._starts, -1)
+        out = np.moveaxis(out.reshape(shape), 0, 2)
+        return out[..., 0], out[..., 1:]
+
+    def _tiles(
+        self, group: Group, world: World, tiles: Tiles, box: Array, width: Array
+    ) -> tuple[Array, Array]:
+        """Numbers of the runs of some tiles, and their derivatives by the place of their start."""
+        directions = jnp.eye(len(self.used))[:, None, :] * jnp.ones((self._starts, 1))
+
+        def one_lane(lane: Lane, box: Array) -> Any:
+            return self._relaxation(lane.base, box[lane.start], width)
+
+        def one_tile(tile: Tiles) -> tuple[Array, Array]:
+            def of(box: Array) -> Array:
+                method = jax.vmap(one_lane, in_axes=(0, None))(tile.params.method, box)
+                lanes = tile._replace(params=tile.params._replace(method=method))
+                outcome, _ = batch.run_tile(group.static, world, lanes)
+                return objective.relaxed_values(self._tune, world.criteria, outcome)
+
+            return sensitivities(of, box, directions)
+
+        return jax.lax.map(batch.over_sets(group.static, one_tile, tiles), tiles)
+
+
+class _Fan(NamedTuple):
+    """A group of runs with lanes for each descent, how they are laid out, and their program."""
+
+    group: Group
+    plan: Plan
+    program: Any
+
+
+def descend(study: Study, tape: Tape | None = None, *, tell: Tell | None = None) -> Found:
+    """Tune a study by gradient, for every combination of its candidates.
+
+    Args:
+        study: with [tune].
+        tape: the record of a recorded study.
+        tell: told how far it is, in runs, after every step.
+
+    Returns:
+        Every step of every descent with its relaxed objective, and what the descents ended with,
+        scored hard on all tuning draws.
+
+    Raises:
+        InputError: a variable without a gradient, or a record that does not fit.
+    """
+    looks: list[Look] = []
+    for number in range(len(Space.of(study).combinations)):
+        looks += _Descents(study, tape, number, looks[-1].cost if looks else 0).looks(tell)
+    return Found(NAME, looks)
+
+
+class _Descents:
+    """The descents of one combination of candidates."""
+
+    def __init__(self, study: Study, tape: Tape | None, number: int, cost: int) -> None:
+        assert study.tune is not None
+        self._study, self._tape, self._number, self._cost = study, tape, number, cost
+        self._tune, self._space = study.tune, Space.of(study)
+
+    def looks(self, tell: Tell | None) -> list[Look]:
+        """All that is looked at, in its order."""
+        tune, steps = self._tune, self._tune.descent_steps
+        if not self._space.used(self._space.combinations[self._number]):
+            return self._scored(np.empty((1, 0)), [])
+        slope = Slope(
+            self._study,
+            self._tape,
+            self._number,
+            starts=tune.descent_starts,
+            draws=tune.descent_draws,
+        )
+        box = self._begin(slope)
+        adam = optax.adam(optax.cosine_decay_schedule(tune.descent_rate, steps, alpha=0.1))
+        state = adam.init(box)
+        looks: list[Look] = []
+        for step in range(steps):
+            draws = (step * slope.draws + np.arange(slope.draws)) % slope.n_draws
+            softness = _softness(tune, step)
+            score, gradient = slope(box, draws, softness)
+            self._cost += slope.cost
+            looks += [
+                Look(step, self._number, values, float(one), self._cost, start, *softness)
+                for start, (values, one) in enumerate(
+                    zip(self._values(box, slope.used), score, strict=True)
+                )
+            ]
+            if tell is not None:
+                done, total = ((n * tune.descent_starts * slope.draws) for n in (step + 1, steps))
+                tell(Progress(done, total, 0, 0))
+            moves, state = adam.update(np.nan_to_num(gradient, posinf=0.0, neginf=0.0), state)
+            box = np.asarray(optax.projections.projection_box(box + moves, 0.0, 1.0))
+        return [*looks, *self._scored(box, slope.used)]
+
+    def _begin(self, slope: Slope) -> NDArray:
+        """(starts, p) places at which the descents begin: the best of some, on a few draws."""
+        count = max(self._tune.descent_screen, self._tune.descent_starts)
+        counts = [count] * len(self._space.combinations)
+        design = search.sobol(self._space, counts, search.seed_of(self._study, NAME))
+        box = design.box[design.candidate == self._number][:, slope.used]
+        if count == self._tune.descent_starts:
+            return box
+        scores = self._hard(self._values(box, slope.used), slope.draws)
+        self._cost += count * slope.draws * slope.run_steps
+        return box[np.argsort(scores, kind="stable")[: self._tune.descent_starts]]
+
+    def _scored(self, box: NDArray, used: Sequence[int]) -> list[Look]:
+        """The ends of the descents on all tuning draws."""
+        values = self._values(box, used)
+        scores = self._hard(values, None)
+        step = self._tune.descent_steps
+        return [
+            Look(step, self._number, own, float(score), self._cost, start)
+            for start, (own, score) in enumerate(zip(values, scores, strict=True))
+        ]
+
+    def _values(self, box: NDArray, used: Sequence[int]) -> list[list[float]]:
+        """Values of all variables at some places of the used ones; NaN for the others."""
+        whole = np.full((len(box), len(self._space.variables)), np.nan)
+        whole[:, used] = box
+        return [self._space.values(row) for row in whole]
+
+    def _hard(self, values: Sequence[Sequence[float]], draws: int | None) -> NDArray:
+        """The objective at some points with hard resets, on the first tuning draws or all."""
+        study = self._study
+        if draws is not None and not study.is_recorded:
+            study = study.model_copy(
+                update={"tune": self._tune.model_copy(update={"tune_draws": draws})}
+            )
+        combination = self._space.combinations[self._number]
+        points = {
+            f"point {i}": self._space.point(list(np.nan_to_num(own)), combination)
+            for i, own in enumerate(values)
+        }
+        cases = {tuple(point.values()): label for label, point in points.items()}
+        distinct = {label: points[label] for label in cases.values()}
+        derived = search.derive(study, distinct, name=study.study.name)
+        table = campaign.run(derived, self._tape, curves=False).summary
+        found = search.run_values(study, derived, table)
+        if draws is None:
+            self._cost += search.cost(derived)
+        scores = [objective.score(self._tune, own) for own in found]
+        by_label = dict(zip(distinct, scores, strict=True))
+        return np.array([by_label[cases[tuple(point.values())]] for point in points.values()])
+
+
+def _softness(tune: Tune, step: int) -> Softness:
+    """How far a step is relaxed: from the first to the last geometrically."""
+    way = step / max(tune.descent_steps - 1, 1)
+    ends = (tune.relaxed_window_s, tune.relaxed_sharpness)
+    return Softness(*(first * (last / first) ** way for first, last in ends))

@@ -1,0 +1,135 @@
+"""What a tuning makes small: a number a run, and one number of all runs of a point."""
+
+from collections.abc import Callable
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+from scipy import special
+
+from sinsjax import analysis, columns
+from sinsjax.metrics import Criteria, Outcome, outside
+from sinsjax.ranges import Tune
+from sinsjax.studies import Study
+from sinsjax.types import Array
+from sinsjax.units import ARCMIN
+from sinsjax.worlds import spans_s
+
+_OVER_DRAWS: dict[str, Callable[[Tune, NDArray], NDArray]] = {
+    "settle_mean": lambda tune, values: np.mean(values, axis=-1),
+    "settle_quantile": lambda tune, values: np.quantile(
+        values, tune.objective_quantile, axis=-1, method="inverted_cdf"
+    ),
+    "final_error": lambda tune, values: np.sqrt(np.mean(values**2, axis=-1)),
+    "failure_rate": lambda tune, values: np.mean(values, axis=-1),
+}
+
+
+def columns_of(tune: Tune) -> list[str]:
+    """Columns of the summary that the numbers of runs are made of."""
+    if tune.objective == "final_error":
+        return ["run_id", "phi_u_arcmin", "floor_arcmin"]
+    return ["run_id", columns.settle_column(tune.objective_band_arcmin).name]
+
+
+def values(tune: Tune, study: Study, table: pa.Table) -> NDArray:
+    """The number of each run that the objective is made of.
+
+    Args:
+        tune: the objective.
+        study: whose runs.
+        table: `columns_of` the summary, all runs.
+
+    Returns:
+        (variants, draws): the settling time, s, which is the run's length where it never settled;
+        the heading from its floor at the end, arcmin; or 1 for a failure, 0 for a success.
+    """
+    order = np.argsort(analysis.numbers(table, "run_id"))
+    end = spans_s(study)[:, :1]
+    if tune.objective == "final_error":
+        error = analysis.numbers(table, "phi_u_arcmin") - analysis.numbers(table, "floor_arcmin")
+        found = np.nan_to_num(np.abs(error), nan=np.inf)
+    else:
+        found = analysis.numbers(table, columns_of(tune)[1])
+    by_variant = found[order].reshape(-1, study.n_variants).T
+    if tune.objective == "final_error":
+        return by_variant
+    if tune.objective == "failure_rate":
+        return np.isnan(by_variant).astype(float)
+    return np.where(np.isnan(by_variant), end, by_variant)
+
+
+def score(tune: Tune, values: NDArray) -> float:
+    """The objective of some runs, in the unit of their numbers.
+
+    Args:
+        tune: the objective.
+        values: (variants, draws), as `values` gives them.
+    """
+    each = _OVER_DRAWS[tune.objective](tune, values)
+    return float(np.max(each) if tune.objective_across == "worst" else np.mean(each))
+
+
+def relaxed_values(tune: Tune, criteria: Criteria, outcome: Outcome) -> Array:
+    """The numbers of relaxed runs, as `values` has them of whole ones.
+
+    Args:
+        tune: the objective.
+        criteria: of the study, with a sharpness.
+        outcome: leaves (runs, ...).
+
+    Returns:
+        (runs,): settling times whose band has a soft edge, s; headings from their floor at the
+        end, arcmin; or the share to which the end is outside the band.
+    """
+    error = outcome.last.phi.z - outcome.floor
+    if tune.objective == "final_error":
+        return error / ARCMIN
+    band = jnp.argmin(jnp.abs(criteria.bands - tune.objective_band_arcmin * ARCMIN))
+    if tune.objective == "failure_rate":
+        return outside(criteria, error[:, None])[:, band]
+    return outcome.outside_until[:, band]
+
+
+def relaxed_score(tune: Tune, values: NDArray) -> tuple[Array, Array]:
+    """The smooth objective of some points, and its derivatives by the numbers of runs.
+
+    A quantile is Harrell and Davis's (1982), a weighted mean of all; the worst variant is a power
+    mean, the mean of 16th powers.
+
+    Args:
+        tune: the objective.
+        values: (points, variants, draws).
+
+    Returns:
+        (points,), and the derivatives (points, variants, draws).
+    """
+    weights = np.full(values.shape[-1], 1 / values.shape[-1])
+    if tune.objective == "settle_quantile":
+        weights = _harrell_davis(values.shape[-1], tune.objective_quantile)
+    power = _WORST if tune.objective_across == "worst" else 1
+    return _smooth(tune.objective == "final_error", power, jnp.asarray(weights), values)
+
+
+_WORST = 16
+
+
+def _harrell_davis(n: int, q: float) -> NDArray:
+    """Weights of n sorted values, whose sum is their quantile q."""
+    edges = special.betainc((n + 1) * q, (n + 1) * (1 - q), np.arange(n + 1) / n)
+    return np.diff(edges)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _smooth(squared: bool, power: int, weights: Array, values: Array) -> tuple[Array, Array]:
+    def one(runs: Array) -> Array:
+        if squared:
+            each = jnp.sqrt(jnp.mean(runs**2, axis=-1))
+        else:
+            each = jnp.sort(runs, axis=-1) @ weights
+        return jnp.mean(each**power) ** (1 / power)
+
+    return jax.vmap(jax.value_and_grad(one))(values)
