@@ -3,10 +3,15 @@
 The mean over a tile of phi_u^2 at the end (arcmin^2) is differentiated by p scales of the filter's
 beliefs, in their order: P0 of the yaw, P0 of the level angles, Q, R. Both programs go over the same
 tiles of the default sweep with silent sensors, as `sweep` does.
+
+A step of `sinsjax tune` by gradient is timed as a whole: the mean settling time of 4 descents, with
+noise, by two reset times; its resets are windows and its band has a soft edge. Beside it the plain
+runs of the same lanes, whose resets are hard.
 """
 
 import re
 import time
+import tomllib
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -16,17 +21,27 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.batch import LANES, Group, Tiles, plan, run_tile, tiles_of
-from sinsjax.bench.cases import TILES, default_group, shortened, without_noise
+from sinsjax.batch import LANES, Group, Tiles, compiled, plan, run_tile, tiles_of
+from sinsjax.bench.assets import asset
+from sinsjax.bench.cases import TILES, default_group, engine, shortened, without_noise
 from sinsjax.bench.timing import Case, Row, measure_against
+from sinsjax.config import study_from_dict
+from sinsjax.scenario import parts
 from sinsjax.simulate import Params
+from sinsjax.studies import Study
+from sinsjax.tuning import search
+from sinsjax.tuning.descent import TANGENT_STEPS, Slope, Softness, sensitivities
 from sinsjax.types import Array
 from sinsjax.units import ARCMIN
+from sinsjax.variables import Space
 
 MOST = 4
 """Parameters that can be scaled."""
 
 RECORDS, QUICK = 90, 4
+
+STARTS, DRAWS, VARIANTS = 4, 4, 8
+"""Descents, draws a step and variants of a tuning, which fill `TILES`."""
 
 _ARITHMETIC = frozenset(
     "add subtract multiply divide negate abs maximum minimum sqrt rsqrt power sine cosine atan2"
@@ -36,24 +51,6 @@ _HEAD = re.compile(r"^(ENTRY )?%?([\w.-]+) .*\{$")
 _INSTRUCTION = re.compile(r" = \w+\[([\d,]*)\](?:\{[^}]*\})? ([\w-]+)\(")
 _CALLED = re.compile(r"\b(calls|to_apply|body|branch_computations)=(?:\{([^}]*)\}|%?([\w.-]+))")
 _TRIPS = re.compile(r'"known_trip_count":\{"n":"(\d+)"')
-
-
-def sensitivities(objective: Callable[[Array], Any], point: Array) -> tuple[Any, Any]:
-    """Value and derivatives of a function of a few numbers, in one forward pass.
-
-    Args:
-        objective: of an array (p,).
-        point: (p,) where.
-
-    Returns:
-        The value, and its derivatives with a leading axis of p.
-    """
-
-    def along(direction: Array) -> tuple[Any, Any]:
-        return jax.jvp(objective, (point,), (direction,))
-
-    # The value does not depend on the direction: it is computed once for all of them.
-    return jax.vmap(along, out_axes=(None, 0))(jnp.eye(point.size, dtype=point.dtype))
 
 
 def scaled(params: Params, scales: Array) -> Params:
@@ -116,7 +113,7 @@ def program_of(group: Group, p: int) -> tuple[jax.stages.Compiled, tuple, float]
                 outcome, _ = run_tile(group.static, group_world, lanes)
                 return jnp.mean((outcome.last.phi.z / ARCMIN) ** 2)
 
-            return sensitivities(objective, scales) if p else objective(scales)
+            return sensitivities(objective, scales, jnp.eye(p)) if p else objective(scales)
 
         return jax.lax.map(one_tile, tiles)
 
@@ -146,6 +143,54 @@ def temporary(program: jax.stages.Compiled) -> int:
     return int(program.memory_analysis().temp_size_in_bytes)
 
 
+def tuned_study(seconds: float) -> Study:
+    """The default sweep's base, sensors and filter; two reset times are tuned."""
+    data = tomllib.loads(asset("configs/reset_sweep.toml").read_text("utf-8"))
+    del data["report"]
+    data["study"] |= {"duration_s": seconds, "window_s": [seconds / 2, seconds]}
+    data["resets"] = {"reset_times_s": [seconds / 3, seconds / 2]}
+    data["axes"] = {"phi_u0_deg": [10.0 * i for i in range(1, VARIANTS + 1)]}
+    halves = ({"low": seconds * low, "high": seconds * (low + 0.3)} for low in (0.2, 0.5))
+    data["tune"] = {
+        "searches": ["gradient"],
+        "variables": {"reset_times_s": list(halves)},
+        "tune_draws": DRAWS,
+    }
+    return study_from_dict(data)
+
+
+def tuning(seconds: float, repeats: int) -> list[Row]:
+    """Time a gradient of `sinsjax tune` in pairs with the plain runs of the same lanes."""
+    study = tuned_study(seconds)
+    space = Space.of(study)
+    box = np.linspace(0.3, 0.7, 2 * STARTS).reshape(STARTS, 2)
+    points = {f"start {i}": space.point(space.values(own), {}) for i, own in enumerate(box)}
+    (part,) = parts(search.derive(study, points, name="plain"), curves=False)
+    base = engine("tune_plain", part.group)
+    arguments = (box, np.arange(DRAWS), Softness(seconds / 20, 4.0))
+    since = time.perf_counter()
+    slope = Slope(study, None, 0, starts=STARTS, draws=DRAWS)
+    (program,) = slope.programs(*arguments)
+    compile_s = time.perf_counter() - since
+
+    def call() -> float:
+        since = time.perf_counter()
+        slope(*arguments)
+        return time.perf_counter() - since
+
+    call()
+    gradient = Case(f"tune_gradient_p{len(box[0])}", base.runs, base.steps, compile_s, call)
+    first, row = measure_against(base, [gradient], repeats)
+    tiles = tiles_of(part.group, plan(part.group, tiles_a_chunk=TILES)[0])
+    plain = compiled(part.group.static, part.group.world, tiles)
+    row |= {
+        "operations_ratio": round(operations(program) / operations(plain), 3),
+        "counted": 1 + TANGENT_STEPS * len(box[0]),
+        "temp_bytes": temporary(program),
+    }
+    return [first, row]
+
+
 def rows(quick: bool, repeats: int) -> list[Row]:
     """Time derivatives by 1 to 4 parameters over 9,000 steps, in turns with the plain run.
 
@@ -153,7 +198,8 @@ def rows(quick: bool, repeats: int) -> list[Row]:
         ``derivative_plain``, then ``derivative_pN`` with ``ratio`` (of the times, in turns),
         ``operations_ratio``, ``limit`` (what ``ratio`` may be) and ``temp_bytes``; that of the
         most parameters also with ``temp_bytes_half`` and ``temp_bytes_double``, of runs of half
-        and twice the length: forward mode stores no step.
+        and twice the length: forward mode stores no step. Then ``tune_plain`` and
+        ``tune_gradient_p2``, with ``counted``, the plain runs that the cost of a tuning counts.
     """
     records = QUICK if quick else RECORDS
     silent = without_noise(default_group())
@@ -173,7 +219,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     for key, length in (("half", records // 2), ("double", 2 * records)):
         program, *_ = program_of(shortened(silent, length), MOST)
         others[-1][f"temp_bytes_{key}"] = temporary(program)
-    return [first, *others]
+    return [first, *others, *tuning(float(records), repeats)]
 
 
 if __name__ == "__main__":

@@ -46,6 +46,7 @@ def judged(machine: Machine) -> list[Judged]:
         *_devices(machine),
         *_start(machine),
         *_slopes(machine),
+        *_tuning(machine),
         *_single(machine),
         *_shared(machine),
     ]
@@ -151,6 +152,17 @@ def _slopes(machine: Machine) -> Iterator[Judged]:
                 sizes(row),
                 max(sizes_kb) <= (1 + MEMORY) * min(sizes_kb),
             )
+
+
+def _tuning(machine: Machine) -> Iterator[Judged]:
+    if row := machine.row("derivative", "tune_gradient_p2"):
+        yield Judged(
+            "gradient of a tuning by 2 reset times (windows, a soft band), times its plain runs",
+            f"at most {row['counted']:g}, as its cost is counted",
+            plus_minus(row, "ratio"),
+            sizes(row),
+            row["ratio"] <= row["counted"],
+        )
 
 
 def _single(machine: Machine) -> Iterator[Judged]:

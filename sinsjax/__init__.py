@@ -46,6 +46,8 @@ from sinsjax.records import read_record, read_reference
 from sinsjax.results import read_curves, read_manifest, read_summary
 from sinsjax.runtime import configure, info
 from sinsjax.scenario import simulated_record
+from sinsjax.tuning.carry_out import tune
+from sinsjax.tuning.history import read_history
 from sinsjax.types import InputError
 
 __version__ = runtime.package_version()
@@ -59,6 +61,7 @@ __all__ = [
     "load_study",
     "load_tape",
     "read_curves",
+    "read_history",
     "read_manifest",
     "read_record",
     "read_reference",
@@ -68,4 +71,5 @@ __all__ = [
     "simulated_record",
     "study_from_dict",
     "summarise",
+    "tune",
 ]

@@ -128,14 +128,16 @@ def layout(static: Static, variants: int, lanes: int = LANES) -> tuple[int, int]
 def distinct_draws(width: int, lanes: int = LANES) -> int:
     """Draws a tile has room for, where each takes ``width`` lanes in a row.
 
-    At least the most that it can hold, in whole vectors: a rest would take as long as another.
+    At least the most that it can hold, in whole vectors: a rest would take as long as another. As
+    many as there are lanes, of which there are three or more, only where a draw takes one.
     """
     if width % lanes == 0:
         return 1
     if lanes % width == 0:
         return lanes // width
     most = (lanes + width - 2) // width + 1
-    return min(lanes, -(-most // VECTOR) * VECTOR)
+    whole = -(-most // VECTOR) * VECTOR
+    return whole if whole < lanes else most
 
 
 class Plan:

@@ -33,9 +33,9 @@ _LAYOUT_CONDITIONS = {
 }
 _READINGS = ("q_reading", "r_reading", "feedback_interval_s")
 _MAX_SAMPLES, _MAX_RUNS = 10**8, 10**9
-_FILTER_LAYOUTS = ("consistency", "reset_cycle")
+_FILTER_LAYOUTS = ("consistency", "reset_cycle", "adaptive")
 _RECORDED_LAYOUTS = ("car_test", "compass_car")
-_GENERAL_LAYOUTS = ("auto", "consistency", "reset_cycle")  # the others know each key of theirs
+_GENERAL_LAYOUTS = ("auto", *_FILTER_LAYOUTS)  # the others know each key of theirs
 _OF_COMPASS = {*SECTIONS["compass"].model_fields, "turn", "turn_smoothing_s"}
 _OF_FILTERS = {
     *SECTIONS["filter"].model_fields,

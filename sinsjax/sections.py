@@ -406,6 +406,7 @@ class Report(Section):
         "compass_car",
         "consistency",
         "reset_cycle",
+        "adaptive",
     ] = Field("auto", description="page layout")
 
 

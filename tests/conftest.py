@@ -1,10 +1,18 @@
 """Settings of the whole test run; JAX reads some of them once, so they come first."""
 
+import atexit
 import os
+import shutil
+import tempfile
 
 os.environ["MPLBACKEND"] = "Agg"
 # Products of small matrices: more threads of OpenBLAS only wait, each at the cost of a core.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# What one process compiles, xdist's others and those that tests start take from it; the folder
+# begins empty and ends with the process that made it.
+if "SINSJAX_COMPILE_CACHE" not in os.environ:
+    os.environ["SINSJAX_COMPILE_CACHE"] = tempfile.mkdtemp(prefix="sinsjax-tests-")
+    atexit.register(shutil.rmtree, os.environ["SINSJAX_COMPILE_CACHE"], ignore_errors=True)
 
 from pathlib import Path
 

@@ -1,19 +1,25 @@
-"""The command line in a process that kills itself: ``python dying.py MOMENT PATTERN N WORDS...``.
+"""The command line in processes that kill themselves.
 
-The process gets a SIGKILL at the N-th file whose directory and name match the pattern, at one of
+A process gets a SIGKILL at the N-th file whose directory and name match a pattern, at one of
 three moments of its writing: ``half`` of it is in the temporary file, ``before`` that is renamed,
-``after`` it is. It begins when a line comes in, so that a next one can be made ready ahead.
+``after`` it is. It begins when it is told to, so that a next one can be made ready ahead. All are
+forked from a server that has imported everything and started nothing: no thread and no JAX.
 """
 
 import fnmatch
 import io
+import multiprocessing
 import os
 import signal
 import sys
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from sinsjax import cli, files
+from sinsjax import cli, files, plots
+
+_SERVER = multiprocessing.get_context("forkserver")
+_SERVER.set_forkserver_preload(["sinsjax.cli", "sinsjax.report"])
 
 
 class Killer:
@@ -60,9 +66,71 @@ def arm(killer: Killer) -> None:
     Path.replace = replace
 
 
-if __name__ == "__main__":
-    moment, pattern, number, *words = sys.argv[1:]
-    arm(Killer(moment, pattern, int(number)))
-    sys.stdin.readline()
+class Dying:
+    """A process that waits for `go`, then does what a command line says.
+
+    Attributes:
+        process: to wait for, and to be sent signals.
+    """
+
+    def __init__(
+        self,
+        words: list[str],
+        environment: dict[str, str],
+        said: Path,
+        *,
+        point: tuple[str, str, int],
+    ) -> None:
+        """Fork it.
+
+        Args:
+            words: of the command line.
+            environment: variables that it has besides those of the server.
+            said: where its output goes; that to standard error is beside it, with ``.error``.
+            point: moment, pattern and number.
+        """
+        self._said = said, said.with_suffix(".error")
+        begin, self._go = _SERVER.Pipe(duplex=False)
+        self.process = _SERVER.Process(
+            target=_obey, args=(words, environment, self._said, point, begin)
+        )
+        self.process.start()
+        begin.close()
+
+    def go(self) -> "Dying":
+        """Let it begin."""
+        self._go.send(None)
+        return self
+
+    def send(self, number: int) -> None:
+        """Send it a signal."""
+        os.kill(self.process.pid, number)
+
+    def said(self) -> tuple[str, str]:
+        """Its output and error output so far."""
+        output, error = (path.read_text() if path.exists() else "" for path in self._said)
+        return output, error
+
+    def close(self) -> None:
+        """End it, if it has not ended."""
+        self.process.kill()
+        self.process.join()
+        self.process.close()
+        self._go.close()
+
+
+def _obey(
+    words: list[str],
+    environment: dict[str, str],
+    said: tuple[Path, Path],
+    point: tuple[str, str, int],
+    begin: Connection,
+) -> None:
+    for number, path in enumerate(said, start=1):
+        os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
+    os.environ |= environment
+    plots.png = lambda *_: b"not drawn"  # takes as long as all else
+    arm(Killer(*point))
+    begin.recv()
     sys.argv = ["sinsjax", *words]
     cli.main()

@@ -77,13 +77,18 @@ def levelled(seen, window, dt):
 
 
 def linearisation(seen, window, dt):
-    """Root of three shares of variance: known already, soon to be known, and left out."""
+    """Root of 1 and three shares of variance: known already, soon to be known, and left out."""
     now = seen[-1]
     e, n, u = np.diag(now.honest)
-    already = u / now.p[2, 2]
+    weights = [
+        min(1.0, (np.hypot(*level[:2]) / np.radians(0.1)) ** 2)
+        for level in (now.correction, now.phi)
+    ]
+    already = u / now.p[2, 2] - 1
     soon = u * ((now.phi[0] / 2) ** 2 / e + (now.phi[1] / 2) ** 2 / n)
     left_out = now.correction[2] - np.sin(now.correction[2])
-    return np.sqrt(already + soon + left_out**2 / (now.p[2, 2] + np.radians(4) ** 2))
+    left_out = left_out**2 / (now.p[2, 2] + np.radians(4) ** 2)
+    return np.sqrt(1 + weights[0] * already + weights[1] * soon + left_out)
 
 
 SCORES = {f.__name__: f for f in (innovation, nis, whiteness, tilt_drift, levelled, linearisation)}

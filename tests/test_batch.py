@@ -94,6 +94,12 @@ def test_a_tile_never_holds_more_draws_than_counted(variants: int) -> None:
         assert room - max(held) < batch.VECTOR
 
 
+@given(st.integers(1, 400), st.sampled_from([8, 16, 24, 32, 48, 64]))
+def test_a_tile_has_a_draw_a_lane_only_where_each_lane_takes_one(width: int, lanes: int) -> None:
+    """Then draws are not handed out at all."""
+    assert (batch.distinct_draws(width, lanes) == lanes) == (width == 1)
+
+
 def some_group(force: str, method: str = "kalman5", *, draws: int, variants: int) -> batch.Group:
     study = small_study(
         study={"draws": draws, "duration_s": 2.0, "window_s": [0, 2]},

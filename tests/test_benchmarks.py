@@ -446,6 +446,26 @@ def test_the_derivatives_target_is_the_larger_one(tmp_path, operations, most):
     assert row.reached == (most == "4.1")
 
 
+@pytest.mark.parametrize(("ratio", "reached"), [(4.9, True), (5.1, False)])
+def test_a_tunings_gradient_may_take_what_is_counted(tmp_path, ratio, reached):
+    more = {"ratio": ratio, "ratio_spread": 0.1, "operations_ratio": 4.0, "counted": 5}
+    rows = [told("derivative", "tune_plain", 50.0)]
+    rows.append(told("derivative", "tune_gradient_p2", 250.0, **more))
+    machines = written(tmp_path / "history", rows)
+    (row,) = judged(machines[0])
+    assert (row.target, row.reached) == ("at most 5, as its cost is counted", reached)
+    page.write(tmp_path / "p.md", machines, "")
+    assert f"| {row.what} | {row.target} | {ratio:.2f} ± 0.10 |" in (tmp_path / "p.md").read_text()
+
+
+@pytest.mark.slow
+def test_a_tunings_gradient_is_timed_beside_its_plain_runs():
+    plain, gradient = derivative.tuning(4.0, 1)
+    assert [row["name"] for row in (plain, gradient)] == ["tune_plain", "tune_gradient_p2"]
+    assert (gradient["runs"], gradient["steps"]) == (plain["runs"], plain["steps"]) == (128, 400)
+    assert gradient["counted"] == 5 and 2 < gradient["operations_ratio"] < 6
+
+
 @pytest.mark.parametrize(("ratio", "reached"), [(0.22, True), (0.24, False)])
 def test_a_method_may_take_no_more_time_than_its_arithmetic(tmp_path, ratio, reached):
     beside = {"ratio": ratio, "ratio_spread": 0.02, "operations": 145.3, "operations_ratio": 0.228}

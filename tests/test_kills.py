@@ -1,19 +1,19 @@
 """Sweeps in processes of their own that are killed, stopped and disturbed, and lose nothing."""
 
 import hashlib
-import os
 import random
 import signal
 import subprocess
-import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from dying import Dying
 from kept import CHUNK_RUNS, assert_complete, manifest, parts, sweep_study, times
 
-from sinsjax import results
+from sinsjax import compile_cache, results
 from sinsjax.config import study_to_toml
 
 pytestmark = pytest.mark.slow
@@ -43,57 +43,48 @@ class Sweeps:
 
     def __init__(self, folder: Path, out: Path) -> None:
         self.out, self._folder = out, folder
-        self._environment = os.environ | {"SINSJAX_COMPILE_CACHE": str(folder / "cache")}
-        self._environment.pop("XLA_FLAGS", None)
+        self._environment = {compile_cache.VARIABLE: str(folder / "cache")}
         self.study = folder / "study.toml"
         self.study.write_text(study_to_toml(STUDY))
-        self._all: list[subprocess.Popen] = []
+        self._all: list[Dying] = []
 
     def ready(
         self, point: tuple[str, str, int] = NEVER, *options: str, how: str = "--resume"
-    ) -> subprocess.Popen:
+    ) -> Dying:
         """A process that waits for `go`."""
         words = ["sweep", self.study, "-o", self.out, how, "--chunk-runs", CHUNK_RUNS, *options]
-        command = [sys.executable, Path(__file__).with_name("dying.py"), *point, *words]
-        process = subprocess.Popen(
-            [str(word) for word in command],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            env=self._environment,
-            text=True,
-        )
+        said = Path(tempfile.mkdtemp(dir=self._folder)) / "output"
+        process = Dying([str(word) for word in words], self._environment, said, point=point)
         self._all.append(process)
         return process
 
-    def ended(self, process: subprocess.Popen) -> tuple[int, str, str]:
+    def ended(self, process: Dying) -> tuple[int, str, str]:
         """Exit code, output and error output of a process that ends by itself."""
-        told, error = process.communicate(timeout=DEADLINE_S)
-        return process.returncode, told, error
+        return exit_code(process), *process.said()
 
     def sweep(self, *options: str, how: str = "--resume") -> tuple[int, str, str]:
         """Sweep to the end."""
-        return self.ended(go(self.ready(NEVER, *options, how=how)))
+        return self.ended(self.ready(NEVER, *options, how=how).go())
 
     def close(self) -> None:
         """End what is left."""
         for process in self._all:
-            if process.poll() is None:
-                process.kill()
-            process.communicate()
+            process.close()
 
 
-def go(process: subprocess.Popen) -> subprocess.Popen:
-    process.stdin.write("go\n")
-    process.stdin.flush()
-    return process
+def exit_code(process: Dying) -> int:
+    """Of a process that ends by itself."""
+    process.process.join(DEADLINE_S)
+    code = process.process.exitcode
+    assert code is not None, process.said()
+    return code
 
 
-def wait(process: subprocess.Popen, until: Callable[[], bool]) -> None:
+def wait(process: Dying, until: Callable[[], bool]) -> None:
     """Wait for something that a process does."""
     since = time.monotonic()
     while not until():
-        assert process.poll() is None, process.communicate()
+        assert process.process.exitcode is None, process.said()
         assert time.monotonic() < since + DEADLINE_S
         time.sleep(0.002)
 
@@ -168,7 +159,7 @@ def test_twenty_kills_cost_nothing(sweeps: Sweeps, whole: Path) -> None:
     following = sweeps.ready(points[0])
     for i, point in enumerate(points):
         process, before, there = following, written(out / "manifest.json"), count(out)
-        go(process)
+        process.go()
         following = sweeps.ready(points[i + 1] if i + 1 < len(points) else NEVER)
         if point is NEVER:
             if kills["spread"] == 0:  # while JAX starts
@@ -178,14 +169,13 @@ def test_twenty_kills_cost_nothing(sweeps: Sweeps, whole: Path) -> None:
             else:
                 wait(process, lambda there=there: count(out) > there)
             time.sleep(chance.uniform(0, chunk_s))
-            process.kill()
-        process.wait(DEADLINE_S)
-        assert process.returncode == -signal.SIGKILL, (point, process.communicate())
+            process.send(signal.SIGKILL)
+        assert exit_code(process) == -signal.SIGKILL, (point, process.said())
         kills["spread" if point is NEVER else "named"] += 1
         assert_sound(out, whole, made)
     assert kills == {"named": 10, "spread": 10}
     assert count(out) < CHUNKS
-    code, told, error = sweeps.ended(go(following))
+    code, told, error = sweeps.ended(following.go())
     assert (code, error) == (0, "")
     assert "runs, there already" in told
     assert_sound(out, whole, made)
@@ -196,18 +186,18 @@ def test_twenty_kills_cost_nothing(sweeps: Sweeps, whole: Path) -> None:
 
 def test_a_second_process_is_refused_until_the_first_dies(sweeps: Sweeps, whole: Path) -> None:
     """Whatever way it dies: the lock is the operating system's."""
-    first = go(sweeps.ready())
+    first = sweeps.ready().go()
     wait(first, lambda: count(sweeps.out) > 0)
-    first.send_signal(signal.SIGSTOP)  # holds on, and writes no more
+    first.send(signal.SIGSTOP)  # holds on, and writes no more
     before = times(sweeps.out)
     seconds = [sweeps.ready(), sweeps.ready(how="--overwrite")]
     for second in seconds:
-        code, _, error = sweeps.ended(go(second))
+        code, _, error = sweeps.ended(second.go())
         assert code == 2
         assert error == f"error: {sweeps.out}: another process is writing there\n"
     assert times(sweeps.out) == before
-    first.kill()
-    assert first.wait(DEADLINE_S) == -signal.SIGKILL
+    first.send(signal.SIGKILL)
+    assert exit_code(first) == -signal.SIGKILL
     code, _, error = sweeps.sweep()
     assert (code, error) == (0, "")
     assert_complete(sweeps.out, whole)
@@ -219,10 +209,10 @@ def test_a_person_or_a_scheduler_may_stop_it(sweeps: Sweeps, whole: Path) -> Non
     following = sweeps.ready()
     for number in (signal.SIGINT, signal.SIGTERM):
         process, there = following, count(out)
-        go(process)
+        process.go()
         following = sweeps.ready()
         wait(process, lambda there=there: count(out) > there)
-        process.send_signal(number)
+        process.send(number)
         code, told, error = sweeps.ended(process)
         assert code == 130
         assert "Stopping: the chunks under way are finished first" in " ".join(told.split())
@@ -234,17 +224,17 @@ def test_a_person_or_a_scheduler_may_stop_it(sweeps: Sweeps, whole: Path) -> Non
         assert not list(out.rglob("*.tmp")) and not (out / "figures").exists()
         assert_sound(out, whole, made)
     process, there = following, count(out)
-    go(process)
+    process.go()
     following = sweeps.ready()
     wait(process, lambda: count(out) > there)
-    process.send_signal(signal.SIGSTOP)
+    process.send(signal.SIGSTOP)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGCONT):  # the first two come together
-        process.send_signal(number)
+        process.send(number)
     code, _, error = sweeps.ended(process)
     assert code in (128 + signal.SIGINT, 128 + signal.SIGTERM) and error == ""
     assert manifest(out)["state"] == "running"
     assert_sound(out, whole, made)
-    code, _, error = sweeps.ended(go(following))
+    code, _, error = sweeps.ended(following.go())
     assert (code, error) == (0, "")
     assert_sound(out, whole, made)
     assert_complete(out, whole)

@@ -67,9 +67,13 @@ class Windows(NamedTuple):
     What comes of a run can then be differentiated by the times. The narrower the windows, the
     nearer to `Resets`.
 
+    Only for renewals whose ``keep`` and ``keep_yaw`` are 0 or 1, such as 'full' and 'yaw': of these
+    the parts, one after the other, make what a hard reset makes at once.
+
     Attributes:
         samples: (M,) counts of the samples about which P is reset, in any order.
-        width: half the width of a window, samples.
+        width: half the width of a window, some tens of samples or more: of fewer, a window leaves
+            more than it should, as 1/(1 + h) is not exp(-h).
         renewal: what a reset does, all windows of one put together.
     """
 
@@ -141,16 +145,8 @@ def renew(renewal: Renewal, p: Triangle, to: tuple[Scalar, ...], *, yaw: int) ->
 
 
 def where_due(due: Flag | Scalar, renewal: Renewal) -> Renewal:
-    """The renewal where it is due, elsewhere the one that leaves P as it is; or between them.
-
-    The parts of a relaxed one, one after the other, make what it makes at once.
-    """
-    keep, keep_yaw, new, new_yaw = (mix(due, a, b) for a, b in zip(renewal, UNCHANGED, strict=True))
-    if not jnp.issubdtype(jnp.result_type(due), bool):
-        # What P is multiplied by is a product over the window; of zero, it leaves exp(-8).
-        part, least = -jnp.log1p(-due) / WINDOW_STRENGTH, jnp.exp(-WINDOW_STRENGTH)
-        keep, keep_yaw = (jnp.maximum(k, least) ** part for k in (renewal.keep, renewal.keep_yaw))
-    return Renewal(keep, keep_yaw, new, new_yaw)
+    """The renewal where it is due, elsewhere the one that leaves P as it is; or between them."""
+    return Renewal(*(mix(due, a, b) for a, b in zip(renewal, UNCHANGED, strict=True)))
 
 
 def value_at(pieces: Pieces, n: Scalar) -> Scalar:

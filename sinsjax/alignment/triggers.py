@@ -317,8 +317,8 @@ def _levelled(numbers: Numbers, noise: Noise, levels: _Levels, seen: Seen) -> An
     return levels, jnp.where(full & still, score, 0.0)
 
 
-_MUCH = 4 * DEG
-"""Heading below which what a correction left out does no harm, rad."""
+_SMALL_LEVEL, _SMALL_HEADING = 0.1 * DEG, 4 * DEG
+"""Errors of the linearisation point that do no harm, rad."""
 
 
 def _linearisation(numbers: Numbers, noise: Noise, p: Triangle, seen: Seen) -> Any:
@@ -326,15 +326,15 @@ def _linearisation(numbers: Numbers, noise: Noise, p: Triangle, seen: Seen) -> A
 
     While the level is wrong, the horizontal specific force enters A(t), and heading seems to show
     in velocity. The honest covariance P* of a base at rest (f = (0, 0, g)) does without. Three
-    shares of variance make up the score, the root of their sum:
+    shares of variance make up the score, the root of 1 and their sum:
 
-    * P*_UU / P_UU: what is known already that there was not to know;
-    * P*_UU (phi_E^2 / P*_EE + phi_N^2 / P*_NN) / 4: what will be when the level phi that is not
-      yet fed back (in units of 2 sigma) is, and the specific force jumps;
+    * P*_UU / P_UU - 1: what is known already that there was not to know; as far as the level was
+      corrected since the last reset, in full from 0.1 deg: where it was not, the base moves, and
+      heading does show;
+    * P*_UU (phi_E^2 / P*_EE + phi_N^2 / P*_NN) / 4: what will be, when the level phi that is not
+      yet fed back (in units of 2 sigma) is, and the specific force jumps; likewise from 0.1 deg;
     * (d - sin d)^2 / (P_UU + (4 deg)^2): what a heading correction d since the last reset left
-      out, as the tilt it was told by goes with sin d; corrections up to 30 deg do not count.
-
-    A filter of whose corrections all are small, or with gravity in A(t), has a score of 1.
+      out, as the tilt it was told by goes with sin d; corrections up to 30 deg count little.
     """
     zeros = tuple(jnp.zeros_like(v) for v in seen.belief.x)
     honest = kalman.predict(Belief(zeros, p), seen.at_rest, noise.q)
@@ -342,10 +342,17 @@ def _linearisation(numbers: Numbers, noise: Noise, p: Triangle, seen: Seen) -> A
     at = triangle_index(len(zeros))
     p_ee, p_nn, p_uu = (honest.p[at[i, i]] for i in (PHI_E, PHI_N, PHI_U))
     believed = seen.belief.p[at[PHI_U, PHI_U]]
-    told = 1 / believed + (seen.belief.x[PHI_E] ** 2 / p_ee + seen.belief.x[PHI_N] ** 2 / p_nn) / 4
-    left_out = seen.correction.z - jnp.sin(seen.correction.z)
-    score = jnp.sqrt(p_uu * told + left_out**2 / (believed + _MUCH**2))
-    return honest.p, score
+    done, left = seen.correction, seen.belief.x
+    known = _counts(done.x, done.y) * (p_uu / believed - 1)
+    jump = _counts(left[PHI_E], left[PHI_N])
+    jump = jump * p_uu * (left[PHI_E] ** 2 / p_ee + left[PHI_N] ** 2 / p_nn) / 4
+    left_out = (done.z - jnp.sin(done.z)) ** 2 / (believed + _SMALL_HEADING**2)
+    return honest.p, jnp.sqrt(1 + known + jump + left_out)
+
+
+def _counts(east: Scalar, north: Scalar) -> Scalar:
+    """The share to which a level angle counts: its square, in full from `_SMALL_LEVEL`."""
+    return jnp.minimum(1.0, (east**2 + north**2) / _SMALL_LEVEL**2)
 
 
 def _as_it_is(numbers: Numbers, p: Triangle) -> Triangle:

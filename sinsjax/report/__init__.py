@@ -10,6 +10,7 @@ from pathlib import Path
 from rich.console import Console
 
 from sinsjax.report import (
+    adaptive,
     auto,
     car_test,
     compass_car,
@@ -42,6 +43,7 @@ LAYOUTS: dict[str, Layout] = {
     "pass_consistency": pass_consistency.report,
     "consistency": consistency.report,
     "reset_cycle": reset_cycle.report,
+    "adaptive": adaptive.report,
 }
 """What each ``[report] layout`` is made by, in the order in which several share a page."""
 
@@ -65,6 +67,7 @@ PAGES = {
     "A Kalman filter over one tape, again and again": ("kalman_passes",),
     "A filter whose belief is true": ("consistency",),
     "How many resets, and when?": ("reset_cycle_study",),
+    "Resets that set themselves": ("adaptive_resets",),
 }
 """The studies of each page that has a title of its own."""
 

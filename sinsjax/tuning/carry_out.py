@@ -18,6 +18,7 @@ from sinsjax.ranges import Tune
 from sinsjax.studies import Study, Table
 from sinsjax.tuning import history, search
 from sinsjax.tuning.history import Found
+from sinsjax.tuning.relaxation import Relaxation
 from sinsjax.tuning.search import Session
 from sinsjax.types import InputError, StudyInterrupted
 from sinsjax.variables import Space, comparable
@@ -54,8 +55,8 @@ def tune(
         source: the study's file, named in manifests.
 
     Raises:
-        InputError: nothing to tune or to judge by, a record that does not fit, or a directory that
-            cannot be used.
+        InputError: nothing to tune or to judge by, a variable without a gradient, a record that
+            does not fit, or a directory that cannot be used.
         StudyInterrupted: ``stop`` was set.
         RuntimeError: double precision is off.
     """
@@ -65,6 +66,9 @@ def tune(
         text = "a record is tuned by a reference (give it with --reference)"
         raise InputError(f"{study.study.name}: [tune]: {text}")
     space = Space.of(study)
+    if GRADIENT in settings.searches:
+        for combination in space.combinations:
+            Relaxation(study, space, combination)  # refuses what has no gradient, before any run
     check_free(directory, overwrite=overwrite or resume)
     session = Session(
         directory,

@@ -143,6 +143,13 @@ class Slope:
         score, by_run = map(np.asarray, objective.relaxed_score(self._tune, runs))
         return score, np.einsum("svd,svdp->sp", by_run, slopes)
 
+    def programs(
+        self, box: NDArray, draws: NDArray, softness: Softness
+    ) -> list[jax.stages.Compiled]:
+        """What a call with these arguments runs, compiled: one a group of runs."""
+        first = [(fan, self._arguments(fan, box, draws, softness)[0]) for fan in self._fans]
+        return [fan.program.lower(*arguments).compile() for fan, arguments in first]
+
     def _fanned(self, group: Group) -> "_Fan":
         """A group with lanes for each descent and variant."""
         params = jax.tree.map(
@@ -162,12 +169,7 @@ class Slope:
     ) -> tuple[NDArray, NDArray]:
         """Relaxed numbers of runs (starts, variants, draws), and their derivatives (..., p)."""
         group, plan, program = fan
-        some = jax.tree.map(lambda a: a[draws] if np.ndim(a) else a, group.draws)
-        group = group._replace(draws=some, q=group.q[draws])
-        soft = group.world.criteria._replace(sharpness=np.float64(softness.sharpness))
-        world = group.world._replace(criteria=soft)
-        width = np.float64(softness.window_s * self._rate_hz)
-        arguments = [(world, batch.tiles_of(group, lanes), box, width) for lanes in plan]
+        arguments = self._arguments(fan, box, draws, softness)
         program.lower(*arguments[0]).compile()  # or every thread would
         calls = batch.spread(
             lambda one: jax.device_get(program(*one)), arguments, len(jax.devices())
@@ -184,11 +186,24 @@ class Slope:
         out = np.moveaxis(out.reshape(shape), 0, 2)
         return out[..., 0], out[..., 1:]
 
+    def _arguments(
+        self, fan: "_Fan", box: NDArray, draws: NDArray, softness: Softness
+    ) -> list[tuple]:
+        """Those of every call of a program."""
+        group = fan.group
+        some = jax.tree.map(lambda a: a[draws] if np.ndim(a) else a, group.draws)
+        group = group._replace(draws=some, q=group.q[draws])
+        soft = group.world.criteria._replace(sharpness=np.float64(softness.sharpness))
+        world = group.world._replace(criteria=soft)
+        width = np.float64(softness.window_s * self._rate_hz)
+        return [(world, batch.tiles_of(group, lanes), box, width) for lanes in fan.plan]
+
     def _tiles(
         self, group: Group, world: World, tiles: Tiles, box: Array, width: Array
     ) -> tuple[Array, Array]:
         """Numbers of the runs of some tiles, and their derivatives by the place of their start."""
-        directions = jnp.eye(len(self.used))[:, None, :] * jnp.ones((self._starts, 1))
+        p = len(self.used)
+        directions = jnp.broadcast_to(jnp.eye(p)[:, None, :], (p, self._starts, p))
 
         def one_lane(lane: Lane, box: Array) -> Any:
             return self._relaxation(lane.base, box[lane.start], width)
@@ -285,7 +300,6 @@ class _Descents:
         if count == self._tune.descent_starts:
             return box
         scores = self._hard(self._values(box, slope.used), slope.draws)
-        self._cost += count * slope.draws * slope.run_steps
         return box[np.argsort(scores, kind="stable")[: self._tune.descent_starts]]
 
     def _scored(self, box: NDArray, used: Sequence[int]) -> list[Look]:
@@ -321,8 +335,7 @@ class _Descents:
         derived = search.derive(study, distinct, name=study.study.name)
         table = campaign.run(derived, self._tape, curves=False).summary
         found = search.run_values(study, derived, table)
-        if draws is None:
-            self._cost += search.cost(derived)
+        self._cost += search.cost(derived)
         scores = [objective.score(self._tune, own) for own in found]
         by_label = dict(zip(distinct, scores, strict=True))
         return np.array([by_label[cases[tuple(point.values())]] for point in points.values()])

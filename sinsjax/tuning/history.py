@@ -110,21 +110,38 @@ def _table(space: Space, found: Iterable[Found]) -> pa.Table:
     return pa.Table.from_arrays(arrays, schema=schema(layout))
 
 
+def read_history(directory: str | Path) -> pa.Table:
+    """Read what a tuning has looked at.
+
+    Args:
+        directory: of the tuning.
+
+    Returns:
+        One row a point looked at, in the order in which they were: ``search``, ``step``, ``start``,
+        ``candidate``, ``objective``, a column a variable, ``cost``, ``window_s``, ``sharpness``;
+        the schema has units and meanings.
+
+    Raises:
+        InputError: there is none, or it cannot be read.
+    """
+    path = Path(directory) / FILE
+    try:
+        return pq.read_table(path)
+    except (OSError, pa.ArrowException) as error:
+        raise InputError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from error
+
+
 def read(directory: Path, space: Space) -> list[Found]:
     """The searches of a history, in the order in which they were made.
 
     Raises:
         InputError: it cannot be read, or is that of other variables.
     """
-    path = directory / FILE
-    try:
-        rows = pq.read_table(path).to_pylist()
-    except (OSError, pa.ArrowException) as error:
-        raise InputError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from error
-    missing = {column.name for column in columns_of(space)}.difference(*rows[:1])
+    table = read_history(directory)
+    missing = {column.name for column in columns_of(space)}.difference(table.column_names)
     if missing:
-        raise InputError(f"{path}: column {sorted(missing)[0]} is missing")
-    return list(_grouped(rows, [v.name for v in space.variables]))
+        raise InputError(f"{directory / FILE}: column {sorted(missing)[0]} is missing")
+    return list(_grouped(table.to_pylist(), [v.name for v in space.variables]))
 
 
 def _grouped(rows: list[Table], names: list[str]) -> Iterator[Found]:

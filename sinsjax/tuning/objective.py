@@ -90,7 +90,7 @@ def relaxed_values(tune: Tune, criteria: Criteria, outcome: Outcome) -> Array:
         return error / ARCMIN
     band = jnp.argmin(jnp.abs(criteria.bands - tune.objective_band_arcmin * ARCMIN))
     if tune.objective == "failure_rate":
-        return outside(criteria, error[:, None])[:, band]
+        return jax.vmap(partial(outside, criteria))(error)[:, band]
     return outcome.outside_until[:, band]
 
 

@@ -70,12 +70,12 @@ def _feedback(params: zero_velocity.Params, _: Variable, value: Scalar, base: Sc
 
 def _first(params: zero_velocity.Params, _: Variable, value: Scalar, base: Scalar) -> Any:
     samples = params.resets.samples
-    return _with_samples(params, samples + samples[0] * (value / base - 1))
+    return _with_samples(params, samples + samples[:1] * (value / base - 1))
 
 
 def _cycle(params: zero_velocity.Params, _: Variable, value: Scalar, base: Scalar) -> Any:
     samples = params.resets.samples
-    return _with_samples(params, samples[0] + (samples - samples[0]) * (value / base))
+    return _with_samples(params, samples[:1] + (samples - samples[:1]) * (value / base))
 
 
 def _with_samples(params: zero_velocity.Params, samples: Array) -> zero_velocity.Params:
@@ -126,8 +126,11 @@ CHANGES: dict[str, Change] = {
 }
 """What a variable of each key does; keys that are missing have no gradient."""
 
-_RESET_TO = {key: key.replace("p0_", "reset_") for key in CHANGES if key.startswith("p0_")}
-"""What P is reset to by the keys of what it is at the start, which it is unless given."""
+_FOLLOWS = {key: key.replace("p0_", "reset_") for key in CHANGES if key.startswith("p0_")} | {
+    "reset_cycle_s": "reset_first_s"
+}
+"""The keys that a value is also that of, unless they are given: what P is reset to is what it is
+at the start, the first reset comes after a cycle."""
 
 
 class Relaxation:
@@ -150,12 +153,16 @@ class Relaxation:
         for variable in self._variables.values():
             if variable.key not in (TIMES, *CHANGES):
                 _refuse(study, f"[tune.variables] {variable.key}")
-        if based.resets and based.resets.reset_kind == "scale":
+        kinds = based.values("reset_kind") if based.resets else []
+        if "scale" in kinds:
             _refuse(study, "[resets] reset_kind = 'scale'")
         if based.has_trigger:
             _refuse(study, "[resets] reset_trigger")
-        resets = based.resets.model_dump() if based.resets else {}
-        self._follows = {key: twin for key, twin in _RESET_TO.items() if resets.get(twin) is None}
+        self._follows = {
+            key: twin
+            for key, twin in _FOLLOWS.items()
+            if not based.resets or based.values(twin)[0] is None
+        }
         self._rate_hz = study.study.rate_hz
         ranges = space.ranges.get(TIMES, ())
         assert isinstance(ranges, tuple)
