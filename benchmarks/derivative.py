@@ -12,7 +12,6 @@ runs of the same lanes, whose resets are hard.
 import re
 import time
 import tomllib
-from collections.abc import Callable
 from functools import cache
 from typing import Any
 

@@ -48,7 +48,7 @@ TriggerName = Literal[
     "strong_tracking",
     "fading",
 ]
-"""The triggers of `alignment.triggers`."""
+"""The triggers of `alignment.scores`."""
 
 
 class Section(BaseModel):

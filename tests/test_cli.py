@@ -52,6 +52,12 @@ def write_study(folder: Path, **changes: Any) -> Path:
     return path
 
 
+TWO: dict[str, Any] = {
+    "axes": {"phi_u0_deg": [0.0, 30.0]},
+    "resets": {"reset_times_s": [2.5]},
+}
+"""Two variants, 6 runs: what is compiled for one test serves the others."""
+
 RECORDED: dict[str, Any] = {
     "study": {"duration_s": 2.0, "draws": None, "window_s": [0, 2]},
     "motion": None,
@@ -68,7 +74,7 @@ def record() -> scenario.Record:
 
 
 def test_run_leaves_results_figures_and_a_table(sinsjax: Command, tmp_path: Path) -> None:
-    config = write_study(tmp_path, axes={"phi_u0_deg": [0.0, 30.0]})
+    config = write_study(tmp_path, **TWO)
     out = tmp_path / "out"
     code, told, _ = sinsjax("run", config, "-o", out)
     assert code == 0
@@ -91,7 +97,7 @@ def test_run_leaves_results_figures_and_a_table(sinsjax: Command, tmp_path: Path
 
 
 def test_results_are_not_overwritten_unasked(sinsjax: Command, tmp_path: Path) -> None:
-    config, out = write_study(tmp_path), tmp_path / "out"
+    config, out = write_study(tmp_path, **TWO), tmp_path / "out"
     assert sinsjax("sweep", config, "-o", out)[0] == 0
     before = (out / "manifest.json").read_bytes()
     code, _, error = sinsjax("sweep", config, "-o", out)
@@ -125,7 +131,7 @@ def test_a_sweep_is_repeatable_byte_for_byte(sinsjax: Command, tmp_path: Path) -
 
 
 def test_a_sweep_is_gone_on_with_where_it_was_left(sinsjax: Command, tmp_path: Path) -> None:
-    config, out = write_study(tmp_path, study={"draws": 200}), tmp_path / "out"
+    config, out = write_study(tmp_path, **TWO, study={"draws": 100}), tmp_path / "out"
     words = ("sweep", config, "-o", out, "--resume")
     assert sinsjax(*words, "--chunk-runs", 64)[0] == 0
     before = everything(out)
@@ -146,13 +152,13 @@ def test_a_sweep_is_gone_on_with_where_it_was_left(sinsjax: Command, tmp_path: P
 
 
 def test_what_cannot_be_gone_on_with_is_one_clear_line(sinsjax: Command, tmp_path: Path) -> None:
-    config, out = write_study(tmp_path), tmp_path / "out"
+    config, out = write_study(tmp_path, **TWO), tmp_path / "out"
     assert sinsjax("sweep", config, "-o", out)[0] == 0
     before = everything(out)
     both = ("sweep", config, "-o", out, "--resume", "--overwrite")
     assert_refused(sinsjax(*both), tmp_path / "none", "--resume", "--overwrite")
-    write_study(tmp_path, study={"seed": 2}, alignment={"phi_u0_deg": 31.0})
-    named = ("[study] seed: 1 there, 2 here", "[alignment] phi_u0_deg: 30.0 there, 31.0 here")
+    write_study(tmp_path, **TWO, study={"seed": 2}, alignment={"phi_n0_deg": 6.0})
+    named = ("[study] seed: 1 there, 2 here", "[alignment] phi_n0_deg: 5.0 there, 6.0 here")
     told = sinsjax("sweep", config, "-o", out, "--resume")
     assert_refused(told, tmp_path / "none", str(out), "another study", *named)
     assert everything(out) == before
@@ -169,7 +175,7 @@ def test_words_that_do_not_go_together_are_one_clear_line(sinsjax: Command, tmp_
 
 
 def test_rerun_does_one_run_again(sinsjax: Command, tmp_path: Path) -> None:
-    config, out = write_study(tmp_path, axes={"phi_u0_deg": [0.0, 30.0]}), tmp_path / "out"
+    config, out = write_study(tmp_path, **TWO), tmp_path / "out"
     assert sinsjax("sweep", config, "-o", out)[0] == 0
     code, told, error = sinsjax("rerun", out, "--run-id", 3)
     assert (code, error) == (0, "")
@@ -206,7 +212,7 @@ def test_a_recorded_run_is_gone_on_with_and_done_again(
 
 def test_report_needs_parquet_alone(sinsjax: Command, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    sinsjax("run", write_study(tmp_path), "-o", out)
+    sinsjax("run", write_study(tmp_path, **TWO), "-o", out)
     shutil.rmtree(out / "figures")
     code, told, _ = sinsjax("report", out)
     assert code == 0 and told
@@ -268,7 +274,7 @@ def test_a_record_gives_the_same_results_through_any_format(
         ("d", "csv", rates),
         ("e", "psins", {}),
     ):
-        section = {"format": kind, "start_s": [0.0]}
+        section = {"format": kind, "start_s": [0.0, 1.0]}
         path = tmp_path / f"{name}.{kind}"
         if kind == "psins":
             write_psins(record, path, gyro_scale_arcsec=0.001, accel_scale_ug_s=1.0)

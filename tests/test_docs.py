@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from studies import small_study
 
+import sinsjax
 from sinsjax import campaign
 
 ROOT = Path(__file__).parents[1]
@@ -17,16 +18,19 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("docs")
     study = small_study(study={"curves": True}, axes={"phi_u0_deg": [0.0, 10.0, 30.0]})
     campaign.run_into(study, folder / "out")
+    variables = {"p0_yaw_deg": {"candidates": [20.0, 80.0]}}
+    tune = {"searches": ["grid"], "tune_draws": 2, "evaluation_draws": 3, "variables": variables}
+    sinsjax.tune(small_study(tune=tune), folder / "tuned")
     return folder
 
 
-@pytest.mark.parametrize("number", range(5))
+@pytest.mark.parametrize("number", range(6))
 def test_examples_of_reading_run(
     number: int, out: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One after another, as a reader would type them; the last one needs a name of the second."""
+    """One after another, as a reader would type them; the fifth needs a name of the second."""
     examples = re.findall(r"```python\n(.*?)```", RESULTS, re.DOTALL)
-    assert len(examples) == 5
+    assert len(examples) == 6
     monkeypatch.chdir(out)
     names: dict[str, object] = {}
     if number == 4:
@@ -39,6 +43,10 @@ def test_examples_of_reading_run(
         assert re.search(r"30(\.0)?\D+3\D", told)
     if number == 4:
         assert "'settle_10_s': 's'" in told
+    if number == 5:
+        steps = 2 * 2 * 600  # of two candidates on two draws
+        assert re.match(rf"grid \d\.\d+ {steps}\n", told)
+        assert "'case': 'baseline" in told and "'n': 3" in told
 
 
 def test_links_of_every_page_lead_somewhere() -> None:

@@ -57,7 +57,12 @@ LAYERS = (
 """Level 0 first. A package stands for all of its modules."""
 
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
-SHARED_BY_METHODS = {"alignment.base", "alignment.schedules", "alignment.triggers"}
+SHARED_BY_METHODS = {
+    "alignment.base",
+    "alignment.schedules",
+    "alignment.triggers",
+    "alignment.scores",
+}
 NOT_METHODS = SHARED_BY_METHODS | {"alignment", "alignment.coarse", "alignment.reverse"}
 WITHOUT_JAX = LAYERS[1]
 FOR_PEOPLE = {"matplotlib", "rich", "typer"}

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from stored import store, told
 
 from sinsjax import analysis
-from sinsjax.alignment.triggers import TRIGGERS
+from sinsjax.alignment.scores import TRIGGERS
 from sinsjax.analysis.estimates import bootstrap
 from sinsjax.config import load_study, study_from_dict
 from sinsjax.report import adaptive, adaptive_figures, adaptive_tables, adaptive_triggers

@@ -56,13 +56,17 @@ def test_keeping_curves_changes_no_row() -> None:
     assert_alone_as_among_others(study, curves=False, runs=[7, 299])
 
 
-def test_a_run_of_a_study_that_stopped_early() -> None:
-    study = small_study(
+def stopping_study() -> Study:
+    """Stops after 64 draws of 6 variants, which are compiled as those of "worlds" are."""
+    return small_study(
         study={"draws": 150, "duration_s": 2.0, "window_s": [0, 2]},
         stop_when={"statistic": "success_rate", "half_width": 0.4},
-        axes={"phi_u0_deg": [0.0, 1.0]},
+        axes={"phi_u0_deg": [0.0, 1.0, 2.0], "reset_times_s": [[], [1.37]]},
     )
-    assert_alone_as_among_others(study, curves=False, runs=[5, 127])
+
+
+def test_a_run_of_a_study_that_stopped_early() -> None:
+    assert_alone_as_among_others(stopping_study(), curves=False, runs=[5, 383])
 
 
 # --- records ------------------------------------------------------------------------------------
@@ -175,14 +179,9 @@ def test_what_cannot_be_done_again_is_one_clear_line(out: Path, tmp_path: Path, 
 
 
 def test_a_run_that_is_not_there_yet_is_one_clear_line(out: Path, tmp_path: Path) -> None:
-    study = small_study(
-        study={"draws": 150, "duration_s": 2.0, "window_s": [0, 2]},
-        stop_when={"statistic": "success_rate", "half_width": 0.4},
-        axes={"phi_u0_deg": [0.0, 1.0]},
-    )
-    campaign.run_into(study, tmp_path / "out")
-    with pytest.raises(InputError, match="holds no row of run 128"):
-        rerun_into(tmp_path / "out", 128)
+    campaign.run_into(stopping_study(), tmp_path / "out")
+    with pytest.raises(InputError, match="holds no row of run 384"):
+        rerun_into(tmp_path / "out", 384)
 
 
 def test_a_recorded_run_needs_its_record(tmp_path: Path, tape: Tape) -> None:
@@ -191,7 +190,7 @@ def test_a_recorded_run_needs_its_record(tmp_path: Path, tape: Tape) -> None:
     write_psins(tape.record._replace(dv=tape.record.dv * 1.01), other)
     study = recorded_study(earth={"latitude_deg": 32.0})
     read = Tape(read_psins(path, PSINS_LAYOUT), None)
-    campaign.run_into(study, tmp_path / "out", read)
+    campaign.run_into(study, tmp_path / "out", read, curves=True)
     with pytest.raises(InputError, match="reads a record: give it with --record"):
         rerun_into(tmp_path / "out", 3)
     with pytest.raises(InputError, match="was made from another record or reference"):

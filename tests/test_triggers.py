@@ -29,7 +29,8 @@ from sinsjax import campaign, columns, results
 from sinsjax.algebra import triangle_index
 from sinsjax.alignment import METHODS, reverse, triggers
 from sinsjax.alignment.base import Options
-from sinsjax.alignment.triggers import TRIGGERS, Noise, Seen
+from sinsjax.alignment.scores import TRIGGERS
+from sinsjax.alignment.triggers import Noise, Seen
 from sinsjax.kalman import Belief, predict
 from sinsjax.kalman import update as kalman_update
 from sinsjax.sections import TriggerName

@@ -10,6 +10,7 @@ import pyarrow as pa
 import pytest
 from studies import small_study
 
+import sinsjax
 from sinsjax import results
 from sinsjax.config import Study, study_from_dict, tables_of
 from sinsjax.tuning import history, objective, search
@@ -191,6 +192,11 @@ def test_a_history_is_read_as_it_was_written(tmp_path: Path) -> None:
             np.testing.assert_array_equal(a.values, b.values)
             assert a._replace(values=[]) == b._replace(values=[])
     assert [path.name for path in tmp_path.iterdir()] == ["history.parquet"]
+    table = sinsjax.read_history(tmp_path)
+    assert table.column_names == [column.name for column in history.columns_of(space)]
+    assert table["reset_times_s[0]"].to_pylist() == [None, 1.5, 2.5, 2.0, 2.5]
+    assert table["window_s"].to_pylist() == [None, None, 20.0, None, None]
+    assert table.schema.field("window_s").metadata[b"unit"] == b"s"
     other_space = Space.of(tuned({"p0_yaw_deg": YAW}))
     with pytest.raises(InputError, match=r"history\.parquet: column p0_yaw_deg is missing"):
         history.read(tmp_path, other_space)

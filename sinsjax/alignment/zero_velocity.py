@@ -24,7 +24,8 @@ from sinsjax.alignment.schedules import (
     reset_due,
     where_due,
 )
-from sinsjax.alignment.triggers import TRIGGERS, Noise, Seen, Trigger
+from sinsjax.alignment.scores import TRIGGERS
+from sinsjax.alignment.triggers import Noise, Seen, Trigger
 from sinsjax.error_model import PHI_E, PHI_N, PHI_U, VE, VN, ErrorModel
 from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar, Vec3
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax import analysis, columns
-from sinsjax.alignment.triggers import TRIGGERS
+from sinsjax.alignment.scores import TRIGGERS
 from sinsjax.report.base import Source, value_text
 from sinsjax.report.reset_grid import (
     BAND_ARCMIN,

@@ -44,10 +44,13 @@ def tune(
 ) -> None:
     """Tune a study into a directory.
 
+    It holds ``tuned.toml`` at the end, which is the study with the best point that was found put
+    in, the results of each search and of the judging, and what `history.read_history` reads.
+
     Args:
         study: with [tune].
         directory: where; must hold no tuning unless ``overwrite`` or ``resume``.
-        tape: the record of a recorded study, with a reference.
+        tape: the record of a recorded study, with a reference (`campaign.load_tape`).
         overwrite: whether an earlier tuning is replaced.
         resume: whether whole searches of the same tuning are kept, and only the rest is made.
         watch: gives, by the name of a search, what is told how far it is.
@@ -58,7 +61,7 @@ def tune(
         InputError: nothing to tune or to judge by, a variable without a gradient, a record that
             does not fit, or a directory that cannot be used.
         StudyInterrupted: ``stop`` was set.
-        RuntimeError: double precision is off.
+        RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
     directory = Path(directory)
     settings = require_tune(study)
