@@ -93,10 +93,10 @@ class Tune(Section):
     descent_draws: Some = Field(4, description="draws a step and descent, in turn")
     descent_rate: Positive = Field(0.1, description="rate of Adam, all ranges being one long")
     relaxed_window_s: tuple[Positive, Positive] = Field(
-        (20.0, 2.0), description="half width of relaxed resets at the first and last step, s"
+        (4.0, 1.0), description="half width of relaxed resets at the first and last step, s"
     )
     relaxed_sharpness: tuple[Positive, Positive] = Field(
-        (2.0, 8.0), description="sharpness of the band's relaxed edge at the first and last step"
+        (6.0, 16.0), description="sharpness of the band's relaxed edge at the first and last step"
     )
     variables: dict[str, Range | tuple[Range, ...]] = Field(
         description="what may change: [tune.variables] with a range a key"

@@ -359,7 +359,7 @@ def test_descents_are_told_as_they_were_made(down: tuple[Study, history.Found]) 
     assert [look.cost for look in found.looks] == [*expected, *[expected[-1] + 2 * 2 * one] * 2]
     assert [look.step for look in found.looks] == [i for i in range(9) for _ in range(2)]
     assert [look.start for look in found.looks] == [0, 1] * 9
-    for key, (first, last) in {"window_s": (20.0, 2.0), "sharpness": (2.0, 8.0)}.items():
+    for key, (first, last) in {"window_s": (4.0, 1.0), "sharpness": (6.0, 16.0)}.items():
         told = [getattr(look, key) for look in found.looks[::2]]
         assert told[-1] is None
         np.testing.assert_allclose(told[:-1], np.geomspace(first, last, 8))

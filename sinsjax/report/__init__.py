@@ -68,6 +68,7 @@ PAGES = {
     "A filter whose belief is true": ("consistency",),
     "How many resets, and when?": ("reset_cycle_study",),
     "Resets that set themselves": ("adaptive_resets",),
+    "Reset schedules and gains, tuned": ("tune_condition5", "tune_large", "tune_compass"),
 }
 """The studies of each page that has a title of its own."""
 
