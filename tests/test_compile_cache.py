@@ -17,6 +17,7 @@ KEYS = "jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs"
 def unchanged(monkeypatch, tmp_path):
     """What a test sets is undone; the system's temporary folder is its own."""
     before = {key: jax.config.values[key] for key in KEYS}
+    jax.config.update("jax_compilation_cache_dir", None)
     monkeypatch.setattr(machine.tempfile, "gettempdir", lambda: str(tmp_path))
     monkeypatch.delenv(compile_cache.VARIABLE, raising=False)
     yield monkeypatch

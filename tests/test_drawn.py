@@ -52,15 +52,18 @@ def fixed(data: dict[str, Any], values: dict[str, np.ndarray], draw: int) -> dic
 
 
 SOME = ["phi_e0_deg", "phi_u0_deg", "vn0_m_per_s"]
+EULER = {"alignment": {"misalignment": "euler"}}
+THREE = {"axes": {"p0_yaw_deg": [40.0, 50.0, 80.0]}}
+"""Variants; with as many everywhere the studies share what is compiled."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("keys", "sampling", "changes"),
     [
-        (SOME, "random", {"alignment": {"misalignment": "euler"}}),
-        (["gyro_bias_deg_per_h", "accel_scale_ppm", "gyro_misalignment_arcsec"], "random", {}),
-        (["latitude_deg"], "sobol", {"earth": {"earth": "wgs84"}}),
+        (SOME, "random", EULER | THREE),
+        (["gyro_bias_deg_per_h", "accel_scale_ppm", "gyro_misalignment_arcsec"], "random", THREE),
+        (["latitude_deg"], "sobol", {"earth": {"earth": "wgs84"}} | THREE),
         (
             ["yaw_center_deg", "pitch_center_deg"],
             "random",
@@ -68,9 +71,10 @@ SOME = ["phi_e0_deg", "phi_u0_deg", "vn0_m_per_s"]
                 "motion": dict.fromkeys(
                     ("pitch_amplitude_deg", "roll_amplitude_deg", "yaw_amplitude_deg"), 0.0
                 )
-            },
+            }
+            | THREE,
         ),
-        (list(ALL), "sobol", {"alignment": {"misalignment": "euler"}}),
+        (list(ALL), "sobol", EULER | THREE),
         (
             ["yaw_center_deg", "gyro_bias_deg_per_h", "phi_u0_deg"],
             "random",
@@ -96,7 +100,8 @@ def test_a_drawn_value_is_a_given_value(
     rows = campaign.run(study).summary
     for draw in (0, DRAWS - 1):
         alone = campaign.run(study_from_dict(fixed(data, values, draw))).summary
-        got, want = (table.slice(draw, 1).to_pylist()[0] for table in (rows, alone))
+        run_id = draw * study.n_variants
+        got, want = (table.slice(run_id, 1).to_pylist()[0] for table in (rows, alone))
         for key in keys:
             np.testing.assert_array_equal(got.pop(key), values[key][draw])
             want.pop(key, None)
@@ -121,11 +126,11 @@ def test_draws_differ_in_what_is_drawn_and_share_the_rest() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("keys", [["phi_e0_deg"], list(ALL)])
+@pytest.mark.parametrize("keys", [SOME, list(ALL)])
 def test_rows_of_drawn_studies_have_the_same_bits_for_any_chunk_and_number_of_draws(
     keys: list[str],
 ) -> None:
-    data = drawn_study(keys, "sobol", study={"draws": 130}, axes={"p0_yaw_deg": [40.0, 50.0, 80.0]})
+    data = drawn_study(keys, "sobol", study={"draws": 130}, **EULER, **THREE)
     whole = campaign.run(study_from_dict(data)).summary
     assert campaign.run(study_from_dict(data), chunk_runs=64).summary.equals(whole)
     fewer = study_from_dict(data | {"study": data["study"] | {"draws": 70}})
@@ -140,14 +145,14 @@ def test_a_study_that_draws_only_noise_runs_the_program_it_always_did() -> None:
 
 
 def test_noise_may_be_drawn() -> None:
-    data = drawn_study([], axes={"q_reading": ["psd"]})
+    data = drawn_study([], axes=THREE["axes"], filter={"q_reading": "psd"})
     for key in NOISE:
         del data["sensors"][key]
     data["drawn"] = {"gyro_noise_deg_per_h": {"values": [0.0, 0.5]}}
     study = study_from_dict(data)
     (part,) = scenario.parts(study)
     assert part.group.static.noisy
-    last = campaign.run(study).summary["phi_u_arcmin"].to_pylist()
+    last = campaign.run(study).summary["phi_u_arcmin"].to_pylist()[:: study.n_variants]
     # Draws 0, 2, 4 have none: nothing tells them apart.
     assert last[0] == last[2] == last[4] and len({last[0], last[1], last[3]}) == 3
     assert set(NOISE) <= set(Sensors.model_fields)

@@ -11,16 +11,15 @@ from sinsjax.report.base import Block, Section, Table, Text, percent
 _TESTS = ("innovation", "nis")
 _BELIEF = (
     "The filter believes velocity to be measured far worse than it is, so its innovations lie far"
-    " inside what it expects even where heading is tens of degrees off, and what false"
-    " observability has made of heading leaves no innovation at all."
+    " inside what it expects even where heading is tens of degrees off."
 )
 _SEES = {
     "innovation": "Large errors show where the threshold is far below that of a chi-square test;"
     " small ones stay below it.",
     "nis": "As the windowed one, without its sum.",
     "whiteness": "Velocity is corrected slowly, so innovations are correlated in healthy runs too.",
-    "tilt_drift": "Level that is corrected faster than the belief in heading allows: not where a"
-    " large yaw error tilts by its sine only, but in healthy runs too while level is being found.",
+    "tilt_drift": "That level or heading is being corrected, not whether on false grounds: it acts"
+    " in healthy runs too, and again and again while a large yaw error is worked off.",
     "levelled": "Says when a reset would do good, not whether it is needed.",
     "strong_tracking": "Fades where innovations exceed what is believed, which they hardly do.",
     "linearisation": "Needs no innovation: it carries a second covariance, that of a base at rest,"

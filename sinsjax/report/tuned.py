@@ -61,7 +61,8 @@ def _headline(tuning: Tuning) -> list[str]:
     name, across = words(tune)[0], {"mean": "mean", "worst": "worst"}[tune.objective_across]
     over = f", {across} over {tuning.runs.shape[1]} variants" if tuning.runs.shape[1] > 1 else ""
     lines = [
-        f"Tuned on {_drawn(tuning)}, judged on {tuning.runs.shape[2]} others by the {name}{over}.",
+        f"Tuned on {_drawn(tuning)}, judged on {tuning.runs.shape[2]} others by the {name}{over}:"
+        f" {tuning.study.study.name}.",
         f"The best on the tuning {unit}, which is in `tuned.toml`, is that of the search"
         f" '{best}': {_said(tuning, tuning.score(best))} on the others, the baseline"
         f" {_said(tuning, tuning.score('baseline'))}.",
