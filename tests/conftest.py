@@ -31,6 +31,12 @@ hypothesis.settings.register_profile("sinsjax", deadline=None, derandomize=True,
 hypothesis.settings.load_profile("sinsjax")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """A program that another process is just writing is compiled here instead; JAX warns of it."""
+    line = "ignore:Error reading persistent compilation cache entry:UserWarning"
+    config.addinivalue_line("filterwarnings", line)
+
+
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """The folder of recorded data: ``SINSJAX_DATA``, or ``shared/data`` beside the repository."""
