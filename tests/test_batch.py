@@ -199,9 +199,6 @@ def test_the_record_interval_does_not_touch_the_noise(every: float) -> None:
                 "duration_s": 8 * every,
                 "window_s": [0, 8 * every],
             },
-            # The noise is the same for all methods; this one is compiled in half the time.
-            alignment={"method": "compass"},
-            compass={"level_time_s": 1.0},
         )
         (part,) = scenario.parts(study)
         outcome, _ = all_runs(part.group)
