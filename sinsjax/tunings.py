@@ -75,7 +75,7 @@ def _filter(study: Study, variants: Variants, ug: float) -> zero_velocity.Params
     eps = variants.column("p0_gyro_bias_deg_per_h", DEG_PER_H) ** 2
     readings = {"per_step": 1.0, "psd": dt, "per_sample": dt * dt}
     reading = np.asarray([readings[name] for name in variants.raw("q_reading")])
-    q_scale, r_scale = (_factor(variants, key) for key in ("q_scale", "r_scale"))
+    q_scale, r_scale = (_column_or(variants, key, 1.0) for key in ("q_scale", "r_scale"))
     q_v = variants.column("q_accel_ug", ug) ** 2 * reading * q_scale
     q_phi = variants.column("q_gyro_deg_per_h", DEG_PER_H) ** 2 * reading * q_scale
     spread = np.asarray([1 if r == "per_update" else dt for r in variants.raw("r_reading")])
@@ -118,18 +118,18 @@ def _reset_to(variants: Variants, state: str, p0: np.ndarray, ug: float) -> np.n
 def _trigger(variants: Variants, rate_hz: float) -> triggers.Numbers | None:
     if variants.common("reset_trigger") in (None, "none"):
         return None
-    until = [math.inf if t is None else t for t in variants.raw("trigger_until_s")]
     return triggers.Numbers(
         threshold=variants.column("trigger_threshold"),
         window=np.round(variants.column("trigger_window_s") * rate_hz),
         refractory=np.round(variants.column("trigger_refractory_s") * rate_hz),
         most=variants.column("trigger_most"),
-        until=np.round(np.asarray(until) * rate_hz),
+        until=np.round(_column_or(variants, "trigger_until_s", math.inf) * rate_hz),
     )
 
 
-def _factor(variants: Variants, key: str) -> np.ndarray:
-    return np.asarray([1.0 if value is None else value for value in variants.raw(key)])
+def _column_or(variants: Variants, key: str, default: float) -> np.ndarray:
+    """Values of a numeric key, (variants,); the default where a variant leaves it out."""
+    return np.asarray([default if value is None else value for value in variants.raw(key)])
 
 
 def _feedback(variants: Variants, rate_hz: float) -> Feedback:

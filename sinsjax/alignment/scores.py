@@ -38,7 +38,7 @@ def _add(numbers: Numbers, block: _Block, terms: tuple[Scalar, ...]) -> tuple[_B
 
 
 def _normalised(r: Pair, s: tuple[Scalar, ...]) -> Scalar:
-    """R' S^-1 r."""
+    """An innovation r squared and normalised, r' S^-1 r."""
     (e, n), (ee, en, nn) = r, s
     return (nn * e * e - 2 * en * e * n + ee * n * n) / (ee * nn - en * en)
 

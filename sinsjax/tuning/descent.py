@@ -326,19 +326,12 @@ class _Descents:
                 update={"tune": self._tune.model_copy(update={"tune_draws": draws})}
             )
         combination = self._space.combinations[self._number]
-        points = {
-            f"point {i}": self._space.point(list(np.nan_to_num(own)), combination)
-            for i, own in enumerate(values)
-        }
-        cases = {tuple(point.values()): label for label, point in points.items()}
-        distinct = {label: points[label] for label in cases.values()}
-        derived = search.derive(study, distinct, name=study.study.name)
-        table = campaign.run(derived, self._tape, curves=False).summary
-        found = search.run_values(study, derived, table)
-        self._cost += search.cost(derived)
-        scores = [objective.score(self._tune, own) for own in found]
-        by_label = dict(zip(distinct, scores, strict=True))
-        return np.array([by_label[cases[tuple(point.values())]] for point in points.values()])
+        points = [self._space.point(list(np.nan_to_num(own)), combination) for own in values]
+        scores, taken, each = search.scored(
+            study, NAME, points, lambda one: campaign.run(one, self._tape, curves=False).summary
+        )
+        self._cost += len(set(taken)) * each
+        return np.array(scores)
 
 
 def _softness(tune: Tune, step: int) -> Softness:

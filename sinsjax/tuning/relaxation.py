@@ -14,7 +14,18 @@ from sinsjax import loops
 from sinsjax.alignment import compass, zero_velocity
 from sinsjax.alignment.schedules import Windows
 from sinsjax.config import with_point
-from sinsjax.error_model import PHI_E, PHI_N, PHI_U, VE, VN
+from sinsjax.error_model import (
+    EPS_X,
+    EPS_Y,
+    EPS_Z,
+    NABLA_X,
+    NABLA_Y,
+    PHI_E,
+    PHI_N,
+    PHI_U,
+    VE,
+    VN,
+)
 from sinsjax.studies import Study, Table
 from sinsjax.tuned_keys import COUNT, TIMES
 from sinsjax.types import Array, InputError, Scalar
@@ -27,7 +38,7 @@ _NEVER = 1e15
 """Sample of a reset that there is not, instead of infinity."""
 
 _LEVEL, _VELOCITY = (PHI_E, PHI_N), (VE, VN)
-_ACCEL_BIASES, _GYRO_BIASES = (5, 6), (7, 8, 9)
+_ACCEL_BIASES, _GYRO_BIASES = (NABLA_X, NABLA_Y), (EPS_X, EPS_Y, EPS_Z)
 
 
 def _scaled(values: tuple[Scalar, ...], states: Sequence[int], factor: Scalar) -> tuple:

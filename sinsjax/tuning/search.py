@@ -161,26 +161,45 @@ def look(study: Study, name: str, design: Design, session: Session) -> Found:
         space.point(list(np.nan_to_num(row)), space.combinations[candidate])
         for row, candidate in zip(values, design.candidate, strict=True)
     ]
+    names = objective.columns_of(study.tune)
+    scores, taken, each = scored(
+        study, name, points, lambda derived: results.read_summary(session.run(derived, name), names)
+    )
+    paid = np.maximum.accumulate(taken) + 1
+    return Found(
+        name,
+        [
+            Look(number, int(design.candidate[number]), list(row), score, int(n) * each)
+            for number, (row, score, n) in enumerate(zip(values, scores, paid, strict=True))
+        ],
+    )
+
+
+def scored(
+    study: Study, name: str, points: Sequence[Table], run: Callable[[Study], pa.Table]
+) -> tuple[list[float], list[int], int]:
+    """The objective at some points, those that come to the same keys being run once.
+
+    Args:
+        study: with [tune].
+        name: of the search.
+        points: with the same keys each.
+        run: gives the summary of a study, `objective.columns_of` it at least.
+
+    Returns:
+        By point its objective and the number of its case; and the steps of a case.
+    """
+    assert study.tune is not None
     cases: dict[str, Table] = {}
     case_of: dict[tuple[Any, ...], int] = {}
     for number, point in enumerate(points):
         if case_of.setdefault(tuple(point.values()), len(cases)) == len(cases):
             cases[f"{name} {number}"] = point
     derived = derive(study, cases, name=f"{study.study.name}_{name}")
-    names = objective.columns_of(study.tune)
-    table = results.read_summary(session.run(derived, name), names)
-    found = run_values(study, derived, table)
-    scores = [objective.score(study.tune, own) for own in found]
-    each = cost(derived) // len(cases)
+    found = run_values(study, derived, run(derived))
+    by_case = [objective.score(study.tune, own) for own in found]
     taken = [case_of[tuple(point.values())] for point in points]
-    paid = np.maximum.accumulate(taken) + 1
-    return Found(
-        name,
-        [
-            Look(number, int(design.candidate[number]), list(row), scores[case], int(n) * each)
-            for number, (row, case, n) in enumerate(zip(values, taken, paid, strict=True))
-        ],
-    )
+    return [by_case[case] for case in taken], taken, cost(derived) // len(cases)
 
 
 def run_values(study: Study, derived: Study, table: pa.Table) -> NDArray:
