@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from sinsjax.algebra import dot, solve3
 from sinsjax.alignment.base import AttitudeCovariance, Fired
 from sinsjax.alignment.schedules import mix
+from sinsjax.limits import Limit
 from sinsjax.rotations import misalignment, to_euler
 from sinsjax.types import Array, Flag, Quat, Scalar, Vec3
 
@@ -93,8 +94,8 @@ class Outcome(NamedTuple):
         std: window standard deviations of the same.
         above_share: `Metrics.above` over `Metrics.judged`.
         nees: phi' P^-1 phi over the attitude states.
-        nis_u: (phi_u - floor)^2 / P_UU.
-        floor: rad, the floor phi_u was compared with.
+        nis_u: (phi_u - limit)^2 / P_UU.
+        limit: what the run's own sensor biases leave of phi, from which the heading was judged.
         fired: what the method's trigger did, None without one.
     """
 
@@ -105,7 +106,7 @@ class Outcome(NamedTuple):
     above_share: tuple[Scalar, Scalar, Scalar]
     nees: Scalar
     nis_u: Scalar
-    floor: Scalar
+    limit: Limit
     fired: Fired | None = None
 
 
@@ -189,7 +190,7 @@ def _wrap(angle: Array) -> Array:
 
 
 def finish(
-    metrics: Metrics, covariance: AttitudeCovariance, floor: Scalar, fired: Fired | None = None
+    metrics: Metrics, covariance: AttitudeCovariance, limit: Limit, fired: Fired | None = None
 ) -> Outcome:
     """What a run is reported with.
 
@@ -207,7 +208,7 @@ def finish(
         std=tuple(std),
         above_share=tuple(metrics.above / metrics.judged),
         nees=dot(phi, solve3(tuple(covariance), phi)),
-        nis_u=(phi.z - floor) ** 2 / covariance.uu,
-        floor=floor,
+        nis_u=(phi.z - limit.phi.z) ** 2 / covariance.uu,
+        limit=limit,
         fired=fired,
     )

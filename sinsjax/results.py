@@ -110,7 +110,7 @@ class Tables:
         shares = ("error", "floor_error", "error_steady")
         for name, value in zip(shares, out.above_share, strict=True):
             values[f"p_above_{name}_share"] = self._known(value)
-        values["floor_arcmin"] = self._known(out.floor / ARCMIN)
+        values["floor_arcmin"] = self._known(out.limit.phi.z / ARCMIN)
         values["nees"] = self._known(out.nees)
         values["nis_u"] = self._known(out.nis_u)
         values["status"] = self._status(chunk, self._end_s[variant])
@@ -163,7 +163,7 @@ class Tables:
             return pa.array(["nonfinite" if b else None for b in broken], pa.string())
         band = self._bands.index(columns.ALWAYS_BAND_ARCMIN)
         settled = np.isfinite(_settled(out.outside_until[:, band], end_s))
-        diverged = np.abs(last.phi.z - out.floor) > _DIVERGED
+        diverged = np.abs(last.phi.z - out.limit.phi.z) > _DIVERGED
         kinds = np.select([broken, settled, diverged], [3, 0, 2], default=1)
         return pa.array(np.asarray(columns.STATUSES)[kinds])
 

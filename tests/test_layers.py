@@ -36,7 +36,7 @@ LAYERS = (
         "wording",
     },
     {"algebra", "earth", "kalman", "randomness", "rotations"},
-    {"bounds", "error_model", "imu", "loops", "mechanisation", "trajectory"},
+    {"bounds", "error_model", "imu", "limits", "loops", "mechanisation", "trajectory"},
     {"alignment"},
     {"batch", "draws", "metrics", "scenario", "simulate", "tunings", "worlds"},
     {"analysis", "directories", "plots", "results", "statements", "stopping", "store", "work"},

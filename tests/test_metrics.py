@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from sinsjax import metrics
 from sinsjax.alignment.base import AttitudeCovariance
+from sinsjax.limits import Limit
 from sinsjax.metrics import Criteria, Observation
 from sinsjax.types import Quat, Vec3
 
@@ -33,7 +34,8 @@ def outcome(criteria, values, sigma, p, floor):
 
     start = metrics.start(criteria, np.float64(0.0))
     so_far, _ = jax.lax.scan(record, start, (TIMES, values, sigma))
-    return metrics.finish(so_far, AttitudeCovariance(*p[np.triu_indices(3)]), floor)
+    limit = Limit(Vec3(0.0, 0.0, floor), jnp.asarray(False))
+    return metrics.finish(so_far, AttitudeCovariance(*p[np.triu_indices(3)]), limit)
 
 
 def criteria(window=(10.0, 25.0), after=5.0, steady=20.0):
@@ -82,7 +84,7 @@ def test_metrics_as_from_whole_curves(seed, window, after):
     np.testing.assert_allclose(got.above_share, expected.above_share, rtol=1e-14)
     np.testing.assert_allclose(got.nees, expected.nees, rtol=1e-8)
     np.testing.assert_allclose(got.nis_u, expected.nis_u, rtol=1e-12)
-    np.testing.assert_array_equal(got.floor, FLOOR)
+    np.testing.assert_array_equal(got.limit.phi.z, FLOOR)
     np.testing.assert_array_equal((*got.last.phi, *got.last[2:]), values[-1])
     np.testing.assert_array_equal(got.last.sigma, sigma[-1])
 

@@ -13,6 +13,7 @@ from studies import BASE, small_study
 from sinsjax import campaign, columns, designs, results, scenario
 from sinsjax.batch import Chunk
 from sinsjax.config import study_from_dict
+from sinsjax.limits import Limit
 from sinsjax.metrics import Observation, Outcome
 from sinsjax.types import InputError, Vec3
 from sinsjax.units import ARCMIN, DEG
@@ -41,7 +42,7 @@ def chunk(phi_u_arcmin: list[float], outside_until: list[list[float]], yaw: floa
         above_share=(one,) * 3,
         nees=one,
         nis_u=one,
-        floor=np.full(n, -20.0 * ARCMIN),
+        limit=Limit(Vec3(0 * one, 0 * one, -20.0 * ARCMIN * one), one < 0),
     )
     return Chunk(np.zeros(n, int), np.arange(n), outcome, None)
 

@@ -85,7 +85,7 @@ def relaxed_values(tune: Tune, criteria: Criteria, outcome: Outcome) -> Array:
         (runs,): settling times whose band has a soft edge, s; headings from their floor at the
         end, arcmin; or the share to which the end is outside the band.
     """
-    error = outcome.last.phi.z - outcome.floor
+    error = outcome.last.phi.z - outcome.limit.phi.z
     if tune.objective == "final_error":
         return error / ARCMIN
     band = jnp.argmin(jnp.abs(criteria.bands - tune.objective_band_arcmin * ARCMIN))
