@@ -65,7 +65,14 @@ _TRIGGER_DEFAULTS = {
 }
 """Values of keys that apply where a variant has a trigger."""
 _DEFAULT_DRAWS = 64
-_LATER = {
+_LATER: dict[str, tuple[str, ...]] = {
+    "study": (
+        "judged_from",
+        "success_band_arcmin",
+        "level_band_arcmin",
+        "dwell_s",
+        "diverged_deg",
+    ),
     "filter": ("q_scale", "r_scale"),
     "resets": (
         "reset_first_s",

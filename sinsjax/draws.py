@@ -5,11 +5,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sinsjax import earth, imu, rotations, trajectory
+from sinsjax import earth, imu, trajectory
 from sinsjax.alignment import reverse
 from sinsjax.alignment.base import Options, Site
+from sinsjax.limits import Biases, mean_biases
 from sinsjax.metrics import Criteria
-from sinsjax.types import Array, Count, Increments, Quat, Scalar, Vec3
+from sinsjax.types import Array, Count, Increments, Quat, Scalar
 
 
 class Static(NamedTuple):
@@ -46,7 +47,7 @@ class World(NamedTuple):
         errors: of the sensors.
         seed: of the noise.
         criteria: what runs are judged against.
-        floor: what phi_u should settle to, rad.
+        biases: of the sensors, mean in n.
         pass_records: record intervals a pass over the tape; of no effect without repeats.
         times: (records,) record times on the tape, s; None where `truth` has all that is needed.
         motion: of the base, where draws have something for themselves.
@@ -58,7 +59,7 @@ class World(NamedTuple):
     errors: imu.SensorErrors
     seed: Count
     criteria: Criteria
-    floor: Scalar
+    biases: Biases
     pass_records: Count
     times: Array | None = None
     motion: trajectory.Motion | None = None
@@ -83,12 +84,12 @@ class Made(NamedTuple):
 
     Attributes:
         site: at its latitude.
-        floor: what phi_u of its runs should settle to, rad.
+        biases: of its sensors, mean in n.
         rest: (6,) ideal increments of its base, where that does not sway.
     """
 
     site: Site | None = None
-    floor: Scalar | None = None
+    biases: Biases | None = None
     rest: Array | None = None
 
 
@@ -172,18 +173,7 @@ def made(static: Static, world: World, draw: Draw) -> Made:
     if draw.motion is not None and not static.sways:
         rest = trajectory.increment(motion, site.place, 1 / static.options.dt, 0.0)
     own = None if draw.latitude is None else site
-    return Made(own, floor_of(errors, motion, site.place), rest)
-
-
-def floor_of(errors: imu.SensorErrors, motion: trajectory.Motion, place: earth.Place) -> Scalar:
-    """Limit of phi_u for constant biases, -eps_E/omega_N + (nabla_E/g) tan L, rad.
-
-    Biases are turned to n at the attitude swayed about.
-    """
-    center = rotations.from_euler(*(sway.center for sway in motion))
-    eps = rotations.rotate(center, Vec3(*errors.gyro_bias)).x
-    nabla = rotations.rotate(center, Vec3(*errors.accel_bias)).x
-    return -eps / place.rate_n + nabla / place.gravity * place.tan_latitude
+    return Made(own, mean_biases(errors, motion), rest)
 
 
 def attitudes(static: Static, world: World, draws: Draw) -> Quat:

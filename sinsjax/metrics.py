@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from sinsjax.algebra import dot, solve3
 from sinsjax.alignment.base import AttitudeCovariance, Fired
 from sinsjax.alignment.schedules import mix
+from sinsjax.limits import Limit
 from sinsjax.rotations import misalignment, to_euler
 from sinsjax.types import Array, Flag, Quat, Scalar, Vec3
 
@@ -30,7 +31,7 @@ class Criteria(NamedTuple):
     """What the runs of a study are judged against.
 
     Attributes:
-        bands: (B,) half-widths about the floor, rad.
+        bands: (B,) half-widths about the floor and about the truth, rad.
         window_start: statistics use record times in (start, end], s.
         window_end: s.
         consistency_after: record times after this one count for the P above error shares, s.
@@ -68,7 +69,8 @@ class Metrics(NamedTuple):
     """Accumulators of one run.
 
     Attributes:
-        outside_until: for each band, end of the last record interval outside it, s.
+        outside_until: (2, B) for each band about the floor, and for each about the truth, end of
+            the last record interval outside it, s.
         window: see `Window`.
         above: (3,) record times at which P_UU exceeded phi_u^2, at which it exceeded
             (phi_u - floor)^2, and phi_u^2 again in the steady process.
@@ -93,8 +95,8 @@ class Outcome(NamedTuple):
         std: window standard deviations of the same.
         above_share: `Metrics.above` over `Metrics.judged`.
         nees: phi' P^-1 phi over the attitude states.
-        nis_u: (phi_u - floor)^2 / P_UU.
-        floor: rad, the floor phi_u was compared with.
+        nis_u: (phi_u - limit)^2 / P_UU.
+        limit: what the run's own sensor biases leave of phi, from which the heading was judged.
         fired: what the method's trigger did, None without one.
     """
 
@@ -105,7 +107,7 @@ class Outcome(NamedTuple):
     above_share: tuple[Scalar, Scalar, Scalar]
     nees: Scalar
     nis_u: Scalar
-    floor: Scalar
+    limit: Limit
     fired: Fired | None = None
 
 
@@ -121,7 +123,8 @@ def start(criteria: Criteria, zero: Scalar) -> Metrics:
     six, three = jnp.zeros(6) + zero, jnp.zeros(3) + zero
     window = Window(zero, six, six, six)
     last = Observation(nothing, nothing, zero, zero, zero)
-    return Metrics(jnp.zeros_like(criteria.bands) + zero, window, three, three, last)
+    outside_until = jnp.zeros((2, *criteria.bands.shape)) + zero
+    return Metrics(outside_until, window, three, three, last)
 
 
 def accumulate(
@@ -144,7 +147,11 @@ def accumulate(
     judged = jnp.stack([after, after, known & (time > criteria.steady_after)])
     above = variance > jnp.stack([now.phi.z, error, now.phi.z]) ** 2
     return Metrics(
-        outside_until=mix(outside(criteria, error), time, metrics.outside_until),
+        outside_until=mix(
+            jnp.stack([outside(criteria, error), outside(criteria, now.phi.z)]),
+            time,
+            metrics.outside_until,
+        ),
         window=_widen(
             metrics.window,
             now,
@@ -189,7 +196,7 @@ def _wrap(angle: Array) -> Array:
 
 
 def finish(
-    metrics: Metrics, covariance: AttitudeCovariance, floor: Scalar, fired: Fired | None = None
+    metrics: Metrics, covariance: AttitudeCovariance, limit: Limit, fired: Fired | None = None
 ) -> Outcome:
     """What a run is reported with.
 
@@ -207,7 +214,7 @@ def finish(
         std=tuple(std),
         above_share=tuple(metrics.above / metrics.judged),
         nees=dot(phi, solve3(tuple(covariance), phi)),
-        nis_u=(phi.z - floor) ** 2 / covariance.uu,
-        floor=floor,
+        nis_u=(phi.z - limit.phi.z) ** 2 / covariance.uu,
+        limit=limit,
         fired=fired,
     )

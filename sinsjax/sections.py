@@ -84,6 +84,26 @@ class Settings(Section):
         300.0, description="start of the steady process in the consistency statistics, s"
     )
     curves: bool = Field(False, description="whether a sweep stores curves too")
+    judged_from: Literal["truth", "limit"] | None = Field(
+        None,
+        description="what a run's success is judged from: the truth (default), or the limit that"
+        " its own sensor biases leave",
+    )
+    success_band_arcmin: Positive | None = Field(
+        None, description="heading error band that a success ends in, arcmin; default 10"
+    )
+    level_band_arcmin: Positive | None = Field(
+        None, description="level error band that a success ends in, arcmin; default 10"
+    )
+    dwell_s: NonNegative | None = Field(
+        None,
+        description="how long before its end a success has stayed in the heading band, s; default:"
+        " the smaller of 30 s and a tenth of the run",
+    )
+    diverged_deg: Positive | None = Field(
+        None,
+        description="heading error at the end beyond which a run has diverged, deg; default 10",
+    )
 
     @model_validator(mode="after")
     def _window_inside(self) -> "Settings":

@@ -14,8 +14,9 @@ import jax.numpy as jnp
 
 from sinsjax import imu, metrics, rotations, trajectory
 from sinsjax.alignment import METHODS, reverse
-from sinsjax.alignment.base import Method, Site
+from sinsjax.alignment.base import Ending, Method, Site
 from sinsjax.draws import Draw, Start, Static, World, attitudes, made, noise, piece, sense
+from sinsjax.limits import Biases, Limit
 from sinsjax.metrics import Metrics, Observation, Outcome
 from sinsjax.types import Array, Count, Flag, Increments, Navigation, Quat, Sample, Scalar, Vec3
 
@@ -82,11 +83,18 @@ def started(params: Params, own: Start, q: Quat | None) -> Params:
     )
 
 
-def end(static: Static, run: Run, floor: Scalar) -> Outcome:
+def limit(static: Static, pass_records: Count, params: Params, site: Site, own: Biases) -> Limit:
+    """What the sensor biases of a run leave of its misalignment."""
+    backward = static.repeats & ((static.records - 1) // pass_records % 2 == 1)
+    ending = Ending(float(static.records * static.record_every), backward)
+    return method_of(static).limit(params.method, site.place, own, ending)
+
+
+def end(static: Static, run: Run, limit: Limit) -> Outcome:
     """The outcome of a run after its last record."""
     method = method_of(static)
     fired = method.fired(run.state) if method.fired else None
-    return metrics.finish(run.metrics, method.covariance(run.state), floor, fired)
+    return metrics.finish(run.metrics, method.covariance(run.state), limit, fired)
 
 
 class Fan(NamedTuple):
@@ -115,25 +123,23 @@ class Shared(NamedTuple):
     Attributes:
         site: Earth and place.
         site_axis: None where all runs share it.
-        floor: what phi_u should settle to, rad.
-        floor_axis: likewise.
+        limit: of each run.
     """
 
     site: Site
     site_axis: int | None
-    floor: Scalar
-    floor_axis: int | None
+    limit: Limit
 
 
-def shared_by(world: World, draws: Draw, fan: Fan) -> Shared:
-    """Site and floor of the world, or of the draws that have their own."""
-    site, floor, _ = fan.hand_out(draws.made)
-    return Shared(
-        site=world.site if site is None else site,
-        site_axis=None if site is None else fan.shared,
-        floor=world.floor if floor is None else floor,
-        floor_axis=None if floor is None else fan.shared,
-    )
+def shared_by(static: Static, world: World, draws: Draw, params: Params, fan: Fan) -> Shared:
+    """Site and biases of the world, or of the draws that have their own; what limit they set."""
+    made_of = fan.hand_out(draws.made)
+    site = world.site if made_of.site is None else made_of.site
+    site_axis = None if made_of.site is None else fan.shared
+    biases = world.biases if made_of.biases is None else made_of.biases
+    biases_axis = None if made_of.biases is None else fan.shared
+    limits = fan.over_runs(partial(limit, static, world.pass_records), 0, site_axis, biases_axis)
+    return Shared(site, site_axis, limits(params, site, biases))
 
 
 class Progress(NamedTuple):
@@ -167,7 +173,7 @@ def reader(
     Args:
         static: program.
         world: shared by all.
-        shared: site and floor.
+        shared: site and limits.
         params: as in `simulate`.
         fan: as in `simulate`.
 
@@ -207,7 +213,7 @@ def over_a_record(
     Args:
         static: program.
         world: shared by all.
-        shared: site and floor.
+        shared: site and limits.
         draws: as in `simulate`.
         params: as in `simulate`.
         fan: as in `simulate`.
@@ -231,7 +237,7 @@ def over_a_record(
     axes = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
     sensed = fan.over_draws(partial(sense, static, world), axes, None, 0)
     step = fan.over_runs(one_step, 0, 0, shared.site_axis, fan.shared, None)
-    record = fan.over_runs(one_record, 0, fan.shared, None, shared.floor_axis)
+    record = fan.over_runs(one_record, 0, fan.shared, None, 0)
     opened = reader(static, world, shared, params, fan)
 
     def record_step(progress: Progress, xs: tuple[Count, Quat]) -> tuple[Progress, Array | None]:
@@ -255,7 +261,7 @@ def over_a_record(
         pieces = tuple(a.reshape(-1, piece(static, draws)) for a in (updates, samples))
         (state, before), _ = jax.lax.scan(piece_step, (state, before), pieces)
         n = ((number + 1) * every).astype(kind)
-        run = record(Run(state, run.metrics), fan.hand_out(q_true), n, shared.floor)
+        run = record(Run(state, run.metrics), fan.hand_out(q_true), n, shared.limit.phi.z)
         # One array: XLA:CPU updates several side by side by copying them whole, every record.
         out = jnp.stack(jax.tree.leaves(run.metrics.last)) if static.curves else None
         return Progress(run, before), out
@@ -280,7 +286,7 @@ def simulate(
     """
     axes = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
     draws = draws._replace(made=fan.over_draws(partial(made, static, world), axes)(draws))
-    shared = shared_by(world, draws, fan)
+    shared = shared_by(static, world, draws, params, fan)
     q = None
     if draws.motion is not None:
         q = fan.hand_out(fan.over_draws(lambda m: trajectory.attitude(m, 0.0), 0)(draws.motion))
@@ -295,7 +301,7 @@ def simulate(
     record_step = over_a_record(static, world, shared, draws, params, fan)
     records = (jnp.arange(static.records), attitudes(static, world, draws))
     (run, _), curves = jax.lax.scan(record_step, Progress(run, before), records)
-    outcome = fan.over_runs(partial(end, static), 0, shared.floor_axis)(run, shared.floor)
+    outcome = fan.over_runs(partial(end, static), 0, 0)(run, shared.limit)
     if curves is None:
         return outcome, None
     fields = [curves[:, i] for i in range(curves.shape[1])]

@@ -14,7 +14,8 @@ import numpy as np
 from sinsjax import designs, earth, imu, trajectory, units
 from sinsjax.alignment.base import Site
 from sinsjax.alignment.coarse import COARSE
-from sinsjax.draws import Draw, Start, World, floor_of
+from sinsjax.draws import Draw, Start, World
+from sinsjax.limits import NO_BIASES, mean_biases
 from sinsjax.metrics import Criteria
 from sinsjax.records import Record, Reference, require_span
 from sinsjax.sections import Earth, Motion, Section, Sensors
@@ -162,7 +163,7 @@ def simulated(
         errors=errors,
         seed=np.asarray(study.study.seed),
         criteria=criteria,
-        floor=np.asarray(floor_of(errors, motion, site.place), dtype=float),
+        biases=mean_biases(errors, motion),
         pass_records=np.asarray(span.tape),
         times=times[1:] if draws_own(study, Earth, Motion) else None,
         motion=motion if study.drawn_keys else None,
@@ -297,7 +298,7 @@ def recorded(
         errors=imu.perfect(),
         seed=np.asarray(study.study.seed),
         criteria=criteria,
-        floor=np.float64(0.0),
+        biases=NO_BIASES,
         pass_records=np.asarray(span.tape),
     )
     n = len(starts)

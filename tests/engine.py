@@ -13,6 +13,7 @@ from sinsjax.alignment import compass, zero_velocity
 from sinsjax.alignment.base import Site
 from sinsjax.alignment.schedules import Feedback, Pieces, Renewal, Resets
 from sinsjax.draws import Draw, Static, World
+from sinsjax.limits import NO_BIASES
 from sinsjax.loops import AzimuthGains, LevelGains
 from sinsjax.metrics import Criteria
 from sinsjax.simulate import ONE, Params, Progress, begin, over_a_record, shared_by
@@ -133,7 +134,7 @@ def tape_world(
         errors=imu.perfect() if errors is None else errors,
         seed=np.asarray(11),
         criteria=never,
-        floor=np.float64(0.0),
+        biases=NO_BIASES,
         pass_records=np.asarray(pass_records),
     )
 
@@ -150,7 +151,7 @@ def trail(static: Static, world: World, params: Params) -> Any:
     draw = Draw(jnp.asarray(0), jnp.asarray(0), jnp.asarray(0))
     zero = jnp.zeros(())
     nothing = Increments(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
-    shared = shared_by(world, draw, ONE)
+    shared = shared_by(static, world, draw, params, ONE)
     step = over_a_record(static, world, shared, draw, params, ONE)
     unknown = Quat(*(zero + jnp.nan for _ in range(4)))
 

@@ -13,6 +13,7 @@ from studies import BASE, small_study
 from sinsjax import campaign, columns, designs, results, scenario
 from sinsjax.batch import Chunk
 from sinsjax.config import study_from_dict
+from sinsjax.limits import Limit
 from sinsjax.metrics import Observation, Outcome
 from sinsjax.types import InputError, Vec3
 from sinsjax.units import ARCMIN, DEG
@@ -23,25 +24,45 @@ phi_e0_deg phi_n0_deg phi_u0_deg phi_e_arcmin phi_n_arcmin phi_u_arcmin pitch_de
 sigma_e_arcmin sigma_n_arcmin sigma_u_arcmin phi_u_mean_arcmin phi_u_std_arcmin phi_e_mean_arcmin
 phi_e_std_arcmin phi_n_mean_arcmin phi_n_std_arcmin pitch_mean_deg pitch_std_deg roll_mean_deg
 roll_std_deg yaw_mean_deg yaw_std_deg floor_arcmin settle_60_s settle_10_s settle_3_s nees nis_u
-status
+status settle_60_truth_s settle_10_truth_s settle_3_truth_s has_limit ok_limit ok_truth
 """.split()
 
 
-def chunk(phi_u_arcmin: list[float], outside_until: list[list[float]], yaw: float = 1.0) -> Chunk:
-    """Runs of draw 0 with these final heading errors and ends of their time outside the bands."""
+LIMIT = {"judged_from": "limit", "dwell_s": 0.0}
+"""A study that judges from the limit."""
+
+
+def chunk(
+    phi_u_arcmin: list[float],
+    outside_until: list[list[float]],
+    yaw: float = 1.0,
+    *,
+    from_truth: list[list[float]] | None = None,
+    level_arcmin: float = 2.0,
+    no_north: bool = False,
+) -> Chunk:
+    """Runs of draw 0 with these final errors and ends of their time outside the bands.
+
+    Their limit is 1' and -1' in level and -20' in heading, and biases tilt by up to 1.5'.
+    """
     n = len(phi_u_arcmin)
     one = np.ones(n)
-    phi = Vec3(one, 2 * one, np.array(phi_u_arcmin) * ARCMIN)
+    level = level_arcmin * ARCMIN * one
+    phi = Vec3(level / 2, level, np.array(phi_u_arcmin) * ARCMIN)
     last = Observation(phi, Vec3(one, one, one), 0.1 * one, 0.2 * one, yaw * one)
     outcome = Outcome(
         last=last,
-        outside_until=np.array(outside_until),
+        outside_until=np.stack([outside_until, from_truth or outside_until], axis=1),
         mean=(one,) * 6,
         std=(one,) * 6,
         above_share=(one,) * 3,
         nees=one,
         nis_u=one,
-        floor=np.full(n, -20.0 * ARCMIN),
+        limit=Limit(
+            Vec3(*(arcmin * ARCMIN * one for arcmin in (1.0, -1.0, -20.0))),
+            1.5 * ARCMIN * one,
+            np.full(n, no_north),
+        ),
     )
     return Chunk(np.zeros(n, int), np.arange(n), outcome, None)
 
@@ -76,7 +97,7 @@ def test_a_vector_key_may_be_swept_by_numbers_and_lists() -> None:
 
 
 def test_settling_status_and_floor() -> None:
-    study = small_study(axes={"phi_u0_deg": [float(i) for i in range(4)]})
+    study = small_study(study=LIMIT, axes={"phi_u0_deg": [float(i) for i in range(4)]})
     # Bands 60, 10, 3 arcmin; the run ends at 6 s.
     outside = [[0.0, 1.0, 6.0], [2.0, 6.0, 6.0], [6.0, 6.0, 6.0], [6.0, 6.0, 6.0]]
     rows = chunk([-21.0, -5.0, 700.0, np.nan], outside)
@@ -86,7 +107,7 @@ def test_settling_status_and_floor() -> None:
     assert table["settle_10_s"].to_pylist() == [1.0, None, None, None]
     assert table["status"].to_pylist() == ["ok", "not_settled", "diverged", "not_settled"]
     assert table["phi_u_arcmin"].null_count == 1
-    assert table["phi_n_arcmin"].to_pylist() == pytest.approx([2 / ARCMIN] * 4)
+    assert table["phi_n_arcmin"].to_pylist() == pytest.approx([2.0] * 4)
     assert table["yaw_deg"].to_pylist() == pytest.approx([1 / DEG] * 4)
     broken = made.summary(chunk([0.0], [[6.0, 6.0, 6.0]], yaw=np.nan), np.arange(1))
     assert broken["status"].to_pylist() == ["nonfinite"]
@@ -94,7 +115,8 @@ def test_settling_status_and_floor() -> None:
 
 def test_settling_is_told_in_update_time_and_in_data() -> None:
     """The data that was there: what had been recorded by then, and no more than the tape."""
-    study = small_study(passes={"tape_s": 2.0}, axes={"passes": [1, 3], "phi_u0_deg": [0.0, 1.0]})
+    axes = {"passes": [1, 3], "phi_u0_deg": [0.0, 1.0]}
+    study = small_study(study=LIMIT, passes={"tape_s": 2.0}, axes=axes)
     # The first two runs end after 2 s, the others after 6 s.
     outside = [[0.0, 1.0, 2.0], [2.0, 2.0, 2.0], [1.0, 2.0, 5.0], [3.0, 4.0, 6.0]]
     table = results.Tables(study).summary(chunk([-21.0] * 4, outside), np.arange(4))
@@ -215,7 +237,9 @@ def test_rows_come_by_run_and_time(stored: Path) -> None:
     assert results.read_curves(stored, []).num_rows == 0
     assert results.count_runs(stored) == 4
     # What a part says of itself does not hold for all rows.
-    assert results.read_summary(stored).schema.metadata == {b"sinsjax.schema": b"1"}
+    assert results.read_summary(stored).schema.metadata == {
+        b"sinsjax.schema": columns.SCHEMA_VERSION.encode()
+    }
 
 
 def test_some_columns_and_runs(stored: Path) -> None:

@@ -145,21 +145,6 @@ def test_the_program_may_differ_with_the_length_of_the_passes() -> None:
     assert [span.records for span in study.spans] == records
 
 
-def test_the_floor_turns_with_the_vehicle() -> None:
-    """-eps_E/omega_N + (nabla_E/g) tan L with body biases, heading 90 deg: east is body -y."""
-    sensors = {"gyro_bias_deg_per_h": [0.1, 0.2, 0.0], "accel_bias_ug": [300.0, 500.0, 0.0]}
-    group = group_of(motion={"yaw_center_deg": 90.0}, sensors=sensors)
-    omega_n = 15.041067 * DEG_PER_H * np.cos(32 * DEG)
-    want = 0.2 * DEG_PER_H / omega_n - 500e-6 * np.tan(32 * DEG)
-    np.testing.assert_allclose(group.world.floor, want, rtol=1e-12)
-
-
-def test_papers_limit_accuracy() -> None:
-    """[P1] section 2.4.1 prints -27.0248'; with both terms and 15.041 deg/h it is -25.877'."""
-    group = group_of(motion={"yaw_center_deg": 0.0})
-    assert group.world.floor / (DEG / 60) == pytest.approx(-25.8769, abs=1e-4)
-
-
 def test_a_recorded_study_needs_its_record() -> None:
     study = study_from_dict(
         {"study": {"duration_s": 6.0, "rate_hz": 100.0}, "record": {"format": "psins"}}

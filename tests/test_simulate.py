@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from sinsjax import imu
 from sinsjax.alignment.base import Options
 from sinsjax.draws import NOISE_ROW, Draw, Static, World, noise, piece, sense
+from sinsjax.limits import Biases
 from sinsjax.metrics import Criteria
 from sinsjax.simulate import Params, simulate
 from sinsjax.types import Quat, Vec3
@@ -56,14 +57,16 @@ def world(every, records, noise=NOISE, tape=None):
     criteria = Criteria(BANDS, *map(np.float64, (*WINDOW, AFTER[0], AFTER[2])))
     # The first row of truth belongs to another draw.
     truth = np.stack([np.full_like(truth, np.nan), truth])
+    here = site(PAPER, LATITUDE)
+    east, zero = -np.tan(FLOOR) * here.place.rate_n, np.float64(0.0)
     return World(
-        site(PAPER, LATITUDE),
+        here,
         ideal(),
         truth,
         errors,
         np.asarray(SEED),
         criteria,
-        np.float64(FLOOR),
+        Biases(Vec3(east, zero, zero), Vec3(zero, zero, zero), zero),
         np.asarray(tape or records),
     )
 

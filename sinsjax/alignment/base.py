@@ -8,7 +8,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from sinsjax.earth import Earth, Place
-from sinsjax.types import Navigation, Quat, Sample, Scalar
+from sinsjax.limits import Biases, Limit
+from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar
 
 
 class Site(NamedTuple):
@@ -67,6 +68,18 @@ class AttitudeCovariance(NamedTuple):
     uu: Scalar
 
 
+class Ending(NamedTuple):
+    """How a run ends.
+
+    Attributes:
+        n: number of its last sample.
+        backward: whether that belongs to a backward pass over the tape.
+    """
+
+    n: Scalar
+    backward: Flag
+
+
 class Method(NamedTuple):
     """An alignment method.
 
@@ -78,6 +91,8 @@ class Method(NamedTuple):
         attitude: state -> best attitude, i.e. with the estimated misalignment taken out.
         covariance: state -> `AttitudeCovariance` of that attitude.
         normalise: state -> state with its quaternion scaled to unit length.
+        limit: (params, place, biases, `Ending`) -> `Limit` that constant biases leave; the place is
+            that of a forward pass.
         fired: state -> `Fired`; None of a method without a trigger.
         common_covariance: whether the covariance depends on params and n alone, so that runs that
             differ in their draw can share it.
@@ -89,5 +104,6 @@ class Method(NamedTuple):
     attitude: Callable[[Any], Quat]
     covariance: Callable[[Any], AttitudeCovariance]
     normalise: Callable[[Any], Any]
+    limit: Callable[[Any, Place, Biases, Ending], Limit]
     fired: Callable[[Any], Fired] | None = None
     common_covariance: bool = False

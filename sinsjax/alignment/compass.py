@@ -13,8 +13,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from sinsjax import earth, mechanisation, rotations
-from sinsjax.alignment.base import AttitudeCovariance, Method, Options, Site
+from sinsjax.alignment.base import AttitudeCovariance, Ending, Method, Options, Site
 from sinsjax.alignment.schedules import Pieces, value_at
+from sinsjax.limits import Biases, Limit, unaided
 from sinsjax.loops import AzimuthGains, LevelGains, at_pace
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
 
@@ -126,7 +127,7 @@ def build(options: Options) -> Method:
             force_n=_follow(state.force_n, f_dt.y / dt, params.smoothing),
         )
 
-    return Method(init, step, _turn, _attitude, _covariance, _normalise)
+    return Method(init, step, _turn, _attitude, _covariance, _normalise, _limit)
 
 
 def _follow(low: LowPassed, value: Scalar, share: Scalar) -> LowPassed:
@@ -153,6 +154,21 @@ def _turn(params: Params, site: Site, state: State) -> State:
         force_e=LowPassed(*(left * stage for stage in state.force_e)),
         force_n=LowPassed(*(left * stage for stage in state.force_n)),
     )
+
+
+def _limit(params: Params, place: earth.Place, biases: Biases, ending: Ending) -> Limit:
+    """Biases taken for what the Earth does, and a lag: K(s) leaks.
+
+    A platform rate that cancels eps_U has to be kept up by a north velocity, whose transport rate
+    stands for a level rate that a heading error makes: (1 + K2) K4 eps_U / (R K3) of omega_N,
+    2 eps_U/sigma for the gains of [P2] eq. (23). It is of the other sign in a backward pass.
+    """
+    gains = at_pace(params.azimuth, value_at(params.pace, ending.n))
+    eps = biases.eps
+    lag = (1 + gains.k2) * gains.k4 * place.curvature_n * eps.z / gains.k3
+    felt = jnp.hypot(eps.x, place.rate_n + eps.y)
+    lag = jnp.arcsin(jnp.clip(lag * place.rate_n / felt, -1.0, 1.0))
+    return unaided(place, biases, jnp.where(ending.backward, lag, -lag))
 
 
 def _attitude(state: State) -> Quat:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from sinsjax import earth, kalman, mechanisation, rotations
 from sinsjax.algebra import add, change_signs, triangle_index
 from sinsjax.alignment import triggers
-from sinsjax.alignment.base import AttitudeCovariance, Method, Options, Site
+from sinsjax.alignment.base import AttitudeCovariance, Ending, Method, Options, Site
 from sinsjax.alignment.schedules import (
     Feedback,
     Renewal,
@@ -27,6 +27,7 @@ from sinsjax.alignment.schedules import (
 from sinsjax.alignment.scores import TRIGGERS
 from sinsjax.alignment.triggers import Noise, Seen, Trigger
 from sinsjax.error_model import PHI_E, PHI_N, PHI_U, VE, VN, ErrorModel
+from sinsjax.limits import Biases, Limit, unaided
 from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar, Vec3
 
 
@@ -150,6 +151,7 @@ def build(model: ErrorModel, options: Options) -> Method:
         _attitude,
         _covariance,
         _normalise,
+        _limit,
         fired=(lambda state: state.watch.fired) if trigger else None,
         common_covariance=at_rest
         and not integrated
@@ -185,6 +187,10 @@ def _close_loop(
         feedback_at=jnp.where(due, state.feedback_at + params.feedback.every, state.feedback_at),
         watch=watch,
     )
+
+
+def _limit(params: Params, place: earth.Place, biases: Biases, ending: Ending) -> Limit:
+    return unaided(place, biases)
 
 
 def _innovation_variance(predicted: kalman.Belief, r: Scalar) -> tuple[Scalar, Scalar, Scalar]:

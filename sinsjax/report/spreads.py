@@ -12,7 +12,6 @@ from sinsjax.plots import Belief, Spread
 from sinsjax.report.base import Picture, Source, name_of, shown_keys, swept
 
 _MOST_LINES = 7
-_SETTLED = "settle_10_s"
 _ERROR = ("phi_u_mean_arcmin", "floor_arcmin")
 _SHARES = {"phi_u²": "p_above_error_share", "(phi_u - floor)²": "p_above_floor_error_share"}
 
@@ -24,19 +23,29 @@ def spreads(source: Source) -> Iterator[Picture]:
     that share it.
     """
     keys, note = _lines(source)
-    needed = (*keys, _SETTLED, *_ERROR, "nees", *_SHARES.values())
+    needed = (
+        *keys,
+        *(yard.settle for yard in source.yardsticks),
+        *_ERROR,
+        "nees",
+        *_SHARES.values(),
+    )
     shown = {name_of(key): rows for key, rows in analysis.groups(source.rows(needed), keys)}
-    settling = {name: analysis.numbers(rows, _SETTLED) for name, rows in shown.items()}
     errors = {name: _from_limit(rows) for name, rows in shown.items()}
+    settling = [
+        Spread(
+            f"time (s) until the heading stays\n{yard.words}",
+            {name: analysis.numbers(rows, yard.settle) for name, rows in shown.items()},
+            "never",
+        )
+        for yard in source.yardsticks
+    ]
     yield Picture(
         "distribution",
-        "Share of runs that have settled by a time, and with a window mean of phi_u below a"
-        f" value.{note}",
+        f"Share of runs whose heading stays {' or '.join(yard.words for yard in source.yardsticks)} from a time on, and with a"
+        f" window mean of phi_u below a value.{note}",
         plots.distributions(
-            [
-                Spread("settling time to 10 arcmin (s)", settling, "never"),
-                Spread("phi_u from its limit (arcmin)", errors, "no number", far=60.0),
-            ],
+            [*settling, Spread("phi_u from its limit (arcmin)", errors, "no number", far=60.0)],
             "Settling time and remaining heading error over the runs",
         ),
     )

@@ -1,11 +1,14 @@
 """A tuning: what its searches found, judged on draws that tuned nothing, and how they did."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.report import tuned_figures
 from sinsjax.report.base import Report, Section, Source, Table, value_text
 from sinsjax.report.tuned_results import Tuning, words
+from sinsjax.success import yardsticks
+from sinsjax.tuning import objective
 from sinsjax.tuning.carry_out import EVALUATION, GRADIENT
 from sinsjax.types import InputError
 
@@ -25,7 +28,7 @@ def read(directory: Path) -> Source:
         )
     judged = Source.read(directory / EVALUATION)
     assert judged.draws  # of which none is missing, or that is told
-    return Source(directory, judged.study, judged.config, judged.summary)
+    return replace(judged, directory=directory, table=judged.summary)
 
 
 def report(source: Source) -> Report:
@@ -58,7 +61,8 @@ def _drawn(tuning: Tuning) -> str:
 def _headline(tuning: Tuning) -> list[str]:
     tune, best = tuning.tune, tuning.best
     unit = "start times" if tuning.study.is_recorded else "draws"
-    name, across = words(tune)[0], {"mean": "mean", "worst": "worst"}[tune.objective_across]
+    judged = yardsticks(tuning.study, tune.objective_band_arcmin)[0]
+    name, across = words(tuning.study)[0], {"mean": "mean", "worst": "worst"}[tune.objective_across]
     over = f", {across} over {tuning.runs.shape[1]} variants" if tuning.runs.shape[1] > 1 else ""
     lines = [
         f"Tuned on {_drawn(tuning)}, judged on {tuning.runs.shape[2]} others by the {name}{over}:"
@@ -67,6 +71,19 @@ def _headline(tuning: Tuning) -> list[str]:
         f" '{best}': {_said(tuning, tuning.score(best))} on the others, the baseline"
         f" {_said(tuning, tuning.score('baseline'))}.",
     ]
+    looks = [
+        look.objective
+        for found in tuning.found.values()
+        for look in found.looks
+        if look.sharpness is None
+    ]
+    if min(looks) >= objective.failing(tune, tuning.study):
+        lines.append(
+            "Every point fails: no run of any point looked at keeps its heading"
+            f" {judged.words}, so that the objective is the same everywhere and what is called the"
+            " best is any of them. Widen `objective_band_arcmin`, lengthen the runs"
+            + (", or judge from the limit (`judged_from`)." if judged.truth else ".")
+        )
     if GRADIENT in tuning.found and tuning.rival != GRADIENT:
         difference = tuning.difference(GRADIENT)
         share = tuning.found[GRADIENT].cost / tuning.found[tuning.rival].cost
@@ -90,7 +107,7 @@ def _percent(share: float) -> str:
 
 def _said(tuning: Tuning, estimate: Estimate) -> str:
     digits = {"final_error": 2, "failure_rate": 3}.get(tuning.tune.objective, 1)
-    return format_estimate(estimate, words(tuning.tune)[1], digits)
+    return format_estimate(estimate, words(tuning.study)[1], digits)
 
 
 def _candidates(tuning: Tuning) -> Table:
@@ -113,7 +130,7 @@ def _candidates(tuning: Tuning) -> Table:
         )
     header = [
         "candidate",
-        words(tuning.tune)[0],
+        words(tuning.study)[0],
         f"less that of '{rival}'",
         "cost (10^6 steps)",
         f"of that of '{rival}'",

@@ -36,7 +36,7 @@ def landscape(tuning: Tuning) -> list[Picture]:
         np.array([look.values for look in looks])[:, used],
         np.array([look.objective for look in looks]),
         (points,) * len(used) if name == "grid" else None,
-        axis(tuning.tune),
+        axis(tuning.study),
     )
     ways = _ways(tuning, number, used)
     spots = [*_baseline_spot(tuning, space, number), *_spots(tuning, number, used)]
@@ -128,5 +128,5 @@ def course(tuning: Tuning) -> Picture:
     told = "Best objective on the tuning draws against cost"
     if any(one.relaxed for one in searches):
         told += "; dashed: the best of all descents at each step, relaxed, on the draws of the step"
-    figure = best_by_cost(searches, axis(tuning.tune), tuning.study.study.name)
+    figure = best_by_cost(searches, axis(tuning.study), tuning.study.study.name)
     return Picture("history", f"{told}.", figure)

@@ -13,6 +13,7 @@ from sinsjax.config import load_study
 from sinsjax.ranges import Tune
 from sinsjax.report.base import Source
 from sinsjax.studies import Study
+from sinsjax.success import as_of_schema_1, yardsticks
 from sinsjax.tuning import history, objective, search
 from sinsjax.tuning.carry_out import STUDY, require_tune
 from sinsjax.tuning.history import Found
@@ -39,6 +40,8 @@ class Tuning:
     def of(cls, source: Source) -> "Tuning":
         """Reads what is told of."""
         study = load_study(source.directory / STUDY)
+        if source.schema == "1":
+            study = as_of_schema_1(study)
         found = history.read(source.directory, Space.of(study))
         return cls(
             study, source.study, source, {one.search.replace("_", " "): one for one in found}
@@ -58,7 +61,7 @@ class Tuning:
     @cached_property
     def runs(self) -> NDArray:
         """(cases, variants, draws) numbers that the objective is made of, on the unused draws."""
-        table = self.source.rows(objective.columns_of(self.tune))
+        table = self.source.rows(objective.columns_of(self.tune, self.study))
         return search.run_values(self.study, self.judged, table)
 
     @property
@@ -95,21 +98,23 @@ def _estimate(score: Callable[[NDArray], float], draws: int) -> Estimate:
     return Estimate(score(every), low, high, draws)
 
 
-def words(tune: Tune) -> tuple[str, str]:
-    """The objective in words, and its unit."""
-    band = f"{tune.objective_band_arcmin:g} arcmin"
+def words(study: Study) -> tuple[str, str]:
+    """The objective of a study with [tune] in words, and its unit."""
+    tune = require_tune(study)
+    judged = yardsticks(study, tune.objective_band_arcmin)[0]
+    about = "" if judged.truth else ", from what the gyro bias allows"
     return {
-        "settle_mean": (f"mean settling time to {band}", "s"),
+        "settle_mean": (f"mean time until the heading stays {judged.words}", "s"),
         "settle_quantile": (
-            f"{100 * tune.objective_quantile:g} % quantile of the settling time to {band}",
+            f"{100 * tune.objective_quantile:g} % quantile of the time until the heading stays {judged.words}",
             "s",
         ),
-        "final_error": ("root mean square heading error at the end", "arcmin"),
-        "failure_rate": (f"share that never settled to {band}", ""),
+        "final_error": (f"root mean square heading error at the end{about}", "arcmin"),
+        "failure_rate": (f"share that never stays {judged.words}", ""),
     }[tune.objective]
 
 
-def axis(tune: Tune) -> str:
+def axis(study: Study) -> str:
     """The objective as an axis label."""
-    name, unit = words(tune)
+    name, unit = words(study)
     return f"{name} ({unit})" if unit else name
