@@ -67,13 +67,13 @@ class Clustered(NamedTuple):
     Attributes:
         mean: of the values.
         error: its standard error, NaN for one cluster.
-        count: of the clusters.
+        n: number of clusters.
         size: values in all.
     """
 
     mean: float
     error: float
-    count: int
+    n: int
     size: int
 
     @classmethod
@@ -88,7 +88,7 @@ class Clustered(NamedTuple):
             ValueError: lengths differ.
         """
         centre = float(np.mean(data))
-        sums = data - centre
+        sums: NDArray = data - centre
         if cluster is not None:
             sums = np.bincount(np.unique(of_each(cluster, data.size), return_inverse=True)[1], sums)
         count = sums.size
@@ -97,10 +97,10 @@ class Clustered(NamedTuple):
 
     def factor(self, tail: float) -> float:
         """Student's t of the clusters that has a probability above it; NaN for one cluster."""
-        return float(special.stdtrit(self.count - 1, 1 - tail)) if self.count > 1 else math.nan
+        return float(special.stdtrit(self.n - 1, 1 - tail)) if self.n > 1 else math.nan
 
     def worth(self, share: float) -> float:
         """How many independent values tell a share as well; not more than there are."""
         if share in (0.0, 1.0):
-            return float(self.count)
+            return float(self.n)
         return share * (1 - share) / max(self.error**2, share * (1 - share) / self.size)

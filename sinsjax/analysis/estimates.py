@@ -116,9 +116,9 @@ def share(flags: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
     data = clean(flags)
     n, clustered = data.size, Clustered.of(data, cluster)
     value = float(np.mean(data))
-    if clustered.count == n:
+    if clustered.n == n:
         return proportion(round(value * n), n)
-    if clustered.count < 2:
+    if clustered.n < 2:
         return UNKNOWN._replace(value=value, n=n)
     return Estimate(value, *_wilson(value, clustered.worth(value), clustered.factor(TAIL)), n)
 
@@ -147,10 +147,10 @@ def quantile(values: ArrayLike, q: float = 0.5, cluster: ArrayLike | None = None
     n, at = data.size, place(data.size, q)
     value = float(np.partition(data, at)[at])
     clustered = Clustered.of((data <= value).astype(float), cluster)
-    if clustered.count < 2 <= n:
+    if clustered.n < 2 <= n:
         return UNKNOWN._replace(value=value, n=n)
     worth = n
-    if clustered.count < n:
+    if clustered.n < n:
         reached = float(np.mean(data <= value))
         worth = max(int(clustered.worth(reached) * (_NORMAL / clustered.factor(TAIL)) ** 2), 1)
     low, high = _bounds(worth, q)
@@ -231,7 +231,7 @@ def std(
     centred = data - np.mean(data)
     clustered = Clustered.of(centred**2, cluster)
     value = float(np.std(data, ddof=1))
-    if is_normal and clustered.count == n:
+    if is_normal and clustered.n == n:
         low, high = chi2_mean_band(n - 1, 1)
         return Estimate(value, value * ((n - 1) / high) ** 0.5, value * ((n - 1) / low) ** 0.5, n)
     return Estimate(value, *_root(value, clustered), n)
@@ -266,7 +266,7 @@ def _root(value: float, squares: Clustered) -> tuple[float, float]:
     less. The upper end reaches further by `_UPPER`: a sample seldom shows the tails of a heavy law.
     That number is the one that `benchmarks/coverage.py` asks for with Student's t of 5 degrees.
     """
-    n = squares.count
+    n = squares.n
     if value == 0.0:
         return value, value
     if n < _LEAST:

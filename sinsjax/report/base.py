@@ -199,6 +199,13 @@ def value_text(value: Any) -> str:
     return "-" if value is None else str(value)
 
 
+def intervals(source: Source, over: str = "draws", what: str = "Number") -> str:
+    """What the brackets of a table are, or why there are none, in words."""
+    if source.study.is_recorded and source.study.n_draws > 1:
+        return analysis.NO_INTERVAL
+    return f"{what} [95 % interval over the {over}]."
+
+
 def percent(share: Estimate) -> str:
     """A share with its interval as a number of percent."""
     low, value, high = (100 * x for x in (share.low, share.value, share.high))

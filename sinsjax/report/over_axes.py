@@ -12,6 +12,7 @@ from sinsjax.report.base import (
     Picture,
     Source,
     Table,
+    intervals,
     name_of,
     percent,
     shown_keys,
@@ -23,6 +24,7 @@ from sinsjax.studies import SECTION_OF
 _MOST_PANELS = 12
 _MOST_LINES = 7
 _SETTLED = "settle_10_s"
+_ERROR = ("phi_u_mean_arcmin", "floor_arcmin")
 _CHOSEN = ("filter", "resets")  # sections whose values a user chooses, so that one can be best
 
 Axes = Mapping[str, Sequence[float]]
@@ -58,22 +60,27 @@ class _Map(NamedTuple):
         point: the other keys' values.
         settle_s: (draws, rows, columns), infinite where a run never settled.
         ok: (draws, rows, columns) bool.
+        cluster: (draws,), see `analysis.clusters_of`.
     """
 
     name: str
     point: dict[str, Any]
     settle_s: NDArray
     ok: NDArray
+    cluster: NDArray
 
 
 def _maps(source: Source, axes: Axes, others: Sequence[str]) -> list[_Map]:
     shape = (source.draws, *map(len, axes.values()))
     maps = []
-    for point, rows in analysis.groups(source.rows([*others, _SETTLED, "status"]), others):
+    columns = (*others, _SETTLED, "status", "draw_id", "start_s")
+    for point, rows in analysis.groups(source.rows(columns), others):
         # In run order the draws are outermost; among the variants of a point, the first axis.
         settle = np.nan_to_num(analysis.numbers(rows, _SETTLED), nan=np.inf)
         ok = analysis.has_status(rows, "ok")
-        maps.append(_Map(name_of(point), point, settle.reshape(shape), ok.reshape(shape)))
+        cluster = np.asarray(analysis.clusters_of(rows)).reshape(shape)[:, 0, 0]
+        settle, ok = settle.reshape(shape), ok.reshape(shape)
+        maps.append(_Map(name_of(point), point, settle, ok, cluster))
     return maps
 
 
@@ -134,9 +141,11 @@ def _best(axes: Axes, maps: Sequence[_Map]) -> Table:
             [
                 *(value_text(value) for value in here.point.values()),
                 *(value_text(values[at]) for values, at in zip(axes.values(), best, strict=True)),
-                percent(analysis.proportion(int(here.ok[place].sum()), here.ok.shape[0])),
-                analysis.format_estimate(analysis.quantile(here.settle_s[place]), digits=0),
-                percent(analysis.proportion(int(here.ok[:, 0, 0].sum()), here.ok.shape[0])),
+                percent(analysis.share(here.ok[place], here.cluster)),
+                analysis.format_estimate(
+                    analysis.quantile(here.settle_s[place], cluster=here.cluster), digits=0
+                ),
+                percent(analysis.share(here.ok[:, 0, 0], here.cluster)),
             ]
         )
     first = ", ".join(f"{key} {value_text(values[0])}" for key, values in axes.items())
@@ -159,16 +168,23 @@ def _along_axis(
         "phi_u from its limit (arcmin)": {},
     }
     settling, time, error = panels.values()
-    columns = (*others, axis, "status", _SETTLED, "phi_u_mean_arcmin", "floor_arcmin")
+    columns = (*others, axis, "status", _SETTLED, *_ERROR, "draw_id", "start_s")
     groups = list(analysis.groups(source.rows(columns), others))
     for point, rows in groups[:_MOST_LINES]:
         name = name_of(point)
         by_value = [group for _, group in analysis.groups(rows, [axis])]
         settling[name] = [_success(group) for group in by_value]
-        time[name] = [analysis.quantile(analysis.numbers(group, _SETTLED)) for group in by_value]
+        time[name] = [
+            analysis.quantile(
+                analysis.numbers(group, _SETTLED), cluster=analysis.clusters_of(group)
+            )
+            for group in by_value
+        ]
         error[name] = [
             analysis.difference(
-                *(analysis.numbers(group, c) for c in ("phi_u_mean_arcmin", "floor_arcmin"))
+                analysis.numbers(group, _ERROR[0]),
+                analysis.numbers(group, _ERROR[1]),
+                analysis.clusters_of(group),
             )
             for group in by_value
         ]
@@ -176,10 +192,10 @@ def _along_axis(
     rest = f" {left} more lines are not drawn." if left else ""
     return Picture(
         "along_axis",
-        f"Estimates with 95 % intervals over the draws; settled: within 10 arcmin.{rest}",
+        f"{intervals(source, what='Estimate')} Settled: within 10 arcmin.{rest}",
         plots.along_axis(axis, values, panels, title=f"What {axis} decides"),
     )
 
 
 def _success(rows: Any) -> analysis.Estimate:
-    return analysis.proportion(int(analysis.has_status(rows, "ok").sum()), rows.num_rows)
+    return analysis.share(analysis.has_status(rows, "ok"), analysis.clusters_of(rows))

@@ -24,7 +24,7 @@ def spreads(source: Source) -> Iterator[Picture]:
     that share it.
     """
     keys, note = _lines(source)
-    needed = (*keys, _SETTLED, *_ERROR, "nees", *_SHARES.values())
+    needed = (*keys, _SETTLED, *_ERROR, "nees", *_SHARES.values(), "draw_id", "start_s")
     shown = {name_of(key): rows for key, rows in analysis.groups(source.rows(needed), keys)}
     settling = {name: analysis.numbers(rows, _SETTLED) for name, rows in shown.items()}
     errors = {name: _from_limit(rows) for name, rows in shown.items()}
@@ -40,8 +40,7 @@ def spreads(source: Source) -> Iterator[Picture]:
             "Settling time and remaining heading error over the runs",
         ),
     )
-    pooled = bool(note)
-    beliefs = [belief(name, rows, pooled=pooled) for name, rows in shown.items()]
+    beliefs = [belief(name, rows) for name, rows in shown.items()]
     if any(np.isfinite(one.nees).any() for one in beliefs):
         yield consistency(beliefs, note)
 
@@ -62,18 +61,17 @@ def _from_limit(rows: pa.Table) -> Any:
     return mean - floor
 
 
-def belief(name: str, rows: pa.Table, *, pooled: bool = False) -> Belief:
+def belief(name: str, rows: pa.Table) -> Belief:
     """NEES of some runs, and how often P_UU lies above the squared error.
 
     Args:
         name: of the line.
-        rows: of the summary, with ``nees`` and the shares of records.
-        pooled: whether runs share draws: then no interval is given.
+        rows: of the summary, with ``nees``, the shares of records and what tells clusters.
     """
     shares = {}
     for of, column in _SHARES.items():
-        found = analysis.mean(analysis.numbers(rows, column))
-        low, high = (np.nan, np.nan) if pooled else (max(found.low, 0.0), min(found.high, 1.0))
+        found = analysis.mean(analysis.numbers(rows, column), analysis.clusters_of(rows))
+        low, high = np.clip(found[1:3], 0.0, 1.0).tolist()
         shares[of] = Estimate(found.value, low, high, found.n)
     return Belief(name, analysis.numbers(rows, "nees"), shares)
 
