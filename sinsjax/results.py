@@ -254,7 +254,7 @@ def read_summary(
 
 
 _FLAGS = {"has_limit": "floor_arcmin", "ok_limit": "settle_10_s", "ok_truth": None}
-"""Flags that came with schema 2, and the column of schema 1 that says the same by having a value."""
+"""Flags that came with schema 2, and what column of schema 1 says the same by having a value."""
 
 
 def _later(there: pa.Schema) -> dict[str, str | None]:

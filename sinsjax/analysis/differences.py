@@ -9,10 +9,18 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sinsjax.analysis.estimates import Estimate, bootstrap, clean, mean, place, proportion
+from sinsjax.analysis.estimates import (
+    SEED,
+    Estimate,
+    bootstrap,
+    clean,
+    mean,
+    place,
+    proportion,
+)
 
 
-def difference(a: ArrayLike, b: ArrayLike) -> Estimate:
+def difference(a: ArrayLike, b: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
     """The mean of a - b over pairs on the same noise, with Student's t interval.
 
     A pair whose difference is not finite is left out; ``n`` says how many were used.
@@ -20,13 +28,39 @@ def difference(a: ArrayLike, b: ArrayLike) -> Estimate:
     Args:
         a: shape (n,), any unit.
         b: shape (n,), the same draws in the same order.
+        cluster: shape (n,), of each pair, as for :func:`sinsjax.analysis.mean`.
 
     Raises:
         ValueError: shapes differ, or no pairs.
     """
     first, second = _pair(a, b)
     with np.errstate(invalid="ignore"):  # infinite minus infinite, left out by mean
-        return mean(first - second)
+        return mean(first - second, cluster)
+
+
+def chance_apart(a: ArrayLike, b: ArrayLike, swaps: int = 16) -> float:
+    """How often `quantile_difference` shows a difference, one way, where there is none.
+
+    Measured on the pairs themselves: with a and b swapped in some of them, picked at random and the
+    same at every call, no difference is left but that of chance.
+
+    Args:
+        a: shape (n,), any unit.
+        b: shape (n,), the same draws in the same order.
+        swaps: how many picks.
+
+    Returns:
+        Share of picks whose interval lies to one side of 0, half of it: above and below are alike.
+
+    Raises:
+        ValueError: shapes differ, or no pairs.
+    """
+    first, second = _pair(a, b, missing=math.inf)
+    shown = 0
+    for swap in np.random.default_rng(SEED).random((swaps, first.size)) < 0.5:
+        apart = quantile_difference(np.where(swap, second, first), np.where(swap, first, second))
+        shown += apart.low > 0 or apart.high < 0
+    return shown / swaps / 2
 
 
 def quantile_difference(a: ArrayLike, b: ArrayLike, q: float = 0.5) -> Estimate:

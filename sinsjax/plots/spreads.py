@@ -30,8 +30,8 @@ def along_axis(
     Args:
         key: leaf key, unit in its name.
         values: of the key.
-        panels: quantity, with its unit, to lines; line label to one estimate a value; infinite ones are marked
-            at the upper edge as *never*.
+        panels: quantity, with its unit, to lines; line label to one estimate a value; infinite ones
+            are marked at the upper edge as *never*.
         title: of the figure.
     """
     figure = Figure(figsize=(9.2, 1.2 + 2.5 * len(panels)))

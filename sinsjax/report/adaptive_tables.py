@@ -15,19 +15,19 @@ from sinsjax.report.adaptive_scores import (
     Scores,
 )
 from sinsjax.report.base import Table, percent
-from sinsjax.report.reset_grid import BAND_ARCMIN, NONE, PAPER_SCHEDULE
+from sinsjax.report.reset_grid import BAND_ARCMIN, NONE, PAPER_SCHEDULE, draws_of, shared
 
 LESS = f"{100 * (WITHIN - 1):.0f} %"
 """How far beyond the oracle a policy may be."""
 
 _INTERVAL = (
     "Number [95 % interval]; of a number of cells: how many lie within with their whole interval,"
-    " and how many with a part of it."
+    " and how many with a part of it. Runs of one noise are not independent: intervals of shares"
+    " and pooled medians count draws."
 )
 _ALARM = (
     "*False alarm*: a healthy run that was reset and settles later than without, on the same noise,"
-    f" by more than {100 * LATER_SHARE:g} % or {LATER_S:g} s, of all healthy runs; Wilson's"
-    " interval, as if runs of one noise in several tunings were independent."
+    f" by more than {100 * LATER_SHARE:g} % or {LATER_S:g} s, of all healthy runs."
 )
 
 
@@ -72,9 +72,10 @@ def by_feedback(scores: Scores) -> Table:
         kinds = [scores.alarms(best, biased=b, feedback_s=feedback) for b in (False, True, None)]
         starts = [*cells.healthy(biased=False), *cells.healthy(biased=True)]
         at = np.ix_(cells.tuned(feedback), starts)
+        healthy = [cells.settle_s[:, :, i][at] for i in (none, best)]
         medians = [
-            format_estimate(analysis.quantile(cells.settle_s[:, :, i][at].ravel()), digits=0)
-            for i in (none, best)
+            format_estimate(analysis.quantile(s.ravel(), cluster=draws_of(s)), digits=0)
+            for s in healthy
         ]
         rows.append(
             [
@@ -163,8 +164,7 @@ def policies(scores: Scores) -> Table:
 
 
 def _oracle(scores: Scores) -> list[str]:
-    runs = np.concatenate([scores.oracle[at].settle_s for at in scores.at])
-    settled = analysis.proportion(int(np.isfinite(runs).sum()), runs.size)
+    settled = shared(np.isfinite([scores.oracle[at].settle_s for at in scores.at]))
     n = scores.cells.n_cells
     return ["oracle", "best single", f"{n} of {n}", "1", "-", percent(settled), "1", *["-"] * 5]
 

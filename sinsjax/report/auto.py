@@ -18,6 +18,7 @@ from sinsjax.report.base import (
     Source,
     Table,
     Text,
+    intervals,
     name_of,
     percent,
     shown_keys,
@@ -31,7 +32,15 @@ _MOST_LINES = 6
 _MOST_DRAWS = 256  # in a line's band
 _MOST_MOMENTS = 8
 
-_NEEDED = ("status", "phi_u_arcmin", "has_limit", "phi_u_mean_arcmin", "floor_arcmin")
+_NEEDED = (
+    "draw_id",
+    "start_s",
+    "status",
+    "phi_u_arcmin",
+    "has_limit",
+    "phi_u_mean_arcmin",
+    "floor_arcmin",
+)
 
 
 def report(source: Source) -> Report:
@@ -52,9 +61,7 @@ def report(source: Source) -> Report:
     return Report(headline, [*sections, Section("Tables", tables)])
 
 
-def statistics(
-    source: Source, keys: Sequence[str], title: str, *, note: str = "", pooled: bool = False
-) -> Table:
+def statistics(source: Source, keys: Sequence[str], title: str, *, note: str = "") -> Table:
     """The statistics of each group of runs as a table.
 
     Args:
@@ -62,7 +69,6 @@ def statistics(
         keys: what tells the groups apart.
         title: of the table.
         note: said below it.
-        pooled: whether a group mixes variants, whose runs share draws: no interval is given.
     """
     shown = _shown(source)
     columns = [*keys, *_NEEDED, *_judged(source)]
@@ -70,8 +76,6 @@ def statistics(
     rows = []
     for row in found[:MOST_ROWS]:
         numbers = [s.text(_estimate(row, s.name)) for s in shown]
-        if pooled:
-            numbers = [number.partition(" [")[0] for number in numbers]
         rows.append([*(value_text(row[key]) for key in keys), str(row["n"]), *numbers])
     if left := len(found) - len(rows):
         note = f"{note} {left} more rows are not shown.".lstrip()
@@ -117,7 +121,7 @@ def _judged(source: Source) -> list[str]:
 def against_first(source: Source) -> Table:
     """How each variant differs from the first one, draw by draw."""
     keys = shown_keys(source.study)
-    table = source.rows(["draw_id", *keys, *_NEEDED, *_judged(source)])
+    table = source.rows([*keys, *_NEEDED, *_judged(source)])
     first = {key: table[key][0].as_py() for key in keys}
     yards = source.yardsticks
     rows = []
@@ -140,7 +144,7 @@ def against_first(source: Source) -> Table:
         f"Against {name_of(first)}, {shared}",
         [*keys, *header],
         rows,
-        "Difference [95 % interval over the pairs of runs of a draw]; *never*: only the first"
+        f"{intervals(source, 'pairs of runs of a draw', 'Difference')} *never*: only the first"
         " settles, *-never*: only the other. phi_u error: how far its window mean lies from its"
         " limit.",
     )
@@ -185,14 +189,14 @@ def _tables(source: Source) -> list[Block]:
     start, end = study.study.window_s
     note = f"Window: {start:g} to {end:g} s; *never*: did not settle."
     keys = shown_keys(study)
+    note = f"{intervals(source)} {note}"
     if study.n_variants <= MOST_ROWS:
-        note = f"Number [95 % interval over the draws]. {note}"
         tables: list[Block] = [statistics(source, keys, "Every variant", note=note)]
         compared = study.n_variants > 1 and source.draws > 1
         return [*tables, against_first(source)] if compared else tables
     return [
         Text(f"{study.n_variants} variants: each table takes one key and pools the others."),
-        *(statistics(source, [key], f"By {key}", note=note, pooled=True) for key in keys),
+        *(statistics(source, [key], f"By {key}", note=note) for key in keys),
     ]
 
 

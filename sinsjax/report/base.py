@@ -224,13 +224,21 @@ def value_text(value: Any) -> str:
 
 def at_the_end(source: Source) -> Iterator[str]:
     """How many headings are right at the end, where there is a truth: of all runs of a study."""
-    rows = source.rows(["draw_id", "phi_u_arcmin", "status"])
+    rows = source.rows(["draw_id", "start_s", "phi_u_arcmin", "status"])
     if not analysis.has_truth(rows):
         return
     band = success_of(source.study).band_arcmin
     right = np.abs(analysis.numbers(rows, "phi_u_arcmin")) <= band
     about = "the reference" if source.study.is_recorded else "true north"
-    yield f"Within {band:g}' of {about} at the end: {100 * right.mean():.0f} % of the runs."
+    found = percent(analysis.share(right, analysis.clusters_of(rows)))
+    yield f"Within {band:g}' of {about} at the end: {found} % of the runs."
+
+
+def intervals(source: Source, over: str = "draws", what: str = "Number") -> str:
+    """What the brackets of a table are, or why there are none, in words."""
+    if source.study.is_recorded and source.study.n_draws > 1:
+        return analysis.NO_INTERVAL
+    return f"{what} [95 % interval over the {over}]."
 
 
 def percent(share: Estimate) -> str:

@@ -164,7 +164,10 @@ def _error_table(source: Source, schemes: Sequence[Scheme]) -> Table:
         for errors in _yaw_errors(scheme):
             size = np.abs(errors)
             cells += [f"{np.median(errors):+.4f}", f"{np.max(size):.4f}"]
-        settled = analysis.quantile(analysis.numbers(scheme.rows, "settle_10_s"))
+        settled = analysis.quantile(
+            analysis.numbers(scheme.rows, "settle_10_s"),
+            cluster=analysis.clusters_of(scheme.rows),
+        )
         ok = scheme.rows["status"].to_pylist().count("ok")
         cells += [f"{ok} of {scheme.rows.num_rows}", analysis.format_estimate(settled, digits=0)]
         rows.append([scheme.name, scheme.setting, *cells])
@@ -181,7 +184,7 @@ def _error_table(source: Source, schemes: Sequence[Scheme]) -> Table:
             "settling time, median (s)",
         ],
         rows,
-        _RELATIVE,
+        f"{_RELATIVE} {analysis.NO_INTERVAL}",
     )
 
 

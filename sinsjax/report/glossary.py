@@ -14,8 +14,8 @@ WORDS = {
     " outside",
     "ok": "the heading ends within the success band, about the truth or the limit as the study's"
     " `judged_from` says, has been there for `dwell_s`, and the level ends within its own band",
-    "NEES": "phi' P^-1 phi at the end, phi from the truth; 3 on average where the filter's belief is"
-    " true, larger where it believes too much or a bias it does not know is at work",
+    "NEES": "phi' P^-1 phi at the end, phi from the truth; 3 on average where the filter's belief"
+    " is true, larger where it believes too much or a bias it does not know is at work",
 }
 """What is said under every report."""
 

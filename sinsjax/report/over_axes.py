@@ -13,6 +13,7 @@ from sinsjax.report.base import (
     Picture,
     Source,
     Table,
+    intervals,
     name_of,
     percent,
     shown_keys,
@@ -24,6 +25,7 @@ from sinsjax.success import Yardstick
 
 _MOST_PANELS = 12
 _MOST_LINES = 7
+_ERROR = ("phi_u_mean_arcmin", "floor_arcmin")
 _CHOSEN = ("filter", "resets")  # sections whose values a user chooses, so that one can be best
 
 Axes = Mapping[str, Sequence[float]]
@@ -60,22 +62,27 @@ class _Map(NamedTuple):
         point: the other keys' values.
         settle_s: (draws, rows, columns), infinite where a run never settled.
         ok: (draws, rows, columns) bool.
+        cluster: (draws,), see `analysis.clusters_of`.
     """
 
     name: str
     point: dict[str, Any]
     settle_s: NDArray
     ok: NDArray
+    cluster: NDArray
 
 
 def _maps(source: Source, yard: Yardstick, axes: Axes, others: Sequence[str]) -> list[_Map]:
     shape = (source.draws, *map(len, axes.values()))
     maps = []
-    for point, rows in analysis.groups(source.rows([*others, yard.settle, yard.ok]), others):
+    columns = (*others, yard.settle, yard.ok, "draw_id", "start_s")
+    for point, rows in analysis.groups(source.rows(columns), others):
         # In run order the draws are outermost; among the variants of a point, the first axis.
         settle = np.nan_to_num(analysis.numbers(rows, yard.settle), nan=np.inf)
         ok = rows[yard.ok].fill_null(False).to_numpy()
-        maps.append(_Map(name_of(point), point, settle.reshape(shape), ok.reshape(shape)))
+        cluster = np.asarray(analysis.clusters_of(rows)).reshape(shape)[:, 0, 0]
+        settle, ok = settle.reshape(shape), ok.reshape(shape)
+        maps.append(_Map(name_of(point), point, settle, ok, cluster))
     return maps
 
 
@@ -140,9 +147,11 @@ def _best(yard: Yardstick, axes: Axes, maps: Sequence[_Map]) -> Table:
             [
                 *(value_text(value) for value in here.point.values()),
                 *(value_text(values[at]) for values, at in zip(axes.values(), best, strict=True)),
-                percent(analysis.proportion(int(here.ok[place].sum()), here.ok.shape[0])),
-                analysis.format_estimate(analysis.quantile(here.settle_s[place]), digits=0),
-                percent(analysis.proportion(int(here.ok[:, 0, 0].sum()), here.ok.shape[0])),
+                percent(analysis.share(here.ok[place], here.cluster)),
+                analysis.format_estimate(
+                    analysis.quantile(here.settle_s[place], cluster=here.cluster), digits=0
+                ),
+                percent(analysis.share(here.ok[:, 0, 0], here.cluster)),
             ]
         )
     first = ", ".join(f"{key} {value_text(values[0])}" for key, values in axes.items())
@@ -169,19 +178,19 @@ def _along_axis(
     time: list[Lines] = [{} for _ in yards]
     error: Lines = {}
     judged = (name for yard in yards for name in (yard.ok, yard.settle))
-    columns = (*others, axis, *judged, "phi_u_mean_arcmin", "floor_arcmin")
+    columns = (*others, axis, *judged, *_ERROR, "draw_id", "start_s")
     groups = list(analysis.groups(source.rows(columns), others))
     for point, rows in groups[:_MOST_LINES]:
         name = name_of(point)
         by_value = [group for _, group in analysis.groups(rows, [axis])]
         for yard, share, median in zip(yards, settling, time, strict=True):
             share[name] = [_success(group, yard) for group in by_value]
-            median[name] = [
-                analysis.quantile(analysis.numbers(group, yard.settle)) for group in by_value
-            ]
+            median[name] = [_median_of(group, yard) for group in by_value]
         error[name] = [
             analysis.difference(
-                *(analysis.numbers(group, c) for c in ("phi_u_mean_arcmin", "floor_arcmin"))
+                analysis.numbers(group, _ERROR[0]),
+                analysis.numbers(group, _ERROR[1]),
+                analysis.clusters_of(group),
             )
             for group in by_value
         ]
@@ -192,10 +201,15 @@ def _along_axis(
     rest = f" {left} more lines are not drawn." if left else ""
     return Picture(
         "along_axis",
-        f"Estimates with 95 % intervals over the draws.{rest}",
+        f"{intervals(source, what='Estimate')}{rest}",
         plots.along_axis(axis, values, panels, title=f"What {axis} decides"),
     )
 
 
 def _success(rows: pa.Table, yard: Yardstick) -> analysis.Estimate:
-    return analysis.proportion(rows[yard.ok].to_pylist().count(True), rows.num_rows)
+    return analysis.share(rows[yard.ok].fill_null(False).to_numpy(), analysis.clusters_of(rows))
+
+
+def _median_of(rows: pa.Table, yard: Yardstick) -> analysis.Estimate:
+    settle = analysis.numbers(rows, yard.settle)
+    return analysis.quantile(settle, cluster=analysis.clusters_of(rows))

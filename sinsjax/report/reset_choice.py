@@ -20,11 +20,9 @@ from sinsjax.report.reset_grid import (
     Grid,
     against,
     median,
-    percent_mean,
     point_name,
+    shared,
 )
-
-_CHANCE = (1 - analysis.CONFIDENCE) / 2  # of an interval that lies to one side of no difference
 
 
 def answer(grid: Grid) -> Answer:
@@ -51,10 +49,15 @@ def _headline(grid: Grid, found: Sequence[Contest]) -> str:
         f" settles sooner than the best single reset at {told.count('more')} of {len(found)} points"
         f" of misalignment and reading, of which at {only} most draws never settle with one;"
         f" the single one is sooner at {told.count('one')}, and no difference is shown at the rest."
-        f" By chance it would be {_CHANCE * len(found):.1f} each way. At the"
+        f" By chance it would be {_by_chance(found):.1f} each way. At the"
         f" paper's {point_name(grid, at)}, {grid.readings[at[0]].name}, it"
         f" {against(here.saved_s, 'the best single reset')}."
     )
+
+
+def _by_chance(found: Sequence[Contest]) -> float:
+    """At how many points an interval would lie to one given side of 0 if nothing differed."""
+    return sum(contest.by_chance for contest in found)
 
 
 def _method(grid: Grid) -> str:
@@ -132,8 +135,9 @@ def _counts(grid: Grid, found: Sequence[Contest]) -> Table:
         header,
         rows,
         "*Better*: the 95 % interval of the difference of the median settling times lies to one"
-        f" side of 0; by chance that would be so at {_CHANCE * grid.n_points:.1f} points of a row,"
-        " each way. *Only more settles*: half of the draws or more, where fewer settle with one;"
+        f" side of 0; by chance that would be so at {_by_chance(found) / len(grid.readings):.1f}"
+        " points of a row, each way, counted with the two swapped in draws picked at random."
+        " *Only more settles*: half of the draws or more, where fewer settle with one;"
         " counted as better too if the interval says so. *Least*: the finite difference most in"
         " favour of more resets, picked, so its interval is too hopeful; all differences are in the"
         " folded table, -never where only more settles.",
@@ -152,7 +156,7 @@ def _for_all(grid: Grid) -> Table:
             for pick in picks
             for cell in (
                 pick.name(grid),
-                percent_mean(_settled_share(grid, i, pick)),
+                percent(_settled_share(grid, i, pick)),
                 format_estimate(analysis.mean(pick.settle_s), digits=0),
             )
         ]
@@ -170,14 +174,14 @@ def _for_all(grid: Grid) -> Table:
         "Measured force. The schedule with the least mean settling time over all misalignments, a"
         f" run that never settles counted as {grid.study.run_s:g} s; chosen by one half of the"
         " draws and told by the other, both named where they differ. Intervals over the noise, the"
-        " misalignments being given: where no draw differs they have no width.",
+        " misalignments being given: where no draw differs, that of a mean has no width.",
     )
 
 
 def _settled_share(grid: Grid, reading: int, pick: Pick) -> Estimate:
-    """Share of the misalignments that settle, mean over the draws."""
-    settled = np.isfinite(grid.settle_s[reading]).mean(axis=(0, 1))
-    return analysis.mean(np.take_along_axis(settled, pick.places[None], axis=0)[0])
+    """Share of the misalignments that settle."""
+    settled = np.isfinite(grid.settle_s[reading])
+    return shared(np.take_along_axis(settled, pick.places[None, None, None], axis=2))
 
 
 def _points(grid: Grid, found: Sequence[Contest]) -> Table:

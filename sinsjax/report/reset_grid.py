@@ -207,6 +207,16 @@ def median(settle_s: NDArray) -> NDArray:
     return np.quantile(settle_s, 0.5, axis=-1, method="inverted_cdf")
 
 
+def draws_of(runs: NDArray) -> NDArray:
+    """The draw of each of some runs (..., draws) laid out in a row, which is what is counted."""
+    return np.broadcast_to(np.arange(runs.shape[-1]), runs.shape).ravel()
+
+
+def shared(runs: NDArray) -> Estimate:
+    """Share of runs (..., draws) that have a property; its interval is that of the draws."""
+    return analysis.share(runs.ravel(), draws_of(runs))
+
+
 def against(later_s: Estimate, other: str) -> str:
     """A difference of settling times in words, such as ``settles 12 s [3, 20] later than ...``."""
     if np.isinf(later_s.value):

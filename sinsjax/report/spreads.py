@@ -23,13 +23,8 @@ def spreads(source: Source) -> Iterator[Picture]:
     that share it.
     """
     keys, note = _lines(source)
-    needed = (
-        *keys,
-        *(yard.settle for yard in source.yardsticks),
-        *_ERROR,
-        "nees",
-        *_SHARES.values(),
-    )
+    judged = [yard.settle for yard in source.yardsticks]
+    needed = (*keys, *judged, *_ERROR, "nees", *_SHARES.values(), "draw_id", "start_s")
     shown = {name_of(key): rows for key, rows in analysis.groups(source.rows(needed), keys)}
     errors = {name: _from_limit(rows) for name, rows in shown.items()}
     settling = [
@@ -40,17 +35,17 @@ def spreads(source: Source) -> Iterator[Picture]:
         )
         for yard in source.yardsticks
     ]
+    either = " or ".join(yard.words for yard in source.yardsticks)
     yield Picture(
         "distribution",
-        f"Share of runs whose heading stays {' or '.join(yard.words for yard in source.yardsticks)} from a time on, and with a"
-        f" window mean of phi_u below a value.{note}",
+        f"Share of runs whose heading stays {either} from a time on, and with a window mean of"
+        f" phi_u below a value.{note}",
         plots.distributions(
             [*settling, Spread("phi_u from its limit (arcmin)", errors, "no number", far=60.0)],
             "Settling time and remaining heading error over the runs",
         ),
     )
-    pooled = bool(note)
-    beliefs = [belief(name, rows, pooled=pooled) for name, rows in shown.items()]
+    beliefs = [belief(name, rows) for name, rows in shown.items()]
     if any(np.isfinite(one.nees).any() for one in beliefs):
         yield consistency(beliefs, note)
 
@@ -71,18 +66,17 @@ def _from_limit(rows: pa.Table) -> Any:
     return mean - floor
 
 
-def belief(name: str, rows: pa.Table, *, pooled: bool = False) -> Belief:
+def belief(name: str, rows: pa.Table) -> Belief:
     """NEES of some runs, and how often P_UU lies above the squared error.
 
     Args:
         name: of the line.
-        rows: of the summary, with ``nees`` and the shares of records.
-        pooled: whether runs share draws: then no interval is given.
+        rows: of the summary, with ``nees``, the shares of records and what tells clusters.
     """
     shares = {}
     for of, column in _SHARES.items():
-        found = analysis.mean(analysis.numbers(rows, column))
-        low, high = (np.nan, np.nan) if pooled else (max(found.low, 0.0), min(found.high, 1.0))
+        found = analysis.mean(analysis.numbers(rows, column), analysis.clusters_of(rows))
+        low, high = np.clip(found[1:3], 0.0, 1.0).tolist()
         shares[of] = Estimate(found.value, low, high, found.n)
     return Belief(name, analysis.numbers(rows, "nees"), shares)
 

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.analysis import NO_INTERVAL, Estimate, format_estimate
 from sinsjax.report import tuned_figures
 from sinsjax.report.base import Report, Section, Source, Table, value_text
 from sinsjax.report.tuned_results import Tuning, words
@@ -136,8 +136,10 @@ def _candidates(tuning: Tuning) -> Table:
         f"of that of '{rival}'",
         *keys,
     ]
+    recorded = tuning.study.is_recorded
     note = (
-        "On draws that tuned nothing, the same for all, with 95 % intervals by bootstrap over them."
+        "On draws that tuned nothing, the same for all."
+        f" {NO_INTERVAL if recorded else 'Number [95 % interval by the bootstrap over them].'}"
         " Cost: plain-run steps of the search, tangents included."
     )
     return Table("Candidates on the unused draws", header, rows, note)

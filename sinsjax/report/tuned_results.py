@@ -1,5 +1,6 @@
 """A complete tuning as reports read it: what was found, and its objective on the unused draws."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -77,12 +78,12 @@ class Tuning:
     def score(self, name: str) -> Estimate:
         """The objective of a candidate on the unused draws."""
         runs = self.runs[self.places[name]]
-        return _estimate(lambda pick: objective.score(self.tune, runs[:, pick]), runs.shape[1])
+        return self._estimate(lambda pick: objective.score(self.tune, runs[:, pick]), runs.shape[1])
 
     def difference(self, name: str) -> Estimate:
         """The objective of a candidate less that of the rival, on the same draws."""
         own, other = (self.runs[self.places[one]] for one in (name, self.rival))
-        return _estimate(
+        return self._estimate(
             lambda pick: (
                 objective.score(self.tune, own[:, pick])
                 - objective.score(self.tune, other[:, pick])
@@ -90,12 +91,13 @@ class Tuning:
             own.shape[1],
         )
 
-
-def _estimate(score: Callable[[NDArray], float], draws: int) -> Estimate:
-    """A number of some draws, with a bootstrap interval over them."""
-    every = np.arange(draws)
-    low, high = bootstrap(lambda picks: np.array([score(pick) for pick in picks]), every)
-    return Estimate(score(every), low, high, draws)
+    def _estimate(self, score: Callable[[NDArray], float], draws: int) -> Estimate:
+        """A number of some draws, with a bootstrap interval over them; none on a record."""
+        every = np.arange(draws)
+        if self.study.is_recorded:
+            return Estimate(score(every), math.nan, math.nan, draws)
+        low, high = bootstrap(lambda picks: np.array([score(pick) for pick in picks]), every)
+        return Estimate(score(every), low, high, draws)
 
 
 def words(study: Study) -> tuple[str, str]:
@@ -106,7 +108,8 @@ def words(study: Study) -> tuple[str, str]:
     return {
         "settle_mean": (f"mean time until the heading stays {judged.words}", "s"),
         "settle_quantile": (
-            f"{100 * tune.objective_quantile:g} % quantile of the time until the heading stays {judged.words}",
+            f"{100 * tune.objective_quantile:g} % quantile of the time until the heading stays"
+            f" {judged.words}",
             "s",
         ),
         "final_error": (f"root mean square heading error at the end{about}", "arcmin"),

@@ -48,7 +48,8 @@ def values(tune: Tune, study: Study, table: pa.Table) -> NDArray:
 
     Returns:
         (variants, draws): the settling time, s, which is the run's length where it never settled;
-        the heading from its limit or from the truth at the end, arcmin; or 1 for a failure, 0 for a success.
+        the heading from its limit or from the truth at the end, arcmin; or 1 for a failure, 0 for a
+        success.
     """
     order = np.argsort(analysis.numbers(table, "run_id"))
     end = spans_s(study)[:, :1]
