@@ -19,6 +19,8 @@ import pyarrow as pa
 from sinsjax.analysis import (
     Estimate,
     difference,
+    format_difference,
+    format_estimate,
     mean,
     numbers,
     paired,
@@ -96,6 +98,7 @@ class Verdict(NamedTuple):
         number: what was found, with its 95 % interval.
         unit: of the number; empty for shares and ratios.
         measure: what the number is, and its threshold.
+        sides: whose settling times the number is the difference of; empty for all other numbers.
     """
 
     statement_id: str
@@ -106,6 +109,13 @@ class Verdict(NamedTuple):
     number: Estimate
     unit: str
     measure: str
+    sides: tuple[str, ...] = ()
+
+    def told(self, digits: int) -> str:
+        """The number with its interval and unit as text."""
+        if len(self.sides) == 2:
+            return format_difference(self.number, self.unit, digits, self.sides)
+        return format_estimate(self.number, self.unit, digits)
 
 
 class _Finding(NamedTuple):
@@ -114,6 +124,7 @@ class _Finding(NamedTuple):
     number: Estimate
     unit: str
     measure: str
+    sides: tuple[str, ...] = ()
 
 
 def judge(conditions: Mapping[str, pa.Table], meaning: Meaning) -> list[Verdict]:
@@ -147,7 +158,12 @@ def _findings(runs: Mapping[str, pa.Table], meaning: Meaning) -> Iterator[tuple[
     for statement_id, name in {"S2a": "1", "S2b": "2"}.items():
         yield statement_id, _in_a_short_time(runs[name], meaning)
     for statement_id, (name, other) in longer.items():
-        yield statement_id, _longer(runs[name], runs[other])
+        yield (
+            statement_id,
+            _longer(runs[name], runs[other])._replace(
+                sides=(f"condition {name}", f"condition {other}")
+            ),
+        )
     for statement_id, other in {"S7a": "2", "S7b": "1"}.items():
         yield statement_id, _larger_errors(runs["4"], runs[other])
     yield "S8", _cannot_converge(runs["5"], meaning)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sinsjax import analysis, plots, stopping
-from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.analysis import Estimate, format_difference, format_estimate
 from sinsjax.report.attitudes import MOST_ROWS, attitudes
 from sinsjax.report.base import (
     Block,
@@ -91,7 +91,9 @@ def against_first(source: Source) -> Table:
     for row in analysis.compare(table, keys, first).to_pylist():
         cells = (
             percent(_estimate(row, "success_rate_difference")),
-            format_estimate(_estimate(row, "settle_10_s_median_difference"), digits=0),
+            format_difference(
+                _estimate(row, "settle_10_s_median_difference"), digits=0, sides=("it", "the first")
+            ),
             format_estimate(_estimate(row, "phi_u_error_arcmin_difference"), digits=1),
         )
         rows.append([*(value_text(row[key]) for key in keys), *cells])
@@ -101,9 +103,8 @@ def against_first(source: Source) -> Table:
         f"Against {name_of(first)}, {shared}",
         [*keys, *header],
         rows,
-        "Difference [95 % interval over the pairs of runs of a draw]; *never*: only the first"
-        " settles, *-never*: only the other. phi_u error: how far its window mean lies from its"
-        " limit.",
+        "Difference [95 % interval over the pairs of runs of a draw]. phi_u error: how far its"
+        " window mean lies from its limit.",
     )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
-from sinsjax.analysis import Estimate, format_estimate, rms
+from sinsjax.analysis import Estimate, format_difference, format_estimate, rms
 from sinsjax.report.base import (
     Block,
     Picture,
@@ -174,7 +174,7 @@ def _times_table(
     wide, narrow = bands_of(source)
     rows = []
     for s, (linear_wide, linear_narrow) in zip(scored, linear, strict=True):
-        cells = [s.name]
+        cells, sides = [s.name], (_short(s), _short(scored[0]))
         for times, first, without_noise in (
             (s.wide_s, scored[0].wide_s, linear_wide),
             (s.narrow_s, scored[0].narrow_s, linear_narrow),
@@ -183,7 +183,7 @@ def _times_table(
             apart = analysis.quantile_difference(times, first)
             cells += [
                 format_estimate(analysis.quantile(data), digits=0),
-                "-" if s is scored[0] else format_estimate(apart, digits=0),
+                "-" if s is scored[0] else format_difference(apart, digits=0, sides=sides),
                 "never" if math.isinf(without_noise) else f"{without_noise:.0f}",
             ]
         rows.append(cells)

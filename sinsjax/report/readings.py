@@ -8,7 +8,6 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from sinsjax import analysis, plots
-from sinsjax.analysis import format_estimate
 from sinsjax.report.base import (
     Block,
     Picture,
@@ -153,7 +152,7 @@ def _best_table(best: Judged) -> Table:
             v.text,
             v.where,
             _word(v),
-            format_estimate(v.number, v.unit, 1 if v.unit == "s" else 3),
+            v.told(1 if v.unit == "s" else 3),
             v.measure,
         ]
         for v in best.verdicts
@@ -188,8 +187,7 @@ def _number_table(judged: Sequence[Judged]) -> Table:
     rows = []
     for j in judged:
         numbers = (
-            f"{_MARKS[v.holds, v.straddles]} "
-            + format_estimate(v.number, v.unit, 0 if v.unit == "s" else 2)
+            f"{_MARKS[v.holds, v.straddles]} {v.told(0 if v.unit == 's' else 2)}"
             for v in j.verdicts
         )
         rows.append([*_cells(j), *numbers])

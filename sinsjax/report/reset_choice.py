@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from sinsjax import analysis, plots
-from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.analysis import Estimate, format_difference, format_estimate
 from sinsjax.plots import Scale, Shown
 from sinsjax.report.base import Block, Picture, Table, Text, percent, value_text
 from sinsjax.report.reset_best import Contest, Pick, contests, held_out_for_all
@@ -113,7 +113,7 @@ def _counts(grid: Grid, found: Sequence[Contest]) -> Table:
                 *reading.cells,
                 *(str(told.count(word)) for word in ("more", "one", "", "neither")),
                 str(sum(c.only_more for c in here)),
-                format_estimate(gain.saved_s, digits=0) if gain else "-",
+                format_difference(gain.saved_s, digits=0) if gain else "-",
                 point_name(grid, gain.at) if gain else "-",
             ]
         )
@@ -136,7 +136,7 @@ def _counts(grid: Grid, found: Sequence[Contest]) -> Table:
         " each way. *Only more settles*: half of the draws or more, where fewer settle with one;"
         " counted as better too if the interval says so. *Least*: the finite difference most in"
         " favour of more resets, picked, so its interval is too hopeful; all differences are in the"
-        " folded table, -never where only more settles.",
+        " folded table.",
     )
 
 
@@ -201,7 +201,7 @@ def _points(grid: Grid, found: Sequence[Contest]) -> Table:
                 value_text(grid.yaws[yaw]),
                 format_estimate(analysis.quantile(none), digits=0),
                 *cells,
-                format_estimate(contest.saved_s, digits=0),
+                format_difference(contest.saved_s, digits=0, sides=("more", "one")),
                 contest.better or "-",
             ]
         )
