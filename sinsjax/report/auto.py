@@ -17,6 +17,7 @@ from sinsjax.report.base import (
     Source,
     Table,
     Text,
+    aim_of,
     name_of,
     percent,
     shown_keys,
@@ -121,7 +122,7 @@ def _headline(source: Source, has_truth: bool) -> str:
     if not has_truth:
         return f"{text} Without truth or reference, attitude and its 1 sigma is what is known."
     ok = int(analysis.has_status(source.rows(["status"]), "ok").sum())
-    return f"{text} The heading error ends within 10 arcmin of its limit in {ok:,} of them."
+    return f"{text} The heading ends within 10 arcmin of {aim_of(study)} in {ok:,} of them."
 
 
 def _stopped(source: Source) -> Iterator[str]:

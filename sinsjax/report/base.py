@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from sinsjax import analysis, plots, results
 from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.columns import ALWAYS_BAND_ARCMIN
 from sinsjax.config import load_study
 from sinsjax.studies import Study
 from sinsjax.types import InputError
@@ -161,6 +162,25 @@ class Report(NamedTuple):
 
 
 Layout = Callable[[Source], Report]
+
+
+def aim_of(study: Study) -> str:
+    """What a study's headings are judged against, after *within 10 arcmin of*."""
+    if study.is_recorded:
+        return "the reference's heading"
+    if getattr(study.study, "judged_from", "limit") == "truth":
+        return "true north"
+    return "what the run's own constant sensor biases allow (not of true north)"
+
+
+def yardstick(study: Study) -> str:
+    """What *settled* and *ok* mean in a study, in one sentence for pages and captions."""
+    band = getattr(study.study, "success_band_arcmin", None) or ALWAYS_BAND_ARCMIN
+    return (
+        f"Settled: the heading stays within {band:g} arcmin (or the band that is named) of"
+        f" {aim_of(study)} from then to the end of the run; ok: it ends within {band:g} arcmin of"
+        " it."
+    )
 
 
 def swept(study: Study) -> dict[tuple[str, ...], tuple[Any, ...]]:

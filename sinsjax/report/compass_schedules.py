@@ -19,6 +19,7 @@ from sinsjax.report.base import (
     percent,
     shown_keys,
     value_text,
+    yardstick,
 )
 from sinsjax.report.compass_runs import require_loops
 from sinsjax.report.linear import all_loops, heading_of, start_of
@@ -121,8 +122,9 @@ def _survival(source: Source, shown: Sequence[Scored]) -> Picture:
     }
     return Picture(
         "settling",
-        "Share of draws that are not yet within the band for good. Dashed: the share that an"
-        " estimator at the information bound of that tape leaves outside.",
+        "Share of draws that have not settled to the band yet. Dashed: the share that the noise of"
+        " that tape alone leaves outside, whatever the method (the bound of an unbiased estimate)."
+        f" {yardstick(source.study)}",
         plots.survival(
             panels,
             "Who has not settled yet?",

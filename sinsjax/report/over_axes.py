@@ -17,6 +17,7 @@ from sinsjax.report.base import (
     shown_keys,
     swept,
     value_text,
+    yardstick,
 )
 from sinsjax.studies import SECTION_OF
 
@@ -97,8 +98,8 @@ def _heat_maps(source: Source, axes: Axes, others: Sequence[str]) -> Iterator[Bl
     high = float(finite.max()) if finite.size else 1.0
     yield Picture(
         "settling_time",
-        f"Median settling time to 10 arcmin over {source.draws} draws; hatched where at"
-        f" least half of the runs never settle.{rest}",
+        f"Median time over {source.draws} draws until the heading has settled to 10 arcmin;"
+        f" hatched where at least half of the runs never do.{rest} {yardstick(source.study)}",
         plots.heat_maps(
             medians,
             "How long until the heading error stays within 10 arcmin?",
@@ -110,7 +111,8 @@ def _heat_maps(source: Source, axes: Axes, others: Sequence[str]) -> Iterator[Bl
     )
     yield Picture(
         "success_rate",
-        f"Share of the {source.draws} draws that end settled (status ok).{rest}",
+        f"Share of the {source.draws} draws that are ok at the end.{rest}"
+        f" {yardstick(source.study)}",
         plots.heat_maps(
             [(m.name, 100 * m.ok.mean(axis=0)) for m in drawn],
             "How many runs settle at all?",
@@ -176,7 +178,9 @@ def _along_axis(
     rest = f" {left} more lines are not drawn." if left else ""
     return Picture(
         "along_axis",
-        f"Estimates with 95 % intervals over the draws; settled: within 10 arcmin.{rest}",
+        "Share of the draws that are ok, their median settling time to 10 arcmin, and how far the"
+        " mean heading error at the end lies from what it is judged against; with 95 % intervals"
+        f" over the draws.{rest} {yardstick(source.study)}",
         plots.along_axis(axis, values, panels, title=f"What {axis} decides"),
     )
 

@@ -17,6 +17,7 @@ from sinsjax.report.base import (
     Table,
     percent,
     value_text,
+    yardstick,
 )
 from sinsjax.report.limits import limit_accuracy, limit_blocks, only
 from sinsjax.statements import CONDITIONS, RESET
@@ -42,7 +43,12 @@ def report_conditions(source: Source) -> Report:
         panels, "Yaw variance without resets: what the filter believes and what is true"
     )
     blocks: list[Block] = [
-        Picture("fig2", f"After the paper's Fig. 2. {_band(source)}; grey: the limit.", fig2),
+        Picture(
+            "fig2",
+            f"After the paper's Fig. 2. {_band(source)}; grey: the limit, what the constant"
+            " sensor biases leave of the error however long the filter runs.",
+            fig2,
+        ),
         _table(source, runs),
     ]
     covariance: list[Block] = [
@@ -185,8 +191,7 @@ def _table(source: Source, runs: Mapping[str, pa.Table]) -> Table:
             "sigma_u at the end (arcmin)",
         ],
         rows,
-        f"Number [95 % interval]. phi: mean over {start:g} to {end:g} s. *Settled*: phi_u stays"
-        " within 10 arcmin of its limit to the last record; *never*: it does not.",
+        f"Number [95 % interval]. phi: mean over {start:g} to {end:g} s. {yardstick(source.study)}",
     )
 
 

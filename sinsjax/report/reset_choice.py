@@ -7,7 +7,7 @@ import numpy as np
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_difference, format_estimate
 from sinsjax.plots import Scale, Shown
-from sinsjax.report.base import Block, Picture, Table, Text, percent, value_text
+from sinsjax.report.base import Block, Picture, Table, Text, percent, value_text, yardstick
 from sinsjax.report.reset_best import Contest, Pick, contests, held_out_for_all
 from sinsjax.report.reset_grid import (
     BAND_ARCMIN,
@@ -61,9 +61,9 @@ def _method(grid: Grid) -> str:
     ones, mores = len(grid.with_count(1, 1)), len(grid.with_count(2))
     return (
         f"At every misalignment and reading the best of {ones} schedules with one reset stands"
-        f" against the best of {mores} with more. The best is where most draws settle (phi_u within"
-        f" {BAND_ARCMIN} arcmin of its limit to the end), then where the median settling time is"
-        " least. A choice told by the draws that made it would flatter the longer list, so each"
+        f" against the best of {mores} with more. The best is where most draws settle to"
+        f" {BAND_ARCMIN} arcmin, then where the median settling time is least. A choice told by the"
+        " draws that made it would flatter the longer list, so each"
         f" half of the {grid.draws} draws chooses, and the other half tells; differences are paired"
         " on the same noise. A run that never settles counts as one that takes for ever."
     )
@@ -89,7 +89,8 @@ def _pictures(grid: Grid, found: Sequence[Contest]) -> Iterator[Picture]:
             f"Median settling time to {BAND_ARCMIN} arcmin over {grid.draws} draws, Q `{q}`:"
             " without reset, with the best single one, with the best of more, and without reset"
             " where A(t) has gravity instead of the measured force; a line for each feedback"
-            " interval. Hatched: at least half of the draws never settle.",
+            " interval. Hatched: at least half of the draws never settle."
+            f" {yardstick(grid.study)}",
             plots.heat_maps(
                 panels,
                 f"How long does the heading take? Resets and feedback interval, Q {q}",

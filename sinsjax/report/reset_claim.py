@@ -11,7 +11,7 @@ from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_difference, format_estimate
 from sinsjax.plots import COLOURS, Scale
 from sinsjax.plots.kinds import Kind, kind_maps
-from sinsjax.report.base import Block, Picture, Table, Text, percent, value_text
+from sinsjax.report.base import Block, Picture, Table, Text, percent, value_text, yardstick
 from sinsjax.report.reset_best import held_out
 from sinsjax.report.reset_grid import (
     LEVEL,
@@ -189,7 +189,7 @@ def _picture(grid: Grid, found: Sequence[Claim]) -> Picture:
         "claim",
         "What the paper's three resets do at each misalignment, by reading of Q and feedback"
         f" interval, {grid.draws} draws, measured force. All but the first kind fail without reset;"
-        " *one*: the best single reset.",
+        f" *one*: the best single reset. {yardstick(grid.study)}",
         kind_maps(
             panels,
             KINDS,

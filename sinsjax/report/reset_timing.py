@@ -9,7 +9,7 @@ import numpy as np
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.plots import Scale, Shown
-from sinsjax.report.base import Block, Picture, Table, percent, value_text
+from sinsjax.report.base import Block, Picture, Table, percent, value_text, yardstick
 from sinsjax.report.reset_grid import (
     BAND_ARCMIN,
     LEVEL,
@@ -130,7 +130,8 @@ def _picture(grid: Grid) -> Picture:
         "single_reset",
         f"Median settling time to {BAND_ARCMIN} arcmin over {grid.draws} draws against the time of"
         f" the only reset, Q `{PAPER_READING.q}`, measured force; a column for each yaw error, a"
-        " line for each feedback interval. Hatched: at least half of the draws never settle.",
+        " line for each feedback interval. Hatched: at least half of the draws never settle."
+        f" {yardstick(grid.study)}",
         plots.heat_maps(
             panels,
             f"When must a single reset come? By yaw and feedback interval, Q {PAPER_READING.q}",

@@ -9,7 +9,7 @@ import pyarrow as pa
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate
 from sinsjax.plots import Belief, Spread
-from sinsjax.report.base import Picture, Source, name_of, shown_keys, swept
+from sinsjax.report.base import Picture, Source, name_of, shown_keys, swept, yardstick
 
 _MOST_LINES = 7
 _SETTLED = "settle_10_s"
@@ -30,8 +30,9 @@ def spreads(source: Source) -> Iterator[Picture]:
     errors = {name: _from_limit(rows) for name, rows in shown.items()}
     yield Picture(
         "distribution",
-        "Share of runs that have settled by a time, and with a window mean of phi_u below a"
-        f" value.{note}",
+        "Left: share of the runs that have settled to 10 arcmin by a time. Right: share whose mean"
+        " heading error towards the end, from what it is judged against, lies below a value."
+        f"{note} {yardstick(source.study)}",
         plots.distributions(
             [
                 Spread("settling time to 10 arcmin (s)", settling, "never"),
