@@ -344,6 +344,7 @@ def test_question_2_tells_from_when_to_when():
     assert near.latest_s.value == pytest.approx(200, abs=3) and near.none.value == 0
     answer = reset_timing.answer(grid)
     assert "settles if it comes at 10, 100 s; soonest with one at 10 s, 1" in answer.headline
+    assert "(10 s is the earliest time tried: one still earlier may be better)" in answer.headline
     assert "enough at 24: at 10 s it is at 16, at 100 s at 24." in answer.headline
     by = tables(answer)["At how many points each time of a single reset is the soonest to settle"]
     assert by.header == ["", "10 s", "100 s", "none settles"]

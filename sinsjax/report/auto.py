@@ -45,7 +45,7 @@ def report(source: Source) -> Report:
     tables = _tables(source) if has_truth else []
     if source.study.is_recorded or not has_truth:
         tables = [attitudes(source), *tables]
-    figures = list(_curves(source, has_truth))
+    figures: list[Block] = list(_curves(source, has_truth))
     if has_truth:
         blocks = over_axes(source)
         tables += [block for block in blocks if isinstance(block, Table)]
