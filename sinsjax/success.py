@@ -108,20 +108,6 @@ def _yardstick(study: Study, band: float, truth: bool) -> Yardstick:
     )
 
 
-def told(study: Study) -> str:
-    """What ``ok`` means in a study, in a sentence."""
-    rule = success_of(study)
-    judged = yardsticks(study)[0].words
-    ends_s = np.array([s.records for s in study.distinct_spans]) * study.study.record_interval_s
-    dwell_s = rule.dwell(ends_s)
-    last = " to ".join(f"{s:g}" for s in sorted({dwell_s.min(), dwell_s.max()}))
-    how = f"is {judged} for its last {last} s" if dwell_s.max() else f"ends {judged}"
-    return (
-        f"A run is ok if its heading {how} and its level errors end within"
-        f" {rule.level_band_arcmin:g}'."
-    )
-
-
 def as_of_schema_1(study: Study) -> Study:
     """A study of results of the first schema, whose runs were judged from their limit alone."""
     settings = study.study.model_copy(update={"judged_from": "limit", "dwell_s": 0.0})

@@ -29,6 +29,30 @@ def test_format(estimate, unit, text):
     assert analysis.format_estimate(estimate, unit) == text
 
 
+@pytest.mark.parametrize(
+    ("estimate", "text"),
+    [
+        (Estimate(12.31, 11.88, 12.84, 5), "12.3 [11.9, 12.8] s"),
+        (Estimate(NEVER, NEVER, NEVER, 5), "a never settles"),
+        (Estimate(-NEVER, -NEVER, -NEVER, 5), "b never settles"),
+        (Estimate(-NEVER, -NEVER, 0.0, 5), "b never settles"),
+        (Estimate(-NEVER, -NEVER, -30.0, 5), "b never settles [b never settles, -30.0] s"),
+        (Estimate(12.31, -NEVER, 12.84, 5), "12.3 [b never settles, 12.8] s"),
+        (Estimate(math.nan, -NEVER, 0.0, 5), "neither settles"),
+        (Estimate(math.nan, 0.0, 0.0, 5), "neither settles"),
+        (Estimate(2.0, math.nan, math.nan, 1), "2.0 [unknown, unknown] s"),
+        (estimates.UNKNOWN, "unknown"),
+    ],
+)
+def test_a_difference_of_settling_times_in_words(estimate, text):
+    assert analysis.format_difference(estimate, "s", sides=("a", "b")) == text
+
+
+def test_a_difference_without_names_has_two_sides():
+    never = Estimate(-NEVER, -NEVER, -NEVER, 5)
+    assert analysis.format_difference(never) == "one side never settles"
+
+
 def test_format_digits():
     assert (
         analysis.format_estimate(Estimate(0.5, 0.25, 0.75, 9), digits=3) == "0.500 [0.250, 0.750]"
@@ -291,12 +315,19 @@ def test_quantile_difference_keeps_the_pairs():
     assert analysis.quantile_difference(noise + 5.0, noise)[:3] == pytest.approx((5.0, 5.0, 5.0))
 
 
-@pytest.mark.parametrize(
-    ("a", "b", "expected"), [(None, 9.0, NEVER), (9.0, None, -NEVER), (None, None, 0.0)]
-)
+@pytest.mark.parametrize(("a", "b", "expected"), [(None, 9.0, NEVER), (9.0, None, -NEVER)])
 def test_quantile_difference_of_never(a, b, expected):
     found = analysis.quantile_difference(np.full(20, a, float), np.full(20, b, float))
     assert found == Estimate(expected, expected, expected, 20)
+
+
+def test_infinite_minus_infinite_has_no_value():
+    half = np.where(np.arange(20) < 9, 9.0, math.nan)  # one more, and the median is finite
+    never = np.full(20, math.nan)
+    for a, low in ((never, 0.0), (half, -NEVER)):
+        found = analysis.quantile_difference(a, never)
+        assert math.isnan(found.value) and (found.low, found.high, found.n) == (low, 0.0, 20)
+        assert analysis.format_difference(found) == "neither settles"
 
 
 def test_one_pair_has_no_interval():

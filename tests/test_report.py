@@ -540,6 +540,12 @@ def test_car_test_tables(tmp_path):
     )
     assert row.split()[4:6] == [f"{np.median(here):+.4f}", f"{np.abs(here).max():.4f}"]
     assert "smoother on the same record" in text
+    printed = next(
+        line
+        for line in text.partition("The paper's Table 3")[2].splitlines()
+        if line.startswith(" scheme 3")
+    )
+    assert printed.split()[6:8] == ["85.0917", "0.1906"] and printed.split()[-1] == "-0.4986"
     worst = np.abs(yaw.reshape(3, 2, 2)[:, :, 0]).max() / 60
     assert f"scheme 1 {worst:.4f} deg" in text
     assert {path.name for path in (tmp_path / "figures").iterdir()} == {"yaw_error.png"}

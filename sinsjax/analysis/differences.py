@@ -67,8 +67,9 @@ def quantile_difference(a: ArrayLike, b: ArrayLike, q: float = 0.5) -> Estimate:
     """The quantile of a minus that of b, with a bootstrap interval over the pairs.
 
     NaN counts as infinite as in :func:`sinsjax.analysis.quantile`. Infinite minus finite is
-    infinite; infinite minus infinite is 0, since two that never settle show no difference. Pairs
-    are resampled whole, which keeps the noise that they share.
+    infinite. Infinite minus infinite has no value, which is NaN here; as an end of the interval
+    it is 0, since two that never settle show no difference. Pairs are resampled whole, which
+    keeps the noise that they share.
 
     Args:
         a: shape (n,), any unit.
@@ -87,7 +88,9 @@ def quantile_difference(a: ArrayLike, b: ArrayLike, q: float = 0.5) -> Estimate:
         return np.where(same, 0.0, left - np.where(same, 0.0, right))
 
     low, high = bootstrap(statistic, first, second)
-    return Estimate(float(statistic(first, second)), low, high, first.size)
+    neither = all(math.isinf(np.partition(x, at)[at]) for x in (first, second))
+    value = math.nan if neither else float(statistic(first, second))
+    return Estimate(value, low, high, first.size)
 
 
 def proportion_difference(a: ArrayLike, b: ArrayLike) -> Estimate:

@@ -74,6 +74,37 @@ def format_estimate(estimate: Estimate, unit: str = "", digits: int = 1) -> str:
     return f"{value} {interval}{unit}".rstrip()
 
 
+def format_difference(
+    estimate: Estimate,
+    unit: str = "",
+    digits: int = 1,
+    sides: tuple[str, str] = ("one side", "one side"),
+) -> str:
+    """A difference of two settling times as text: what never settles is told in words.
+
+    Such as ``12.3 [11.9, 12.8] s``, ``one side never settles`` or ``neither settles``.
+
+    Args:
+        estimate: of :func:`sinsjax.analysis.quantile_difference`; NaN of some pairs means that
+            neither settles.
+        unit: written after the interval if given.
+        digits: decimals.
+        sides: what was compared, the one that the other is taken from first.
+    """
+    value, low, high = map(float, estimate[:3])
+    if math.isnan(value):
+        return "neither settles" if estimate.n else "unknown"
+
+    def text(number: float) -> str:
+        if math.isinf(number):
+            return f"{sides[0] if number > 0 else sides[1]} never settles"
+        return "unknown" if math.isnan(number) else f"{number:.{digits}f}"
+
+    if math.isinf(value) and {low, high} <= {value, 0.0}:  # ends at 0 where neither settles
+        return text(value)
+    return f"{text(value)} [{text(low)}, {text(high)}] {unit}".rstrip()
+
+
 @lru_cache(maxsize=4096)
 def proportion(k: int, n: int) -> Estimate:
     """The share k/n with Wilson's score interval.

@@ -122,7 +122,8 @@ def compare(table: pa.Table, by: Sequence[str], baseline: Mapping[str, Any]) -> 
     Columns: the keys; ``n`` draws; then ``X``, ``X_low`` and ``X_high``, group minus baseline, for
     X in ``success_rate_difference``, and the same of ``success_limit_rate`` and
     ``success_truth_rate`` (paired shares, Newcombe's interval),
-    ``settle_B_s_median_difference`` for each band B (infinite: only one of both ever settles) and
+    ``settle_B_s_median_difference`` for each band B (infinite: only one of both ever settles; null
+    between two ends: neither does) and
     ``phi_u_error_arcmin_difference`` (by draw, how far the window mean of phi_u lies from its
     floor; mean with Student's t interval), whose ``X_n`` says how many draws it rests on. Null is
     unknown, as all are without truth or reference, and all ends where the runs are on a record.

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax import analysis
-from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.analysis import Estimate, format_difference, format_estimate
 from sinsjax.report.adaptive_scores import (
     FEW_ALARMS,
     LATER_S,
@@ -108,6 +108,7 @@ def by_feedback(scores: Scores) -> Table:
 def beyond(scores: Scores) -> Table:
     """The cells in which the best trigger is not within reach of the oracle, and by how much."""
     best = scores.choice.place
+    name = scores.cells.policies[best].name
     rows = []
     for number in np.argsort(-scores.ratios[:, best], kind="stable"):
         if scores.ratios[number, best] > WITHIN:
@@ -120,10 +121,9 @@ def beyond(scores: Scores) -> Table:
                     format_estimate(pick.median, digits=0),
                     format_estimate(analysis.quantile(runs), digits=0),
                     ratio_text(scores.ratio(at, best)),
-                    format_estimate(later, digits=0),
+                    format_difference(later, digits=0, sides=(name, "the oracle")),
                 ]
             )
-    name = scores.cells.policies[best].name
     header = [
         *_CELL,
         "oracle: median (s)",

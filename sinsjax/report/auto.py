@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sinsjax import analysis, plots, stopping
-from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.analysis import Estimate, format_difference, format_estimate
 from sinsjax.report.attitudes import MOST_ROWS, attitudes
 from sinsjax.report.base import (
     Block,
@@ -26,7 +26,7 @@ from sinsjax.report.base import (
 )
 from sinsjax.report.over_axes import over_axes
 from sinsjax.report.spreads import spreads
-from sinsjax.success import told, yardsticks
+from sinsjax.success import yardsticks
 
 _MOST_LINES = 6
 _MOST_DRAWS = 256  # in a line's band
@@ -50,7 +50,7 @@ def report(source: Source) -> Report:
     tables = _tables(source) if has_truth else []
     if source.study.is_recorded or not has_truth:
         tables = [attitudes(source), *tables]
-    figures = list(_curves(source, has_truth))
+    figures: list[Block] = list(_curves(source, has_truth))
     if has_truth:
         blocks = over_axes(source)
         tables += [block for block in blocks if isinstance(block, Table)]
@@ -130,7 +130,7 @@ def against_first(source: Source) -> Table:
         times = (_estimate(row, f"{yard.settle}_median_difference") for yard in yards)
         cells = (
             *shares,
-            *(format_estimate(time, digits=0) for time in times),
+            *(format_difference(t, digits=0, sides=("it", "the first")) for t in times),
             format_estimate(_estimate(row, "phi_u_error_arcmin_difference"), digits=1),
         )
         rows.append([*(value_text(row[key]) for key in keys), *cells])
@@ -144,9 +144,8 @@ def against_first(source: Source) -> Table:
         f"Against {name_of(first)}, {shared}",
         [*keys, *header],
         rows,
-        f"{intervals(source, 'pairs of runs of a draw', 'Difference')} *never*: only the first"
-        " settles, *-never*: only the other. phi_u error: how far its window mean lies from its"
-        " limit.",
+        f"{intervals(source, 'pairs of runs of a draw', 'Difference')} phi_u error: how far its"
+        " window mean lies from its limit.",
     )
 
 
@@ -166,7 +165,7 @@ def _headline(source: Source, has_truth: bool) -> str:
     counted = (
         f"{yard.words} in {flags[yard.ok].to_pylist().count(True):,}" for yard in source.yardsticks
     )
-    return f"{text} The heading ends {' and '.join(counted)} of them. {told(study)}"
+    return f"{text} The heading ends {' and '.join(counted)} of them."
 
 
 def _stopped(source: Source) -> Iterator[str]:

@@ -186,6 +186,29 @@ class Report(NamedTuple):
 Layout = Callable[[Source], Report]
 
 
+def aim_of(study: Study) -> str:
+    """What a study's headings are judged against, after *within 10 arcmin of*."""
+    if study.is_recorded:
+        return "the reference's heading"
+    if success_of(study).from_truth:
+        return "true north"
+    return "what the run's own constant sensor biases allow (not of true north)"
+
+
+def yardstick(study: Study) -> str:
+    """What *settled* and *ok* mean in a study, in one sentence for pages and captions."""
+    rule = success_of(study)
+    ends_s = np.array([s.records for s in study.distinct_spans]) * study.study.record_interval_s
+    dwell_s = rule.dwell(ends_s)
+    last = " to ".join(f"{s:g}" for s in sorted({dwell_s.min(), dwell_s.max()}))
+    how = f"has been there for {last} s at the end" if dwell_s.max() else "ends there"
+    return (
+        f"Settled: the heading stays within {rule.band_arcmin:g} arcmin (or the band that is"
+        f" named) of {aim_of(study)} from then to the end of the run; ok: it {how}, and the level"
+        f" errors end within {rule.level_band_arcmin:g} arcmin."
+    )
+
+
 def swept(study: Study) -> dict[tuple[str, ...], tuple[Any, ...]]:
     """What a study sweeps as a reader counts it: the values of each axis by the keys that tell it.
 

@@ -201,7 +201,9 @@ def _along_axis(
     rest = f" {left} more lines are not drawn." if left else ""
     return Picture(
         "along_axis",
-        f"{intervals(source, what='Estimate')}{rest}",
+        "How many headings end within the band, when they have entered it for good, and how far the"
+        f" mean heading error at the end lies from its limit. {intervals(source, what='Estimate')}"
+        f"{rest}",
         plots.along_axis(axis, values, panels, title=f"What {axis} decides"),
     )
 

@@ -5,9 +5,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from sinsjax import analysis, plots
-from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.analysis import Estimate, format_difference, format_estimate
 from sinsjax.plots import Scale, Shown
-from sinsjax.report.base import Block, Picture, Table, Text, percent, value_text
+from sinsjax.report.base import Block, Picture, Table, Text, percent, value_text, yardstick
 from sinsjax.report.reset_best import Contest, Pick, contests, held_out_for_all
 from sinsjax.report.reset_grid import (
     BAND_ARCMIN,
@@ -64,9 +64,9 @@ def _method(grid: Grid) -> str:
     ones, mores = len(grid.with_count(1, 1)), len(grid.with_count(2))
     return (
         f"At every misalignment and reading the best of {ones} schedules with one reset stands"
-        f" against the best of {mores} with more. The best is where most draws settle (phi_u within"
-        f" {BAND_ARCMIN} arcmin of its limit to the end), then where the median settling time is"
-        " least. A choice told by the draws that made it would flatter the longer list, so each"
+        f" against the best of {mores} with more. The best is where most draws settle to"
+        f" {BAND_ARCMIN} arcmin, then where the median settling time is least. A choice told by the"
+        " draws that made it would flatter the longer list, so each"
         f" half of the {grid.draws} draws chooses, and the other half tells; differences are paired"
         " on the same noise. A run that never settles counts as one that takes for ever."
     )
@@ -92,7 +92,8 @@ def _pictures(grid: Grid, found: Sequence[Contest]) -> Iterator[Picture]:
             f"Median settling time to {BAND_ARCMIN} arcmin over {grid.draws} draws, Q `{q}`:"
             " without reset, with the best single one, with the best of more, and without reset"
             " where A(t) has gravity instead of the measured force; a line for each feedback"
-            " interval. Hatched: at least half of the draws never settle.",
+            " interval. Hatched: at least half of the draws never settle."
+            f" {yardstick(grid.study)}",
             plots.heat_maps(
                 panels,
                 f"How long does the heading take? Resets and feedback interval, Q {q}",
@@ -116,7 +117,7 @@ def _counts(grid: Grid, found: Sequence[Contest]) -> Table:
                 *reading.cells,
                 *(str(told.count(word)) for word in ("more", "one", "", "neither")),
                 str(sum(c.only_more for c in here)),
-                format_estimate(gain.saved_s, digits=0) if gain else "-",
+                format_difference(gain.saved_s, digits=0) if gain else "-",
                 point_name(grid, gain.at) if gain else "-",
             ]
         )
@@ -140,7 +141,7 @@ def _counts(grid: Grid, found: Sequence[Contest]) -> Table:
         " *Only more settles*: half of the draws or more, where fewer settle with one;"
         " counted as better too if the interval says so. *Least*: the finite difference most in"
         " favour of more resets, picked, so its interval is too hopeful; all differences are in the"
-        " folded table, -never where only more settles.",
+        " folded table.",
     )
 
 
@@ -205,7 +206,7 @@ def _points(grid: Grid, found: Sequence[Contest]) -> Table:
                 value_text(grid.yaws[yaw]),
                 format_estimate(analysis.quantile(none), digits=0),
                 *cells,
-                format_estimate(contest.saved_s, digits=0),
+                format_difference(contest.saved_s, digits=0, sides=("more", "one")),
                 contest.better or "-",
             ]
         )

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
 from sinsjax.plots import Scale, Shown
-from sinsjax.report.base import Block, Picture, Table, percent
+from sinsjax.report.base import Block, Picture, Table, percent, yardstick
 from sinsjax.report.reset_grid import (
     FORCES,
     LEVEL,
@@ -113,7 +113,7 @@ def _picture(grid: Grid, failed: NDArray) -> Picture:
         "failure",
         f"Share of {grid.draws} draws that never settle without reset, Q `{PAPER_READING.q}`: above"
         " with the measured specific force in A(t), below with gravity; a column for each feedback"
-        " interval.",
+        f" interval. {yardstick(grid.study)}",
         plots.heat_maps(
             panels,
             f"Which fail without reset? By feedback interval, Q {PAPER_READING.q}",

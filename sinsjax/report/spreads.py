@@ -9,14 +9,15 @@ import pyarrow as pa
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate
 from sinsjax.plots import Belief, Spread
-from sinsjax.report.base import Picture, Source, name_of, shown_keys, swept
+from sinsjax.report.base import Picture, Source, Text, name_of, shown_keys, swept
+from sinsjax.units import ARCMIN, MICRO
 
 _MOST_LINES = 7
 _ERROR = ("phi_u_mean_arcmin", "floor_arcmin")
 _SHARES = {"phi_u²": "p_above_error_share", "(phi_u - floor)²": "p_above_floor_error_share"}
 
 
-def spreads(source: Source) -> Iterator[Picture]:
+def spreads(source: Source) -> Iterator[Picture | Text]:
     """Settling times and errors, and consistency where the method has a covariance.
 
     A line a variant; of many variants a line a value of the first key that has few, with all runs
@@ -38,8 +39,8 @@ def spreads(source: Source) -> Iterator[Picture]:
     either = " or ".join(yard.words for yard in source.yardsticks)
     yield Picture(
         "distribution",
-        f"Share of runs whose heading stays {either} from a time on, and with a window mean of"
-        f" phi_u below a value.{note}",
+        f"Share of runs whose heading stays {either} from a time on, and share whose mean heading"
+        f" error towards the end, from its limit, lies below a value.{note}",
         plots.distributions(
             [*settling, Spread("phi_u from its limit (arcmin)", errors, "no number", far=60.0)],
             "Settling time and remaining heading error over the runs",
@@ -48,6 +49,32 @@ def spreads(source: Source) -> Iterator[Picture]:
     beliefs = [belief(name, rows) for name, rows in shown.items()]
     if any(np.isfinite(one.nees).any() for one in beliefs):
         yield consistency(beliefs, note)
+        yield from _biases_unknown(source)
+
+
+def _biases_unknown(source: Source) -> Iterator[Text]:
+    """Why a filter without bias states has no NEES of 3 where the sensors have constant biases."""
+    study = source.study
+    if study.is_recorded or set(study.values("method")) != {"kalman5"}:
+        return
+    gyro, accel = (
+        max(float(np.max(np.abs(value or 0.0))) for value in study.values(key))
+        for key in ("gyro_bias_deg_per_h", "accel_bias_ug")
+    )
+    if not gyro and not accel:
+        return
+    rows = source.rows(["sigma_e_arcmin", "sigma_n_arcmin"])
+    east, north = (
+        analysis.quantile(analysis.numbers(rows, f"sigma_{a}_arcmin")).value for a in "en"
+    )
+    yield Text(
+        f"A NEES of {analysis.NEES_FREEDOM} is not to be expected here: it counts the whole error,"
+        f" and the sensors have constant biases (gyros up to {gyro:g} deg/h, accelerometers up to"
+        f" {accel:g} ug) for which this filter has no states, so that what they leave of the error"
+        f" is never in P. The accelerometers' alone is a tilt of up to"
+        f" {accel * MICRO / ARCMIN:.2f} arcmin, where the filter believes in 1 sigma of"
+        f" {east:.2f} arcmin about east and {north:.2f} about north (medians over the runs)."
+    )
 
 
 def _lines(source: Source) -> tuple[Sequence[str], str]:
@@ -85,8 +112,10 @@ def consistency(beliefs: Sequence[Belief], note: str = "") -> Picture:
     """The figure of what the filter believes of its error."""
     return Picture(
         "consistency",
-        "Left: NEES of phi at the end; a filter whose belief is true follows the dashed line, to"
-        " its right it believes too much. Right: mean share of records in which P_UU exceeds the"
-        f" squared error; dashed: 68 %, that of a normal error of that size.{note}",
+        "Left: NEES, the squared attitude error at the end in units of the filter's own covariance"
+        " P, against the share of runs up to it; a filter whose belief is true follows the dashed"
+        " line, to its right it believes too much. Right: mean share of records in which the"
+        " filter's heading variance P_UU exceeds the squared error, in total and from its limit"
+        f" (floor); dashed: 68 %, that of a normal error of that size.{note}",
         plots.beliefs(beliefs, "Does the filter know its own error?"),
     )

@@ -125,7 +125,7 @@ def course(tuning: Tuning) -> Picture:
         cost = np.array([max(look.cost for look in looks) for looks in own])
         best = np.array([min(look.objective for look in looks) for looks in own])
         searches.append(Progress(name, cost, best, True, (found.cost, found.best.objective)))
-    told = "Best objective on the tuning draws against cost"
+    told = "Best objective on the tuning draws against cost (steps of simulation)"
     if any(one.relaxed for one in searches):
         told += "; dashed: the best of all descents at each step, relaxed, on the draws of the step"
     figure = best_by_cost(searches, axis(tuning.study), tuning.study.study.name)

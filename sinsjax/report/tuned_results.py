@@ -18,7 +18,10 @@ from sinsjax.success import as_of_schema_1, yardsticks
 from sinsjax.tuning import history, objective, search
 from sinsjax.tuning.carry_out import STUDY, require_tune
 from sinsjax.tuning.history import Found
-from sinsjax.variables import Space
+from sinsjax.variables import Space, Variable
+
+_AT_BOUND = 5e-3
+"""A value within this share of its range is on the bound: descents stop short of it."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,18 @@ class Tuning:
         """(cases, variants, draws) numbers that the objective is made of, on the unused draws."""
         table = self.source.rows(objective.columns_of(self.tune, self.study))
         return search.run_values(self.study, self.judged, table)
+
+    @property
+    def on_bounds(self) -> dict[str, list[tuple[Variable, float]]]:
+        """By search, what its best point has at an end of its range, and the value there."""
+        space = Space.of(self.study)
+        found = {}
+        for name, search_ in self.found.items():
+            best = search_.best
+            used = space.used(space.combinations[best.candidate])
+            here = [(space.variables[i], float(best.values[i])) for i in used]
+            found[name] = [(v, x) for v, x in here if not _AT_BOUND < v.place(x) < 1 - _AT_BOUND]
+        return found
 
     @property
     def rival(self) -> str:
