@@ -80,6 +80,7 @@ OBSERVED = (
     *_phi("phi", "misalignment left in the corrected attitude"),
     *_phi("sigma", "the filter's own 1 sigma of that misalignment"),
     *_euler("corrected"),
+    Column("heading_deg", _F, "deg", "corrected heading, clockwise from north, 0 to 360: -yaw"),
 )
 """Columns of one observation: the last one in the summary, all of them in the curves."""
 

@@ -135,7 +135,10 @@ class Tables:
         values = {f"phi_{a}_arcmin": self._known(v / ARCMIN) for a, v in _axes(seen.phi)}
         values |= {f"sigma_{a}_arcmin": _nullable(v / ARCMIN) for a, v in _axes(seen.sigma)}
         angles = {"pitch": seen.pitch, "roll": seen.roll, "yaw": seen.yaw}
-        return values | {f"{name}_deg": _nullable(v / DEG) for name, v in angles.items()}
+        values |= {f"{name}_deg": _nullable(v / DEG) for name, v in angles.items()}
+        # Twice, as what is left of the smallest negative angle is rounded up to the whole turn.
+        heading = np.mod(np.mod(-np.asarray(seen.yaw) / DEG, 360.0), 360.0)
+        return values | {"heading_deg": _nullable(heading)}
 
     def _fired(self, fired: Fired | None, runs: int) -> dict[str, pa.Array]:
         """What the trigger did; nothing, of runs without one."""
