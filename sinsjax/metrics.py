@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from sinsjax.algebra import dot, solve3
-from sinsjax.alignment.base import AttitudeCovariance, Fired
+from sinsjax.alignment.base import AttitudeCovariance, Fired, Innovations
 from sinsjax.alignment.schedules import mix
 from sinsjax.rotations import misalignment, to_euler
 from sinsjax.types import Array, Flag, Quat, Scalar, Vec3
@@ -96,6 +96,7 @@ class Outcome(NamedTuple):
         nis_u: (phi_u - floor)^2 / P_UU.
         floor: rad, the floor phi_u was compared with.
         fired: what the method's trigger did, None without one.
+        innovations: of the method's filter, None where they are not summed up.
     """
 
     last: Observation
@@ -107,6 +108,7 @@ class Outcome(NamedTuple):
     nis_u: Scalar
     floor: Scalar
     fired: Fired | None = None
+    innovations: Innovations | None = None
 
 
 def observe(q_true: Quat, q_hat: Quat, covariance: AttitudeCovariance) -> Observation:

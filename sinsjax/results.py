@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 
 from sinsjax import columns, designs
-from sinsjax.alignment.base import Fired
+from sinsjax.alignment.base import Fired, Innovations
 from sinsjax.batch import Chunk
 from sinsjax.columns import Column
 from sinsjax.metrics import Observation
@@ -63,6 +63,7 @@ class Tables:
             *(columns.settle_data_column(b) for b in self._bands if study.passes),
             *columns.JUDGED,
             *(columns.FIRED if study.has_trigger else ()),
+            *(columns.INNOVATIONS if study.is_recorded else ()),
         )
         self.curve_columns = columns.curves(passes=study.passes is not None)
         kinds = {c.name: c.dtype for c in self.summary_columns}
@@ -116,6 +117,8 @@ class Tables:
         values["status"] = self._status(chunk, self._end_s[variant])
         if self._study.has_trigger:
             values |= self._fired(out.fired, len(variant))
+        if self._study.is_recorded:
+            values |= _innovations(out.innovations, len(variant))
         return _table(self.summary_columns, values)
 
     def curves(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
@@ -169,6 +172,12 @@ class Tables:
         diverged = np.abs(last.phi.z - out.floor) > _DIVERGED
         kinds = np.select([broken, settled, diverged], [3, 0, 2], default=1)
         return pa.array(np.asarray(columns.STATUSES)[kinds])
+
+
+def _innovations(summed: Innovations | None, runs: int) -> dict[str, pa.Array]:
+    """Mean and degrees of freedom of normalised innovations; null of runs without a filter."""
+    total, count = np.full((2, runs), np.nan) if summed is None else map(np.asarray, summed)
+    return {"innovation_nis": _nullable(total / count), "innovation_freedom": _nullable(2 * count)}
 
 
 def _swept(values: list[Any], dtype: pa.DataType) -> pa.Array:

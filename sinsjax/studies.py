@@ -83,7 +83,7 @@ Q_DENSITIES = {
     "q_accel_ug": {"q_accel_ug_per_sqrt_hz": 1.0},
     "q_gyro_deg_per_h": {"q_gyro_deg_per_h_per_sqrt_hz": 1.0, "q_gyro_arw_deg_per_sqrt_h": 60.0},
 }
-"""Under ``q_reading = "psd"``, the keys that give Q's by their true units: factors to the others."""
+"""Under ``q_reading = "psd"``, the keys that give Q by its true units: factors to the old keys."""
 
 EXCLUSIVE = (
     *NOISES,

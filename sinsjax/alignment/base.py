@@ -34,12 +34,14 @@ class Options(NamedTuple):
             (the constant (0, 0, g), with the velocity zero: A(t) of a base that is at rest).
         position: "fixed" or "integrated".
         trigger: name in `scores.TRIGGERS`, or "none".
+        innovations: whether a filter sums up its normalised innovations.
     """
 
     dt: float
     specific_force: str = "measured"
     position: str = "fixed"
     trigger: str = "none"
+    innovations: bool = False
 
 
 class Fired(NamedTuple):
@@ -54,6 +56,13 @@ class Fired(NamedTuple):
     count: Scalar
     first: Scalar
     last: Scalar
+
+
+class Innovations(NamedTuple):
+    """Sum of the normalised innovations squared r' S^-1 r of a run, and how many they are."""
+
+    sum: Scalar
+    count: Scalar
 
 
 class AttitudeCovariance(NamedTuple):
@@ -79,6 +88,7 @@ class Method(NamedTuple):
         covariance: state -> `AttitudeCovariance` of that attitude.
         normalise: state -> state with its quaternion scaled to unit length.
         fired: state -> `Fired`; None of a method without a trigger.
+        innovations: state -> `Innovations`; None of a method that sums up none.
         common_covariance: whether the covariance depends on params and n alone, so that runs that
             differ in their draw can share it.
     """
@@ -90,4 +100,5 @@ class Method(NamedTuple):
     covariance: Callable[[Any], AttitudeCovariance]
     normalise: Callable[[Any], Any]
     fired: Callable[[Any], Fired] | None = None
+    innovations: Callable[[Any], Innovations] | None = None
     common_covariance: bool = False
