@@ -60,6 +60,17 @@ FIRED = (
 )
 """Columns of what a trigger did, of a study that has one."""
 
+INNOVATIONS = (
+    Column(
+        "innovation_nis",
+        _F,
+        "",
+        "mean r' S^-1 r of the filter's velocity innovations r; null of compass",
+    ),
+    Column("innovation_freedom", _F, "", "degrees of freedom of their sum: 2 an update"),
+)
+"""Columns of a filter's innovations, of a recorded study: 2 is expected of a true belief."""
+
 RUN_ID = Column("run_id", _I, "", "draw_id * variants + variant_id")
 
 IDENTITY = (
@@ -81,6 +92,7 @@ OBSERVED = (
     *_phi("phi", "misalignment left in the corrected attitude"),
     *_phi("sigma", "the filter's own 1 sigma of that misalignment"),
     *_euler("corrected"),
+    Column("heading_deg", _F, "deg", "corrected heading, clockwise from north, 0 to 360: -yaw"),
 )
 """Columns of one observation: the last one in the summary, all of them in the curves."""
 

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from sinsjax.algebra import dot, solve3
-from sinsjax.alignment.base import AttitudeCovariance, Fired
+from sinsjax.alignment.base import AttitudeCovariance, Fired, Innovations
 from sinsjax.alignment.schedules import mix
 from sinsjax.limits import Limit
 from sinsjax.rotations import misalignment, to_euler
@@ -98,6 +98,7 @@ class Outcome(NamedTuple):
         nis_u: (phi_u - limit)^2 / P_UU.
         limit: what the run's own sensor biases leave of phi, from which the heading was judged.
         fired: what the method's trigger did, None without one.
+        innovations: of the method's filter, None where they are not summed up.
     """
 
     last: Observation
@@ -109,6 +110,7 @@ class Outcome(NamedTuple):
     nis_u: Scalar
     limit: Limit
     fired: Fired | None = None
+    innovations: Innovations | None = None
 
 
 def observe(q_true: Quat, q_hat: Quat, covariance: AttitudeCovariance) -> Observation:

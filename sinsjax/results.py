@@ -17,7 +17,7 @@ import pyarrow.compute as pc
 import pyarrow.dataset as ds
 
 from sinsjax import columns, designs
-from sinsjax.alignment.base import Fired
+from sinsjax.alignment.base import Fired, Innovations
 from sinsjax.batch import Chunk
 from sinsjax.columns import Column
 from sinsjax.metrics import Observation
@@ -66,6 +66,7 @@ class Tables:
             *self._settle_columns(),
             *columns.JUDGED,
             *(columns.FIRED if study.has_trigger else ()),
+            *(columns.INNOVATIONS if study.is_recorded else ()),
         )
         self.curve_columns = columns.curves(passes=study.passes is not None)
         kinds = {c.name: c.dtype for c in self.summary_columns}
@@ -128,6 +129,8 @@ class Tables:
         values["status"] = verdict.status
         if self._study.has_trigger:
             values |= self._fired(out.fired, len(variant))
+        if self._study.is_recorded:
+            values |= _innovations(out.innovations, len(variant))
         return _table(self.summary_columns, values)
 
     def curves(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
@@ -147,7 +150,10 @@ class Tables:
         values = {f"phi_{a}_arcmin": self._known(v / ARCMIN) for a, v in _axes(seen.phi)}
         values |= {f"sigma_{a}_arcmin": _nullable(v / ARCMIN) for a, v in _axes(seen.sigma)}
         angles = {"pitch": seen.pitch, "roll": seen.roll, "yaw": seen.yaw}
-        return values | {f"{name}_deg": _nullable(v / DEG) for name, v in angles.items()}
+        values |= {f"{name}_deg": _nullable(v / DEG) for name, v in angles.items()}
+        # Twice, as what is left of the smallest negative angle is rounded up to the whole turn.
+        heading = np.mod(np.mod(-np.asarray(seen.yaw) / DEG, 360.0), 360.0)
+        return values | {"heading_deg": _nullable(heading)}
 
     def _fired(self, fired: Fired | None, runs: int) -> dict[str, pa.Array]:
         """What the trigger did; nothing, of runs without one."""
@@ -196,6 +202,12 @@ class Tables:
 
 def has_limit(study, draw, variant, last_s):  # TEMP
     return np.ones(len(variant), bool)
+
+
+def _innovations(summed: Innovations | None, runs: int) -> dict[str, pa.Array]:
+    """Mean and degrees of freedom of normalised innovations; null of runs without a filter."""
+    total, count = np.full((2, runs), np.nan) if summed is None else map(np.asarray, summed)
+    return {"innovation_nis": _nullable(total / count), "innovation_freedom": _nullable(2 * count)}
 
 
 def _swept(values: list[Any], dtype: pa.DataType) -> pa.Array:

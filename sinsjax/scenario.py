@@ -191,6 +191,7 @@ def _program(study: Study, variants: Variants, curves: bool) -> Static:
             specific_force=variants.common("specific_force") or "measured",
             position=variants.common("position"),
             trigger=(study.resets and variants.common("reset_trigger")) or "none",
+            innovations=study.is_recorded,  # a simulation has the truth to be judged by
         ),
         study.record_every,
         _span(study, variants).records,

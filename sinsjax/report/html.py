@@ -10,7 +10,7 @@ from typing import Any
 from sinsjax import runtime
 from sinsjax.files import replacing
 from sinsjax.report.base import Block, Picture, Table, Text
-from sinsjax.report.output import Made, yardsticks
+from sinsjax.report.output import Made, meanings
 
 _STYLE = """
 :root { color-scheme: light dark; --line: #8888; --soft: #8881; }
@@ -56,7 +56,7 @@ def _page(title: str, made: Sequence[Made], notes: Sequence[str]) -> Iterator[st
     yield '<meta name="viewport" content="width=device-width, initial-scale=1">'
     yield f"<style>\n{_STYLE}\n</style>\n</head>\n<body>\n<main>"
     yield f"<h1>{_inline(title)}</h1>"
-    yield from (f"<p>{_inline(line)}</p>" for line in yardsticks(made))
+    yield from (f"<p>{_inline(line)}</p>" for line in meanings(made))
     if lines := [line for _, report, _ in made for line in report.headline]:
         items = "\n".join(f"<li>{_inline(line)}</li>" for line in lines)
         yield f"<ul>\n{items}\n</ul>"

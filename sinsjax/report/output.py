@@ -106,7 +106,7 @@ def write_page(page: Path, title: str, made: Sequence[Made], notes: Sequence[str
         f"<!-- Written by: sinsjax report --page {page.name} ({configs}; sinsjax {version});"
         " do not edit -->",
         f"# {title}",
-        *yardsticks(made),
+        *meanings(made),
         "\n".join(f"- {line}" for _, report, _ in made for line in report.headline),
         *notes,
     ]
@@ -121,7 +121,7 @@ def write_page(page: Path, title: str, made: Sequence[Made], notes: Sequence[str
         file.write(("\n\n".join(lines) + "\n").encode())
 
 
-def yardsticks(made: Sequence[Made]) -> list[str]:
+def meanings(made: Sequence[Made]) -> list[str]:
     """What *settled* and *ok* mean on a page, each meaning once."""
     return list(dict.fromkeys(yardstick(one.source.study) for one in made))
 
