@@ -42,7 +42,7 @@ def summary_of(study, *, truth=True, **given):
     draw, variant = np.repeat(np.arange(d), v), np.tile(np.arange(v), d)
     noise = np.random.default_rng(5).normal(size=v * d)
     swept = study.variant_values()
-    extra = [columns.axis_column(k, values) for k, values in swept.items()]
+    extra = [columns.axis_column(k, values, "") for k, values in swept.items()]
     known = {c.name for c in columns.IDENTITY}
     layout = [
         *columns.IDENTITY,
