@@ -255,6 +255,20 @@ def test_report_needs_parquet_alone(sinsjax: Command, tmp_path: Path) -> None:
     assert list((out / "figures").glob("*.png"))
 
 
+@pytest.mark.parametrize("folder", ["", "mine/"])
+def test_a_page_names_the_file_that_was_given(
+    sinsjax: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / folder).mkdir(exist_ok=True)
+    config = write_study(tmp_path / folder, **TWO).relative_to(tmp_path)
+    assert sinsjax("sweep", config, "-o", "out")[0] == 0
+    assert sinsjax("report", "out", "--page", "page.md", "--html", "page.html")[0] == 0
+    named = f"{folder}study.toml; sinsjax "
+    assert f"page.md ({named}" in Path("page.md").read_text()
+    assert f"<footer>{named}" in Path("page.html").read_text()
+
+
 def test_align_gives_attitude_and_its_sigma_without_a_reference(
     sinsjax: Command, tmp_path: Path, record: scenario.Record
 ) -> None:

@@ -23,7 +23,7 @@ class Source:
     Attributes:
         directory: where they are.
         study: the resolved study.
-        config: file name of the study, as a page names it.
+        config: what a page names as the study's file.
         table: the summary by run_id, where it need not be read.
     """
 
@@ -41,8 +41,8 @@ class Source:
         """
         results.count_runs(directory)
         study = load_study(directory / "study.toml")
-        name = results.read_manifest(directory).get("config") or f"{study.study.name}.toml"
-        return cls(directory, study, name)
+        given = results.read_manifest(directory).get("config")
+        return cls(directory, study, given or f"study.toml of {study.study.name}")
 
     @cached_property
     def runs(self) -> int:
