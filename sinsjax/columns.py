@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
+from sinsjax.units import split_unit
+
 SCHEMA_VERSION = "2"
 """Raised whenever a column changes its meaning or goes."""
 
@@ -155,8 +157,8 @@ def bands(study_bands: Iterable[float], success_band: float | None = None) -> tu
     return tuple(dict.fromkeys((*study_bands, decisive)))
 
 
-def axis_column(key: str, values: Iterable[Any]) -> Column:
-    """The column of a swept key, typed by its values."""
+def axis_column(key: str, values: Iterable[Any], meaning: str) -> Column:
+    """The column of a swept key, typed by its values; its unit is in its name."""
     kinds = {type(value) for value in values if value is not None}
     if kinds == {bool}:
         dtype = pa.bool_()
@@ -164,12 +166,13 @@ def axis_column(key: str, values: Iterable[Any]) -> Column:
         dtype = _I if kinds == {int} else _F
     else:
         dtype = pa.list_(_F) if kinds & {tuple, list} else _S
-    return Column(key, dtype, "", "swept by the study")
+    return Column(key, dtype, split_unit(key)[1], f"swept by the study: {meaning}")
 
 
-def drawn_column(key: str, dimensions: int) -> Column:
+def drawn_column(key: str, dimensions: int, meaning: str) -> Column:
     """The column of a key that has a value a draw: a number, or a list of them."""
-    return Column(key, _F if dimensions == 1 else pa.list_(_F), "", "drawn by the study")
+    dtype = _F if dimensions == 1 else pa.list_(_F)
+    return Column(key, dtype, split_unit(key)[1], f"drawn by the study: {meaning}")
 
 
 def schema(columns: Iterable[Column]) -> pa.Schema:

@@ -21,7 +21,7 @@ from sinsjax.alignment.base import Fired, Innovations
 from sinsjax.batch import Chunk
 from sinsjax.columns import Column
 from sinsjax.metrics import Observation
-from sinsjax.studies import Study
+from sinsjax.studies import Study, meaning
 from sinsjax.success import bands
 from sinsjax.types import InputError
 from sinsjax.units import ARCMIN, DEG
@@ -57,8 +57,14 @@ class Tables:
         }
         shapes = designs.values(study, 1)
         known = {c.name: c for c in columns.IDENTITY}
-        extra = [columns.axis_column(k, v) for k, v in swept.items() if k not in known]
-        extra += [columns.drawn_column(k, v.ndim) for k, v in shapes.items() if k not in known]
+        extra = [
+            *(columns.axis_column(k, v, meaning(k)) for k, v in swept.items() if k not in known),
+            *(
+                columns.drawn_column(k, v.ndim, meaning(k))
+                for k, v in shapes.items()
+                if k not in known
+            ),
+        ]
         self.summary_columns: tuple[Column, ...] = (
             *columns.IDENTITY,
             *extra,

@@ -113,6 +113,13 @@ Table = dict[str, Any]
 Dimension = dict[str, tuple[Any, ...]]
 
 
+def meaning(key: str) -> str:
+    """What a key says, in the words of its section; ``case`` is the label of a case."""
+    if key not in SECTION_OF:
+        return "label of the case"
+    return SECTIONS[SECTION_OF[key]].model_fields[key].description or ""
+
+
 def rivals(key: str) -> set[str]:
     """The keys that say in another way what a key says."""
     return {other for pair in EXCLUSIVE if key in pair for other in pair} - {key}

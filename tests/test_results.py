@@ -15,8 +15,9 @@ from sinsjax.batch import Chunk
 from sinsjax.config import study_from_dict
 from sinsjax.limits import Limit
 from sinsjax.metrics import Observation, Outcome
+from sinsjax.studies import SECTIONS, SWEEPABLE, meaning
 from sinsjax.types import InputError, Vec3
-from sinsjax.units import ARCMIN, DEG
+from sinsjax.units import ARCMIN, DEG, split_unit
 
 CONTRACT = """
 run_id draw_id variant_id method reset_count reset_cycle_s reset_times_s start_s
@@ -85,7 +86,7 @@ def test_the_contract_columns_are_there_with_every_axis() -> None:
 
 @pytest.mark.parametrize("values", [[1, 2], [1.5, 2], ["a", "b"], [(), (1.0, 2.0)]])
 def test_axis_columns_take_the_type_of_their_values(values: list) -> None:
-    column = columns.axis_column("key", values)
+    column = columns.axis_column("key", values, "")
     array = pa.array([list(v) if isinstance(v, tuple) else v for v in values], column.dtype)
     assert array.null_count == 0
 
@@ -94,6 +95,64 @@ def test_a_vector_key_may_be_swept_by_numbers_and_lists() -> None:
     study = small_study(axes={"gyro_bias_deg_per_h": [0.1, [0.1, 0.0, 0.0]]})
     table = results.Tables(study).summary(chunk([0.0] * 2, [[0.0] * 3] * 2), np.arange(2))
     assert table["gyro_bias_deg_per_h"].to_pylist() == [[0.1], [0.1, 0.0, 0.0]]
+
+
+SAID = {
+    "case": ("", "swept by the study: label of the case"),
+    "gyro_bias_deg_per_h": ("deg/h", "drawn by the study: gyro bias, deg/h"),
+    "gyro_scale_ppm": ("ppm", "drawn by the study: gyro scale factor error, ppm"),
+    "gyro_misalignment_arcsec": (
+        "arcsec",
+        "drawn by the study: gyro cross-axis angles xy, xz, yx, yz, zx, zy, arcsec",
+    ),
+    "accel_bias_ug": ("ug", "drawn by the study: accelerometer bias, ug"),
+    "latitude_deg": (
+        "deg",
+        "drawn by the study: latitude, deg; a recorded study may take it from the record",
+    ),
+    "ve0_m_per_s": ("m/s", "drawn by the study: initial east velocity, m/s"),
+    "accel_vrw_ug_per_sqrt_hz": (
+        "ug/sqrt(Hz)",
+        "swept by the study: accelerometer velocity random walk, ug/sqrt(Hz)",
+    ),
+    "feedback_interval_s": (
+        "s",
+        "swept by the study: time between feedbacks, s; default 1",
+    ),
+    "gravity_m_per_s2": (
+        "m/s^2",
+        "swept by the study: gravity, m/s^2; constants only, default 9.8",
+    ),
+    "radius_m": ("m", "swept by the study: radius, m; constants only, default 6378137"),
+    "q_reading": ("", "swept by the study: Q of a step: as is, times dt, times dt^2"),
+}
+"""Unit and meaning of columns of keys."""
+
+
+def test_columns_of_keys_have_their_unit_and_meaning() -> None:
+    normal = ("gyro_bias_deg_per_h", "gyro_scale_ppm", "gyro_misalignment_arcsec", "accel_bias_ug")
+    drawn = {key: {"normal": [0, 1]} for key in (*normal, "ve0_m_per_s")}
+    sweep = {
+        "drawn": drawn | {"latitude_deg": {"uniform": [30, 60]}},
+        "cases": [{"case": k, "feedback_interval_s": t} for k, t in (("a", 1.0), ("b", 2.0))],
+        "axes": {
+            "accel_vrw_ug_per_sqrt_hz": [1.0, 2.0],
+            "gravity_m_per_s2": [9.8, 9.81],
+            "radius_m": [6e6, 7e6],
+            "q_reading": ["psd", "per_step"],
+        },
+    }
+    study = study_from_dict(BASE | {"sensors": {}, "earth": {}} | sweep)
+    told = columns.schema(results.Tables(study).summary_columns)
+    for key, (unit, text) in SAID.items():
+        assert told.field(key).metadata == {b"unit": unit.encode(), b"meaning": text.encode()}
+
+
+@pytest.mark.parametrize("key", [k for name in SWEEPABLE for k in SECTIONS[name].model_fields])
+def test_a_description_names_the_unit_of_its_key(key: str) -> None:
+    """Every key that may be a column has a meaning, and a unit in its name stands in it."""
+    _, unit = split_unit(key)
+    assert unit in meaning(key) != ""
 
 
 def test_settling_status_and_floor() -> None:

@@ -25,7 +25,7 @@ class Source:
     Attributes:
         directory: where they are.
         study: the resolved study.
-        config: file name of the study, as a page names it.
+        config: what a page names as the study's file.
         table: the summary by run_id, where it need not be read.
         schema: version of the results' columns.
     """
@@ -49,7 +49,7 @@ class Source:
         schema = str(manifest.get("schema"))
         if schema == "1":
             study = as_of_schema_1(study)
-        name = manifest.get("config") or f"{study.study.name}.toml"
+        name = manifest.get("config") or f"study.toml of {study.study.name}"
         return cls(directory, study, name, schema=schema)
 
     @cached_property

@@ -7,10 +7,9 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from sinsjax import runtime
 from sinsjax.files import replacing
 from sinsjax.report.base import Block, Picture, Table, Text
-from sinsjax.report.output import Made, meanings
+from sinsjax.report.output import Made, meanings, origin
 
 _STYLE = """
 :root { color-scheme: light dark; --line: #8888; --soft: #8881; }
@@ -66,9 +65,7 @@ def _page(title: str, made: Sequence[Made], notes: Sequence[str]) -> Iterator[st
             yield f"<section>\n<h2>{_inline(section.heading)}</h2>"
             yield from (_block(block, one) for block in section.blocks)
             yield "</section>"
-    studies = ", ".join(dict.fromkeys(f"configs/{one.source.config}" for one in made))
-    version = runtime.package_version()
-    yield f"</main>\n<footer>{escape(studies)}; sinsjax {escape(version)}</footer>"
+    yield f"</main>\n<footer>{escape(origin(made))}</footer>"
     yield "</body>\n</html>\n"
 
 

@@ -88,6 +88,12 @@ def save_figures(images: Mapping[str, bytes], directory: Path) -> None:
             file.write(content)
 
 
+def origin(made: Sequence[Made]) -> str:
+    """What a page was made from and with: the files of its studies, each once, and the version."""
+    configs = ", ".join(dict.fromkeys(source.config for source, _, _ in made))
+    return f"{configs}; sinsjax {runtime.package_version()}"
+
+
 def write_page(page: Path, title: str, made: Sequence[Made], notes: Sequence[str] = ()) -> None:
     """Writes a documentation page, and its figures beside it.
 
@@ -100,11 +106,8 @@ def write_page(page: Path, title: str, made: Sequence[Made], notes: Sequence[str
     Raises:
         InputError: the page cannot be written.
     """
-    configs = ", ".join(dict.fromkeys(f"configs/{source.config}" for source, _, _ in made))
-    version = runtime.package_version()
     lines = [
-        f"<!-- Written by: sinsjax report --page {page.name} ({configs}; sinsjax {version});"
-        " do not edit -->",
+        f"<!-- Written by: sinsjax report --page {page.name} ({origin(made)}); do not edit -->",
         f"# {title}",
         *meanings(made),
         "\n".join(f"- {line}" for _, report, _ in made for line in report.headline),
