@@ -139,7 +139,8 @@ def run_into(
         executor: who does the tasks; None: all devices of this process.
         tell: told how far it is, before the first chunk and after every one.
         stop: set from elsewhere, it ends the study after the chunks under way.
-        source: the study's file, named in the manifest.
+        source: the study's file, named in the manifest; without its folders if they begin at
+            the root, which mean nothing on another machine.
 
     Raises:
         InputError: a record that does not fit, or a directory that cannot be used. Nothing is
@@ -156,7 +157,7 @@ def run_into(
     workshop = Workshop(job)
     executor = executor or work.on_this_machine()
     facts = {
-        "config": None if source is None else source.name,
+        "config": source and (source.name if source.is_absolute() else source.as_posix()),
         "record": None if tape is None else Path(tape.record.source).name,
         "session": runtime.session() | executor.facts,
     }

@@ -22,6 +22,7 @@ app = typer.Typer(
     help="Initial alignment of strapdown inertial navigators, thousands of runs at a time.",
     no_args_is_help=True,
     add_completion=False,
+    rich_markup_mode=None,  # or a section such as [tune] is taken for markup and lost
     pretty_exceptions_enable=False,
 )
 
@@ -155,7 +156,7 @@ def tune(
     carry_out.check_free(out, overwrite=overwrite or resume)
     _configure(devices)
     tape = None if record is None else campaign.load_tape(study, record, reference)
-    screen = Console()
+    screen = Console(markup=False)
     with console.interruptible(screen) as stop:
         carry_out.tune(
             study,
@@ -188,7 +189,8 @@ def rerun(
     from sinsjax import reruns
 
     runtime.configure()
-    if not reruns.rerun_into(directory, run_id, Console(), out=out, files=(record, reference)):
+    screen, files = Console(markup=False), (record, reference)
+    if not reruns.rerun_into(directory, run_id, screen, out=out, files=files):
         raise typer.Exit(1)
 
 
@@ -210,7 +212,7 @@ def report(
     """
     from sinsjax import report as reports
 
-    reports.summarise(directories, Console(), page, html)
+    reports.summarise(directories, Console(markup=False), page, html)
 
 
 @app.command()
@@ -221,14 +223,14 @@ def gains() -> None:
     """
     from sinsjax.report.gains import print_gains
 
-    print_gains(Console())
+    print_gains(Console(markup=False))
 
 
 @app.command()
 def info() -> None:
     """Show versions, devices and the compiler options in force."""
     runtime.configure()
-    console = Console(highlight=False)
+    console = Console(highlight=False, markup=False)
     for key, value in runtime.info().items():
         shown = ", ".join(f"{k} = {v}" for k, v in value.items()) if key == "options" else value
         console.print(f"{key:>20}  {shown}", soft_wrap=True)
@@ -248,7 +250,7 @@ def bench(
     """
     from sinsjax import bench as benchmarks
 
-    benchmarks.run(Console(), as_json=as_json, limit=limit, repeats=repeats)
+    benchmarks.run(Console(markup=False), as_json=as_json, limit=limit, repeats=repeats)
 
 
 def _run_study(
@@ -274,7 +276,7 @@ def _run_study(
     _check_options(overwrite=overwrite, resume=resume, devices=devices)
     directories.check_free(out, overwrite=overwrite or resume)
     runs = study.n_draws * study.n_variants
-    screen = Console()
+    screen = Console(markup=False)
     if curves and runs > MOST_RUNS and files is None:
         raise InputError(
             f"{config}: {runs} runs are too many to keep every curve (at most {MOST_RUNS}):"

@@ -9,22 +9,25 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
-SCHEMA_VERSION = "1"
+from sinsjax.units import split_unit
+
+SCHEMA_VERSION = "2"
 """Raised whenever a column changes its meaning or goes."""
 
-STATUSES = ("ok", "not_settled", "diverged", "nonfinite")
-"""How a run ended; the first that holds, and null without truth or reference.
+STATUSES = ("ok", "not_settled", "diverged", "nonfinite", "no_north")
+"""How a run ended; the first that holds, and null where there is nothing to judge it from.
 
-nonfinite: the last attitude is no number (told without truth too). ok: it settled within
-`ALWAYS_BAND_ARCMIN`, i.e. ``settle_10_s`` is not null. diverged: |phi_u - floor| >
-`DIVERGED_DEG` at the end. not_settled: all others.
+nonfinite: the last attitude is no number (told without truth too). no_north: the run's level gyro
+bias exceeds the level part of the Earth rate, which shows north. ok: ``ok_truth`` or ``ok_limit``,
+as the study's `judged_from` says. diverged: the last phi_u is further from its limit than the
+study's `diverged_deg` (from the truth where there is no limit). not_settled: all others.
 """
 
-ALWAYS_BAND_ARCMIN = 10.0
-"""The band that decides a run's status; it is a column whatever the study's bands."""
+SUCCESS_BAND_ARCMIN = 10.0
+"""The band that a run's heading and level errors end in to be ok, where a study does not say it."""
 
 DIVERGED_DEG = 10.0
-"""A run that ends further than this from its floor in phi_u has diverged."""
+"""A run that ends further than this from its limit in phi_u has diverged, likewise."""
 
 
 class Column(NamedTuple):
@@ -59,6 +62,17 @@ FIRED = (
 )
 """Columns of what a trigger did, of a study that has one."""
 
+INNOVATIONS = (
+    Column(
+        "innovation_nis",
+        _F,
+        "",
+        "mean r' S^-1 r of the filter's velocity innovations r; null of compass",
+    ),
+    Column("innovation_freedom", _F, "", "degrees of freedom of their sum: 2 an update"),
+)
+"""Columns of a filter's innovations, of a recorded study: 2 is expected of a true belief."""
+
 RUN_ID = Column("run_id", _I, "", "draw_id * variants + variant_id")
 
 IDENTITY = (
@@ -80,6 +94,7 @@ OBSERVED = (
     *_phi("phi", "misalignment left in the corrected attitude"),
     *_phi("sigma", "the filter's own 1 sigma of that misalignment"),
     *_euler("corrected"),
+    Column("heading_deg", _F, "deg", "corrected heading, clockwise from north, 0 to 360: -yaw"),
 )
 """Columns of one observation: the last one in the summary, all of them in the curves."""
 
@@ -88,13 +103,20 @@ JUDGED = (
     *_phi("phi", "window standard deviation of the misalignment", "_std"),
     *_euler("window mean of", "_mean"),
     *_euler("window standard deviation of", "_std"),
-    Column("floor_arcmin", _F, "arcmin", "limit of phi_u for the true constant biases"),
-    Column("nees", _F, "", "phi' P^-1 phi at the end, 3 degrees of freedom"),
+    Column("has_limit", pa.bool_(), "", "whether the run's biases leave phi_u a limit"),
+    Column("floor_arcmin", _F, "arcmin", "limit of phi_u: what the run's constant biases leave"),
+    Column("nees", _F, "", "phi' P^-1 phi at the end, phi from the truth; 3 degrees of freedom"),
     Column("nis_u", _F, "", "(phi_u - floor)^2 / P_UU at the end"),
     Column("p_above_error_share", _F, "", "share of records with P_UU > phi_u^2"),
     Column("p_above_floor_error_share", _F, "", "share of records with P_UU > (phi_u - floor)^2"),
     Column("p_above_error_steady_share", _F, "", "share of steady records with P_UU > phi_u^2"),
-    Column("status", _S, "", "ok, not_settled, diverged or nonfinite"),
+    Column(
+        "ok_limit", pa.bool_(), "", "in the success band about its limit, long enough, level too"
+    ),
+    Column(
+        "ok_truth", pa.bool_(), "", "in the success band about the truth, long enough, level too"
+    ),
+    Column("status", _S, "", "ok as judged_from says, not_settled, diverged, no_north, nonfinite"),
 )
 """Columns of a run's verdict; without truth or reference those that need it are null."""
 
@@ -114,25 +136,29 @@ def curves(*, passes: bool) -> tuple[Column, ...]:
     return (*CURVES, *(PASSES if passes else ()))
 
 
-def settle_column(band_arcmin: float) -> Column:
-    """The settling time of one band."""
-    meaning = f"end of the last record interval with |phi_u - floor| > {band_arcmin:g} arcmin"
-    return Column(f"settle_{band_arcmin:g}_s", _F, "s", f"{meaning}; null if never settled")
+def settle_column(band_arcmin: float, *, truth: bool = False) -> Column:
+    """The settling time of one band, about a run's limit or about the truth."""
+    error = "|phi_u|" if truth else "|phi_u - floor|"
+    meaning = f"end of the last record interval with {error} > {band_arcmin:g} arcmin"
+    name = f"settle_{band_arcmin:g}{'_truth' if truth else ''}_s"
+    return Column(name, _F, "s", f"{meaning}; null if never settled")
 
 
-def settle_data_column(band_arcmin: float) -> Column:
+def settle_data_column(band_arcmin: float, *, truth: bool = False) -> Column:
     """The data that was there at the settling time of one band, where a tape is gone over again."""
-    meaning = f"length of the tape that had been recorded by settle_{band_arcmin:g}_s"
-    return Column(f"settle_{band_arcmin:g}_data_s", _F, "s", f"{meaning}; null if never settled")
+    settled = settle_column(band_arcmin, truth=truth).name
+    meaning = f"length of the tape that had been recorded by {settled}; null if never settled"
+    return Column(f"{settled.removesuffix('_s')}_data_s", _F, "s", meaning)
 
 
-def bands(study_bands: Iterable[float]) -> tuple[float, ...]:
-    """A study's settle bands and the one that decides the status, arcmin."""
-    return tuple(dict.fromkeys((*study_bands, ALWAYS_BAND_ARCMIN)))
+def bands(study_bands: Iterable[float], success_band: float | None = None) -> tuple[float, ...]:
+    """A study's settle bands and the one that a success ends in, arcmin."""
+    decisive = SUCCESS_BAND_ARCMIN if success_band is None else success_band
+    return tuple(dict.fromkeys((*study_bands, decisive)))
 
 
-def axis_column(key: str, values: Iterable[Any]) -> Column:
-    """The column of a swept key, typed by its values."""
+def axis_column(key: str, values: Iterable[Any], meaning: str) -> Column:
+    """The column of a swept key, typed by its values; its unit is in its name."""
     kinds = {type(value) for value in values if value is not None}
     if kinds == {bool}:
         dtype = pa.bool_()
@@ -140,12 +166,13 @@ def axis_column(key: str, values: Iterable[Any]) -> Column:
         dtype = _I if kinds == {int} else _F
     else:
         dtype = pa.list_(_F) if kinds & {tuple, list} else _S
-    return Column(key, dtype, "", "swept by the study")
+    return Column(key, dtype, split_unit(key)[1], f"swept by the study: {meaning}")
 
 
-def drawn_column(key: str, dimensions: int) -> Column:
+def drawn_column(key: str, dimensions: int, meaning: str) -> Column:
     """The column of a key that has a value a draw: a number, or a list of them."""
-    return Column(key, _F if dimensions == 1 else pa.list_(_F), "", "drawn by the study")
+    dtype = _F if dimensions == 1 else pa.list_(_F)
+    return Column(key, dtype, split_unit(key)[1], f"drawn by the study: {meaning}")
 
 
 def schema(columns: Iterable[Column]) -> pa.Schema:

@@ -22,6 +22,7 @@ from sinsjax.studies import (
     EARTH_CONSTANTS,
     EXCLUSIVE,
     NOISES,
+    Q_DENSITIES,
     SECTION_OF,
     SECTIONS,
     SIMULATED_ONLY,
@@ -48,6 +49,7 @@ _DEFAULTS: dict[str, dict[str, Any]] = {
         "feedback_interval_s": 1.0,
         "feedback_time_constant_s": 0.0,
     },
+    "filter": {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1},
     "resets": {"reset_count": 0},
     "compass": {"level_sigma_per_s": 0.02, "level_time_s": 150.0, "azimuth_sigma_per_s": 0.01},
     "passes": {
@@ -65,8 +67,15 @@ _TRIGGER_DEFAULTS = {
 }
 """Values of keys that apply where a variant has a trigger."""
 _DEFAULT_DRAWS = 64
-_LATER = {
-    "filter": ("q_scale", "r_scale"),
+_LATER: dict[str, tuple[str, ...]] = {
+    "study": (
+        "judged_from",
+        "success_band_arcmin",
+        "level_band_arcmin",
+        "dwell_s",
+        "diverged_deg",
+    ),
+    "filter": ("q_scale", "r_scale", *(key for keys in Q_DENSITIES.values() for key in keys)),
     "resets": (
         "reset_first_s",
         *(key for key in SECTIONS["resets"].model_fields if key.startswith("trigger")),
@@ -178,6 +187,7 @@ def _checked(data: Table, name: str) -> Study:
     where |= sweep.where
     _check_forms(where)
     study = _validated(_filled(tables, sweep, where, name))
+    _check_densities(where, _values_of("q_reading", tables, sweep))
     check_study(study, where)
     sweeps.check_draws(study)
     return study
@@ -252,6 +262,14 @@ def _check_forms(where: Where) -> None:
             raise InputError(
                 f"{where[one]} {one}: cannot go with {other} in {where[other]} (give one of them)"
             )
+
+
+def _check_densities(where: Where, readings: set[Any]) -> None:
+    """Refuses a density of Q where Q is read as something else."""
+    for key in (key for keys in Q_DENSITIES.values() for key in keys):
+        if key in where and (others := readings - {"psd"}):
+            text = f"has no place without q_reading = 'psd' (it is '{min(others)}')"
+            raise InputError(f"{where[key]} {key}: {text}")
 
 
 def _filled(tables: Table, sweep: sweeps.Sweep, where: Where, name: str) -> Table:

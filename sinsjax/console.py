@@ -29,7 +29,7 @@ def progress(console: Console, name: str) -> Iterator[Tell]:
         yield _plainly(console, name, _Pace())
         return
     bar = Bar(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("runs{task.fields[pace]}"),

@@ -58,7 +58,8 @@ class StopWhen(Section):
     """[stop_when]: drawing goes on until a statistic is known well in every variant."""
 
     statistic: Name = Field(
-        description="'success_rate', or the mean settling time 'settle_B_s_mean' of a band of B'"
+        description="'success_rate', or the mean settling time 'settle_B_s_mean' of a band of B',"
+        " from the truth or the limit as judged_from says"
     )
     half_width: Positive = Field(
         description="of its 95 % interval in the variant where it is widest: a share, or s"

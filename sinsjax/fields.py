@@ -37,8 +37,7 @@ def unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
 
 def _own_columns(bands: tuple[float, ...]) -> tuple[float, ...]:
     """Refuses bands whose result columns would have one name."""
-    shown = columns.bands(bands)
-    if len({columns.settle_column(band).name for band in shown}) < len(shown):
+    if len({columns.settle_column(band).name for band in bands}) < len(bands):
         raise misfit("names a value twice, to the 6 digits that its column shows")
     return bands
 

@@ -25,10 +25,12 @@ class Biases(NamedTuple):
     Attributes:
         eps: of the gyros, rad/s.
         nabla: of the accelerometers, m/s^2.
+        most: the largest of the accelerometers' in b, m/s^2.
     """
 
     eps: Vec3
     nabla: Vec3
+    most: Scalar
 
 
 class Limit(NamedTuple):
@@ -36,15 +38,17 @@ class Limit(NamedTuple):
 
     Attributes:
         phi: rotation vector in n, rad.
+        tilt: the most that the accelerometer biases can leave of a level error, max |nabla|/g, rad.
         no_north: whether the level gyro bias exceeds the north component of the Earth rate, so
             that what the gyros feel points anywhere.
     """
 
     phi: Vec3
+    tilt: Scalar
     no_north: Flag
 
 
-NO_BIASES = Biases(*(Vec3(*(np.float64(0.0),) * 3),) * 2)
+NO_BIASES = Biases(*(Vec3(*(np.float64(0.0),) * 3),) * 2, np.float64(0.0))
 
 _PHASES = 2 * np.pi * np.arange(64) / 64  # exact to rounding for three amplitudes of 360 deg
 _SIGNS = np.array([-1.0, 0.0, 1.0])
@@ -65,8 +69,9 @@ def mean_biases(errors: SensorErrors, motion: Motion) -> Biases:
         Leaves ``(...)``. NumPy's where nothing given is JAX's: that compiles nothing.
     """
     turned = mean_attitude(motion)
-    in_n = ((turned @ b[..., None])[..., 0] for b in (errors.gyro_bias, errors.accel_bias))
-    return Biases(*(Vec3(b[..., 0], b[..., 1], b[..., 2]) for b in in_n))
+    in_n = [(turned @ b[..., None])[..., 0] for b in (errors.gyro_bias, errors.accel_bias)]
+    eps, nabla = (Vec3(b[..., 0], b[..., 1], b[..., 2]) for b in in_n)
+    return Biases(eps, nabla, abs(errors.accel_bias).max(-1))
 
 
 def mean_attitude(motion: Motion) -> Array:
@@ -127,7 +132,7 @@ def unaided(place: Place, biases: Biases, heading: Scalar = 0.0) -> Limit:
         biases: mean biases in n.
         heading: what the method adds to phi_U, rad.
     """
-    eps, nabla = biases
+    eps, nabla, most = biases
     tilt = Vec3(-nabla.y / place.gravity, nabla.x / place.gravity, jnp.zeros_like(nabla.x))
     up = place.rate_u + eps.z
     east, north = eps.x - up * tilt.y, place.rate_n + eps.y + up * tilt.x
@@ -135,4 +140,5 @@ def unaided(place: Place, biases: Biases, heading: Scalar = 0.0) -> Limit:
     zero = jnp.zeros_like(turn)
     true = Quat(zero + 1, zero, zero, zero)
     settled = misalign(Vec3(zero, zero, turn), misalign(tilt, true))
-    return Limit(misalignment(true, settled), eps.x**2 + eps.y**2 > place.rate_n**2)
+    most_tilt = most / place.gravity
+    return Limit(misalignment(true, settled), most_tilt, eps.x**2 + eps.y**2 > place.rate_n**2)

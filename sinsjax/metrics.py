@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from sinsjax.algebra import dot, solve3
-from sinsjax.alignment.base import AttitudeCovariance, Fired
+from sinsjax.alignment.base import AttitudeCovariance, Fired, Innovations
 from sinsjax.alignment.schedules import mix
 from sinsjax.limits import Limit
 from sinsjax.rotations import misalignment, to_euler
@@ -31,7 +31,7 @@ class Criteria(NamedTuple):
     """What the runs of a study are judged against.
 
     Attributes:
-        bands: (B,) half-widths about the floor, rad.
+        bands: (B,) half-widths about the floor and about the truth, rad.
         window_start: statistics use record times in (start, end], s.
         window_end: s.
         consistency_after: record times after this one count for the P above error shares, s.
@@ -69,7 +69,8 @@ class Metrics(NamedTuple):
     """Accumulators of one run.
 
     Attributes:
-        outside_until: for each band, end of the last record interval outside it, s.
+        outside_until: (2, B) for each band about the floor, and for each about the truth, end of
+            the last record interval outside it, s.
         window: see `Window`.
         above: (3,) record times at which P_UU exceeded phi_u^2, at which it exceeded
             (phi_u - floor)^2, and phi_u^2 again in the steady process.
@@ -97,6 +98,7 @@ class Outcome(NamedTuple):
         nis_u: (phi_u - limit)^2 / P_UU.
         limit: what the run's own sensor biases leave of phi, from which the heading was judged.
         fired: what the method's trigger did, None without one.
+        innovations: of the method's filter, None where they are not summed up.
     """
 
     last: Observation
@@ -108,6 +110,7 @@ class Outcome(NamedTuple):
     nis_u: Scalar
     limit: Limit
     fired: Fired | None = None
+    innovations: Innovations | None = None
 
 
 def observe(q_true: Quat, q_hat: Quat, covariance: AttitudeCovariance) -> Observation:
@@ -122,7 +125,8 @@ def start(criteria: Criteria, zero: Scalar) -> Metrics:
     six, three = jnp.zeros(6) + zero, jnp.zeros(3) + zero
     window = Window(zero, six, six, six)
     last = Observation(nothing, nothing, zero, zero, zero)
-    return Metrics(jnp.zeros_like(criteria.bands) + zero, window, three, three, last)
+    outside_until = jnp.zeros((2, *criteria.bands.shape)) + zero
+    return Metrics(outside_until, window, three, three, last)
 
 
 def accumulate(
@@ -145,7 +149,11 @@ def accumulate(
     judged = jnp.stack([after, after, known & (time > criteria.steady_after)])
     above = variance > jnp.stack([now.phi.z, error, now.phi.z]) ** 2
     return Metrics(
-        outside_until=mix(outside(criteria, error), time, metrics.outside_until),
+        outside_until=mix(
+            jnp.stack([outside(criteria, error), outside(criteria, now.phi.z)]),
+            time,
+            metrics.outside_until,
+        ),
         window=_widen(
             metrics.window,
             now,

@@ -6,25 +6,28 @@ writes it. Parts, like rows, depend on the study alone.
 """
 
 import json
+import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.dataset as ds
 
 from sinsjax import columns, designs
-from sinsjax.alignment.base import Fired
+from sinsjax.alignment.base import Fired, Innovations
 from sinsjax.batch import Chunk
 from sinsjax.columns import Column
 from sinsjax.metrics import Observation
-from sinsjax.studies import Study
+from sinsjax.studies import Study, meaning
+from sinsjax.study_limits import has_limit
+from sinsjax.success import bands
 from sinsjax.types import InputError
 from sinsjax.units import ARCMIN, DEG
+from sinsjax.verdicts import LIMIT, TRUTH, Judge, Verdict
 from sinsjax.worlds import pass_numbers, spans_s, tape_times, update_times
-
-_DIVERGED = columns.DIVERGED_DEG * DEG
 
 
 class Tables:
@@ -39,10 +42,12 @@ class Tables:
         """
         self._study = study
         self._has_truth = has_truth
-        self._bands = columns.bands(study.study.settle_bands_arcmin)
+        self._bands = bands(study)
+        self._judge = Judge(study, has_truth=has_truth)
         self._spans = study.spans
         self._end_s, self._tape_s = spans_s(study).T
         times = study.reset_times()
+        self._last_reset_s = np.array([max(t, default=0.0) for t in times])
         swept = study.variant_values()
         fixed = {
             "method": study.values("method"),
@@ -53,16 +58,22 @@ class Tables:
         }
         shapes = designs.values(study, 1)
         known = {c.name: c for c in columns.IDENTITY}
-        extra = [columns.axis_column(k, v) for k, v in swept.items() if k not in known]
-        extra += [columns.drawn_column(k, v.ndim) for k, v in shapes.items() if k not in known]
+        extra = [
+            *(columns.axis_column(k, v, meaning(k)) for k, v in swept.items() if k not in known),
+            *(
+                columns.drawn_column(k, v.ndim, meaning(k))
+                for k, v in shapes.items()
+                if k not in known
+            ),
+        ]
         self.summary_columns: tuple[Column, ...] = (
             *columns.IDENTITY,
             *extra,
             *columns.OBSERVED,
-            *(columns.settle_column(b) for b in self._bands),
-            *(columns.settle_data_column(b) for b in self._bands if study.passes),
+            *self._settle_columns(),
             *columns.JUDGED,
             *(columns.FIRED if study.has_trigger else ()),
+            *(columns.INNOVATIONS if study.is_recorded else ()),
         )
         self.curve_columns = columns.curves(passes=study.passes is not None)
         kinds = {c.name: c.dtype for c in self.summary_columns}
@@ -73,6 +84,11 @@ class Tables:
         }
         starts = study.record.start_s if study.record else [0.0] * study.n_draws
         self._start_s = np.asarray(starts)
+
+    def _settle_columns(self) -> list[Column]:
+        """Settling times of all bands about the limit and the truth; then the data there was."""
+        kinds = [columns.settle_column, *([columns.settle_data_column] * bool(self._study.passes))]
+        return [kind(b, truth=t) for kind in kinds for t in (False, True) for b in self._bands]
 
     def summary(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
         """One row a run.
@@ -96,12 +112,8 @@ class Tables:
             own = column[chunk.draw - first]
             values[name] = own if own.ndim == 1 else list(own)
         values |= self._observed(out.last)
-        for i, band in enumerate(self._bands):
-            settled = _settled(out.outside_until[:, i], self._end_s[variant])
-            values[columns.settle_column(band).name] = self._known(settled)
-            if self._study.passes:
-                data = np.minimum(settled, self._tape_s[variant])
-                values[columns.settle_data_column(band).name] = self._known(data)
+        verdict = self._judge(out, self._has_limit(chunk, variant), self._end_s[variant])
+        values |= self._settled(verdict, self._tape_s[variant])
         for suffix, statistics in (("_mean", out.mean), ("_std", out.std)):
             for axis, value in zip("enu", statistics[:3], strict=True):
                 values[f"phi_{axis}{suffix}_arcmin"] = self._known(value / ARCMIN)
@@ -110,12 +122,22 @@ class Tables:
         shares = ("error", "floor_error", "error_steady")
         for name, value in zip(shares, out.above_share, strict=True):
             values[f"p_above_{name}_share"] = self._known(value)
-        values["floor_arcmin"] = self._known(out.limit.phi.z / ARCMIN)
+        from_limit = {
+            "p_above_floor_error_share": values["p_above_floor_error_share"],
+            "floor_arcmin": self._known(out.limit.phi.z / ARCMIN),
+            "nis_u": self._known(out.nis_u),
+            "ok_limit": self._if_known(verdict.ok[LIMIT]),
+        }
+        nothing = pa.array(~verdict.has_limit)
+        values |= {k: pc.if_else(nothing, None, column) for k, column in from_limit.items()}
+        values["has_limit"] = self._if_known(verdict.has_limit)
+        values["ok_truth"] = self._if_known(verdict.ok[TRUTH])
         values["nees"] = self._known(out.nees)
-        values["nis_u"] = self._known(out.nis_u)
-        values["status"] = self._status(chunk, self._end_s[variant])
+        values["status"] = verdict.status
         if self._study.has_trigger:
             values |= self._fired(out.fired, len(variant))
+        if self._study.is_recorded:
+            values |= _innovations(out.innovations, len(variant))
         return _table(self.summary_columns, values)
 
     def curves(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
@@ -135,7 +157,10 @@ class Tables:
         values = {f"phi_{a}_arcmin": self._known(v / ARCMIN) for a, v in _axes(seen.phi)}
         values |= {f"sigma_{a}_arcmin": _nullable(v / ARCMIN) for a, v in _axes(seen.sigma)}
         angles = {"pitch": seen.pitch, "roll": seen.roll, "yaw": seen.yaw}
-        return values | {f"{name}_deg": _nullable(v / DEG) for name, v in angles.items()}
+        values |= {f"{name}_deg": _nullable(v / DEG) for name, v in angles.items()}
+        # Twice, as what is left of the smallest negative angle is rounded up to the whole turn.
+        heading = np.mod(np.mod(-np.asarray(seen.yaw) / DEG, 360.0), 360.0)
+        return values | {"heading_deg": _nullable(heading)}
 
     def _fired(self, fired: Fired | None, runs: int) -> dict[str, pa.Array]:
         """What the trigger did; nothing, of runs without one."""
@@ -154,18 +179,38 @@ class Tables:
         """Values that need a truth: null without one, and where they are no number."""
         return _nullable(values if self._has_truth else np.full(np.shape(values), np.nan))
 
-    def _status(self, chunk: Chunk, end_s: np.ndarray) -> pa.Array:
-        out = chunk.outcome
-        last = out.last
-        attitude = np.stack([last.pitch, last.roll, last.yaw])
-        broken = ~np.isfinite(attitude).all(axis=0)
-        if not self._has_truth:
-            return pa.array(["nonfinite" if b else None for b in broken], pa.string())
-        band = self._bands.index(columns.ALWAYS_BAND_ARCMIN)
-        settled = np.isfinite(_settled(out.outside_until[:, band], end_s))
-        diverged = np.abs(last.phi.z - out.limit.phi.z) > _DIVERGED
-        kinds = np.select([broken, settled, diverged], [3, 0, 2], default=1)
-        return pa.array(np.asarray(columns.STATUSES)[kinds])
+    def _if_known(self, flags: np.ndarray) -> pa.Array:
+        """Flags that need a truth: null without one."""
+        return pa.array(flags if self._has_truth else [None] * len(flags), pa.bool_())
+
+    def _settled(self, verdict: Verdict, tape_s: np.ndarray) -> dict[str, pa.Array]:
+        """Settling times of all bands, about the limit and the truth, by column."""
+        values = {}
+        for truth, of_bands in (
+            (False, verdict.settled_s[LIMIT]),
+            (True, verdict.settled_s[TRUTH]),
+        ):
+            for band, settled in zip(self._bands, of_bands, strict=True):
+                name = columns.settle_column(band, truth=truth).name
+                values[name] = self._known(settled)
+                if self._study.passes:
+                    data = columns.settle_data_column(band, truth=truth).name
+                    values[data] = self._known(np.minimum(settled, tape_s))
+        return values
+
+    def _has_limit(self, chunk: Chunk, variant: np.ndarray) -> np.ndarray:
+        """Which runs have a limit, their last reset being one of the schedule or the trigger's."""
+        last_s = self._last_reset_s[variant]
+        if chunk.outcome.fired is not None:
+            fired_s = np.asarray(chunk.outcome.fired.last) / self._study.study.rate_hz
+            last_s = np.maximum(last_s, fired_s)
+        return has_limit(self._study, chunk.draw, variant, last_s)
+
+
+def _innovations(summed: Innovations | None, runs: int) -> dict[str, pa.Array]:
+    """Mean and degrees of freedom of normalised innovations; null of runs without a filter."""
+    total, count = np.full((2, runs), np.nan) if summed is None else map(np.asarray, summed)
+    return {"innovation_nis": _nullable(total / count), "innovation_freedom": _nullable(2 * count)}
 
 
 def _swept(values: list[Any], dtype: pa.DataType) -> pa.Array:
@@ -177,11 +222,6 @@ def _swept(values: list[Any], dtype: pa.DataType) -> pa.Array:
 
 def _axes(vector: Any) -> Any:
     return zip("enu", vector, strict=True)
-
-
-def _settled(outside_until: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Settling times; NaN where the last record is still outside."""
-    return np.where(outside_until >= end * (1 - 1e-12), np.nan, outside_until)
 
 
 def _nullable(values: Any) -> pa.Array:
@@ -212,14 +252,36 @@ def read_summary(
     """
     directory = Path(directory)
     rows = None if run_ids is None else ds.field("run_id").isin(run_ids)
-    if names is None:
-        return _read(directory, "summary", filter=rows).sort_by("run_id")
-    there = _ask(directory, "summary", lambda dataset: dataset.schema.names)
-    if missing := [name for name in names if name not in there]:
+    there = _ask(directory, "summary", lambda dataset: dataset.schema)
+    later = _later(there)
+    wanted = [*there.names, *later] if names is None else list(names)
+    if missing := [name for name in wanted if name not in there.names and name not in later]:
         raise InputError(f"{directory}: summary: column {missing[0]} is missing")
-    wanted = list(dict.fromkeys([*names, "run_id"]))
-    table = _read(directory, "summary", columns=wanted, filter=rows)
-    return table.sort_by("run_id").select(list(names))
+    needed = {"run_id", *wanted, *filter(None, map(later.get, wanted))}
+    table = _read(directory, "summary", columns=sorted(needed - later.keys()), filter=rows)
+    table = table.sort_by("run_id")
+    for name in needed & later.keys():
+        told_by = later[name]
+        dtype = pa.bool_() if name in _FLAGS else pa.float64()
+        told = pc.is_valid(table[told_by]) if told_by else pa.nulls(table.num_rows, dtype)
+        table = table.append_column(name, told)
+    return table.select(wanted)
+
+
+_FLAGS = {"has_limit": "floor_arcmin", "ok_limit": "settle_10_s", "ok_truth": None}
+"""Flags that came with schema 2, and what column of schema 1 says the same by having a value."""
+
+
+def _later(there: pa.Schema) -> dict[str, str | None]:
+    """The columns that a summary of schema 1 lacks, and what tells a flag, as in `_FLAGS`.
+
+    A settling time about the truth was not recorded: it is null.
+    """
+    if (there.metadata or {}).get(b"sinsjax.schema") != b"1":
+        return {}
+    settling = [name for name in there.names if name.startswith("settle_")]
+    ends = (re.sub(r"^(settle_[^_]+)", r"\1_truth", name) for name in settling)
+    return _FLAGS | dict.fromkeys(ends)
 
 
 def count_runs(directory: str | Path) -> int:

@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterable
 from typing import NoReturn
 
-from sinsjax import columns
+from sinsjax import columns, success
 from sinsjax.studies import (
     EARTH_CONSTANTS,
     ROUNDING,
@@ -73,6 +73,7 @@ def check_study(study: Study, where: Where) -> None:
     _check_passes(study, where)
     _check_schedules(study, where)
     _check_window(study, where)
+    _check_success(study, where)
     _check_stop(study, where)
     _check_trigger(study, where)
     keys = ("reset_times_s", "reset_count", "reset_cycle_s", "reset_first_s")
@@ -245,6 +246,18 @@ def _check_window(study: Study, where: Where) -> None:
         _refuse("window_s", where, f"{text} ({_end(study)})")
 
 
+def _check_success(study: Study, where: Where) -> None:
+    """Refuses a success that no run can reach, and one judged from a limit that there is not."""
+    names = [columns.settle_column(band).name for band in success.bands(study)]
+    if len(set(names)) < len(names):
+        key = "success_band_arcmin" if "success_band_arcmin" in where else "settle_bands_arcmin"
+        text = "gives another of the bands the same name, to the 6 digits that its column shows"
+        _refuse(key, where, text)
+    dwell = study.study.dwell_s
+    if dwell is not None and dwell >= study.run_s:
+        _refuse("dwell_s", where, f"{dwell:.12g} s is not less than the run ({_end(study)})")
+
+
 def _end(study: Study) -> str:
     """Where a study and its shortest run end, in words."""
     text = f"duration_s = {study.study.duration_s:.12g}"
@@ -292,7 +305,7 @@ def _check_stop(study: Study, where: Where) -> None:
     """Refuses a statistic that the study has not, and a share that says nothing."""
     if study.stop_when is None:
         return
-    bands = columns.bands(study.study.settle_bands_arcmin)
+    bands = success.bands(study)
     known = ["success_rate", *(f"{columns.settle_column(band).name}_mean" for band in bands)]
     if study.stop_when.statistic not in known:
         text = f"'{study.stop_when.statistic}' is none of {', '.join(known)}"

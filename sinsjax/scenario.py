@@ -15,7 +15,6 @@ import numpy as np
 from sinsjax import runtime, tunings
 from sinsjax.alignment.base import Options, Site
 from sinsjax.batch import Group
-from sinsjax.columns import bands
 from sinsjax.draws import Draw, Static, World, made, noise, sense
 from sinsjax.metrics import Criteria
 from sinsjax.records import Record
@@ -23,6 +22,7 @@ from sinsjax.rotations import euler_vector
 from sinsjax.sections import Earth, Motion, Sensors
 from sinsjax.simulate import Params
 from sinsjax.studies import PASS_KEYS, Span, Study
+from sinsjax.success import bands
 from sinsjax.types import Array, Increments, InputError, Quat, Vec3
 from sinsjax.units import ARCMIN, DEG
 from sinsjax.worlds import Tape, Variants, recorded, simulated, site_of
@@ -106,7 +106,7 @@ class Scenario:
         variants = Variants(study, ids)
         site, ug = site_of(study, variants, self.tape)
         criteria = Criteria(
-            bands=np.asarray(bands(study.study.settle_bands_arcmin)) * ARCMIN,
+            bands=np.asarray(bands(study)) * ARCMIN,
             window_start=np.float64(study.study.window_s[0]),
             window_end=np.float64(study.study.window_s[1]),
             consistency_after=np.float64(study.study.consistency_after_s),
@@ -191,6 +191,7 @@ def _program(study: Study, variants: Variants, curves: bool) -> Static:
             specific_force=variants.common("specific_force") or "measured",
             position=variants.common("position"),
             trigger=(study.resets and variants.common("reset_trigger")) or "none",
+            innovations=study.is_recorded,  # a simulation has the truth to be judged by
         ),
         study.record_every,
         _span(study, variants).records,

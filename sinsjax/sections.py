@@ -84,6 +84,26 @@ class Settings(Section):
         300.0, description="start of the steady process in the consistency statistics, s"
     )
     curves: bool = Field(False, description="whether a sweep stores curves too")
+    judged_from: Literal["truth", "limit"] | None = Field(
+        None,
+        description="what a run's success is judged from: the truth (default), or the limit that"
+        " its own sensor biases leave",
+    )
+    success_band_arcmin: Positive | None = Field(
+        None, description="heading error band that a success ends in, arcmin; default 10"
+    )
+    level_band_arcmin: Positive | None = Field(
+        None, description="level error band that a success ends in, arcmin; default 10"
+    )
+    dwell_s: NonNegative | None = Field(
+        None,
+        description="how long before its end a success has stayed in the heading band, s; default:"
+        " the smaller of 30 s and a tenth of the run",
+    )
+    diverged_deg: Positive | None = Field(
+        None,
+        description="heading error at the end beyond which a run has diverged, deg; default 10",
+    )
 
     @model_validator(mode="after")
     def _window_inside(self) -> "Settings":
@@ -201,8 +221,21 @@ class Filter(Section):
     p0_yaw_deg: Positive = Field(80.0, description="initial heading misalignment, deg")
     p0_gyro_bias_deg_per_h: Positive = Field(0.1, description="gyro bias states, deg/h")
     p0_accel_bias_ug: Positive = Field(500.0, description="accelerometer bias states, ug")
-    q_accel_ug: NonNegative = Field(500.0, description="velocity process noise, ug")
-    q_gyro_deg_per_h: NonNegative = Field(0.1, description="attitude process noise, deg/h")
+    q_accel_ug: NonNegative | None = Field(
+        None, description="velocity process noise, ug; default 500; under 'psd' in ug/sqrt(Hz)"
+    )
+    q_gyro_deg_per_h: NonNegative | None = Field(
+        None, description="attitude process noise, deg/h; default 0.1; under 'psd' deg/h/sqrt(Hz)"
+    )
+    q_accel_ug_per_sqrt_hz: NonNegative | None = Field(
+        None, description="q_accel_ug under 'psd', by its unit there, ug/sqrt(Hz)"
+    )
+    q_gyro_deg_per_h_per_sqrt_hz: NonNegative | None = Field(
+        None, description="q_gyro_deg_per_h under 'psd', by its unit there, deg/h/sqrt(Hz)"
+    )
+    q_gyro_arw_deg_per_sqrt_h: NonNegative | None = Field(
+        None, description="the same as an angle random walk, deg/sqrt(h): a 60th of the number"
+    )
     q_reading: Literal["per_step", "psd", "per_sample"] = Field(
         "per_step", description="Q of a step: as is, times dt, times dt^2"
     )

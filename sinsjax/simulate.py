@@ -94,7 +94,10 @@ def end(static: Static, run: Run, limit: Limit) -> Outcome:
     """The outcome of a run after its last record."""
     method = method_of(static)
     fired = method.fired(run.state) if method.fired else None
-    return metrics.finish(run.metrics, method.covariance(run.state), limit, fired)
+    outcome = metrics.finish(run.metrics, method.covariance(run.state), limit, fired)
+    if method.innovations is None:
+        return outcome
+    return outcome._replace(innovations=method.innovations(run.state))
 
 
 class Fan(NamedTuple):

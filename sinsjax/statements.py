@@ -19,6 +19,8 @@ import pyarrow as pa
 from sinsjax.analysis import (
     Estimate,
     difference,
+    format_difference,
+    format_estimate,
     mean,
     numbers,
     paired,
@@ -30,6 +32,7 @@ from sinsjax.rules import CONDITIONS, RESET
 from sinsjax.types import InputError
 
 EQUAL_WITHIN = 0.1
+_ABOVE = "the filter's yaw variance above the squared yaw error"
 
 _FIG2 = "section 2.4.2, Fig. 2"
 _FIG3 = "section 3.1, Fig. 3"
@@ -53,7 +56,10 @@ STATEMENTS = {
         "condition 1: the filter's yaw covariance is larger than the true one throughout",
         _FIG3,
     ),
-    "S10": ("condition 5: it is smaller than the true one during the whole steady process", _FIG3),
+    "S10": (
+        "condition 5: the filter's yaw covariance is smaller than the true one when steady",
+        _FIG3,
+    ),
     "S11": ("condition 5 with resets converges", _FIG5),
     "S12": ("condition 5 with resets is as precise as condition 1", _FIG5),
     "S13": ("condition 5 with resets: the yaw covariance is larger throughout", _FIG6),
@@ -96,6 +102,7 @@ class Verdict(NamedTuple):
         number: what was found, with its 95 % interval.
         unit: of the number; empty for shares and ratios.
         measure: what the number is, and its threshold.
+        sides: whose settling times the number is the difference of; empty for all other numbers.
     """
 
     statement_id: str
@@ -106,6 +113,13 @@ class Verdict(NamedTuple):
     number: Estimate
     unit: str
     measure: str
+    sides: tuple[str, ...] = ()
+
+    def told(self, digits: int) -> str:
+        """The number with its interval and unit as text."""
+        if len(self.sides) == 2:
+            return format_difference(self.number, self.unit, digits, self.sides)
+        return format_estimate(self.number, self.unit, digits)
 
 
 class _Finding(NamedTuple):
@@ -114,6 +128,7 @@ class _Finding(NamedTuple):
     number: Estimate
     unit: str
     measure: str
+    sides: tuple[str, ...] = ()
 
 
 def judge(conditions: Mapping[str, pa.Table], meaning: Meaning) -> list[Verdict]:
@@ -147,7 +162,12 @@ def _findings(runs: Mapping[str, pa.Table], meaning: Meaning) -> Iterator[tuple[
     for statement_id, name in {"S2a": "1", "S2b": "2"}.items():
         yield statement_id, _in_a_short_time(runs[name], meaning)
     for statement_id, (name, other) in longer.items():
-        yield statement_id, _longer(runs[name], runs[other])
+        yield (
+            statement_id,
+            _longer(runs[name], runs[other])._replace(
+                sides=(f"condition {name}", f"condition {other}")
+            ),
+        )
     for statement_id, other in {"S7a": "2", "S7b": "1"}.items():
         yield statement_id, _larger_errors(runs["4"], runs[other])
     yield "S8", _cannot_converge(runs["5"], meaning)
@@ -169,25 +189,25 @@ def _settled(table: pa.Table) -> Estimate:
 
 def _converges(table: pa.Table, meaning: Meaning) -> _Finding:
     share, least = _settled(table), meaning.converges_share
-    measure = f"share of draws with settle_10_s, at least {least:g}"
+    measure = f"share of draws that settle to 10 arcmin, at least {least:g}"
     return _Finding(share.value >= least, _straddles(share, least), share, "", measure)
 
 
 def _cannot_converge(table: pa.Table, meaning: Meaning) -> _Finding:
     share, limit = _settled(table), meaning.cannot_share
-    measure = f"share of draws with settle_10_s, under {limit:g}"
+    measure = f"share of draws that settle to 10 arcmin, under {limit:g}"
     return _Finding(share.value < limit, _straddles(share, limit), share, "", measure)
 
 
 def _in_a_short_time(table: pa.Table, meaning: Meaning) -> _Finding:
     time, limit = quantile(numbers(table, "settle_10_s")), meaning.short_time_s
-    measure = f"median settle_10_s, at most {limit:g} s"
+    measure = f"median settling time to 10 arcmin, at most {limit:g} s"
     return _Finding(time.value <= limit, _straddles(time, limit), time, "s", measure)
 
 
 def _longer(table: pa.Table, other: pa.Table) -> _Finding:
     extra = quantile_difference(*paired(table, other, "settle_10_s"))
-    measure = "difference of median settle_10_s, interval above 0"
+    measure = "difference of the median settling times to 10 arcmin, interval above 0"
     return _Finding(extra.low > 0, _straddles(extra, 0.0), extra, "s", measure)
 
 
@@ -195,7 +215,9 @@ def _larger_errors(table: pa.Table, other: pa.Table) -> _Finding:
     yaw = paired(table, other, "phi_u_mean_arcmin")
     floor = paired(table, other, "floor_arcmin")
     extra = difference(*(np.abs(mean_yaw - at) for mean_yaw, at in zip(yaw, floor, strict=True)))
-    measure = "mean paired difference of |window mean of phi_u - floor|, interval above 0"
+    measure = (
+        "mean paired difference of how far the mean yaw error lies from its limit, interval above 0"
+    )
     return _Finding(extra.low > 0, _straddles(extra, 0.0), extra, "arcmin", measure)
 
 
@@ -204,7 +226,7 @@ def _larger_throughout(table: pa.Table, meaning: Meaning) -> _Finding:
     # A run without a share (not finite) shows no record in which P is the larger.
     share = _of_all_records(table, "p_above_error_share", missing=0.0)
     after = meaning.covariance_after_s
-    measure = f"share of records after {after:g} s with P_UU > phi_u^2, at least {least:g}"
+    measure = f"share of records after {after:g} s with {_ABOVE}, at least {least:g}"
     return _Finding(share.value >= least, _straddles(share, least), share, "", measure)
 
 
@@ -213,7 +235,7 @@ def _smaller_when_steady(table: pa.Table, meaning: Meaning) -> _Finding:
     # A run without a share (not finite) shows no record in which P is the smaller.
     share = _of_all_records(table, "p_above_error_steady_share", missing=1.0)
     after = meaning.steady_after_s
-    measure = f"share of records after {after:g} s with P_UU > phi_u^2, at most {most:g}"
+    measure = f"share of records after {after:g} s with {_ABOVE}, at most {most:g}"
     return _Finding(share.value <= most, _straddles(share, most), share, "", measure)
 
 

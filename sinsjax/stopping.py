@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
-from sinsjax import analysis
+from sinsjax import analysis, success
+from sinsjax import columns as layout
 from sinsjax.analysis import Estimate
 from sinsjax.studies import Study
 
@@ -45,9 +46,21 @@ def looks(study: Study) -> list[int]:
 def columns(study: Study) -> list[str]:
     """Columns of the summary that a look needs."""
     assert study.stop_when is not None
+    return ["run_id", "draw_id", "variant_id", _needed(study)]
+
+
+def _needed(study: Study) -> str:
+    """The column of the summary that the statistic is made of: from truth or limit, as judged."""
+    assert study.stop_when is not None
     name = study.stop_when.statistic
-    needed = "status" if name == "success_rate" else name.removesuffix("_mean")
-    return ["run_id", "draw_id", "variant_id", needed]
+    if name == "success_rate":
+        return "status"
+    truth = success.success_of(study).from_truth
+    return next(
+        layout.settle_column(band, truth=truth).name
+        for band in success.bands(study)
+        if name == f"{layout.settle_column(band).name}_mean"
+    )
 
 
 def look(study: Study, table: pa.Table, draws: int) -> Look:
@@ -66,7 +79,7 @@ def look(study: Study, table: pa.Table, draws: int) -> Look:
         if name == "success_rate":
             found = analysis.proportion(own["status"].to_pylist().count("ok"), own.num_rows)
         else:
-            found = analysis.mean(analysis.numbers(own, name.removesuffix("_mean")))
+            found = analysis.mean(analysis.numbers(own, _needed(study)))
         widths.append(_half_width(found))
     widest = max(widths)
     return Look(draws, widest, widest <= study.stop_when.half_width)

@@ -5,7 +5,7 @@ The rules between its keys stand in `rules`.
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import product
+from itertools import combinations, product
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict
@@ -79,8 +79,15 @@ NOISES = (
 )
 """The keys of white noise, each beside the one that gives its density."""
 
+Q_DENSITIES = {
+    "q_accel_ug": {"q_accel_ug_per_sqrt_hz": 1.0},
+    "q_gyro_deg_per_h": {"q_gyro_deg_per_h_per_sqrt_hz": 1.0, "q_gyro_arw_deg_per_sqrt_h": 60.0},
+}
+"""Under ``q_reading = "psd"``, the keys that give Q by its true units: factors to the old keys."""
+
 EXCLUSIVE = (
     *NOISES,
+    *(pair for key, by_unit in Q_DENSITIES.items() for pair in combinations((key, *by_unit), 2)),
     ("reset_times_s", "reset_count"),
     ("reset_times_s", "reset_cycle_s"),
     ("reset_times_s", "reset_first_s"),
@@ -104,6 +111,13 @@ ROUNDING = 1e-9
 
 Table = dict[str, Any]
 Dimension = dict[str, tuple[Any, ...]]
+
+
+def meaning(key: str) -> str:
+    """What a key says, in the words of its section; ``case`` is the label of a case."""
+    if key not in SECTION_OF:
+        return "label of the case"
+    return SECTIONS[SECTION_OF[key]].model_fields[key].description or ""
 
 
 def rivals(key: str) -> set[str]:

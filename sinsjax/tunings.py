@@ -15,7 +15,7 @@ from sinsjax.alignment.base import Site
 from sinsjax.alignment.schedules import UNCHANGED, Feedback, Pieces, Renewal, Resets
 from sinsjax.error_model import MODELS
 from sinsjax.loops import AzimuthGains, LevelGains
-from sinsjax.studies import Study
+from sinsjax.studies import Q_DENSITIES, Study
 from sinsjax.types import InputError
 from sinsjax.units import DEG, DEG_PER_H
 from sinsjax.worlds import Variants
@@ -76,8 +76,8 @@ def _filter(study: Study, variants: Variants, ug: float) -> zero_velocity.Params
     readings = {"per_step": 1.0, "psd": dt, "per_sample": dt * dt}
     reading = np.asarray([readings[name] for name in variants.raw("q_reading")])
     q_scale, r_scale = (_column_or(variants, key, 1.0) for key in ("q_scale", "r_scale"))
-    q_v = variants.column("q_accel_ug", ug) ** 2 * reading * q_scale
-    q_phi = variants.column("q_gyro_deg_per_h", DEG_PER_H) ** 2 * reading * q_scale
+    q_v = (_q(variants, "q_accel_ug") * ug) ** 2 * reading * q_scale
+    q_phi = (_q(variants, "q_gyro_deg_per_h") * DEG_PER_H) ** 2 * reading * q_scale
     spread = np.asarray([1 if r == "per_update" else dt for r in variants.raw("r_reading")])
     zero = np.zeros_like(velocity)
     p0 = {"dve": velocity, "dvn": velocity, "phi_e": level, "phi_n": level, "phi_u": yaw}
@@ -98,6 +98,13 @@ def _filter(study: Study, variants: Variants, ug: float) -> zero_velocity.Params
         else Renewal(*(zero + k for k in UNCHANGED)),
         trigger=_trigger(variants, study.study.rate_hz),
     )
+
+
+def _q(variants: Variants, key: str) -> np.ndarray:
+    """Values of a key of Q, (variants,), from whichever of its forms the study gives."""
+    forms = {key: 1.0, **Q_DENSITIES[key]}
+    given = next(form for form in forms if variants.raw(form)[0] is not None)
+    return variants.column(given, forms[given])
 
 
 def _reset_to(variants: Variants, state: str, p0: np.ndarray, ug: float) -> np.ndarray:

@@ -17,6 +17,36 @@ DEG_PER_SQRT_H = DEG / math.sqrt(HOUR)
 PPM = 1e-6
 MICRO = 1e-6
 
+SUFFIXES = {
+    "arcmin": "arcmin",
+    "arcsec": "arcsec",
+    "deg": "deg",
+    "deg_per_h": "deg/h",
+    "deg_per_h_per_sqrt_hz": "deg/h/sqrt(Hz)",
+    "deg_per_sqrt_h": "deg/sqrt(h)",
+    "hz": "Hz",
+    "m": "m",
+    "m_per_s": "m/s",
+    "m_per_s2": "m/s^2",
+    "per_s": "1/s",
+    "ppm": "ppm",
+    "s": "s",
+    "ug": "ug",
+    "ug_per_sqrt_hz": "ug/sqrt(Hz)",
+}
+"""The units that end the names of keys and columns, and how they are written out."""
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """The name of a key or column without its unit, and the unit written out.
+
+    Args:
+        name: ``gyro_bias_deg_per_h`` gives ``gyro_bias`` and ``deg/h``; one without a unit gives
+            itself and an empty string.
+    """
+    suffix = max((s for s in SUFFIXES if name.endswith(f"_{s}")), key=len, default="")
+    return (name.removesuffix(f"_{suffix}"), SUFFIXES[suffix]) if suffix else (name, "")
+
 
 def micro_g(gravity: float = STANDARD_GRAVITY) -> float:
     """One ug in m/s^2, for a given g (m/s^2): the papers take their own g = 9.8."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any, NamedTuple, NoReturn
 
-from sinsjax import columns
+from sinsjax import success
 from sinsjax.ranges import Range
 from sinsjax.studies import SECTION_OF, Study, Table, rivals
 from sinsjax.tuned_keys import COUNT, TIMES, TUNABLE, Ranges
@@ -180,10 +180,12 @@ def check(study: Study) -> None:
         _refuse("[stop_when]", "has no place beside [tune], whose draws are counted")
     if study.record and len(study.record.start_s) < 2:
         _refuse("[record] start_s", "tuning needs two start times, one to tune and one to judge by")
-    bands = columns.bands(study.study.settle_bands_arcmin)
+    bands = success.bands(study)
     if tune.objective_band_arcmin not in bands:
         text = f"{tune.objective_band_arcmin:g} is none of {', '.join(f'{b:g}' for b in bands)}"
-        _refuse("[tune] objective_band_arcmin", f"{text} (settle_bands_arcmin, and 10)")
+        _refuse(
+            "[tune] objective_band_arcmin", f"{text} (settle_bands_arcmin, and that of success)"
+        )
     space = Space.of(study)
     most = max(len(space.used(combination)) for combination in space.combinations)
     if "grid" in tune.searches and most > GRID_MOST:

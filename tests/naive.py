@@ -445,9 +445,9 @@ def judge(times, values, sigma_u, *, p, floor, bands, window, after):
     """
     error = values[:, 2] - floor
     outside = []
-    for band in bands:
-        bad = [t for t, e in zip(times, error, strict=True) if not abs(e) <= band]
-        outside.append(bad[-1] if bad else 0.0)
+    for errors in (error, values[:, 2]):
+        bad = [[t for t, e in zip(times, errors, strict=True) if not abs(e) <= b] for b in bands]
+        outside.append([late[-1] if late else 0.0 for late in bad])
     taken = values[(times > window[0]) & (times <= window[1])]
     # Six columns are angles: average about the first as unwrapped curves.
     unwrapped = np.unwrap(taken, axis=0)

@@ -1,12 +1,13 @@
 """Commands as a user types them: what they leave behind, and one clear line for every mistake."""
 
+import inspect
 import json
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 import pyarrow as pa
@@ -94,6 +95,41 @@ def test_run_leaves_results_figures_and_a_table(sinsjax: Command, tmp_path: Path
     (session,) = manifest["sessions"]
     assert session["devices"] == manifest["devices"] == 2
     assert session["versions"].keys() >= {"sinsjax", "jaxlib", "pyarrow"}
+
+
+def written_help(callback: Callable[..., None]) -> list[str]:
+    """What the source says of a command: the lines of its docstring, the help of its options."""
+    hints = get_type_hints(callback, include_extras=True).values()
+    given = (each for hint in hints for each in getattr(hint, "__metadata__", ()))
+    return [inspect.getdoc(callback) or "", *(each.help for each in given if each.help)]
+
+
+@pytest.mark.parametrize("command", [one.callback for one in cli.app.registered_commands])
+def test_help_shows_every_word_that_is_written(sinsjax: Command, command: Any) -> None:
+    """The section [tune] is no markup."""
+    code, told, error = sinsjax(command.__name__, "--help")
+    assert (code, error) == (0, "")
+    shown = "".join(told.split())
+    for text in written_help(command):
+        assert "".join(text.split()) in shown
+
+
+def test_brackets_in_what_is_printed_are_no_markup(
+    sinsjax: Command, tmp_path: Path, record: scenario.Record, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cli, "MOST_RUNS", 1)
+    write_psins(record, tmp_path / "swing.imu")
+    study = RECORDED["study"] | {"name": "swing [tune]"}
+    config = write_study(tmp_path, **RECORDED | {"study": study})
+    code, told, _ = sinsjax("align", tmp_path / "swing.imu", config, "-o", tmp_path / "[out]")
+    assert code == 0
+    assert "curves are kept only where [study] curves = true" in told
+    assert "swing [tune]: 2 of 2 runs" in told
+    code, told, _ = sinsjax(
+        "rerun", tmp_path / "[out]", "--run-id", 1, "--record", tmp_path / "swing.imu"
+    )
+    assert code == 0
+    assert str(tmp_path / "[out]" / "reruns" / "1") in told
 
 
 def test_results_are_not_overwritten_unasked(sinsjax: Command, tmp_path: Path) -> None:
@@ -217,6 +253,20 @@ def test_report_needs_parquet_alone(sinsjax: Command, tmp_path: Path) -> None:
     code, told, _ = sinsjax("report", out)
     assert code == 0 and told
     assert list((out / "figures").glob("*.png"))
+
+
+@pytest.mark.parametrize("folder", ["", "mine/"])
+def test_a_page_names_the_file_that_was_given(
+    sinsjax: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / folder).mkdir(exist_ok=True)
+    config = write_study(tmp_path / folder, **TWO).relative_to(tmp_path)
+    assert sinsjax("sweep", config, "-o", "out")[0] == 0
+    assert sinsjax("report", "out", "--page", "page.md", "--html", "page.html")[0] == 0
+    named = f"{folder}study.toml; sinsjax "
+    assert f"page.md ({named}" in Path("page.md").read_text()
+    assert f"<footer>{named}" in Path("page.html").read_text()
 
 
 def test_align_gives_attitude_and_its_sigma_without_a_reference(

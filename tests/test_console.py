@@ -88,14 +88,14 @@ def test_what_is_complete_already_says_so(clock: Clock) -> None:
 def test_a_terminal_has_a_bar(clock: Clock) -> None:
     file = io.StringIO()
     screen = Console(file=file, force_terminal=True, width=120)
-    with console.progress(screen, "swing") as tell:
+    with console.progress(screen, "swing [tune]") as tell:
         tell(Progress(0, 1000, 0, 0))
         clock.now += 4.0
         tell(Progress(250, 1000, 1, 0))
         clock.now += 2.0
         tell(Progress(500, 1000, 3, 0))
     told = file.getvalue()
-    assert "swing (compiling)" in told
+    assert "swing [tune] (compiling)" in told
     assert "500/1000" in told and "125 runs/s, 0:04 left, 3 failed" in told
 
 

@@ -1,3 +1,4 @@
+import json
 import math
 import re
 from pathlib import Path
@@ -42,7 +43,7 @@ def summary_of(study, *, truth=True, **given):
     draw, variant = np.repeat(np.arange(d), v), np.tile(np.arange(v), d)
     noise = np.random.default_rng(5).normal(size=v * d)
     swept = study.variant_values()
-    extra = [columns.axis_column(k, values) for k, values in swept.items()]
+    extra = [columns.axis_column(k, values, "") for k, values in swept.items()]
     known = {c.name for c in columns.IDENTITY}
     layout = [
         *columns.IDENTITY,
@@ -309,7 +310,7 @@ def test_a_page(tmp_path):
     text = page.read_text()
     first, blank, title, *_ = text.splitlines()
     assert first.startswith("<!-- Written by: sinsjax report") and first.endswith("-->")
-    assert "configs/swing.toml" in first and "do not edit" in first
+    assert "(swing.toml; sinsjax " in first and "do not edit" in first
     assert (blank, title) == ("", "# swing")
     assert str(tmp_path) not in text
     links = re.findall(r"!\[.*?\]\((.*?)\)", text)
@@ -377,6 +378,14 @@ def test_limit_accuracy_turns_the_biases_to_n():
     assert found.phi_e == pytest.approx(-300e-6 / (math.pi / 10800))  # the right axis looks north
     assert found.phi_n == pytest.approx(0.0, abs=1e-9)
     assert found.gyro > 0  # and the front axis west
+
+
+def test_a_study_whose_file_is_not_known_is_named_by_its_results(tmp_path):
+    study = small_study(study={"name": "swing"})
+    directory = store(tmp_path, study, summary_of(study))
+    manifest = json.loads((directory / "manifest.json").read_text())
+    (directory / "manifest.json").write_text(json.dumps(manifest | {"config": None}))
+    assert base.Source.read(directory).config == "study.toml of swing"
 
 
 def test_conditions_page(tmp_path):
@@ -540,6 +549,12 @@ def test_car_test_tables(tmp_path):
     )
     assert row.split()[4:6] == [f"{np.median(here):+.4f}", f"{np.abs(here).max():.4f}"]
     assert "smoother on the same record" in text
+    printed = next(
+        line
+        for line in text.partition("The paper's Table 3")[2].splitlines()
+        if line.startswith(" scheme 3")
+    )
+    assert printed.split()[6:8] == ["85.0917", "0.1906"] and printed.split()[-1] == "-0.4986"
     worst = np.abs(yaw.reshape(3, 2, 2)[:, :, 0]).max() / 60
     assert f"scheme 1 {worst:.4f} deg" in text
     assert {path.name for path in (tmp_path / "figures").iterdir()} == {"yaw_error.png"}

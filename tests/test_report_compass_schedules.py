@@ -200,7 +200,8 @@ def test_cases_are_compared_with_the_first():
     assert times.rows[0][1] == format_estimate(analysis.quantile(wide[:, 0]), digits=0)
     apart = analysis.quantile_difference(narrow[:, 3], narrow[:, 0])
     assert times.rows[3][5] == format_estimate(apart, digits=0)
-    assert times.rows[1][1:4] == ["never [never, never]", "never [never, never]", "never"]
+    label = study.values("case")[1].partition(":")[0]
+    assert times.rows[1][1:4] == ["never [never, never]", f"{label} never settles", "never"]
     lines = made.headline
     assert len(lines) == 4 and "to 1.2' settle 80 [" in lines[3]
     gains = [analysis.quantile_difference(t[:, 0], t[:, 3]).value for t in (wide, narrow)]

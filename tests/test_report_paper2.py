@@ -144,7 +144,7 @@ def test_a_page_of_both_bases(tmp_path):
     page = tmp_path / "docs" / "paper2.md"
     told(*places, page=page)
     text = page.read_text()
-    assert text.splitlines()[0].count("configs/paper2_static.toml") == 1
+    assert text.splitlines()[0].count("paper2_static.toml") == 1
     assert "# Paper 2, reproduced" in text and str(tmp_path) not in text
     assert "Not on this page" not in text
     headings = [line for line in text.splitlines() if line.startswith("## ")]

@@ -15,8 +15,9 @@ from sinsjax.batch import Chunk
 from sinsjax.config import study_from_dict
 from sinsjax.limits import Limit
 from sinsjax.metrics import Observation, Outcome
+from sinsjax.studies import SECTIONS, SWEEPABLE, meaning
 from sinsjax.types import InputError, Vec3
-from sinsjax.units import ARCMIN, DEG
+from sinsjax.units import ARCMIN, DEG, split_unit
 
 CONTRACT = """
 run_id draw_id variant_id method reset_count reset_cycle_s reset_times_s start_s
@@ -24,25 +25,45 @@ phi_e0_deg phi_n0_deg phi_u0_deg phi_e_arcmin phi_n_arcmin phi_u_arcmin pitch_de
 sigma_e_arcmin sigma_n_arcmin sigma_u_arcmin phi_u_mean_arcmin phi_u_std_arcmin phi_e_mean_arcmin
 phi_e_std_arcmin phi_n_mean_arcmin phi_n_std_arcmin pitch_mean_deg pitch_std_deg roll_mean_deg
 roll_std_deg yaw_mean_deg yaw_std_deg floor_arcmin settle_60_s settle_10_s settle_3_s nees nis_u
-status
+status settle_60_truth_s settle_10_truth_s settle_3_truth_s has_limit ok_limit ok_truth
 """.split()
 
 
-def chunk(phi_u_arcmin: list[float], outside_until: list[list[float]], yaw: float = 1.0) -> Chunk:
-    """Runs of draw 0 with these final heading errors and ends of their time outside the bands."""
+LIMIT = {"judged_from": "limit", "dwell_s": 0.0}
+"""A study that judges from the limit."""
+
+
+def chunk(
+    phi_u_arcmin: list[float],
+    outside_until: list[list[float]],
+    yaw: float = 1.0,
+    *,
+    from_truth: list[list[float]] | None = None,
+    level_arcmin: float = 2.0,
+    no_north: bool = False,
+) -> Chunk:
+    """Runs of draw 0 with these final errors and ends of their time outside the bands.
+
+    Their limit is 1' and -1' in level and -20' in heading, and biases tilt by up to 1.5'.
+    """
     n = len(phi_u_arcmin)
     one = np.ones(n)
-    phi = Vec3(one, 2 * one, np.array(phi_u_arcmin) * ARCMIN)
+    level = level_arcmin * ARCMIN * one
+    phi = Vec3(level / 2, level, np.array(phi_u_arcmin) * ARCMIN)
     last = Observation(phi, Vec3(one, one, one), 0.1 * one, 0.2 * one, yaw * one)
     outcome = Outcome(
         last=last,
-        outside_until=np.array(outside_until),
+        outside_until=np.stack([outside_until, from_truth or outside_until], axis=1),
         mean=(one,) * 6,
         std=(one,) * 6,
         above_share=(one,) * 3,
         nees=one,
         nis_u=one,
-        limit=Limit(Vec3(0 * one, 0 * one, -20.0 * ARCMIN * one), one < 0),
+        limit=Limit(
+            Vec3(*(arcmin * ARCMIN * one for arcmin in (1.0, -1.0, -20.0))),
+            1.5 * ARCMIN * one,
+            np.full(n, no_north),
+        ),
     )
     return Chunk(np.zeros(n, int), np.arange(n), outcome, None)
 
@@ -65,7 +86,7 @@ def test_the_contract_columns_are_there_with_every_axis() -> None:
 
 @pytest.mark.parametrize("values", [[1, 2], [1.5, 2], ["a", "b"], [(), (1.0, 2.0)]])
 def test_axis_columns_take_the_type_of_their_values(values: list) -> None:
-    column = columns.axis_column("key", values)
+    column = columns.axis_column("key", values, "")
     array = pa.array([list(v) if isinstance(v, tuple) else v for v in values], column.dtype)
     assert array.null_count == 0
 
@@ -76,8 +97,66 @@ def test_a_vector_key_may_be_swept_by_numbers_and_lists() -> None:
     assert table["gyro_bias_deg_per_h"].to_pylist() == [[0.1], [0.1, 0.0, 0.0]]
 
 
+SAID = {
+    "case": ("", "swept by the study: label of the case"),
+    "gyro_bias_deg_per_h": ("deg/h", "drawn by the study: gyro bias, deg/h"),
+    "gyro_scale_ppm": ("ppm", "drawn by the study: gyro scale factor error, ppm"),
+    "gyro_misalignment_arcsec": (
+        "arcsec",
+        "drawn by the study: gyro cross-axis angles xy, xz, yx, yz, zx, zy, arcsec",
+    ),
+    "accel_bias_ug": ("ug", "drawn by the study: accelerometer bias, ug"),
+    "latitude_deg": (
+        "deg",
+        "drawn by the study: latitude, deg; a recorded study may take it from the record",
+    ),
+    "ve0_m_per_s": ("m/s", "drawn by the study: initial east velocity, m/s"),
+    "accel_vrw_ug_per_sqrt_hz": (
+        "ug/sqrt(Hz)",
+        "swept by the study: accelerometer velocity random walk, ug/sqrt(Hz)",
+    ),
+    "feedback_interval_s": (
+        "s",
+        "swept by the study: time between feedbacks, s; default 1",
+    ),
+    "gravity_m_per_s2": (
+        "m/s^2",
+        "swept by the study: gravity, m/s^2; constants only, default 9.8",
+    ),
+    "radius_m": ("m", "swept by the study: radius, m; constants only, default 6378137"),
+    "q_reading": ("", "swept by the study: Q of a step: as is, times dt, times dt^2"),
+}
+"""Unit and meaning of columns of keys."""
+
+
+def test_columns_of_keys_have_their_unit_and_meaning() -> None:
+    normal = ("gyro_bias_deg_per_h", "gyro_scale_ppm", "gyro_misalignment_arcsec", "accel_bias_ug")
+    drawn = {key: {"normal": [0, 1]} for key in (*normal, "ve0_m_per_s")}
+    sweep = {
+        "drawn": drawn | {"latitude_deg": {"uniform": [30, 60]}},
+        "cases": [{"case": k, "feedback_interval_s": t} for k, t in (("a", 1.0), ("b", 2.0))],
+        "axes": {
+            "accel_vrw_ug_per_sqrt_hz": [1.0, 2.0],
+            "gravity_m_per_s2": [9.8, 9.81],
+            "radius_m": [6e6, 7e6],
+            "q_reading": ["psd", "per_step"],
+        },
+    }
+    study = study_from_dict(BASE | {"sensors": {}, "earth": {}} | sweep)
+    told = columns.schema(results.Tables(study).summary_columns)
+    for key, (unit, text) in SAID.items():
+        assert told.field(key).metadata == {b"unit": unit.encode(), b"meaning": text.encode()}
+
+
+@pytest.mark.parametrize("key", [k for name in SWEEPABLE for k in SECTIONS[name].model_fields])
+def test_a_description_names_the_unit_of_its_key(key: str) -> None:
+    """Every key that may be a column has a meaning, and a unit in its name stands in it."""
+    _, unit = split_unit(key)
+    assert unit in meaning(key) != ""
+
+
 def test_settling_status_and_floor() -> None:
-    study = small_study(axes={"phi_u0_deg": [float(i) for i in range(4)]})
+    study = small_study(study=LIMIT, axes={"phi_u0_deg": [float(i) for i in range(4)]})
     # Bands 60, 10, 3 arcmin; the run ends at 6 s.
     outside = [[0.0, 1.0, 6.0], [2.0, 6.0, 6.0], [6.0, 6.0, 6.0], [6.0, 6.0, 6.0]]
     rows = chunk([-21.0, -5.0, 700.0, np.nan], outside)
@@ -87,7 +166,7 @@ def test_settling_status_and_floor() -> None:
     assert table["settle_10_s"].to_pylist() == [1.0, None, None, None]
     assert table["status"].to_pylist() == ["ok", "not_settled", "diverged", "not_settled"]
     assert table["phi_u_arcmin"].null_count == 1
-    assert table["phi_n_arcmin"].to_pylist() == pytest.approx([2 / ARCMIN] * 4)
+    assert table["phi_n_arcmin"].to_pylist() == pytest.approx([2.0] * 4)
     assert table["yaw_deg"].to_pylist() == pytest.approx([1 / DEG] * 4)
     broken = made.summary(chunk([0.0], [[6.0, 6.0, 6.0]], yaw=np.nan), np.arange(1))
     assert broken["status"].to_pylist() == ["nonfinite"]
@@ -95,7 +174,8 @@ def test_settling_status_and_floor() -> None:
 
 def test_settling_is_told_in_update_time_and_in_data() -> None:
     """The data that was there: what had been recorded by then, and no more than the tape."""
-    study = small_study(passes={"tape_s": 2.0}, axes={"passes": [1, 3], "phi_u0_deg": [0.0, 1.0]})
+    axes = {"passes": [1, 3], "phi_u0_deg": [0.0, 1.0]}
+    study = small_study(study=LIMIT, passes={"tape_s": 2.0}, axes=axes)
     # The first two runs end after 2 s, the others after 6 s.
     outside = [[0.0, 1.0, 2.0], [2.0, 2.0, 2.0], [1.0, 2.0, 5.0], [3.0, 4.0, 6.0]]
     table = results.Tables(study).summary(chunk([-21.0] * 4, outside), np.arange(4))
@@ -216,7 +296,9 @@ def test_rows_come_by_run_and_time(stored: Path) -> None:
     assert results.read_curves(stored, []).num_rows == 0
     assert results.count_runs(stored) == 4
     # What a part says of itself does not hold for all rows.
-    assert results.read_summary(stored).schema.metadata == {b"sinsjax.schema": b"1"}
+    assert results.read_summary(stored).schema.metadata == {
+        b"sinsjax.schema": columns.SCHEMA_VERSION.encode()
+    }
 
 
 def test_some_columns_and_runs(stored: Path) -> None:

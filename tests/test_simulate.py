@@ -66,7 +66,7 @@ def world(every, records, noise=NOISE, tape=None):
         errors,
         np.asarray(SEED),
         criteria,
-        Biases(Vec3(east, zero, zero), Vec3(zero, zero, zero)),
+        Biases(Vec3(east, zero, zero), Vec3(zero, zero, zero), zero),
         np.asarray(tape or records),
     )
 

@@ -29,7 +29,7 @@ from sinsjax.scenario import simulated_record
 from sinsjax.tuning import carry_out, history, objective, search
 from sinsjax.tuning.history import Found, Look
 from sinsjax.types import InputError, StudyInterrupted
-from sinsjax.variables import Space
+from sinsjax.variables import Space, Variable
 
 Command = Callable[..., tuple[int, str, str]]
 
@@ -149,6 +149,36 @@ def test_a_tuning_is_reported_from_its_files(made: Path, tmp_path: Path) -> None
     pictures = {path.name for path in (made / "figures").iterdir()}
     assert pictures == {"descent.png", "history.png"}
     shutil.rmtree(made / "figures")
+
+
+def test_values_on_the_bound_of_their_range_are_flagged(made: Path) -> None:
+    tuning = Tuning.of(tuned.read(made))
+    space = Space.of(tuning.study)
+    bounds = {
+        name: {v.name for v, x in there if x in (v.low, v.high)}
+        for name, there in tuning.on_bounds.items()
+    }
+    for name, found in tuning.found.items():
+        used = space.used(space.combinations[found.best.candidate])
+        there = {
+            space.variables[i].name
+            for i in used
+            if found.best.values[i] in (space.variables[i].low, space.variables[i].high)
+        }
+        assert bounds[name] == there
+    made_report = tuned.report(tuned.read(made))
+    (last,) = made_report.headline[-1:]
+    assert ("At the end of the range" in last) == any(bounds.values())
+    cells = [cell for row in made_report.sections[0].blocks[0].rows for cell in row]
+    assert any("(bound)" in cell for cell in cells) == any(bounds.values())
+
+
+def test_resets_close_together_are_told_as_a_double_one() -> None:
+    first = Variable("reset_times_s", 0, 2.0, 50.0, True)
+    assert tuned._value((8.94, 76.55, 76.74), (), "reset_times_s") == "8.94, 76.55 and 76.74"
+    found = tuned._value((2.0, 63.84), [(first, 2.0)], "reset_times_s")
+    assert found == "2 (bound), 63.84"
+    assert tuned._value(0.5, (), "q_scale") == "0.5" and tuned._value((), (), "q") == "none"
 
 
 def test_a_judging_that_lacks_runs_is_not_reported(made: Path, tmp_path: Path) -> None:

@@ -197,6 +197,10 @@ def test_a_history_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert table["reset_times_s[0]"].to_pylist() == [None, 1.5, 2.5, 2.0, 2.5]
     assert table["window_s"].to_pylist() == [None, None, 20.0, None, None]
     assert table.schema.field("window_s").metadata[b"unit"] == b"s"
+    assert table.schema.field("reset_times_s[0]").metadata == {
+        b"unit": b"s",
+        b"meaning": b"explicit reset times, s; null where not used",
+    }
     other_space = Space.of(tuned({"p0_yaw_deg": YAW}))
     with pytest.raises(InputError, match=r"history\.parquet: column p0_yaw_deg is missing"):
         history.read(tmp_path, other_space)

@@ -14,7 +14,7 @@ from engine import (
     site,
     swing_increments,
 )
-from naive import DEG, PAPER, WGS84, closed_loop, exp, of_quaternion
+from naive import DEG, PAPER, WGS84, Unwatched, closed_loop, exp, of_quaternion
 from scipy.spatial.transform import Rotation
 from studies import BASE
 
@@ -31,7 +31,7 @@ PHI0, V0 = np.array([5.0, 5.0, 30.0]) * DEG, np.array([0.3, -0.2])
 @cache
 def runner(name, force, position):
     """A compiled run of one program that returns the state after every sample."""
-    method = METHODS[name](Options(1 / RATE, force, position))
+    method = METHODS[name](Options(1 / RATE, force, position, innovations=True))
 
     @jax.jit
     def run(filt, here, nav, increments):
@@ -72,11 +72,24 @@ def states(triangle):
     return np.moveaxis(np.array(triangle)[order], -1, 0)
 
 
+class Summing(Unwatched):
+    """Normalised innovations squared, sample by sample."""
+
+    def __init__(self):
+        self.squares = []
+
+    def look(self, seen, x, p):
+        self.squares.append(seen.r @ np.linalg.solve(seen.s, seen.r))
+        return False
+
+
 def compare(name, planet, latitude_deg, filt):
     """Both runs, sample by sample, to 1e-9."""
     latitude = latitude_deg * DEG
     rows, start = measured(planet, latitude), exp(-PHI0) @ PAPER1.matrix(0.0)
-    naive = closed_loop(rows, 1 / RATE, planet, latitude=latitude, c=start, v=V0, filt=filt)
+    watcher = Summing()
+    about = {"latitude": latitude, "c": start, "v": V0, "filt": filt, "watcher": watcher}
+    naive = closed_loop(rows, 1 / RATE, planet, **about)
     run = runner(name, filt.force, filt.position)
     here, nav = site(planet, latitude), navigation(start, V0, latitude)
     state, attitude, covariance = run(params(filt), here, nav, rows)
@@ -100,6 +113,9 @@ def compare(name, planet, latitude_deg, filt):
     np.testing.assert_allclose(of_quaternion(np.stack(attitude, axis=1)), corrected, **close)
     upper = np.array([p[:, i, j] for i in (2, 3, 4) for j in range(i, 5)])
     np.testing.assert_array_equal(np.array(covariance), upper)
+    summed, count = state.innovations
+    np.testing.assert_allclose(summed, np.cumsum(watcher.squares), rtol=1e-8)
+    np.testing.assert_array_equal(count, np.arange(1, SAMPLES + 1))
     return naive
 
 

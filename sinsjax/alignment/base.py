@@ -35,12 +35,14 @@ class Options(NamedTuple):
             (the constant (0, 0, g), with the velocity zero: A(t) of a base that is at rest).
         position: "fixed" or "integrated".
         trigger: name in `scores.TRIGGERS`, or "none".
+        innovations: whether a filter sums up its normalised innovations.
     """
 
     dt: float
     specific_force: str = "measured"
     position: str = "fixed"
     trigger: str = "none"
+    innovations: bool = False
 
 
 class Fired(NamedTuple):
@@ -55,6 +57,13 @@ class Fired(NamedTuple):
     count: Scalar
     first: Scalar
     last: Scalar
+
+
+class Innovations(NamedTuple):
+    """Sum of the normalised innovations squared r' S^-1 r of a run, and how many they are."""
+
+    sum: Scalar
+    count: Scalar
 
 
 class AttitudeCovariance(NamedTuple):
@@ -94,6 +103,7 @@ class Method(NamedTuple):
         limit: (params, place, biases, `Ending`) -> `Limit` that constant biases leave; the place is
             that of a forward pass.
         fired: state -> `Fired`; None of a method without a trigger.
+        innovations: state -> `Innovations`; None of a method that sums up none.
         common_covariance: whether the covariance depends on params and n alone, so that runs that
             differ in their draw can share it.
     """
@@ -106,4 +116,5 @@ class Method(NamedTuple):
     normalise: Callable[[Any], Any]
     limit: Callable[[Any, Place, Biases, Ending], Limit]
     fired: Callable[[Any], Fired] | None = None
+    innovations: Callable[[Any], Innovations] | None = None
     common_covariance: bool = False

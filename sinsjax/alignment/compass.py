@@ -164,7 +164,7 @@ def _limit(params: Params, place: earth.Place, biases: Biases, ending: Ending) -
     2 eps_U/sigma for the gains of [P2] eq. (23). It is of the other sign in a backward pass.
     """
     gains = at_pace(params.azimuth, value_at(params.pace, ending.n))
-    eps, _ = biases
+    eps = biases.eps
     lag = (1 + gains.k2) * gains.k4 * place.curvature_n * eps.z / gains.k3
     felt = jnp.hypot(eps.x, place.rate_n + eps.y)
     lag = jnp.arcsin(jnp.clip(lag * place.rate_n / felt, -1.0, 1.0))

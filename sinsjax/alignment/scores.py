@@ -37,7 +37,7 @@ def _add(numbers: Numbers, block: _Block, terms: tuple[Scalar, ...]) -> tuple[_B
     return _Block(count, sums), count >= numbers.window
 
 
-def _normalised(r: Pair, s: tuple[Scalar, ...]) -> Scalar:
+def normalised(r: Pair, s: tuple[Scalar, ...]) -> Scalar:
     """An innovation r squared and normalised, r' S^-1 r."""
     (e, n), (ee, en, nn) = r, s
     return (nn * e * e - 2 * en * e * n + ee * n * n) / (ee * nn - en * en)
@@ -47,12 +47,12 @@ def _innovation(numbers: Numbers, noise: Noise, block: _Block, seen: Seen) -> An
     """Innovation windowed over time: (sum r)' (sum S)^-1 (sum r), chi-square with 2 degrees."""
     block, full = _add(numbers, block, (*seen.innovation, *seen.variance))
     e, n, *s = block.sums
-    return block, jnp.where(full, _normalised((e, n), tuple(s)), 0.0)
+    return block, jnp.where(full, normalised((e, n), tuple(s)), 0.0)
 
 
 def _nis(numbers: Numbers, noise: Noise, memory: Any, seen: Seen) -> Any:
     """Normalised innovation squared of a sample, r' S^-1 r, chi-square with 2 degrees."""
-    return memory, _normalised(seen.innovation, seen.variance)
+    return memory, normalised(seen.innovation, seen.variance)
 
 
 def _whiteness(numbers: Numbers, noise: Noise, memory: Any, seen: Seen) -> Any:
@@ -118,7 +118,7 @@ def _levelled(numbers: Numbers, noise: Noise, levels: _Levels, seen: Seen) -> An
     Once it exceeds 1, what is left of the drift can be the work of heading alone.
     """
     levels, full, (east, north) = _drift(numbers, levels, seen)
-    still = _normalised(seen.innovation, seen.variance) < STILL
+    still = normalised(seen.innovation, seen.variance) < STILL
     # The Earth of a backward pass turns the other way.
     score = jnp.abs(seen.place.rate_n) / jnp.sqrt(east**2 + north**2)
     return levels, jnp.where(full & still, score, 0.0)

@@ -13,7 +13,14 @@ import jax.numpy as jnp
 from sinsjax import earth, kalman, mechanisation, rotations
 from sinsjax.algebra import add, change_signs, triangle_index
 from sinsjax.alignment import triggers
-from sinsjax.alignment.base import AttitudeCovariance, Ending, Method, Options, Site
+from sinsjax.alignment.base import (
+    AttitudeCovariance,
+    Ending,
+    Innovations,
+    Method,
+    Options,
+    Site,
+)
 from sinsjax.alignment.schedules import (
     Feedback,
     Renewal,
@@ -24,7 +31,7 @@ from sinsjax.alignment.schedules import (
     reset_due,
     where_due,
 )
-from sinsjax.alignment.scores import TRIGGERS
+from sinsjax.alignment.scores import TRIGGERS, normalised
 from sinsjax.alignment.triggers import Noise, Seen, Trigger
 from sinsjax.error_model import PHI_E, PHI_N, PHI_U, VE, VN, ErrorModel
 from sinsjax.limits import Biases, Limit, unaided
@@ -64,6 +71,7 @@ class State(NamedTuple):
         bias: sensor biases fed back so far, one for each state beyond the fifth, SI.
         feedback_at: sample count of the next feedback.
         watch: `triggers.Watch`, None without a trigger.
+        innovations: `Innovations` so far, None where none are summed up.
     """
 
     nav: Navigation
@@ -71,6 +79,7 @@ class State(NamedTuple):
     bias: tuple[Scalar, ...]
     feedback_at: Scalar
     watch: Any = None
+    innovations: Innovations | None = None
 
 
 def build(model: ErrorModel, options: Options) -> Method:
@@ -87,7 +96,9 @@ def build(model: ErrorModel, options: Options) -> Method:
     def init(params: Params, nav: Navigation) -> State:
         belief = kalman.start(params.p0)
         watch = triggers.start(trigger, params.trigger, belief.p) if trigger else None
-        return State(nav, belief, belief.x[len(_LEVEL_AND_YAW) :], params.feedback.every, watch)
+        biases, zero = belief.x[len(_LEVEL_AND_YAW) :], jnp.zeros_like(params.r)
+        summed = Innovations(zero, zero) if options.innovations else None
+        return State(nav, belief, biases, params.feedback.every, watch, summed)
 
     def step(params: Params, site: Site, state: State, sample: Sample, n: Scalar) -> State:
         before = state.nav
@@ -107,13 +118,18 @@ def build(model: ErrorModel, options: Options) -> Method:
             watch, belief = triggers.fade(trigger, params.trigger, noise, watch, belief, measured)
         predicted = kalman.add_noise(belief, params.q)
         belief = kalman.update(predicted, (VE, VN), measured, params.r)
-        reset = reset_due(params.resets, n)
+        reset, summed = reset_due(params.resets, n), state.innovations
+        innovation = measured[0] - predicted.x[VE], measured[1] - predicted.x[VN]
+        variance = _innovation_variance(predicted, params.r)
+        if summed is not None:
+            squared = normalised(innovation, variance)
+            summed = Innovations(summed.sum + squared, summed.count + 1)
         if trigger is not None:
             gravity = Vec3(0.0, 0.0, place.gravity * options.dt)
             still = before._replace(ve=0.0, vn=0.0)
             seen = Seen(
-                innovation=(measured[0] - predicted.x[VE], measured[1] - predicted.x[VN]),
-                variance=_innovation_variance(predicted, params.r),
+                innovation=innovation,
+                variance=variance,
                 belief=belief,
                 correction=add(watch.fed, _misalignment(belief)),
                 at_rest=model.transition(still, place, gravity, options.dt),
@@ -122,7 +138,7 @@ def build(model: ErrorModel, options: Options) -> Method:
             )
             watch, fires = triggers.look(trigger, params.trigger, noise, watch, seen, n)
             reset = reset | fires
-        state = state._replace(nav=nav, belief=belief, watch=watch)
+        state = state._replace(nav=nav, belief=belief, watch=watch, innovations=summed)
         return _close_loop(trigger, params, state, reset, n)
 
     def turn(params: Params, site: Site, state: State) -> State:
@@ -153,6 +169,7 @@ def build(model: ErrorModel, options: Options) -> Method:
         _normalise,
         _limit,
         fired=(lambda state: state.watch.fired) if trigger else None,
+        innovations=(lambda state: state.innovations) if options.innovations else None,
         common_covariance=at_rest
         and not integrated
         and not model.uses_attitude
@@ -186,6 +203,7 @@ def _close_loop(
         bias=tuple(b + f for b, f in zip(state.bias, fed[len(_LEVEL_AND_YAW) :], strict=True)),
         feedback_at=jnp.where(due, state.feedback_at + params.feedback.every, state.feedback_at),
         watch=watch,
+        innovations=state.innovations,
     )
 
 

@@ -1,20 +1,29 @@
 """Statistics over the summary table, each with its 95 % interval.
 
-`estimates` are single numbers over some runs, `differences` those between runs on the same noise,
-`tables` and `summaries` what is made of a whole summary.
+`clusters` says which runs depend on one another. `estimates` are single numbers over some runs,
+`differences` those between runs on the same noise, `tables` and `summaries` what is made of a whole
+summary.
 """
 
-from sinsjax.analysis.differences import difference, proportion_difference, quantile_difference
+from sinsjax.analysis.clusters import NO_INTERVAL, are_single, clusters_of
+from sinsjax.analysis.differences import (
+    chance_apart,
+    difference,
+    proportion_difference,
+    quantile_difference,
+)
 from sinsjax.analysis.estimates import (
     CONFIDENCE,
     UNKNOWN,
     Estimate,
     chi2_mean_band,
+    format_difference,
     format_estimate,
     mean,
     proportion,
     quantile,
     rms,
+    share,
     std,
 )
 from sinsjax.analysis.summaries import NEES_FREEDOM, compare, summarise
@@ -23,11 +32,16 @@ from sinsjax.analysis.tables import groups, has_status, has_truth, numbers, pair
 __all__ = [
     "CONFIDENCE",
     "NEES_FREEDOM",
+    "NO_INTERVAL",
     "UNKNOWN",
     "Estimate",
+    "are_single",
+    "chance_apart",
     "chi2_mean_band",
+    "clusters_of",
     "compare",
     "difference",
+    "format_difference",
     "format_estimate",
     "groups",
     "has_status",
@@ -40,6 +54,7 @@ __all__ = [
     "quantile",
     "quantile_difference",
     "rms",
+    "share",
     "std",
     "summarise",
 ]

@@ -9,10 +9,18 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sinsjax.analysis.estimates import Estimate, bootstrap, clean, mean, place, proportion
+from sinsjax.analysis.estimates import (
+    SEED,
+    Estimate,
+    bootstrap,
+    clean,
+    mean,
+    place,
+    proportion,
+)
 
 
-def difference(a: ArrayLike, b: ArrayLike) -> Estimate:
+def difference(a: ArrayLike, b: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
     """The mean of a - b over pairs on the same noise, with Student's t interval.
 
     A pair whose difference is not finite is left out; ``n`` says how many were used.
@@ -20,21 +28,48 @@ def difference(a: ArrayLike, b: ArrayLike) -> Estimate:
     Args:
         a: shape (n,), any unit.
         b: shape (n,), the same draws in the same order.
+        cluster: shape (n,), of each pair, as for :func:`sinsjax.analysis.mean`.
 
     Raises:
         ValueError: shapes differ, or no pairs.
     """
     first, second = _pair(a, b)
     with np.errstate(invalid="ignore"):  # infinite minus infinite, left out by mean
-        return mean(first - second)
+        return mean(first - second, cluster)
+
+
+def chance_apart(a: ArrayLike, b: ArrayLike, swaps: int = 16) -> float:
+    """How often `quantile_difference` shows a difference, one way, where there is none.
+
+    Measured on the pairs themselves: with a and b swapped in some of them, picked at random and the
+    same at every call, no difference is left but that of chance.
+
+    Args:
+        a: shape (n,), any unit.
+        b: shape (n,), the same draws in the same order.
+        swaps: how many picks.
+
+    Returns:
+        Share of picks whose interval lies to one side of 0, half of it: above and below are alike.
+
+    Raises:
+        ValueError: shapes differ, or no pairs.
+    """
+    first, second = _pair(a, b, missing=math.inf)
+    shown = 0
+    for swap in np.random.default_rng(SEED).random((swaps, first.size)) < 0.5:
+        apart = quantile_difference(np.where(swap, second, first), np.where(swap, first, second))
+        shown += apart.low > 0 or apart.high < 0
+    return shown / swaps / 2
 
 
 def quantile_difference(a: ArrayLike, b: ArrayLike, q: float = 0.5) -> Estimate:
     """The quantile of a minus that of b, with a bootstrap interval over the pairs.
 
     NaN counts as infinite as in :func:`sinsjax.analysis.quantile`. Infinite minus finite is
-    infinite; infinite minus infinite is 0, since two that never settle show no difference. Pairs
-    are resampled whole, which keeps the noise that they share.
+    infinite. Infinite minus infinite has no value, which is NaN here; as an end of the interval
+    it is 0, since two that never settle show no difference. Pairs are resampled whole, which
+    keeps the noise that they share.
 
     Args:
         a: shape (n,), any unit.
@@ -53,7 +88,9 @@ def quantile_difference(a: ArrayLike, b: ArrayLike, q: float = 0.5) -> Estimate:
         return np.where(same, 0.0, left - np.where(same, 0.0, right))
 
     low, high = bootstrap(statistic, first, second)
-    return Estimate(float(statistic(first, second)), low, high, first.size)
+    neither = all(math.isinf(np.partition(x, at)[at]) for x in (first, second))
+    value = math.nan if neither else float(statistic(first, second))
+    return Estimate(value, low, high, first.size)
 
 
 def proportion_difference(a: ArrayLike, b: ArrayLike) -> Estimate:

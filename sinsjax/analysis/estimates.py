@@ -4,11 +4,17 @@ Nothing is dropped in silence: a run that never settled counts as an infinite se
 :class:`Estimate` says how many values it rests on. The intervals:
 
 * shares: Wilson's score interval; means: Student's t;
-* quantiles: the bootstrap's percentile interval, in closed form and at home with infinite values;
-* standard deviations and root mean squares: seeded percentile bootstrap. Not BCa: its jackknife
-  has no meaning with infinite values and costs n^2.
+* quantiles: two of the values, by the binomial law of how many lie below the quantile;
+* standard deviations and root mean squares: on the scale of their logarithm, see `_root`; of
+  normal values chi-square.
 
-An interval's end is NaN where the values are too few to bound it.
+What they cover stands in ``docs/results.md``, measured by ``benchmarks/coverage.py``.
+
+Runs that depend on one another are no independent values: a draw's runs share its noise, and all
+runs on a record share the record. All functions take the cluster of each value (see
+`sinsjax.analysis.clusters_of`) and count clusters, not values. One cluster has no interval:
+nothing is known of how clusters differ. An interval's end is NaN also where the values are too few
+to bound it.
 """
 
 import math
@@ -20,10 +26,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
+from sinsjax.analysis.clusters import Clustered, of_each
+
 CONFIDENCE = 0.95
 RESAMPLES = 1000
 SEED = 0
 TAIL = (1 - CONFIDENCE) / 2
+_NORMAL = float(special.ndtri(1 - TAIL))
+_LEAST = 5  # clusters that bound a standard deviation or a root mean square
+_UPPER = 1.3  # of a root, see `_root`
 _BLOCK = 2**22  # values drawn at a time: bounds the bootstrap's memory
 
 
@@ -51,14 +62,47 @@ def format_estimate(estimate: Estimate, unit: str = "", digits: int = 1) -> str:
     """An estimate as text, such as ``12.3 [11.9, 12.8] s``.
 
     Args:
-        estimate: what to write; infinite numbers become ``never``, NaN becomes ``unknown``.
+        estimate: what to write; infinite numbers become ``never``, NaN becomes ``unknown``, and an
+            interval of which neither end is known is left out.
         unit: written after the interval if given.
         digits: decimals.
     """
     words = {"nan": "unknown", "inf": "never", "-inf": "-never"}
     printed = (f"{number:.{digits}f}" for number in estimate[:3])
     value, low, high = (words.get(text, text) for text in printed)
-    return f"{value} [{low}, {high}] {unit}".rstrip()
+    interval = "" if low == high == words["nan"] else f"[{low}, {high}] "
+    return f"{value} {interval}{unit}".rstrip()
+
+
+def format_difference(
+    estimate: Estimate,
+    unit: str = "",
+    digits: int = 1,
+    sides: tuple[str, str] = ("one side", "one side"),
+) -> str:
+    """A difference of two settling times as text: what never settles is told in words.
+
+    Such as ``12.3 [11.9, 12.8] s``, ``one side never settles`` or ``neither settles``.
+
+    Args:
+        estimate: of :func:`sinsjax.analysis.quantile_difference`; NaN of some pairs means that
+            neither settles.
+        unit: written after the interval if given.
+        digits: decimals.
+        sides: what was compared, the one that the other is taken from first.
+    """
+    value, low, high = map(float, estimate[:3])
+    if math.isnan(value):
+        return "neither settles" if estimate.n else "unknown"
+
+    def text(number: float) -> str:
+        if math.isinf(number):
+            return f"{sides[0] if number > 0 else sides[1]} never settles"
+        return "unknown" if math.isnan(number) else f"{number:.{digits}f}"
+
+    if math.isinf(value) and {low, high} <= {value, 0.0}:  # ends at 0 where neither settles
+        return text(value)
+    return f"{text(value)} [{text(low)}, {text(high)}] {unit}".rstrip()
 
 
 @lru_cache(maxsize=4096)
@@ -74,39 +118,80 @@ def proportion(k: int, n: int) -> Estimate:
     """
     if n < 1 or not 0 <= k <= n:
         raise ValueError(f"a share needs 0 <= k <= n and n >= 1, got k = {k}, n = {n}")
-    share, z = k / n, float(special.ndtri(1 - TAIL))
-    centre = (k + z * z / 2) / (n + z * z)
+    return Estimate(k / n, *_wilson(k / n, float(n), _NORMAL), n)
+
+
+def _wilson(share: float, n: float, z: float) -> tuple[float, float]:
+    """The ends of Wilson's interval of a share of n values, which need not be a whole number."""
+    centre = (n * share + z * z / 2) / (n + z * z)
     half = z / (n + z * z) * math.sqrt(n * share * (1 - share) + z * z / 4)
     # At the ends the interval reaches the share itself, but for rounding.
-    return Estimate(share, centre - half if k else 0.0, centre + half if k < n else 1.0, n)
+    return centre - half if share > 0 else 0.0, centre + half if share < 1 else 1.0
 
 
-def quantile(values: ArrayLike, q: float = 0.5) -> Estimate:
+def share(flags: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
+    """The share of the values that are true, with Wilson's score interval.
+
+    Of clusters, the interval is that of as many independent values as have the variance of the
+    share over the clusters, with Student's t of the clusters for z (Korn and Graubard 1998, Survey
+    Methodology 24, 193, with Wilson's interval for Clopper and Pearson's). Where no value or every
+    one is true, nothing is known of how alike the values of a cluster are: each counts as one.
+
+    Args:
+        flags: shape (n,), bool.
+        cluster: shape (n,), whole numbers: the cluster of each value; None: each is its own.
+
+    Raises:
+        ValueError: no values.
+    """
+    data = clean(flags)
+    n, clustered = data.size, Clustered.of(data, cluster)
+    value = float(np.mean(data))
+    if clustered.n == n:
+        return proportion(round(value * n), n)
+    if clustered.n < 2:
+        return UNKNOWN._replace(value=value, n=n)
+    return Estimate(value, *_wilson(value, clustered.worth(value), clustered.factor(TAIL)), n)
+
+
+def quantile(values: ArrayLike, q: float = 0.5, cluster: ArrayLike | None = None) -> Estimate:
     """The smallest value that at least a share q of the values does not exceed.
 
     NaN (null in a table: never settled) counts as infinite, so the result is infinite where fewer
     than a share q ever settled. It is always one of the values, never an interpolation.
 
-    The interval is the percentile interval of the bootstrap without the resampling: the k-th of n
-    values drawn anew is at most the j-th of the sample with the probability that a binomial
-    variable of n trials at j/n reaches k (Efron 1979, section 3; Hutson and Ernst 2000). An end is
-    NaN where not even the smallest or the largest of so few values is such a bound.
+    The interval needs no law of the values: how many of n lie below the quantile is binomial, and
+    the ends are the values whose places it passes by with 2.5 % each at most (Conover 1999, section
+    3.2). An end is NaN where not even the smallest or the largest of so few values is such a bound.
+    Of clusters, n is the number of independent values with the variance of that share, see `share`
+    (Woodruff 1952, Journal of the American Statistical Association 47, 635).
 
     Args:
         values: shape (n,), any unit.
         q: from 0 to 1.
+        cluster: shape (n,), whole numbers: the cluster of each value; None: each is its own.
 
     Raises:
         ValueError: no values, or q out of range.
     """
     data = clean(values, missing=math.inf)
     n, at = data.size, place(data.size, q)
-    low, high = _bounds(n, at + 1)
-    ordered = np.partition(data, [at, low, high])
+    value = float(np.partition(data, at)[at])
+    clustered = Clustered.of((data <= value).astype(float), cluster)
+    if clustered.n < 2 <= n:
+        return UNKNOWN._replace(value=value, n=n)
+    worth = n
+    if clustered.n < n:
+        reached = float(np.mean(data <= value))
+        worth = max(int(clustered.worth(reached) * (_NORMAL / clustered.factor(TAIL)) ** 2), 1)
+    low, high = _bounds(worth, q)
+    if worth < n:  # places among fewer values, as places among these
+        low, high = math.floor(low * n / worth), math.ceil(high * n / worth)
+    ends = np.partition(data, [max(low - 1, 0), min(high - 1, n - 1)])
     return Estimate(
-        float(ordered[at]),
-        float(ordered[low]) if (1 - q) ** n <= TAIL else math.nan,
-        float(ordered[high]) if q**n <= TAIL else math.nan,
+        value,
+        float(ends[low - 1]) if low >= 1 else math.nan,
+        float(ends[high - 1]) if high <= n else math.nan,
         n,
     )
 
@@ -124,73 +209,102 @@ def place(n: int, q: float) -> int:
 
 
 @lru_cache(maxsize=256)
-def _bounds(n: int, k: int) -> tuple[int, int]:
-    """Where the ends of the interval of the k-th of n sorted values stand, from 0."""
-    low, high = (math.ceil(n * special.betaincinv(k, n - k + 1, p)) for p in (TAIL, 1 - TAIL))
-    return low - 1, high - 1
+def _bounds(n: int, q: float) -> tuple[int, int]:
+    """Where the ends of the interval of a quantile stand among n values, from 1; 0, n + 1: none."""
+    below = special.bdtr(np.arange(n), n, q)  # that no more than 0, 1, ... n - 1 lie below it
+    return int(np.sum(below <= TAIL)), int(np.sum(1 - below > TAIL)) + 1
 
 
-def mean(values: ArrayLike) -> Estimate:
+def mean(values: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
     """The mean of the finite values with Student's t interval.
 
     Values that are not finite are left out; ``n`` says how many were used. One value has no
-    interval, none gives :data:`UNKNOWN`.
+    interval, none gives :data:`UNKNOWN`. Of clusters, the variance is that of a ratio: sums over
+    the clusters by their sizes (Cochran 1977, Sampling techniques, section 9A).
 
     Args:
         values: shape (m,), any unit.
+        cluster: shape (m,), whole numbers: the cluster of each value; None: each is its own.
 
     Raises:
         ValueError: no values at all.
     """
-    data = _finite(values)
-    if data.size < 2:
-        return UNKNOWN._replace(value=float(data[0]) if data.size else math.nan, n=data.size)
-    centre = float(np.mean(data))
-    factor = special.stdtrit(data.size - 1, 1 - TAIL) / math.sqrt(data.size)
-    half = float(factor * np.std(data, ddof=1))
+    data, cluster = _finite(values, cluster)
+    if data.size == 0:
+        return UNKNOWN
+    clustered = Clustered.of(data, cluster)
+    centre, half = float(np.mean(data)), clustered.factor(TAIL) * clustered.error
     return Estimate(centre, centre - half, centre + half, data.size)
 
 
-def std(values: ArrayLike) -> Estimate:
-    """The sample standard deviation (n - 1) of the finite values with a bootstrap interval.
+def std(
+    values: ArrayLike, cluster: ArrayLike | None = None, *, is_normal: bool = False
+) -> Estimate:
+    """The sample standard deviation (n - 1) of the finite values.
 
     Values that are not finite are left out; ``n`` says how many were used. Fewer than two have no
-    standard deviation.
+    standard deviation, fewer than five no interval unless they are normal. Of runs that ended in
+    more than one way it says nothing: quantiles do.
 
     Args:
         values: shape (m,), any unit.
+        cluster: shape (m,), whole numbers: the cluster of each value; None: each is its own.
+        is_normal: whether the values are normal by their making, such as what a linear loop makes
+            of white noise; then the interval is that of chi-square. Never to be told from them.
 
     Raises:
         ValueError: no values at all.
     """
-    data = _finite(values)
-    if data.size < 2:
-        return UNKNOWN._replace(n=data.size)
-    low, high = bootstrap(lambda x: np.std(x, axis=-1, ddof=1), data)
-    return Estimate(float(np.std(data, ddof=1)), low, high, data.size)
+    data, cluster = _finite(values, cluster)
+    n = data.size
+    if n < 2:
+        return UNKNOWN._replace(n=n)
+    centred = data - np.mean(data)
+    clustered = Clustered.of(centred**2, cluster)
+    value = float(np.std(data, ddof=1))
+    if is_normal and clustered.n == n:
+        low, high = chi2_mean_band(n - 1, 1)
+        return Estimate(value, value * ((n - 1) / high) ** 0.5, value * ((n - 1) / low) ** 0.5, n)
+    return Estimate(value, *_root(value, clustered), n)
 
 
-def rms(values: ArrayLike) -> Estimate:
-    """The root mean square of the finite values with a bootstrap interval.
+def rms(values: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
+    """The root mean square of the finite values.
 
-    Values that are not finite are left out; ``n`` says how many were used. One value has no
+    Values that are not finite are left out; ``n`` says how many were used. Fewer than five have no
     interval.
 
     Args:
         values: shape (m,), any unit.
+        cluster: shape (m,), whole numbers: the cluster of each value; None: each is its own.
 
     Raises:
         ValueError: no values at all.
     """
-    data = _finite(values)
+    data, cluster = _finite(values, cluster)
     if data.size == 0:
         return UNKNOWN
-    low, high = bootstrap(_root_mean_square, data)
-    return Estimate(float(_root_mean_square(data)), low, high, data.size)
+    value = math.sqrt(np.mean(data**2))
+    return Estimate(value, *_root(value, Clustered.of(data**2, cluster)), data.size)
 
 
-def _root_mean_square(values: NDArray) -> NDArray:
-    return np.asarray(np.sqrt(np.mean(values**2, axis=-1)))
+def _root(value: float, squares: Clustered) -> tuple[float, float]:
+    """The ends of the interval of the root of a mean square.
+
+    Student's t on the scale of its logarithm, with Bonett's two corrections (2006, Computational
+    Statistics and Data Analysis 50, 775) for the estimate and its error falling together: both grow
+    by the relative variance of the mean square, which is itself told with two degrees of freedom
+    less. The upper end reaches further by `_UPPER`: a sample seldom shows the tails of a heavy law.
+    That number is the one that `benchmarks/coverage.py` asks for with Student's t of 5 degrees.
+    """
+    n = squares.n
+    if value == 0.0:
+        return value, value
+    if n < _LEAST:
+        return math.nan, math.nan
+    variance = n / (n - 2) * (squares.error / squares.mean) ** 2
+    reach = squares.factor(TAIL) * math.sqrt(variance) * (1 + variance)
+    return tuple(value * math.exp((variance + r) / 2) for r in (-reach, _UPPER * reach))  # type: ignore[return-value]
 
 
 def chi2_mean_band(freedom: int, n: int) -> tuple[float, float]:
@@ -224,10 +338,11 @@ def clean(values: ArrayLike, *, missing: float = math.nan) -> NDArray:
     return np.where(np.isnan(data), missing, data)
 
 
-def _finite(values: ArrayLike) -> NDArray:
-    """The finite ones of some values, of which there must be one or more."""
+def _finite(values: ArrayLike, cluster: ArrayLike | None) -> tuple[NDArray, NDArray | None]:
+    """The finite ones of some values, of which there must be one or more, and their clusters."""
     data = clean(values)
-    return data[np.isfinite(data)]
+    known = np.isfinite(data)
+    return data[known], None if cluster is None else of_each(cluster, data.size)[known]
 
 
 def bootstrap(statistic: Callable[..., NDArray], *samples: NDArray) -> tuple[float, float]:

@@ -1,24 +1,35 @@
 """Tables of statistics: one row a group of runs, or one row a group against a baseline."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from sinsjax.analysis.clusters import COLUMNS, are_single, clusters_of
 from sinsjax.analysis.differences import difference, proportion_difference, quantile_difference
 from sinsjax.analysis.estimates import (
     UNKNOWN,
     Estimate,
     chi2_mean_band,
     mean,
-    proportion,
     quantile,
+    share,
     std,
 )
-from sinsjax.analysis.tables import by_draw, groups, has_status, has_truth, numbers, require
+from sinsjax.analysis.tables import (
+    by_draw,
+    groups,
+    has_status,
+    has_truth,
+    numbers,
+    require,
+    with_limit,
+)
 from sinsjax.types import InputError
 
 NEES_FREEDOM = 3
@@ -38,6 +49,7 @@ class _Statistic(NamedTuple):
         of: the estimate of a group's rows.
         told: ends of the names of the columns that it makes.
         judged: whether it would be an invention where there is no truth.
+        limited: whether only runs that have a limit count.
         freedom: of the chi-square values that it is the mean of; 0 for others.
     """
 
@@ -45,27 +57,38 @@ class _Statistic(NamedTuple):
     of: Callable[[pa.Table], Estimate]
     told: tuple[str, ...] = _INTERVAL
     judged: bool = False
+    limited: bool = False
     freedom: int = 0
 
 
 def summarise(table: pa.Table, by: Sequence[str], names: Sequence[str] | None = None) -> pa.Table:
     """The statistics of each group of runs, one row a group.
 
-    Columns: the keys; ``n`` runs, of which ``nonfinite``; then ``X``, ``X_low`` and ``X_high`` for
-    every statistic X, with its 95 % interval:
+    Columns: the keys; ``n`` runs, of which ``nonfinite`` and ``no_limit``; then ``X``, ``X_low``
+    and ``X_high`` for every statistic X, with its 95 % interval. Where a group has several runs of
+    a draw, it is that of the draws; where the runs are on a record, there is none (see
+    `sinsjax.analysis.clusters`):
 
-    * ``success_rate`` (status ``ok``) and ``diverged_rate``: shares of all runs;
+    * ``success_rate`` (status ``ok``, as the study judges it) and ``diverged_rate``: shares of all
+      runs; ``success_truth_rate``, the share of runs that end within the success band of the truth,
+      and ``success_limit_rate``, of those that have a limit, the share that ends within the success
+      band of it;
     * for each band B of the table ``settle_B_s_median`` and ``settle_B_s_q90`` (infinite: never),
       ``settle_B_s_mean`` of the runs that settled, and ``never_settled_B``, a count without
-      interval; all but the count also for ``settle_B_data_s``, where a tape is gone over again;
-    * ``phi_u_mean_arcmin_mean`` and ``phi_u_mean_arcmin_std``: the window means over the runs;
+      interval, all about the limit; about the truth the same of ``settle_B_truth_s``; all but the
+      count also for ``settle_B_data_s`` and ``settle_B_truth_data_s``, where a tape is gone over
+      again;
+    * ``phi_u_mean_arcmin_mean`` and ``phi_u_mean_arcmin_std``: the window means over the runs, the
+      second null where they ended in more than one status: there ``phi_u_mean_arcmin_q10``,
+      ``..._median`` and ``..._q90`` tell the spread, of the finite values;
       ``phi_u_from_floor_arcmin_mean``: window mean minus floor; ``phi_u_std_arcmin_mean``: the
       standard deviation inside a run's window;
     * ``nees_median`` (a run that is not finite counts as infinite), ``nees_mean`` and
       ``nis_u_mean``, these two with the chi-square band of the mean in ``X_chi2_low`` and
       ``X_chi2_high``: to be asserted only where the filter's belief is true.
 
-    A mean or standard deviation leaves out what is not finite; ``X_n`` says how many runs it rests
+    What counts from the limit is made of the runs that have one, all but ``no_limit`` of them. A
+    mean or standard deviation leaves out what is not finite; ``X_n`` says how many runs it rests
     on. Null is unknown; without truth or reference all but ``n`` and ``nonfinite`` are.
 
     Args:
@@ -85,9 +108,10 @@ def summarise(table: pa.Table, by: Sequence[str], names: Sequence[str] | None = 
         raise InputError(f"summary: there is no statistic {unknown[0]} of these columns")
     statistics = {name: offered[name] for name in chosen}
     used = [column for statistic in statistics.values() for column in statistic.columns]
+    used += [column for column in COLUMNS if column in table.column_names]
     made = (
         key | _row(rows, statistics)
-        for key, rows in groups(_select(table, *by, "status", "phi_u_arcmin", *used), by)
+        for key, rows in groups(_select(table, *by, *_needed(table), *used), by)
     )
     return _table(made, table.schema, by)
 
@@ -96,11 +120,13 @@ def compare(table: pa.Table, by: Sequence[str], baseline: Mapping[str, Any]) -> 
     """How each group of runs differs from a baseline group on the same draws.
 
     Columns: the keys; ``n`` draws; then ``X``, ``X_low`` and ``X_high``, group minus baseline, for
-    X in ``success_rate_difference`` (paired shares, Newcombe's interval),
-    ``settle_B_s_median_difference`` for each band B (infinite: only one of both ever settles) and
+    X in ``success_rate_difference``, and the same of ``success_limit_rate`` and
+    ``success_truth_rate`` (paired shares, Newcombe's interval),
+    ``settle_B_s_median_difference`` for each band B (infinite: only one of both ever settles; null
+    between two ends: neither does) and
     ``phi_u_error_arcmin_difference`` (by draw, how far the window mean of phi_u lies from its
     floor; mean with Student's t interval), whose ``X_n`` says how many draws it rests on. Null is
-    unknown, as all are without truth or reference.
+    unknown, as all are without truth or reference, and all ends where the runs are on a record.
 
     Args:
         table: the summary, one row a run.
@@ -114,7 +140,9 @@ def compare(table: pa.Table, by: Sequence[str], baseline: Mapping[str, Any]) -> 
         InputError: no runs, no such baseline, a missing column, or draws that differ or repeat.
     """
     settling = [name for name in table.column_names if name.startswith("settle_")]
-    used = ("draw_id", "status", "phi_u_arcmin", _YAW, _FLOOR, *settling)
+    flags = [name for name in ("ok_limit", "ok_truth") if name in table.column_names]
+    used = ["draw_id", *_needed(table), *flags, _YAW, _FLOOR, *settling]
+    used += [column for column in COLUMNS if column in table.column_names]
     found = list(groups(_select(table, *by, *used), by))
     wanted = {key: _plain(value) for key, value in baseline.items()}
     base = next((rows for key, rows in found if key == wanted), None)
@@ -122,11 +150,16 @@ def compare(table: pa.Table, by: Sequence[str], baseline: Mapping[str, Any]) -> 
         raise InputError(f"summary: there are no runs of the baseline {wanted}")
     known = has_truth(table)
     made = (
-        key | {"n": rows.num_rows} | _differences(rows, base, settling, known=known)
+        key | {"n": rows.num_rows} | _differences(rows, base, [*flags, *settling], known=known)
         for key, rows in found
         if rows is not base
     )
     return _table(made, table.schema, by)
+
+
+def _needed(table: pa.Table) -> tuple[str, ...]:
+    """Columns that say what of a run can be judged."""
+    return ("status", "phi_u_arcmin", *{"has_limit"}.intersection(table.column_names))
 
 
 def _plain(value: Any) -> Any:
@@ -134,10 +167,11 @@ def _plain(value: Any) -> Any:
 
 
 def _differences(
-    rows: pa.Table, base: pa.Table, settling: Sequence[str], *, known: bool
+    rows: pa.Table, base: pa.Table, columns: Sequence[str], *, known: bool
 ) -> dict[str, Any]:
     """One group's cells of :func:`compare`."""
     mine, others = by_draw(rows, base)
+    single = are_single(rows)  # else they are on one record, and no difference has an interval
 
     def pair(column: str) -> tuple[NDArray, NDArray]:
         return numbers(rows, column)[mine], numbers(base, column)[others]
@@ -146,13 +180,24 @@ def _differences(
     errors = (np.abs(a - b) for a, b in zip(yaw, floor, strict=True))
     ok = has_status(rows, "ok")[mine], has_status(base, "ok")[others]
     found = {"success_rate_difference": proportion_difference(*ok) if known else UNKNOWN}
-    for name in settling:
-        apart = quantile_difference(*pair(name)) if known else UNKNOWN
-        found[f"{name}_median_difference"] = apart
+    limited = all(with_limit(some).num_rows == some.num_rows for some in (rows, base))
+    for name in columns:
+        told = known and (limited or "_truth" in name)
+        if name.startswith("ok_"):
+            pairs = pair(name)
+            told = told and bool(np.isfinite(pairs).all())
+            rate = f"{name.replace('ok', 'success')}_rate_difference"
+            found[rate] = proportion_difference(*pairs) if told else UNKNOWN
+        else:
+            apart = quantile_difference(*pair(name)) if told else UNKNOWN
+            found[f"{name}_median_difference"] = apart
     cells: dict[str, Any] = {}
+    found["phi_u_error_arcmin_difference"] = difference(*errors)
     for name, estimate in found.items():
-        cells |= _cells(name, estimate, _INTERVAL)
-    return cells | _cells("phi_u_error_arcmin_difference", difference(*errors), _MEAN)
+        told = _MEAN if name.startswith("phi_u") else _INTERVAL
+        bare = estimate._replace(low=math.nan, high=math.nan)
+        cells |= _cells(name, estimate if single else bare, told)
+    return cells
 
 
 def _offered(columns: Sequence[str]) -> dict[str, _Statistic]:
@@ -161,16 +206,25 @@ def _offered(columns: Sequence[str]) -> dict[str, _Statistic]:
         f"{name}_rate": _Statistic(("status",), partial(_share, status=status), judged=True)
         for name, status in {"success": "ok", "diverged": "diverged"}.items()
     }
+    for name in (name for name in ("ok_limit", "ok_truth") if name in columns):
+        rate = name.replace("ok", "success") + "_rate"
+        flagged = partial(_true, name=name)
+        offered[rate] = _Statistic((name,), flagged, judged=True, limited=name == "ok_limit")
     for name in (name for name in columns if name.startswith("settle_")):
+        about = {"judged": True, "limited": "_truth_" not in name}
         if not name.endswith("_data_s"):
             count = name.replace("settle_", "never_settled_").removesuffix("_s")
-            offered[count] = _of(_missing, name, told=("",), judged=True)
-        offered[f"{name}_median"] = _of(quantile, name, judged=True)
-        offered[f"{name}_q90"] = _of(partial(quantile, q=0.9), name, judged=True)
-        offered[f"{name}_mean"] = _of(mean, name, told=_MEAN, judged=True)
+            offered[count] = _of(_missing, name, told=("",), **about)
+        offered[f"{name}_median"] = _of(quantile, name, **about)
+        offered[f"{name}_q90"] = _of(partial(quantile, q=0.9), name, **about)
+        offered[f"{name}_mean"] = _of(mean, name, told=_MEAN, **about)
     return offered | {
         "phi_u_mean_arcmin_mean": _of(mean, _YAW, told=_MEAN),
-        "phi_u_mean_arcmin_std": _of(std, _YAW, told=_MEAN),
+        "phi_u_mean_arcmin_std": _Statistic((_YAW,), _one_status_std, told=_MEAN),
+        **{
+            f"phi_u_mean_arcmin_{name}": _of(partial(_known_quantile, q=q), _YAW)
+            for name, q in {"q10": 0.1, "median": 0.5, "q90": 0.9}.items()
+        },
         "phi_u_from_floor_arcmin_mean": _of(difference, _YAW, _FLOOR, told=_MEAN),
         "phi_u_std_arcmin_mean": _of(mean, "phi_u_std_arcmin", told=_MEAN),
         "nees_median": _of(_known_median, "nees"),
@@ -183,37 +237,69 @@ def _of(function: Callable[..., Estimate], *columns: str, **properties: Any) -> 
     """A function of some numeric columns as a statistic."""
 
     def estimate(rows: pa.Table) -> Estimate:
-        return function(*(numbers(rows, column) for column in columns))
+        return function(*(numbers(rows, column) for column in columns), cluster=clusters_of(rows))
 
     return _Statistic(columns, estimate, **properties)
 
 
 def _share(rows: pa.Table, status: str) -> Estimate:
-    return proportion(int(has_status(rows, status).sum()), rows.num_rows)
+    return share(has_status(rows, status), clusters_of(rows))
 
 
-def _missing(values: NDArray) -> Estimate:
+def _true(rows: pa.Table, name: str) -> Estimate:
+    """The share of runs whose flag is set; unknown where it was not recorded."""
+    known = rows.filter(pc.is_valid(require(rows, name)))
+    if not known.num_rows:
+        return UNKNOWN
+    return share(known[name].to_numpy(), clusters_of(known))
+
+
+def _one_status_std(rows: pa.Table) -> Estimate:
+    """The spread of the window means, which means nothing over runs that ended in several ways."""
+    if len(rows["status"].unique()) > 1:
+        return UNKNOWN
+    return std(numbers(rows, _YAW), clusters_of(rows))
+
+
+def _missing(values: NDArray, cluster: NDArray | None) -> Estimate:
     return UNKNOWN._replace(value=float(np.isnan(values).sum()))
 
 
-def _known_median(values: NDArray) -> Estimate:
-    return quantile(values) if np.isfinite(values).any() else UNKNOWN
+def _known_median(values: NDArray, cluster: NDArray | None) -> Estimate:
+    return quantile(values, cluster=cluster) if np.isfinite(values).any() else UNKNOWN
+
+
+def _known_quantile(values: NDArray, cluster: NDArray | None, q: float) -> Estimate:
+    known = np.isfinite(values)
+    if not known.any():
+        return UNKNOWN
+    return quantile(values[known], q, None if cluster is None else cluster[known])
 
 
 def _row(rows: pa.Table, statistics: Mapping[str, _Statistic]) -> dict[str, Any]:
     """One group's cells of :func:`summarise`."""
-    truth = has_truth(rows)
-    row = {"n": rows.num_rows, "nonfinite": int(has_status(rows, "nonfinite").sum())}
+    truth, single, limited = has_truth(rows), are_single(rows), with_limit(rows)
+    row = {
+        "n": rows.num_rows,
+        "nonfinite": int(has_status(rows, "nonfinite").sum()),
+        "no_limit": rows.num_rows - limited.num_rows,
+    }
     for name, statistic in statistics.items():
-        estimate = statistic.of(rows) if truth or not statistic.judged else UNKNOWN
-        row |= _cells(name, estimate, statistic.told, statistic.freedom)
+        judged = limited if statistic.limited else rows
+        known = judged.num_rows and (truth or not statistic.judged)
+        estimate = statistic.of(judged) if known else UNKNOWN
+        # The band is one of independent runs.
+        row |= _cells(name, estimate, statistic.told, statistic.freedom, banded=single)
     return row
 
 
-def _cells(name: str, estimate: Estimate, told: Sequence[str], freedom: int = 0) -> dict[str, Any]:
+def _cells(
+    name: str, estimate: Estimate, told: Sequence[str], freedom: int = 0, *, banded: bool = True
+) -> dict[str, Any]:
     cells: dict[str, Any] = dict(zip(_MEAN, estimate, strict=True))
     if freedom:
-        cells |= zip(_CHI2[len(_MEAN) :], chi2_mean_band(freedom, estimate.n), strict=True)
+        band = chi2_mean_band(freedom, estimate.n if banded else 0)
+        cells |= zip(_CHI2[len(_MEAN) :], band, strict=True)
     return {f"{name}{end}": cells[end] for end in told}
 
 
@@ -233,7 +319,7 @@ def _table(rows: Iterable[Mapping[str, Any]], schema: pa.Schema, by: Sequence[st
     def kind(name: str) -> pa.DataType:
         if name in by:
             return schema.field(name).type
-        whole = name in ("n", "nonfinite") or name.endswith("_n")
+        whole = name in ("n", "nonfinite", "no_limit") or name.endswith("_n")
         return pa.int64() if whole or name.startswith("never_settled_") else pa.float64()
 
     arrays = [pa.array(v, kind(name), from_pandas=True) for name, v in columns.items()]

@@ -43,6 +43,13 @@ def has_truth(table: pa.Table) -> bool:
     return known or bool(has_status(table, "nonfinite").any())
 
 
+def with_limit(table: pa.Table) -> pa.Table:
+    """The runs that have a limit to judge them from: all, where nothing is said of it."""
+    if "has_limit" not in table.column_names:
+        return table
+    return table.filter(pc.fill_null(table["has_limit"], True))
+
+
 def paired(a: pa.Table, b: pa.Table, column: str) -> tuple[NDArray, NDArray]:
     """One column of two tables, row by row on the same draw.
 

@@ -30,8 +30,8 @@ def along_axis(
     Args:
         key: leaf key, unit in its name.
         values: of the key.
-        panels: axis label to lines, line label to one estimate a value; infinite ones are marked
-            at the upper edge as *never*.
+        panels: quantity, with its unit, to lines; line label to one estimate a value; infinite ones
+            are marked at the upper edge as *never*.
         title: of the figure.
     """
     figure = Figure(figsize=(9.2, 1.2 + 2.5 * len(panels)))
@@ -50,7 +50,9 @@ def along_axis(
                 height = np.full(never.size, 0.97)  # of the axes: their upper edge
                 edge = axes.get_xaxis_transform()
                 axes.plot(never, height, "x", color=colour(i), transform=edge)
-        axes.set_ylabel(name)
+        axes.set_title(name, loc="left", size="medium")
+        if not any(np.isfinite(e.value) for estimates in lines.values() for e in estimates):
+            axes.set_yticks([])
     if np.diff(np.sort(x)).min(initial=np.inf) > _APART * np.ptp(x):
         grid[-1].set_xticks(x, [f"{value:g}" for value in x])
     grid[-1].set_xlabel(label(key))
@@ -87,7 +89,7 @@ def distributions(panels: Sequence[Spread], title: str) -> Figure:
         panels: side by side, with the same lines.
         title: of the figure.
     """
-    figure = Figure(figsize=(9.2, 4.8))
+    figure = Figure(figsize=(max(9.2, 4.2 * len(panels)), 4.8))
     figure.suptitle(title)
     grid = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for axes, panel in zip(grid, panels, strict=True):

@@ -16,6 +16,8 @@ from matplotlib.image import imsave
 from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
+from sinsjax.units import split_unit
+
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#555555")
 """Okabe and Ito's palette; lines beyond its length repeat it."""
 
@@ -49,17 +51,6 @@ STYLE: Any = {
     "lines.linewidth": 1.7,
     "hatch.linewidth": 0.6,
 }
-
-UNITS = {
-    "arcmin": "arcmin",
-    "deg": "deg",
-    "deg_per_h": "deg/h",
-    "ug": "µg",
-    "m_per_s": "m/s",
-    "per_s": "1/s",
-    "s": "s",
-}
-"""How a unit at the end of a column's name is printed."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -97,8 +88,8 @@ def setting(key: str, value: str) -> str:
 
 def _split(column: str) -> tuple[str, str]:
     """A column's name without its unit, and the unit as it is printed."""
-    unit = max((u for u in UNITS if column.endswith(f"_{u}")), key=len, default="")
-    return (column.removesuffix(f"_{unit}"), UNITS[unit]) if unit else (column, "")
+    name, unit = split_unit(column)
+    return name, unit.replace("ug", "µg")
 
 
 def both_sides(axis: Axis, linear: float) -> str:

@@ -28,6 +28,16 @@ def load_lines(path: str | Path) -> list[bytes]:
     return data.removeprefix(b"\xef\xbb\xbf").splitlines()
 
 
+def number_or_nan(text: str) -> float:
+    """As `number`, but nan for what is empty or not finite: a value that is missing."""
+    try:
+        return number(text)
+    except ValueError:
+        if text.strip().lstrip("+-").lower() in ("", "nan", "inf", "infinity"):
+            return math.nan
+        raise
+
+
 def number(text: str) -> float:
     """Reads one finite number; a ValueError says what is wrong with the text."""
     text = text.strip()

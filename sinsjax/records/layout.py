@@ -25,9 +25,20 @@ ACCEL_UNITS = {
 }
 """Factors to m/s or m/s^2, by quantity and unit name; g is the standard gravity."""
 
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0}
+"""Factors to s, by unit name; dates with time are read as seconds from 1970."""
+
 _FORMATS = ("psins", "csv", "parquet")
 # A clock may run this far from its nominal rate; beyond it the stated rate is a mistake.
 _RATE_TOLERANCE = 1e-4
+
+
+class Flaw(NamedTuple):
+    """Samples that a record lacks, from ``begin`` up to ``end``, and the line that says so."""
+
+    begin: int
+    end: int
+    text: str
 
 
 class Record(NamedTuple):
@@ -44,6 +55,8 @@ class Record(NamedTuple):
             written there, or None.
         gravity_m_per_s2: the g in which the file counts specific force, or None.
         source: the file's name, for messages.
+        flaws: samples that are missing, and nan in dtheta and dv.
+        filled: how many missing samples were interpolated.
     """
 
     dtheta: FloatArray
@@ -55,6 +68,8 @@ class Record(NamedTuple):
     attitude_deg: tuple[float, float, float] | None = None
     gravity_m_per_s2: float | None = None
     source: str = "record"
+    flaws: tuple[Flaw, ...] = ()
+    filled: int = 0
 
 
 class Layout(NamedTuple):
@@ -63,7 +78,7 @@ class Layout(NamedTuple):
     Attributes:
         format: "psins", "csv" or "parquet". PSINS text uses only axes_order and rate_hz besides.
         quantity: "increments" over each sample, or "rates" averaged over each sample.
-        time_column: seconds at the end of each sample; "" where the file has no time.
+        time_column: time at the end of each sample; "" where the file has no time.
         gyro_columns: three names, in the record's own x, y, z.
         accel_columns: three names, in the record's own x, y, z.
         gyro_unit: a key of `GYRO_UNITS` for the quantity.
@@ -71,6 +86,9 @@ class Layout(NamedTuple):
         axes_order: the record's axes that point right, front and up: "y-xz" says that right is +y
             of the record, front is -x, up is +z.
         rate_hz: samples a second; None takes it from the header or the time column.
+        time_unit: of the time column: "s", "ms", "us", "ns", or "iso" for dates with time.
+        max_gap_s: longest time from one good sample to the next over which missing ones are
+            interpolated.
     """
 
     format: str
@@ -82,6 +100,8 @@ class Layout(NamedTuple):
     accel_unit: str = "m_per_s"
     axes_order: str = "xyz"
     rate_hz: float | None = None
+    time_unit: str = "s"
+    max_gap_s: float = 0.0
 
 
 PSINS_LAYOUT = Layout("psins")
@@ -144,6 +164,10 @@ def _column_faults(layout: Layout) -> Iterator[tuple[str, str]]:
             if name in seen:
                 yield key, f"column {name!r} is already used in {seen[name]}"
             seen[name] = key
+    if layout.time_unit not in TIME_UNITS:
+        yield "time_unit", _not_one_of(layout.time_unit, TIME_UNITS)
+    if not 0 <= layout.max_gap_s < math.inf:
+        yield "max_gap_s", f"must not be negative, not {layout.max_gap_s!r}"
     if not layout.time_column and layout.rate_hz is None:
         yield "rate_hz", "needed, since there is no time_column"
 
@@ -232,3 +256,7 @@ def require_span(record: Record, start_s: float, needed_s: float) -> None:
             f"{record.source}: has {has_s:g} s, but start_s = {start_s:g} and "
             f"{needed_s:g} s from there need {start_s + needed_s:g} s"
         )
+    begin, end = start_s * record.rate_hz, (start_s + needed_s) * record.rate_hz
+    for flaw in record.flaws:
+        if flaw.begin < end - 1e-3 and flaw.end > begin + 1e-3:
+            raise InputError(flaw.text)

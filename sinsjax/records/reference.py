@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sinsjax.records.layout import FloatArray
+from sinsjax.records.layout import TIME_UNITS, FloatArray, Layout
 from sinsjax.records.tables import open_csv, open_parquet
 from sinsjax.types import InputError
 
@@ -16,7 +16,7 @@ class Reference(NamedTuple):
     """A reference attitude at M times.
 
     Attributes:
-        time_s: (M,) increasing, from the record's beginning, s.
+        time_s: (M,) increasing, by the clock of the record, s.
         attitude_deg: (M, 3) pitch, roll and yaw (counter-clockwise from north), deg.
         sigma_deg: (M, 3) standard deviations about east, north and up, deg; None if not given.
         source: the file's name, for messages.
@@ -28,14 +28,16 @@ class Reference(NamedTuple):
     source: str = "reference"
 
 
-def read_reference(path: str | Path) -> Reference:
+def read_reference(path: str | Path, layout: Layout | None = None) -> Reference:
     """Reads a reference attitude from Parquet (a name that ends so) or comma-separated text.
 
-    Columns: time_s, pitch_deg, roll_deg, yaw_deg or yaw_ccw_deg (one of the two; both mean
-    counter-clockwise from north), and sigma_e_deg, sigma_n_deg, sigma_u_deg (all three or none).
+    Columns: time_s, pitch_deg, roll_deg, one of yaw_deg and yaw_ccw_deg (both counter-clockwise
+    from north) and heading_deg (clockwise), and sigma_e_deg, sigma_n_deg, sigma_u_deg (all three or
+    none). In place of time_s it may have the record's time column, in the record's unit.
 
     Args:
         path: the file.
+        layout: of the record that it goes with, if its time column may be the record's.
 
     Returns:
         The reference.
@@ -45,14 +47,20 @@ def read_reference(path: str | Path) -> Reference:
             the column and the row.
     """
     table = open_parquet(path) if Path(path).suffix.lower() == ".parquet" else open_csv(path)
-    yaws = [name for name in ("yaw_deg", "yaw_ccw_deg") if name in table.names]
-    if len(yaws) == 2:
-        raise InputError(f"{path}: yaw_deg and yaw_ccw_deg are both there; leave one out")
+    yaws = [name for name in ("yaw_deg", "yaw_ccw_deg", "heading_deg") if name in table.names]
+    if len(yaws) > 1:
+        raise InputError(f"{path}: {yaws[0]} and {yaws[1]} are both there; leave one out")
     sigmas = _SIGMAS if any(name in table.names for name in _SIGMAS) else ()
-    values = table.read(["time_s", "pitch_deg", "roll_deg", *(yaws or ["yaw_deg"]), *sigmas])
-    time_s, attitude, sigma = values[:, 0], values[:, 1:4], values[:, 4:]
+    time, unit = "time_s", "s"
+    if layout and time not in table.names and layout.time_column in table.names:
+        time, unit = layout.time_column, layout.time_unit
+    names = [time, "pitch_deg", "roll_deg", *(yaws or ["yaw_deg"]), *sigmas]
+    values = table.read(names, dates=[time] if unit == "iso" else [])
+    time_s, attitude, sigma = values[:, 0] * TIME_UNITS[unit], values[:, 1:4], values[:, 4:]
+    if yaws == ["heading_deg"]:
+        attitude[:, 2] *= -1
     faults = (
-        (np.diff(time_s, prepend=-np.inf) <= 0, "time_s does not increase"),
+        (np.diff(time_s, prepend=-np.inf) <= 0, f"{time} does not increase"),
         (np.abs(attitude[:, 0]) > 90, "pitch_deg is beyond 90"),
         ((sigma < 0).any(axis=1), "a sigma is negative"),
     )

@@ -3,7 +3,7 @@
 import csv
 import io
 from pathlib import Path
-from typing import NoReturn
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -14,6 +14,8 @@ from sinsjax.files import replacing
 from sinsjax.records.layout import (
     ACCEL_UNITS,
     GYRO_UNITS,
+    TIME_UNITS,
+    Flaw,
     FloatArray,
     Layout,
     Record,
@@ -22,15 +24,17 @@ from sinsjax.records.layout import (
     from_body,
     to_body,
 )
-from sinsjax.records.tables import Table, open_csv, open_parquet
+from sinsjax.records.stamps import Sampling, between, sampling
+from sinsjax.records.tables import MISSING, Table, open_csv, open_parquet
 from sinsjax.types import InputError
 
 
 def read_csv(path: str | Path, layout: Layout) -> Record:
-    """Reads a comma-separated record; its first line names the columns.
+    """Reads a record of text with commas or semicolons; its first line names the columns.
 
-    Rates become increments by the sampling interval. Time stamps are ends of samples: a step may
-    differ from the sampling interval by half of it, and no sample may be missing.
+    Rates become increments by the sampling interval. Time stamps are ends of samples, and may be a
+    few milliseconds late. A sample that is missing, by a gap or an empty cell, is interpolated as
+    far as max_gap_s allows, else it is nan and a flaw of the record: `require_span` refuses it.
 
     Args:
         path: the file.
@@ -55,59 +59,92 @@ def read_parquet(path: str | Path, layout: Layout) -> Record:
 
 def _record(path: str | Path, layout: Layout, table: Table) -> Record:
     names = [*layout.gyro_columns, *layout.accel_columns]
+    dates: list[str] = []
     if layout.time_column:
         names.append(layout.time_column)
-    values = table.read(names)
+        dates += [layout.time_column] if layout.time_unit == "iso" else []
+    values = table.read(names, blanks=True, dates=dates)
+    time_s = None
     if layout.time_column:
-        rate, t0 = _sampling(path, layout, values[:, 6], table)
+        time_s = values[:, 6] * TIME_UNITS[layout.time_unit]
+        known = np.flatnonzero(np.isfinite(time_s))  # a sample without its time is a missing one
+        if not known.size:
+            raise InputError(f"{path}: column {layout.time_column!r}: {MISSING}")
+        values, time_s, row_of = values[known], time_s[known], table.row
+
+        def row(k: int) -> int:
+            return row_of(int(known[k]))
+
+        table = table._replace(row=row)
+        taken = sampling(str(path), layout, time_s, row)
     else:
         # check_layout has seen to it that one of the two is there.
         assert layout.rate_hz is not None
-        rate, t0 = layout.rate_hz, 0.0
+        taken = Sampling(layout.rate_hz, 0.0, np.arange(len(values)))
+    samples, flaws, filled = _whole(_Read(path, layout, table, values[:, :6], time_s, taken))
     gyro_factor, accel_factor = _factors(layout)
-    spread = rate if layout.quantity == "rates" else 1.0
+    spread = taken.rate_hz if layout.quantity == "rates" else 1.0
     return Record(
-        dtheta=to_body(values[:, :3] * gyro_factor / spread, layout.axes_order),
-        dv=to_body(values[:, 3:6] * accel_factor / spread, layout.axes_order),
-        rate_hz=rate,
-        t0_s=t0,
+        dtheta=to_body(samples[:, :3] * gyro_factor / spread, layout.axes_order),
+        dv=to_body(samples[:, 3:] * accel_factor / spread, layout.axes_order),
+        rate_hz=taken.rate_hz,
+        t0_s=taken.t0_s,
         source=str(path),
+        flaws=tuple(flaws),
+        filled=filled,
     )
+
+
+class _Read(NamedTuple):
+    """What a file holds: (T, 6) values, nan where there is none, and when they were taken."""
+
+    path: str | Path
+    layout: Layout
+    table: Table
+    values: FloatArray
+    time_s: FloatArray | None
+    taken: Sampling
+
+
+def _whole(read: _Read) -> tuple[FloatArray, list[Flaw], int]:
+    """All samples from the first to the last: short gaps interpolated, others nan and a flaw."""
+    rate, number = read.taken.rate_hz, read.taken.number
+    samples = np.full((number[-1] + 1, 6), np.nan)
+    samples[number] = read.values
+    missing = ~np.isfinite(samples).all(axis=1)
+    if not missing.any():
+        return samples, [], 0
+    edges = np.flatnonzero(np.diff(missing, prepend=False, append=False)).reshape(-1, 2)
+    fill, flaws = np.zeros(len(samples), bool), []
+    for begin, end in edges.tolist():
+        inside = begin > 0 and end < len(samples)
+        if inside and (end - begin + 1) / rate <= read.layout.max_gap_s * (1 + 1e-9):
+            fill[begin:end] = True
+        else:
+            flaws.append(Flaw(begin, end, _lack(read, begin)))
+    good = np.flatnonzero(~missing)
+    for column in samples.T if fill.any() else ():
+        column[fill] = np.interp(np.flatnonzero(fill), good, column[good])
+    samples[missing & ~fill] = np.nan
+    return samples, flaws, int(fill.sum())
+
+
+def _lack(read: _Read, sample: int) -> str:
+    """What is wrong with the first of some missing samples, with its row."""
+    number, layout = read.taken.number, read.layout
+    k = int(np.searchsorted(number, sample))
+    if number[k] != sample:
+        assert read.time_s is not None
+        where = f"{read.path}: column {layout.time_column!r}: row {read.table.row(k)}"
+        return f"{where}: a gap at {read.taken.rate_hz:g} Hz, {between(read.time_s, k - 1)}"
+    names = (*layout.gyro_columns, *layout.accel_columns)
+    column = names[int((~np.isfinite(read.values[k])).argmax())]
+    return f"{read.path}: row {read.table.row(k)}: column {column!r}: {MISSING}"
 
 
 def _factors(layout: Layout) -> tuple[float, float]:
     gyro = GYRO_UNITS[layout.quantity][layout.gyro_unit]
     return gyro, ACCEL_UNITS[layout.quantity][layout.accel_unit]
-
-
-def _sampling(
-    path: str | Path, layout: Layout, time_s: FloatArray, table: Table
-) -> tuple[float, float]:
-    """The sampling rate (Hz) and the beginning of the first sample (s), or what is wrong."""
-    where = f"{path}: column {layout.time_column!r}"
-    step_s = np.diff(time_s)
-    if len(step_s) == 0:
-        if layout.rate_hz is None:
-            raise InputError(f"{path}: rate_hz: needed, since there is only one sample")
-        return layout.rate_hz, float(time_s[0]) - 1 / layout.rate_hz
-
-    def refuse(k: int, what: str) -> NoReturn:
-        before, after = float(time_s[k]), float(time_s[k + 1])
-        raise InputError(f"{where}: row {table.row(k + 1)}: {what}, from {before!r} to {after!r} s")
-
-    stuck = step_s <= 0
-    if stuck.any():
-        k = int(stuck.argmax())
-        refuse(k, "time repeats" if step_s[k] == 0 else "time runs backward")
-    # The mean undoes rounded time stamps; the median, itself a step, keeps gaps out of it.
-    median = np.quantile(step_s, 0.5, method="lower")
-    clean = step_s[(step_s >= 0.5 * median) & (step_s <= 1.5 * median)]
-    rate = agreed_rate(float(1 / clean.mean()), layout, 1 / len(clean), where)
-    odd = (step_s < 0.5 / rate) | (step_s > 1.5 / rate)
-    if odd.any():
-        k = int(odd.argmax())
-        refuse(k, f"{'a gap' if step_s[k] > 1 / rate else 'a short step'} at {rate:g} Hz")
-    return rate, float(time_s[0]) - 1 / rate
 
 
 def write_csv(record: Record, path: str | Path, layout: Layout) -> None:
@@ -141,6 +178,8 @@ def write_parquet(record: Record, path: str | Path, layout: Layout) -> None:
 
 def _columns(record: Record, path: str | Path, layout: Layout) -> dict[str, FloatArray]:
     check_layout(layout, str(path))
+    if layout.time_unit == "iso":
+        raise InputError(f"{path}: cannot be written: time_unit: 'iso' can only be read")
     agreed_rate(record.rate_hz, layout, 0.0, f"{path}: cannot be written: the record")
     if not (np.isfinite(record.dtheta).all() and np.isfinite(record.dv).all()):
         raise InputError(f"{path}: cannot be written: an increment is not finite")
@@ -151,7 +190,8 @@ def _columns(record: Record, path: str | Path, layout: Layout) -> dict[str, Floa
     columns: dict[str, FloatArray] = {}
     if layout.time_column:
         ends = np.arange(1, len(gyro) + 1)
-        columns[layout.time_column] = record.t0_s + ends / record.rate_hz
+        time_s = record.t0_s + ends / record.rate_hz
+        columns[layout.time_column] = time_s / TIME_UNITS[layout.time_unit]
     columns |= dict(zip(layout.gyro_columns, gyro.T, strict=True))
     columns |= dict(zip(layout.accel_columns, accel.T, strict=True))
     return columns

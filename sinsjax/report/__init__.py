@@ -17,6 +17,7 @@ from sinsjax.report import (
     compass_map,
     compass_schedules,
     consistency,
+    glossary,
     paper1,
     paper2,
     paper2_reasons,
@@ -25,7 +26,7 @@ from sinsjax.report import (
     reset_cycle,
     tuned,
 )
-from sinsjax.report.base import Layout, Report, Source
+from sinsjax.report.base import Layout, Report, Source, at_the_end
 from sinsjax.report.html import write_html
 from sinsjax.report.output import FIGURES, Made, print_report, save_figures, write_page
 from sinsjax.tuning.carry_out import is_tuning
@@ -97,13 +98,18 @@ def summarise(
             made.append(_tell(tuned.report(source), source, console))
         else:
             sources.append(source := Source.read(directory))
-            made.append(_tell(LAYOUTS[source.study.report.layout](source), source, console))
+            report = LAYOUTS[source.study.report.layout](source)
+            headline = [*report.headline, *at_the_end(source)]
+            made.append(_tell(report._replace(headline=headline), source, console))
     for layout, report in TOGETHER.items():
         if here := [source for source in sources if source.study.report.layout == layout]:
             made.append(_tell(report(here), here[0], console))
     places = list(LAYOUTS)
     made.sort(key=lambda one: places.index(one.source.study.report.layout))
     names = list(dict.fromkeys(one.source.study.study.name for one in made))
+    glossary.print_words(console)
+    *_, last = made
+    made[-1] = last._replace(report=last.report.followed_by(glossary.section()))
     if page is not None:
         write_page(page, _title(names), made, _missing(names))
     if html is not None:

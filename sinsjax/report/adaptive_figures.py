@@ -10,7 +10,7 @@ from sinsjax.analysis import Estimate
 from sinsjax.plots import COLOURS
 from sinsjax.plots.cells import Class, beside, ratio_maps
 from sinsjax.report.adaptive_scores import WITHIN, Scores
-from sinsjax.report.base import Picture
+from sinsjax.report.base import Picture, yardstick
 from sinsjax.report.reset_grid import BAND_ARCMIN, NONE, PAPER_READING, PAPER_SCHEDULE
 
 _SOONER, _SLOW, _SLOWER = 0.9, 1.5, 3.0
@@ -38,7 +38,8 @@ def ratios(scores: Scores) -> Picture:
         "ratios",
         f"Median settling time to {BAND_ARCMIN} arcmin over {cells.draws} draws as a multiple of"
         " the oracle's, for the best threshold of each trigger; above each panel, in how many"
-        f" cells it is at most {WITHIN:g}. 0.00: there the oracle never settles.",
+        f" cells it is at most {WITHIN:g}. 0.00: there the oracle never settles."
+        f" {yardstick(cells.study)}",
         ratio_maps(
             panels,
             _CLASSES,
@@ -74,7 +75,8 @@ def settling(scores: Scores) -> Picture:
         "settling",
         f"Median settling time to {BAND_ARCMIN} arcmin with its 95 % interval over {cells.draws}"
         f" draws, by start, at the feedback interval of the paper. Grey: from the median first to"
-        f" the median last reset of {name}, where it fires in half of the runs or more.",
+        f" the median last reset of {name}, where it fires in half of the runs or more."
+        f" {yardstick(cells.study)}",
         beside(
             [cells.starts[i].name for i in cells.judged],
             panels,

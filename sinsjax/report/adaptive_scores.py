@@ -13,7 +13,7 @@ from sinsjax.analysis import Estimate
 from sinsjax.analysis.estimates import RESAMPLES, SEED, TAIL, place
 from sinsjax.report.adaptive_cells import Cells
 from sinsjax.report.reset_best import Pick, held_out
-from sinsjax.report.reset_grid import NONE, median
+from sinsjax.report.reset_grid import NONE, median, shared
 
 WITHIN = 1.1
 """A policy does what the oracle does up to this ratio of their median settling times."""
@@ -175,7 +175,7 @@ class Scores:
     def settled(self, policy: int) -> Estimate:
         """Share of the runs of all cells that settle."""
         runs = np.array([self.cells.settle_s[*at, policy] for at in self.at])
-        return analysis.proportion(int(np.isfinite(runs).sum()), runs.size)
+        return shared(np.isfinite(runs))
 
     def acts(self, policy: int) -> NDArray:
         """(tunings, starts, draws) whether it reset; what fades acts all the time."""
@@ -191,7 +191,7 @@ class Scores:
         """Share of the runs of the cells `in_need` in which it acts."""
         acts = self.acts(policy)
         runs = np.array([acts[at] for at in self.in_need()])
-        return analysis.proportion(int(runs.sum()), runs.size) if runs.size else analysis.UNKNOWN
+        return shared(runs) if runs.size else analysis.UNKNOWN
 
     def alarms(
         self, policy: int, *, biased: bool | None = None, feedback_s: float | None = None
@@ -212,7 +212,7 @@ class Scores:
         later = _later(cells.settle_s[:, :, policy][at], without)
         much = later > LATER_SHARE * np.where(np.isfinite(without), without, 0.0), later > LATER_S
         counts = acts & (much[0] | much[1]), acts & much[0] & much[1], acts
-        return Alarms(*(analysis.proportion(int(which.sum()), which.size) for which in counts))
+        return Alarms(*map(shared, counts))
 
 
 def _later(settle_s: NDArray, other_s: NDArray) -> NDArray:

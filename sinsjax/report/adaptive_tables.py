@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax import analysis
-from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.analysis import Estimate, format_difference, format_estimate
 from sinsjax.report.adaptive_scores import (
     FEW_ALARMS,
     LATER_S,
@@ -15,19 +15,19 @@ from sinsjax.report.adaptive_scores import (
     Scores,
 )
 from sinsjax.report.base import Table, percent
-from sinsjax.report.reset_grid import BAND_ARCMIN, NONE, PAPER_SCHEDULE
+from sinsjax.report.reset_grid import BAND_ARCMIN, NONE, PAPER_SCHEDULE, draws_of, shared
 
 LESS = f"{100 * (WITHIN - 1):.0f} %"
 """How far beyond the oracle a policy may be."""
 
 _INTERVAL = (
     "Number [95 % interval]; of a number of cells: how many lie within with their whole interval,"
-    " and how many with a part of it."
+    " and how many with a part of it. Runs of one noise are not independent: intervals of shares"
+    " and pooled medians count draws."
 )
 _ALARM = (
     "*False alarm*: a healthy run that was reset and settles later than without, on the same noise,"
-    f" by more than {100 * LATER_SHARE:g} % or {LATER_S:g} s, of all healthy runs; Wilson's"
-    " interval, as if runs of one noise in several tunings were independent."
+    f" by more than {100 * LATER_SHARE:g} % or {LATER_S:g} s, of all healthy runs."
 )
 
 
@@ -72,9 +72,10 @@ def by_feedback(scores: Scores) -> Table:
         kinds = [scores.alarms(best, biased=b, feedback_s=feedback) for b in (False, True, None)]
         starts = [*cells.healthy(biased=False), *cells.healthy(biased=True)]
         at = np.ix_(cells.tuned(feedback), starts)
+        healthy = [cells.settle_s[:, :, i][at] for i in (none, best)]
         medians = [
-            format_estimate(analysis.quantile(cells.settle_s[:, :, i][at].ravel()), digits=0)
-            for i in (none, best)
+            format_estimate(analysis.quantile(s.ravel(), cluster=draws_of(s)), digits=0)
+            for s in healthy
         ]
         rows.append(
             [
@@ -107,6 +108,7 @@ def by_feedback(scores: Scores) -> Table:
 def beyond(scores: Scores) -> Table:
     """The cells in which the best trigger is not within reach of the oracle, and by how much."""
     best = scores.choice.place
+    name = scores.cells.policies[best].name
     rows = []
     for number in np.argsort(-scores.ratios[:, best], kind="stable"):
         if scores.ratios[number, best] > WITHIN:
@@ -119,10 +121,9 @@ def beyond(scores: Scores) -> Table:
                     format_estimate(pick.median, digits=0),
                     format_estimate(analysis.quantile(runs), digits=0),
                     ratio_text(scores.ratio(at, best)),
-                    format_estimate(later, digits=0),
+                    format_difference(later, digits=0, sides=(name, "the oracle")),
                 ]
             )
-    name = scores.cells.policies[best].name
     header = [
         *_CELL,
         "oracle: median (s)",
@@ -163,8 +164,7 @@ def policies(scores: Scores) -> Table:
 
 
 def _oracle(scores: Scores) -> list[str]:
-    runs = np.concatenate([scores.oracle[at].settle_s for at in scores.at])
-    settled = analysis.proportion(int(np.isfinite(runs).sum()), runs.size)
+    settled = shared(np.isfinite([scores.oracle[at].settle_s for at in scores.at]))
     n = scores.cells.n_cells
     return ["oracle", "best single", f"{n} of {n}", "1", "-", percent(settled), "1", *["-"] * 5]
 

@@ -1,6 +1,10 @@
 """The attitude that a run ends with: the first thing that a user of a record wants."""
 
+from scipy import special
+
+from sinsjax import analysis
 from sinsjax.report.base import Source, Table, shown_keys, value_text
+from sinsjax.types import InputError
 
 MOST_ROWS = 20
 """Rows of a table; what is left out is said."""
@@ -20,8 +24,45 @@ def attitudes(source: Source) -> Table:
         for row in source.rows([*keys, *digits]).slice(0, shown).to_pylist()
     ]
     left = source.runs - len(rows)
-    note = f"{left} more runs are in `summary/`." if left else ""
-    return Table("Attitude at the end, with the filter's own 1 sigma", [*keys, *digits], rows, note)
+    notes = [f"{left} more runs are in `summary/`."] if left else []
+    notes += [innovations(source)] if source.study.is_recorded else []
+    title = "Attitude at the end, with the filter's own 1 sigma"
+    return Table(title, [*keys, *digits], rows, " ".join(notes))
+
+
+def innovations(source: Source) -> str:
+    """What the filters' innovations on a record say of their beliefs, and what they cannot say.
+
+    Only values above the chi-square band contradict a belief. One below it tells of an R that is
+    larger than the noise: the heading then shows in no innovation.
+    """
+    try:
+        rows = source.rows(["innovation_nis", "innovation_freedom"])
+    except InputError:
+        return "Innovations: not recorded."
+    mean, freedom = (analysis.numbers(rows, name) for name in rows.column_names)
+    mean, freedom = mean[freedom > 0], freedom[freedom > 0]
+    if not mean.size:
+        return "A compass has no innovations."
+    tail = (1 - analysis.CONFIDENCE) / 2
+    low, high = (2 * special.chdtri(freedom, p) / freedom for p in (1 - tail, tail))
+    above, below = int((mean > high).sum()), int((mean < low).sum())
+    text = (
+        f"Innovations: the mean of r' S^-1 r is {mean.min():.3g} to {mean.max():.3g} in"
+        f" {mean.size:,} runs with a filter, where 2 is expected of a true belief"
+        f" ({low.min():.3g} to {high.max():.3g} in 95 % of them, were they white)."
+    )
+    if above:
+        text += (
+            f" {above:,} lie above: their data contradict what the filter believes of noise and"
+            " model, and its 1 sigma is not to be trusted."
+        )
+    if below:
+        text += (
+            f" {below:,} lie below: R is larger than the noise of this data. That contradicts"
+            " nothing, and innovations so small cannot show a wrong heading."
+        )
+    return text
 
 
 def _number(value: float | None, digits: int) -> str:

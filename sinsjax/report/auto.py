@@ -1,13 +1,14 @@
 """The report of any study: statistics of its variants, curves, and figures over its axes."""
 
 import math
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sinsjax import analysis, plots, stopping
-from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.analysis import Estimate, format_difference, format_estimate
 from sinsjax.report.attitudes import MOST_ROWS, attitudes
 from sinsjax.report.base import (
     Block,
@@ -17,6 +18,7 @@ from sinsjax.report.base import (
     Source,
     Table,
     Text,
+    intervals,
     name_of,
     percent,
     shown_keys,
@@ -24,17 +26,21 @@ from sinsjax.report.base import (
 )
 from sinsjax.report.over_axes import over_axes
 from sinsjax.report.spreads import spreads
+from sinsjax.success import yardsticks
 
 _MOST_LINES = 6
 _MOST_DRAWS = 256  # in a line's band
 _MOST_MOMENTS = 8
 
-_STATISTICS = (
-    ("settled to 10', median (s)", "settle_10_s_median", 0),
-    ("phi_u, window mean (arcmin)", "phi_u_mean_arcmin_mean", 1),
-    ("... from its limit (arcmin)", "phi_u_from_floor_arcmin_mean", 1),
+_NEEDED = (
+    "draw_id",
+    "start_s",
+    "status",
+    "phi_u_arcmin",
+    "has_limit",
+    "phi_u_mean_arcmin",
+    "floor_arcmin",
 )
-_NEEDED = ("status", "phi_u_arcmin", "settle_10_s", "phi_u_mean_arcmin", "floor_arcmin")
 
 
 def report(source: Source) -> Report:
@@ -44,7 +50,7 @@ def report(source: Source) -> Report:
     tables = _tables(source) if has_truth else []
     if source.study.is_recorded or not has_truth:
         tables = [attitudes(source), *tables]
-    figures = list(_curves(source, has_truth))
+    figures: list[Block] = list(_curves(source, has_truth))
     if has_truth:
         blocks = over_axes(source)
         tables += [block for block in blocks if isinstance(block, Table)]
@@ -55,9 +61,7 @@ def report(source: Source) -> Report:
     return Report(headline, [*sections, Section("Tables", tables)])
 
 
-def statistics(
-    source: Source, keys: Sequence[str], title: str, *, note: str = "", pooled: bool = False
-) -> Table:
+def statistics(source: Source, keys: Sequence[str], title: str, *, note: str = "") -> Table:
     """The statistics of each group of runs as a table.
 
     Args:
@@ -65,45 +69,83 @@ def statistics(
         keys: what tells the groups apart.
         title: of the table.
         note: said below it.
-        pooled: whether a group mixes variants, whose runs share draws: no interval is given.
     """
-    names = ["success_rate", *(name for _, name, _ in _STATISTICS)]
-    found = analysis.summarise(source.rows([*keys, *_NEEDED]), keys, names).to_pylist()
+    shown = _shown(source)
+    columns = [*keys, *_NEEDED, *_judged(source)]
+    found = analysis.summarise(source.rows(columns), keys, [s.name for s in shown]).to_pylist()
     rows = []
     for row in found[:MOST_ROWS]:
-        found_here = [(_estimate(row, name), digits) for _, name, digits in _STATISTICS]
-        printed = (format_estimate(estimate, digits=digits) for estimate, digits in found_here)
-        numbers = [percent(_estimate(row, "success_rate")), *printed]
-        if pooled:
-            numbers = [number.partition(" [")[0] for number in numbers]
+        numbers = [s.text(_estimate(row, s.name)) for s in shown]
         rows.append([*(value_text(row[key]) for key in keys), str(row["n"]), *numbers])
     if left := len(found) - len(rows):
         note = f"{note} {left} more rows are not shown.".lstrip()
-    return Table(title, [*keys, "runs", "ok (%)", *(name for name, *_ in _STATISTICS)], rows, note)
+    return Table(title, [*keys, "runs", *(s.header for s in shown)], rows, note)
+
+
+class _Shown(NamedTuple):
+    """A statistic in a table.
+
+    Attributes:
+        header: of its column.
+        name: of the statistic.
+        text: of an estimate of it.
+    """
+
+    header: str
+    name: str
+    text: Callable[[Estimate], str]
+
+
+def _shown(source: Source) -> list[_Shown]:
+    """How many runs succeed and how soon, from the truth and from the limit; and the heading."""
+    seconds, arcmin = (partial(format_estimate, digits=digits) for digits in (0, 1))
+    missing = [y for y in yardsticks(source.study) if y not in source.yardsticks]
+    lost = "not recorded" if source.schema == "1" else "no limit"
+    return [
+        *(_Shown(f"{y.words} (%)", y.rate, percent) for y in source.yardsticks),
+        *(_Shown(f"{y.words} (%)", y.rate, lambda _: lost) for y in missing),
+        *(
+            _Shown(f"time to {y.words}, median (s)", f"{y.settle}_median", seconds)
+            for y in source.yardsticks
+        ),
+        _Shown("phi_u, window mean (arcmin)", "phi_u_mean_arcmin_mean", arcmin),
+        _Shown("... from its limit (arcmin)", "phi_u_from_floor_arcmin_mean", arcmin),
+    ]
+
+
+def _judged(source: Source) -> list[str]:
+    """The columns that tell successes and when they settled."""
+    return [name for yard in yardsticks(source.study) for name in (yard.ok, yard.settle)]
 
 
 def against_first(source: Source) -> Table:
     """How each variant differs from the first one, draw by draw."""
     keys = shown_keys(source.study)
-    table = source.rows(["draw_id", *keys, *_NEEDED])
+    table = source.rows([*keys, *_NEEDED, *_judged(source)])
     first = {key: table[key][0].as_py() for key in keys}
+    yards = source.yardsticks
     rows = []
     for row in analysis.compare(table, keys, first).to_pylist():
+        shares = (percent(_estimate(row, f"{yard.rate}_difference")) for yard in yards)
+        times = (_estimate(row, f"{yard.settle}_median_difference") for yard in yards)
         cells = (
-            percent(_estimate(row, "success_rate_difference")),
-            format_estimate(_estimate(row, "settle_10_s_median_difference"), digits=0),
+            *shares,
+            *(format_difference(t, digits=0, sides=("it", "the first")) for t in times),
             format_estimate(_estimate(row, "phi_u_error_arcmin_difference"), digits=1),
         )
         rows.append([*(value_text(row[key]) for key in keys), *cells])
     shared = "from the same start times" if source.study.is_recorded else "on the same noise"
-    header = ["ok (% points)", "settled to 10', median (s)", "phi_u error (arcmin)"]
+    header = [
+        *(f"{yard.words} (% points)" for yard in yards),
+        *(f"time to {yard.words}, median (s)" for yard in yards),
+        "phi_u error (arcmin)",
+    ]
     return Table(
         f"Against {name_of(first)}, {shared}",
         [*keys, *header],
         rows,
-        "Difference [95 % interval over the pairs of runs of a draw]; *never*: only the first"
-        " settles, *-never*: only the other. phi_u error: how far its window mean lies from its"
-        " limit.",
+        f"{intervals(source, 'pairs of runs of a draw', 'Difference')} phi_u error: how far its"
+        " window mean lies from its limit.",
     )
 
 
@@ -119,8 +161,11 @@ def _headline(source: Source, has_truth: bool) -> str:
     text = f"{source.runs:,} runs: {study.n_variants} variants, {source.draws} {draws}."
     if not has_truth:
         return f"{text} Without truth or reference, attitude and its 1 sigma is what is known."
-    ok = int(analysis.has_status(source.rows(["status"]), "ok").sum())
-    return f"{text} The heading error ends within 10 arcmin of its limit in {ok:,} of them."
+    flags = source.rows([yard.ok for yard in source.yardsticks])
+    counted = (
+        f"{yard.words} in {flags[yard.ok].to_pylist().count(True):,}" for yard in source.yardsticks
+    )
+    return f"{text} The heading ends {' and '.join(counted)} of them."
 
 
 def _stopped(source: Source) -> Iterator[str]:
@@ -143,14 +188,14 @@ def _tables(source: Source) -> list[Block]:
     start, end = study.study.window_s
     note = f"Window: {start:g} to {end:g} s; *never*: did not settle."
     keys = shown_keys(study)
+    note = f"{intervals(source)} {note}"
     if study.n_variants <= MOST_ROWS:
-        note = f"Number [95 % interval over the draws]. {note}"
         tables: list[Block] = [statistics(source, keys, "Every variant", note=note)]
         compared = study.n_variants > 1 and source.draws > 1
         return [*tables, against_first(source)] if compared else tables
     return [
         Text(f"{study.n_variants} variants: each table takes one key and pools the others."),
-        *(statistics(source, [key], f"By {key}", note=note, pooled=True) for key in keys),
+        *(statistics(source, [key], f"By {key}", note=note) for key in keys),
     ]
 
 

@@ -1,18 +1,20 @@
 """What a report is made of: where it reads from, and the blocks that a layout returns."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from sinsjax import analysis, plots, results
+from sinsjax import analysis, columns, plots, results
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.config import load_study
 from sinsjax.studies import Study
+from sinsjax.success import Yardstick, as_of_schema_1, success_of, yardsticks
 from sinsjax.types import InputError
 
 
@@ -23,14 +25,16 @@ class Source:
     Attributes:
         directory: where they are.
         study: the resolved study.
-        config: file name of the study, as a page names it.
+        config: what a page names as the study's file.
         table: the summary by run_id, where it need not be read.
+        schema: version of the results' columns.
     """
 
     directory: Path
     study: Study
     config: str
     table: pa.Table | None = None
+    schema: str = columns.SCHEMA_VERSION
 
     @classmethod
     def read(cls, directory: Path) -> "Source":
@@ -41,8 +45,12 @@ class Source:
         """
         results.count_runs(directory)
         study = load_study(directory / "study.toml")
-        name = results.read_manifest(directory).get("config") or f"{study.study.name}.toml"
-        return cls(directory, study, name)
+        manifest = results.read_manifest(directory)
+        schema = str(manifest.get("schema"))
+        if schema == "1":
+            study = as_of_schema_1(study)
+        name = manifest.get("config") or f"study.toml of {study.study.name}"
+        return cls(directory, study, name, schema=schema)
 
     @cached_property
     def runs(self) -> int:
@@ -87,6 +95,17 @@ class Source:
         if missing := [name for name in wanted if name not in self.table.column_names]:
             raise InputError(f"{self.directory}: summary: column {missing[0]} is missing")
         return self.table.select(wanted)
+
+    @cached_property
+    def yardsticks(self) -> tuple[Yardstick, ...]:
+        """What success can be counted from, what the study is judged from first.
+
+        Not the truth where an earlier version did not record it, nor the limit where no run has
+        one.
+        """
+        found = yardsticks(self.study)
+        flags = self.rows([yard.ok for yard in found])
+        return tuple(yard for yard in found if flags[yard.ok].null_count < flags.num_rows)
 
     @property
     def has_curves(self) -> bool:
@@ -159,8 +178,35 @@ class Report(NamedTuple):
     sections: Sequence[Section]
     rests_on: str = ""
 
+    def followed_by(self, section: Section) -> "Report":
+        """The report with one more section at its end."""
+        return self._replace(sections=[*self.sections, section])
+
 
 Layout = Callable[[Source], Report]
+
+
+def aim_of(study: Study) -> str:
+    """What a study's headings are judged against, after *within 10 arcmin of*."""
+    if study.is_recorded:
+        return "the reference's heading"
+    if success_of(study).from_truth:
+        return "true north"
+    return "what the run's own constant sensor biases allow (not of true north)"
+
+
+def yardstick(study: Study) -> str:
+    """What *settled* and *ok* mean in a study, in one sentence for pages and captions."""
+    rule = success_of(study)
+    ends_s = np.array([s.records for s in study.distinct_spans]) * study.study.record_interval_s
+    dwell_s = rule.dwell(ends_s)
+    last = " to ".join(f"{s:g}" for s in sorted({dwell_s.min(), dwell_s.max()}))
+    how = f"has been there for {last} s at the end" if dwell_s.max() else "ends there"
+    return (
+        f"Settled: the heading stays within {rule.band_arcmin:g} arcmin (or the band that is"
+        f" named) of {aim_of(study)} from then to the end of the run; ok: it {how}, and the level"
+        f" errors end within {rule.level_band_arcmin:g} arcmin."
+    )
 
 
 def swept(study: Study) -> dict[tuple[str, ...], tuple[Any, ...]]:
@@ -197,6 +243,25 @@ def value_text(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:g}"
     return "-" if value is None else str(value)
+
+
+def at_the_end(source: Source) -> Iterator[str]:
+    """How many headings are right at the end, where there is a truth: of all runs of a study."""
+    rows = source.rows(["draw_id", "start_s", "phi_u_arcmin", "status"])
+    if not analysis.has_truth(rows):
+        return
+    band = success_of(source.study).band_arcmin
+    right = np.abs(analysis.numbers(rows, "phi_u_arcmin")) <= band
+    about = "the reference" if source.study.is_recorded else "true north"
+    found = percent(analysis.share(right, analysis.clusters_of(rows)))
+    yield f"Within {band:g}' of {about} at the end: {found} % of the runs."
+
+
+def intervals(source: Source, over: str = "draws", what: str = "Number") -> str:
+    """What the brackets of a table are, or why there are none, in words."""
+    if source.study.is_recorded and source.study.n_draws > 1:
+        return analysis.NO_INTERVAL
+    return f"{what} [95 % interval over the {over}]."
 
 
 def percent(share: Estimate) -> str:

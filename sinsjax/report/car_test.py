@@ -23,11 +23,19 @@ from sinsjax.report.base import (
     name_of,
     shown_keys,
     value_text,
+    yardstick,
 )
 from sinsjax.types import InputError
 from sinsjax.units import ARCMIN, DEG
 
 _ANGLES = ("pitch", "roll", "yaw")
+_PRINTED = {
+    "PHINS, the reference": ((-0.8292, 0.0011), (-0.2441, 0.0046), (85.5903, 0.0024)),
+    "scheme 1": ((-0.8200, 0.0092), (-0.2433, 0.0056), (84.6823, 0.3092)),
+    "scheme 3": ((-0.8202, 0.0098), (-0.2455, 0.0061), (85.0917, 0.1906)),
+}
+"""Table 3 of the paper: pitch, roll, yaw, each as mean and standard deviation, deg."""
+
 _RELATIVE = (
     "Errors are relative to the reference (for the car record a smoother on the same record), not"
     " absolute."
@@ -52,7 +60,7 @@ def report(source: Source) -> Report:
     """Table 3 from the first start time, yaw errors over all of them, and yaw over time."""
     schemes = schemes_of(source)
     has_reference = bool(np.isfinite(analysis.numbers(source.summary, "phi_u_arcmin")).any())
-    blocks: list[Block] = [_table3(source, schemes, has_reference)]
+    blocks: list[Block] = [_table3(source, schemes, has_reference), _printed()]
     figures: list[Block] = []
     headline = f"{source.summary.num_rows} runs from {source.study.n_draws} start times."
     if has_reference:
@@ -131,6 +139,31 @@ def _table3(source: Source, schemes: Sequence[Scheme], has_reference: bool) -> T
     )
 
 
+def _printed() -> Table:
+    """The paper's Table 3, and how far its schemes lie from its reference."""
+    reference = _PRINTED["PHINS, the reference"]
+    rows = []
+    for name, angles in _PRINTED.items():
+        cells = [f"{x:.4f}" for pair in angles for x in pair]
+        apart = [f"{a[0] - r[0]:+.4f}" for a, r in zip(angles, reference, strict=True)]
+        rows.append([name, *cells, *(["-"] * 3 if angles is reference else apart)])
+    off = {name: abs(a[2][0] - reference[2][0]) for name, a in _PRINTED.items()}
+    header = [""]
+    for angle in _ANGLES:
+        header += [f"{angle} mean (deg)", "std"]
+    header += [f"{angle} from reference (deg)" for angle in _ANGLES]
+    return Table(
+        "The paper's Table 3: mean and standard deviation over 300 to 500 s, another vehicle",
+        header,
+        rows,
+        "The paper's reference is a PHINS beside the unit, an independent instrument; ours is a"
+        " smoother on the very record that is aligned, so that an error which the record itself"
+        " holds, such as the east gyro bias, is not seen here and is seen there. The paper calls"
+        f" Scheme 3 as precise as Scheme 1: from its own reference scheme 1 is {off['scheme 1']:.2f}"
+        f" and scheme 3 {off['scheme 3']:.2f} deg off in yaw. It prints nothing on Scheme 2.",
+    )
+
+
 def _reference_window(source: Source, scheme: Scheme) -> list[tuple[float, float]]:
     """Mean and standard deviation of the reference over the window, deg, for each angle."""
     curves = source.curves([scheme.rows["run_id"][0].as_py()])
@@ -164,7 +197,10 @@ def _error_table(source: Source, schemes: Sequence[Scheme]) -> Table:
         for errors in _yaw_errors(scheme):
             size = np.abs(errors)
             cells += [f"{np.median(errors):+.4f}", f"{np.max(size):.4f}"]
-        settled = analysis.quantile(analysis.numbers(scheme.rows, "settle_10_s"))
+        settled = analysis.quantile(
+            analysis.numbers(scheme.rows, "settle_10_s"),
+            cluster=analysis.clusters_of(scheme.rows),
+        )
         ok = scheme.rows["status"].to_pylist().count("ok")
         cells += [f"{ok} of {scheme.rows.num_rows}", analysis.format_estimate(settled, digits=0)]
         rows.append([scheme.name, scheme.setting, *cells])
@@ -177,11 +213,11 @@ def _error_table(source: Source, schemes: Sequence[Scheme]) -> Table:
             "end: worst",
             f"{start:g} to {end:g} s mean: median",
             "worst",
-            "settled to 10'",
+            "ends within 10' of the reference",
             "settling time, median (s)",
         ],
         rows,
-        _RELATIVE,
+        f"{_RELATIVE} {yardstick(source.study)} {analysis.NO_INTERVAL}",
     )
 
 
@@ -206,6 +242,7 @@ def _figure(source: Source, schemes: Sequence[Scheme]) -> Picture:
     panels = {name or "all": plots.ensembles(curves, runs) for name, runs in settings.items()}
     return Picture(
         "yaw_error",
-        f"Mean over {source.study.n_draws} start times; shading: 95 % of them. {_RELATIVE}",
+        f"Yaw error: mean over {source.study.n_draws} start times; shading: 95 % of them."
+        f" {_RELATIVE}",
         plots.yaw_errors(panels, "Yaw error of the schemes on the record"),
     )

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
-from sinsjax.analysis import format_estimate, rms
+from sinsjax.analysis import rms
 from sinsjax.plots.starts import by_start, over_passes, strips
 from sinsjax.report import kicks
 from sinsjax.report.attitudes import attitudes
@@ -69,9 +69,9 @@ def _table(source: Source, cases: Sequence[Case]) -> Table:
                 case.name,
                 f"{case.tape_s:g}",
                 str(case.passes),
-                format_estimate(analysis.quantile(np.abs(case.errors)), digits=2),
+                f"{analysis.quantile(np.abs(case.errors)).value:.2f}",
                 f"{np.abs(case.errors).max():.2f}",
-                format_estimate(rms(case.errors), digits=2),
+                f"{rms(case.errors).value:.2f}",
                 f"{case.errors.mean():+.2f}",
                 f"{rms(case.errors - other.errors).value:.2f}" if other else "-",
                 f"{np.median(sigma):.1f}" if np.isfinite(sigma).all() else "-",
@@ -117,8 +117,7 @@ def _overlap(source: Source) -> str:
         return "One start time: nothing is known of the spread."
     return (
         f"Start times are {value_text(float(gaps.max()))} s or less apart and share most of their"
-        " data with their neighbours. The intervals, made as if start times were independent, are"
-        " too narrow."
+        f" data with their neighbours. {analysis.NO_INTERVAL}"
     )
 
 

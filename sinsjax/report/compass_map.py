@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from sinsjax import analysis, loops, plots, tunings
 from sinsjax.analysis import format_estimate
 from sinsjax.plots import Contours, Scale, Shown
+from sinsjax.report import base
 from sinsjax.report.base import Picture, Report, Section, Source, Table, Text, percent, value_text
 from sinsjax.report.compass_runs import bound_arcmin
 from sinsjax.report.limits import only
@@ -200,8 +201,8 @@ def _settling_maps(source: Source, points: Sequence[Point], band: float) -> Pict
 
     return Picture(
         "settling_time",
-        f"Median update time after which the heading stays within {band:g} arcmin of its floor;"
-        " hatched where at least half of the draws never do.",
+        f"Median update time until the heading has settled to {band:g} arcmin; hatched where at"
+        f" least half of the draws never do. {base.yardstick(source.study)}",
         plots.heat_maps(
             _panels(source, points, median),
             f"How long until the heading stays within {band:g} arcmin?",

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
-from sinsjax.analysis import Estimate, format_estimate, rms
+from sinsjax.analysis import Estimate, format_difference, format_estimate, rms
 from sinsjax.report.base import (
     Block,
     Picture,
@@ -19,6 +19,7 @@ from sinsjax.report.base import (
     percent,
     shown_keys,
     value_text,
+    yardstick,
 )
 from sinsjax.report.compass_runs import require_loops
 from sinsjax.report.linear import all_loops, heading_of, start_of
@@ -121,8 +122,9 @@ def _survival(source: Source, shown: Sequence[Scored]) -> Picture:
     }
     return Picture(
         "settling",
-        "Share of draws that are not yet within the band for good. Dashed: the share that an"
-        " estimator at the information bound of that tape leaves outside.",
+        "Share of draws that have not settled to the band yet. Dashed: the share that the noise of"
+        " that tape alone leaves outside, whatever the method (the bound of an unbiased estimate)."
+        f" {yardstick(source.study)}",
         plots.survival(
             panels,
             "Who has not settled yet?",
@@ -174,7 +176,7 @@ def _times_table(
     wide, narrow = bands_of(source)
     rows = []
     for s, (linear_wide, linear_narrow) in zip(scored, linear, strict=True):
-        cells = [s.name]
+        cells, sides = [s.name], (_short(s), _short(scored[0]))
         for times, first, without_noise in (
             (s.wide_s, scored[0].wide_s, linear_wide),
             (s.narrow_s, scored[0].narrow_s, linear_narrow),
@@ -183,7 +185,7 @@ def _times_table(
             apart = analysis.quantile_difference(times, first)
             cells += [
                 format_estimate(analysis.quantile(data), digits=0),
-                "-" if s is scored[0] else format_estimate(apart, digits=0),
+                "-" if s is scored[0] else format_difference(apart, digits=0, sides=sides),
                 "never" if math.isinf(without_noise) else f"{without_noise:.0f}",
             ]
         rows.append(cells)

@@ -7,10 +7,9 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from sinsjax import runtime
 from sinsjax.files import replacing
 from sinsjax.report.base import Block, Picture, Table, Text
-from sinsjax.report.output import Made
+from sinsjax.report.output import Made, meanings, origin
 
 _STYLE = """
 :root { color-scheme: light dark; --line: #8888; --soft: #8881; }
@@ -56,6 +55,7 @@ def _page(title: str, made: Sequence[Made], notes: Sequence[str]) -> Iterator[st
     yield '<meta name="viewport" content="width=device-width, initial-scale=1">'
     yield f"<style>\n{_STYLE}\n</style>\n</head>\n<body>\n<main>"
     yield f"<h1>{_inline(title)}</h1>"
+    yield from (f"<p>{_inline(line)}</p>" for line in meanings(made))
     if lines := [line for _, report, _ in made for line in report.headline]:
         items = "\n".join(f"<li>{_inline(line)}</li>" for line in lines)
         yield f"<ul>\n{items}\n</ul>"
@@ -65,9 +65,7 @@ def _page(title: str, made: Sequence[Made], notes: Sequence[str]) -> Iterator[st
             yield f"<section>\n<h2>{_inline(section.heading)}</h2>"
             yield from (_block(block, one) for block in section.blocks)
             yield "</section>"
-    studies = ", ".join(dict.fromkeys(f"configs/{one.source.config}" for one in made))
-    version = runtime.package_version()
-    yield f"</main>\n<footer>{escape(studies)}; sinsjax {escape(version)}</footer>"
+    yield f"</main>\n<footer>{escape(origin(made))}</footer>"
     yield "</body>\n</html>\n"
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from sinsjax import loops, plots
+from sinsjax import analysis, loops, plots
 from sinsjax.analysis import rms
 from sinsjax.plots import Ensemble
 from sinsjax.plots.starts import falling
@@ -181,6 +181,7 @@ def _delays(cases: Sequence[Case], turned: Sequence[Turned]) -> Iterator[Block]:
     for data in dict.fromkeys((one.case.tape_s, one.case.passes) for one in reflected):
         same = [one for one in reflected if (one.case.tape_s, one.case.passes) == data]
         same.sort(key=lambda one: one.case.smoothing_s)
+        record = analysis.clusters_of(same[0].case.rows)
         if len({one.case.smoothing_s for one in same}) < 2:
             continue
         others = [*turned_by(cases, "velocity"), partner(cases, same[0].case)]
@@ -192,14 +193,14 @@ def _delays(cases: Sequence[Case], turned: Sequence[Turned]) -> Iterator[Block]:
         yield Picture(
             "delay",
             f"Heading error over the delay of the specific force that the platform is reflected"
-            f" by, {data[0]:g} s tape, rms over the start times with bootstrap intervals; dotted:"
-            " without such turns.",
+            f" by, {data[0]:g} s tape, rms over the start times; dotted: without such turns."
+            f" {analysis.NO_INTERVAL}",
             falling(
                 "delay of the low-passed specific force (s)",
                 [one.case.smoothing_s for one in same],
                 {
-                    "heading error": [rms(one.case.errors) for one in same],
-                    "what the turns do, predicted": [rms(one.heading) for one in same],
+                    "heading error": [rms(one.case.errors, record) for one in same],
+                    "what the turns do, predicted": [rms(one.heading, record) for one in same],
                 },
                 levels,
                 title="The reflecting turn on a base that moves",

@@ -12,7 +12,7 @@ from rich.text import Text as RichText
 
 from sinsjax import plots, runtime
 from sinsjax.files import replacing, unwritable
-from sinsjax.report.base import Block, Picture, Report, Source, Table, Text
+from sinsjax.report.base import Block, Picture, Report, Source, Table, Text, yardstick
 from sinsjax.types import InputError
 
 FIGURES = "figures"
@@ -56,7 +56,7 @@ def print_report(made: Made, console: Console) -> None:
     """Prints what was found and every table that is not folded, and names the figures."""
     source, report, images = made
     console.print(f"\n{source.study.study.name}", style="bold", markup=False, highlight=False)
-    for line in report.headline:
+    for line in (*report.headline, yardstick(source.study)):
         _say(console, line)
     for section in report.sections:
         for block in section.blocks:
@@ -88,6 +88,12 @@ def save_figures(images: Mapping[str, bytes], directory: Path) -> None:
             file.write(content)
 
 
+def origin(made: Sequence[Made]) -> str:
+    """What a page was made from and with: the files of its studies, each once, and the version."""
+    configs = ", ".join(dict.fromkeys(source.config for source, _, _ in made))
+    return f"{configs}; sinsjax {runtime.package_version()}"
+
+
 def write_page(page: Path, title: str, made: Sequence[Made], notes: Sequence[str] = ()) -> None:
     """Writes a documentation page, and its figures beside it.
 
@@ -100,12 +106,10 @@ def write_page(page: Path, title: str, made: Sequence[Made], notes: Sequence[str
     Raises:
         InputError: the page cannot be written.
     """
-    configs = ", ".join(dict.fromkeys(f"configs/{source.config}" for source, _, _ in made))
-    version = runtime.package_version()
     lines = [
-        f"<!-- Written by: sinsjax report --page {page.name} ({configs}; sinsjax {version});"
-        " do not edit -->",
+        f"<!-- Written by: sinsjax report --page {page.name} ({origin(made)}); do not edit -->",
         f"# {title}",
+        *meanings(made),
         "\n".join(f"- {line}" for _, report, _ in made for line in report.headline),
         *notes,
     ]
@@ -118,6 +122,11 @@ def write_page(page: Path, title: str, made: Sequence[Made], notes: Sequence[str
             lines += [markdown(block, prefix) for block in section.blocks]
     with replacing(page) as file:
         file.write(("\n\n".join(lines) + "\n").encode())
+
+
+def meanings(made: Sequence[Made]) -> list[str]:
+    """What *settled* and *ok* mean on a page, each meaning once."""
+    return list(dict.fromkeys(yardstick(one.source.study) for one in made))
 
 
 def markdown(block: Block, prefix: str = "") -> str:

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
@@ -12,6 +13,7 @@ from sinsjax.report.base import (
     Picture,
     Source,
     Table,
+    intervals,
     name_of,
     percent,
     shown_keys,
@@ -19,13 +21,15 @@ from sinsjax.report.base import (
     value_text,
 )
 from sinsjax.studies import SECTION_OF
+from sinsjax.success import Yardstick
 
 _MOST_PANELS = 12
 _MOST_LINES = 7
-_SETTLED = "settle_10_s"
+_ERROR = ("phi_u_mean_arcmin", "floor_arcmin")
 _CHOSEN = ("filter", "resets")  # sections whose values a user chooses, so that one can be best
 
 Axes = Mapping[str, Sequence[float]]
+Lines = dict[str, list[analysis.Estimate]]
 
 
 def over_axes(source: Source) -> list[Block]:
@@ -42,7 +46,7 @@ def over_axes(source: Source) -> list[Block]:
     shown = dict(list(numeric.items())[:2])
     others = [key for key in shown_keys(source.study) if key not in shown]
     if len(shown) == 2:
-        return list(_heat_maps(source, shown, others))
+        return [b for yard in source.yardsticks for b in _heat_maps(source, yard, shown, others)]
     return [_along_axis(source, *axis, others) for axis in shown.items()]
 
 
@@ -58,22 +62,27 @@ class _Map(NamedTuple):
         point: the other keys' values.
         settle_s: (draws, rows, columns), infinite where a run never settled.
         ok: (draws, rows, columns) bool.
+        cluster: (draws,), see `analysis.clusters_of`.
     """
 
     name: str
     point: dict[str, Any]
     settle_s: NDArray
     ok: NDArray
+    cluster: NDArray
 
 
-def _maps(source: Source, axes: Axes, others: Sequence[str]) -> list[_Map]:
+def _maps(source: Source, yard: Yardstick, axes: Axes, others: Sequence[str]) -> list[_Map]:
     shape = (source.draws, *map(len, axes.values()))
     maps = []
-    for point, rows in analysis.groups(source.rows([*others, _SETTLED, "status"]), others):
+    columns = (*others, yard.settle, yard.ok, "draw_id", "start_s")
+    for point, rows in analysis.groups(source.rows(columns), others):
         # In run order the draws are outermost; among the variants of a point, the first axis.
-        settle = np.nan_to_num(analysis.numbers(rows, _SETTLED), nan=np.inf)
-        ok = analysis.has_status(rows, "ok")
-        maps.append(_Map(name_of(point), point, settle.reshape(shape), ok.reshape(shape)))
+        settle = np.nan_to_num(analysis.numbers(rows, yard.settle), nan=np.inf)
+        ok = rows[yard.ok].fill_null(False).to_numpy()
+        cluster = np.asarray(analysis.clusters_of(rows)).reshape(shape)[:, 0, 0]
+        settle, ok = settle.reshape(shape), ok.reshape(shape)
+        maps.append(_Map(name_of(point), point, settle, ok, cluster))
     return maps
 
 
@@ -82,10 +91,14 @@ def _median(settle_s: NDArray) -> NDArray:
     return np.quantile(settle_s, 0.5, axis=0, method="inverted_cdf")
 
 
-def _heat_maps(source: Source, axes: Axes, others: Sequence[str]) -> Iterator[Block]:
-    maps = _maps(source, axes, others)
+def _heat_maps(
+    source: Source, yard: Yardstick, axes: Axes, others: Sequence[str]
+) -> Iterator[Block]:
+    """The maps from one yardstick; the names of the files are those of the first."""
+    end = "" if yard == source.yardsticks[0] else "_truth" if yard.truth else "_limit"
+    maps = _maps(source, yard, axes, others)
     if all(SECTION_OF[key] in _CHOSEN for key in axes):
-        yield _best(axes, maps)
+        yield _best(yard, axes, maps)
     rows, columns = (plots.Scale(key, values) for key, values in axes.items())
     # A line of panels for each value of the other keys but the last, if it is short enough.
     across = len({value_text(m.point[others[-1]]) for m in maps}) if others else 1
@@ -96,12 +109,12 @@ def _heat_maps(source: Source, axes: Axes, others: Sequence[str]) -> Iterator[Bl
     finite = np.concatenate([values[np.isfinite(values)] for _, values in medians])
     high = float(finite.max()) if finite.size else 1.0
     yield Picture(
-        "settling_time",
-        f"Median settling time to 10 arcmin over {source.draws} draws; hatched where at"
-        f" least half of the runs never settle.{rest}",
+        f"settling_time{end}",
+        f"Median time over {source.draws} draws until the heading stays {yard.words}; hatched where"
+        f" at least half of the runs never do.{rest}",
         plots.heat_maps(
             medians,
-            "How long until the heading error stays within 10 arcmin?",
+            f"How long until the heading stays {yard.words}?",
             plots.Shown("median settling time (s)", 0.0, high, reverse=True),
             rows=rows,
             columns=columns,
@@ -109,12 +122,12 @@ def _heat_maps(source: Source, axes: Axes, others: Sequence[str]) -> Iterator[Bl
         ),
     )
     yield Picture(
-        "success_rate",
-        f"Share of the {source.draws} draws that end settled (status ok).{rest}",
+        f"success_rate{end}",
+        f"Share of the {source.draws} draws whose heading ends {yard.words}.{rest}",
         plots.heat_maps(
             [(m.name, 100 * m.ok.mean(axis=0)) for m in drawn],
-            "How many runs settle at all?",
-            plots.Shown("runs that settle (%)", 0.0, 100.0),
+            f"How many headings end {yard.words}?",
+            plots.Shown("runs (%)", 0.0, 100.0),
             rows=rows,
             columns=columns,
             across=across,
@@ -122,7 +135,7 @@ def _heat_maps(source: Source, axes: Axes, others: Sequence[str]) -> Iterator[Bl
     )
 
 
-def _best(axes: Axes, maps: Sequence[_Map]) -> Table:
+def _best(yard: Yardstick, axes: Axes, maps: Sequence[_Map]) -> Table:
     """At each point of the other keys, where most runs settle, and among those the fastest."""
     rows = []
     for here in maps[: 2 * _MOST_PANELS]:
@@ -134,17 +147,24 @@ def _best(axes: Axes, maps: Sequence[_Map]) -> Table:
             [
                 *(value_text(value) for value in here.point.values()),
                 *(value_text(values[at]) for values, at in zip(axes.values(), best, strict=True)),
-                percent(analysis.proportion(int(here.ok[place].sum()), here.ok.shape[0])),
-                analysis.format_estimate(analysis.quantile(here.settle_s[place]), digits=0),
-                percent(analysis.proportion(int(here.ok[:, 0, 0].sum()), here.ok.shape[0])),
+                percent(analysis.share(here.ok[place], here.cluster)),
+                analysis.format_estimate(
+                    analysis.quantile(here.settle_s[place], cluster=here.cluster), digits=0
+                ),
+                percent(analysis.share(here.ok[:, 0, 0], here.cluster)),
             ]
         )
     first = ", ".join(f"{key} {value_text(values[0])}" for key, values in axes.items())
     others = list(maps[0].point)
-    header = [*others, *(f"best {key}" for key in axes), "ok (%)", "median settling time (s)"]
+    header = [
+        *others,
+        *(f"best {key}" for key in axes),
+        f"{yard.words} (%)",
+        "from when on, median (s)",
+    ]
     return Table(
-        f"Where most runs settle, and settle first, over {' and '.join(axes)}",
-        [*header, f"ok at {first} (%)"],
+        f"Where most headings end {yard.words}, and are so first, over {' and '.join(axes)}",
+        [*header, f"at {first} (%)"],
         rows,
         "Equals: the first in the study's order.",
     )
@@ -153,33 +173,45 @@ def _best(axes: Axes, maps: Sequence[_Map]) -> Table:
 def _along_axis(
     source: Source, axis: str, values: Sequence[float], others: Sequence[str]
 ) -> Picture:
-    panels: dict[str, dict[str, list[analysis.Estimate]]] = {
-        "runs that settle (share)": {},
-        "median settling time (s)": {},
-        "phi_u from its limit (arcmin)": {},
-    }
-    settling, time, error = panels.values()
-    columns = (*others, axis, "status", _SETTLED, "phi_u_mean_arcmin", "floor_arcmin")
+    yards = source.yardsticks
+    settling: list[Lines] = [{} for _ in yards]
+    time: list[Lines] = [{} for _ in yards]
+    error: Lines = {}
+    judged = (name for yard in yards for name in (yard.ok, yard.settle))
+    columns = (*others, axis, *judged, *_ERROR, "draw_id", "start_s")
     groups = list(analysis.groups(source.rows(columns), others))
     for point, rows in groups[:_MOST_LINES]:
         name = name_of(point)
         by_value = [group for _, group in analysis.groups(rows, [axis])]
-        settling[name] = [_success(group) for group in by_value]
-        time[name] = [analysis.quantile(analysis.numbers(group, _SETTLED)) for group in by_value]
+        for yard, share, median in zip(yards, settling, time, strict=True):
+            share[name] = [_success(group, yard) for group in by_value]
+            median[name] = [_median_of(group, yard) for group in by_value]
         error[name] = [
             analysis.difference(
-                *(analysis.numbers(group, c) for c in ("phi_u_mean_arcmin", "floor_arcmin"))
+                analysis.numbers(group, _ERROR[0]),
+                analysis.numbers(group, _ERROR[1]),
+                analysis.clusters_of(group),
             )
             for group in by_value
         ]
-    left = len(groups) - len(settling)
+    panels = {f"share of runs {yard.words}": s for yard, s in zip(yards, settling, strict=True)}
+    panels |= {f"median time (s) to {yard.words}": t for yard, t in zip(yards, time, strict=True)}
+    panels |= {"phi_u from its limit (arcmin)": error}
+    left = len(groups) - len(error)
     rest = f" {left} more lines are not drawn." if left else ""
     return Picture(
         "along_axis",
-        f"Estimates with 95 % intervals over the draws; settled: within 10 arcmin.{rest}",
+        "How many headings end within the band, when they have entered it for good, and how far the"
+        f" mean heading error at the end lies from its limit. {intervals(source, what='Estimate')}"
+        f"{rest}",
         plots.along_axis(axis, values, panels, title=f"What {axis} decides"),
     )
 
 
-def _success(rows: Any) -> analysis.Estimate:
-    return analysis.proportion(int(analysis.has_status(rows, "ok").sum()), rows.num_rows)
+def _success(rows: pa.Table, yard: Yardstick) -> analysis.Estimate:
+    return analysis.share(rows[yard.ok].fill_null(False).to_numpy(), analysis.clusters_of(rows))
+
+
+def _median_of(rows: pa.Table, yard: Yardstick) -> analysis.Estimate:
+    settle = analysis.numbers(rows, yard.settle)
+    return analysis.quantile(settle, cluster=analysis.clusters_of(rows))

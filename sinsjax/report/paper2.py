@@ -261,15 +261,23 @@ def _table(source: Source, cases: Sequence[Case], number: int) -> Table:
 
 def _row(case: Case) -> list[str]:
     means = {angle: analysis.mean(case.mean_errors(angle)) for angle in ANGLES}
-    heading = case.mean_errors("heading")
     return [
         case.label,
         value_text(case.drift),
         *(format_estimate(means[angle], digits=DIGITS[angle]) for angle in ANGLES),
         f"{case.limits.heading:.4f}",
         _deg(analysis.mean(case.window_stds("heading"))),
-        _deg(analysis.std(heading)),
+        _spread(case),
     ]
+
+
+def _spread(case: Case) -> str:
+    """The standard deviation over the draws; of runs that ended in several ways, two quantiles."""
+    heading = case.mean_errors("heading")
+    if len(case.rows["status"].unique()) == 1:
+        return _deg(analysis.std(heading, is_normal=True))  # noise alone, through linear loops
+    low, high = (analysis.quantile(heading, q).value for q in (0.1, 0.9))
+    return f"10 to 90 %: {low:.4f} to {high:.4f}"
 
 
 def _deg(estimate: Estimate) -> str:

@@ -228,7 +228,9 @@ def _settling(case: Case, bands: Sequence[float]) -> list[str]:
 def _spread(cases: Sequence[Case]) -> Told | None:
     """How far apart the draws are in heading where 600 s are used and where a tape is."""
     firsts = [next((c for c in cases if c.scheme == n and _converges(c)), None) for n in (1, 2)]
-    found = [(c, analysis.std(c.mean_errors("heading")), _bound(c)) for c in firsts if c]
+    found = [
+        (c, analysis.std(c.mean_errors("heading"), is_normal=True), _bound(c)) for c in firsts if c
+    ]
     if len(found) < 2:
         return None
     (_, whole, _), (taped, few, least) = found

@@ -1,6 +1,7 @@
 """Paper 1's statements under every reading of what the paper does not print."""
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,7 +9,6 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from sinsjax import analysis, plots
-from sinsjax.analysis import format_estimate
 from sinsjax.report.base import (
     Block,
     Picture,
@@ -19,12 +19,16 @@ from sinsjax.report.base import (
     Text,
     name_of,
     value_text,
+    yardstick,
 )
 from sinsjax.statements import STATEMENTS, Meaning, Verdict, judge
 from sinsjax.studies import Study
 
 CONCLUSIONS = ("S8", "S10", "S11", "S12")
 """What the paper's abstract concludes: failure, its reason, the cure, its accuracy."""
+
+TOGETHER = ("S5", "S8", "S10")
+"""What the paper needs at once to explain failure: condition 4 converges, 5 does not, P is small."""
 
 _MARKS = {(True, False): "+", (True, True): "+~", (False, False): "-", (False, True): "-~"}
 
@@ -80,7 +84,7 @@ def report(source: Source) -> Report:
     )
     universal = f"Hold under every reading: {_list(everywhere)}. Under none: {_list(nowhere)}."
     return Report(
-        [headline, universal],
+        [headline, _apart(judged), universal],
         [
             Section("What the words mean", [_meaning_table(source.study, meaning)]),
             Section("The reading that fits best", [Text(_choice(best, ties)), _best_table(best)]),
@@ -96,7 +100,10 @@ def report(source: Source) -> Report:
     )
 
 
-_CAPTION = "Blue: the statement holds; ~: its 95 % interval reaches across the threshold."
+_CAPTION = (
+    "A column a statement of the paper, a line a reading of what it does not print. Blue: the"
+    " statement holds; ~: its 95 % interval reaches across the threshold."
+)
 
 
 def meaning_of(study: Study) -> Meaning:
@@ -115,6 +122,19 @@ def best_of(judged: Sequence[Judged]) -> Judged:
     interval, then to the first.
     """
     return max(judged, key=lambda j: (j.held, j.conclusions, j.clear))
+
+
+def _apart(judged: Sequence[Judged]) -> str:
+    """Whether any reading makes hold together what the paper says of conditions 4 and 5."""
+    texts = "; ".join(f"{STATEMENTS[name][0]} ({name})" for name in TOGETHER)
+    held = [{v.statement_id for v in j.verdicts if v.holds} for j in judged]
+    whole = sum(set(TOGETHER) <= here for here in held)
+    pairs = ", ".join(
+        f"{one} and {other} under {sum({one, other} <= here for here in held)}"
+        for one, other in combinations(TOGETHER, 2)
+    )
+    found = f"{whole} of {len(judged)} readings make" if whole else "No reading makes"
+    return f"{found} these hold together: {texts}. Two of them at a time: {pairs}."
 
 
 def _conditions(rows: pa.Table) -> dict[str, pa.Table]:
@@ -153,7 +173,7 @@ def _best_table(best: Judged) -> Table:
             v.text,
             v.where,
             _word(v),
-            format_estimate(v.number, v.unit, 1 if v.unit == "s" else 3),
+            v.told(1 if v.unit == "s" else 3),
             v.measure,
         ]
         for v in best.verdicts
@@ -188,8 +208,7 @@ def _number_table(judged: Sequence[Judged]) -> Table:
     rows = []
     for j in judged:
         numbers = (
-            f"{_MARKS[v.holds, v.straddles]} "
-            + format_estimate(v.number, v.unit, 0 if v.unit == "s" else 2)
+            f"{_MARKS[v.holds, v.straddles]} {v.told(0 if v.unit == 's' else 2)}"
             for v in j.verdicts
         )
         rows.append([*_cells(j), *numbers])
@@ -201,11 +220,15 @@ def _number_table(judged: Sequence[Judged]) -> Table:
 def _meaning_table(study: Study, meaning: Meaning) -> Block:
     start, end = study.study.window_s
     rows = [
-        ["converges", f"at least {meaning.converges_share:g} of the draws have settle_10_s"],
-        ["in a short time", f"median of settle_10_s at most {meaning.short_time_s:g} s"],
-        ["longer", "median of settle_10_s larger; the difference's interval lies above 0"],
-        ["larger errors", "mean |phi_u - limit| over the window larger; interval above 0"],
-        ["cannot converge", f"under {meaning.cannot_share:g} of the draws have settle_10_s"],
+        ["converges", f"at least {meaning.converges_share:g} of the draws settle to 10 arcmin"],
+        ["in a short time", f"median settling time at most {meaning.short_time_s:g} s"],
+        ["longer", "median settling time larger; the interval of the difference lies above 0"],
+        [
+            "larger errors",
+            f"mean heading error from its limit, {start:g} to {end:g} s, larger in size; the"
+            " interval of the difference lies above 0",
+        ],
+        ["cannot converge", f"under {meaning.cannot_share:g} of the draws settle to 10 arcmin"],
         [
             "as precise",
             f"mean phi_u over {start:g} to {end:g} s no further apart than"
@@ -213,17 +236,20 @@ def _meaning_table(study: Study, meaning: Meaning) -> Block:
         ],
         [
             "P larger throughout",
-            f"P_UU > phi_u^2 in at least {meaning.covariance_share:g} of the records after"
-            f" {meaning.covariance_after_s:g} s",
+            "the filter's yaw variance is above the squared yaw error in at least"
+            f" {meaning.covariance_share:g} of the records after {meaning.covariance_after_s:g} s",
         ],
         [
             "P smaller when steady",
-            f"P_UU > phi_u^2 in at most {1 - meaning.covariance_share:g} of the records after"
-            f" {meaning.steady_after_s:g} s",
+            "the filter's yaw variance is above the squared yaw error in at most"
+            f" {1 - meaning.covariance_share:g} of the records after {meaning.steady_after_s:g} s",
         ],
-        ["about equal", "sigma_u at the end within 10 %"],
+        ["about equal", "the filter's 1 sigma of yaw at the end within 10 %"],
     ]
-    note = f"Fixed in the study before its first result; {study.n_draws} draws a case."
+    note = (
+        f"Fixed in the study before its first result; {study.n_draws} draws a case."
+        f" {yardstick(study)} A verdict on a yaw error says nothing about true north."
+    )
     return Table("The paper's words as numbers", ["words", "meaning"], rows, note)
 
 

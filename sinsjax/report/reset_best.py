@@ -45,12 +45,14 @@ class Contest(NamedTuple):
         one: the best with exactly one reset.
         more: the best with more.
         saved_s: median settling time of more minus that of one, on the same draws.
+        by_chance: how often its interval would lie below 0, or above, where there is no difference.
     """
 
     at: tuple[int, int, int]
     one: Pick
     more: Pick
     saved_s: Estimate
+    by_chance: float
 
     @property
     def better(self) -> str:
@@ -114,6 +116,7 @@ def contests(grid: Grid, readings: Sequence[int]) -> list[Contest]:
     for at in np.ndindex(grid.settle_s.shape[:3]):
         if at[0] in readings:
             one, more = (held_out(grid.settle_s[at], places) for places in (ones, mores))
-            saved = analysis.quantile_difference(more.settle_s, one.settle_s)
-            found.append(Contest(at, one, more, saved))
+            pairs = more.settle_s, one.settle_s
+            saved, chance = analysis.quantile_difference(*pairs), analysis.chance_apart(*pairs)
+            found.append(Contest(at, one, more, saved, chance))
     return found

@@ -5,9 +5,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from sinsjax import analysis, plots
-from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.analysis import Estimate, format_difference, format_estimate
 from sinsjax.plots import Scale, Shown
-from sinsjax.report.base import Block, Picture, Table, Text, percent, value_text
+from sinsjax.report.base import Block, Picture, Table, Text, percent, value_text, yardstick
 from sinsjax.report.reset_best import Contest, Pick, contests, held_out_for_all
 from sinsjax.report.reset_grid import (
     BAND_ARCMIN,
@@ -20,11 +20,9 @@ from sinsjax.report.reset_grid import (
     Grid,
     against,
     median,
-    percent_mean,
     point_name,
+    shared,
 )
-
-_CHANCE = (1 - analysis.CONFIDENCE) / 2  # of an interval that lies to one side of no difference
 
 
 def answer(grid: Grid) -> Answer:
@@ -51,19 +49,24 @@ def _headline(grid: Grid, found: Sequence[Contest]) -> str:
         f" settles sooner than the best single reset at {told.count('more')} of {len(found)} points"
         f" of misalignment and reading, of which at {only} most draws never settle with one;"
         f" the single one is sooner at {told.count('one')}, and no difference is shown at the rest."
-        f" By chance it would be {_CHANCE * len(found):.1f} each way. At the"
+        f" By chance it would be {_by_chance(found):.1f} each way. At the"
         f" paper's {point_name(grid, at)}, {grid.readings[at[0]].name}, it"
         f" {against(here.saved_s, 'the best single reset')}."
     )
+
+
+def _by_chance(found: Sequence[Contest]) -> float:
+    """At how many points an interval would lie to one given side of 0 if nothing differed."""
+    return sum(contest.by_chance for contest in found)
 
 
 def _method(grid: Grid) -> str:
     ones, mores = len(grid.with_count(1, 1)), len(grid.with_count(2))
     return (
         f"At every misalignment and reading the best of {ones} schedules with one reset stands"
-        f" against the best of {mores} with more. The best is where most draws settle (phi_u within"
-        f" {BAND_ARCMIN} arcmin of its limit to the end), then where the median settling time is"
-        " least. A choice told by the draws that made it would flatter the longer list, so each"
+        f" against the best of {mores} with more. The best is where most draws settle to"
+        f" {BAND_ARCMIN} arcmin, then where the median settling time is least. A choice told by the"
+        " draws that made it would flatter the longer list, so each"
         f" half of the {grid.draws} draws chooses, and the other half tells; differences are paired"
         " on the same noise. A run that never settles counts as one that takes for ever."
     )
@@ -89,7 +92,8 @@ def _pictures(grid: Grid, found: Sequence[Contest]) -> Iterator[Picture]:
             f"Median settling time to {BAND_ARCMIN} arcmin over {grid.draws} draws, Q `{q}`:"
             " without reset, with the best single one, with the best of more, and without reset"
             " where A(t) has gravity instead of the measured force; a line for each feedback"
-            " interval. Hatched: at least half of the draws never settle.",
+            " interval. Hatched: at least half of the draws never settle."
+            f" {yardstick(grid.study)}",
             plots.heat_maps(
                 panels,
                 f"How long does the heading take? Resets and feedback interval, Q {q}",
@@ -113,7 +117,7 @@ def _counts(grid: Grid, found: Sequence[Contest]) -> Table:
                 *reading.cells,
                 *(str(told.count(word)) for word in ("more", "one", "", "neither")),
                 str(sum(c.only_more for c in here)),
-                format_estimate(gain.saved_s, digits=0) if gain else "-",
+                format_difference(gain.saved_s, digits=0) if gain else "-",
                 point_name(grid, gain.at) if gain else "-",
             ]
         )
@@ -132,11 +136,12 @@ def _counts(grid: Grid, found: Sequence[Contest]) -> Table:
         header,
         rows,
         "*Better*: the 95 % interval of the difference of the median settling times lies to one"
-        f" side of 0; by chance that would be so at {_CHANCE * grid.n_points:.1f} points of a row,"
-        " each way. *Only more settles*: half of the draws or more, where fewer settle with one;"
+        f" side of 0; by chance that would be so at {_by_chance(found) / len(grid.readings):.1f}"
+        " points of a row, each way, counted with the two swapped in draws picked at random."
+        " *Only more settles*: half of the draws or more, where fewer settle with one;"
         " counted as better too if the interval says so. *Least*: the finite difference most in"
         " favour of more resets, picked, so its interval is too hopeful; all differences are in the"
-        " folded table, -never where only more settles.",
+        " folded table.",
     )
 
 
@@ -152,7 +157,7 @@ def _for_all(grid: Grid) -> Table:
             for pick in picks
             for cell in (
                 pick.name(grid),
-                percent_mean(_settled_share(grid, i, pick)),
+                percent(_settled_share(grid, i, pick)),
                 format_estimate(analysis.mean(pick.settle_s), digits=0),
             )
         ]
@@ -170,14 +175,14 @@ def _for_all(grid: Grid) -> Table:
         "Measured force. The schedule with the least mean settling time over all misalignments, a"
         f" run that never settles counted as {grid.study.run_s:g} s; chosen by one half of the"
         " draws and told by the other, both named where they differ. Intervals over the noise, the"
-        " misalignments being given: where no draw differs they have no width.",
+        " misalignments being given: where no draw differs, that of a mean has no width.",
     )
 
 
 def _settled_share(grid: Grid, reading: int, pick: Pick) -> Estimate:
-    """Share of the misalignments that settle, mean over the draws."""
-    settled = np.isfinite(grid.settle_s[reading]).mean(axis=(0, 1))
-    return analysis.mean(np.take_along_axis(settled, pick.places[None], axis=0)[0])
+    """Share of the misalignments that settle."""
+    settled = np.isfinite(grid.settle_s[reading])
+    return shared(np.take_along_axis(settled, pick.places[None, None, None], axis=2))
 
 
 def _points(grid: Grid, found: Sequence[Contest]) -> Table:
@@ -201,7 +206,7 @@ def _points(grid: Grid, found: Sequence[Contest]) -> Table:
                 value_text(grid.yaws[yaw]),
                 format_estimate(analysis.quantile(none), digits=0),
                 *cells,
-                format_estimate(contest.saved_s, digits=0),
+                format_difference(contest.saved_s, digits=0, sides=("more", "one")),
                 contest.better or "-",
             ]
         )

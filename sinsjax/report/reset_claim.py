@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax import analysis
-from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.analysis import Estimate, format_difference, format_estimate
 from sinsjax.plots import COLOURS, Scale
 from sinsjax.plots.kinds import Kind, kind_maps
-from sinsjax.report.base import Block, Picture, Table, Text, percent, value_text
+from sinsjax.report.base import Block, Picture, Table, Text, percent, value_text, yardstick
 from sinsjax.report.reset_best import held_out
 from sinsjax.report.reset_grid import (
     LEVEL,
@@ -153,7 +153,7 @@ def _at_condition_5(grid: Grid, found: Sequence[Claim]) -> Table:
             *grid.readings[c.at[0]].cells[1:],
             *(percent(share) for share in (c.none, c.three, c.one)),
             format_estimate(c.apart, digits=2),
-            format_estimate(c.later_s, digits=0),
+            format_difference(c.later_s, digits=0, sides=("with the three", "the smallest")),
             KINDS[c.kind].name,
         ]
         for c in found
@@ -189,7 +189,7 @@ def _picture(grid: Grid, found: Sequence[Claim]) -> Picture:
         "claim",
         "What the paper's three resets do at each misalignment, by reading of Q and feedback"
         f" interval, {grid.draws} draws, measured force. All but the first kind fail without reset;"
-        " *one*: the best single reset.",
+        f" *one*: the best single reset. {yardstick(grid.study)}",
         kind_maps(
             panels,
             KINDS,

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
 from sinsjax.plots import Scale, Shown
-from sinsjax.report.base import Block, Picture, Table, percent
+from sinsjax.report.base import Block, Picture, Table, percent, yardstick
 from sinsjax.report.reset_grid import (
     FORCES,
     LEVEL,
@@ -18,11 +18,12 @@ from sinsjax.report.reset_grid import (
     Answer,
     Grid,
     percent_mean,
+    shared,
 )
 
 _NOTE = (
-    "Number [95 % interval] over the noise, the misalignments being given: where no draw differs it"
-    " has no width."
+    "Number [95 % interval] over the noise, the misalignments being given: where no draw differs,"
+    " that of a difference and of a part of the variance has no width."
 )
 
 
@@ -70,9 +71,9 @@ def _headline(grid: Grid, failed: NDArray) -> str:
     here = failed[grid.paper_reading]
     other = failed[grid.reading("gravity", *PAPER_READING[1:])]
     parts = governed(here)
-    by_draw = [_of_all(failed[i]) for i in (grid.measured, grid.gravity)]
-    everywhere, ablated = (percent_mean(analysis.mean(share)) for share in by_draw)
-    less = percent(analysis.difference(by_draw[1], by_draw[0]))
+    kinds = [failed[i] for i in (grid.measured, grid.gravity)]
+    everywhere, ablated = map(_share, kinds)
+    less = percent(analysis.difference(_of_all(kinds[1]), _of_all(kinds[0])))
     return (
         f"What governs failure? Without reset {everywhere} % of the runs of all readings never"
         f" settle, with gravity in A(t) {ablated} %, a difference of {less} % on the same noise."
@@ -90,7 +91,7 @@ def _of_all(failed: NDArray) -> NDArray:
 
 
 def _share(failed: NDArray) -> str:
-    return percent_mean(analysis.mean(_of_all(failed)))
+    return percent(shared(failed))
 
 
 def _part(share: NDArray) -> str:
@@ -112,7 +113,7 @@ def _picture(grid: Grid, failed: NDArray) -> Picture:
         "failure",
         f"Share of {grid.draws} draws that never settle without reset, Q `{PAPER_READING.q}`: above"
         " with the measured specific force in A(t), below with gravity; a column for each feedback"
-        " interval.",
+        f" interval. {yardstick(grid.study)}",
         plots.heat_maps(
             panels,
             f"Which fail without reset? By feedback interval, Q {PAPER_READING.q}",

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax import analysis
-from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.analysis import Estimate, format_difference
 from sinsjax.report.base import Block, Source, percent, value_text
 from sinsjax.studies import Study
 from sinsjax.types import InputError
@@ -207,14 +207,26 @@ def median(settle_s: NDArray) -> NDArray:
     return np.quantile(settle_s, 0.5, axis=-1, method="inverted_cdf")
 
 
+def draws_of(runs: NDArray) -> NDArray:
+    """The draw of each of some runs (..., draws) laid out in a row, which is what is counted."""
+    return np.broadcast_to(np.arange(runs.shape[-1]), runs.shape).ravel()
+
+
+def shared(runs: NDArray) -> Estimate:
+    """Share of runs (..., draws) that have a property; its interval is that of the draws."""
+    return analysis.share(runs.ravel(), draws_of(runs))
+
+
 def against(later_s: Estimate, other: str) -> str:
     """A difference of settling times in words, such as ``settles 12 s [3, 20] later than ...``."""
+    if np.isnan(later_s.value):
+        return f"does not settle, nor does {other}"
     if np.isinf(later_s.value):
         return f"settles where {other} does not" if later_s.value < 0 else "does not settle"
     if later_s.value >= 0:
-        return f"settles {format_estimate(later_s, 's', 0)} later than {other}"
+        return f"settles {format_difference(later_s, 's', 0)} later than {other}"
     sooner = Estimate(-later_s.value, -later_s.high, -later_s.low, later_s.n)
-    return f"settles {format_estimate(sooner, 's', 0)} sooner than {other}"
+    return f"settles {format_difference(sooner, 's', 0)} sooner than {other}"
 
 
 def percent_mean(share: Estimate) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.plots import Scale, Shown
-from sinsjax.report.base import Block, Picture, Table, percent, value_text
+from sinsjax.report.base import Block, Picture, Table, percent, value_text, yardstick
 from sinsjax.report.reset_grid import (
     BAND_ARCMIN,
     LEVEL,
@@ -100,11 +100,21 @@ def _headline(grid: Grid, found: Sequence[Single]) -> str:
     return (
         f"When must it come? With a single reset at {point_name(grid, at)},"
         f" {PAPER_READING.name}, the heading {_works(here)}; soonest with one at"
-        f" {here.fastest:g} s, {format_estimate(here.fastest_s, 's', 0)}; at {last:g} s it is"
+        f" {here.fastest:g} s, {format_estimate(here.fastest_s, 's', 0)}"
+        f"{_on_bound(here.fastest, first, last)}; at {last:g} s it is"
         f" {format_estimate(here.latest_s, 's', 0)}. Over {len(found)} points of misalignment and"
         f" reading one reset is enough at {counts[0]}: at {first:g} s it is at {counts[1]}, at"
         f" {last:g} s at {counts[2]}."
     )
+
+
+def _on_bound(time: float, first: float, last: float) -> str:
+    """Says so where the best time is the first or last of those tried, so that it is no optimum."""
+    words = {first: ("earliest", "earlier"), last: ("latest", "later")}
+    if time not in words:
+        return ""
+    end, beyond = words[time]
+    return f" ({time:g} s is the {end} time tried: one still {beyond} may be better)"
 
 
 def _works(one: Single) -> str:
@@ -130,7 +140,8 @@ def _picture(grid: Grid) -> Picture:
         "single_reset",
         f"Median settling time to {BAND_ARCMIN} arcmin over {grid.draws} draws against the time of"
         f" the only reset, Q `{PAPER_READING.q}`, measured force; a column for each yaw error, a"
-        " line for each feedback interval. Hatched: at least half of the draws never settle.",
+        " line for each feedback interval. Hatched: at least half of the draws never settle."
+        f" {yardstick(grid.study)}",
         plots.heat_maps(
             panels,
             f"When must a single reset come? By yaw and feedback interval, Q {PAPER_READING.q}",
@@ -158,7 +169,7 @@ def _windows(grid: Grid, found: Sequence[Single], title: str, *, folded: bool = 
                 format_estimate(one.latest_s, digits=0),
             ]
         )
-    last = grid.schedules[grid.with_count(1, 1)[-1]][0]
+    first, last = (grid.schedules[grid.with_count(1, 1)[end]][0] for end in (0, -1))
     header = [
         *READING_CELLS[1:],
         "level (deg)",
@@ -172,7 +183,9 @@ def _windows(grid: Grid, found: Sequence[Single], title: str, *, folded: bool = 
     least = grid.study.statements.converges_share
     note = (
         f"Number [95 % interval over {grid.draws} draws]. *Settles*: at least {least:g} of the"
-        " draws. *Soonest* is picked among the times on the same draws, which flatters it a little."
+        " draws. *Soonest* is picked among the times on the same draws, which flatters it a"
+        f" little; at {first:g} and {last:g} s it stands at an end of the times tried, and a better"
+        " time may lie beyond."
     )
     return Table(title, header, rows, note, folded)
 

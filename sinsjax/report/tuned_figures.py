@@ -36,7 +36,7 @@ def landscape(tuning: Tuning) -> list[Picture]:
         np.array([look.values for look in looks])[:, used],
         np.array([look.objective for look in looks]),
         (points,) * len(used) if name == "grid" else None,
-        axis(tuning.tune),
+        axis(tuning.study),
     )
     ways = _ways(tuning, number, used)
     spots = [*_baseline_spot(tuning, space, number), *_spots(tuning, number, used)]
@@ -125,8 +125,8 @@ def course(tuning: Tuning) -> Picture:
         cost = np.array([max(look.cost for look in looks) for looks in own])
         best = np.array([min(look.objective for look in looks) for looks in own])
         searches.append(Progress(name, cost, best, True, (found.cost, found.best.objective)))
-    told = "Best objective on the tuning draws against cost"
+    told = "Best objective on the tuning draws against cost (steps of simulation)"
     if any(one.relaxed for one in searches):
         told += "; dashed: the best of all descents at each step, relaxed, on the draws of the step"
-    figure = best_by_cost(searches, axis(tuning.tune), tuning.study.study.name)
+    figure = best_by_cost(searches, axis(tuning.study), tuning.study.study.name)
     return Picture("history", f"{told}.", figure)

@@ -1,5 +1,6 @@
 """A complete tuning as reports read it: what was found, and its objective on the unused draws."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,10 +14,14 @@ from sinsjax.config import load_study
 from sinsjax.ranges import Tune
 from sinsjax.report.base import Source
 from sinsjax.studies import Study
+from sinsjax.success import as_of_schema_1, yardsticks
 from sinsjax.tuning import history, objective, search
 from sinsjax.tuning.carry_out import STUDY, require_tune
 from sinsjax.tuning.history import Found
-from sinsjax.variables import Space
+from sinsjax.variables import Space, Variable
+
+_AT_BOUND = 5e-3
+"""A value within this share of its range is on the bound: descents stop short of it."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +44,8 @@ class Tuning:
     def of(cls, source: Source) -> "Tuning":
         """Reads what is told of."""
         study = load_study(source.directory / STUDY)
+        if source.schema == "1":
+            study = as_of_schema_1(study)
         found = history.read(source.directory, Space.of(study))
         return cls(
             study, source.study, source, {one.search.replace("_", " "): one for one in found}
@@ -58,8 +65,20 @@ class Tuning:
     @cached_property
     def runs(self) -> NDArray:
         """(cases, variants, draws) numbers that the objective is made of, on the unused draws."""
-        table = self.source.rows(objective.columns_of(self.tune))
+        table = self.source.rows(objective.columns_of(self.tune, self.study))
         return search.run_values(self.study, self.judged, table)
+
+    @property
+    def on_bounds(self) -> dict[str, list[tuple[Variable, float]]]:
+        """By search, what its best point has at an end of its range, and the value there."""
+        space = Space.of(self.study)
+        found = {}
+        for name, search_ in self.found.items():
+            best = search_.best
+            used = space.used(space.combinations[best.candidate])
+            here = [(space.variables[i], float(best.values[i])) for i in used]
+            found[name] = [(v, x) for v, x in here if not _AT_BOUND < v.place(x) < 1 - _AT_BOUND]
+        return found
 
     @property
     def rival(self) -> str:
@@ -74,12 +93,12 @@ class Tuning:
     def score(self, name: str) -> Estimate:
         """The objective of a candidate on the unused draws."""
         runs = self.runs[self.places[name]]
-        return _estimate(lambda pick: objective.score(self.tune, runs[:, pick]), runs.shape[1])
+        return self._estimate(lambda pick: objective.score(self.tune, runs[:, pick]), runs.shape[1])
 
     def difference(self, name: str) -> Estimate:
         """The objective of a candidate less that of the rival, on the same draws."""
         own, other = (self.runs[self.places[one]] for one in (name, self.rival))
-        return _estimate(
+        return self._estimate(
             lambda pick: (
                 objective.score(self.tune, own[:, pick])
                 - objective.score(self.tune, other[:, pick])
@@ -87,29 +106,33 @@ class Tuning:
             own.shape[1],
         )
 
+    def _estimate(self, score: Callable[[NDArray], float], draws: int) -> Estimate:
+        """A number of some draws, with a bootstrap interval over them; none on a record."""
+        every = np.arange(draws)
+        if self.study.is_recorded:
+            return Estimate(score(every), math.nan, math.nan, draws)
+        low, high = bootstrap(lambda picks: np.array([score(pick) for pick in picks]), every)
+        return Estimate(score(every), low, high, draws)
 
-def _estimate(score: Callable[[NDArray], float], draws: int) -> Estimate:
-    """A number of some draws, with a bootstrap interval over them."""
-    every = np.arange(draws)
-    low, high = bootstrap(lambda picks: np.array([score(pick) for pick in picks]), every)
-    return Estimate(score(every), low, high, draws)
 
-
-def words(tune: Tune) -> tuple[str, str]:
-    """The objective in words, and its unit."""
-    band = f"{tune.objective_band_arcmin:g} arcmin"
+def words(study: Study) -> tuple[str, str]:
+    """The objective of a study with [tune] in words, and its unit."""
+    tune = require_tune(study)
+    judged = yardsticks(study, tune.objective_band_arcmin)[0]
+    about = "" if judged.truth else ", from what the gyro bias allows"
     return {
-        "settle_mean": (f"mean settling time to {band}", "s"),
+        "settle_mean": (f"mean time until the heading stays {judged.words}", "s"),
         "settle_quantile": (
-            f"{100 * tune.objective_quantile:g} % quantile of the settling time to {band}",
+            f"{100 * tune.objective_quantile:g} % quantile of the time until the heading stays"
+            f" {judged.words}",
             "s",
         ),
-        "final_error": ("root mean square heading error at the end", "arcmin"),
-        "failure_rate": (f"share that never settled to {band}", ""),
+        "final_error": (f"root mean square heading error at the end{about}", "arcmin"),
+        "failure_rate": (f"share that never stays {judged.words}", ""),
     }[tune.objective]
 
 
-def axis(tune: Tune) -> str:
+def axis(study: Study) -> str:
     """The objective as an axis label."""
-    name, unit = words(tune)
+    name, unit = words(study)
     return f"{name} ({unit})" if unit else name

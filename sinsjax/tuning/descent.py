@@ -23,6 +23,7 @@ from sinsjax.draws import World
 from sinsjax.ranges import Tune
 from sinsjax.scenario import Scenario
 from sinsjax.studies import Study
+from sinsjax.success import success_of
 from sinsjax.tuning import objective, search
 from sinsjax.tuning.history import Found, Look
 from sinsjax.tuning.relaxation import Relaxation
@@ -113,6 +114,7 @@ class Slope:
         self._relaxation = Relaxation(study, space, combination)
         derived = search.derive(study, {"base": self._relaxation.point}, name=study.study.name)
         self._tune, self._starts = study.tune, starts
+        self._truth = success_of(study).from_truth
         scenario = Scenario(derived, tape, curves=False)
         groups = [scenario.part(i).group for i in range(len(scenario.programs))]
         self.n_draws = len(groups[0].draws.draw_id)
@@ -213,7 +215,9 @@ class Slope:
                 method = jax.vmap(one_lane, in_axes=(0, None))(tile.params.method, box)
                 lanes = tile._replace(params=tile.params._replace(method=method))
                 outcome, _ = batch.run_tile(group.static, world, lanes)
-                return objective.relaxed_values(self._tune, world.criteria, outcome)
+                return objective.relaxed_values(
+                    self._tune, world.criteria, outcome, truth=self._truth
+                )
 
             return sensitivities(of, box, directions)
 

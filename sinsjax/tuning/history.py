@@ -10,8 +10,9 @@ import pyarrow.parquet as pq
 
 from sinsjax.columns import Column, schema
 from sinsjax.files import replacing
-from sinsjax.studies import Table
+from sinsjax.studies import Table, meaning
 from sinsjax.types import InputError
+from sinsjax.units import split_unit
 from sinsjax.variables import Space
 
 FILE = "history.parquet"
@@ -79,7 +80,10 @@ def columns_of(space: Space) -> tuple[Column, ...]:
         Column("start", _I, "", "number of the descent"),
         Column("candidate", _I, "", "number of the combination of candidates"),
         Column("objective", _F, "", "of the tuning draws; relaxed where there is a window"),
-        *(Column(v.name, _F, "", "variable; null where not used") for v in space.variables),
+        *(
+            Column(v.name, _F, split_unit(v.key)[1], f"{meaning(v.key)}; null where not used")
+            for v in space.variables
+        ),
         Column("cost", _I, "", "plain-run steps of the search up to here, tangents included"),
         Column("window_s", _F, "s", "half width of relaxed resets; null for what is not relaxed"),
         Column("sharpness", _F, "", "of the band's relaxed edge; null for what is not relaxed"),

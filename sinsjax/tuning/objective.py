@@ -14,8 +14,10 @@ from sinsjax import analysis, columns
 from sinsjax.metrics import Criteria, Outcome, outside
 from sinsjax.ranges import Tune
 from sinsjax.studies import Study
+from sinsjax.success import success_of
 from sinsjax.types import Array
 from sinsjax.units import ARCMIN
+from sinsjax.verdicts import LIMIT, TRUTH
 from sinsjax.worlds import spans_s
 
 _OVER_DRAWS: dict[str, Callable[[Tune, NDArray], NDArray]] = {
@@ -28,11 +30,12 @@ _OVER_DRAWS: dict[str, Callable[[Tune, NDArray], NDArray]] = {
 }
 
 
-def columns_of(tune: Tune) -> list[str]:
+def columns_of(tune: Tune, study: Study) -> list[str]:
     """Columns of the summary that the numbers of runs are made of."""
+    truth = success_of(study).from_truth
     if tune.objective == "final_error":
-        return ["run_id", "phi_u_arcmin", "floor_arcmin"]
-    return ["run_id", columns.settle_column(tune.objective_band_arcmin).name]
+        return ["run_id", "phi_u_arcmin", *([] if truth else ["floor_arcmin"])]
+    return ["run_id", columns.settle_column(tune.objective_band_arcmin, truth=truth).name]
 
 
 def values(tune: Tune, study: Study, table: pa.Table) -> NDArray:
@@ -45,21 +48,30 @@ def values(tune: Tune, study: Study, table: pa.Table) -> NDArray:
 
     Returns:
         (variants, draws): the settling time, s, which is the run's length where it never settled;
-        the heading from its floor at the end, arcmin; or 1 for a failure, 0 for a success.
+        the heading from its limit or from the truth at the end, arcmin; or 1 for a failure, 0 for a
+        success.
     """
     order = np.argsort(analysis.numbers(table, "run_id"))
     end = spans_s(study)[:, :1]
     if tune.objective == "final_error":
-        error = analysis.numbers(table, "phi_u_arcmin") - analysis.numbers(table, "floor_arcmin")
-        found = np.nan_to_num(np.abs(error), nan=np.inf)
+        yaw, *limit = (analysis.numbers(table, name) for name in columns_of(tune, study)[1:])
+        found = np.nan_to_num(np.abs(yaw - sum(limit)), nan=np.inf)
     else:
-        found = analysis.numbers(table, columns_of(tune)[1])
+        found = analysis.numbers(table, columns_of(tune, study)[1])
     by_variant = found[order].reshape(-1, study.n_variants).T
     if tune.objective == "final_error":
         return by_variant
     if tune.objective == "failure_rate":
         return np.isnan(by_variant).astype(float)
     return np.where(np.isnan(by_variant), end, by_variant)
+
+
+def failing(tune: Tune, study: Study) -> float:
+    """The objective where every run fails; infinite for one that has no such end."""
+    if tune.objective == "final_error":
+        return np.inf
+    end = np.ones((1, 1)) if tune.objective == "failure_rate" else spans_s(study)[:, :1]
+    return score(tune, end)
 
 
 def score(tune: Tune, values: NDArray) -> float:
@@ -73,25 +85,26 @@ def score(tune: Tune, values: NDArray) -> float:
     return float(np.max(each) if tune.objective_across == "worst" else np.mean(each))
 
 
-def relaxed_values(tune: Tune, criteria: Criteria, outcome: Outcome) -> Array:
+def relaxed_values(tune: Tune, criteria: Criteria, outcome: Outcome, *, truth: bool) -> Array:
     """The numbers of relaxed runs, as `values` has them of whole ones.
 
     Args:
         tune: the objective.
         criteria: of the study, with a sharpness.
         outcome: leaves (runs, ...).
+        truth: whether headings count from the truth, or else from their limit.
 
     Returns:
-        (runs,): settling times whose band has a soft edge, s; headings from their floor at the
-        end, arcmin; or the share to which the end is outside the band.
+        (runs,): settling times whose band has a soft edge, s; headings from their limit
+        or from the truth at the end, arcmin; or the share to which the end is outside the band.
     """
-    error = outcome.last.phi.z - outcome.limit.phi.z
+    error = outcome.last.phi.z - (0.0 if truth else outcome.limit.phi.z)
     if tune.objective == "final_error":
         return error / ARCMIN
     band = jnp.argmin(jnp.abs(criteria.bands - tune.objective_band_arcmin * ARCMIN))
     if tune.objective == "failure_rate":
         return jax.vmap(partial(outside, criteria))(error)[:, band]
-    return outcome.outside_until[:, band]
+    return outcome.outside_until[:, TRUTH if truth else LIMIT, band]
 
 
 def relaxed_score(tune: Tune, values: NDArray) -> tuple[Array, Array]:

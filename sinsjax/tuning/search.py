@@ -161,7 +161,7 @@ def look(study: Study, name: str, design: Design, session: Session) -> Found:
         space.point(list(np.nan_to_num(row)), space.combinations[candidate])
         for row, candidate in zip(values, design.candidate, strict=True)
     ]
-    names = objective.columns_of(study.tune)
+    names = objective.columns_of(study.tune, study)
     scores, taken, each = scored(
         study, name, points, lambda derived: results.read_summary(session.run(derived, name), names)
     )

@@ -1,0 +1,73 @@
+"""Every 95 % interval in use holds the truth in 93 of 100 samples or more (fixed seeds)."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+
+import coverage
+
+LEAST = 0.93
+EXCEPTIONS: dict[tuple[str, str, int], float] = {}
+"""Estimator, population and n that stay below it, with their coverage: none of the laws here."""
+
+POPULATIONS = coverage.made()
+ESTIMATORS = [
+    (one, population)
+    for population in POPULATIONS
+    for one in (*coverage.USED, *([coverage.OF_NOISE] if population.only_noise else []))
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", coverage.SIZES)
+@pytest.mark.parametrize(
+    ("estimator", "population"), ESTIMATORS, ids=[f"{e.name}-{p.name}" for e, p in ESTIMATORS]
+)
+def test_intervals_cover(estimator, population, n):
+    found = coverage.coverage(estimator, population, n)
+    assert found >= EXCEPTIONS.get((estimator.name, population.name, n), LEAST)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", coverage.SIZES)
+def test_shares_cover(n):
+    found = coverage.of_shares(n, 1000)
+    assert min(found.values()) >= LEAST, found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", coverage.SIZES)
+def test_pooled_runs_cover(n):
+    found = coverage.by_draw(n, 600)
+    assert min(found.values()) >= LEAST, found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", coverage.SIZES)
+@pytest.mark.parametrize("population", POPULATIONS, ids=[p.name for p in POPULATIONS])
+def test_paired_medians_cover(population, n):
+    found = coverage.of_pairs(population, n, 300)
+    assert min(found.values()) >= LEAST, found
+
+
+def test_the_percentile_bootstrap_of_a_standard_deviation_does_not():
+    (percentile,) = (e for e in coverage.BESIDE if e.name == "std, percentile bootstrap")
+    for population in POPULATIONS:
+        assert coverage.coverage(percentile, population, 13, 200) < 0.87
+
+
+def test_a_population_of_values_has_their_numbers():
+    values = np.random.default_rng(1).lognormal(size=501)
+    found = coverage.drawn("made", values)
+    assert found.truth["median"] == np.median(values)
+    assert found.truth["q90"] == np.quantile(values, 0.9, method="inverted_cdf")
+    assert found.truth["rms"] ** 2 == pytest.approx(values.mean() ** 2 + found.truth["std"] ** 2)
+
+
+def test_what_is_not_bounded_is_covered():
+    assert coverage.covers(coverage.Estimate(1.0, float("nan"), 2.0, 3), -9.0)
+    assert not coverage.covers(coverage.Estimate(1.0, float("nan"), 2.0, 3), 2.1)

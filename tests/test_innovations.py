@@ -1,0 +1,85 @@
+"""Normalised innovations of a recorded study: in its summary, and what its report makes of them."""
+
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from studies import small_study
+
+from sinsjax import campaign, scenario
+from sinsjax.config import Study, study_from_dict
+from sinsjax.report.attitudes import innovations
+from sinsjax.report.base import Source
+from sinsjax.worlds import Tape
+
+RECORDED: dict[str, Any] = {
+    "study": {"duration_s": 2.0, "draws": None, "window_s": [0, 2]},
+    "motion": None,
+    "sensors": None,
+    "record": {"format": "psins", "start_s": [0.0, 1.0]},
+    "coarse": {"coarse_duration_s": 3.0},
+}
+
+
+def recorded(**changes: Any) -> Study:
+    sections = RECORDED | changes
+    base = small_study()
+    data = base.model_dump(exclude_none=True, include={"study", "earth", "alignment"})
+    for name, section in sections.items():
+        data[name] = None if section is None else data.get(name, {}) | section
+    data["study"].pop("draws")
+    kept = {name: {k: v for k, v in s.items() if v is not None} for name, s in data.items() if s}
+    return study_from_dict(kept)
+
+
+@pytest.fixture(scope="module")
+def tape() -> Tape:
+    return Tape(scenario.simulated_record(small_study()), None)
+
+
+def test_they_are_columns_of_recorded_studies_alone(tape: Tape) -> None:
+    table = campaign.run(recorded(axes={"method": ["kalman5", "compass"]}), tape).summary
+    assert table["innovation_freedom"].to_pylist() == [400.0, None] * 2
+    filters, loops = table["innovation_nis"].to_pylist()[::2], table["innovation_nis"][1].as_py()
+    assert loops is None and all(0 < value < 10 for value in filters)
+    assert "innovation_nis" not in campaign.run(small_study()).summary.column_names
+
+
+def test_r_scales_them(tape: Tape) -> None:
+    """With P and Q next to nothing, S is R: a hundred times the variance, a hundredth of NIS."""
+    small = {"p0_velocity_m_per_s": 1e-6, "p0_level_deg": 1e-6, "p0_yaw_deg": 1e-6}
+    small |= {"q_accel_ug": 0.0, "q_gyro_deg_per_h": 0.0}
+    study = recorded(filter=small, axes={"r_velocity_m_per_s": [0.1, 1.0]})
+    one, other = campaign.run(study, tape).summary["innovation_nis"].to_pylist()[:2]
+    assert one / other == pytest.approx(100, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("mean", "says", "not_says"),
+    [
+        ([0.001, 0.002], "2 lie below: R is larger than the noise", "contradict what"),
+        ([2.9, 2.0], "1 lie above: their data contradict", "below"),
+        ([2.0, 2.01], "2 to 2.01 in 2 runs", " lie "),
+    ],
+)
+def test_only_values_above_the_band_contradict(
+    tmp_path: Any, mean: list[float], says: str, not_says: str
+) -> None:
+    table = pa.table({"innovation_nis": mean, "innovation_freedom": [2000.0, 2000.0]})
+    text = innovations(Source(tmp_path, recorded(), "x.toml", table))
+    assert says in text and not_says not in text
+
+
+def test_the_band_is_that_of_chi_square(tmp_path: Any) -> None:
+    """Of sums of squares of 200 normal numbers, 95 % lie inside; to three digits of 1e5 sums."""
+    sums = (np.random.default_rng(0).normal(size=(20_000, 200)) ** 2).sum(1) / 100
+    table = pa.table({"innovation_nis": sums, "innovation_freedom": np.full(20_000, 200.0)})
+    text = innovations(Source(tmp_path, recorded(), "x.toml", table))
+    above, below = (int(text.split(" lie ")[i].split()[-1].replace(",", "")) for i in (0, 1))
+    assert above == pytest.approx(500, abs=90) and below == pytest.approx(500, abs=90)
+
+
+def test_results_without_them_say_so(tmp_path: Any) -> None:
+    source = Source(tmp_path, recorded(), "x.toml", pa.table({"run_id": [0]}))
+    assert innovations(source) == "Innovations: not recorded."
