@@ -8,7 +8,7 @@ import pytest
 from engine import ARCMIN
 from naive import DEG
 from scipy.spatial.transform import Rotation
-from studies import small_study
+from studies import STILL, small_study
 
 from sinsjax import earth, scenario, simulate
 from sinsjax.batch import chunks
@@ -72,8 +72,7 @@ def limit_of(group: Any) -> Any:
 def test_biases_turn_with_the_vehicle() -> None:
     """Heading 90 deg: east is body -y, north is body x; swayed by J0 of the amplitude."""
     sensors = {"gyro_bias_deg_per_h": [0.1, 0.2, 0.3], "accel_bias_ug": [300.0, 500.0, 0.0]}
-    still = {f"{angle}_amplitude_deg": 0.0 for angle in ("pitch", "roll")}
-    sways = {"yaw_center_deg": 90.0, "yaw_amplitude_deg": 90.0} | still
+    sways = STILL | {"yaw_center_deg": 90.0, "yaw_amplitude_deg": 90.0}
     _, (eps, nabla, most) = biases_of(motion=sways, sensors=sensors)
     shrunk = 0.47200121576823484  # J0(pi/2)
     want = np.array([-0.2 * shrunk, 0.1 * shrunk, 0.3]) * DEG_PER_H
@@ -84,8 +83,7 @@ def test_biases_turn_with_the_vehicle() -> None:
 
 def test_papers_limit_accuracy() -> None:
     """[P1] section 2.4.1 prints -27.0248'; small angles, both terms and 15.041 deg/h -25.877'."""
-    still = {f"{angle}_amplitude_deg": 0.0 for angle in ("pitch", "roll", "yaw")}
-    group, _ = biases_of(motion={"yaw_center_deg": 0.0} | still)
+    group, _ = biases_of(motion={"yaw_center_deg": 0.0} | STILL)
     phi = limit_of(group).phi
     omega_n = 15.041067 * np.cos(32 * DEG)
     want = -np.arctan2(0.1, omega_n + 0.1) + 500e-6 * np.tan(32 * DEG)
