@@ -156,7 +156,9 @@ def test_a_description_names_the_unit_of_its_key(key: str) -> None:
 
 
 def test_settling_status_and_floor() -> None:
-    study = small_study(study=LIMIT, motion=STILL, axes={"phi_u0_deg": [float(i) for i in range(4)]})
+    study = small_study(
+        study=LIMIT, motion=STILL, axes={"phi_u0_deg": [float(i) for i in range(4)]}
+    )
     # Bands 60, 10, 3 arcmin; the run ends at 6 s.
     outside = [[0.0, 1.0, 6.0], [2.0, 6.0, 6.0], [6.0, 6.0, 6.0], [6.0, 6.0, 6.0]]
     rows = chunk([-21.0, -5.0, 700.0, np.nan], outside)
