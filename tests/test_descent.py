@@ -316,7 +316,7 @@ def down() -> tuple[Study, history.Found]:
     study = tuned(
         {"azimuth_sigma_per_s": log(0.02, 0.08)},
         {
-            "study": SHORT | {"duration_s": 120.0, "window_s": [60, 120]},
+            "study": SHORT | {"duration_s": 120.0, "window_s": [60, 120], "judged_from": "limit"},
             "alignment": {"method": "compass", "phi_e0_deg": 0.0, "phi_n0_deg": 0.0},
             "compass": {"level_time_s": 10.0},
             "axes": {"phi_u0_deg": [1.0, 2.0]},
