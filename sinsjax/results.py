@@ -22,6 +22,7 @@ from sinsjax.batch import Chunk
 from sinsjax.columns import Column
 from sinsjax.metrics import Observation
 from sinsjax.studies import Study, meaning
+from sinsjax.study_limits import has_limit
 from sinsjax.success import bands
 from sinsjax.types import InputError
 from sinsjax.units import ARCMIN, DEG
@@ -204,10 +205,6 @@ class Tables:
             fired_s = np.asarray(chunk.outcome.fired.last) / self._study.study.rate_hz
             last_s = np.maximum(last_s, fired_s)
         return has_limit(self._study, chunk.draw, variant, last_s)
-
-
-def has_limit(study, draw, variant, last_s):  # TEMP
-    return np.ones(len(variant), bool)
 
 
 def _innovations(summed: Innovations | None, runs: int) -> dict[str, pa.Array]:

@@ -3,7 +3,7 @@
 Everything that runs of a part share is made here, in SI units, from the study's own.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -29,6 +29,9 @@ _LONGEST_GAP_S = 5.0  # in a reference; a swinging base turns within seconds
 NOMINAL_LATITUDE_DEG = 45.0
 """What stands for a drawn latitude where one is needed for all draws: in the gains of compass
 loops, which know of it by gravity and radius alone, 0.3 % on an ellipsoid."""
+
+Lookup = Callable[[str], Any]
+"""The one value of a key for all variants of a part, or its draws'."""
 
 
 class Variants:
@@ -145,7 +148,7 @@ def simulated(
     A key that is drawn has a nominal value in the world: zero, or its default.
     """
     site, ug = site_of(study, variants, None)
-    errors, motion = errors_of(variants, ug, study.study.rate_hz), _motion(variants)
+    errors, motion = errors_of(variants.common, ug, study.study.rate_hz), motion_of(variants.common)
     times = np.concatenate([[0.0], tape_times(study, span)])
     if draws_own(study, Earth, Motion):
         # Each draw makes its own as it goes.
@@ -188,7 +191,7 @@ def _own(
     """What the draws of a simulated study have for themselves, as fields of `Draw`."""
     values = designs.values(study, len(draws), first=draws.start)
     variants = Variants(study, ids, values)
-    drawn = errors_of(variants, ug, study.study.rate_hz), _motion(variants)
+    drawn = errors_of(variants.common, ug, study.study.rate_hz), motion_of(variants.common)
     errors, motion = jax.tree.map(
         lambda a, like: np.broadcast_to(a, (len(draws), *np.shape(like))), drawn, nominal
     )
@@ -216,9 +219,11 @@ def _angle(degrees: np.ndarray | None) -> np.ndarray | None:
     return None if degrees is None else degrees * DEG
 
 
-def _motion(variants: Variants) -> trajectory.Motion:
+def motion_of(common: Lookup) -> trajectory.Motion:
+    """How the base of a part moves, from `Variants.common`."""
+
     def number(key: str, factor: float = 1.0) -> np.ndarray:
-        value = variants.common(key)
+        value = common(key)
         default = Motion.model_fields[key].default  # stands for a drawn value
         given = np.asarray((default or 0.0) if value is None else value, dtype=float)
         return np.asarray(given * factor)
@@ -234,19 +239,19 @@ def _motion(variants: Variants) -> trajectory.Motion:
     return trajectory.Motion(sway("pitch"), sway("roll"), sway("yaw"))
 
 
-def errors_of(variants: Variants, ug: float, rate_hz: float) -> imu.SensorErrors:
-    """What the sensors of a part do: its ug in m/s^2, its rate in Hz."""
+def errors_of(common: Lookup, ug: float, rate_hz: float) -> imu.SensorErrors:
+    """What the sensors of a part do, from `Variants.common`: its ug in m/s^2, its rate in Hz."""
     dt = 1 / rate_hz
 
     def numbers(key: str, factor: float, count: int = 3) -> np.ndarray:
         """(..., count): a number stands for all axes, and zero for what is drawn."""
-        value = variants.common(key)
+        value = common(key)
         given = np.asarray(0.0 if value is None else value, dtype=float) * factor
         return np.broadcast_to(given, np.broadcast_shapes(given.shape, (count,)))
 
     def noise(per_sample: str, density: str, units_: tuple[float, float]) -> np.ndarray:
         # A rate's standard deviation a sample integrates to dt times it; a density to sqrt(dt).
-        if variants.common(density) is not None:
+        if common(density) is not None:
             return numbers(density, units_[1] * np.sqrt(dt))
         return numbers(per_sample, units_[0] * dt)
 

@@ -39,7 +39,17 @@ LAYERS = (
     {"algebra", "earth", "kalman", "randomness", "rotations"},
     {"bounds", "error_model", "imu", "limits", "loops", "mechanisation", "trajectory"},
     {"alignment"},
-    {"batch", "draws", "metrics", "scenario", "simulate", "tunings", "verdicts", "worlds"},
+    {
+        "batch",
+        "draws",
+        "metrics",
+        "scenario",
+        "simulate",
+        "study_limits",
+        "tunings",
+        "verdicts",
+        "worlds",
+    },
     {"analysis", "directories", "plots", "results", "statements", "stopping", "store", "work"},
     {
         "__main__",
