@@ -4,13 +4,13 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from sinsjax import designs, earth
 from sinsjax.limits import mean_attitude
 from sinsjax.sections import Motion
 from sinsjax.studies import Study
-from sinsjax.trajectory import Motion as Base
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H
 from sinsjax.worlds import errors_of, motion_of, spans_s
 
@@ -185,11 +185,9 @@ def _level_bias(values: Mapping[str, Any], draws: int) -> tuple[np.ndarray, np.n
     level = level.copy()
     doubtful = np.flatnonzero(level > rate_n)
     bias = np.broadcast_to(bias, (*shape, 3))
-    motion = Base(
-        *(type(s)(*(np.broadcast_to(a, shape) for a in s)) for s in motion_of(values.get))
-    )
+    motion = jax.tree.map(lambda a: np.broadcast_to(a, shape), motion_of(values.get))
     for block in np.split(doubtful, range(_BLOCK, len(doubtful), _BLOCK)):
-        here = Base(*(type(s)(*(a[block] for a in s)) for s in motion))
+        here = jax.tree.map(lambda a, block=block: a[block], motion)
         turned = (mean_attitude(here) @ bias[block][..., None])[..., 0]
         level[block] = np.hypot(turned[:, 0], turned[:, 1])
     return level, rate_n

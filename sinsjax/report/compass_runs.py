@@ -49,7 +49,7 @@ def bound_arcmin(study: Study, tape_s: Number) -> NDArray:
     first = Variants(study, np.array([0]))
     site, ug = site_of(study, first, None)
     rate_hz = study.study.rate_hz
-    errors = errors_of(first, ug, rate_hz)
+    errors = errors_of(first.common, ug, rate_hz)
     angles = [only(study, f"{angle}_center_deg") for angle in ("yaw", "pitch", "roll")]
     from scipy.spatial.transform import Rotation  # late, as in `worlds`
 
