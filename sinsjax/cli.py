@@ -265,7 +265,7 @@ def _run_study(
     cluster: tuple[int | None, str | None] = (None, None),
     files: tuple[Path, Path | None] | None = None,
 ) -> None:
-    from sinsjax import campaign, console, directories
+    from sinsjax import campaign, console, directories, study_limits
     from sinsjax.config import load_study
 
     study = load_study(config)
@@ -289,6 +289,8 @@ def _run_study(
     tape = None if files is None else campaign.load_tape(study, *files)
     if left := study.dropped_s:
         screen.print(f"The last {left:g} s are no whole record interval and are not run.")
+    if hidden := study_limits.hidden_north(study):
+        screen.print(f"Warning: {hidden}", soft_wrap=True, markup=False, highlight=False)
     if study.run_s <= study.study.window_s[0]:
         screen.print(f"Runs that end by {study.study.window_s[0]:g} s have no window statistics.")
     with (

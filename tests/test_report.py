@@ -50,6 +50,7 @@ def summary_of(study, *, truth=True, **given):
         *(c for c in extra if c.name not in known),
         *columns.OBSERVED,
         columns.settle_column(10.0),
+        columns.settle_column(10.0, truth=True),
         *columns.JUDGED,
     ]
     starts = study.record.start_s if study.record else [0.0] * d
@@ -69,8 +70,11 @@ def summary_of(study, *, truth=True, **given):
         **{k: [values[i] for i in variant] for k, values in swept.items()},
         **given,
     }
+    values = {"settle_10_truth_s": values["settle_10_s"], "has_limit": [True] * (v * d)} | values
+    ok = [status == "ok" for status in values["status"]]
+    values = {"ok_limit": ok, "ok_truth": ok} | values
     if not truth:
-        lost = ("phi_", "settle", "floor", "status", "nis", "nees", "p_above")
+        lost = ("phi_", "settle", "ok_", "has_", "floor", "status", "nis", "nees", "p_above")
         values = {k: x for k, x in values.items() if not k.startswith(lost) or k in swept}
     arrays = []
     for column in layout:
