@@ -404,7 +404,8 @@ def test_cells_are_counted_and_the_best_found(seed):
         assert within.low == min(within.value, sum(r.high <= 1.1 for r in ends))
         assert within.high == max(within.value, sum(r.low <= 1.1 for r in ends))
         settled = [s < NEVER for key in judged for s in runs[*key, name][0]]
-        assert scores.settled(number) == analysis.proportion(sum(settled), 16 * DRAWS)
+        draws = np.tile(np.arange(DRAWS), 16)
+        assert scores.settled(number) == analysis.share(settled, draws)
     names = NAMES[4:]
     best = min(names, key=rank)
     halves = tuple(
@@ -427,22 +428,23 @@ def test_alarms_are_those_of_the_definition(seed, biased, feedback):
     source = random_source(seed)
     scores, runs = Scores(Cells.of(source)), runs_of(source)
     for number, name in enumerate(NAMES):
-        false, both, acts, n = 0, 0, 0, 0
+        false, both, acts, draws = [], [], [], []
         for (tuning, start, policy), (settle, count) in runs.items():
             if policy != name or start[1] > 0.1 or start[2] > 1:
                 continue
             if biased not in (None, start[0] > 0) or feedback not in (None, tuning[1]):
                 continue
-            for one, other, resets in zip(
-                settle, runs[tuning, start, "none"][0], count, strict=True
-            ):
+            without = runs[tuning, start, "none"][0]
+            for draw, (one, other, resets) in enumerate(zip(settle, without, count, strict=True)):
                 acted = resets > 0 or name in ("ten", "hundred", "paper", "fading")
                 later = 0.0 if one == other else one - other
                 share = later > 0 and (other == NEVER or later > 0.1 * other)
-                n, acts = n + 1, acts + acted
-                false += acted and (share or later > 5)
-                both += acted and share and later > 5
-        expected = Alarms(*(analysis.proportion(k, n) for k in (false, both, acts)))
+                draws.append(draw)
+                acts.append(acted)
+                false.append(acted and (share or later > 5))
+                both.append(acted and share and later > 5)
+        # Runs of a draw share their noise: draws are counted.
+        expected = Alarms(*(analysis.share(which, draws) for which in (false, both, acts)))
         assert scores.alarms(number, biased=biased, feedback_s=feedback) == expected
 
 
@@ -471,8 +473,9 @@ def test_cells_in_need_are_those_that_no_reset_leaves_behind():
     scores = Scores(Cells.of(source_of(study, medians_of(study), counts_of(study))))
     need = scores.in_need()
     assert [scores.cells.starts[s].level for _, s in need] == [5, 20] * 4
-    assert scores.acts_in_need(place("early")) == analysis.proportion(64, 64)
-    assert scores.acts_in_need(place("none")) == analysis.proportion(0, 64)
+    draws = np.tile(np.arange(DRAWS), 64 // DRAWS)
+    assert scores.acts_in_need(place("early")) == analysis.share([True] * 64, draws)
+    assert scores.acts_in_need(place("none")) == analysis.share([False] * 64, draws)
     assert scores.acts_in_need(place("fading")).value == 1
     none = Scores(Cells.of(source_of(study, 100.0)))
     assert none.in_need() == [] and none.acts_in_need(5) == analysis.UNKNOWN

@@ -24,7 +24,7 @@ def spreads(source: Source) -> Iterator[Picture]:
     that share it.
     """
     keys, note = _lines(source)
-    needed = (*keys, _SETTLED, *_ERROR, "nees", *_SHARES.values(), "draw_id", "start_s")
+    needed = (*keys, _SETTLED, *_ERROR)
     shown = {name_of(key): rows for key, rows in analysis.groups(source.rows(needed), keys)}
     settling = {name: analysis.numbers(rows, _SETTLED) for name, rows in shown.items()}
     errors = {name: _from_limit(rows) for name, rows in shown.items()}
@@ -40,7 +40,9 @@ def spreads(source: Source) -> Iterator[Picture]:
             "Settling time and remaining heading error over the runs",
         ),
     )
-    beliefs = [belief(name, rows) for name, rows in shown.items()]
+    needed = (*keys, "nees", *_SHARES.values(), "draw_id", "start_s")
+    groups = analysis.groups(source.rows(needed), keys)
+    beliefs = [belief(name_of(key), rows) for key, rows in groups]
     if any(np.isfinite(one.nees).any() for one in beliefs):
         yield consistency(beliefs, note)
 
