@@ -25,7 +25,7 @@ def spreads(source: Source) -> Iterator[Picture | Text]:
     """
     keys, note = _lines(source)
     judged = [yard.settle for yard in source.yardsticks]
-    needed = (*keys, *judged, *_ERROR, "nees", *_SHARES.values(), "draw_id", "start_s")
+    needed = (*keys, *judged, *_ERROR)
     shown = {name_of(key): rows for key, rows in analysis.groups(source.rows(needed), keys)}
     errors = {name: _from_limit(rows) for name, rows in shown.items()}
     settling = [
@@ -46,7 +46,9 @@ def spreads(source: Source) -> Iterator[Picture | Text]:
             "Settling time and remaining heading error over the runs",
         ),
     )
-    beliefs = [belief(name, rows) for name, rows in shown.items()]
+    needed = (*keys, "nees", *_SHARES.values(), "draw_id", "start_s")
+    groups = analysis.groups(source.rows(needed), keys)
+    beliefs = [belief(name_of(key), rows) for key, rows in groups]
     if any(np.isfinite(one.nees).any() for one in beliefs):
         yield consistency(beliefs, note)
         yield from _biases_unknown(source)
