@@ -85,8 +85,8 @@ _BY_CHANCE = (
     " same seed has 2.96 [2.89, 3.04], of which the first 256, those of this page, have 2.69; seeds"
     " 2 and 3 have 3.07 [3.00, 3.15] and 2.97 [2.89, 3.04]. Nor does the set-up explain it, on"
     " those 4,096 draws: with the misalignment drawn from P0, which here is one sigma in every run,"
-    " 2.95 [2.88, 3.03]; with 1e-9 instead of 1e-6 m/s for R and for P0 of the velocity, both truly 0,"
-    " 2.96 [2.89, 3.04]."
+    " 2.95 [2.88, 3.03]; with 1e-9 instead of 1e-6 m/s for R and for P0 of the velocity, both truly"
+    " 0, 2.96 [2.89, 3.04]."
 )
 _TITLE = "By number of passes"
 _NOTE = (
