@@ -126,7 +126,7 @@ def _single(source: Source, case: str, point: Point) -> str:
         " of the same draws, so that what chance does to one it does to all."
     )
     settings = source.study.study
-    if (settings.name, settings.seed, point.nees.n) == _CHECKED:
+    if not inside and (settings.name, settings.seed, point.nees.n) == _CHECKED:
         text += _BY_CHANCE
     return text
 
