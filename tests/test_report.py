@@ -14,7 +14,9 @@ from studies import small_study
 from sinsjax import analysis, campaign, columns, report, results, statements
 from sinsjax.analysis import Estimate
 from sinsjax.config import study_from_dict
+from sinsjax.plots import Ensemble
 from sinsjax.report import base, car_test, limits, over_axes, readings
+from sinsjax.report import paper1 as paper1_page
 from sinsjax.report.readings import CONCLUSIONS, Judged
 from sinsjax.statements import STATEMENTS, Verdict
 from sinsjax.types import InputError
@@ -415,6 +417,8 @@ def test_resets_page_tells_the_paired_difference(tmp_path):
     apart = analysis.difference(yaw[2::3], yaw[0::3])
     assert analysis.format_estimate(apart, "arcmin", 2) in text
     assert "Resets at 1, 2 s" in text
+    assert "prints no number" in text and "at 4 s, and" in text  # S14
+    assert "the filter's yaw variance" in text  # S13
     assert {path.name for path in (directory / "figures").iterdir()} == {"fig5.png", "fig6.png"}
 
 
@@ -463,6 +467,48 @@ def test_readings_page(tmp_path):
     assert analysis.format_estimate(first.number, "s", 0) in text.partition("<details>")[2]
     for text_of, _ in STATEMENTS.values():
         assert text_of in text
+    whole = sum(
+        all(v.holds for v in verdicts if v.statement_id in readings.TOGETHER)
+        for verdicts in judged.values()
+    )
+    found = f"{whole} of 4 readings make these hold" if whole else "No reading makes these hold"
+    assert found in text
+
+
+def test_when_the_variance_lies_below_the_truth_and_how_long_a_run_hides_it():
+    time = np.arange(1.0, 101.0)
+    phi = np.where((time > 20) & (time <= 24), 3.0, 1.0) * np.ones((4, 1))
+    columns_ = {"phi_u_arcmin": phi, "sigma_u_arcmin": np.full((4, 100), 2.0)}
+    one = Ensemble("with", time, columns_)
+    study = small_study(study={"consistency_after_s": 10.0, "duration_s": 100.0})
+    said = paper1_page._below(base.Source(Path("r"), study, "r.toml"), one)
+    assert "at 4 records from 21 to 24 s" in said
+    # 4 of the records after 10 s are below: 95 % of n are above from n = 80 on, at 90 s.
+    assert "if it ended before 90 s it would not be" in said
+    other = Ensemble("without", time, columns_ | {"sigma_u_arcmin": np.full((4, 100), 1.6)})
+    ratio = paper1_page._sigma_ratio(one, other)
+    assert "1.25 times that of condition 1 at 67 s" in ratio
+
+
+def test_the_yardstick_is_said_once_a_page_and_names_what_is_judged_against(tmp_path):
+    study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
+    page = tmp_path / "page.md"
+    told(store(tmp_path / "out", study, summary_of(study)), page=page)
+    said = base.yardstick(study)
+    assert said in "\n".join(page.read_text().splitlines()[:10])
+    assert "not of true north" in said and "ok: it ends within 10 arcmin" in said
+    assert "of the reference's heading" in base.yardstick(recorded_study())
+
+
+def test_biases_that_a_filter_does_not_know_explain_its_nees(tmp_path):
+    axes = {"phi_u0_deg": [0.0, 30.0]}
+    biased = small_study(study={"draws": 8}, axes=axes, sensors={"accel_bias_ug": 500.0})
+    text = told(store(tmp_path / "a", biased, summary_of(biased, nees=np.full(16, 9.0))))
+    assert "A NEES of 3 is not to be expected here" in text and "up to 1.72 arcmin" in text
+    unbiased = {"accel_bias_ug": 0.0, "gyro_bias_deg_per_h": 0.0}
+    clean = small_study(study={"draws": 8}, axes=axes, sensors=unbiased)
+    text = told(store(tmp_path / "b", clean, summary_of(clean, nees=np.full(16, 9.0))))
+    assert "is not to be expected" not in text
 
 
 def verdicts(held, clear=()):

@@ -69,14 +69,19 @@ def _biases_unknown(source: Source) -> Iterator[Text]:
     east, north = (
         analysis.quantile(analysis.numbers(rows, f"sigma_{a}_arcmin")).value for a in "en"
     )
-    yield Text(
+    text = (
         f"A NEES of {analysis.NEES_FREEDOM} is not to be expected here: it counts the whole error,"
         f" and the sensors have constant biases (gyros up to {gyro:g} deg/h, accelerometers up to"
         f" {accel:g} ug) for which this filter has no states, so that what they leave of the error"
-        f" is never in P. The accelerometers' alone is a tilt of up to"
-        f" {accel * MICRO / ARCMIN:.2f} arcmin, where the filter believes in 1 sigma of"
-        f" {east:.2f} arcmin about east and {north:.2f} about north (medians over the runs)."
+        " is never in P."
     )
+    if accel:
+        text += (
+            f" The accelerometers' alone is a tilt of up to {accel * MICRO / ARCMIN:.2f} arcmin,"
+            f" where the filter believes in 1 sigma of {east:.2f} arcmin about east and"
+            f" {north:.2f} about north (medians over the runs)."
+        )
+    yield Text(text)
 
 
 def _lines(source: Source) -> tuple[Sequence[str], str]:
