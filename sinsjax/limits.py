@@ -69,9 +69,9 @@ def mean_biases(errors: SensorErrors, motion: Motion) -> Biases:
         Leaves ``(...)``. NumPy's where nothing given is JAX's: that compiles nothing.
     """
     turned = mean_attitude(motion)
-    in_n = ((turned @ b[..., None])[..., 0] for b in (errors.gyro_bias, errors.accel_bias))
-    most = abs(errors.accel_bias).max(-1)
-    return Biases(*(Vec3(b[..., 0], b[..., 1], b[..., 2]) for b in in_n), most)
+    in_n = [(turned @ b[..., None])[..., 0] for b in (errors.gyro_bias, errors.accel_bias)]
+    eps, nabla = (Vec3(b[..., 0], b[..., 1], b[..., 2]) for b in in_n)
+    return Biases(eps, nabla, abs(errors.accel_bias).max(-1))
 
 
 def mean_attitude(motion: Motion) -> Array:

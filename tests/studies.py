@@ -25,6 +25,9 @@ BASE: dict[str, dict[str, Any]] = {
     "alignment": {"phi_e0_deg": 5.0, "phi_n0_deg": 5.0, "phi_u0_deg": 30.0},
 }
 
+STILL = {f"{angle}_amplitude_deg": 0.0 for angle in ("pitch", "roll", "yaw")}
+"""A base whose runs have a limit, however short they are."""
+
 
 def small_study(**changes: Any) -> Study:
     """`BASE` with sections changed key by key; lists and new sections are taken as given."""

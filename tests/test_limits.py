@@ -8,7 +8,7 @@ import pytest
 from engine import ARCMIN
 from naive import DEG
 from scipy.spatial.transform import Rotation
-from studies import small_study
+from studies import STILL, small_study
 
 from sinsjax import earth, scenario, simulate
 from sinsjax.batch import chunks
@@ -72,19 +72,18 @@ def limit_of(group: Any) -> Any:
 def test_biases_turn_with_the_vehicle() -> None:
     """Heading 90 deg: east is body -y, north is body x; swayed by J0 of the amplitude."""
     sensors = {"gyro_bias_deg_per_h": [0.1, 0.2, 0.3], "accel_bias_ug": [300.0, 500.0, 0.0]}
-    still = {f"{angle}_amplitude_deg": 0.0 for angle in ("pitch", "roll")}
-    sways = {"yaw_center_deg": 90.0, "yaw_amplitude_deg": 90.0} | still
-    group, (eps, nabla) = biases_of(motion=sways, sensors=sensors)
+    sways = STILL | {"yaw_center_deg": 90.0, "yaw_amplitude_deg": 90.0}
+    _, (eps, nabla, most) = biases_of(motion=sways, sensors=sensors)
     shrunk = 0.47200121576823484  # J0(pi/2)
     want = np.array([-0.2 * shrunk, 0.1 * shrunk, 0.3]) * DEG_PER_H
     np.testing.assert_allclose(eps, want, rtol=1e-12)
     np.testing.assert_allclose(nabla[:2], np.array([-500, 300]) * 9.8e-6 * shrunk, rtol=1e-12)
+    assert most == pytest.approx(500 * 9.8e-6)
 
 
 def test_papers_limit_accuracy() -> None:
     """[P1] section 2.4.1 prints -27.0248'; small angles, both terms and 15.041 deg/h -25.877'."""
-    still = {f"{angle}_amplitude_deg": 0.0 for angle in ("pitch", "roll", "yaw")}
-    group, _ = biases_of(motion={"yaw_center_deg": 0.0} | still)
+    group, _ = biases_of(motion={"yaw_center_deg": 0.0} | STILL)
     phi = limit_of(group).phi
     omega_n = 15.041067 * np.cos(32 * DEG)
     want = -np.arctan2(0.1, omega_n + 0.1) + 500e-6 * np.tan(32 * DEG)
@@ -365,7 +364,7 @@ def test_a_sway_may_hide_a_bias_and_a_draw_have_its_own() -> None:
 
 def test_without_biases_the_limit_is_zero() -> None:
     zero = np.zeros(3)
-    none = Biases(Vec3(*zero), Vec3(*zero))
+    none = Biases(Vec3(*zero), Vec3(*zero), np.float64(0.0))
     here = earth.place(earth.wgs84(), 48 * DEG)
     limit = unaided(here, none)
     assert (*limit.phi, limit.no_north) == (0.0, 0.0, 0.0, False)

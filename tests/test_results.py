@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from kept import everything
-from studies import BASE, small_study
+from studies import BASE, STILL, small_study
 
 from sinsjax import campaign, columns, designs, results, scenario
 from sinsjax.batch import Chunk
@@ -31,9 +31,6 @@ status settle_60_truth_s settle_10_truth_s settle_3_truth_s has_limit ok_limit o
 
 LIMIT = {"judged_from": "limit", "dwell_s": 0.0}
 """A study that judges from the limit."""
-
-UNBIASED = {"gyro_bias_deg_per_h": 0.0, "accel_bias_ug": 0.0}
-"""Sensors whose runs have a limit however short they are."""
 
 
 def chunk(
@@ -160,7 +157,7 @@ def test_a_description_names_the_unit_of_its_key(key: str) -> None:
 
 def test_settling_status_and_floor() -> None:
     study = small_study(
-        study=LIMIT, sensors=UNBIASED, axes={"phi_u0_deg": [float(i) for i in range(4)]}
+        study=LIMIT, motion=STILL, axes={"phi_u0_deg": [float(i) for i in range(4)]}
     )
     # Bands 60, 10, 3 arcmin; the run ends at 6 s.
     outside = [[0.0, 1.0, 6.0], [2.0, 6.0, 6.0], [6.0, 6.0, 6.0], [6.0, 6.0, 6.0]]
@@ -180,7 +177,7 @@ def test_settling_status_and_floor() -> None:
 def test_settling_is_told_in_update_time_and_in_data() -> None:
     """The data that was there: what had been recorded by then, and no more than the tape."""
     axes = {"passes": [1, 3], "phi_u0_deg": [0.0, 1.0]}
-    study = small_study(study=LIMIT, sensors=UNBIASED, passes={"tape_s": 2.0}, axes=axes)
+    study = small_study(study=LIMIT, motion=STILL, passes={"tape_s": 2.0}, axes=axes)
     # The first two runs end after 2 s, the others after 6 s.
     outside = [[0.0, 1.0, 2.0], [2.0, 2.0, 2.0], [1.0, 2.0, 5.0], [3.0, 4.0, 6.0]]
     table = results.Tables(study).summary(chunk([-21.0] * 4, outside), np.arange(4))
