@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 from stored import store, told
-from studies import small_study
+from studies import STILL, small_study
 
 from sinsjax import analysis, campaign, columns, report, results, statements
 from sinsjax.analysis import Estimate
@@ -161,10 +161,12 @@ def test_many_variants_are_pooled_and_their_intervals_count_draws(tmp_path):
     ]
     # 3 draws of 8 variants a row, all of which end well: as 3 runs, with Student's t for z.
     assert analysis.share([True] * 24, np.repeat(np.arange(3), 8)).low < 0.15
-    assert table.count("100 [14, 100]") == 3
+    assert table.count("100 [14, 100]") == 6  # from the truth and from the limit
     assert {path.stem for path in (tmp_path / "figures").iterdir()} == {
         "settling_time",
+        "settling_time_limit",
         "success_rate",
+        "success_rate_limit",
         "distribution",
         "consistency",
     }
@@ -177,7 +179,7 @@ def test_the_best_schedule_settles_most_runs_and_first(tmp_path):
     status = list(np.where(np.isnan(settle), "diverged", "ok"))
     summary = summary_of(study, settle_10_s=settle, status=status)
     text = told(store(tmp_path, study, summary))
-    row = text.partition("Where most runs settle")[2].splitlines()[4].split()
+    row = text.partition("Where most headings end")[2].splitlines()[4].split()
     assert row[:3] == ["1", "1", "100"]
     assert row[5] == "3"  # three draws do not bound their median
 
@@ -242,7 +244,7 @@ def test_no_column_is_read_that_is_not_told(tmp_path, monkeypatch):
     read_summary = results.read_summary
     monkeypatch.setattr(results, "read_summary", read)
     told(directory)
-    assert seen and max(map(len, seen)) < 10
+    assert seen and max(map(len, seen)) < 14
 
 
 def test_rows_are_some_columns_by_run(tmp_path):
@@ -297,7 +299,7 @@ def test_a_record_without_reference_tells_attitude_and_sigma(tmp_path):
     study = recorded_study()
     summary = summary_of(study, truth=False, yaw_deg=[-90.1234, 1.0, 2.0])
     text = told(store(tmp_path, study, summary, curves_of(study, truth=False)))
-    assert "-90.1234" in text and "sigma_u_arcmin" in text and "success" not in text
+    assert "-90.1234" in text and "sigma_u_arcmin" in text and " within 10' of " not in text
     assert {path.name for path in (tmp_path / "figures").iterdir()} == {"attitude.png"}
 
 
@@ -330,7 +332,7 @@ def test_a_page(tmp_path):
         [line.count("|") for line in part.splitlines() if line.startswith("|")]
         for part in text.split("**Against")
     ]
-    assert tables == [[7, 7, 7, 7], [5, 5, 5]]
+    assert tables == [[9, 9, 9, 9], [7, 7, 7]]
 
 
 @pytest.mark.usefixtures("drawn")
@@ -496,7 +498,10 @@ def test_the_yardstick_is_said_once_a_page_and_names_what_is_judged_against(tmp_
     told(store(tmp_path / "out", study, summary_of(study)), page=page)
     said = base.yardstick(study)
     assert said in "\n".join(page.read_text().splitlines()[:10])
-    assert "not of true north" in said and "ok: it ends within 10 arcmin" in said
+    # A tenth of 6 s.
+    assert "of true north" in said and "ok: it has been there for 0.6 s at the end" in said
+    limit = small_study(study={"judged_from": "limit", "dwell_s": 0.0}, motion=STILL)
+    assert "not of true north" in base.yardstick(limit) and "it ends there" in base.yardstick(limit)
     assert "of the reference's heading" in base.yardstick(recorded_study())
 
 
