@@ -305,7 +305,8 @@ def test_question_1_counts_and_names():
     assert row["more minus one (s)"] == "one never settles"
     for_all = tables(answer)["One schedule for all misalignments"]
     row = row_of(for_all, "per_step", "1")
-    assert row["one: settled (%)"] == "83 [83, 83]"
+    # The same 5 of 6 misalignments in all 8 draws: no better known than by 48 runs.
+    assert row["one: settled (%)"] == "83 [67, 92]"
     assert row["more: schedule"] == "2 from 10 s, 100 s apart"
     # means over (0, 5) deg x (5, 30, 120) deg: 200, 200, 400, 200, 200, 900; 200, 250, 250 twice
     assert row["more minus one (s)"].startswith(f"{1400 / 6 - 2100 / 6:.0f} [")
@@ -408,12 +409,12 @@ def failing(reading, level, yaw, times):
 
 def test_question_3_tells_level_from_yaw():
     answer = reset_failure.answer(grid_of(failing))
-    assert "50 [50, 50] % against 0 [0, 0] %" in answer.headline
-    assert "at level 0 deg 0 [0, 0] %, at yaw 5 deg 50 [50, 50] %" in answer.headline
+    assert "50 [34, 66] % against 0 [0, 41] %" in answer.headline
+    assert "at level 0 deg 0 [0, 41] %, at yaw 5 deg 50 [25, 75] %" in answer.headline
     assert "level explains 100 [100, 100] %, yaw 0 [0, 0] %" in answer.headline
     # measured: 1/2, 2/3 and 1/2 twice of the grid; gravity: 0, 0 and 1/2 twice
-    assert "54 [54, 54] % of the runs" in answer.headline
-    assert "gravity in A(t) 25 [25, 25] %, a difference of -29 [-29, -29] %" in answer.headline
+    assert "54 [46, 62] % of the runs" in answer.headline
+    assert "gravity in A(t) 25 [18, 33] %, a difference of -29 [-29, -29] %" in answer.headline
     parts = tables(answer)["What the variance of failure without reset comes from"]
     assert row_of(parts, "measured", "per_step", "10")["yaw (%)"] == "100 [100, 100]"
     assert row_of(parts, "gravity", "per_step", "10")["level (%)"] == "-"
