@@ -74,7 +74,11 @@ class Settings(Section):
         (60.0, 10.0, 3.0), description="heading error bands of the settling times, arcmin"
     )
     window_s: tuple[NonNegative, Positive] = Field(
-        default_factory=lambda given: (given["duration_s"] / 1.5, given["duration_s"]),
+        # A pydantic below 2.14 asks for it even where the duration is missing or wrong.
+        default_factory=lambda given: (
+            given.get("duration_s", 1.0) / 1.5,
+            given.get("duration_s", 1.0),
+        ),
         description="statistics window, s; default: the last third of the duration",
     )
     consistency_after_s: NonNegative = Field(
