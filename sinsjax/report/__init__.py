@@ -98,9 +98,9 @@ def summarise(
             made.append(_tell(tuned.report(source), source, console))
         else:
             sources.append(source := Source.read(directory))
-            report = LAYOUTS[source.study.report.layout](source)
-            headline = [*report.headline, *at_the_end(source)]
-            made.append(_tell(report._replace(headline=headline), source, console))
+            told = LAYOUTS[source.study.report.layout](source)
+            headline = [*told.headline, *at_the_end(source)]
+            made.append(_tell(told._replace(headline=headline), source, console))
     for layout, report in TOGETHER.items():
         if here := [source for source in sources if source.study.report.layout == layout]:
             made.append(_tell(report(here), here[0], console))
