@@ -22,7 +22,7 @@ from sinsjax.metrics import Observation
 from sinsjax.studies import Study
 from sinsjax.types import InputError
 from sinsjax.units import ARCMIN, DEG
-from sinsjax.worlds import pass_numbers, spans_s, tape_times, update_times
+from sinsjax.worlds import pass_numbers, spans_s, starts_of, tape_times, update_times
 
 _DIVERGED = columns.DIVERGED_DEG * DEG
 
@@ -72,8 +72,9 @@ class Tables:
             for name, values in (swept | fixed).items()
             if name not in shapes
         }
-        starts = study.record.start_s if study.record else [0.0] * study.n_draws
-        self._start_s = np.asarray(starts)
+        self._start_s = np.zeros(study.n_draws)
+        if study.is_recorded:
+            self._start_s = starts_of(study, study.study.rate_hz)[1] / study.study.rate_hz
 
     def summary(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
         """One row a run.

@@ -38,7 +38,7 @@ LAYERS = (
     {"algebra", "earth", "kalman", "randomness", "rotations"},
     {"bounds", "error_model", "imu", "loops", "mechanisation", "trajectory"},
     {"alignment"},
-    {"batch", "draws", "metrics", "scenario", "simulate", "tunings", "worlds"},
+    {"batch", "doubts", "draws", "metrics", "scenario", "simulate", "tunings", "worlds"},
     {"analysis", "directories", "plots", "results", "statements", "stopping", "store", "work"},
     {
         "__main__",

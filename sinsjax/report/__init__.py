@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from sinsjax import results
 from sinsjax.report import (
     adaptive,
     auto,
@@ -97,7 +98,8 @@ def summarise(
             made.append(_tell(tuned.report(source), source, console))
         else:
             sources.append(source := Source.read(directory))
-            made.append(_tell(LAYOUTS[source.study.report.layout](source), source, console))
+            shown = LAYOUTS[source.study.report.layout](source)
+            made.append(_tell(_with_warnings(shown, source), source, console))
     for layout, report in TOGETHER.items():
         if here := [source for source in sources if source.study.report.layout == layout]:
             made.append(_tell(report(here), here[0], console))
@@ -108,6 +110,12 @@ def summarise(
         write_page(page, _title(names), made, _missing(names))
     if html is not None:
         write_html(html, _title(names), made, _missing(names))
+
+
+def _with_warnings(report: Report, source: Source) -> Report:
+    """A report that begins with what was doubtful before the study ran."""
+    lines = results.read_manifest(source.directory).get("warnings", [])
+    return report._replace(headline=[*(f"Warning: {line}" for line in lines), *report.headline])
 
 
 def _tell(report: Report, source: Source, console: Console) -> Made:
