@@ -41,6 +41,7 @@ LAYERS = (
     {"alignment"},
     {
         "batch",
+        "doubts",
         "draws",
         "metrics",
         "scenario",
