@@ -1,6 +1,7 @@
 import json
 import math
 import re
+from html import unescape
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from sinsjax import analysis, campaign, columns, report, results, statements
 from sinsjax.analysis import Estimate
 from sinsjax.config import study_from_dict
 from sinsjax.plots import Ensemble
-from sinsjax.report import base, car_test, limits, over_axes, readings
+from sinsjax.report import base, car_test, limits, over_axes, readings, spreads
 from sinsjax.report import paper1 as paper1_page
 from sinsjax.report.readings import CONCLUSIONS, Judged
 from sinsjax.statements import STATEMENTS, Verdict
@@ -503,6 +504,38 @@ def test_the_yardstick_is_said_once_a_page_and_names_what_is_judged_against(tmp_
     limit = small_study(study={"judged_from": "limit", "dwell_s": 0.0}, motion=STILL)
     assert "not of true north" in base.yardstick(limit) and "it ends there" in base.yardstick(limit)
     assert "of the reference's heading" in base.yardstick(recorded_study())
+
+
+def test_both_yardsticks_stand_in_words_in_table_figure_and_page(tmp_path):
+    study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
+    flags = {"ok_truth": [True, False] * 8, "ok_limit": [True] * 16}
+    summary = summary_of(study, **flags, phi_u_arcmin=np.tile([9.0, 11.0], 8))
+    source = base.Source(tmp_path, study, "x.toml", summary)
+    html = tmp_path / "page.html"
+    text = told(store(tmp_path / "out", study, summary), html=html)
+    truth, limit = "within 10' of true north", "within 10' of what its gyro bias allows"
+    assert f"The heading ends {truth} in 8 and {limit} in 16 of them." in text
+    assert "Within 10' of true north at the end: 50 [" in text
+    figures = {block.name: block.figure for block in over_axes.over_axes(source)}
+    pictures = [block for block in spreads.spreads(source) if isinstance(block, base.Picture)]
+    figures |= {picture.name: picture.figure for picture in pictures}
+    titles = [axes.get_title(loc="left") for axes in figures["along_axis"].axes]
+    labels = [axes.get_xlabel() for axes in figures["distribution"].axes]
+    page = unescape(html.read_text())
+    for words in (truth, limit):
+        assert f"{words} (%)" in text and f"time to {words}, median (s)" in text
+        assert f"share of runs {words}" in titles and any(words in label for label in labels)
+        assert f"{words} (%)" in page
+
+
+def test_words_are_explained_once_under_every_report(tmp_path):
+    study = small_study()
+    page, html = tmp_path / "page.md", tmp_path / "page.html"
+    text = told(store(tmp_path / "out", study, summary_of(study)), page=page, html=html)
+    for word in ("ok", "settled", "limit", "truth", "NEES"):
+        assert text.count(f"\n{word}: ") == 1
+        assert page.read_text().count(f"\n- *{word}*: ") == 1
+        assert html.read_text().count(f"<em>{word}</em>: ") == 1
 
 
 def test_biases_that_a_filter_does_not_know_explain_its_nees(tmp_path):

@@ -135,9 +135,8 @@ def limit_blocks(study: Study, runs: pa.Table) -> list[Block]:
             f"The paper's {PAPER_LIMITS_ARCMIN['u']:.4f} arcmin is the first term alone, with an"
             f" Earth rate of {_PAPER_RATE_DEG_PER_H:g} deg/h: {paper_rate.gyro:.5f} arcmin. It"
             f" leaves out (nabla_E/g) tan L, {here.accel:+.4f} arcmin, which follows from phi_n. So"
-            " a faithful simulation does not end at the paper's figure. The last row is what runs are"
-            " judged from: it also counts that gyro biases tilt and stretch the level rate in which"
-            " north is sought."
+            " a faithful simulation does not end at the paper's figure. The last row of the table"
+            " above is what runs are judged from: the north bias counts in it too."
         ),
         Text(
             "Nor does it end at the closed form, which holds once the innovations have vanished."
