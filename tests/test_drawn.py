@@ -5,7 +5,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from studies import BASE, small_study
+from studies import BASE, STILL, small_study
 
 from sinsjax import campaign, designs, scenario
 from sinsjax.config import study_from_dict
@@ -67,12 +67,7 @@ THREE = {"axes": {"p0_yaw_deg": [40.0, 50.0, 80.0]}}
         (
             ["yaw_center_deg", "pitch_center_deg"],
             "random",
-            {
-                "motion": dict.fromkeys(
-                    ("pitch_amplitude_deg", "roll_amplitude_deg", "yaw_amplitude_deg"), 0.0
-                )
-            }
-            | THREE,
+            {"motion": STILL} | THREE,
         ),
         (list(ALL), "sobol", EULER | THREE),
         (
@@ -114,9 +109,9 @@ def test_a_drawn_value_is_a_given_value(
 
 
 def test_draws_differ_in_what_is_drawn_and_share_the_rest() -> None:
-    study = study_from_dict(
-        drawn_study(["phi_u0_deg", "gyro_bias_deg_per_h"], axes={"q_reading": ["psd", "per_step"]})
-    )
+    axes = {"q_reading": ["psd", "per_step"]}
+    data = drawn_study(["phi_u0_deg", "gyro_bias_deg_per_h"], motion=STILL, axes=axes)
+    study = study_from_dict(data)
     table = campaign.run(study).summary
     for name in ("phi_u0_deg", "gyro_bias_deg_per_h", "floor_arcmin"):
         told = np.array(table[name].to_pylist()).reshape(DRAWS, 2, -1)
