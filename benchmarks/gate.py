@@ -7,7 +7,6 @@ is a question only where the kernel's 512-bit vectors are the machine's own.
 import argparse
 import json
 import platform
-import shutil
 import sys
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +14,7 @@ from typing import Any, NamedTuple
 import common
 import pairs
 
+from sinsjax.bench.limit import compiler
 from sinsjax.bench.timing import Row, conditions, use_one_core
 from sinsjax.files import replacing
 from sinsjax.types import InputError
@@ -76,7 +76,11 @@ def unable() -> str:
     """Why the kernel cannot be built here; empty if it can."""
     if platform.machine().lower() not in ("x86_64", "amd64"):
         return f"the limit kernel is for x86-64, this is {platform.machine()}"
-    return "" if shutil.which("gcc") else "there is no gcc here to build the limit kernel"
+    try:
+        compiler()
+    except InputError as error:
+        return str(error)
+    return ""
 
 
 def entry(measured: float, holds: Row) -> dict[str, Any]:

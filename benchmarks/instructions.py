@@ -1,11 +1,10 @@
 """What the processor does a step and run, in the limit kernel and in the engine: why the ratio.
 
 Counted by ``perf stat``: for the engine during its calls only, for the kernel as the difference
-between a longer and a shorter run. Without perf, or where it may not count, there are no rows.
+between a longer and a shorter run. Without a perf that counts there are no rows.
 """
 
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -14,7 +13,7 @@ from pathlib import Path
 import common
 
 from sinsjax import machine
-from sinsjax.bench.limit import limit_kernel
+from sinsjax.bench.limit import compiler, limit_kernel
 from sinsjax.bench.timing import Row
 from sinsjax.types import InputError
 
@@ -51,6 +50,17 @@ print(case.runs * case.steps * int(sys.argv[3]))
 """
 """Runs in a process of its own, and tells perf when to count."""
 
+_TRIAL = """
+import os, time
+with open(os.environ["COUNTING"], "w") as counting:
+    print("enable", file=counting, flush=True)
+    until = time.monotonic() + 1
+    while time.monotonic() < until:
+        pass
+    print("disable", file=counting, flush=True)
+"""
+"""The same with nothing in it: a second, in which perf takes notice."""
+
 
 def rows(quick: bool, repeats: int) -> list[Row]:
     """Count for the limit kernel, the engine, and the engine with a shared covariance.
@@ -58,64 +68,69 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     Returns:
         Rows with ``instructions``, ``cycles``, ``loads`` and ``stores`` a step and run.
     """
-    names = EVENTS.get(machine.cpu().get("vendor_id", ""))
-    perf, compiler = shutil.which("perf"), shutil.which("gcc")
-    if not (names and perf and compiler):
-        print("warning: nothing to count with: perf, gcc and an AMD or Intel CPU", file=sys.stderr)
-        return []
-    events = BOTH | names
+    vendor = machine.cpu().get("vendor_id", "")
+    events = BOTH | EVENTS.get(vendor, {})
     steps, records = (STEPS // 10, RECORDS // 10) if quick else (STEPS, RECORDS)
     made = []
-    try:
-        with tempfile.TemporaryDirectory(prefix="sinsjax-limit-") as folder:
-            limit_kernel(compiler, folder)
-            kernel = [os.path.join(folder, "limit")]
-            few, _ = counted(perf, [*kernel, str(steps), str(VECTORS)], events)
-            many, _ = counted(perf, [*kernel, str(2 * steps), str(VECTORS)], events)
-            done = KERNEL_REPEATS * steps * VECTORS * 8
-            made.append(row("instructions_limit_kernel", few, many, done))
-            for case in ("shared_record", "shared_covariance"):
-                command = [sys.executable, "-c", _ENGINE, case, str(records), str(CALLS)]
-                counts, done = counted(perf, command, events, Path(folder) / f"{case}.fifo")
-                nothing = dict.fromkeys(counts, 0)
-                made.append(row(f"instructions_kalman_{case}", nothing, counts, int(done)))
-    except PermissionError:
-        print("warning: perf may not count here", file=sys.stderr)
-        return []
+    with tempfile.TemporaryDirectory(prefix="sinsjax-limit-") as folder:
+        try:
+            if vendor not in EVENTS:
+                raise InputError("only the counters of AMD and Intel are known")
+            gcc = compiler()
+            # Whether perf is there says nothing: a virtual machine may lack the counters, and the
+            # system may forbid them.
+            counted([sys.executable, "-c", _TRIAL], events, Path(folder) / "trial.fifo")
+        except InputError as error:
+            print(f"warning: nothing is counted: {error}", file=sys.stderr)
+            return []
+        limit_kernel(gcc, folder)
+        kernel = [os.path.join(folder, "limit")]
+        few, _ = counted([*kernel, str(steps), str(VECTORS)], events)
+        many, _ = counted([*kernel, str(2 * steps), str(VECTORS)], events)
+        done = KERNEL_REPEATS * steps * VECTORS * 8
+        made.append(row("instructions_limit_kernel", few, many, done))
+        for case in ("shared_record", "shared_covariance"):
+            command = [sys.executable, "-c", _ENGINE, case, str(records), str(CALLS)]
+            counts, done = counted(command, events, Path(folder) / f"{case}.fifo")
+            nothing = dict.fromkeys(counts, 0)
+            made.append(row(f"instructions_kalman_{case}", nothing, counts, int(done)))
     return made
 
 
 def counted(
-    perf: str, command: list[str], events: dict[str, str], fifo: Path | None = None
+    command: list[str], events: dict[str, str], fifo: Path | None = None
 ) -> tuple[dict[str, int], str]:
     """Counts of a command's user-mode events, and what it printed.
 
     Args:
-        perf: path of the program.
         command: to count in.
         events: names of perf's events.
         fifo: where the command tells perf when to count; None counts all of it.
 
     Raises:
-        InputError: the command failed.
-        PermissionError: perf may not count here.
+        InputError: perf cannot be started or cannot count here, or the command failed.
     """
     flags = ["-x", ";", "-e", ",".join(f"{event}:u" for event in events.values())]
     if fifo is not None:
         os.mkfifo(fifo)
         flags += ["-D", "-1", "--control", f"fifo:{fifo}"]
-    ended = subprocess.run(
-        [perf, "stat", *flags, "--", *command],
-        capture_output=True,
-        text=True,
-        env=os.environ | {"COUNTING": str(fifo)},
-    )
+    try:
+        ended = subprocess.run(
+            ["perf", "stat", *flags, "--", *command],
+            capture_output=True,
+            text=True,
+            env=os.environ | {"COUNTING": str(fifo)},
+        )
+    except OSError as error:
+        raise InputError(f"perf cannot be started: {error.strerror}") from None
     lines = [line.split(";") for line in ended.stderr.splitlines() if line.count(";") > 2]
     counts = [line[0] for line in lines]
     if ended.returncode or len(counts) != len(events):
-        raise InputError(f"perf stat: {ended.stderr.strip().splitlines()[-1]}")
-    if not all(count.isdigit() for count in counts):
-        raise PermissionError
+        said = [line for line in ended.stderr.splitlines() if line.strip() not in ("", "Error:")]
+        raise InputError(f"perf stat: {said[0] if said else f'exit status {ended.returncode}'}")
+    for line in lines:
+        if not line[0].isdigit():
+            raise InputError(f"perf stat: {line[2]}: {line[0].strip('<>')}")
     return dict(zip(events, map(int, counts), strict=True)), ended.stdout.strip()
 
 

@@ -35,7 +35,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     cases = [numpy_baseline(group)._replace(name="numpy_loop")]
     try:
         import numba_loop
-    except ImportError as error:
+    except (ImportError, OSError) as error:
         print(f"warning: no numba_loop: {error}", file=sys.stderr)
     else:
         cases.append(numba_case(numba_loop.align, group, 2 * CHECKED if quick else None))

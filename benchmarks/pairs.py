@@ -1,14 +1,12 @@
 """The engine beside the limit kernel, in alternating pairs on one core: how far from the limit?"""
 
-import shutil
 import tempfile
 
 import common
 
 from sinsjax.bench.cases import at_rest, default_group, engine, shortened, without_noise
-from sinsjax.bench.limit import limit_kernel
+from sinsjax.bench.limit import compiler, limit_kernel
 from sinsjax.bench.timing import Case, Row, ratios, row, row_against, turns
-from sinsjax.types import InputError
 
 
 def rows(quick: bool, repeats: int) -> list[Row]:
@@ -21,14 +19,12 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     Raises:
         InputError: there is no gcc, or it cannot build the kernel.
     """
-    compiler = shutil.which("gcc")
-    if compiler is None:
-        raise InputError("no gcc here to build the limit kernel")
+    gcc = compiler()
     group = without_noise(default_group())
     if quick:
         group = shortened(group, 2)
     with tempfile.TemporaryDirectory(prefix="sinsjax-limit-") as folder:
-        kernel = limit_kernel(compiler, folder, **({"steps": 200} if quick else {}))
+        kernel = limit_kernel(gcc, folder, **({"steps": 200} if quick else {}))
         ours = [
             engine("kalman_shared_record", group),
             engine("kalman_shared_covariance", at_rest(group)),

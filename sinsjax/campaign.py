@@ -11,8 +11,9 @@ import pyarrow as pa
 
 from sinsjax import columns, directories, runtime, stopping, store, work
 from sinsjax.batch import spread
-from sinsjax.records import Layout, read_record, read_reference
-from sinsjax.sections import Record
+from sinsjax.config import with_rate
+from sinsjax.doubts import doubts, layout_of
+from sinsjax.records import read_record, read_reference
 from sinsjax.studies import Study
 from sinsjax.types import InputError, StudyInterrupted
 from sinsjax.work import Executor, Job, Task, Workshop
@@ -59,16 +60,25 @@ def load_tape(study: Study, record: str | Path, reference: str | Path | None = N
     """
     if study.record is None:
         raise InputError(f"{study.study.name}: has no [record] section")
-    layout = _layout(study.record, study.study.rate_hz)
-    return Tape(
-        record=read_record(record, layout),
-        reference=None if reference is None else read_reference(reference),
-    )
+    layout = layout_of(study)
+    read = read_record(record, layout)
+    if reference is None:
+        return Tape(read, None)
+    judge = read_reference(reference, layout)
+    return Tape(read, judge._replace(time_s=judge.time_s - read.t0_s))
 
 
-def _layout(section: Record, rate_hz: float) -> Layout:
-    given = {key: getattr(section, key) for key in Layout._fields if hasattr(section, key)}
-    return Layout(**{k: v for k, v in given.items() if v is not None}, rate_hz=rate_hz)
+def made_ready(study: Study, tape: Tape | None) -> tuple[Study, list[str]]:
+    """A study as it runs, at the rate of its record, and one line for everything doubtful about it.
+
+    Raises:
+        InputError: a record that does not fit, or cannot be what it is taken for.
+    """
+    if tape is not None and study.is_recorded:
+        study = with_rate(study, tape.record.rate_hz)
+    if study.is_recorded != (tape is not None):  # refused where it is run
+        return study, []
+    return study, doubts(study, tape)
 
 
 def run(
@@ -95,6 +105,7 @@ def run(
         InputError: a record that does not fit.
         RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
+    study, _ = made_ready(study, tape)
     workshop = Workshop(Job(study, tape, curves, chunk_runs))
     count = _Count(study, tell)
     count.begin([])
@@ -150,6 +161,7 @@ def run_into(
         RuntimeError: double precision is off.
     """
     directory = Path(directory)
+    study, warnings = made_ready(study, tape)
     job = Job(study, tape, curves, chunk_runs)
     directories.check_free(directory, overwrite=overwrite or resume)
     if resume:
@@ -159,6 +171,7 @@ def run_into(
     facts = {
         "config": source and (source.name if source.is_absolute() else source.as_posix()),
         "record": None if tape is None else Path(tape.record.source).name,
+        "warnings": warnings,
         "session": runtime.session() | executor.facts,
     }
     held = store.Store(directory, workshop, resume=resume, overwrite=overwrite, facts=facts)

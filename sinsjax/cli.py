@@ -157,6 +157,7 @@ def tune(
     _configure(devices)
     tape = None if record is None else campaign.load_tape(study, record, reference)
     screen = Console(markup=False)
+    study = _made_ready(study, tape, screen)
     with console.interruptible(screen) as stop:
         carry_out.tune(
             study,
@@ -287,6 +288,7 @@ def _run_study(
         curves = None
     _configure(devices)
     tape = None if files is None else campaign.load_tape(study, *files)
+    study = _made_ready(study, tape, screen)
     if left := study.dropped_s:
         screen.print(f"The last {left:g} s are no whole record interval and are not run.")
     if study.run_s <= study.study.window_s[0]:
@@ -310,6 +312,16 @@ def _run_study(
             source=config,
         )
     import_module("sinsjax.report").summarise([out], screen)
+
+
+def _made_ready(study: Any, tape: Any, screen: Console) -> Any:
+    """A study at the rate of its record, once all that is doubtful about it is told."""
+    from sinsjax import campaign
+
+    study, warnings = campaign.made_ready(study, tape)
+    for line in warnings:
+        screen.print(f"Warning: {line}", markup=False, highlight=False, soft_wrap=True)
+    return study
 
 
 def _check_options(*, overwrite: bool, resume: bool, devices: int | None) -> None:

@@ -75,6 +75,10 @@ _LATER: dict[str, tuple[str, ...]] = {
         "dwell_s",
         "diverged_deg",
     ),
+    "record": (
+        *("from_s", "to_s", "max_gap_s", "time_unit"),
+        *("gyro_bias_deg_per_h", "accel_bias_ug", "trust"),
+    ),
     "filter": ("q_scale", "r_scale", *(key for keys in Q_DENSITIES.values() for key in keys)),
     "resets": (
         "reset_first_s",
@@ -120,7 +124,7 @@ def study_from_dict(data: Table, source: str = "study") -> Study:
     """
     try:
         study = _checked(data, Path(source).stem)
-        if study.tune:
+        if study.tune and study.study.rate_hz:
             _check_tuning(study)
     except InputError as error:
         raise InputError(" ".join(f"{source}: {error}".splitlines())) from None
@@ -154,6 +158,19 @@ def with_point(study: Study, point: Table) -> Study:
         InputError: that is no study.
     """
     return study_from_dict(variables.put(tables_of(study), point), study.study.name)
+
+
+def with_rate(study: Study, rate_hz: float) -> Study:
+    """A recorded study at the rate of its record, where it leaves its own out.
+
+    Raises:
+        InputError: at this rate it is none.
+    """
+    if study.study.rate_hz:
+        return study
+    tables = tables_of(study)
+    settings = tables["study"] | {"rate_hz": rate_hz}
+    return study_from_dict(tables | {"study": settings}, study.study.name)
 
 
 def fingerprint(study: Study) -> str:

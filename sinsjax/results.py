@@ -27,7 +27,7 @@ from sinsjax.success import bands
 from sinsjax.types import InputError
 from sinsjax.units import ARCMIN, DEG
 from sinsjax.verdicts import LIMIT, TRUTH, Judge, Verdict
-from sinsjax.worlds import pass_numbers, spans_s, tape_times, update_times
+from sinsjax.worlds import pass_numbers, spans_s, starts_of, tape_times, update_times
 
 
 class Tables:
@@ -82,8 +82,9 @@ class Tables:
             for name, values in (swept | fixed).items()
             if name not in shapes
         }
-        starts = study.record.start_s if study.record else [0.0] * study.n_draws
-        self._start_s = np.asarray(starts)
+        self._start_s = np.zeros(study.n_draws)
+        if study.is_recorded:
+            self._start_s = starts_of(study, study.study.rate_hz)[1] / study.study.rate_hz
 
     def _settle_columns(self) -> list[Column]:
         """Settling times of all bands about the limit and the truth; then the data there was."""

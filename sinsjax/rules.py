@@ -67,8 +67,10 @@ def check_study(study: Study, where: Where) -> None:
     """
     _check_required(study, where)
     _check_layout(study, where)
-    _check_size(study, where)
     _check_methods(study, where)
+    if not study.study.rate_hz:  # checked again once the record has told it
+        return
+    _check_size(study, where)
     _check_intervals(study, where)
     _check_passes(study, where)
     _check_schedules(study, where)
@@ -92,6 +94,11 @@ def _refuse(key: str, where: Where, text: str) -> NoReturn:
 def _check_required(study: Study, where: Where) -> None:
     """Refuses a key that is missing, or given for nothing, because of another key's value."""
     simulated = not study.is_recorded
+    untimed = study.record and study.record.format != "psins" and not study.record.time_column
+    if "rate_hz" not in where and (simulated or untimed):
+        description = SECTIONS["study"].model_fields["rate_hz"].description
+        why = "[record] has no time_column to tell it" if untimed else description
+        _refuse("rate_hz", where, f"required ({why})")
     for key in ("latitude_deg", "yaw_center_deg") if simulated else ():
         if key not in where:
             description = SECTIONS[SECTION_OF[key]].model_fields[key].description
@@ -220,9 +227,13 @@ def _check_schedules(study: Study, where: Where) -> None:
 
 
 def _check_whole(study: Study, where: Where, key: str, time: float, *, least: int = 1) -> None:
-    """Refuses a time that is no whole number of samples, or less than ``least`` of them."""
+    """Refuses a time that is no whole number of samples, or less than ``least`` of them.
+
+    A record has the rate that it has: there the nearest number of samples is taken.
+    """
     rate, samples = study.study.rate_hz, time * study.study.rate_hz
-    if abs(samples - round(samples)) > ROUNDING * samples or round(samples) < least:
+    off = 0.0 if study.is_recorded else abs(samples - round(samples))
+    if off > ROUNDING * samples or round(samples) < least:
         whole = {max(least, math.floor(samples)), max(least, math.ceil(samples))}
         near = " or ".join(f"{n / rate:.12g}" for n in sorted(whole))
         more = f", {least} or more" if least > 1 else ""

@@ -22,6 +22,7 @@ from sinsjax.rotations import euler_vector
 from sinsjax.sections import Earth, Motion, Sensors
 from sinsjax.simulate import Params
 from sinsjax.studies import PASS_KEYS, Span, Study
+from sinsjax.study_limits import require_limit
 from sinsjax.success import bands
 from sinsjax.types import Array, Increments, InputError, Quat, Vec3
 from sinsjax.units import ARCMIN, DEG
@@ -70,14 +71,15 @@ class Scenario:
             curves: whether curves are returned; None takes the study's word.
 
         Raises:
-            InputError: a record where there should be none or the other way round, or compass
-                loops that cannot be run.
+            InputError: a record where there should be none or the other way round, compass
+                loops that cannot be run, or a limit to judge from where there is none.
             RuntimeError: double precision is off.
         """
         runtime.require_x64()
         if study.is_recorded != (tape is not None):
             what = "reads a record, none is given" if study.is_recorded else "reads no record"
             raise InputError(f"{study.study.name}: the study {what}: see [record]")
+        require_limit(study)
         self.study, self.tape = study, tape
         self.curves = study.study.curves if curves is None else curves
         self.variant_ids = list(_split(study))

@@ -5,7 +5,7 @@ an axis and a result column. Rules that hold inside one section live here, those
 `rules`.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, cast
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -62,7 +62,11 @@ class Settings(Section):
 
     name: Name = Field(description="the study's name; default: the file's stem")
     duration_s: Positive = Field(description="length of the fine alignment, s")
-    rate_hz: Positive = Field(description="sample rate, Hz; a record's rate must equal it")
+    # None only in a recorded study whose record is yet to be read, see `config.with_rate`.
+    rate_hz: Positive = Field(
+        cast(float, None),
+        description="sample rate, Hz; a record that tells its own must have this one",
+    )
     record_interval_s: Positive = Field(1.0, description="time between recorded values, s")
     draws: Annotated[Count, Field(ge=1)] | None = Field(
         None,
@@ -74,7 +78,11 @@ class Settings(Section):
         (60.0, 10.0, 3.0), description="heading error bands of the settling times, arcmin"
     )
     window_s: tuple[NonNegative, Positive] = Field(
-        default_factory=lambda given: (given["duration_s"] / 1.5, given["duration_s"]),
+        # A pydantic below 2.14 asks for it even where the duration is missing or wrong.
+        default_factory=lambda given: (
+            given.get("duration_s", 1.0) / 1.5,
+            given.get("duration_s", 1.0),
+        ),
         description="statistics window, s; default: the last third of the duration",
     )
     consistency_after_s: NonNegative = Field(
@@ -374,11 +382,15 @@ class Record(Section):
     """[record]: how to read an IMU record, and where in it the draws start."""
 
     format: Literal["psins", "csv", "parquet"] = Field(description="file format")
+    from_s: NonNegative | None = Field(
+        None, description="where the part that is used begins, s from the record's beginning"
+    )
+    to_s: Positive | None = Field(None, description="where that part ends, s; default: its end")
     quantity: Literal["increments", "rates"] | None = Field(
         None, description="what the columns hold (csv, parquet)"
     )
     time_column: str | None = Field(
-        None, description="time stamps, s (csv, parquet); without it rate_hz gives the times"
+        None, description="time stamps (csv, parquet); without it rate_hz gives the times"
     )
     gyro_columns: Triad | None = Field(None, description="x, y, z gyro columns (csv, parquet)")
     accel_columns: Triad | None = Field(
@@ -393,13 +405,32 @@ class Record(Section):
     axes_order: AxesOrder = Field(
         "xyz", description="the record's axes that point right, front and up, such as 'y-xz'"
     )
-    start_s: Starts = Field((0.0,), description="start times from the record's beginning, s")
+    time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = Field(
+        None, description="unit of the time stamps, 'iso' for dates with time; default 's'"
+    )
+    start_s: Starts = Field(
+        default_factory=lambda given: (given.get("from_s") or 0.0,),
+        description="start times from the record's beginning, s; default: from_s, else 0",
+    )
+    max_gap_s: NonNegative | None = Field(
+        None, description="longest gap that is interpolated, s; default 0: none"
+    )
+    gyro_bias_deg_per_h: NonNegative | None = Field(
+        None, description="gyro bias that a plausible record may have, deg/h; default 10"
+    )
+    accel_bias_ug: NonNegative | None = Field(
+        None, description="accelerometer bias that a plausible record may have, ug; default 5000"
+    )
+    trust: bool | None = Field(
+        None, description="whether an implausible record is aligned all the same; default false"
+    )
 
     @model_validator(mode="after")
     def _columns_fit_format(self) -> "Record":
+        self._check_times()
         layout = ("quantity", "gyro_columns", "accel_columns", "gyro_unit", "accel_unit")
         if self.format == "psins":
-            for key in (*layout, "time_column"):
+            for key in (*layout, "time_column", "max_gap_s"):
                 if getattr(self, key) is not None:
                     raise misfit("has no place with format 'psins', which fixes it", key=key)
             return self
@@ -414,6 +445,16 @@ class Record(Section):
             if (unit in increments) != (self.quantity == "increments"):
                 raise misfit(f"'{unit}' is no unit of {self.quantity}", key=key)
         return self
+
+    def _check_times(self) -> None:
+        if self.time_unit is not None and self.time_column is None:
+            raise misfit("has no place without a time_column", key="time_unit")
+        begin, end = self.from_s or 0.0, self.to_s
+        if end is not None and end <= begin:
+            raise misfit(f"must be after from_s = {begin:g}, not {end:g}", key="to_s")
+        if min(self.start_s) < begin:
+            text = f"{min(self.start_s):g} s lies before from_s = {begin:g}"
+            raise misfit(text, key="start_s")
 
 
 class Coarse(Section):

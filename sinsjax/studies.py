@@ -63,8 +63,10 @@ SWEEPABLE = (
 SIMULATED_ONLY = ("motion", "sensors", "stop_when")
 """The sections that have no place in a recorded study."""
 
-SECTION_OF = {key: name for name, model in SECTIONS.items() for key in model.model_fields}
-"""The section of every leaf key."""
+SECTION_OF = {key: name for name, model in SECTIONS.items() for key in model.model_fields} | {
+    key: "sensors" for key in Sensors.model_fields
+}
+"""The section of every leaf key; two of [record]'s, on what sensors may do, are [sensors]'s too."""
 
 EARTH_CONSTANTS = {
     "gravity_m_per_s2": 9.8,

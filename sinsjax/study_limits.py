@@ -11,6 +11,8 @@ from sinsjax import designs, earth
 from sinsjax.limits import mean_attitude
 from sinsjax.sections import Motion
 from sinsjax.studies import Study
+from sinsjax.success import success_of
+from sinsjax.types import InputError
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H
 from sinsjax.worlds import errors_of, motion_of, spans_s
 
@@ -46,6 +48,14 @@ class HiddenNorth(NamedTuple):
     runs: int
     of_runs: int
 
+    def __str__(self) -> str:
+        """A warning in one sentence."""
+        return (
+            f"the level gyro bias is up to {self.bias_deg_per_h:.3g} deg/h, the level part of the"
+            f" Earth rate {self.rate_deg_per_h:.3g} deg/h: {self.runs:,} of {self.of_runs:,} runs"
+            " cannot find north (status no_north)"
+        )
+
 
 def has_limit(
     study: Study, draw_ids: np.ndarray, variant_ids: np.ndarray, last_reset_s: np.ndarray
@@ -79,6 +89,36 @@ def has_limit(
     learns = runs.raw("method") == "kalman10"
     apart = still & (_shared(study, runs) <= MOST_SHARED) if learns.any() else still
     return np.where(learns, apart, ~(biased & slow.any(0)))
+
+
+def require_limit(study: Study) -> None:
+    """Refuses a study that is judged from a limit where some run has none.
+
+    The resets of a trigger are not known yet; draws that differ are looked at where they are few.
+
+    Raises:
+        InputError: it names the method.
+    """
+    if success_of(study).from_truth:
+        return
+    draws = np.arange(min(study.n_draws, 1 + _LOOKED_AT // study.n_variants))
+    variants = np.tile(np.arange(study.n_variants), len(draws))
+    last_s = np.array([max(times, default=0.0) for times in study.reset_times()])
+    found = has_limit(study, np.repeat(draws, study.n_variants), variants, last_s[variants])
+    if found.all():
+        return
+    variant = int(variants[~found][0])
+    method = study.values("method")[variant]
+    why = "has no limit of heading on this base"
+    if method != "kalman10":
+        why = (
+            "has no limit of heading where a sway period exceeds a tenth of the time since the last"
+            " reset"
+        )
+    raise InputError(
+        f"{study.study.name}: [study] judged_from: 'limit' cannot be judged: method '{method}'"
+        f" {why} (variant {variant}; use 'truth')"
+    )
 
 
 def _shared(study: Study, runs: "_Runs") -> np.ndarray:

@@ -140,11 +140,12 @@ def _column_or(variants: Variants, key: str, default: float) -> np.ndarray:
 
 
 def _feedback(variants: Variants, rate_hz: float) -> Feedback:
-    interval = variants.column("feedback_interval_s")
+    samples = np.round(variants.column("feedback_interval_s") * rate_hz)
+    interval = samples / rate_hz
     constant = variants.column("feedback_time_constant_s")
     partial = constant > 0
     gain = np.where(partial, -np.expm1(-interval / np.where(partial, constant, 1.0)), 1.0)
-    return Feedback(np.round(interval * rate_hz), gain)
+    return Feedback(samples, gain)
 
 
 def _resets(study: Study, variants: Variants) -> Resets:

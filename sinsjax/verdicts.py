@@ -6,7 +6,6 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from sinsjax.limits import Limit
 from sinsjax.metrics import Outcome
 from sinsjax.studies import Study
 from sinsjax.success import bands, success_of
@@ -53,9 +52,9 @@ class Judge:
         outside_until = np.moveaxis(np.asarray(outcome.outside_until), 0, -1)
         settled_s = np.where(outside_until >= end_s * (1 - 1e-12), np.nan, outside_until)
         settled_s[LIMIT, :, ~has_limit] = np.nan
-        limit = Limit(*(np.asarray(leaf) for leaf in outcome.limit))
-        no_north = has_limit & limit.no_north
-        long_enough = settled_s[:, self._band] <= end_s - self._success.dwell(end_s)
+        no_north = has_limit & np.asarray(outcome.limit.no_north)
+        latest_s = (end_s - self._success.dwell(end_s)) * (1 + 1e-12)
+        long_enough = settled_s[:, self._band] <= latest_s
         ok = long_enough & self._level(outcome) & ~no_north
         return Verdict(has_limit, settled_s, ok, self._status(outcome, has_limit, no_north, ok))
 
@@ -73,7 +72,7 @@ class Judge:
         last = outcome.last
         broken = ~np.isfinite(np.stack([last.pitch, last.roll, last.yaw])).all(axis=0)
         if not self._has_truth:
-            return pa.array(np.where(broken, "nonfinite", None), pa.string())
+            return pa.array(["nonfinite" if b else None for b in broken], pa.string())
         from_truth = self._success.from_truth
         error = np.asarray(last.phi.z) - np.where(has_limit, outcome.limit.phi.z, 0.0)
         kinds = {

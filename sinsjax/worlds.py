@@ -73,7 +73,7 @@ class Tape(NamedTuple):
 
     Attributes:
         record: increments.
-        reference: attitude to compare with, or None.
+        reference: attitude to compare with, its times from the record's beginning; or None.
     """
 
     record: Record
@@ -274,20 +274,26 @@ def errors_of(common: Lookup, ug: float, rate_hz: float) -> imu.SensorErrors:
     )
 
 
+def starts_of(study: Study, rate_hz: float) -> tuple[int, np.ndarray]:
+    """Samples of coarse alignment in a record, and (draws,) the sample at which each begins."""
+    assert study.record is not None and study.coarse is not None
+    starts = np.round(np.asarray(study.record.start_s) * rate_hz).astype(int)
+    return round(study.coarse.coarse_duration_s * rate_hz), starts
+
+
 def recorded(
     study: Study, variants: Variants, span: Span, criteria: Criteria, tape: Tape
 ) -> tuple[World, Draw, np.ndarray]:
     """World, draws (one a start time) and coarsely aligned attitudes of a recorded part."""
-    assert study.record is not None and study.coarse is not None
+    assert study.coarse is not None
     site, _ = site_of(study, variants, tape)
     record, rate = tape.record, study.study.rate_hz
     if abs(record.rate_hz - rate) > 1e-6 * rate:
         raise InputError(
             f"{record.source}: the record has {record.rate_hz:g} Hz, [study] rate_hz is {rate:g}"
         )
-    coarse_n = round(study.coarse.coarse_duration_s * rate)
-    starts = np.round(np.asarray(study.record.start_s) * rate).astype(int)
-    for start in study.record.start_s:
+    coarse_n, starts = starts_of(study, rate)
+    for start in starts / rate:
         require_span(record, start, (coarse_n + span.read * study.record_every) / rate)
     increments = np.concatenate([record.dtheta, record.dv], axis=1)
     align = jax.jit(COARSE[study.coarse.coarse_method])
@@ -320,9 +326,10 @@ def _reference_at(tape: Tape, times: np.ndarray) -> np.ndarray:
     begin, end = times.min(), times.max()  # a backward pass ends before it begins
     slack = 1e-6 + 1 / tape.record.rate_hz
     if begin < first - slack or end > last + slack:
+        clock = tape.record.t0_s
         raise InputError(
-            f"{reference.source}: covers {first:g} to {last:g} s, but the study needs"
-            f" {begin:g} to {end:g} s of {tape.record.source}"
+            f"{reference.source}: covers {clock + first:g} to {clock + last:g} s, but the study"
+            f" needs {clock + begin:g} to {clock + end:g} s by the clock of {tape.record.source}"
         )
     needed = (reference.time_s >= begin - _LONGEST_GAP_S) & (reference.time_s <= end)
     gap = np.diff(reference.time_s[needed], prepend=begin, append=end).max()

@@ -6,13 +6,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from naive import DEG, WGS84, Filter, Loops, Planet, Swing, quaternion
+from naive import DEG, STATES, WGS84, Filter, Loops, Planet, Swing, quaternion
 
 from sinsjax import earth, imu, trajectory
 from sinsjax.alignment import compass, zero_velocity
 from sinsjax.alignment.base import Site
 from sinsjax.alignment.schedules import Feedback, Pieces, Renewal, Resets
 from sinsjax.draws import Draw, Static, World
+from sinsjax.error_model import MODELS
 from sinsjax.limits import NO_BIASES
 from sinsjax.loops import AzimuthGains, LevelGains
 from sinsjax.metrics import Criteria
@@ -58,25 +59,49 @@ def site(planet: Planet, latitude: float) -> Site:
     return jax.tree.map(np.float64, Site(model(planet), place(planet, latitude), latitude))
 
 
+PAPER_P0 = {
+    **dict.fromkeys(("dve", "dvn"), 0.1),
+    **dict.fromkeys(("phi_e", "phi_n"), 15 * DEG),
+    "phi_u": 80 * DEG,
+    **dict.fromkeys(("nabla_x", "nabla_y"), 500 * UG),
+    **dict.fromkeys(("eps_x", "eps_y", "eps_z"), 0.1 * DEG_PER_H),
+}
+"""Initial standard deviations of [P1]; those of the biases are ours."""
+
+PAPER_Q = {
+    **dict.fromkeys(("dve", "dvn"), 500 * UG),
+    **dict.fromkeys(("phi_e", "phi_n", "phi_u"), 0.1 * DEG_PER_H),
+    **dict.fromkeys(("nabla_x", "nabla_y", "eps_x", "eps_y", "eps_z"), 0.0),
+}
+"""Process noise of a step, as standard deviations."""
+
+_MODEL_OF = {len(model.states): model for model in MODELS.values()}
+
+
 def paper_filter(n: int, **changes) -> Filter:
     """[P1]'s filter of n = 5 or 10 states, Q per step."""
-    p0 = np.array([0.1, 0.1, 15 * DEG, 15 * DEG, 80 * DEG] + [500 * UG] * 2 + [0.1 * DEG_PER_H] * 3)
-    q = np.array([500 * UG] * 2 + [0.1 * DEG_PER_H] * 3 + [0.0] * 5)
-    return Filter(p0[:n] ** 2, q[:n] ** 2, 0.1**2)._replace(**changes)
+    p0, q = (np.array([of[name] for name in STATES[:n]]) ** 2 for of in (PAPER_P0, PAPER_Q))
+    return Filter(p0, q, 0.1**2)._replace(**changes)
+
+
+def by_state(values: np.ndarray) -> tuple[Any, ...]:
+    """One value a state, from the naive module's order to that of the engine's model."""
+    of = dict(zip(STATES, values, strict=False))
+    return tuple(of[name] for name in _MODEL_OF[len(of)].states)
 
 
 def params(filt: Filter) -> zero_velocity.Params:
     scale = (filt.factor, filt.factor, 0.0, 0.0)
     when = [*filt.resets] + [np.inf] * (RESETS - len(filt.resets))
     return zero_velocity.Params(
-        p0=tuple(filt.p0),
-        q=tuple(filt.q),
+        p0=by_state(filt.p0),
+        q=by_state(filt.q),
         r=np.float64(filt.r),
         feedback=Feedback(np.float64(filt.every), np.float64(filt.gain)),
         resets=Resets(
             np.array(when, dtype=float), Renewal(*map(np.float64, _KINDS.get(filt.kind, scale)))
         ),
-        reset_to=tuple(filt.p0),
+        reset_to=by_state(filt.p0),
         turn=Renewal(*map(np.float64, _turn(filt))),
     )
 

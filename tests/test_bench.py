@@ -12,7 +12,7 @@ from rich.console import Console
 from studies import small_study
 
 from sinsjax import bench, runtime, scenario
-from sinsjax.bench import Case, cases, timing
+from sinsjax.bench import Case, cases, limit, timing
 from sinsjax.bench.limit import limit_kernel
 from sinsjax.types import InputError
 
@@ -59,10 +59,10 @@ def tool(path, script):
 
 @pytest.fixture
 def gcc():
-    found = shutil.which("gcc")
-    if found is None:
-        pytest.skip("no gcc")
-    return found
+    try:
+        return limit.compiler()
+    except InputError as error:
+        pytest.skip(str(error))
 
 
 def test_cases_are_timed_in_turns_and_the_median_is_told():
@@ -135,9 +135,24 @@ def test_without_gcc_it_says_so_and_goes_on(quiet, capsys):
     quiet.setattr(shutil, "which", lambda name: None)
     rows, said = timed(capsys, limit=True)
     without, silent = timed(capsys, limit=False)
-    assert said == "warning: no limit kernel: there is no gcc here to build it\n"
+    assert said == "warning: no limit kernel: there is no gcc here\n"
     assert silent == ""
     assert [row["name"] for row in rows] == [row["name"] for row in without] == ROWS
+
+
+@pytest.mark.parametrize(
+    ("script", "why"),
+    [
+        ("raise SystemExit(1)", "gcc failed: exit status 1"),
+        ("pass", "what gcc builds cannot be started: No such file or directory"),
+    ],
+)
+def test_a_gcc_that_does_not_work_is_as_good_as_none(quiet, tmp_path, capsys, script, why):
+    tool(tmp_path / "gcc", script)
+    quiet.setenv("PATH", str(tmp_path))
+    rows, said = timed(capsys, limit=True)
+    assert said == f"warning: no limit kernel: {why}\n"
+    assert [row["name"] for row in rows] == ROWS
 
 
 def test_an_absent_fused_loop_is_warned_of_on_a_cpu_only(quiet, capsys):
@@ -164,11 +179,11 @@ def test_the_table_shows_the_ratio_to_the_limit(gcc, quiet, capsys):
 def test_a_failing_compiler_is_told_in_one_line(tmp_path, script, why):
     with pytest.raises(InputError) as told:
         limit_kernel(tool(tmp_path / "gcc", script), str(tmp_path))
-    assert str(told.value) == f"--limit: {why}"
+    assert str(told.value) == why
 
 
 def test_a_compiler_that_does_not_start_is_told(tmp_path):
-    with pytest.raises(InputError, match="^--limit: gcc cannot be started: "):
+    with pytest.raises(InputError, match="^gcc cannot be started: "):
         limit_kernel(str(tmp_path / "none"), str(tmp_path))
 
 
@@ -181,7 +196,7 @@ def test_a_kernel_that_dies_is_told_in_one_line(tmp_path, script, why):
     tool(tmp_path / "limit", script)
     with pytest.raises(InputError) as told:
         case.call()
-    assert str(told.value) == f"--limit: the limit kernel failed: {why}"
+    assert str(told.value) == f"the limit kernel failed: {why}"
 
 
 def test_every_row_of_the_registry_has_the_name_it_is_listed_under(monkeypatch):

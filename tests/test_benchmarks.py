@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from sinsjax.bench import limit
 from sinsjax.bench.timing import Case, Row
 from sinsjax.types import InputError
 
@@ -143,7 +143,7 @@ def faked(monkeypatch, tmp_path):
     monkeypatch.setattr(pairs, "rows", rows)
     monkeypatch.setattr(gate, "use_one_core", lambda: None)
     monkeypatch.setattr(gate, "conditions", lambda: HOLDS)
-    monkeypatch.setattr(gate.shutil, "which", lambda name: f"/{name}")
+    monkeypatch.setattr(gate, "compiler", lambda: "gcc")
     monkeypatch.setattr(gate.platform, "machine", lambda: "x86_64")
     return monkeypatch, asked, tmp_path / "gate.json"
 
@@ -172,11 +172,19 @@ def test_without_avx512_fewer_pairs_are_told(faked):
 
 @pytest.mark.parametrize(
     ("what", "answer", "why"),
-    [("which", None, "there is no gcc"), ("machine", "arm64", "the limit kernel is for x86-64")],
+    [
+        ("gcc", "", "there is no gcc"),
+        ("gcc", "exit 1", "gcc failed: exit status 1"),
+        ("machine", "arm64", "the limit kernel is for x86-64"),
+    ],
 )
-def test_where_the_kernel_cannot_be_built_nothing_is_timed(faked, what, answer, why):
+def test_where_the_kernel_cannot_be_built_nothing_is_timed(faked, tools, what, answer, why):
     patch, asked, path = faked
-    patch.setattr(gate.shutil if what == "which" else gate.platform, what, lambda *_: answer)
+    if what == "gcc":
+        patch.setattr(gate, "compiler", limit.compiler)
+        tools(gcc=answer)
+    else:
+        patch.setattr(gate.platform, what, lambda: answer)
     verdict = gate.gate(commit=False, path=path)
     assert verdict.status == 0 and verdict.line.startswith(f"gate skipped: {why}")
     assert asked == []
@@ -199,6 +207,22 @@ def test_the_committed_file_can_be_read():
 
 
 # -- scripts -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def tools(monkeypatch, tmp_path):
+    """Makes the only programs there are: shell scripts by name; an empty one is not there."""
+
+    def make(**scripts: str) -> None:
+        folder = tmp_path / "bin"
+        folder.mkdir()
+        for name, script in scripts.items():
+            if script:
+                (folder / name).write_text(f"#!/bin/sh\n{script}\n")
+                (folder / name).chmod(0o755)
+        monkeypatch.setenv("PATH", str(folder))
+
+    return make
 
 
 @pytest.fixture
@@ -243,9 +267,10 @@ def test_without_a_gpu_the_script_says_so(capsys):
     assert capsys.readouterr().err == "no GPU: JAX has cpu only\n"
 
 
-def test_without_gcc_there_are_no_pairs(monkeypatch):
-    monkeypatch.setattr(pairs.shutil, "which", lambda name: None)
-    with pytest.raises(InputError, match="no gcc"):
+@pytest.mark.parametrize(("script", "why"), [("", "no gcc"), ("exit 1", "gcc failed")])
+def test_without_a_gcc_that_works_there_are_no_pairs(tools, script, why):
+    tools(gcc=script)
+    with pytest.raises(InputError, match=why):
         pairs.rows(True, 1)
 
 
@@ -277,8 +302,8 @@ def test_the_speed_up_is_over_one_device_in_the_same_turn(monkeypatch):
     "script", [pairs, throughput, noise, methods, devices, derivative, single_precision]
 )
 def test_a_script_runs_quickly(script):
-    if script is pairs and shutil.which("gcc") is None:
-        pytest.skip("no gcc")
+    if script is pairs and (why := gate.unable()):
+        pytest.skip(why)
     rows = script.rows(True, 1)
     keys = "name ns_per_step_run runs steps dtype devices compile_s median_s spread_s".split()
     assert all(set(keys) <= row.keys() for row in rows)
@@ -295,11 +320,43 @@ def test_memory_is_asked_for_quickly():
 
 
 @pytest.mark.slow
-def test_instructions_are_counted_where_they_can_be():
+def test_instructions_are_counted_where_they_can_be(capsys):
     rows = instructions.rows(True, 1)
     if not rows:
-        pytest.skip("nothing to count with")
+        pytest.skip(capsys.readouterr().err.strip())
     assert all(0 < row[key] < 1e5 for row in rows for key in ("instructions", "loads", "stores"))
+
+
+PERFS = {
+    "": "perf cannot be started: No such file or directory",
+    "exit 1": "perf stat: exit status 1",
+    "echo \"event syntax error: '..ld_dispatch:u'\" >&2; exit 129": (
+        "perf stat: event syntax error: '..ld_dispatch:u'"
+    ),
+    "echo Error: >&2; echo Access is limited. >&2; echo More >&2; exit 255": (
+        "perf stat: Access is limited."
+    ),
+    'for e in a b c d; do echo "<not supported>;;$e:u;0;100.00;;" >&2; done': (
+        "perf stat: a:u: not supported"
+    ),
+}
+"""What a perf does that cannot count, and what is said of it."""
+
+
+@pytest.mark.parametrize(("script", "why"), PERFS.items())
+def test_a_perf_that_cannot_count_is_as_good_as_none(monkeypatch, tools, capsys, script, why):
+    monkeypatch.setattr(instructions.machine, "cpu", lambda: {"vendor_id": "AuthenticAMD"})
+    monkeypatch.setattr(instructions, "compiler", lambda: "gcc")
+    tools(perf=script)
+    assert instructions.rows(True, 1) == []
+    assert capsys.readouterr().err == f"warning: nothing is counted: {why}\n"
+
+
+def test_counters_that_are_not_known_are_not_asked_for(monkeypatch, capsys):
+    monkeypatch.setattr(instructions.machine, "cpu", dict)
+    assert instructions.rows(True, 1) == []
+    expected = "warning: nothing is counted: only the counters of AMD and Intel are known\n"
+    assert capsys.readouterr().err == expected
 
 
 def test_counts_are_those_of_the_longer_run_over_the_shorter():

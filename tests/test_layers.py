@@ -41,6 +41,7 @@ LAYERS = (
     {"alignment"},
     {
         "batch",
+        "doubts",
         "draws",
         "metrics",
         "scenario",
@@ -159,6 +160,11 @@ def violations(sources: Sources) -> list[str]:
 
 def test_imports_point_up_the_list_of_layers():
     assert not violations(read_sources())
+
+
+def test_others_may_check_their_types_against_the_package():
+    """Type checkers look for the marker of PEP 561 beside the modules."""
+    assert (Path(sinsjax.__file__).parent / "py.typed").is_file()
 
 
 def test_every_source_file_is_read():

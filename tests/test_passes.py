@@ -114,7 +114,8 @@ def test_columns_of_the_curves_and_of_the_summary() -> None:
     assert units == [b"s", b"s", b"s", b""]
     names = summary.column_names
     bands = [name for name in names if name.startswith("settle_")]
-    assert bands == [f"settle_{b}_{kind}" for kind in ("s", "data_s") for b in (60, 10, 3)]
+    kinds = ("s", "truth_s", "data_s", "truth_data_s")
+    assert bands == [f"settle_{b}_{kind}" for kind in kinds for b in (60, 10, 3)]
     plain = Tables(study_from_dict(merged(QUICK)))
     assert not set(PLACES[1:]) & {c.name for c in plain.curve_columns}
     assert not any(c.name.endswith("data_s") for c in plain.summary_columns)

@@ -234,7 +234,7 @@ def test_along_axis_marks_never():
         "phi_u0_deg", [0.0, 30.0], {"time (s)": lines, "share": lines}, title="Title"
     )
     top, bottom = figure.axes
-    assert (top.get_ylabel(), bottom.get_xlabel()) == ("time (s)", "phi_u0 (deg)")
+    assert (top.get_title(loc="left"), bottom.get_xlabel()) == ("time (s)", "phi_u0 (deg)")
     crosses = [line for line in bottom.get_lines() if line.get_marker() == "x"]
     assert [list(line.get_xdata()) for line in crosses] == [[30.0]]
     assert "never" in words(figure)

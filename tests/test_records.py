@@ -402,7 +402,122 @@ def test_require_span():
     assert "before the record" in refused(records.require_span, record, -1.0, 1.0)
 
 
+# --- stamps and gaps
+
+
+@pytest.mark.parametrize("late", [[0.007], [0.007, 0.004], [0.012, 0.006], [0.016]])
+def test_late_stamps_are_no_gap_where_the_next_ones_are_in_time(tmp_path, late):
+    time_s = np.arange(1, 401) / 100
+    time_s[200 : 200 + len(late)] += late
+    record = read_whole(table_csv(tmp_path, time_s), CSV)
+    assert len(record.dtheta) == 400 and not record.flaws
+    assert record.rate_hz == 100.0
+
+
+def lacking(folder: Path, missing: list[int], kind: str) -> tuple[Path, np.ndarray]:
+    """A table whose values are times, without some samples: as a gap, or as empty cells."""
+    time_s = np.arange(1, 401) / 100
+    rows = [HEAD.strip()]
+    for k, t in enumerate(time_s):
+        cells = [f"{t:.2f}"] * 7
+        if k in missing and kind == "gap":
+            continue
+        if k in missing:
+            cells[3] = "" if kind == "empty" else kind
+        rows.append(",".join(cells))
+    path = folder / "lacking.csv"
+    path.write_text("\n".join(rows))
+    return path, time_s
+
+
+@pytest.mark.parametrize("kind", ["gap", "empty", "nan", "-inf"])
+def test_what_is_missing_refuses_the_spans_it_lies_in(tmp_path, kind):
+    path, time_s = lacking(tmp_path, [200, 201, 202], kind)
+    record = records.read_csv(path, CSV)
+    whole = np.delete(np.arange(400), [200, 201, 202])
+    np.testing.assert_allclose(record.dtheta[whole, 2], time_s[whole])
+    assert np.isnan(record.dtheta[200:203]).all()
+    records.require_span(record, 0.0, 2.0)
+    records.require_span(record, 2.03, 1.97)
+    for begin, needed in ((0.0, 2.01), (2.02, 1.0), (2.01, 0.01)):
+        line = refused(records.require_span, record, begin, needed)
+        assert "row 202: " in line and ("a gap" in line) == (kind == "gap")
+
+
+@pytest.mark.parametrize("kind", ["gap", "empty"])
+def test_short_gaps_are_interpolated_and_counted(tmp_path, kind):
+    path, time_s = lacking(tmp_path, [100, 200, 201, 202], kind)
+    record = read_whole(path, CSV._replace(max_gap_s=0.04))
+    assert record.filled == 4
+    np.testing.assert_allclose(record.dtheta, time_s[:, None] * np.ones(3), rtol=1e-12)
+    record = records.read_csv(path, CSV._replace(max_gap_s=0.03))
+    assert record.filled == 1 and [flaw[:2] for flaw in record.flaws] == [(200, 203)]
+
+
+def test_missing_ends_are_not_interpolated(tmp_path):
+    path, _ = lacking(tmp_path, [0, 399], "empty")
+    record = records.read_csv(path, CSV._replace(max_gap_s=1.0))
+    assert [flaw[:2] for flaw in record.flaws] == [(0, 1), (399, 400)] and not record.filled
+
+
+def test_a_clock_that_was_set_makes_no_record_of_years(tmp_path):
+    path = table_csv(tmp_path, np.r_[np.arange(1, 401) / 100, 1e9])
+    assert "row 402: a gap at 100 Hz, from 4.0 to 1000000000.0 s" in refused(
+        records.read_csv, path, CSV
+    )
+
+
+STAMPS = {
+    "s": lambda k: f"{1000 + k / 100:.2f}",
+    "ms": lambda k: f"{10 * k + 1_000_000}",
+    "us": lambda k: f"{10_000 * k + 10**9}",
+    "ns": lambda k: f"{10_000_000 * k + 10**12}",
+    "iso": lambda k: f"1970-01-01T00:16:{40 + k // 100:02d}.{k % 100:02d}0Z",
+}
+
+
+@pytest.mark.parametrize("unit", STAMPS)
+def test_units_of_time_with_semicolons_and_comments(tmp_path, unit):
+    rows = [f"{STAMPS[unit](k)};1;2;3;4;5;6" for k in range(1, 301)]
+    rows.insert(100, "# 2;a;comment")
+    text = "\n".join(["% made by hand", "time_s;gx;gy;gz;ax;ay;az", "#", *rows])
+    (tmp_path / "a.csv").write_text(text)
+    layout = CSV._replace(rate_hz=None, time_unit=unit)
+    record = read_whole(tmp_path / "a.csv", layout)
+    assert record.rate_hz == pytest.approx(100, rel=1e-6) and len(record.dv) == 300
+    assert record.t0_s == pytest.approx(1000, abs=1e-6)
+    np.testing.assert_array_equal(record.dv[99:101], [[4, 5, 6]] * 2)
+
+
+def test_dates_in_parquet(tmp_path):
+    stamps = np.datetime64("1970-01-01T00:16:40") + np.arange(1, 301) * np.timedelta64(10, "ms")
+    columns = {name: np.ones(300) for name in GYRO + ACCEL}
+    layout = CSV._replace(format="parquet", time_unit="iso", rate_hz=None)
+    for dates in (pa.array(stamps), pa.array([f"{stamp}" for stamp in stamps])):
+        pq.write_table(pa.table({"time_s": dates} | columns), tmp_path / "a.parquet")
+        record = read_whole(tmp_path / "a.parquet", layout)
+        assert (record.rate_hz, record.t0_s) == (pytest.approx(100), pytest.approx(1000))
+    line = refused(records.read_record, tmp_path / "a.parquet", layout._replace(time_unit="s"))
+    assert "column 'time_s' holds string, not numbers" in line
+
+
+def test_a_date_that_is_none(tmp_path):
+    (tmp_path / "a.csv").write_text(HEAD + "2024-13-01T00:00:00,1,2,3,4,5,6\n")
+    line = refused(records.read_csv, tmp_path / "a.csv", CSV._replace(time_unit="iso"))
+    assert "row 2: column 'time_s': '2024-13-01T00:00:00' is no date and time" in line
+
+
 # --- reference
+
+
+def test_a_reference_may_have_headings_and_the_record_s_own_time(tmp_path):
+    rows = "".join(f"{1000 * k};1;2;{350 + k}\n" for k in range(3))
+    (tmp_path / "r.csv").write_text("stamp;pitch_deg;roll_deg;heading_deg\n" + rows)
+    layout = CSV._replace(time_column="stamp", time_unit="ms")
+    reference = records.read_reference(tmp_path / "r.csv", layout)
+    np.testing.assert_array_equal(reference.time_s, [0, 1, 2])
+    np.testing.assert_array_equal(reference.attitude_deg[:, 2], [-350, -351, -352])
+    assert "no column 'time_s'" in refused(records.read_reference, tmp_path / "r.csv")
 
 
 @pytest.mark.parametrize(

@@ -240,13 +240,14 @@ def test_the_table_holds_the_statistics(data, tmp_path):
     median = analysis.quantile(np.abs(here))
     apart = math.sqrt(np.mean((here - errors[:, 4]) ** 2))
     for cell in (
-        analysis.format_estimate(median, digits=2),
+        f" {median.value:.2f} ",
         f"{np.abs(here).max():.2f}",
-        f"{math.sqrt(np.mean(here**2)):.2f} [",
+        f" {math.sqrt(np.mean(here**2)):.2f} ",
         f"{here.mean():+.2f}",
         f"{apart:.2f}",
     ):
         assert cell in row
+    assert "[" not in row and "share its sensor biases" in " ".join(text.split())
     assert row.endswith("-")  # no sigma
     kalman = next(line for line in lines if line.startswith("Kalman, 80 s  "))
     assert kalman.split()[-2:] == ["-", "24.0"]

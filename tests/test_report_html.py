@@ -117,7 +117,11 @@ def test_a_page_that_cannot_be_written(tmp_path):
 def test_both_pages_of_a_study_say_the_same(tmp_path):
     study = small_study(study={"name": "swing"}, axes={"phi_u0_deg": [0.0, 30.0]})
     names = [c.name for c in (*columns.IDENTITY, *columns.OBSERVED, *columns.JUDGED)]
-    rows = {name: np.linspace(1.0, 2.0, 6) for name in [*names, "settle_10_s"]}
+    names += ["settle_10_s", "settle_10_truth_s"]
+    rows = {name: np.linspace(1.0, 2.0, 6) for name in names}
+    rows |= dict.fromkeys(
+        ("has_limit", "ok_limit", "ok_truth"), [True, True, True, False] + [True] * 2
+    )
     rows |= {"run_id": np.arange(6), "draw_id": np.repeat(np.arange(3), 2)}
     rows |= {"status": ["ok"] * 6, "phi_u0_deg": [0.0, 30.0] * 3, "reset_times_s": [[]] * 6}
     directory = store(tmp_path / "results", study, pa.table(rows))

@@ -255,6 +255,20 @@ def test_a_study_with_less_in_it_says_less(tmp_path):
     assert names == {"fig5"}
 
 
+def test_the_reading_of_the_initial_errors_is_compared(tmp_path):
+    study = study_of("static")
+    errors = np.random.default_rng(2).normal(size=(study.n_variants * DRAWS, 3))
+    text = told(write(tmp_path, study, errors))
+    means = [
+        analysis.mean(errors[variant_of(study, label) :: study.n_variants, 2]).value
+        for label in ("Scheme 2, V flipped", "Scheme 2, V flipped, Euler angles")
+    ]
+    said = f"V flipped would end at {means[1]:.4f} instead of {means[0]:.4f} deg"
+    assert said in text
+    labels = {case.label for case in paper2.cases_of(Source.read(tmp_path))}
+    assert "Scheme 2, V flipped" in labels and not any("Euler" in one for one in labels)
+
+
 def test_errors_are_minus_phi(tmp_path):
     study = study_of("static")
     source = Source.read(write(tmp_path, study))

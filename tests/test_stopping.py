@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kept import Recorder, manifest, parts
 from scipy import stats
-from studies import small_study
+from studies import STILL, small_study
 
 from sinsjax import campaign, results, stopping
 from sinsjax.batch import spread
@@ -27,6 +27,9 @@ def study_of(
     statistic: str = "success_rate", half_width: float = 0.1, draws: int = 1000, **changes: Any
 ) -> Study:
     study = {"draws": draws, "duration_s": 2.0, "record_interval_s": 0.1, "window_s": [0, 2]}
+    study |= {"judged_from": "limit", "dwell_s": 0.0, "level_band_arcmin": 600.0}
+    study |= changes.pop("study", {})
+    changes["motion"] = STILL
     stop_when = {"statistic": statistic, "half_width": half_width}
     axes = changes.pop("axes", {"phi_u0_deg": [0.0, 1.0]})
     return small_study(study=study, stop_when=stop_when, axes=axes, **changes)
@@ -61,11 +64,13 @@ def student(values: list[float]) -> float:
     st.integers(0, 3),
     st.floats(0.01, 0.99),
     st.randoms(use_true_random=False),
+    st.sampled_from(["limit", "truth"]),
 )
 def test_a_look_is_a_naive_count(
-    settle: list[float | None], variants: int, later: int, wanted: float, random: Any
+    settle: list[float | None], variants: int, later: int, wanted: float, random: Any, judged: str
 ) -> None:
-    """Of all runs of the first draws, in any order, and of no later one."""
+    """Of all runs of the first draws, in any order, and of no later one; as the study judges."""
+    name = {"limit": "settle_10_s", "truth": "settle_10_truth_s"}[judged]
     draws = len(settle) // variants
     runs = list(range(draws * variants)) + [draws * variants + i for i in range(later * variants)]
     settle = settle[: draws * variants] + [1e6] * (later * variants)
@@ -76,7 +81,7 @@ def test_a_look_is_a_naive_count(
             "draw_id": [run // variants for run in runs],
             "variant_id": [run % variants for run in runs],
             "status": ["diverged" if settle[run] is None else "ok" for run in runs],
-            "settle_10_s": pa.array([settle[run] for run in runs], pa.float64()),
+            name: pa.array([settle[run] for run in runs], pa.float64()),
         }
     )
     own = [[settle[d * variants + v] for d in range(draws)] for v in range(variants)]
@@ -87,7 +92,7 @@ def test_a_look_is_a_naive_count(
         ("success_rate", shares, wanted),
         ("settle_10_s_mean", means, 400 * wanted),
     ):
-        study = study_of(statistic, half_width, axes=axes)
+        study = study_of(statistic, half_width, axes=axes, study={"judged_from": judged})
         assert set(stopping.columns(study)) - set(COLUMNS) <= set(table.column_names)
         found = stopping.look(study, table.select(stopping.columns(study)), draws)
         assert found.draws == draws

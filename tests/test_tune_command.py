@@ -314,6 +314,27 @@ MISTAKES: dict[str, tuple[dict[str, Any], list[str], str]] = {
 }
 
 
+@pytest.mark.parametrize("objective", ["settle_mean", "failure_rate"])
+def test_a_tuning_in_which_every_point_fails_says_so(
+    objective: str, tmp_path: Path, sinsjax_: Command
+) -> None:
+    """A gyro bias whose limit lies far outside the band, judged from the truth."""
+    tune = {
+        "objective": objective,
+        "searches": ["grid"],
+        "tune_draws": 2,
+        "evaluation_draws": 2,
+        "variables": {"p0_yaw_deg": {"candidates": [20.0, 80.0]}},
+    }
+    sensors = BASE["sensors"] | {"gyro_bias_deg_per_h": [5.0, 0.0, 0.0]}
+    axes = {"phi_u0_deg": [30.0, 40.0]}
+    config = write(tmp_path / "x.toml", tune=tune, sensors=sensors, axes=axes, resets=None)
+    code, out, _ = sinsjax_("tune", config, "-o", tmp_path / "out")
+    assert code == 0
+    assert "Every point fails" in out and "within 10' of true north" in out
+    assert "`judged_from`" in out or "judged_from" in out
+
+
 @pytest.mark.parametrize("name", MISTAKES)
 def test_a_mistake_is_one_line(name: str, tmp_path: Path, sinsjax_: Command) -> None:
     changes, words, text = MISTAKES[name]

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pytest
-from studies import small_study
+from studies import STILL, small_study
 
 import sinsjax
 from sinsjax import results
@@ -137,6 +138,7 @@ ROWS = pa.table(
 )
 
 
+@pytest.mark.parametrize("judged", ["limit", "truth"])
 @pytest.mark.parametrize(
     ("tune", "values", "score"),
     [
@@ -156,11 +158,20 @@ ROWS = pa.table(
         ),
     ],
 )
-def test_the_objective_of_rows(tune: dict[str, Any], values: list[Any], score: float) -> None:
-    """Two variants, three draws of a study of 6 s; the rows in no order."""
-    study = tuned({"p0_yaw_deg": YAW}, changes={"axes": {"phi_u0_deg": [0.0, 5.0]}}, **tune)
+def test_the_objective_of_rows(
+    tune: dict[str, Any], values: list[Any], score: float, judged: str
+) -> None:
+    """Two variants, three draws of a study of 6 s; the rows in no order, judged as it says."""
+    changes = {"axes": {"phi_u0_deg": [0.0, 5.0]}, "study": {"judged_from": judged}}
+    study = tuned({"p0_yaw_deg": YAW}, changes=changes, **tune)
     assert study.tune is not None
-    table = ROWS.select(objective.columns_of(study.tune))
+    rows = ROWS
+    if judged == "truth":
+        rows = ROWS.rename_columns([n.replace("0_s", "0_truth_s") for n in ROWS.column_names])
+        from_truth = pc.subtract(ROWS["phi_u_arcmin"], ROWS["floor_arcmin"])
+        rows = rows.drop_columns(["phi_u_arcmin", "floor_arcmin"])
+        rows = rows.append_column("phi_u_arcmin", from_truth)
+    table = rows.select(objective.columns_of(study.tune, study))
     found = objective.values(study.tune, study, table)
     np.testing.assert_array_equal(found, values)
     assert objective.score(study.tune, found) == pytest.approx(score)
@@ -222,7 +233,8 @@ def test_a_search_looks_at_every_point_once(tmp_path: Path) -> None:
     study = tuned(
         {"reset_times_s": TIMES},
         changes={
-            "study": {"rate_hz": 20.0, "settle_bands_arcmin": [600]},
+            "study": {"rate_hz": 20.0, "settle_bands_arcmin": [600], "judged_from": "limit"},
+            "motion": STILL,
             "axes": {"phi_u0_deg": [5.0, 30.0]},
         },
         objective="final_error",

@@ -182,14 +182,14 @@ def _differences(
     found = {"success_rate_difference": proportion_difference(*ok) if known else UNKNOWN}
     limited = all(with_limit(some).num_rows == some.num_rows for some in (rows, base))
     for name in columns:
-        told = known and (limited or "_truth" in name)
+        judged = known and (limited or "_truth" in name)
         if name.startswith("ok_"):
             pairs = pair(name)
-            told = told and bool(np.isfinite(pairs).all())
+            recorded = judged and bool(np.isfinite(pairs).all())
             rate = f"{name.replace('ok', 'success')}_rate_difference"
-            found[rate] = proportion_difference(*pairs) if told else UNKNOWN
+            found[rate] = proportion_difference(*pairs) if recorded else UNKNOWN
         else:
-            apart = quantile_difference(*pair(name)) if told else UNKNOWN
+            apart = quantile_difference(*pair(name)) if judged else UNKNOWN
             found[f"{name}_median_difference"] = apart
     cells: dict[str, Any] = {}
     found["phi_u_error_arcmin_difference"] = difference(*errors)

@@ -5,7 +5,6 @@ with the same parts: `timing` has the one timer, `cases` and `limit` what is tim
 """
 
 import json
-import shutil
 import sys
 import tempfile
 from typing import Any
@@ -16,8 +15,9 @@ from rich.table import Table
 
 from sinsjax.bench.assets import asset
 from sinsjax.bench.cases import SHORT
-from sinsjax.bench.limit import limit_kernel
+from sinsjax.bench.limit import compiler, limit_kernel
 from sinsjax.bench.timing import Case, Row, conditions, measure, use_one_core
+from sinsjax.types import InputError
 
 __all__ = ["SHORT", "Case", "Row", "asset", "conditions", "measure", "run", "short_set"]
 
@@ -28,7 +28,7 @@ def run(console: Console, *, as_json: bool, limit: bool, repeats: int) -> None:
     Args:
         console: where to print.
         as_json: one JSON object a line instead of a table.
-        limit: also build and time the limit kernel, where there is a gcc.
+        limit: also build and time the limit kernel, where a gcc works.
         repeats: timings a row.
 
     Raises:
@@ -55,15 +55,17 @@ def short_set(*, limit_folder: str | None) -> list[Case]:
     """The rows of the short set, compiled and ready to time.
 
     Args:
-        limit_folder: where to build the limit kernel; None for a set without it. Where there is
-            no gcc a line on stderr says so, and the set goes without it.
+        limit_folder: where to build the limit kernel; None for a set without it. Where no
+            gcc works a line on stderr says why, and the set goes without it.
     """
     out = []
-    compiler = limit_folder and shutil.which("gcc")
-    if limit_folder and compiler:
-        out.append(limit_kernel(compiler, limit_folder))
-    elif limit_folder:
-        print("warning: no limit kernel: there is no gcc here to build it", file=sys.stderr)
+    if limit_folder:
+        try:
+            gcc = compiler()
+        except InputError as error:
+            print(f"warning: no limit kernel: {error}", file=sys.stderr)
+        else:
+            out.append(limit_kernel(gcc, limit_folder))
     return out + [make() for make in SHORT.values()]
 
 

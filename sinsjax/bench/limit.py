@@ -1,6 +1,8 @@
 """The limit kernel: ``benchmarks/limit_kernel.c``, built for the machine at hand."""
 
+import shutil
 import subprocess
+import tempfile
 import time
 from pathlib import Path
 
@@ -11,11 +13,28 @@ from sinsjax.types import InputError
 _FLAGS = "-O3 -march=native -ffast-math -Wno-psabi -mprefer-vector-width=512".split()
 
 
+def compiler() -> str:
+    """Path of the gcc here, which has just built and run a program with the kernel's options.
+
+    Raises:
+        InputError: there is none, or it cannot build what runs here.
+    """
+    found = shutil.which("gcc")
+    if found is None:
+        raise InputError("there is no gcc here")
+    with tempfile.TemporaryDirectory(prefix="sinsjax-limit-") as folder:
+        source, program = Path(folder) / "empty.c", str(Path(folder) / "empty")
+        source.write_text("int main(void) { return 0; }\n", encoding="utf-8")
+        _told([found, *_FLAGS, str(source), "-o", program, "-lm"], "gcc")
+        _told([program], "what gcc builds")
+    return found
+
+
 def limit_kernel(compiler: str, folder: str, *, steps: int = 20000, vectors: int = 32) -> Case:
     """The hand-written kernel of ``benchmarks/limit_kernel.c``, built for this machine.
 
     Args:
-        compiler: path of gcc.
+        compiler: path of gcc, see `compiler`.
         folder: where the program goes; it has to stay as long as the case is called.
         steps: of each run.
         vectors: of 8 runs.
@@ -42,10 +61,10 @@ def _told(command: list[str], name: str) -> str:
     try:
         ended = subprocess.run(command, capture_output=True, text=True)
     except OSError as error:
-        raise InputError(f"--limit: {name} cannot be started: {error.strerror}") from None
+        raise InputError(f"{name} cannot be started: {error.strerror}") from None
     if ended.returncode:
         complaint = ended.stderr.strip().partition("\n")[0]
         code = ended.returncode
         why = complaint or (f"signal {-code}" if code < 0 else f"exit status {code}")
-        raise InputError(f"--limit: {name} failed: {why}")
+        raise InputError(f"{name} failed: {why}")
     return ended.stdout

@@ -103,6 +103,9 @@ def _in_time_again(time_s: FloatArray, k: int, rate: float) -> int:
     after = time_s[k + 1 : k + 1 + most]
     late = (after - time_s[k]) * rate - np.arange(1, len(after) + 1)
     back = np.flatnonzero(np.abs(late) <= 0.5)
-    if not back.size or np.abs(late[: back[0] + 1]).max() > _LATE_S * rate:
+    if not back.size:
+        return 0
+    late = late[: back[0] + 1]
+    if late.max() > _LATE_S * rate or late.min() < -0.5:  # no clock stamps early
         return 0
     return k + 1 + int(back[0])

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from sinsjax import results
 from sinsjax.report import (
     adaptive,
     auto,
@@ -98,9 +99,10 @@ def summarise(
             made.append(_tell(tuned.report(source), source, console))
         else:
             sources.append(source := Source.read(directory))
-            report = LAYOUTS[source.study.report.layout](source)
-            headline = [*report.headline, *at_the_end(source)]
-            made.append(_tell(report._replace(headline=headline), source, console))
+            told = LAYOUTS[source.study.report.layout](source)
+            headline = [*told.headline, *at_the_end(source)]
+            told = _with_warnings(told._replace(headline=headline), source)
+            made.append(_tell(told, source, console))
     for layout, report in TOGETHER.items():
         if here := [source for source in sources if source.study.report.layout == layout]:
             made.append(_tell(report(here), here[0], console))
@@ -114,6 +116,12 @@ def summarise(
         write_page(page, _title(names), made, _missing(names))
     if html is not None:
         write_html(html, _title(names), made, _missing(names))
+
+
+def _with_warnings(report: Report, source: Source) -> Report:
+    """A report that begins with what was doubtful before the study ran."""
+    lines = results.read_manifest(source.directory).get("warnings", [])
+    return report._replace(headline=[*(f"Warning: {line}" for line in lines), *report.headline])
 
 
 def _tell(report: Report, source: Source, console: Console) -> Made:

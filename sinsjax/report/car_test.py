@@ -159,8 +159,9 @@ def _printed() -> Table:
         "The paper's reference is a PHINS beside the unit, an independent instrument; ours is a"
         " smoother on the very record that is aligned, so that an error which the record itself"
         " holds, such as the east gyro bias, is not seen here and is seen there. The paper calls"
-        f" Scheme 3 as precise as Scheme 1: from its own reference scheme 1 is {off['scheme 1']:.2f}"
-        f" and scheme 3 {off['scheme 3']:.2f} deg off in yaw. It prints nothing on Scheme 2.",
+        " Scheme 3 as precise as Scheme 1: from its own reference scheme 1 is"
+        f" {off['scheme 1']:.2f} and scheme 3 {off['scheme 3']:.2f} deg off in yaw. It prints"
+        " nothing on Scheme 2.",
     )
 
 

@@ -39,8 +39,7 @@ _STARTS = {  # an initial error, and the 1 sigma that the filter believes of it
 }
 _NOISES = {"accel_noise_ug": "q_accel_ug", "gyro_noise_deg_per_h": "q_gyro_deg_per_h"}
 _CHI2 = float(special.chdtri(analysis.NEES_FREEDOM, 1 - analysis.CONFIDENCE))
-_SHARES = ("p_above_error_share", "p_above_floor_error_share")
-_COLUMNS = ("nees", "nis_u", *_SHARES, "draw_id", "start_s")
+_COLUMNS = ("nees", "nis_u", "p_above_error_share", "p_above_floor_error_share")
 
 
 class Checked(NamedTuple):

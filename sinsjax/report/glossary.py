@@ -8,7 +8,8 @@ WORDS = {
     "limit": "the heading error that a run's own constant sensor biases leave once its filter has"
     " converged, about -eps_E / (Omega cos L) + (nabla_E / g) tan L; a base at rest cannot tell"
     " it from a heading error",
-    "truth": "true north, or the reference of a record; what a vehicle needs",
+    "truth": "true north, or the reference of a record; what a vehicle needs. A run that has not"
+    " converged can pass it on its way to its limit",
     "settled": "the heading error stays within a band, about the limit (`settle_X_s`) or about the"
     " truth (`settle_X_truth_s`), up to the end of the run; the time is that of the last record"
     " outside",

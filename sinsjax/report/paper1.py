@@ -214,22 +214,23 @@ def _variance_lines(ensemble: Ensemble, limit: float) -> list[Line]:
 def _table(source: Source, runs: Mapping[str, pa.Table]) -> Table:
     start, end = source.study.study.window_s
     rows = []
+    yards = source.yardsticks
     for label, table in runs.items():
-        ok = analysis.proportion(table["status"].to_pylist().count("ok"), table.num_rows)
+        ok = (analysis.share(table[yard.ok].fill_null(False).to_numpy()) for yard in yards)
         cells = (
-            analysis.quantile(analysis.numbers(table, "settle_10_s")),
+            *(analysis.quantile(analysis.numbers(table, yard.settle)) for yard in yards),
             *(analysis.mean(analysis.numbers(table, f"phi_{a}_mean_arcmin")) for a in "enu"),
             analysis.mean(analysis.numbers(table, "sigma_u_arcmin")),
         )
-        digits = (0, 2, 2, 1, 1)
+        digits = (*(0 for _ in yards), 2, 2, 1, 1)
         printed = (format_estimate(c, digits=d) for c, d in zip(cells, digits, strict=True))
-        rows.append([label, percent(ok), *printed])
+        rows.append([label, *map(percent, ok), *printed])
     return Table(
         f"Over {source.study.n_draws} draws",
         [
             "",
-            "ok (%)",
-            "settled to 10', median (s)",
+            *(f"{yard.words} (%)" for yard in yards),
+            *(f"time to {yard.words}, median (s)" for yard in yards),
             "phi_e (arcmin)",
             "phi_n (arcmin)",
             "phi_u (arcmin)",

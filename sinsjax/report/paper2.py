@@ -122,8 +122,12 @@ def report(source: Source) -> Report:
     )
 
 
-def cases_of(source: Source) -> list[Case]:
-    """The variants of a study, in its order.
+def cases_of(source: Source, misalignment: str = "vector") -> list[Case]:
+    """The variants of a study that read the initial errors in one way, in its order.
+
+    Args:
+        source: of the results.
+        misalignment: ``vector``, as all tables and figures do, or ``euler``.
 
     Raises:
         InputError: no study of compass loops with labelled cases and one gyro drift each.
@@ -143,6 +147,8 @@ def cases_of(source: Source) -> list[Case]:
     cases = []
     for key, rows in analysis.groups(source.summary, ["variant_id"]):
         one = one_variant(study, key["variant_id"])
+        if only(one, "misalignment") != misalignment:
+            continue
         tape = only(one, "tape_s")
         cases.append(
             Case(

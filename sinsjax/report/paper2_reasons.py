@@ -43,6 +43,7 @@ def report(sources: Sequence[Source]) -> Report:
         "The printed K3 of the levelling loop": divergence(stated, curves),
         "What a short tape holds": _spread(stated),
         "Static and swing base": _bases(sources),
+        "How the initial errors are read": _angles(source, stated),
     }
     found = {heading: one for heading, one in told.items() if one}
     sections = [Section(heading, one.blocks) for heading, one in found.items()]
@@ -266,6 +267,38 @@ def _converges(case: Case) -> bool:
     widest = max(case.study.study.settle_bands_arcmin)
     end = np.array([case.study.study.duration_s])
     return case.is_stable and bool(abs(heading_from_limit(case.study, end)[0]) * 60 < widest)
+
+
+def _angles(source: Source, cases: Sequence[Case]) -> Told | None:
+    """What reading the initial errors as Euler angles changes."""
+    plain = {case.label: case for case in cases}
+    rows = []
+    for case in cases_of(source, "euler"):
+        own = plain.get(case.label.removesuffix(", Euler angles"))
+        if own is None or own.drift != case.drift:
+            continue
+        apart = analysis.difference(case.mean_errors("heading"), own.mean_errors("heading"))
+        means = (analysis.mean(c.mean_errors("heading")) for c in (own, case))
+        rows.append([own.label, *map(_deg, means), _deg(apart)])
+    if not rows:
+        return None
+    label, vector, euler, _ = (cell.partition(" [")[0] for cell in rows[0])
+    start, end = source.study.study.window_s
+    return Told(
+        "The initial errors are read as a rotation vector, one rotation about one axis; as Euler"
+        f" angles, three rotations in turn, as paper 1's are read, {label} would end at {euler}"
+        f" instead of {vector} deg.",
+        [
+            Table(
+                f"Mean heading error from {start:g} to {end:g} s by the reading of the initial"
+                f" errors, gyro drift {drift_text(cases[0].drift)}",
+                ["", "rotation vector (deg)", "Euler angles (deg)", "difference (deg)"],
+                rows,
+                f"Number [95 % interval] over {source.study.n_draws} draws on the same noise. The"
+                " paper does not say which it means.",
+            )
+        ],
+    )
 
 
 def _bases(sources: Sequence[Source]) -> Told | None:

@@ -28,7 +28,7 @@ CONCLUSIONS = ("S8", "S10", "S11", "S12")
 """What the paper's abstract concludes: failure, its reason, the cure, its accuracy."""
 
 TOGETHER = ("S5", "S8", "S10")
-"""What the paper needs at once to explain failure: condition 4 converges, 5 does not, P is small."""
+"""What the paper explains failure by: condition 4 converges, 5 does not, and P is too small."""
 
 _MARKS = {(True, False): "+", (True, True): "+~", (False, False): "-", (False, True): "-~"}
 

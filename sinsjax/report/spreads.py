@@ -25,7 +25,7 @@ def spreads(source: Source) -> Iterator[Picture | Text]:
     """
     keys, note = _lines(source)
     judged = [yard.settle for yard in source.yardsticks]
-    needed = (*keys, *judged, *_ERROR, "nees", *_SHARES.values(), "draw_id", "start_s")
+    needed = (*keys, *judged, *_ERROR)
     shown = {name_of(key): rows for key, rows in analysis.groups(source.rows(needed), keys)}
     errors = {name: _from_limit(rows) for name, rows in shown.items()}
     settling = [
@@ -46,7 +46,9 @@ def spreads(source: Source) -> Iterator[Picture | Text]:
             "Settling time and remaining heading error over the runs",
         ),
     )
-    beliefs = [belief(name, rows) for name, rows in shown.items()]
+    needed = (*keys, "nees", *_SHARES.values(), "draw_id", "start_s")
+    groups = analysis.groups(source.rows(needed), keys)
+    beliefs = [belief(name_of(key), rows) for key, rows in groups]
     if any(np.isfinite(one.nees).any() for one in beliefs):
         yield consistency(beliefs, note)
         yield from _biases_unknown(source)
@@ -67,14 +69,19 @@ def _biases_unknown(source: Source) -> Iterator[Text]:
     east, north = (
         analysis.quantile(analysis.numbers(rows, f"sigma_{a}_arcmin")).value for a in "en"
     )
-    yield Text(
+    text = (
         f"A NEES of {analysis.NEES_FREEDOM} is not to be expected here: it counts the whole error,"
         f" and the sensors have constant biases (gyros up to {gyro:g} deg/h, accelerometers up to"
         f" {accel:g} ug) for which this filter has no states, so that what they leave of the error"
-        f" is never in P. The accelerometers' alone is a tilt of up to"
-        f" {accel * MICRO / ARCMIN:.2f} arcmin, where the filter believes in 1 sigma of"
-        f" {east:.2f} arcmin about east and {north:.2f} about north (medians over the runs)."
+        " is never in P."
     )
+    if accel:
+        text += (
+            f" The accelerometers' alone is a tilt of up to {accel * MICRO / ARCMIN:.2f} arcmin,"
+            f" where the filter believes in 1 sigma of {east:.2f} arcmin about east and"
+            f" {north:.2f} about north (medians over the runs)."
+        )
+    yield Text(text)
 
 
 def _lines(source: Source) -> tuple[Sequence[str], str]:

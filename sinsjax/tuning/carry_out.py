@@ -12,7 +12,7 @@ from pathlib import Path
 
 from sinsjax import directories
 from sinsjax.campaign import Progress, Tell
-from sinsjax.config import fingerprint, load_study, study_to_toml, with_point
+from sinsjax.config import fingerprint, load_study, study_to_toml, with_point, with_rate
 from sinsjax.files import replacing, unwritable
 from sinsjax.ranges import Tune
 from sinsjax.studies import Study, Table
@@ -65,6 +65,8 @@ def tune(
     """
     directory = Path(directory)
     settings = require_tune(study)
+    if tape is not None and study.is_recorded:
+        study = with_rate(study, tape.record.rate_hz)
     if tape is not None and tape.reference is None:
         text = "a record is tuned by a reference (give it with --reference)"
         raise InputError(f"{study.study.name}: [tune]: {text}")

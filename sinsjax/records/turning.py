@@ -1,0 +1,53 @@
+"""Attitudes from the gyros of a record: quaternions as arrays (..., 4), scalar first."""
+
+import math
+
+import numpy as np
+
+from sinsjax.records.layout import FloatArray
+
+
+def attitudes(dtheta: FloatArray) -> FloatArray:
+    """Quaternions (n + 1, 4) from the body axes at each time to those at the beginning.
+
+    Args:
+        dtheta: (n, 3) rotation increments, rad; coning of two samples is compensated.
+    """
+    n = len(dtheta)
+    before = np.concatenate([dtheta[:1], dtheta[:-1]])
+    vector = dtheta + np.cross(before, dtheta) / 12
+    angle = np.linalg.norm(vector, axis=1, keepdims=True)
+    # sin(a/2)/a by NumPy's sin(pi x)/(pi x), which knows zero.
+    steps = np.hstack([np.cos(angle / 2), vector * np.sinc(angle / 2 / np.pi) / 2])
+    # Products of blocks side by side, then of the blocks: two short loops in place of a long one.
+    size = math.isqrt(n) + 1
+    padded = np.tile([1.0, 0.0, 0.0, 0.0], (size * size, 1))
+    padded[:n] = steps
+    blocks = padded.reshape(size, size, 4)
+    for k in range(1, size):
+        blocks[:, k] = multiply(blocks[:, k - 1], blocks[:, k])
+    begins = np.tile([1.0, 0.0, 0.0, 0.0], (size, 1))
+    for k in range(1, size):
+        begins[k] = multiply(begins[k - 1], blocks[k - 1, -1])
+    q = multiply(begins[:, None], blocks).reshape(-1, 4)[:n]
+    return np.concatenate([[[1.0, 0.0, 0.0, 0.0]], q])
+
+
+def multiply(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Products of quaternions (..., 4)."""
+    (aw, ax, ay, az), (bw, bx, by, bz) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=-1,
+    )
+
+
+def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
+    """Vectors (n, 3) turned by quaternions (n, 4)."""
+    across = 2 * np.cross(q[:, 1:], v)
+    return v + q[:, :1] * across + np.cross(q[:, 1:], across)
