@@ -15,6 +15,10 @@ where ``C_hat`` is the corrected attitude: what a user would be given.
 **Units.** SI, radians and seconds inside. Outside (TOML keys, columns, axis labels) the unit is in
 the name: ``_deg``, ``_arcmin``, ``_deg_per_h``, ``_ug``, ``_s``, ``_m_per_s``.
 
+**Limit and truth.** A heading is judged from the truth, true north or a record's reference, or from
+the limit, what the run's own constant sensor biases leave of it; every success and settling time
+says which.
+
 **Letters.** ``eps`` gyro bias, ``nabla`` accelerometer bias, ``Phi`` transition, ``Q`` process
 noise, ``R`` measurement noise, ``P`` covariance, ``K`` gain, as in the papers.
 

@@ -142,7 +142,7 @@ def test_the_table_holds_the_statistics(tmp_path):
         analysis.format_estimate(mean),
     ):
         assert cell in text
-    assert f"{list(ok).count('ok')} of them" in text
+    assert f"Of these {list(ok).count('ok')} within" in text
 
 
 def test_lines_are_whole_where_the_console_is_no_terminal(tmp_path):
@@ -180,7 +180,7 @@ def test_the_best_schedule_settles_most_runs_and_first(tmp_path):
     status = list(np.where(np.isnan(settle), "diverged", "ok"))
     summary = summary_of(study, settle_10_s=settle, status=status)
     text = told(store(tmp_path, study, summary))
-    row = text.partition("Where most headings end")[2].splitlines()[4].split()
+    row = text.partition("Where most runs are ok")[2].splitlines()[4].split()
     assert row[:3] == ["1", "1", "100"]
     assert row[5] == "3"  # three draws do not bound their median
 
@@ -514,7 +514,7 @@ def test_both_yardsticks_stand_in_words_in_table_figure_and_page(tmp_path):
     html = tmp_path / "page.html"
     text = told(store(tmp_path / "out", study, summary), html=html)
     truth, limit = "within 10' of true north", "within 10' of what its gyro bias allows"
-    assert f"The heading ends {truth} in 8 and {limit} in 16 of them." in text
+    assert f"Of these 8 {truth} and 16 {limit} are ok." in text
     assert "Within 10' of true north at the end: 50 [" in text
     figures = {block.name: block.figure for block in over_axes.over_axes(source)}
     pictures = [block for block in spreads.spreads(source) if isinstance(block, base.Picture)]
@@ -523,9 +523,11 @@ def test_both_yardsticks_stand_in_words_in_table_figure_and_page(tmp_path):
     labels = [axes.get_xlabel() for axes in figures["distribution"].axes]
     page = unescape(html.read_text())
     for words in (truth, limit):
-        assert f"{words} (%)" in text and f"time to {words}, median (s)" in text
-        assert f"share of runs {words}" in titles and any(words in label for label in labels)
-        assert f"{words} (%)" in page
+        assert f"ok: {words} (%)" in text and f"time to {words}, median (s)" in text
+        assert f"share of runs that are ok, {words}" in titles and any(
+            words in label for label in labels
+        )
+        assert f"ok: {words} (%)" in page
 
 
 def test_words_are_explained_once_under_every_report(tmp_path):

@@ -102,8 +102,8 @@ def _shown(source: Source) -> list[_Shown]:
     missing = [y for y in yardsticks(source.study) if y not in source.yardsticks]
     lost = "not recorded" if source.schema == "1" else "no limit"
     return [
-        *(_Shown(f"{y.words} (%)", y.rate, percent) for y in source.yardsticks),
-        *(_Shown(f"{y.words} (%)", y.rate, lambda _: lost) for y in missing),
+        *(_Shown(f"ok: {y.words} (%)", y.rate, percent) for y in source.yardsticks),
+        *(_Shown(f"ok: {y.words} (%)", y.rate, lambda _: lost) for y in missing),
         *(
             _Shown(f"time to {y.words}, median (s)", f"{y.settle}_median", seconds)
             for y in source.yardsticks
@@ -136,7 +136,7 @@ def against_first(source: Source) -> Table:
         rows.append([*(value_text(row[key]) for key in keys), *cells])
     shared = "from the same start times" if source.study.is_recorded else "on the same noise"
     header = [
-        *(f"{yard.words} (% points)" for yard in yards),
+        *(f"ok: {yard.words} (% points)" for yard in yards),
         *(f"time to {yard.words}, median (s)" for yard in yards),
         "phi_u error (arcmin)",
     ]
@@ -163,9 +163,9 @@ def _headline(source: Source, has_truth: bool) -> str:
         return f"{text} Without truth or reference, attitude and its 1 sigma is what is known."
     flags = source.rows([yard.ok for yard in source.yardsticks])
     counted = (
-        f"{yard.words} in {flags[yard.ok].to_pylist().count(True):,}" for yard in source.yardsticks
+        f"{flags[yard.ok].to_pylist().count(True):,} {yard.words}" for yard in source.yardsticks
     )
-    return f"{text} The heading ends {' and '.join(counted)} of them."
+    return f"{text} Of these {' and '.join(counted)} are ok."
 
 
 def _stopped(source: Source) -> Iterator[str]:

@@ -123,11 +123,11 @@ def _heat_maps(
     )
     yield Picture(
         f"success_rate{end}",
-        f"Share of the {source.draws} draws whose heading ends {yard.words}.{rest}",
+        f"Share of the {source.draws} draws that are ok, {yard.words}.{rest}",
         plots.heat_maps(
             [(m.name, 100 * m.ok.mean(axis=0)) for m in drawn],
-            f"How many headings end {yard.words}?",
-            plots.Shown("runs (%)", 0.0, 100.0),
+            f"How many runs are ok, {yard.words}?",
+            plots.Shown("runs that are ok (%)", 0.0, 100.0),
             rows=rows,
             columns=columns,
             across=across,
@@ -159,11 +159,11 @@ def _best(yard: Yardstick, axes: Axes, maps: Sequence[_Map]) -> Table:
     header = [
         *others,
         *(f"best {key}" for key in axes),
-        f"{yard.words} (%)",
+        f"ok: {yard.words} (%)",
         "from when on, median (s)",
     ]
     return Table(
-        f"Where most headings end {yard.words}, and are so first, over {' and '.join(axes)}",
+        f"Where most runs are ok, {yard.words}, and settle first, over {' and '.join(axes)}",
         [*header, f"at {first} (%)"],
         rows,
         "Equals: the first in the study's order.",
@@ -194,14 +194,17 @@ def _along_axis(
             )
             for group in by_value
         ]
-    panels = {f"share of runs {yard.words}": s for yard, s in zip(yards, settling, strict=True)}
+    panels = {
+        f"share of runs that are ok, {yard.words}": s
+        for yard, s in zip(yards, settling, strict=True)
+    }
     panels |= {f"median time (s) to {yard.words}": t for yard, t in zip(yards, time, strict=True)}
     panels |= {"phi_u from its limit (arcmin)": error}
     left = len(groups) - len(error)
     rest = f" {left} more lines are not drawn." if left else ""
     return Picture(
         "along_axis",
-        "How many headings end within the band, when they have entered it for good, and how far the"
+        "How many runs are ok, when their heading has entered the band for good, and how far the"
         f" mean heading error at the end lies from its limit. {intervals(source, what='Estimate')}"
         f"{rest}",
         plots.along_axis(axis, values, panels, title=f"What {axis} decides"),

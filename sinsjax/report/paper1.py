@@ -229,7 +229,7 @@ def _table(source: Source, runs: Mapping[str, pa.Table]) -> Table:
         f"Over {source.study.n_draws} draws",
         [
             "",
-            *(f"{yard.words} (%)" for yard in yards),
+            *(f"ok: {yard.words} (%)" for yard in yards),
             *(f"time to {yard.words}, median (s)" for yard in yards),
             "phi_e (arcmin)",
             "phi_n (arcmin)",
