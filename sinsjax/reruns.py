@@ -132,10 +132,11 @@ def _figure(made: Rerun, study: Study) -> Any:
     shown = plots.ensembles(made.curve, {f"run {run_id}": [run_id]})
     if made.curve["phi_u_arcmin"].null_count == made.curve.num_rows:
         return plots.attitude(shown, title)
+    limit = made.row["floor_arcmin"][0].as_py()
     return plots.misalignment(
         shown,
         title,
-        limits={"u": made.row["floor_arcmin"][0].as_py()},
+        limits=None if limit is None else {"u": limit},
         resets_s=made.row["reset_times_s"][0].as_py(),
         zoom_s=study.study.window_s,
         with_sigma=made.curve["sigma_u_arcmin"].null_count < made.curve.num_rows,

@@ -674,7 +674,7 @@ def test_the_manifest_tells_what_made_the_results(whole: Path, out: Path) -> Non
     told = manifest(whole)
     assert told["fingerprint"] == store.fingerprint(STUDY)
     assert told["identity"] == Job(STUDY).identity
-    assert (told["seed"], told["schema"], told["draws"]) == (1, "1", 48)
+    assert (told["seed"], told["schema"], told["draws"]) == (1, "2", 48)
     assert (
         study_from_dict({k: v for k, v in told["study"].items() if v and k != "zips"}).axes
         == STUDY.axes

@@ -227,7 +227,7 @@ def _curves(source: Source, has_truth: bool) -> Iterator[Block]:
     figure = plots.misalignment(
         shown,
         "Misalignment left after correction",
-        limits={"u": float(floors[0])} if floors.size == 1 else None,
+        limits={"u": float(floors[0])} if floors.size == 1 and np.isfinite(floors[0]) else None,
         resets_s=sorted(moments) if len(moments) <= _MOST_MOMENTS else (),
         zoom_s=source.study.study.window_s,
         with_sigma=has_sigma,
