@@ -20,11 +20,14 @@ import pytest
 import tomli_w
 from studies import BASE, small_study
 
-from sinsjax import campaign, cluster, compile_cache, results, work, worker
+from sinsjax import campaign, cluster, compile_cache, results, runtime, work, worker
 from sinsjax.config import Study, study_from_dict
 from sinsjax.types import InputError
 
 pytestmark = pytest.mark.slow
+needs_two_cores = pytest.mark.skipif(
+    runtime.usable_cores() < 2, reason="two workers need two cores, one each"
+)
 
 CHUNK = 128
 STUDY: dict[str, Any] = BASE | {
@@ -79,6 +82,7 @@ def worker_processes(parent: int | None = None) -> list[psutil.Process]:
     ]
 
 
+@needs_two_cores
 class TestTwoWorkers:
     """Of one cluster, which ends with these tests: others count their processes."""
 
@@ -136,6 +140,7 @@ class TestTwoWorkers:
         assert sorted(done) == taken == tasks[:9]
 
 
+@needs_two_cores
 def test_a_worker_that_is_killed_costs_no_row(study: Study, here: Parts, tmp_path: Path) -> None:
     killed: list[psutil.Process] = []
 
@@ -369,6 +374,7 @@ def sweep(tmp_path: Path) -> Iterator[Sweep]:
         process.communicate()
 
 
+@needs_two_cores
 def test_ctrl_c_lets_the_workers_finish_and_resume_goes_on(
     sweep: Sweep, here: Parts, tmp_path: Path
 ) -> None:
@@ -395,6 +401,7 @@ def test_ctrl_c_lets_the_workers_finish_and_resume_goes_on(
     assert parts(out) == here
 
 
+@needs_two_cores
 def test_workers_die_with_the_process_that_asked(
     sweep: Sweep, here: Parts, study: Study, tmp_path: Path
 ) -> None:

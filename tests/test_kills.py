@@ -249,7 +249,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     try:
         mount("-t", "tmpfs", "-o", "size=500k", "sinsjax-test", str(disk))
     except (OSError, subprocess.CalledProcessError) as error:
-        pytest.skip(f"no disk can be mounted here: {getattr(error, 'stderr', error)}")
+        pytest.skip(f"no disk can be mounted here: {getattr(error, 'stderr', '') or error}")
     try:
         yield disk
     finally:
