@@ -68,7 +68,12 @@ STUDIES = {
         objective_band_arcmin=300.0,
     ),
     "counted": tuned(
-        {"reset_first_s": linear(8.0, 12.0), "reset_cycle_s": linear(10.0, 20.0)},
+        {
+            "reset_first_s": linear(8.0, 12.0),
+            "reset_cycle_s": linear(10.0, 20.0),
+            "q_accel_ug_per_sqrt_hz": log(50.0, 5000.0),
+            "q_gyro_deg_per_h_per_sqrt_hz": log(0.1, 10.0),
+        },
         {
             "study": SHORT,
             "filter": {"q_reading": "psd"},
@@ -79,6 +84,11 @@ STUDIES = {
                 "reset_kind": "yaw",
             },
         },
+        objective="final_error",
+    ),
+    "random walk": tuned(
+        {"q_gyro_arw_deg_per_sqrt_h": log(0.002, 0.2)},
+        {"study": SHORT, "filter": {"q_reading": "psd"}},
         objective="final_error",
     ),
     "compass": tuned(

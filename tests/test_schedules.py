@@ -79,7 +79,11 @@ def test_windows_that_overlap_are_taken_one_after_the_other(time, apart, width):
 mixed = jax.jit(mix)
 
 
-@given(st.floats(0, 1), st.floats(-1e3, 1e3), st.floats(-1e3, 1e3))
+# XLA on a CPU takes subnormal numbers for zero, so that an end that is one does not come back.
+normal = st.floats(-1e3, 1e3, allow_subnormal=False)
+
+
+@given(st.floats(0, 1), normal, normal)
 def test_mix_is_between_its_ends(share, one, other):
     expected = share * one + (1 - share) * other
     assert float(mixed(share, one, other)) == pytest.approx(expected, rel=1e-12, abs=1e-10)
