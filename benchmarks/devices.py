@@ -70,6 +70,7 @@ def sweep_study(duration_s: float, draws: int) -> Study:
     times = ("duration_s", "consistency_after_s", "steady_after_s")
     data["study"] |= {key: data["study"][key] * scale for key in times}
     data["study"] |= {"window_s": [t * scale for t in data["study"]["window_s"]], "draws": draws}
+    data["study"]["judged_from"] = "truth"  # a short run has no limit
     cycles = [round(t * scale, 2) for t in data["axes"]["reset_cycle_s"]]
     data["axes"] |= {"reset_count": RESET_COUNTS, "reset_cycle_s": cycles}
     return study_from_dict(data)

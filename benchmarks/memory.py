@@ -33,7 +33,7 @@ def peak():
     # Not getrusage: its peak counts the process that started this one.
     return int(re.search(r"VmHWM:\s*(\d+) kB", open("/proc/self/status").read())[1]) * 1024
 data = tomllib.load(open(sys.argv[1], "rb"))
-data["study"] |= json.loads(sys.argv[2])
+data["study"] |= json.loads(sys.argv[2]) | {"judged_from": "truth"}
 data["axes"] = {"phi_u0_deg": [n / 5 for n in range(int(sys.argv[4]))]}
 before = peak()
 sinsjax.run_into(study_from_dict(data), sys.argv[3])

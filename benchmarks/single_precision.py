@@ -83,7 +83,13 @@ def build(model: ErrorModel, options: Options) -> Method:
         return lambda state: f(state._replace(belief=double(state.belief)))
 
     return Method(
-        init, step, turn, widened(whole.attitude), widened(whole.covariance), whole.normalise
+        init,
+        step,
+        turn,
+        widened(whole.attitude),
+        widened(whole.covariance),
+        whole.normalise,
+        whole.limit,
     )
 
 

@@ -76,7 +76,11 @@ STUDIES = {
         },
         {
             "study": SHORT,
-            "filter": {"q_reading": "psd"},
+            "filter": {
+                "q_reading": "psd",
+                "q_accel_ug_per_sqrt_hz": 500.0,
+                "q_gyro_deg_per_h_per_sqrt_hz": 0.1,
+            },
             "resets": {
                 "reset_count": 2,
                 "reset_first_s": 8.0,
@@ -88,7 +92,7 @@ STUDIES = {
     ),
     "random walk": tuned(
         {"q_gyro_arw_deg_per_sqrt_h": log(0.002, 0.2)},
-        {"study": SHORT, "filter": {"q_reading": "psd"}},
+        {"study": SHORT, "filter": {"q_reading": "psd", "q_gyro_arw_deg_per_sqrt_h": 0.0017}},
         objective="final_error",
     ),
     "compass": tuned(

@@ -58,9 +58,9 @@ def test_r_scales_them(tape: Tape) -> None:
 @pytest.mark.parametrize(
     ("mean", "says", "not_says"),
     [
-        ([0.001, 0.002], "Below that: 2; R is larger than the noise", "contradict what"),
-        ([2.9, 2.0], "Above that: 1; their data contradict", "Below"),
-        ([2.0, 2.01], "between 2 and 2.01 over the runs with a filter (2)", " that: "),
+        ([0.001, 0.002], "2 lie below: R is larger than the noise", "contradict what"),
+        ([2.9, 2.0], "1 lie above: their data contradict", "below"),
+        ([2.0, 2.01], "2 to 2.01 in 2 runs", " lie "),
     ],
 )
 def test_only_values_above_the_band_contradict(

@@ -194,7 +194,7 @@ def test_the_best_point_of_each_turn_and_tape():
     assert row[2:] == [
         "0.03",
         "constant",
-        "1.00 [1.00, 1.00]",
+        "1.00",  # of one size all, which tells nothing of others
         "0.95",
         f"{1 / bound:.2f}",
         f"75 [{100 * share.low:.0f}, {100 * share.high:.0f}]",

@@ -25,6 +25,13 @@ OF_TRIGGERS: dict[str, float] = {
     "trigger_until_s": 600.0,
 }
 NEW: dict[str, dict[str, Any]] = {
+    "study": {
+        "judged_from": "limit",
+        "success_band_arcmin": 5.0,
+        "level_band_arcmin": 5.0,
+        "dwell_s": 1.0,
+        "diverged_deg": 5.0,
+    },
     "filter": {"q_scale": 2.0, "r_scale": 3.0},
     "resets": {
         "reset_velocity_m_per_s": 0.2,
@@ -36,7 +43,7 @@ NEW: dict[str, dict[str, Any]] = {
         **OF_TRIGGERS,
     },
 }
-"""Every key that came with triggers, and a value."""
+"""Every key that came later than the sections, and a value."""
 
 
 def built(**tables: Any) -> Study:

@@ -48,18 +48,18 @@ def innovations(source: Source) -> str:
     low, high = (2 * special.chdtri(freedom, p) / freedom for p in (1 - tail, tail))
     above, below = int((mean > high).sum()), int((mean < low).sum())
     text = (
-        f"Innovations: the mean of r' S^-1 r lies between {mean.min():.3g} and {mean.max():.3g}"
-        f" over the runs with a filter ({mean.size:,}), where 2 is expected of a true belief"
+        f"Innovations: the mean of r' S^-1 r is {mean.min():.3g} to {mean.max():.3g} in"
+        f" {mean.size:,} runs with a filter, where 2 is expected of a true belief"
         f" ({low.min():.3g} to {high.max():.3g} in 95 % of them, were they white)."
     )
     if above:
         text += (
-            f" Above that: {above:,}; their data contradict what the filter believes of noise and"
+            f" {above:,} lie above: their data contradict what the filter believes of noise and"
             " model, and its 1 sigma is not to be trusted."
         )
     if below:
         text += (
-            f" Below that: {below:,}; R is larger than the noise of this data. That contradicts"
+            f" {below:,} lie below: R is larger than the noise of this data. That contradicts"
             " nothing, and innovations so small cannot show a wrong heading."
         )
     return text
