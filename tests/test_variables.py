@@ -198,7 +198,8 @@ OTHERS: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "unknown band": (
         {},
         {"variables": {"p0_yaw_deg": YAW}, "objective_band_arcmin": 5.0},
-        "[tune] objective_band_arcmin: 5 is none of 60, 10, 3 (settle_bands_arcmin, and that of success)",
+        "[tune] objective_band_arcmin: 5 is none of 60, 10, 3 (settle_bands_arcmin, and that of"
+        " success)",
     ),
     "grid of three": (
         {},
