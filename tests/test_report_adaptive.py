@@ -724,6 +724,7 @@ def test_the_page_is_written_by_the_command(tmp_path):
         "## Does one trigger do what the best single reset does?",
         "## How do the triggers work, and what do they see?",
         "## What did it cost?",
+        "## What the words mean",
     ]
     for name in ("ratios", "settling"):
         assert (tmp_path / "figures" / f"adaptive_resets_{name}.png").exists()

@@ -234,6 +234,7 @@ def test_a_page_and_its_figures(tmp_path):
     assert headings == [
         "## Which schedule settles first",
         "## The best schedule beside the paper's schemes",
+        "## What the words mean",
     ]
     names = {path.name for path in (page.parent / "figures").iterdir()}
     assert names == {f"compass_80s_{n}_settling.png" for n in ("search", "best")}
