@@ -22,7 +22,7 @@ from sinsjax.batch import Chunk
 from sinsjax.columns import Column
 from sinsjax.metrics import Observation
 from sinsjax.studies import Study, meaning
-from sinsjax.study_limits import has_limit
+from sinsjax.study_limits import has_limit, scheduled_last_s
 from sinsjax.success import bands
 from sinsjax.types import InputError
 from sinsjax.units import ARCMIN, DEG
@@ -47,7 +47,7 @@ class Tables:
         self._spans = study.spans
         self._end_s, self._tape_s = spans_s(study).T
         times = study.reset_times()
-        self._last_reset_s = np.array([max(t, default=0.0) for t in times])
+        self._last_reset_s = scheduled_last_s(study)
         swept = study.variant_values()
         fixed = {
             "method": study.values("method"),

@@ -91,6 +91,11 @@ def has_limit(
     return np.where(learns, apart, ~(biased & slow.any(0)))
 
 
+def scheduled_last_s(study: Study) -> np.ndarray:
+    """(variants,) time of the last reset of every schedule, s; 0 for none."""
+    return np.array([max(times, default=0.0) for times in study.reset_times()])
+
+
 def require_limit(study: Study) -> None:
     """Refuses a study that is judged from a limit where some run has none.
 
@@ -103,8 +108,8 @@ def require_limit(study: Study) -> None:
         return
     draws = np.arange(min(study.n_draws, 1 + _LOOKED_AT // study.n_variants))
     variants = np.tile(np.arange(study.n_variants), len(draws))
-    last_s = np.array([max(times, default=0.0) for times in study.reset_times()])
-    found = has_limit(study, np.repeat(draws, study.n_variants), variants, last_s[variants])
+    last_s = scheduled_last_s(study)[variants]
+    found = has_limit(study, np.repeat(draws, study.n_variants), variants, last_s)
     if found.all():
         return
     variant = int(variants[~found][0])
