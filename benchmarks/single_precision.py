@@ -112,7 +112,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
 
 def compared(quick: bool, repeats: int) -> list[Row]:
     """`rows`, while the method of this file has a name."""
-    group = shortened(default_group(), 20) if quick else default_group()
+    group = shortened(default_group(), 2) if quick else default_group()
     silent = without_noise(shortened(group, min(group.static.records, 300)))
     made = measure_against(
         engine("double_precision", silent), [engine("single_precision", in_single(silent))], repeats

