@@ -38,12 +38,10 @@ def keep_to_one_core() -> int | None:
         return None
     import filelock  # here, for it takes longer to import than all of this module
 
-    # Not to be found, not ours, or on a disk without locks: a process that moves is no error.
+    # Not to be made, not ours alone, or on a disk without locks: a process that moves is no error.
     with suppress(OSError):
-        folder = machine.temporary_folder()
-        folder.mkdir(mode=0o700, exist_ok=True)
-        if not machine.is_private(folder):  # or others could have us write anywhere
-            return None
+        # Where others can write, they could have us write anywhere.
+        folder = machine.private_folder(machine.temporary_folder())
         for core in sorted(os.sched_getaffinity(0)):
             lock = filelock.FileLock(folder / f"core-{platform.node()}-{core}.lock", timeout=0)
             with suppress(filelock.Timeout):

@@ -1,9 +1,9 @@
 """Compiled programs kept from one process to the next, for those who ask for it.
 
-Off unless the environment variable ``SINSJAX_COMPILE_CACHE`` is set: to 1 for a folder of this
-user and machine below the system's temporary one, or to a folder. A program compiled for one CPU
-may be refused or die on another, so below that folder there is one for each jaxlib version and
-processor; and whoever can write there can run code here, so it must belong to this user alone.
+Off unless the environment variable ``SINSJAX_COMPILE_CACHE`` is set: to 1 for a folder in this
+user's cache folder, or to a folder. A program compiled for one CPU may be refused or die on
+another, so below that folder there is one for each jaxlib version and processor; and whoever can
+write there can run code here, so it must be this user's alone, see `machine.private_folder`.
 """
 
 import hashlib
@@ -26,21 +26,22 @@ def enable() -> Path | None:
         The folder in use, or None.
 
     Raises:
-        InputError: the folder cannot be made, or others can write to it.
+        InputError: the folder cannot be made, or others can write there or replace it.
     """
     asked = os.environ.get(VARIABLE, "").strip()
     if asked in ("", "0"):
         return None
     import jax
 
-    folder = (machine.temporary_folder() if asked == "1" else Path(asked).expanduser()) / _key()
     try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        private = machine.is_private(folder)
+        root = machine.cache_folder() / "compiled" if asked == "1" else Path(asked).expanduser()
+        folder = machine.private_folder(root / _key())
+    except RuntimeError:  # of expanduser
+        raise InputError(f"{VARIABLE}: {asked}: there is no such user, or without a home") from None
     except OSError as error:
-        raise InputError(f"{VARIABLE}: {folder}: {error.strerror}") from None
-    if not private:
-        raise InputError(f"{VARIABLE}: {folder}: others can write there, and what it holds is run")
+        run = ", and what the cache holds is run" if isinstance(error, machine.Unsafe) else ""
+        where = error.filename or asked
+        raise InputError(f"{VARIABLE}: {where}: {error.strerror}{run}") from None
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", _WORTH_KEEPING_S)
     return folder

@@ -1,9 +1,24 @@
-"""What the operating system tells about this machine, and the folder that this user has on it."""
+"""What the operating system tells about this machine, and the folders that this user has on it.
 
+It imports nothing that starts a thread: `affinity` needs it before jax is there.
+"""
+
+import errno
 import os
 import stat
 import tempfile
+from contextlib import suppress
 from pathlib import Path
+
+_ACL = "system.posix_acl_access"
+_BY_OTHERS = "others can write there"
+
+
+class Unsafe(PermissionError):
+    """A folder that others could put something in, or something else in its stead."""
+
+    def __init__(self, place: Path, why: str) -> None:
+        super().__init__(errno.EPERM, why, str(place))
 
 
 def cpu() -> dict[str, str]:
@@ -22,12 +37,103 @@ def temporary_folder() -> Path:
     return Path(tempfile.gettempdir()) / f"sinsjax-{user}"
 
 
-def is_private(folder: Path) -> bool:
-    """Whether a folder is this user's and nobody else can write there.
+def cache_folder() -> Path:
+    """This user's folder for what can be made again; it need not be there.
 
     Raises:
-        OSError: there is no such folder.
+        OSError: the user has no home.
     """
-    about = folder.lstat()
-    theirs = hasattr(os, "getuid") and about.st_uid != os.getuid()
-    return not theirs and not about.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    import platformdirs  # here, for most processes do without
+
+    folder = platformdirs.user_cache_path("sinsjax", appauthor=False)
+    if not folder.is_absolute():
+        raise OSError(errno.ENOENT, "this user has no cache folder", str(folder))
+    return folder
+
+
+def private_folder(folder: Path) -> Path:
+    """A folder that nobody else can write in or take away, made if it is not there.
+
+    What is missing is made for this user alone (mode 0700). Every folder above has to belong to
+    this user or to the superuser, and others may write in none, but in one that is sticky and the
+    superuser's, such as ``/tmp``: there nobody renames what is somebody else's. Members of a group
+    that this user is alone in are no others. Nothing is made below a folder that is not safe.
+
+    Args:
+        folder: where.
+
+    Returns:
+        The folder without symbolic links, which is the one to be used: links may be changed later.
+
+    Raises:
+        Unsafe: others could put something there. Of this error and the next, ``strerror`` says
+            what is wrong and ``filename`` where.
+        OSError: it cannot be made.
+    """
+    try:
+        real = folder.resolve()
+    except RuntimeError as error:  # Python 3.11 and 3.12: links in a circle
+        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(folder)) from error
+    path = [*reversed(real.parents), real]
+    there = [place for place in path if _is_there(place)]
+    for place in there:
+        _check(place, own=place == real)
+    for place in path[len(there) :]:
+        # Another process of this user may be as far; whoever else was quicker is found below.
+        with suppress(FileExistsError):
+            place.mkdir(mode=0o700)
+        _check(place, own=place == real)
+    return real
+
+
+def _is_there(place: Path) -> bool:
+    try:
+        place.lstat()
+    except FileNotFoundError:
+        return False
+    return True
+
+
+def _check(place: Path, *, own: bool) -> None:
+    """Refuses a place that others could put something in, or something else in its stead."""
+    about = place.lstat()  # no link is followed: there was none, so it is new, and somebody's
+    if not stat.S_ISDIR(about.st_mode):
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(place))
+    if not hasattr(os, "geteuid"):  # Windows: a profile is its user's
+        return
+    this = os.geteuid()
+    if about.st_uid not in ({this} if own else {this, 0}):
+        raise Unsafe(place, "belongs to somebody else")
+    sticky = about.st_uid == 0 and about.st_mode & stat.S_ISVTX and not own
+    if sticky:
+        return
+    if about.st_mode & stat.S_IWOTH:
+        raise Unsafe(place, _BY_OTHERS)
+    if about.st_mode & stat.S_IWGRP and (_has_list(place) or not _is_alone(this, about.st_gid)):
+        raise Unsafe(place, _BY_OTHERS)
+
+
+def _has_list(place: Path) -> bool:
+    """Whether an access control list names who may write; the group's bits are then its mask."""
+    if not hasattr(os, "listxattr"):
+        return False
+    try:
+        return _ACL in os.listxattr(place, follow_symlinks=False)
+    except OSError:  # a file system without them
+        return False
+
+
+def _is_alone(user: int, group: int) -> bool:
+    """Whether nobody else is in a group; not so where that cannot be told."""
+    import grp
+    import pwd
+
+    try:
+        name, about = pwd.getpwuid(user).pw_name, grp.getgrgid(group)
+    except KeyError:
+        return False
+    accounts = pwd.getpwall()
+    others = {entry.pw_name for entry in accounts if entry.pw_gid == group} | set(about.gr_mem)
+    # A directory service need not list its accounts; a group of the user's name is the user's own.
+    listed = any(entry.pw_name == name for entry in accounts)
+    return others <= {name, "root"} and (listed or about.gr_name == name)

@@ -252,10 +252,10 @@ def info() -> dict[str, Any]:
 
     Returns:
         All of `versions`; ``platform``, ``cpu``, ``avx512`` (None where it cannot be told),
-        ``cores``, ``devices``, ``x64``; ``options``: each XLA option with its value in
-        ``XLA_FLAGS`` or None; ``opted_out``; ``jaxlib_tested``: whether this version is in
-        `TESTED_JAXLIB`; ``fused_loop``, ``multi_output_fusion``: what
-        `sinsjax.hlo.options_seen` finds.
+        ``cores``, ``devices``, ``x64``; ``compile_cache``: the folder of compiled programs, or off;
+        ``options``: each XLA option with its value in ``XLA_FLAGS`` or None; ``opted_out``;
+        ``jaxlib_tested``: whether this version is in `TESTED_JAXLIB`; ``fused_loop``,
+        ``multi_output_fusion``: what `sinsjax.hlo.options_seen` finds.
     """
     import jax
 
@@ -271,6 +271,7 @@ def info() -> dict[str, Any]:
         "cores": usable_cores(),
         "devices": [str(device) for device in jax.devices()],
         "x64": bool(jax.config.values["jax_enable_x64"]),
+        "compile_cache": jax.config.values["jax_compilation_cache_dir"] or "off",
         "options": {option.name: present.get(option.name) for option in OPTIONS},
         "opted_out": opted_out(),
         "jaxlib_tested": _version("jaxlib") in TESTED_JAXLIB,
@@ -331,23 +332,22 @@ def _probe() -> frozenset[str] | None:
 
 
 def _cache_file() -> Path:
-    root = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    return Path(root).expanduser() / "sinsjax" / "xla_options.json"
+    return machine.cache_folder() / "xla_options.json"
 
 
 def _read_cache() -> dict[str, dict[str, bool]]:
     try:
         known = json.loads(_cache_file().read_text(encoding="utf-8"))
         return {str(version): dict(flags) for version, flags in known.items()}
-    except (OSError, RuntimeError, ValueError, TypeError, AttributeError):
+    except (OSError, ValueError, TypeError, AttributeError):
         return {}
 
 
 def _write_cache(known: dict[str, dict[str, bool]]) -> None:
     # A cache that cannot be written costs a second at the next import, no more.
-    with contextlib.suppress(OSError, RuntimeError):
+    with contextlib.suppress(OSError):
         path = _cache_file()
-        path.parent.mkdir(parents=True, exist_ok=True)
+        machine.private_folder(path.parent)
         with tempfile.NamedTemporaryFile(
             "w", dir=path.parent, suffix=".tmp", delete=False, encoding="utf-8"
         ) as file:

@@ -15,10 +15,10 @@ KEYS = "jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs"
 
 @pytest.fixture
 def unchanged(monkeypatch, tmp_path):
-    """What a test sets is undone; the system's temporary folder is its own."""
+    """What a test sets is undone; the user's cache folder is its own."""
     before = {key: jax.config.values[key] for key in KEYS}
     jax.config.update("jax_compilation_cache_dir", None)
-    monkeypatch.setattr(machine.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr(machine, "cache_folder", lambda: tmp_path / "sinsjax")
     monkeypatch.delenv(compile_cache.VARIABLE, raising=False)
     yield monkeypatch
     for key, value in before.items():
@@ -37,7 +37,8 @@ def test_the_folder_is_this_users_alone_and_has_one_for_each_jaxlib_and_cpu(unch
     unchanged.setenv(compile_cache.VARIABLE, "1")
     here = compile_cache.enable()
     assert str(here) == jax.config.values["jax_compilation_cache_dir"]
-    assert here.is_relative_to(tmp_path) and here.stat().st_mode & 0o077 == 0
+    assert here.parent == tmp_path / "sinsjax" / "compiled"
+    assert all(place.stat().st_mode & 0o077 == 0 for place in (here, here.parent))
     unchanged.setattr(machine, "cpu", lambda: {"model name": "another", "flags": "avx2"})
     other_cpu = compile_cache.enable()
     unchanged.setattr(compile_cache.importlib.metadata, "version", lambda _: "99.0")
@@ -49,15 +50,37 @@ def test_the_folder_is_this_users_alone_and_has_one_for_each_jaxlib_and_cpu(unch
 def test_a_folder_that_others_can_write_to_is_refused(unchanged, tmp_path):
     unchanged.setenv(compile_cache.VARIABLE, str(tmp_path / "mine"))
     folder = compile_cache.enable()
-    folder.chmod(0o770)
+    folder.chmod(0o707)
     with pytest.raises(InputError, match="others can write there"):
         compile_cache.enable()
 
 
-def test_a_folder_that_cannot_be_made_is_named(unchanged, tmp_path):
+def test_a_folder_above_that_others_can_write_to_is_refused(unchanged, tmp_path):
+    """They rename the leaf as soon as it is there, and put their own in its place."""
+    (tmp_path / "theirs").mkdir()
+    (tmp_path / "theirs").chmod(0o777)
+    unchanged.setenv(compile_cache.VARIABLE, str(tmp_path / "theirs" / "leaf"))
+    told = "^SINSJAX_COMPILE_CACHE: .*/theirs: others can write there, and what the cache holds is"
+    with pytest.raises(InputError, match=told):
+        compile_cache.enable()
+    assert not list((tmp_path / "theirs").iterdir())
+    assert jax.config.values["jax_compilation_cache_dir"] is None
+
+
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        ("{}/file", ".*/file/jaxlib.*: Not a directory"),
+        ("{}/loop/x", ".*/loop.*: .*[Ss]ymbolic link"),
+        ("{}/" + 300 * "x", ".*: File name too long"),
+        ("~nosuchuser/x", "~nosuchuser/x: there is no such user"),
+    ],
+)
+def test_a_folder_that_cannot_be_made_is_named(unchanged, tmp_path, asked, told):
     (tmp_path / "file").write_text("")
-    unchanged.setenv(compile_cache.VARIABLE, str(tmp_path / "file"))
-    with pytest.raises(InputError, match="SINSJAX_COMPILE_CACHE: .*file/jaxlib.*Not a directory"):
+    (tmp_path / "loop").symlink_to("loop")
+    unchanged.setenv(compile_cache.VARIABLE, asked.format(tmp_path))
+    with pytest.raises(InputError, match=f"^SINSJAX_COMPILE_CACHE: {told}"):
         compile_cache.enable()
 
 
