@@ -16,6 +16,7 @@ import typer
 from rich.console import Console
 
 from sinsjax import runtime
+from sinsjax.screen import plain_console, say
 from sinsjax.types import InputError, StudyInterrupted
 
 app = typer.Typer(
@@ -156,20 +157,20 @@ def tune(
     carry_out.check_free(out, overwrite=overwrite or resume)
     _configure(devices)
     tape = None if record is None else campaign.load_tape(study, record, reference)
-    screen = Console(markup=False)
-    study = _made_ready(study, tape, screen)
-    with console.interruptible(screen) as stop:
+    terminal = plain_console()
+    study = _made_ready(study, tape, terminal)
+    with console.interruptible(terminal) as stop:
         carry_out.tune(
             study,
             out,
             tape,
             overwrite=overwrite,
             resume=resume,
-            watch=lambda name: console.progress(screen, f"{study.study.name}: {name}"),
+            watch=lambda name: console.progress(terminal, f"{study.study.name}: {name}"),
             stop=stop,
             source=config,
         )
-    import_module("sinsjax.report").summarise([out], screen)
+    import_module("sinsjax.report").summarise([out], terminal)
 
 
 @app.command()
@@ -190,8 +191,8 @@ def rerun(
     from sinsjax import reruns
 
     runtime.configure()
-    screen, files = Console(markup=False), (record, reference)
-    if not reruns.rerun_into(directory, run_id, screen, out=out, files=files):
+    terminal, files = plain_console(), (record, reference)
+    if not reruns.rerun_into(directory, run_id, terminal, out=out, files=files):
         raise typer.Exit(1)
 
 
@@ -213,7 +214,7 @@ def report(
     """
     from sinsjax import report as reports
 
-    reports.summarise(directories, Console(markup=False), page, html)
+    reports.summarise(directories, plain_console(), page, html)
 
 
 @app.command()
@@ -224,17 +225,17 @@ def gains() -> None:
     """
     from sinsjax.report.gains import print_gains
 
-    print_gains(Console(markup=False))
+    print_gains(plain_console())
 
 
 @app.command()
 def info() -> None:
     """Show versions, devices and the compiler options in force."""
     runtime.configure()
-    console = Console(highlight=False, markup=False)
+    console = plain_console()
     for key, value in runtime.info().items():
         shown = ", ".join(f"{k} = {v}" for k, v in value.items()) if key == "options" else value
-        console.print(f"{key:>20}  {shown}", soft_wrap=True)
+        say(console, f"{key:>20}  {shown}")
 
 
 @app.command()
@@ -251,7 +252,7 @@ def bench(
     """
     from sinsjax import bench as benchmarks
 
-    benchmarks.run(Console(markup=False), as_json=as_json, limit=limit, repeats=repeats)
+    benchmarks.run(plain_console(), as_json=as_json, limit=limit, repeats=repeats)
 
 
 def _run_study(
@@ -277,26 +278,26 @@ def _run_study(
     _check_options(overwrite=overwrite, resume=resume, devices=devices)
     directories.check_free(out, overwrite=overwrite or resume)
     runs = study.n_draws * study.n_variants
-    screen = Console(markup=False)
+    terminal = plain_console()
     if curves and runs > MOST_RUNS and files is None:
         raise InputError(
             f"{config}: {runs} runs are too many to keep every curve (at most {MOST_RUNS}):"
             " use `sinsjax sweep`"
         )
     if curves and runs > MOST_RUNS:
-        screen.print(f"{runs} runs: curves are kept only where [study] curves = true.")
+        say(terminal, f"{runs} runs: curves are kept only where [study] curves = true.")
         curves = None
     _configure(devices)
     tape = None if files is None else campaign.load_tape(study, *files)
-    study = _made_ready(study, tape, screen)
+    study = _made_ready(study, tape, terminal)
     if left := study.dropped_s:
-        screen.print(f"The last {left:g} s are no whole record interval and are not run.")
+        say(terminal, f"The last {left:g} s are no whole record interval and are not run.")
     if study.run_s <= study.study.window_s[0]:
-        screen.print(f"Runs that end by {study.study.window_s[0]:g} s have no window statistics.")
+        say(terminal, f"Runs that end by {study.study.window_s[0]:g} s have no window statistics.")
     with (
         _executor(*cluster) as executor,
-        console.progress(screen, study.study.name) as tell,
-        console.interruptible(screen) as stop,
+        console.progress(terminal, study.study.name) as tell,
+        console.interruptible(terminal) as stop,
     ):
         campaign.run_into(
             study,
@@ -311,16 +312,16 @@ def _run_study(
             stop=stop,
             source=config,
         )
-    import_module("sinsjax.report").summarise([out], screen)
+    import_module("sinsjax.report").summarise([out], terminal)
 
 
-def _made_ready(study: Any, tape: Any, screen: Console) -> Any:
+def _made_ready(study: Any, tape: Any, terminal: Console) -> Any:
     """A study at the rate of its record, once all that is doubtful about it is told."""
     from sinsjax import campaign
 
     study, warnings = campaign.made_ready(study, tape)
     for line in warnings:
-        screen.print(f"Warning: {line}", markup=False, highlight=False, soft_wrap=True)
+        say(terminal, f"Warning: {line}")
     return study
 
 

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 from rich.progress import Progress as Bar
 
+from sinsjax import screen
 from sinsjax.campaign import Progress, Tell
 
 _PLAIN_EVERY_S = 10.0
@@ -60,8 +61,7 @@ def _plainly(console: Console, name: str, pace: "_Pace") -> Tell:
             return
         told, last = tenth, clock
         there = ", there already" if began else text
-        line = f"{name}: {now.done:,} of {now.total:,} runs{there}"
-        console.print(line, highlight=False, soft_wrap=True)
+        screen.say(console, f"{name}: {now.done:,} of {now.total:,} runs{there}")
 
     return tell
 
@@ -104,7 +104,7 @@ def interruptible(console: Console) -> Iterator[threading.Event]:
             os._exit(128 + number)
         stop.set()
         # In a thread: the signal may have come while this one was printing.
-        threading.Thread(target=console.print, args=(_STOPPING,), daemon=True).start()
+        threading.Thread(target=screen.say, args=(console, _STOPPING), daemon=True).start()
 
     before = {number: signal.signal(number, handle) for number in _SIGNALS}
     try:

@@ -12,6 +12,7 @@ from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 from pydantic_core import PydanticCustomError
 
 from sinsjax import columns
+from sinsjax.wording import is_control
 
 
 def misfit(text: str, key: str | None = None) -> PydanticCustomError:
@@ -55,6 +56,13 @@ def _ordered(ends: tuple[float, float]) -> tuple[float, float]:
     return ends
 
 
+def _legible(name: str) -> str:
+    """Refuses letters that a terminal or an editor obeys and nobody sees."""
+    if found := next(filter(is_control, name), None):
+        raise misfit(f"must not hold control characters (\\u{ord(found):04x})")
+    return name
+
+
 def _signed_permutation(order: str) -> str:
     """Refuses what is no permutation, and a mirror image, which no turn of the box can undo."""
     letters = re.sub("[+-]", "", order)
@@ -77,7 +85,7 @@ HalfTurn = Annotated[float, Field(ge=-180, le=180)]
 Elevation = Annotated[float, Field(gt=-90, lt=90)]
 Interval = Annotated[tuple[Finite, Finite], AfterValidator(_ordered)]
 Normal = tuple[Finite, NonNegative]
-Name = Annotated[str, Field(min_length=1)]
+Name = Annotated[str, Field(min_length=1), AfterValidator(_legible)]
 Triad = tuple[Name, Name, Name]
 Times = Annotated[tuple[Positive, ...], AfterValidator(_increasing)]
 Bands = Annotated[tuple[Positive, ...], AfterValidator(unique), AfterValidator(_own_columns)]

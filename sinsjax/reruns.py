@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from rich.console import Console
 
-from sinsjax import plots, results
+from sinsjax import plots, results, screen
 from sinsjax.batch import Calls
 from sinsjax.campaign import load_tape
 from sinsjax.config import load_study
@@ -110,7 +110,7 @@ def rerun_into(
         _verdict(stored, made.row, differ),
         f"Row, curve and figure: {target}",
     ]:
-        console.print(line, highlight=False, soft_wrap=True)
+        screen.say(console, line)
     return not differ
 
 

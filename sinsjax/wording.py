@@ -1,6 +1,7 @@
 """What is wrong with a key or a value, in the words of a user."""
 
 import difflib
+import unicodedata
 from collections.abc import Iterable
 
 from pydantic_core import ErrorDetails
@@ -15,6 +16,18 @@ _MISFITS = {
     "string_too_short": "must not be empty",
     "too_short": "must not be empty",
 }
+
+_TURNS = "\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
+
+
+def is_control(letter: str) -> bool:
+    """Whether a letter is obeyed rather than shown: control codes, new lines, turns of writing."""
+    return unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp") or letter in _TURNS
+
+
+def shortened(text: str, most: int = 200) -> str:
+    """The beginning of a text that is too long to be echoed whole."""
+    return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
 def near(word: str, words: Iterable[str], form: str = "{}") -> str:
@@ -46,4 +59,4 @@ def explained(error: ErrorDetails) -> str:
         return rule(error)
     given = error["input"]
     value = repr(list(given) if isinstance(given, tuple) else given)
-    return f"{rule(error)}, not {value if len(value) <= 60 else value[:57] + '...'}"
+    return f"{rule(error)}, not {shortened(value, 60)}"

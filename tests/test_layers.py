@@ -62,6 +62,7 @@ LAYERS = (
         "console",
         "report",
         "reruns",
+        "screen",
         "tuning",
         "worker",
     },

@@ -13,6 +13,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from sinsjax import screen
 from sinsjax.bench.assets import asset
 from sinsjax.bench.cases import SHORT
 from sinsjax.bench.limit import compiler, limit_kernel
@@ -42,13 +43,11 @@ def run(console: Console, *, as_json: bool, limit: bool, repeats: int) -> None:
         print("warning: the fused loop is absent, see `sinsjax info`", file=sys.stderr)
     if as_json:
         for row in rows:
-            console.print(json.dumps(row | holds), soft_wrap=True, highlight=False, markup=False)
+            screen.say(console, json.dumps(row | holds))
         return
     console.print(_table(rows))
-    console.print(
-        f"{holds['cpu']}, jax {holds['jax']}, median of {repeats} turns on one core",
-        highlight=False,
-    )
+    about = f"{holds['cpu']}, jax {holds['jax']}, median of {repeats} turns on one core"
+    screen.say(console, about, wrap=True)
 
 
 def short_set(*, limit_folder: str | None) -> list[Case]:

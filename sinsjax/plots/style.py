@@ -2,6 +2,7 @@
 
 import io
 import math
+import re
 from collections.abc import Callable
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
@@ -13,7 +14,13 @@ from matplotlib.axis import Axis, XAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
-from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
+from matplotlib.ticker import (
+    FixedLocator,
+    Formatter,
+    LogFormatterMathtext,
+    NullLocator,
+    StrMethodFormatter,
+)
 from numpy.typing import NDArray
 
 from sinsjax.units import split_unit
@@ -25,9 +32,11 @@ GREY = "#8a8a8a"
 """Of what is marked but not measured: reset moments, limits, cells without a number."""
 
 _SMALL = "#555555"
+_RAISED = str.maketrans("0123456789-\N{MINUS SIGN}.", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁻˙")
 _STRIP = 0.28  # in, of the strip with the footer
 
 STYLE: Any = {
+    "text.parse_math": False,  # names of studies hold what they hold
     "figure.dpi": 130,
     "figure.facecolor": "white",
     "figure.constrained_layout.use": True,
@@ -141,7 +150,32 @@ def png(figure: Figure, footer: str = "") -> bytes:
     return buffer.getvalue()
 
 
+class _Unicode(Formatter):
+    """The labels of a logarithmic axis in letters, for want of the mathematics they come in."""
+
+    def __init__(self, marked: LogFormatterMathtext) -> None:
+        self._marked = marked
+
+    def set_axis(self, axis: Any) -> None:
+        super().set_axis(axis)
+        self._marked.set_axis(axis)
+
+    def set_locs(self, locs: Any) -> None:
+        self._marked.set_locs(locs)
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        inside = re.sub(r"^\$\\mathdefault\{(.*)\}\$$", r"\1", self._marked(x, pos))
+        raised = re.sub(r"\^\{(.*?)\}", lambda found: found[1].translate(_RAISED), inside)
+        return raised.replace(r"\times", "×").replace("-", "\N{MINUS SIGN}")
+
+
 def _pixels(figure: Figure) -> NDArray:
+    for axes in figure.findobj(Axes):
+        for axis in (axes.xaxis, axes.yaxis):
+            if isinstance(formatter := axis.get_major_formatter(), LogFormatterMathtext):
+                axis.set_major_formatter(_Unicode(formatter))
+            if isinstance(formatter := axis.get_minor_formatter(), LogFormatterMathtext):
+                axis.set_minor_formatter(_Unicode(formatter))
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     return np.array(canvas.buffer_rgba())[..., :3]

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from rich.console import Console
 
-from sinsjax import results
 from sinsjax.report import (
     adaptive,
     auto,
@@ -31,6 +30,8 @@ from sinsjax.report.base import Layout, Report, Source, at_the_end
 from sinsjax.report.html import write_html
 from sinsjax.report.output import FIGURES, Made, print_report, save_figures, write_page
 from sinsjax.tuning.carry_out import is_tuning
+from sinsjax.types import InputError
+from sinsjax.wording import shortened
 
 LAYOUTS: dict[str, Layout] = {
     "auto": auto.report,
@@ -90,8 +91,24 @@ def summarise(
         html: HTML file to write, with all figures in it.
 
     Raises:
-        InputError: a directory holds no results that its layout can use, or cannot be written.
+        InputError: a directory holds no results that its layout can use, or cannot be written; or
+            a report that fails otherwise. The results are as they were then.
     """
+    try:
+        _summarise(directories, console, page, html)
+    except InputError:
+        raise
+    except Exception as error:
+        where = ", ".join(map(str, directories))
+        what = shortened(" ".join(f"{type(error).__name__}: {error}".split()))
+        raise InputError(
+            f"{where}: the report failed, the results are as they were ({what})"
+        ) from error
+
+
+def _summarise(
+    directories: Sequence[Path], console: Console, page: Path | None, html: Path | None
+) -> None:
     sources, made = [], []
     for directory in directories:
         if is_tuning(directory):
@@ -120,8 +137,8 @@ def summarise(
 
 def _with_warnings(report: Report, source: Source) -> Report:
     """A report that begins with what was doubtful before the study ran."""
-    lines = results.read_manifest(source.directory).get("warnings", [])
-    return report._replace(headline=[*(f"Warning: {line}" for line in lines), *report.headline])
+    warnings = (f"Warning: {line}" for line in source.warnings)
+    return report._replace(headline=[*warnings, *report.headline])
 
 
 def _tell(report: Report, source: Source, console: Console) -> Made:

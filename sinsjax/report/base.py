@@ -28,6 +28,7 @@ class Source:
         config: what a page names as the study's file.
         table: the summary by run_id, where it need not be read.
         schema: version of the results' columns.
+        warnings: what was doubtful before the study ran, a line each.
     """
 
     directory: Path
@@ -35,6 +36,7 @@ class Source:
     config: str
     table: pa.Table | None = None
     schema: str = columns.SCHEMA_VERSION
+    warnings: tuple[str, ...] = ()
 
     @classmethod
     def read(cls, directory: Path) -> "Source":
@@ -50,7 +52,8 @@ class Source:
         if schema == "1":
             study = as_of_schema_1(study)
         name = manifest.get("config") or f"study.toml of {study.study.name}"
-        return cls(directory, study, name, schema=schema)
+        warnings = tuple(map(str, manifest.get("warnings") or ()))
+        return cls(directory, study, str(name), schema=schema, warnings=warnings)
 
     @cached_property
     def runs(self) -> int:

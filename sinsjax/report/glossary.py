@@ -2,7 +2,9 @@
 
 from rich.console import Console
 
+from sinsjax import screen
 from sinsjax.report.base import Section, Text
+from sinsjax.report.names import NO_NAMES
 
 WORDS = {
     "limit": "the heading error that a run's own constant sensor biases leave once its filter has"
@@ -31,5 +33,4 @@ def print_words(console: Console) -> None:
     """Prints the words below the tables."""
     console.print()
     for word, meaning in WORDS.items():
-        text = f"{word}: {meaning}.".replace("`", "")
-        console.print(text, markup=False, highlight=False, soft_wrap=not console.is_terminal)
+        screen.say(console, NO_NAMES.plain(f"{word}: {meaning}."), wrap=True)

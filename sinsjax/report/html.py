@@ -9,7 +9,8 @@ from typing import Any
 
 from sinsjax.files import replacing
 from sinsjax.report.base import Block, Picture, Table, Text
-from sinsjax.report.output import Made, meanings, origin
+from sinsjax.report.names import NO_NAMES, Names
+from sinsjax.report.output import Made, meanings, names_of, origin
 
 _STYLE = """
 :root { color-scheme: light dark; --line: #8888; --soft: #8881; }
@@ -54,15 +55,15 @@ def _page(title: str, made: Sequence[Made], notes: Sequence[str]) -> Iterator[st
     yield f'<head>\n<meta charset="utf-8">\n<title>{escape(title)}</title>'
     yield '<meta name="viewport" content="width=device-width, initial-scale=1">'
     yield f"<style>\n{_STYLE}\n</style>\n</head>\n<body>\n<main>"
-    yield f"<h1>{_inline(title)}</h1>"
+    yield f"<h1>{_inline(title, names_of(made))}</h1>"
     yield from (f"<p>{_inline(line)}</p>" for line in meanings(made))
-    if lines := [line for _, report, _ in made for line in report.headline]:
-        items = "\n".join(f"<li>{_inline(line)}</li>" for line in lines)
+    if lines := [_inline(line, one.names) for one in made for line in one.report.headline]:
+        items = "\n".join(f"<li>{line}</li>" for line in lines)
         yield f"<ul>\n{items}\n</ul>"
     yield from (f"<p>{_inline(note)}</p>" for note in notes)
     for one in made:
         for section in one.report.sections:
-            yield f"<section>\n<h2>{_inline(section.heading)}</h2>"
+            yield f"<section>\n<h2>{_inline(section.heading, one.names)}</h2>"
             yield from (_block(block, one) for block in section.blocks)
             yield "</section>"
     yield f"</main>\n<footer>{escape(origin(made))}</footer>"
@@ -71,34 +72,34 @@ def _page(title: str, made: Sequence[Made], notes: Sequence[str]) -> Iterator[st
 
 def _block(block: Block, made: Made) -> str:
     if isinstance(block, Text):
-        return str(_markdown().render(block.text)).rstrip()
+        return str(_markdown().render(made.names.markdown(block.text))).rstrip()
     if isinstance(block, Table):
-        return _table(block)
-    return _figure(block, made.images[block.name])
+        return _table(block, made.names)
+    return _figure(block, made)
 
 
-def _figure(picture: Picture, content: bytes) -> str:
-    data = base64.b64encode(content).decode()
+def _figure(picture: Picture, made: Made) -> str:
+    data = base64.b64encode(made.images[picture.name]).decode()
     image = f'<img src="data:image/png;base64,{data}" alt="{escape(picture.caption)}">'
-    return f"<figure>\n{image}\n<figcaption>{_inline(picture.caption)}</figcaption>\n</figure>"
+    caption = _inline(picture.caption, made.names)
+    return f"<figure>\n{image}\n<figcaption>{caption}</figcaption>\n</figure>"
 
 
-def _table(table: Table) -> str:
-    head = "".join(f'<th scope="col">{_inline(name)}</th>' for name in table.header)
-    rows = "\n".join(
-        f"<tr>{''.join(f'<td>{_inline(cell)}</td>' for cell in row)}</tr>" for row in table.rows
-    )
-    title = _inline(table.title)
+def _table(table: Table, names: Names) -> str:
+    head = "".join(f'<th scope="col">{_inline(name, names)}</th>' for name in table.header)
+    cells_of = [[f"<td>{_inline(cell, names)}</td>" for cell in row] for row in table.rows]
+    rows = "\n".join(f"<tr>{''.join(cells)}</tr>" for cells in cells_of)
+    title = _inline(table.title, names)
     caption = "" if table.folded else f"\n<caption>{title}</caption>"
     body = f"<thead>\n<tr>{head}</tr>\n</thead>\n<tbody>\n{rows}\n</tbody>"
     lines = f'<div class="table">\n<table>{caption}\n{body}\n</table>\n</div>'
     if table.note:
-        lines += f'\n<p class="note">{_inline(table.note)}</p>'
+        lines += f'\n<p class="note">{_inline(table.note, names)}</p>'
     return f"<details>\n<summary>{title}</summary>\n{lines}\n</details>" if table.folded else lines
 
 
-def _inline(text: str) -> str:
-    return str(_markdown().renderInline(text))
+def _inline(text: str, names: Names = NO_NAMES) -> str:
+    return str(_markdown().renderInline(names.markdown(text)))
 
 
 @lru_cache(maxsize=1)

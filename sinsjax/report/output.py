@@ -10,9 +10,10 @@ from rich.console import Console
 from rich.measure import Measurement
 from rich.text import Text as RichText
 
-from sinsjax import plots, runtime
+from sinsjax import plots, runtime, screen
 from sinsjax.files import replacing, unwritable
 from sinsjax.report.base import Block, Picture, Report, Source, Table, Text, yardstick
+from sinsjax.report.names import NO_NAMES, Names, file_stem
 from sinsjax.types import InputError
 
 FIGURES = "figures"
@@ -26,11 +27,13 @@ class Made(NamedTuple):
         source: what it reports.
         report: what it says.
         images: PNG files by the name of the figure.
+        names: in what it says.
     """
 
     source: Source
     report: Report
     images: Mapping[str, bytes]
+    names: Names = NO_NAMES
 
     @classmethod
     def of(cls, source: Source, report: Report) -> "Made":
@@ -39,7 +42,7 @@ class Made(NamedTuple):
         pictures = (block for block in blocks if isinstance(block, Picture))
         footer = report.rests_on or counted(source)
         images = {block.name: plots.png(block.figure, footer) for block in pictures}
-        return cls(source, report, images)
+        return cls(source, report, images, Names.of(source.study, source.config, *source.warnings))
 
 
 def counted(source: Source) -> str:
@@ -54,19 +57,19 @@ def counted(source: Source) -> str:
 
 def print_report(made: Made, console: Console) -> None:
     """Prints what was found and every table that is not folded, and names the figures."""
-    source, report, images = made
-    console.print(f"\n{source.study.study.name}", style="bold", markup=False, highlight=False)
+    source, report, images, names = made
+    screen.say(console, f"\n{source.study.study.name}", style="bold")
     for line in (*report.headline, yardstick(source.study)):
-        _say(console, line)
+        screen.say(console, names.plain(line), wrap=True)
     for section in report.sections:
         for block in section.blocks:
             if isinstance(block, Text):
-                _say(console, block.text)
+                screen.say(console, names.plain(block.text), wrap=True)
             elif isinstance(block, Table) and not block.folded:
-                print_table(block, console)
+                print_table(block, console, names)
     if images:
         listed = ", ".join(f"{name}.png" for name in images)
-        _say(console, f"Figures in {source.directory / FIGURES}: {listed}")
+        screen.say(console, f"Figures in {source.directory / FIGURES}: {listed}", wrap=True)
 
 
 def save_figures(images: Mapping[str, bytes], directory: Path) -> None:
@@ -90,7 +93,7 @@ def save_figures(images: Mapping[str, bytes], directory: Path) -> None:
 
 def origin(made: Sequence[Made]) -> str:
     """What a page was made from and with: the files of its studies, each once, and the version."""
-    configs = ", ".join(dict.fromkeys(source.config for source, _, _ in made))
+    configs = ", ".join(dict.fromkeys(one.source.config for one in made))
     return f"{configs}; sinsjax {runtime.package_version()}"
 
 
@@ -106,22 +109,28 @@ def write_page(page: Path, title: str, made: Sequence[Made], notes: Sequence[str
     Raises:
         InputError: the page cannot be written.
     """
+    begun = f"Written by: sinsjax report --page {page.name} ({origin(made)}); do not edit"
     lines = [
-        f"<!-- Written by: sinsjax report --page {page.name} ({origin(made)}); do not edit -->",
-        f"# {title}",
+        f"<!-- {begun.replace('<', '&lt;').replace('>', '&gt;')} -->",
+        f"# {names_of(made).markdown(title)}",
         *meanings(made),
-        "\n".join(f"- {line}" for _, report, _ in made for line in report.headline),
+        "\n".join(f"- {one.names.markdown(line)}" for one in made for line in one.report.headline),
         *notes,
     ]
-    for source, report, images in made:
-        prefix = f"{source.study.study.name}_"
+    for source, report, images, names in made:
+        prefix = f"{file_stem(source.study.study.name)}_"
         named = {f"{prefix}{name}": image for name, image in images.items()}
         save_figures(named, page.parent / FIGURES)
         for section in report.sections:
-            lines.append(f"## {section.heading}")
-            lines += [markdown(block, prefix) for block in section.blocks]
+            lines.append(f"## {names.markdown(section.heading)}")
+            lines += [markdown(block, prefix, names) for block in section.blocks]
     with replacing(page) as file:
         file.write(("\n\n".join(lines) + "\n").encode())
+
+
+def names_of(made: Sequence[Made]) -> Names:
+    """The names in all that stands on a page."""
+    return Names(frozenset().union(*(one.names.texts for one in made)))
 
 
 def meanings(made: Sequence[Made]) -> list[str]:
@@ -129,42 +138,38 @@ def meanings(made: Sequence[Made]) -> list[str]:
     return list(dict.fromkeys(yardstick(one.source.study) for one in made))
 
 
-def markdown(block: Block, prefix: str = "") -> str:
+def markdown(block: Block, prefix: str = "", names: Names = NO_NAMES) -> str:
     """A block as Markdown.
 
     Args:
         block: to write.
         prefix: before the file name of a figure.
+        names: that it may hold.
     """
     if isinstance(block, Text):
-        return block.text
+        return names.markdown(block.text)
     if isinstance(block, Picture):
-        return f"![{block.caption}]({FIGURES}/{prefix}{block.name}.png)\n\n*{block.caption}*"
-    rows = [block.header, ["---"] * len(block.header), *block.rows]
-    body = "\n".join("| " + " | ".join(_cell(cell) for cell in row) + " |" for row in rows)
-    note = f"\n\n{block.note}" if block.note else ""
+        caption = names.markdown(block.caption)
+        return f"![{caption}]({FIGURES}/{prefix}{block.name}.png)\n\n*{caption}*"
+    title, note = names.markdown(block.title), names.markdown(block.note)
+    rows = [[_cell(names.markdown(cell)) for cell in row] for row in (block.header, *block.rows)]
+    rows.insert(1, ["---"] * len(block.header))
+    body = "\n".join("| " + " | ".join(row) + " |" for row in rows)
+    note = f"\n\n{note}" if note else ""
     if block.folded:
-        return f"<details>\n<summary>{block.title}</summary>\n\n{body}{note}\n\n</details>"
-    return f"**{block.title}**\n\n{body}{note}"
+        return f"<details>\n<summary>{title}</summary>\n\n{body}{note}\n\n</details>"
+    return f"**{title}**\n\n{body}{note}"
 
 
 def _cell(text: str) -> str:
-    return text.replace("|", "\\|")
+    return text.replace("|", "\\|").replace("\n", " ")
 
 
-def _plain(text: str) -> str:
-    return text.replace("*", "").replace("`", "")
-
-
-def _say(console: Console, text: str) -> None:
-    console.print(_plain(text), markup=False, highlight=False, soft_wrap=not console.is_terminal)
-
-
-def print_table(block: Table, console: Console) -> None:
+def print_table(block: Table, console: Console, names: Names = NO_NAMES) -> None:
     """Prints one table."""
     table = rich_table.Table(
         title=RichText(block.title, style="bold"),
-        caption=RichText(_plain(block.note)) if block.note else None,
+        caption=RichText(names.plain(block.note)) if block.note else None,
         title_justify="left",
         caption_justify="left",
         box=box.SIMPLE_HEAD,

@@ -1,0 +1,77 @@
+"""Names out of a study are text, whatever a page's Markdown or a console would read in them.
+
+What a layout says is Markdown of its own, into which it puts names as they are. Only here, where it
+leaves for a medium, are they told from it: by the study, which has them all.
+"""
+
+import hashlib
+import re
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+from sinsjax.studies import Study
+
+_MARKUP = re.compile(r"[\\`*\[\]~$#]|(?<![^\W_])_|_(?![^\W_])|^[-+>]")
+"""What Markdown, or what GitHub adds to it, reads in a name; ``_`` is one only at a word's rim."""
+
+_TAG = re.compile("<(?=[A-Za-z/!?])")
+
+
+class Names(NamedTuple):
+    """The names that a report may hold.
+
+    Attributes:
+        texts: all of them, in any order.
+    """
+
+    texts: frozenset[str] = frozenset()
+
+    @classmethod
+    def of(cls, study: Study, *others: str) -> "Names":
+        """All text in a study, and other text that is not the report's own."""
+        return cls(frozenset(filter(_has_markup, [*_texts(study.model_dump()), *others])))
+
+    def markdown(self, text: str) -> str:
+        """What a report says as a page's Markdown: markup in a name is escaped."""
+        return self._split(text, escaped, lambda said: _TAG.sub("&lt;", said))
+
+    def plain(self, text: str) -> str:
+        """What a report says without its markup: that in a name stays."""
+        return self._split(text, str, lambda said: said.replace("*", "").replace("`", ""))
+
+    def _split(self, text: str, name: Callable[[str], str], said: Callable[[str], str]) -> str:
+        if not self.texts:
+            return said(text)
+        longest_first = sorted(self.texts, key=len, reverse=True)
+        pieces = re.split(f"({'|'.join(map(re.escape, longest_first))})", text)
+        return "".join((said, name)[place % 2](piece) for place, piece in enumerate(pieces))
+
+
+NO_NAMES = Names()
+"""Of a report that is all the package's own words."""
+
+
+def escaped(name: str) -> str:
+    """A name as Markdown that shows it letter by letter; in a table ``|`` is escaped besides."""
+    return _MARKUP.sub(r"\\\g<0>", name.replace("&", "&amp;")).replace("<", "&lt;")
+
+
+def file_stem(name: str) -> str:
+    """A name as the beginning of a file's; one that had to change is told from others by digits."""
+    stem = re.sub(r"[^\w.-]+", "-", name)[:80].strip("-.")
+    return stem if stem == name else f"{stem}-{hashlib.sha256(name.encode()).hexdigest()[:6]}"
+
+
+def _has_markup(text: str) -> bool:
+    return escaped(text) != text
+
+
+def _texts(content: Any) -> Iterator[str]:
+    if isinstance(content, str):
+        yield content
+    elif isinstance(content, Mapping):
+        yield from _texts(list(content))
+        yield from _texts(list(content.values()))
+    elif isinstance(content, list | tuple):
+        for entry in content:
+            yield from _texts(entry)
