@@ -5,9 +5,8 @@ chunk), ``study.toml`` (the resolved study) and ``manifest.json`` (versions, par
 writes it. Parts, like rows, depend on the study alone.
 """
 
-import json
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,8 @@ from sinsjax.alignment.base import Fired, Innovations
 from sinsjax.batch import Chunk
 from sinsjax.columns import Column
 from sinsjax.metrics import Observation
+from sinsjax.parts import ask, find
+from sinsjax.parts import read_manifest as read_manifest
 from sinsjax.studies import Study, meaning
 from sinsjax.study_limits import has_limit, scheduled_last_s
 from sinsjax.success import bands
@@ -240,6 +241,7 @@ def read_summary(
     names: Sequence[str] | None = None,
     *,
     run_ids: list[int] | None = None,
+    verify: bool = True,
 ) -> pa.Table:
     """Rows of the summary, by run_id.
 
@@ -247,19 +249,22 @@ def read_summary(
         directory: of the results.
         names: which columns, in this order; all of them without it.
         run_ids: which runs; all of them without it.
+        verify: whether every part is compared with the manifest's SHA-256, once a process.
 
     Raises:
-        InputError: the directory holds no results, or a column is missing.
+        InputError: the directory holds no results, a part is not what was written, or a column is
+            missing.
     """
     directory = Path(directory)
     rows = None if run_ids is None else ds.field("run_id").isin(run_ids)
-    there = _ask(directory, "summary", lambda dataset: dataset.schema)
+    there = ask(directory, "summary", lambda dataset: dataset.schema, verify=verify)
     later = _later(there)
     wanted = [*there.names, *later] if names is None else list(names)
     if missing := [name for name in wanted if name not in there.names and name not in later]:
         raise InputError(f"{directory}: summary: column {missing[0]} is missing")
     needed = {"run_id", *wanted, *filter(None, map(later.get, wanted))}
-    table = _read(directory, "summary", columns=sorted(needed - later.keys()), filter=rows)
+    names = sorted(needed - later.keys())
+    table = _read(directory, "summary", verify=verify, columns=names, filter=rows)
     table = table.sort_by("run_id")
     for name in needed & later.keys():
         told_by = later[name]
@@ -286,60 +291,37 @@ def _later(there: pa.Schema) -> dict[str, str | None]:
 
 
 def count_runs(directory: str | Path) -> int:
-    """Number of rows of the summary.
+    """Number of rows of the summary, every part of it compared with the manifest.
 
     Raises:
-        InputError: the directory holds no results.
+        InputError: the directory holds no results, or a part is not what was written.
     """
-    return _ask(Path(directory), "summary", lambda dataset: dataset.count_rows())
+    return ask(Path(directory), "summary", lambda dataset: dataset.count_rows())
 
 
-def read_curves(directory: str | Path, run_ids: list[int] | None = None) -> pa.Table:
+def read_curves(
+    directory: str | Path, run_ids: list[int] | None = None, *, verify: bool = True
+) -> pa.Table:
     """Rows of the curves, by run_id and time; empty where none were stored.
 
     Args:
         directory: of the results.
         run_ids: which runs; None for all.
+        verify: whether every part is compared with the manifest's SHA-256, once a process.
+
+    Raises:
+        InputError: a part is not what was written, or cannot be read.
     """
     directory = Path(directory)
-    if not any(_parts(directory, "curves")):
+    if not any(find(directory, "curves")):
         return columns.schema(columns.CURVES).empty_table()
     wanted = None if run_ids is None else ds.field("run_id").isin(run_ids)
-    table = _read(directory, "curves", filter=wanted)
+    table = _read(directory, "curves", verify=verify, filter=wanted)
     return table.sort_by([("run_id", "ascending"), ("time_s", "ascending")])
 
 
-def read_manifest(directory: str | Path) -> dict[str, Any]:
-    """The manifest of a directory of results."""
-    try:
-        manifest = json.loads(Path(directory, "manifest.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{directory}: holds no readable manifest.json ({error})") from error
-    if not isinstance(manifest, dict):
-        raise InputError(f"{directory}: holds no readable manifest.json (it is no table)")
-    return manifest
-
-
-def _read(directory: Path, name: str, **options: Any) -> pa.Table:
-    """Rows of a dataset, its pages checked; raises `InputError` if that cannot be."""
-    table = _ask(directory, name, lambda dataset: dataset.to_table(**options))
+def _read(directory: Path, name: str, *, verify: bool, **options: Any) -> pa.Table:
+    """Rows of a dataset."""
+    table = ask(directory, name, lambda dataset: dataset.to_table(**options), verify=verify)
     # What the first part says of itself does not hold for the rows of all.
     return table.replace_schema_metadata({"sinsjax.schema": columns.SCHEMA_VERSION})
-
-
-def _ask(directory: Path, name: str, question: Callable[[ds.Dataset], Any]) -> Any:
-    if not (parts := sorted(_parts(directory, name))):
-        raise InputError(f"{directory}: holds no results (no part in {name}/)")
-    checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
-    form = ds.ParquetFileFormat(default_fragment_scan_options=checked)
-    try:
-        return question(ds.dataset(parts, format=form))
-    except (OSError, pa.ArrowException) as error:
-        what = str(error).splitlines()[0]
-        hint = "`sinsjax sweep --resume` makes broken parts again"
-        raise InputError(f"{directory / name}: cannot be read: {what} ({hint})") from error
-
-
-def _parts(directory: Path, name: str) -> Iterator[Path]:
-    """The parts of a dataset, whole ones as they have their names, and nothing else."""
-    return directory.glob(f"{name}/*.parquet")

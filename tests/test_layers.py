@@ -51,7 +51,17 @@ LAYERS = (
         "verdicts",
         "worlds",
     },
-    {"analysis", "directories", "plots", "results", "statements", "stopping", "store", "work"},
+    {
+        "analysis",
+        "directories",
+        "parts",
+        "plots",
+        "results",
+        "statements",
+        "stopping",
+        "store",
+        "work",
+    },
     {
         "__main__",
         "baseline",

@@ -1,5 +1,9 @@
 """Result tables: the columns that others read by name, and what is null when."""
 
+import hashlib
+import json
+import os
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -7,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from kept import everything
+from kept import everything, parts
 from studies import BASE, STILL, small_study
 
 from sinsjax import campaign, columns, designs, results, scenario
@@ -360,3 +364,83 @@ def test_a_manifest_that_is_none_is_one_clear_line(tmp_path: Path, content: byte
         (tmp_path / "manifest.json").write_bytes(content)
     with pytest.raises(InputError, match="holds no readable manifest.json"):
         results.read_manifest(tmp_path)
+
+
+# --- what is read is what was written -------------------------------------------------------------
+
+
+def manifest_of(directory: Path) -> None:
+    """Writes what a manifest says of the parts that are there."""
+    files = [
+        {"file": name, "rows": 0, "sha256": hashlib.sha256(content).hexdigest()}
+        for name, content in parts(directory).items()
+    ]
+    chunks = [{"name": "all", "state": "done", "files": files}]
+    (directory / "manifest.json").write_text(json.dumps({"chunks": chunks}))
+
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "summary": results.read_summary,
+    "curves": results.read_curves,
+}
+
+
+@pytest.mark.parametrize("dataset", READERS)
+def test_no_bit_of_a_part_turns_unseen(stored: Path, dataset: str) -> None:
+    """Checksums of pages leave footers and page headers out: a flip there can read as nulls."""
+    manifest_of(stored)
+    path = stored / dataset / "part-0000-000001.parquet"
+    content = path.read_bytes()
+    assert READERS[dataset](stored)
+    for bit in np.random.default_rng(14).integers(0, 8 * len(content), size=300):
+        flipped = bytearray(content)
+        flipped[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(flipped)
+        with pytest.raises(InputError) as told:
+            READERS[dataset](stored)
+        line = str(told.value)
+        assert f"{dataset}/{path.name}: is not what was written" in line and "--resume" in line
+        assert "\n" not in line
+    path.write_bytes(content)
+    assert READERS[dataset](stored)
+
+
+def test_reading_may_be_trusting(stored: Path) -> None:
+    manifest_of(stored)
+    path = stored / "summary" / "part-0000-000001.parquet"
+    table = pq.read_table(path)
+    pq.write_table(table, path)
+    with pytest.raises(InputError, match="is not what was written"):
+        results.count_runs(stored)
+    assert results.read_summary(stored, verify=False)["run_id"].to_pylist() == [0, 1, 2, 3]
+    (stored / "curves" / path.name).unlink()
+    with pytest.raises(InputError, match=r"part-0000-000001.parquet: is missing, by the manifest"):
+        results.read_curves(stored)
+    assert results.read_curves(stored, verify=False).num_rows == 4
+
+
+def test_a_part_that_the_manifest_does_not_know_yet_is_read(stored: Path) -> None:
+    """A sweep writes its manifest less often than its parts."""
+    manifest_of(stored)
+    told = json.loads((stored / "manifest.json").read_text())
+    told["chunks"][0]["files"] = told["chunks"][0]["files"][:1]
+    (stored / "manifest.json").write_text(json.dumps(told))
+    assert results.read_summary(stored).num_rows == 4
+    assert results.read_curves(stored).num_rows == 8
+
+
+def test_a_part_is_hashed_once_a_process(stored: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    manifest_of(stored)
+    for path in stored.rglob("*.*"):
+        os.utime(path, (1e9, 1e9))
+    assert results.read_summary(stored)
+    monkeypatch.setattr("hashlib.file_digest", lambda *_: pytest.fail("read again"))
+    assert results.read_summary(stored) and results.count_runs(stored) == 4
+
+
+@pytest.mark.parametrize("chunks", ["3", "[3]", '[{"files": [{}]}]', '[{"files": 3}]'])
+def test_a_manifest_of_another_shape_is_one_clear_line(stored: Path, chunks: str) -> None:
+    (stored / "manifest.json").write_text(f'{{"chunks": {chunks}}}')
+    with pytest.raises(InputError, match="manifest.json: its chunks cannot be read"):
+        results.read_summary(stored)
+    assert results.read_summary(stored, verify=False).num_rows == 4
