@@ -164,15 +164,16 @@ def run_into(
     study, warnings = made_ready(study, tape)
     job = Job(study, tape, curves, chunk_runs)
     directories.check_free(directory, overwrite=overwrite or resume)
-    if resume:
-        job = directories.resumed(directory, job)
-    workshop = Workshop(job)
     executor = executor or work.on_this_machine()
+    session = runtime.session() | executor.facts
+    if resume:
+        job = directories.resumed(directory, job, session["instructions"])
+    workshop = Workshop(job)
     facts = {
         "config": source and (source.name if source.is_absolute() else source.as_posix()),
         "record": None if tape is None else Path(tape.record.source).name,
         "warnings": warnings,
-        "session": runtime.session() | executor.facts,
+        "session": session,
     }
     held = store.Store(directory, workshop, resume=resume, overwrite=overwrite, facts=facts)
     try:

@@ -54,7 +54,8 @@ def executor(*, workers: int | None = None, scheduler: str | None = None) -> Ite
     Raises:
         InputError: Dask is not installed, there are more processes than cores, no scheduler
             answers within 10 s, it has no worker for 10 min, or a worker has another version of
-            what decides the rows. Tasks raise it too where one fails again and again.
+            what decides the rows, or another instruction set than the others. Tasks raise it too
+            where one fails again and again.
     """
     with ExitStack() as stack:
         if scheduler is None:
@@ -62,8 +63,8 @@ def executor(*, workers: int | None = None, scheduler: str | None = None) -> Ite
         else:
             client = stack.enter_context(_connected(scheduler))
         crew = Crew(client, scheduler or "--workers")
-        count = crew.ready()
-        yield Executor(crew.do, {"workers": count, "scheduler": scheduler or "local"})
+        facts = {"workers": crew.ready(), "scheduler": scheduler or "local"}
+        yield Executor(crew.do, facts | crew.facts())
 
 
 class Crew:
@@ -72,10 +73,11 @@ class Crew:
     def __init__(self, client: Any, name: str) -> None:
         self._client, self._name = client, name
         self._machine: Machine | None = None
+        self._instructions = ("", "")  # of all workers, and the one that told it first
         self._told = self._waiting = False
 
     def ready(self) -> int:
-        """Wait for workers and check their versions; tells how many there are."""
+        """Wait for workers, check their versions and instructions; tells how many there are."""
         since = time.monotonic()
         while not (there := self._threads()):
             self._alone(since)
@@ -85,7 +87,15 @@ class Crew:
         ours = found["client"]["packages"]
         for worker, about in found["workers"].items():
             _check_versions(worker, about["packages"], ours)
+        sets = self._ask("run", function=runtime.instructions, on_error="ignore")
+        for worker, instructions in sorted(sets.items()):
+            self._check_instructions(worker, instructions)
         return len(there)
+
+    def facts(self) -> dict[str, Any]:
+        """What the manifest says of the workers: they make the rows, not the process that asks."""
+        instructions, _ = self._instructions
+        return {"instructions": instructions} if instructions else {}
 
     def do(self, workshop: Workshop, tasks: Iterable[Task]) -> Iterator[Packed]:
         """See `Executor`."""
@@ -146,14 +156,25 @@ class Crew:
         raise InputError(f"{task.name}: {text}") from error
 
     def check(self, answer: Answer) -> None:
-        """Refuse rows of other versions; say once that machines differ."""
+        """Refuse rows of other versions or instructions; say once that machines differ."""
         _check_versions(answer.worker, answer.versions, versions())
+        self._check_instructions(answer.worker, answer.machine.instructions)
         self._machine = self._machine or answer.machine
         if answer.machine != self._machine and not self._told:
             self._told = True
             _say(
                 f"{answer.worker}: computes with {_said(answer.machine)}, others with"
                 f" {_said(self._machine)}: rows may differ in their last digits"
+            )
+
+    def _check_instructions(self, worker: str, theirs: str) -> None:
+        if not self._instructions[0]:
+            self._instructions = theirs, worker
+        ours, first = self._instructions
+        if theirs != ours:
+            raise InputError(
+                f"{worker}: the worker has instruction set {theirs}, {first} has {ours}: rows"
+                " would differ (start all with XLA_FLAGS=--xla_cpu_max_isa= and the smaller one)"
             )
 
     def _alone(self, since: float) -> None:

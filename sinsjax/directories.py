@@ -31,11 +31,13 @@ class Session(_Checked):
         started_unix_s: when.
         wall_s: how long.
         versions: of the packages that decide rows.
+        instructions: the instruction set that its rows were made with.
     """
 
     started_unix_s: float
     wall_s: float
     versions: dict[str, str] = {}
+    instructions: str | None = None
 
 
 class File(_Checked):
@@ -81,12 +83,17 @@ def manifest(directory: Path) -> Manifest | None:
         return None
 
 
-def resumed(directory: Path, job: Job) -> Job:
+def resumed(directory: Path, job: Job, instructions: str | None = None) -> Job:
     """A job as the directory of its results began it: with its chunks, and with curves or not.
 
+    Args:
+        directory: where its results are.
+        job: as it is asked for now.
+        instructions: the instruction set of whoever will do it; None is this process's.
+
     Raises:
-        InputError: the directory holds results of another study or record; the keys that differ
-            are named.
+        InputError: the directory holds results of another study or record, the keys that differ
+            are named; or of another version or instruction set.
     """
     kept = _kept_study(directory)
     if kept is not None and fingerprint(kept) != fingerprint(job.study):
@@ -102,6 +109,7 @@ def resumed(directory: Path, job: Job) -> Job:
         return job
     job = job._replace(curves=known.curves, chunk_runs=known.chunk_runs)
     _check_versions(directory, known)
+    _check_instructions(directory, known, instructions or runtime.instructions())
     if known.identity != job.identity:
         what = "study" if kept is None else "record or reference"
         raise InputError(f"{directory}: holds results of another {what}")
@@ -119,6 +127,17 @@ def _check_versions(directory: Path, known: Manifest) -> None:
                     f"{directory}: was made with {name} {there}, here is {here[name]}: install that"
                     " one, or give --overwrite"
                 )
+
+
+def _check_instructions(directory: Path, known: Manifest, here: str) -> None:
+    """Refuses to add rows of another instruction set: last bits differ, and grow over a run."""
+    for session in known.sessions:
+        if (there := session.instructions or here) != here:
+            raise InputError(
+                f"{directory}: was made with instruction set {there}, here is {here}: use a machine"
+                f" with that one, or XLA_FLAGS=--xla_cpu_max_isa={there} on a larger, or give"
+                " --overwrite"
+            )
 
 
 def _kept_study(directory: Path) -> Study | None:

@@ -5,10 +5,14 @@ It imports nothing that starts a thread: `affinity` needs it before jax is there
 
 import errno
 import os
+import platform
 import stat
 import tempfile
 from contextlib import suppress
 from pathlib import Path
+
+_SETS = {"AVX512": "avx512f", "AVX2": "avx2", "AVX": "avx", "SSE4_2": "sse4_2"}
+"""Instruction sets of x86 as XLA names them, the largest first, and a flag of each."""
 
 _ACL = "system.posix_acl_access"
 _BY_OTHERS = "others can write there"
@@ -29,6 +33,28 @@ def cpu() -> dict[str, str]:
         return {}
     entries = (line.partition(":") for line in first.splitlines())
     return {key.strip(): value.strip() for key, _, value in entries}
+
+
+def instructions(limit: str = "") -> str:
+    """The instruction set that programs are compiled to, as far as it decides a last bit.
+
+    Args:
+        limit: value of ``--xla_cpu_max_isa``, the largest set that XLA may use.
+
+    Returns:
+        ``AVX512``, ``AVX2``, ``AVX`` or ``SSE4_2``, as that option names them, ``SVE`` or ``NEON``;
+        the kind of processor where the system does not tell. What comes after AVX-512 on x86 is
+        for short integers and halves, and counts as AVX-512.
+    """
+    told = cpu()
+    flags = (told.get("flags") or told.get("Features") or "").split()
+    if "asimd" in flags:
+        return "SVE" if "sve" in flags else "NEON"
+    names = list(_SETS)
+    here = [name for name in names if _SETS[name] in flags]
+    allowed = names[names.index(limit.upper()) :] if limit.upper() in names else names
+    unknown = f"{platform.machine()} to {allowed[0]}" if allowed != names else platform.machine()
+    return next((name for name in here if name in allowed), unknown)
 
 
 def temporary_folder() -> Path:

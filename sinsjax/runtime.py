@@ -236,6 +236,15 @@ def versions() -> dict[str, str]:
     return {"sinsjax": package_version(), "python": platform.python_version(), **packages}
 
 
+def instructions() -> str:
+    """The instruction set in force: this machine's, as far as ``XLA_FLAGS`` lets XLA use it."""
+    flags = os.environ.get("XLA_FLAGS", "").strip()
+    if flags and not flags.startswith("-"):  # the name of a file with the flags
+        with contextlib.suppress(OSError, ValueError):
+            flags = Path(flags).read_text(encoding="utf-8")
+    return machine.instructions(flag_values(flags).get("xla_cpu_max_isa", ""))
+
+
 def session() -> dict[str, Any]:
     """What this process brings to results, for a manifest: versions, machine, XLA's options."""
     cpu = machine.cpu()
@@ -243,6 +252,7 @@ def session() -> dict[str, Any]:
         "versions": versions(),
         "platform": platform.platform(),
         "cpu": cpu.get("model name") or platform.processor() or platform.machine(),
+        "instructions": instructions(),
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
     }
 
@@ -251,11 +261,12 @@ def info() -> dict[str, Any]:
     """What this process computes with; starts JAX's backend and compiles a tiny loop.
 
     Returns:
-        All of `versions`; ``platform``, ``cpu``, ``avx512`` (None where it cannot be told),
-        ``cores``, ``devices``, ``x64``; ``compile_cache``: the folder of compiled programs, or off;
-        ``options``: each XLA option with its value in ``XLA_FLAGS`` or None; ``opted_out``;
-        ``jaxlib_tested``: whether this version is in `TESTED_JAXLIB`; ``fused_loop``,
-        ``multi_output_fusion``: what `sinsjax.hlo.options_seen` finds.
+        All of `versions`; ``platform``, ``cpu``; ``instructions``: the set in force; ``avx512``:
+        whether it is that one, None where it cannot be told; ``cores``, ``devices``, ``x64``;
+        ``compile_cache``: the folder of compiled programs, or off; ``options``: each XLA option
+        with its value in ``XLA_FLAGS`` or None; ``opted_out``; ``jaxlib_tested``: whether this
+        version is in `TESTED_JAXLIB`; ``fused_loop``, ``multi_output_fusion``: what
+        `sinsjax.hlo.options_seen` finds.
     """
     import jax
 
@@ -267,7 +278,8 @@ def info() -> dict[str, Any]:
         **this["versions"],
         "platform": this["platform"],
         "cpu": this["cpu"],
-        "avx512": "avx512f" in cpu["flags"].split() if "flags" in cpu else None,
+        "instructions": this["instructions"],
+        "avx512": this["instructions"] == "AVX512" if "flags" in cpu else None,
         "cores": usable_cores(),
         "devices": [str(device) for device in jax.devices()],
         "x64": bool(jax.config.values["jax_enable_x64"]),

@@ -21,7 +21,7 @@ from sinsjax.config import fingerprint, study_to_toml
 from sinsjax.directories import DATASETS
 from sinsjax.files import replacing, unwritable
 from sinsjax.types import InputError
-from sinsjax.work import Packed, Task, Workshop
+from sinsjax.work import Job, Packed, Task, Workshop
 
 _OURS = ("summary/part-*", "curves/part-*", "figures/*.png", "study.toml")
 _RERUN = tuple(f"reruns/*/{name}" for name in ("summary.parquet", "curve.parquet", "curve.png"))
@@ -85,7 +85,7 @@ class Store:
         # Once more, as what is there may have changed before the lock was ours.
         directories.check_free(self.directory, overwrite=overwrite or resume)
         job = self._workshop.job
-        if resume and directories.resumed(self.directory, job)[2:] != job[2:]:
+        if resume and self._resumed()[2:] != job[2:]:
             raise InputError(f"{self.directory}: another process has just written there")
         patterns = _LEFT if resume else (*_LEFT, *_OURS, *_RERUN)
         _remove(path for pattern in patterns for path in self.directory.glob(pattern))
@@ -96,6 +96,10 @@ class Store:
             # First of all, so that what a killed run leaves is known to be ours.
             self._write_manifest("running")
         _write(self.directory / "study.toml", study_to_toml(job.study).encode())
+
+    def _resumed(self) -> Job:
+        instructions = self._session.get("instructions")
+        return directories.resumed(self.directory, self._workshop.job, instructions)
 
     def release(self) -> None:
         """Let another process write."""
@@ -240,7 +244,7 @@ class Store:
             **self._facts,
             "started_unix_s": sessions[0]["started_unix_s"],
             "wall_s": round(sum(session["wall_s"] for session in sessions), 3),
-            **{key: this[key] for key in ("versions", "devices") if key in this},
+            **{key: this[key] for key in ("versions", "instructions", "devices") if key in this},
             "sessions": sessions,
             "study": study.model_dump(mode="json", exclude_none=True),
             "chunks": chunks,

@@ -7,15 +7,12 @@ written, and rows of unlike machines are noticed.
 import logging
 import os
 import pickle
-import re
 import threading
 from functools import cache
 from typing import Any, NamedTuple
 
-from sinsjax import affinity, machine, runtime
+from sinsjax import affinity, runtime
 from sinsjax.work import Job, Packed, Task, Workshop
-
-_VECTORS = re.compile("avx|fma|sve|asimd")
 
 
 class Machine(NamedTuple):
@@ -23,13 +20,13 @@ class Machine(NamedTuple):
 
     Attributes:
         cpu: model.
-        vectors: its vector instructions, of those that XLA has code for.
+        instructions: the instruction set in force.
         options: XLA:CPU options by name, as far as they are set.
         platform: of JAX: cpu, gpu.
     """
 
     cpu: str
-    vectors: tuple[str, ...]
+    instructions: str
     options: tuple[tuple[str, str], ...]
     platform: str
 
@@ -105,11 +102,10 @@ def machine_here() -> Machine:
     """Of this process; starts JAX's backend."""
     import jax
 
-    told = machine.cpu()
     given = runtime.flag_values(os.environ.get("XLA_FLAGS", ""))
     return Machine(
         cpu=runtime.session()["cpu"],
-        vectors=tuple(f for f in sorted(told.get("flags", "").split()) if _VECTORS.match(f)),
+        instructions=runtime.instructions(),
         options=tuple((o.name, given[o.name]) for o in runtime.OPTIONS if o.name in given),
         platform=jax.default_backend(),
     )

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import dask
+import distributed
 import psutil
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -276,6 +277,23 @@ def test_workers_of_another_version_are_refused(
         pass
 
 
+def test_workers_of_two_instruction_sets_are_refused(begin: Begin, scheduler: str) -> None:
+    begin("worker", scheduler, "--nthreads", "1")
+    with cluster.executor(scheduler=scheduler) as executor:
+        assert executor.facts["instructions"] == runtime.instructions()
+    smaller = runtime.merge_options("--xla_cpu_max_isa=SSE4_2")
+    begin("worker", scheduler, "--nthreads", "1", XLA_FLAGS=smaller)
+    with distributed.Client(scheduler, set_as_default=False) as client:
+        client.wait_for_workers(2, timeout=60)
+    with (
+        pytest.raises(
+            InputError, match=r"^tcp://127\.0\.0\.1:\d+: the worker has instruction set "
+        ),
+        cluster.executor(scheduler=scheduler),
+    ):
+        pass
+
+
 def test_a_scheduler_without_workers_is_left_in_the_end(
     scheduler: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -340,6 +358,12 @@ def test_every_answer_is_checked_and_unlike_machines_are_told_once(
     crew.check(answer(machine=other))
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("tcp://far:1: computes with Abacus")
+    assert crew.facts() == {"instructions": runtime.instructions()}
+    smaller = answer(worker="tcp://old:1", machine=other._replace(instructions="SSE4_2"))
+    with pytest.raises(
+        InputError, match="^tcp://old:1: the worker has instruction set SSE4_2, tcp"
+    ):
+        crew.check(smaller)
     late = worker.versions() | {"jaxlib": "0.1"}
     with pytest.raises(InputError, match="^tcp://far:1: the worker has jaxlib 0.1, this process"):
         crew.check(answer(versions=late))

@@ -1,11 +1,18 @@
-"""What keeps a directory of results from being gone on with: other keys, other versions."""
+"""What keeps a directory of results from being gone on with: other keys, versions, instructions."""
 
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
 from studies import small_study
 
-from sinsjax import campaign, directories, runtime
+from sinsjax import campaign, directories, runtime, work
+from sinsjax.config import study_to_toml
+from sinsjax.results import read_manifest
 from sinsjax.types import InputError
 
 ZIP = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 1.0, 2.0]}
@@ -55,3 +62,42 @@ def test_rows_of_other_versions_are_not_added(
     with pytest.raises(InputError, match=f"out: was made with {name} .*, here is 0.0"):
         campaign.run_into(study, out, resume=True)
     assert (out / "manifest.json").read_bytes() == before
+
+
+def test_rows_of_another_instruction_set_are_not_added(tmp_path: Path) -> None:
+    """Made by another process, which XLA holds to a smaller set than this one has."""
+    study, out = small_study(), tmp_path / "out"
+    (tmp_path / "study.toml").write_text(study_to_toml(study))
+    command = [sys.executable, "-m", "sinsjax", "sweep", tmp_path / "study.toml", "-o", out]
+
+    def sweep(*words: str, **flags: str) -> tuple[int, str]:
+        done = subprocess.run(
+            [*command, *words], env=os.environ | flags, capture_output=True, text=True
+        )
+        return done.returncode, done.stderr
+
+    smaller = {"XLA_FLAGS": runtime.merge_options("--xla_cpu_max_isa=SSE4_2")}
+    assert sweep(**smaller) == (0, "")
+    manifest = read_manifest(out)
+    assert manifest["instructions"] == manifest["sessions"][0]["instructions"] == "SSE4_2"
+    before = (out / "manifest.json").read_bytes()
+    here = runtime.instructions()
+    told = f"out: was made with instruction set SSE4_2, here is {here}: .*max_isa=SSE4_2"
+    with pytest.raises(InputError, match=told):
+        campaign.run_into(study, out, resume=True)
+    # Workers are asked, not the process that hands their rows on.
+    theirs = work.on_this_machine()._replace(facts={"workers": 1, "instructions": "SSE4_2"})
+    assert (out / "manifest.json").read_bytes() == before
+    campaign.run_into(study, out, resume=True, executor=theirs)
+    assert [s["instructions"] for s in read_manifest(out)["sessions"]] == ["SSE4_2"] * 2
+
+
+def test_a_manifest_that_names_no_instruction_set_is_gone_on_with(tmp_path: Path) -> None:
+    """As one that names no version: it is older."""
+    study, out = small_study(), tmp_path / "out"
+    campaign.run_into(study, out)
+    manifest = read_manifest(out)
+    del manifest["instructions"], manifest["sessions"][0]["instructions"]
+    (out / "manifest.json").write_text(json.dumps(manifest))
+    campaign.run_into(study, out, resume=True)
+    assert read_manifest(out)["sessions"][1]["instructions"] == runtime.instructions()

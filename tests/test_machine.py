@@ -1,4 +1,4 @@
-"""A folder that nobody else can write in, put something in the place of, or take away."""
+"""The instruction set; and a folder that nobody else can write in or put another in place of."""
 
 import os
 import stat
@@ -10,9 +10,37 @@ import pytest
 
 from sinsjax import machine
 
-pytestmark = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="this system has no such modes")
-
 SOMEBODY = 54321
+
+
+X86 = "fpu sse4_2 avx f16c"
+
+
+@pytest.mark.parametrize(
+    ("told", "limit", "expected"),
+    [
+        ({"flags": X86}, "", "AVX"),
+        ({"flags": f"{X86} avx2 avx512f avx512_bf16 amx_tile"}, "", "AVX512"),
+        ({"flags": f"{X86} avx2 avx512f avx512_bf16 amx_tile"}, "AVX512_VNNI", "AVX512"),
+        ({"flags": f"{X86} avx2 avx512f"}, "avx2", "AVX2"),
+        ({"flags": X86}, "AVX2", "AVX"),
+        ({"flags": f"{X86} avx2"}, "AVX9000", "AVX2"),
+        ({"flags": "fpu sse2"}, "", "x86_64"),
+        ({"Features": "fp asimd sve2 sve"}, "", "SVE"),
+        ({"Features": "fp asimd"}, "", "NEON"),
+        ({}, "", "x86_64"),
+        ({}, "AVX2", "x86_64 to AVX2"),
+    ],
+)
+def test_the_instruction_set_is_the_machines_as_far_as_xla_may_use_it(
+    monkeypatch: pytest.MonkeyPatch, told: dict[str, str], limit: str, expected: str
+) -> None:
+    monkeypatch.setattr(machine, "cpu", lambda: told)
+    monkeypatch.setattr(machine.platform, "machine", lambda: "x86_64")
+    assert machine.instructions(limit) == expected
+
+
+modes = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="this system has no such modes")
 
 
 def mode(path: Path) -> int:
@@ -28,6 +56,7 @@ def refused(folder: Path) -> tuple[str, str]:
     return told.value.filename, told.value.strerror
 
 
+@modes
 def test_what_is_missing_is_made_for_this_user_alone(tmp_path: Path) -> None:
     before = os.umask(0)
     try:
@@ -38,6 +67,7 @@ def test_what_is_missing_is_made_for_this_user_alone(tmp_path: Path) -> None:
     machine.private_folder(tmp_path / "a" / "b")
 
 
+@modes
 @pytest.mark.parametrize("between", ["", "deep/"])
 def test_a_folder_above_that_others_can_write_to_is_refused(tmp_path: Path, between: str) -> None:
     (tmp_path / "open").mkdir()
@@ -49,6 +79,7 @@ def test_a_folder_above_that_others_can_write_to_is_refused(tmp_path: Path, betw
     assert refused(leaf) == (str(tmp_path / "open"), "others can write there")
 
 
+@modes
 def test_a_sticky_folder_is_one_to_be_safe_in_only_if_the_superusers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -64,6 +95,7 @@ def test_a_sticky_folder_is_one_to_be_safe_in_only_if_the_superusers(
     assert refused(sticky)[0] == str(sticky)
 
 
+@modes
 def test_the_folder_itself_has_to_be_this_users(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -71,6 +103,7 @@ def test_the_folder_itself_has_to_be_this_users(
     assert refused(tmp_path)[1] == "belongs to somebody else"
 
 
+@modes
 @pytest.mark.skipif(not hasattr(os, "chown") or os.geteuid() != 0, reason="needs a second user")
 def test_a_folder_above_that_is_somebody_elses_is_refused(tmp_path: Path) -> None:
     """As closed as it is: its owner opens it when it pays."""
@@ -80,6 +113,7 @@ def test_a_folder_above_that_is_somebody_elses_is_refused(tmp_path: Path) -> Non
     assert refused(theirs / "leaf") == (str(theirs), "belongs to somebody else")
 
 
+@modes
 def test_a_link_is_followed_once_and_what_it_led_to_is_checked(tmp_path: Path) -> None:
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o777)
@@ -94,6 +128,7 @@ def test_a_link_is_followed_once_and_what_it_led_to_is_checked(tmp_path: Path) -
         machine.private_folder(tmp_path / "loop" / "leaf")
 
 
+@modes
 def test_whoever_makes_it_first_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     make = Path.mkdir
 
@@ -119,6 +154,7 @@ GROUPS = [
 """Name of the group, accounts that are listed (``primary`` has it as its own), members, alone?"""
 
 
+@modes
 @pytest.mark.parametrize(("group", "accounts", "members", "alone"), GROUPS)
 def test_a_group_without_other_members_is_not_others(
     tmp_path: Path,
@@ -149,6 +185,7 @@ def test_a_group_without_other_members_is_not_others(
     assert refused(tmp_path / "shared" / "new")[0] == str(tmp_path / "shared")
 
 
+@modes
 def test_without_a_home_there_is_no_cache_folder(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(platformdirs, "user_cache_path", lambda *_, **__: Path("~/.cache/sinsjax"))
     with pytest.raises(OSError, match="this user has no cache folder"):

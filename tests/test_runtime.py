@@ -227,6 +227,16 @@ def test_info_names_what_is_installed():
     assert info["python"] == ".".join(map(str, sys.version_info[:3]))
     assert info["jax"] == jax.__version__
     assert 1 <= info["cores"] <= os.cpu_count()
-    assert info["avx512"] in (True, False, None)
+    assert info["avx512"] in (info["instructions"] == "AVX512", None)
     assert runtime.versions().items() <= info.items()
     json.dumps(info)
+
+
+def test_the_instruction_set_in_force_is_what_the_flags_leave(unset, tmp_path):
+    unset.setattr(runtime.machine, "instructions", lambda limit: limit)
+    assert runtime.instructions() == ""
+    unset.setenv("XLA_FLAGS", "--xla_cpu_max_isa=AVX --xla_cpu_max_isa=AVX2")
+    assert runtime.instructions() == "AVX2"
+    (tmp_path / "flags").write_text("--xla_cpu_max_isa=AVX\n")
+    unset.setenv("XLA_FLAGS", str(tmp_path / "flags"))
+    assert runtime.instructions() == "AVX"
