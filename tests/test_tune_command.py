@@ -185,6 +185,9 @@ def test_a_judging_that_lacks_runs_is_not_reported(made: Path, tmp_path: Path) -
     out = shutil.copytree(made, tmp_path / "out")
     (part,) = (out / "evaluation" / "summary").iterdir()
     pq.write_table(pq.read_table(part).slice(1), part)
+    with pytest.raises(InputError, match="part-0000-000000.parquet: is not what was written"):
+        told(out)
+    (out / "evaluation" / "manifest.json").write_text("{}")  # which knows of no part
     with pytest.raises(InputError, match=r"evaluation: 31 runs where the study has 32: are the re"):
         told(out)
 
