@@ -54,7 +54,7 @@ class Job(NamedTuple):
             arrays = [record.dtheta, record.dv, np.asarray([record.rate_hz])]
             arrays += [] if reference is None else [reference.time_s, reference.attitude_deg]
             for array in arrays:
-                whole.update(np.ascontiguousarray(array).tobytes())
+                whole.update(np.ascontiguousarray(array).data)
         return whole.hexdigest()[:16]
 
 

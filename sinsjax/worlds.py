@@ -295,9 +295,11 @@ def recorded(
     coarse_n, starts = starts_of(study, rate)
     for start in starts / rate:
         require_span(record, start, (coarse_n + span.read * study.record_every) / rate)
-    increments = np.concatenate([record.dtheta, record.dv], axis=1)
+    # No more of the record than is read.
+    first, end = starts.min(), starts.max() + coarse_n + span.read * study.record_every
+    increments = np.concatenate([a[first:end] for a in (record.dtheta, record.dv)], axis=1)
     align = jax.jit(COARSE[study.coarse.coarse_method])
-    pieces = np.stack([increments[s : s + coarse_n] for s in starts])
+    pieces = np.stack([increments[s - first :][:coarse_n] for s in starts])
     samples = jax.vmap(imu.compensate_record)(pieces, pieces[:, 0])
     q = jax.vmap(lambda s: jnp.stack(align(s, site.place, 1 / rate)))(samples)
     fine = starts + coarse_n
@@ -313,7 +315,8 @@ def recorded(
         pass_records=np.asarray(span.tape),
     )
     n = len(starts)
-    draws = Draw(np.arange(n), fine, np.arange(n), begins=_begins(designs.values(study, n)))
+    begins = _begins(designs.values(study, n))
+    draws = Draw(np.arange(n), fine - first, np.arange(n), begins=begins)
     return world, draws, np.asarray(q)
 
 

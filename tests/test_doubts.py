@@ -15,7 +15,7 @@ from studies import small_study
 from sinsjax import campaign, results, scenario
 from sinsjax.config import Study, load_study, study_from_dict
 from sinsjax.doubts import doubts
-from sinsjax.records import Layout, Record, Reference, write_csv
+from sinsjax.records import Layout, Record, Reference, plausible, write_csv
 from sinsjax.records.plausible import Expected, Finding, findings
 from sinsjax.records.turning import attitudes
 from sinsjax.types import InputError
@@ -124,6 +124,24 @@ def test_a_turn_that_the_gyros_did_not_feel_is_told() -> None:
     dtheta = np.concatenate([some.dtheta[:10_000], some.dtheta[10_000:] @ turn])
     (one,) = found(some._replace(dtheta=dtheta))
     assert not one.hard and "the mean rate changes by" in one.text
+
+
+@pytest.mark.parametrize("base", ["still", "swinging"])
+def test_a_long_span_is_judged_as_a_short_one(base: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where samples are put together, a record of 200 s stands for one of a day."""
+    some = record(base)
+    turned = some.dtheta.copy()
+    turned[9000:9500, 2] += 60 * DEG / 500
+    biased = some.dtheta + np.array([700.0, 0, 0]) * DEG_PER_H / 100
+    cases = [some, *(some._replace(dtheta=dtheta) for dtheta in (turned, biased))]
+    whole = [found(case) for case in cases]
+    monkeypatch.setattr(plausible, "_MOST", 8000)
+    together = [found(case) for case in cases]
+    assert [[f.hard for f in one] for one in whole] == [[f.hard for f in one] for one in together]
+    assert [[f.text[:24] for f in one] for one in whole] == [
+        [f.text[:24] for f in one] for one in together
+    ]
+    assert not whole[0] and whole[1] and whole[2]
 
 
 def test_attitudes_as_scipy_multiplies_them() -> None:

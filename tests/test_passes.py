@@ -338,7 +338,18 @@ def test_a_tape_longer_than_the_record_is_refused() -> None:
         list(scenario.parts(study, Tape(record(), None)))
     line = "has 20 s, but start_s = 4 and 17 s from there need 21 s"
     assert str(caught.value) == f"{record().source}: {line}"
-    assert list(scenario.parts(study_from_dict(recorded(tape_s=6.0)), Tape(record(), None)))
+    (part,) = scenario.parts(study_from_dict(recorded(tape_s=6.0)), Tape(record(), None))
+    assert len(part.group.world.tape) == 800  # of the 1000 of the record, what is read
+
+
+def test_no_more_of_a_record_is_taken_than_is_read() -> None:
+    """Runs that begin at 10 s of the record begin where their fine alignment does on the tape."""
+    data = recorded(tape_s=6.0)
+    data["record"] = data["record"] | {"start_s": 4.0}
+    (part,) = scenario.parts(study_from_dict(data), Tape(record(), None))
+    np.testing.assert_array_equal(part.group.world.tape[:, :3], record().dtheta[200:800])
+    np.testing.assert_array_equal(part.group.world.tape[:, 3:], record().dv[200:800])
+    np.testing.assert_array_equal(part.group.draws.start, [300])
 
 
 @pytest.mark.parametrize("passes", [1, 2])

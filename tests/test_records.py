@@ -2,6 +2,8 @@
 
 import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from sinsjax import records
-from sinsjax.records import Layout, Record
+from sinsjax.records import Layout, Record, files, tables
 from sinsjax.types import InputError
 
 DATA = Path(os.environ.get("SINSJAX_DATA", Path(__file__).parents[1] / ".." / "shared" / "data"))
@@ -192,6 +194,14 @@ def table_csv(folder: Path, time_s) -> Path:
 # --- mistakes
 
 
+@pytest.fixture(params=[None, 50], ids=["in one batch", "in many batches"])
+def batches(request, monkeypatch) -> None:
+    """Bytes of text that are looked at together."""
+    if request.param:
+        monkeypatch.setattr(files, "BATCH", request.param)
+
+
+@pytest.mark.usefixtures("batches")
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -229,6 +239,7 @@ HEAD = "time_s,gx,gy,gz,ax,ay,az\n"
 ROWS = "".join(f"{k / 100},1,2,3,4,5,6\n" for k in range(1, 5))
 
 
+@pytest.mark.usefixtures("batches")
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -437,6 +448,7 @@ def lacking(folder: Path, missing: list[int], kind: str) -> tuple[Path, np.ndarr
     return path, time_s
 
 
+@pytest.mark.usefixtures("batches")
 @pytest.mark.parametrize("kind", ["gap", "empty", "nan", "-inf"])
 def test_what_is_missing_refuses_the_spans_it_lies_in(tmp_path, kind):
     path, time_s = lacking(tmp_path, [200, 201, 202], kind)
@@ -451,6 +463,7 @@ def test_what_is_missing_refuses_the_spans_it_lies_in(tmp_path, kind):
         assert "row 202: " in line and ("a gap" in line) == (kind == "gap")
 
 
+@pytest.mark.usefixtures("batches")
 @pytest.mark.parametrize("kind", ["gap", "empty"])
 def test_short_gaps_are_interpolated_and_counted(tmp_path, kind):
     path, time_s = lacking(tmp_path, [100, 200, 201, 202], kind)
@@ -483,6 +496,7 @@ STAMPS = {
 }
 
 
+@pytest.mark.usefixtures("batches")
 @pytest.mark.parametrize("unit", STAMPS)
 def test_units_of_time_with_semicolons_and_comments(tmp_path, unit):
     rows = [f"{STAMPS[unit](k)};1;2;3;4;5;6" for k in range(1, 301)]
@@ -512,6 +526,82 @@ def test_a_date_that_is_none(tmp_path):
     (tmp_path / "a.csv").write_text(HEAD + "2024-13-01T00:00:00,1,2,3,4,5,6\n")
     line = refused(records.read_csv, tmp_path / "a.csv", CSV._replace(time_unit="iso"))
     assert "row 2: column 'time_s': '2024-13-01T00:00:00' is no date and time" in line
+
+
+# --- long records
+
+
+lines_of_text = st.lists(st.sampled_from([b"1,2", b"\n", b"\r", b"\r\n", b"", b"#", b" "]))
+
+
+@quick
+@given(pieces=lines_of_text.filter(any), size=st.integers(1, 9))
+def test_lines_in_batches_are_those_of_the_whole(folder, pieces, size):
+    text, path = b"".join(pieces), folder / "lines.txt"
+    path.write_bytes(b"\xef\xbb\xbf" * (size > 3) + text)
+    batches = list(files.line_batches(path, size + 2))
+    assert [line for batch in batches for line in batch.lines] == text.splitlines()
+    assert [b.first for b in batches] == list(
+        np.cumsum([1, *(len(b.lines) for b in batches)])[: len(batches)]
+    )
+    assert [batch.ends for batch in batches] == [False] * (len(batches) - 1) + [True]
+
+
+@pytest.mark.parametrize("kind", ["csv", "iso", "psins", "parquet"])
+def test_a_record_in_batches_is_the_whole_to_the_last_bit(tmp_path, monkeypatch, kind):
+    random, path = np.random.default_rng(3), tmp_path / "long"
+    record = Record(random.normal(size=(999, 3)), random.normal(size=(999, 3)), 100.0)
+    layout = CSV._replace(max_gap_s=0.1, axes_order="y-xz")
+    if kind == "psins":
+        layout = Layout("psins", axes_order="y-xz")
+        records.write_psins(record, path)
+    elif kind == "parquet":
+        layout = layout._replace(format="parquet")
+        records.write_parquet(record, path, layout)
+    else:
+        records.write_csv(record, path, layout)
+        head, *rows = path.read_text().splitlines()
+        if kind == "iso":  # milliseconds, of which 999 fit behind a point
+            rows = [
+                f"2024-05-01T00:00:{float(r.partition(',')[0]):06.3f},{r.partition(',')[2]}"
+                for r in rows
+            ]
+            layout = layout._replace(time_unit="iso")
+        del rows[500:503]
+        rows[700] = ",".join([*rows[700].split(",")[:-1], ""])
+        rows.insert(50, "# a comment")
+        rows.insert(300, "")
+        path.write_text("\r\n".join([head, *rows]))
+    whole = records.read_record(path, layout)
+    monkeypatch.setattr(files, "BATCH", 1000)
+    monkeypatch.setattr(tables, "_BATCH_ROWS", 10)
+    again = records.read_record(path, layout)
+    assert same_bits(whole.dtheta, again.dtheta) and same_bits(whole.dv, again.dv)
+    assert whole[2:] == again[2:] and whole.filled == (4 if kind in ("csv", "iso") else 0)
+
+
+_PEAK = """
+import re, sys
+from sinsjax.records import Layout, read_record
+def peak():
+    return int(re.search(r"VmHWM:\\s*(\\d+) kB", open("/proc/self/status").read())[1]) * 1024
+names = dict(gyro_columns=("gx", "gy", "gz"), accel_columns=("ax", "ay", "az"))
+before = peak()
+record = read_record(sys.argv[1], Layout("csv", time_column="time_s", **names))
+print((peak() - before) / len(record.dv))
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no /proc to read a peak from")
+def test_a_long_record_is_read_in_little_memory(tmp_path):
+    """Bytes a sample, of which 48 are the result; the text and its lines at once took 670."""
+    random, path = np.random.default_rng(3), tmp_path / "long.csv"
+    record = Record(random.normal(size=(500_000, 3)), random.normal(size=(500_000, 3)), 200.0)
+    records.write_csv(record, path, CSV._replace(rate_hz=None))
+    ended = subprocess.run(
+        [sys.executable, "-c", _PEAK, str(path)], capture_output=True, text=True, check=True
+    )
+    assert float(ended.stdout) < 400
 
 
 # --- reference

@@ -1,11 +1,16 @@
 """Bytes, lines and numbers out of a file."""
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 from sinsjax.types import InputError
 
 CUT_OFF = " (the last row: is the file cut off?)"
+
+BATCH = 2**22
+"""Bytes of a text file that are looked at together: some 30,000 rows of a record."""
 
 
 def load(path: str | Path) -> bytes:
@@ -19,13 +24,61 @@ def load(path: str | Path) -> bytes:
     return data
 
 
-def load_lines(path: str | Path) -> list[bytes]:
-    """The lines of a text file without their ends; raises InputError for what is not text."""
-    data = load(path)
-    if b"\0" in data:
-        row = data.count(b"\n", 0, data.index(b"\0")) + 1
-        raise InputError(f"{path}: row {row}: not a text file (a zero byte)")
-    return data.removeprefix(b"\xef\xbb\xbf").splitlines()
+class Lines(NamedTuple):
+    """Some lines of a text file in a row.
+
+    Attributes:
+        first: row of the first one, from 1.
+        lines: without their ends.
+        ends: whether the file ends with them.
+    """
+
+    first: int
+    lines: list[bytes]
+    ends: bool
+
+
+def line_batches(path: str | Path, size: int | None = None) -> Iterator[Lines]:
+    """The lines of a text file, a batch at a time: a long record is larger than what is made of it.
+
+    Args:
+        path: the file.
+        size: bytes that are read at a time, or `BATCH`.
+
+    Raises:
+        InputError: the file cannot be read, is empty, or is not text.
+    """
+    first, rest = 1, b""
+    for block, ends in _blocks(path, size or BATCH):
+        block = rest + block
+        if b"\0" in block:
+            row = first + block.count(b"\n", 0, block.index(b"\0"))
+            raise InputError(f"{path}: row {row}: not a text file (a zero byte)")
+        # A line ends with either or both, which are never parted.
+        cut = block.rfind(b"\n") + 1 or block.rfind(b"\r", 0, -1) + 1
+        cut = len(block) if ends else cut
+        if not ends and not cut:
+            rest = block
+            continue
+        lines, rest = block[:cut].splitlines(), block[cut:]
+        yield Lines(first, lines, ends)
+        first += len(lines)
+
+
+def _blocks(path: str | Path, size: int) -> Iterator[tuple[bytes, bool]]:
+    """Blocks of a file without its byte order mark, and whether each is the last one."""
+    try:
+        with open(path, "rb") as file:
+            block = file.read(size)
+            if not block:
+                raise InputError(f"{path}: the file is empty")
+            block = block.removeprefix(b"\xef\xbb\xbf")
+            while following := file.read(size):
+                yield block, False
+                block = following
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    yield block, True
 
 
 def number_or_nan(text: str) -> float:

@@ -23,6 +23,7 @@ _SHORT_S = 20.0  # which holds few sways
 _LONG_S = 180.0  # a third of it holds several sways of most bases
 _KEPT = 0.99  # of gravity, by gyros that follow the sways
 _LEANING = 45 * DEG
+_MOST = 2**19  # steps that a span is looked at in: of a longer one, samples are put together
 _NAMES = {
     "rad_per_s": "rad/s",
     "deg_per_s": "deg/s",
@@ -258,8 +259,9 @@ def _other_gyro_unit(
 
 
 def _felt(record: Record, span: tuple[int, int], gravity: float) -> _Felt:
-    dtheta, dv = (rows[span[0] : span[1]] for rows in (record.dtheta, record.dv))
-    n, dt = len(dtheta), 1 / record.rate_hz
+    together = -(-(span[1] - span[0]) // _MOST)
+    dtheta, dv = (_summed(rows[slice(*span)], together) for rows in (record.dtheta, record.dv))
+    n, dt = len(dtheta), together / record.rate_hz
     q = attitudes(dtheta)
     q = multiply(q[n // 2] * [1, -1, -1, -1], q)  # to the body axes of the middle
     turns = _steps(q, dtheta)
@@ -281,7 +283,7 @@ def _felt(record: Record, span: tuple[int, int], gravity: float) -> _Felt:
     # Sways make neighbours differ; what changes once does not.
     change -= dt / 2 * float(np.median(np.linalg.norm(np.diff(some, axis=0), axis=1)))
     cosine = float(early @ late) / (_size(early) * _size(late))
-    second = max(1, round(record.rate_hz))
+    second = max(1, round(1 / dt))
     blocks = dv[: n // second * second].reshape(-1, second, 3).mean(axis=1) / dt
     sizes = _size(_mean(force)), float(np.linalg.norm(blocks, axis=1).mean())
     return _Felt(
@@ -297,6 +299,13 @@ def _felt(record: Record, span: tuple[int, int], gravity: float) -> _Felt:
         moved=math.acos(max(-1.0, min(1.0, cosine))),
         seconds=n * dt,
     )
+
+
+def _summed(rows: FloatArray, together: int) -> FloatArray:
+    """Increments (n, 3) over that many samples at a time; a rest is left out."""
+    if together == 1:
+        return rows
+    return rows[: len(rows) // together * together].reshape(-1, together, 3).sum(axis=1)
 
 
 def _size(vector: FloatArray) -> float:

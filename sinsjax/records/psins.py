@@ -8,6 +8,7 @@ roll, yaw (deg), VE, VN, VU (m/s); latitude, longitude (deg), height (m), t0 (s)
 import math
 import re
 from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax.files import replacing
-from sinsjax.records.files import CUT_OFF, load_lines, number
+from sinsjax.records.files import CUT_OFF, Lines, line_batches, number
 from sinsjax.records.layout import (
     PSINS_LAYOUT,
     FloatArray,
@@ -60,16 +61,19 @@ def read_psins(path: str | Path, layout: Layout = PSINS_LAYOUT) -> Record:
             names the row.
     """
     check_layout(layout, str(path))
-    lines = load_lines(path)
-    rows = [row for row, line in enumerate(lines) if _has_data(line)]
-    header = _read_header(path, lines, rows[:3])
-    if len(rows) == 3:
+    batches = map(_data, line_batches(path))
+    head = next(batches)
+    while len(head.lines) <= 3 and (more := next(batches, None)):
+        head = _Data(head.lines + more.lines, head.rows + more.rows, more.ends)
+    header = _read_header(path, head)
+    if len(head.rows) == 3:
         raise InputError(f"{path}: no samples after the header")
-    counts = _read_counts(path, lines, rows[3:])
+    first = _Data(head.lines[3:], head.rows[3:], head.ends)
+    counts = np.concatenate([_read_counts(path, batch) for batch in chain([first], batches)])
     scale = np.array(header.scale)
     latitude, _, height, t0, interval_ms, gravity = header.place
     attitude = (header.pose[0], header.pose[1], header.pose[2])
-    rate = agreed_rate(1e3 / interval_ms, layout, 0.0, f"{path}: row {rows[1] + 1}: the header")
+    rate = agreed_rate(1e3 / interval_ms, layout, 0.0, f"{path}: row {head.rows[1]}: the header")
     return Record(
         dtheta=to_body(counts[:, :3] * (scale[:3] * ARCSEC), layout.axes_order),
         dv=to_body(counts[:, 3:] * (scale[3:] * micro_g(gravity)), layout.axes_order),
@@ -83,13 +87,28 @@ def read_psins(path: str | Path, layout: Layout = PSINS_LAYOUT) -> Record:
     )
 
 
+class _Data(NamedTuple):
+    """Lines that are no comments, with their rows, and whether the file ends with them."""
+
+    lines: list[bytes]
+    rows: list[int]
+    ends: bool
+
+
+def _data(batch: Lines) -> _Data:
+    numbered = enumerate(batch.lines, start=batch.first)
+    kept = [(line, row) for row, line in numbered if _has_data(line)]
+    return _Data([line for line, _ in kept], [row for _, row in kept], batch.ends)
+
+
 def _has_data(line: bytes) -> bool:
     text = line.lstrip()
     return bool(text) and not text.startswith(b"%")
 
 
-def _read_header(path: str | Path, lines: list[bytes], rows: list[int]) -> _Header:
-    parsed = [_header_line(path, lines[row], row + 1) for row in rows]
+def _read_header(path: str | Path, head: _Data) -> _Header:
+    pairs = zip(head.lines[:3], head.rows[:3], strict=True)
+    parsed = [_header_line(path, line, row) for line, row in pairs]
     if len(parsed) < 3:
         raise InputError(f"{path}: the header has {len(parsed)} of its 3 lines")
     header = _Header(*parsed)
@@ -97,7 +116,7 @@ def _read_header(path: str | Path, lines: list[bytes], rows: list[int]) -> _Head
     if fault is not None:
         line, text = fault
         raise InputError(
-            f"{path}: row {rows[line] + 1}: header line {line + 1}: {text} (a header of 3 lines "
+            f"{path}: row {head.rows[line]}: header line {line + 1}: {text} (a header of 3 lines "
             "comes before the samples)"
         )
     return header
@@ -131,34 +150,33 @@ def _header_fault(header: _Header) -> tuple[int, str] | None:
     return None
 
 
-def _read_counts(path: str | Path, lines: list[bytes], rows: list[int]) -> NDArray[np.int64]:
-    text = [lines[row] for row in rows]
+def _read_counts(path: str | Path, data: _Data) -> NDArray[np.int64]:
+    if not data.lines:
+        return np.empty((0, 6), np.int64)
     # loadtxt would take "1.5" for an integer: leave every odd character to the second path.
-    if not b"".join(text).translate(None, b"0123456789+- \t"):
+    if not b"".join(data.lines).translate(None, b"0123456789+- \t"):
         try:
-            counts = np.loadtxt(text, dtype=np.int64, comments=None, ndmin=2)
+            counts = np.loadtxt(data.lines, dtype=np.int64, comments=None, ndmin=2)
         except ValueError:
             pass
         else:
             if counts.shape[1] == 6:
                 return counts
-    return _read_counts_with_care(path, lines, rows)
+    return _read_counts_with_care(path, data)
 
 
-def _read_counts_with_care(
-    path: str | Path, lines: list[bytes], rows: list[int]
-) -> NDArray[np.int64]:
+def _read_counts_with_care(path: str | Path, data: _Data) -> NDArray[np.int64]:
     """The second, slower path: it names the first row that is wrong."""
     counts = []
-    for row in rows:
-        words = lines[row].decode("latin-1").split()
+    for line, row in zip(data.lines, data.rows, strict=True):
+        words = line.decode("latin-1").split()
         if len(words) != 6:
-            end = CUT_OFF if row == rows[-1] and len(words) < 6 else ""
-            raise InputError(f"{path}: row {row + 1}: a sample has 6 counts, not {len(words)}{end}")
+            end = CUT_OFF if data.ends and row == data.rows[-1] and len(words) < 6 else ""
+            raise InputError(f"{path}: row {row}: a sample has 6 counts, not {len(words)}{end}")
         for name, word in zip(_COUNT_COLUMNS, words, strict=True):
             fault = _count_fault(word)
             if fault:
-                raise InputError(f"{path}: row {row + 1}: {name}: {fault}")
+                raise InputError(f"{path}: row {row}: {name}: {fault}")
         counts.append([int(word) for word in words])
     return np.array(counts, dtype=np.int64)
 

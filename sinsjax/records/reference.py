@@ -55,7 +55,7 @@ def read_reference(path: str | Path, layout: Layout | None = None) -> Reference:
     if layout and time not in table.names and layout.time_column in table.names:
         time, unit = layout.time_column, layout.time_unit
     names = [time, "pitch_deg", "roll_deg", *(yaws or ["yaw_deg"]), *sigmas]
-    values = table.read(names, dates=[time] if unit == "iso" else [])
+    values = np.column_stack(table.read(names, dates=[time] if unit == "iso" else []))
     time_s, attitude, sigma = values[:, 0] * TIME_UNITS[unit], values[:, 1:4], values[:, 4:]
     if yaws == ["heading_deg"]:
         attitude[:, 2] *= -1

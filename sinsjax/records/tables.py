@@ -5,18 +5,20 @@ Parquet the row of the table from 1.
 """
 
 import csv
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from difflib import get_close_matches
+from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute
 import pyarrow.csv
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
-from sinsjax.records.files import CUT_OFF, load, load_lines, number, number_or_nan
+from sinsjax.records.files import CUT_OFF, Lines, line_batches, load, number, number_or_nan
 from sinsjax.records.layout import FloatArray
 from sinsjax.records.stamps import from_iso
 from sinsjax.types import InputError
@@ -29,14 +31,14 @@ class Table(NamedTuple):
 
     Attributes:
         names: every column of the file, in order.
-        read: (names, blanks=False, dates=()) gives the named columns as (T, n) float64, T > 0. What
-            is missing is nan if ``blanks``, else refused; ``dates`` names the columns that hold
-            dates with time, which become seconds.
+        read: (names, blanks=False, dates=()) gives the named columns, each (T,) float64, T > 0.
+            What is missing is nan if ``blanks``, else refused; ``dates`` names the columns that
+            hold dates with time, which become seconds. A table is read once.
         row: the row to name in a message about sample k.
     """
 
     names: list[str]
-    read: Callable[..., FloatArray]
+    read: Callable[..., list[FloatArray]]
     row: Callable[[int], int]
 
 
@@ -59,23 +61,35 @@ def _listed(names: list[str]) -> str:
 
 _COMMENTS = (b"#", b"%")
 _BLANKS = ["", "nan", "NaN", "NAN"]
+_BATCH_ROWS = 2**17
 
 
 class _Text(NamedTuple):
-    """A text file with columns: its lines, its delimiter and the rows of its samples."""
+    """Some samples of a text file with columns.
+
+    Attributes:
+        path: the file.
+        delimiter: between its columns.
+        lines: of the samples.
+        rows: of each, from 1.
+        ends: whether the file ends with them.
+    """
 
     path: str | Path
-    lines: list[bytes]
     delimiter: str
+    lines: list[bytes]
     rows: list[int]
+    ends: bool
 
-    def cells(self, row: int) -> list[str]:
-        line = self.lines[row].decode(errors="replace")
+    def cells(self, k: int) -> list[str]:
+        line = self.lines[k].decode(errors="replace")
         try:
             return next(csv.reader([line], delimiter=self.delimiter, strict=True))
         except csv.Error:
             kind = "comma" if self.delimiter == "," else "semicolon"
-            raise InputError(f"{self.path}: row {row + 1}: not {kind}-separated text") from None
+            raise InputError(
+                f"{self.path}: row {self.rows[k]}: not {kind}-separated text"
+            ) from None
 
 
 def open_csv(path: str | Path) -> Table:
@@ -84,91 +98,157 @@ def open_csv(path: str | Path) -> Table:
     The first line that is not empty names the columns, and shows which of the two it is. Lines that
     begin with # or % are comments.
     """
-    lines = load_lines(path)
-    head = next((row for row, line in enumerate(lines) if line.strip() and _has_data(line)), None)
-    if head is None:
+    batches = line_batches(path)
+    for batch in batches:
+        head = next((k for k, line in enumerate(batch.lines) if _names_columns(line)), None)
+        if head is not None:
+            break
+    else:
         raise InputError(f"{path}: the file has only empty lines")
-    delimiter = ";" if lines[head].count(b";") > lines[head].count(b",") else ","
-    rows = [row for row, line in enumerate(lines) if line and row > head and _has_data(line)]
-    text = _Text(path, lines, delimiter, rows)
-    names = [name.strip() for name in text.cells(head)]
+    title, row = batch.lines[head], batch.first + head
+    delimiter = ";" if title.count(b";") > title.count(b",") else ","
+    names = [n.strip() for n in _Text(path, delimiter, [title], [row], batch.ends).cells(0)]
+    todo = chain([Lines(row + 1, batch.lines[head + 1 :], batch.ends)], batches)
+    rows: list[NDArray[np.int64]] = []
 
     def read(
         wanted: Sequence[str], *, blanks: bool = False, dates: Collection[str] = ()
-    ) -> FloatArray:
-        index = column_index(path, names, wanted)
+    ) -> list[FloatArray]:
+        columns = _Columns(
+            names, column_index(path, names, wanted), blanks, [name in dates for name in wanted]
+        )
+
+        def values() -> Iterator[list[NDArray[Any]]]:
+            for batch in todo:
+                text = _samples(path, delimiter, batch)
+                if text.rows:
+                    rows.append(np.asarray(text.rows))
+                    yield _read(text, columns)
+
+        whole = _joined(values(), len(wanted))
         if not rows:
             raise InputError(f"{path}: no samples after the header")
-        values = None if dates else _read_quickly(text, len(names), index, blanks=blanks)
-        if values is None or not (blanks or np.isfinite(values).all()):
-            plain = number_or_nan if blanks else number
-            parsers = [from_iso if name in dates else plain for name in wanted]
-            return _read_with_care(text, names, index, parsers)
-        return values
+        rows[:] = [np.concatenate(rows)]
+        return whole
 
-    return Table(names, read, lambda k: rows[k] + 1)
+    return Table(names, read, lambda k: int(rows[0][k]))
+
+
+def _names_columns(line: bytes) -> bool:
+    return bool(line.strip()) and _has_data(line)
 
 
 def _has_data(line: bytes) -> bool:
     return not line.lstrip().startswith(_COMMENTS)
 
 
-def _read_quickly(text: _Text, width: int, index: list[int], *, blanks: bool) -> FloatArray | None:
-    keys = [str(column) for column in range(width)]
-    wanted = [keys[column] for column in index]
+def _samples(path: str | Path, delimiter: str, batch: Lines) -> _Text:
+    numbered = enumerate(batch.lines, start=batch.first)
+    rows = [row for row, line in numbered if line and _has_data(line)]
+    lines = [batch.lines[row - batch.first] for row in rows]
+    return _Text(path, delimiter, lines, rows, batch.ends)
+
+
+def _joined(batches: Iterable[Sequence[NDArray[Any]]], width: int) -> list[FloatArray]:
+    """The columns of all batches, each of which is let go: a long record is never there twice."""
+    whole = [np.empty(0) for _ in range(width)]
+    for batch in batches:
+        for column, more in zip(whole, batch, strict=True):
+            # Moves pages, and copies nothing.
+            column.resize(column.size + more.size, refcheck=False)
+            column[column.size - more.size :] = more
+    return whole
+
+
+class _Columns(NamedTuple):
+    """What is read of a text file.
+
+    Attributes:
+        names: of all its columns.
+        places: of the wanted ones among them.
+        blanks: whether cells may be empty.
+        dates: which of the wanted ones hold dates with time.
+    """
+
+    names: list[str]
+    places: list[int]
+    blanks: bool
+    dates: list[bool]
+
+
+def _read(text: _Text, columns: _Columns) -> list[NDArray[Any]]:
+    values = _read_quickly(text, columns)
+    if values is None or not (columns.blanks or all(np.isfinite(v).all() for v in values)):
+        return _read_with_care(text, columns)
+    return values
+
+
+def _read_quickly(text: _Text, columns: _Columns) -> list[NDArray[Any]] | None:
+    keys = [str(column) for column in range(len(columns.names))]
+    wanted = [keys[column] for column in columns.places]
+    kinds = [pa.string() if is_date else pa.float64() for is_date in columns.dates]
     try:
         table = pa.csv.read_csv(
-            pa.BufferReader(b"\n".join(text.lines[row] for row in text.rows)),
+            pa.BufferReader(b"\n".join(text.lines)),
             read_options=pa.csv.ReadOptions(column_names=keys),
             parse_options=pa.csv.ParseOptions(delimiter=text.delimiter),
             convert_options=pa.csv.ConvertOptions(
-                column_types=dict.fromkeys(wanted, pa.float64()),
+                column_types=dict(zip(wanted, kinds, strict=True)),
                 include_columns=wanted,
-                null_values=_BLANKS if blanks else [],
+                null_values=_BLANKS if columns.blanks else [],
             ),
         )
-    except pa.ArrowInvalid:
+        pairs = zip(table.columns, columns.dates, strict=True)
+        return [_seconds(column) if is_date else column.to_numpy() for column, is_date in pairs]
+    except ValueError:  # pyarrow's own too
         return None
-    return np.column_stack([column.to_numpy() for column in table.columns])
 
 
-def _read_with_care(
-    text: _Text,
-    names: list[str],
-    index: list[int],
-    parsers: Sequence[Callable[[str], float]],
-) -> FloatArray:
-    """The second, slower path: it names the first row that is wrong, and reads dates."""
-    values = []
-    for row in text.rows:
-        cells = text.cells(row)
+def _seconds(dates: pa.ChunkedArray) -> FloatArray:
+    return np.array([from_iso(date) for date in dates.to_pylist()])
+
+
+def _read_with_care(text: _Text, columns: _Columns) -> list[NDArray[Any]]:
+    """The second, slower path: it names the first row that is wrong."""
+    plain = number_or_nan if columns.blanks else number
+    parsers = [from_iso if is_date else plain for is_date in columns.dates]
+    values, names = [], columns.names
+    for k, row in enumerate(text.rows):
+        cells = text.cells(k)
         if len(cells) != len(names):
-            end = CUT_OFF if row == text.rows[-1] and len(cells) < len(names) else ""
+            at_end = text.ends and row == text.rows[-1]
+            end = CUT_OFF if at_end and len(cells) < len(names) else ""
             raise InputError(
-                f"{text.path}: row {row + 1}: the header has {len(names)} columns, this row "
+                f"{text.path}: row {row}: the header has {len(names)} columns, this row "
                 f"{len(cells)}{end}"
             )
-        for column, parse in zip(index, parsers, strict=True):
+        for column, parse in zip(columns.places, parsers, strict=True):
             try:
                 values.append(parse(cells[column]))
             except ValueError as error:
-                place = f"{text.path}: row {row + 1}: column {names[column]!r}"
+                place = f"{text.path}: row {row}: column {names[column]!r}"
                 raise InputError(f"{place}: {error}") from None
-    return np.array(values).reshape(len(text.rows), len(index))
+    return list(np.array(values).reshape(len(text.rows), len(columns.places)).T)
 
 
 def open_parquet(path: str | Path) -> Table:
     """Opens a Parquet file."""
-    data = load(path)
+    # What is no file, such as a pipe, cannot be looked at here and there.
+    data = None if Path(path).is_file() else load(path)
     try:
-        file = pq.ParquetFile(pa.BufferReader(data))
+        source = pa.OSFile(str(path)) if data is None else pa.BufferReader(data)
+        if source.size() == 0:
+            raise InputError(f"{path}: the file is empty")
+        file = pq.ParquetFile(source)
+    except PermissionError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except (pa.ArrowException, OSError):
         raise InputError(f"{path}: not a Parquet file, or cut off") from None
     schema = file.schema_arrow
 
     def read(
         wanted: Sequence[str], *, blanks: bool = False, dates: Collection[str] = ()
-    ) -> FloatArray:
+    ) -> list[FloatArray]:
         index = column_index(path, schema.names, wanted)
         for name, column in zip(wanted, index, strict=True):
             kind = schema.field(column).type
@@ -179,32 +259,52 @@ def open_parquet(path: str | Path) -> Table:
                 raise InputError(f"{path}: column {name!r} holds {kind}, not numbers")
         if file.metadata.num_rows == 0:
             raise InputError(f"{path}: the file has no rows")
+
+        def values() -> Iterator[list[NDArray[Any]]]:
+            before = 0
+            for batch in file.iter_batches(_BATCH_ROWS, columns=list(wanted)):
+                some = pa.Table.from_batches([batch])
+                yield _numbers(path, some, wanted, dates, blanks=blanks, before=before)
+                before += some.num_rows
+
         try:
-            table = file.read(columns=list(wanted))
+            return _joined(values(), len(wanted))
         except (pa.ArrowException, OSError):
             raise InputError(f"{path}: damaged: its columns cannot be read") from None
-        columns = (
-            _dates(path, name, table[name]) if name in dates else table[name] for name in wanted
-        )
-        values = np.column_stack([column.to_numpy().astype(np.float64) for column in columns])
-        bad = np.argwhere(~np.isfinite(values))
-        if len(bad) and not blanks:
-            row, column = bad[0]
-            raise InputError(f"{path}: row {row + 1}: column {wanted[column]!r}: {MISSING}")
-        return values
 
     return Table(schema.names, read, lambda k: k + 1)
 
 
-def _dates(path: str | Path, name: str, column: pa.ChunkedArray) -> pa.ChunkedArray:
+def _numbers(
+    path: str | Path,
+    table: pa.Table,
+    wanted: Sequence[str],
+    dates: Collection[str],
+    *,
+    blanks: bool,
+    before: int,
+) -> list[NDArray[Any]]:
+    """The wanted columns of some rows, which come after ``before`` others."""
+    columns = (
+        _dates(path, name, table[name], before) if name in dates else table[name] for name in wanted
+    )
+    values = [column.to_numpy().astype(np.float64) for column in columns]
+    bad = np.argwhere(~np.isfinite(np.column_stack(values)))
+    if len(bad) and not blanks:
+        row, column = bad[0]
+        raise InputError(f"{path}: row {before + row + 1}: column {wanted[column]!r}: {MISSING}")
+    return values
+
+
+def _dates(path: str | Path, name: str, column: pa.ChunkedArray, before: int) -> pa.ChunkedArray:
     """Seconds from 1970 of a column of dates with time, null where there is none."""
     if pa.types.is_timestamp(column.type):
         whole = column.cast(pa.timestamp("ns"), safe=False).cast(pa.int64())
         return pa.compute.multiply(whole.cast(pa.float64(), safe=False), 1e-9)
     seconds = []
-    for row, text in enumerate(column.to_pylist()):
+    for row, text in enumerate(column.to_pylist(), start=before + 1):
         try:
             seconds.append(None if text is None else from_iso(text))
         except ValueError as error:
-            raise InputError(f"{path}: row {row + 1}: column {name!r}: {error}") from None
+            raise InputError(f"{path}: row {row}: column {name!r}: {error}") from None
     return pa.chunked_array([pa.array(seconds, pa.float64())])

@@ -20,9 +20,9 @@ from sinsjax.records.layout import (
     Layout,
     Record,
     agreed_rate,
+    axes,
     check_layout,
     from_body,
-    to_body,
 )
 from sinsjax.records.stamps import Sampling, between, sampling
 from sinsjax.records.tables import MISSING, Table, open_csv, open_parquet
@@ -63,30 +63,29 @@ def _record(path: str | Path, layout: Layout, table: Table) -> Record:
     if layout.time_column:
         names.append(layout.time_column)
         dates += [layout.time_column] if layout.time_unit == "iso" else []
-    values = table.read(names, blanks=True, dates=dates)
+    columns = table.read(names, blanks=True, dates=dates)
     time_s = None
     if layout.time_column:
-        time_s = values[:, 6] * TIME_UNITS[layout.time_unit]
-        known = np.flatnonzero(np.isfinite(time_s))  # a sample without its time is a missing one
-        if not known.size:
-            raise InputError(f"{path}: column {layout.time_column!r}: {MISSING}")
-        values, time_s, row_of = values[known], time_s[known], table.row
-
-        def row(k: int) -> int:
-            return row_of(int(known[k]))
-
-        table = table._replace(row=row)
-        taken = sampling(str(path), layout, time_s, row)
+        time_s = columns.pop()
+        time_s *= TIME_UNITS[layout.time_unit]
+        if not np.isfinite(time_s).all():  # a sample without its time is a missing one
+            known, row_of = np.flatnonzero(np.isfinite(time_s)), table.row
+            if not known.size:
+                raise InputError(f"{path}: column {layout.time_column!r}: {MISSING}")
+            columns, time_s = [column[known] for column in columns], time_s[known]
+            table = table._replace(row=lambda k: row_of(int(known[k])))
+        taken = sampling(str(path), layout, time_s, table.row)
     else:
         # check_layout has seen to it that one of the two is there.
         assert layout.rate_hz is not None
-        taken = Sampling(layout.rate_hz, 0.0, np.arange(len(values)))
-    samples, flaws, filled = _whole(_Read(path, layout, table, values[:, :6], time_s, taken))
+        taken = Sampling(layout.rate_hz, 0.0, np.arange(len(columns[0])))
+    flaws, filled = _make_whole(columns, _Read(path, layout, table, time_s, taken))
     gyro_factor, accel_factor = _factors(layout)
     spread = taken.rate_hz if layout.quantity == "rates" else 1.0
+    dv = _increments(columns, accel_factor, spread, layout.axes_order)
     return Record(
-        dtheta=to_body(samples[:, :3] * gyro_factor / spread, layout.axes_order),
-        dv=to_body(samples[:, 3:] * accel_factor / spread, layout.axes_order),
+        dtheta=_increments(columns, gyro_factor, spread, layout.axes_order),
+        dv=dv,
         rate_hz=taken.rate_hz,
         t0_s=taken.t0_s,
         source=str(path),
@@ -95,41 +94,64 @@ def _record(path: str | Path, layout: Layout, table: Table) -> Record:
     )
 
 
+def _increments(columns: list[FloatArray], factor: float, spread: float, order: str) -> FloatArray:
+    """(T, 3) increments in body axes of the last three columns, which are used up.
+
+    In place, as of a long record no column has room beside it.
+    """
+    index, signs = axes(order)
+    own = [columns.pop() for _ in range(3)][::-1]
+    made = np.empty((3, len(own[0]))).T  # by columns, as it is worked on
+    for axis, (place, sign) in enumerate(zip(index, signs, strict=True)):
+        values = own[place]
+        values *= factor
+        values /= spread
+        values *= sign
+        made[:, axis] = values
+    return made
+
+
 class _Read(NamedTuple):
-    """What a file holds: (T, 6) values, nan where there is none, and when they were taken."""
+    """Where the values of a file come from, and when they were taken."""
 
     path: str | Path
     layout: Layout
     table: Table
-    values: FloatArray
     time_s: FloatArray | None
     taken: Sampling
 
 
-def _whole(read: _Read) -> tuple[FloatArray, list[Flaw], int]:
-    """All samples from the first to the last: short gaps interpolated, others nan and a flaw."""
+def _make_whole(columns: list[FloatArray], read: _Read) -> tuple[list[Flaw], int]:
+    """Makes columns of all samples from the first to the last, in their place.
+
+    Short gaps are interpolated, others nan and a flaw.
+    """
     rate, number = read.taken.rate_hz, read.taken.number
-    samples = np.full((number[-1] + 1, 6), np.nan)
-    samples[number] = read.values
-    missing = ~np.isfinite(samples).all(axis=1)
+    missing = np.zeros(number[-1] + 1, bool)
+    for place, column in enumerate(columns):
+        if len(column) < len(missing):
+            columns[place] = np.full(len(missing), np.nan)
+            columns[place][number] = column
+        missing |= ~np.isfinite(columns[place])
     if not missing.any():
-        return samples, [], 0
+        return [], 0
     edges = np.flatnonzero(np.diff(missing, prepend=False, append=False)).reshape(-1, 2)
-    fill, flaws = np.zeros(len(samples), bool), []
+    fill, flaws = np.zeros(len(missing), bool), []
     for begin, end in edges.tolist():
-        inside = begin > 0 and end < len(samples)
+        inside = begin > 0 and end < len(missing)
         if inside and (end - begin + 1) / rate <= read.layout.max_gap_s * (1 + 1e-9):
             fill[begin:end] = True
         else:
-            flaws.append(Flaw(begin, end, _lack(read, begin)))
+            flaws.append(Flaw(begin, end, _lack(columns, read, begin)))
     good = np.flatnonzero(~missing)
-    for column in samples.T if fill.any() else ():
-        column[fill] = np.interp(np.flatnonzero(fill), good, column[good])
-    samples[missing & ~fill] = np.nan
-    return samples, flaws, int(fill.sum())
+    for column in columns:
+        if fill.any():
+            column[fill] = np.interp(np.flatnonzero(fill), good, column[good])
+        column[missing & ~fill] = np.nan
+    return flaws, int(fill.sum())
 
 
-def _lack(read: _Read, sample: int) -> str:
+def _lack(columns: list[FloatArray], read: _Read, sample: int) -> str:
     """What is wrong with the first of some missing samples, with its row."""
     number, layout = read.taken.number, read.layout
     k = int(np.searchsorted(number, sample))
@@ -137,9 +159,9 @@ def _lack(read: _Read, sample: int) -> str:
         assert read.time_s is not None
         where = f"{read.path}: column {layout.time_column!r}: row {read.table.row(k)}"
         return f"{where}: a gap at {read.taken.rate_hz:g} Hz, {between(read.time_s, k - 1)}"
-    names = (*layout.gyro_columns, *layout.accel_columns)
-    column = names[int((~np.isfinite(read.values[k])).argmax())]
-    return f"{read.path}: row {read.table.row(k)}: column {column!r}: {MISSING}"
+    names = zip((*layout.gyro_columns, *layout.accel_columns), columns, strict=True)
+    name = next(name for name, column in names if not np.isfinite(column[sample]))
+    return f"{read.path}: row {read.table.row(k)}: column {name!r}: {MISSING}"
 
 
 def _factors(layout: Layout) -> tuple[float, float]:
