@@ -5,13 +5,8 @@ worker that is lost costs the tasks that it had, which Dask gives to others. Eve
 what the worker computed it with, so that no row of another version is ever written.
 """
 
-import gc
-import logging
-import multiprocessing
-import os
 import pickle
 import queue
-import signal
 import sys
 import time
 from collections.abc import Iterable, Iterator
@@ -20,7 +15,7 @@ from contextlib import ExitStack, contextmanager
 from itertools import islice
 from typing import Any
 
-from sinsjax import affinity, runtime
+from sinsjax import clients, runtime
 from sinsjax.types import InputError
 from sinsjax.work import Executor, Packed, Task, Workshop
 from sinsjax.worker import Answer, Machine, answer, versions
@@ -29,13 +24,8 @@ AHEAD = 2
 """Tasks that a thread of a worker has at a time, so that it never waits for the next one."""
 
 _RETRIES = 2
-_CONNECT_S = 10.0
 _PATIENCE_S = 600.0  # without any worker
 _LOOK_S = 2.0
-_CONFIG = {
-    "distributed.worker.multiprocessing-method": "spawn",  # jax does not survive a fork
-    "distributed.admin.large-graph-warning-threshold": "1 GiB",  # a record may be long
-}
 
 
 @contextmanager
@@ -59,9 +49,9 @@ def executor(*, workers: int | None = None, scheduler: str | None = None) -> Ite
     """
     with ExitStack() as stack:
         if scheduler is None:
-            client = stack.enter_context(_local(workers or runtime.usable_cores()))
+            client = stack.enter_context(clients.local(workers or runtime.usable_cores()))
         else:
-            client = stack.enter_context(_connected(scheduler))
+            client = stack.enter_context(clients.connected(scheduler))
         crew = Crew(client, scheduler or "--workers")
         facts = {"workers": crew.ready(), "scheduler": scheduler or "local"}
         yield Executor(crew.do, facts | crew.facts())
@@ -152,7 +142,7 @@ class Crew:
         elif isinstance(error, KilledWorker):
             text = f"{error.allowed_failures + 1} workers died with it (out of memory?)"
         else:
-            text = f"failed on a worker: {type(error).__name__}: {_first_line(error)}"
+            text = f"failed on a worker: {type(error).__name__}: {clients.first_line(error)}"
         raise InputError(f"{task.name}: {text}") from error
 
     def check(self, answer: Answer) -> None:
@@ -182,7 +172,7 @@ class Crew:
         waited_s = time.monotonic() - since
         if waited_s > _PATIENCE_S:
             raise InputError(f"{self._name}: no worker for {_PATIENCE_S / 60:g} min")
-        if waited_s > _CONNECT_S and not self._waiting:
+        if waited_s > clients.CONNECT_S and not self._waiting:
             self._waiting = True
             _say(f"{self._name}: no worker there: waiting, {_PATIENCE_S / 60:g} min at the most")
 
@@ -214,120 +204,5 @@ def _said(about: Machine) -> str:
     return f"{about.cpu} ({about.platform}; {options})"
 
 
-def _first_line(error: BaseException) -> str:
-    return next(iter(str(error).splitlines()), "")
-
-
 def _say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
-
-
-@contextmanager
-def _connected(address: str) -> Iterator[Any]:
-    """A client of a scheduler that is there."""
-    dask, distributed = _dask()
-    with dask.config.set(_CONFIG):
-        try:
-            client = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
-        except Exception as error:  # whatever else may answer there
-            text = f"{address}: no Dask scheduler answers there ({_first_line(error)})"
-            raise InputError(text) from error
-        with client:
-            yield client
-
-
-@contextmanager
-def _local(workers: int) -> Iterator[Any]:
-    """A client of a scheduler in this process, and of workers that are its children."""
-    dask, distributed = _dask()
-    cores = runtime.usable_cores()
-    if workers > cores:
-        raise InputError(f"--workers: {workers} are more than the {cores} cores")
-    with ExitStack() as stack:
-        stack.enter_context(dask.config.set(_CONFIG))
-        stack.enter_context(_environment(_for_workers()))
-        with _signals_kept_away(), _collector_off():
-            cluster = stack.enter_context(
-                distributed.LocalCluster(
-                    n_workers=workers,
-                    threads_per_worker=1,
-                    processes=True,
-                    memory_limit=0,
-                    dashboard_address=None,
-                    scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
-                    preload=["sinsjax.worker"],
-                    silence_logs=logging.ERROR,
-                )
-            )
-            client = stack.enter_context(distributed.Client(cluster, set_as_default=False))
-        yield client
-
-
-def _dask() -> tuple[Any, Any]:
-    try:
-        import dask
-        import distributed
-    except ImportError:
-        raise InputError(
-            '--workers and --scheduler need Dask: pip install "sinsjax[cluster]"'
-        ) from None
-    return dask, distributed
-
-
-def _for_workers() -> dict[str, str]:
-    """The environment that worker processes take over, read before they import jax."""
-    flags = os.environ.get("XLA_FLAGS", "")
-    if not runtime.opted_out() and (not flags.strip() or flags.lstrip().startswith("-")):
-        flags = runtime.merge_options(flags, runtime.refused_flags(versions()["jaxlib"]))
-    return {
-        affinity.VARIABLE: "1",
-        "XLA_FLAGS": flags,
-        runtime.OPT_OUT: "0",  # the flags stand; nothing is warned of a second time
-        "JAX_PLATFORMS": os.environ.get("JAX_PLATFORMS", "cpu"),
-    }
-
-
-@contextmanager
-def _environment(values: dict[str, str]) -> Iterator[None]:
-    """Variables set for this process and its children, as long as workers may be started again."""
-    before = {name: os.environ.get(name) for name in values}
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
-
-@contextmanager
-def _collector_off() -> Iterator[None]:
-    """No garbage collection: Dask hooks into it as it starts, and one under way would trip it."""
-    was_on = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_on:
-            gc.enable()
-
-
-@contextmanager
-def _signals_kept_away() -> Iterator[None]:
-    """Threads started here, and the processes that those start, get no Ctrl-C and no SIGTERM.
-
-    A terminal sends Ctrl-C to all processes, a batch system SIGTERM: they are for the process that
-    asked, which lets the workers finish.
-    """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    # The first lock starts Python's resource tracker, which would open the mask again.
-    multiprocessing.get_context("spawn").Lock()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -1,14 +1,16 @@
 """Dask workers, real ones: the same bytes as here, whatever becomes of them."""
 
+import http.server
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +23,7 @@ import pytest
 import tomli_w
 from studies import BASE, small_study
 
-from sinsjax import campaign, cluster, compile_cache, results, runtime, work, worker
+from sinsjax import campaign, clients, cluster, compile_cache, results, runtime, work, worker
 from sinsjax.config import Study, study_from_dict
 from sinsjax.types import InputError
 
@@ -297,7 +299,7 @@ def test_workers_of_two_instruction_sets_are_refused(begin: Begin, scheduler: st
 def test_a_scheduler_without_workers_is_left_in_the_end(
     scheduler: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(cluster, "_CONNECT_S", 0.5)
+    monkeypatch.setattr(clients, "CONNECT_S", 0.5)
     monkeypatch.setattr(cluster, "_PATIENCE_S", 1.2)
     with (
         pytest.raises(InputError, match=f"^{scheduler}: no worker for 0.02 min$"),
@@ -311,7 +313,7 @@ def test_a_scheduler_without_workers_is_left_in_the_end(
 
 
 def test_an_address_where_nobody_answers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "_CONNECT_S", 0.5)
+    monkeypatch.setattr(clients, "CONNECT_S", 0.5)
     for address in ("tcp://127.0.0.1:1", "nowhere"):
         with (
             pytest.raises(InputError, match=f"^{address}: no Dask scheduler answers") as told,
@@ -319,6 +321,51 @@ def test_an_address_where_nobody_answers_is_told(monkeypatch: pytest.MonkeyPatch
         ):
             pass
         assert "\n" not in str(told.value)
+
+
+class Mute(http.server.BaseHTTPRequestHandler):
+    """Answers as HTTP, and writes no log."""
+
+    def log_message(self, *_: Any) -> None:
+        pass
+
+
+@pytest.mark.parametrize("kind", ["silent", "http"])
+def test_something_else_that_answers_is_told(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(clients, "CONNECT_S", 1.0)
+    with ExitStack() as stack:
+        if kind == "http":
+            server = stack.enter_context(
+                http.server.ThreadingHTTPServer(("127.0.0.1", 0), Mute, bind_and_activate=True)
+            )
+            threading.Thread(target=server.serve_forever, daemon=True).start()
+            stack.callback(server.shutdown)
+            port = server.server_address[1]
+        else:
+            port = stack.enter_context(socket.create_server(("127.0.0.1", 0))).getsockname()[1]
+        address, told = f"tcp://127.0.0.1:{port}", []
+
+        def connect() -> None:
+            with pytest.raises(InputError) as error, cluster.executor(scheduler=address):
+                pass
+            told.append(str(error.value))
+
+        asking = threading.Thread(target=connect, daemon=True)  # it used to ask for ever
+        asking.start()
+        asking.join(30.0)
+        assert told == [f"{address}: no Dask scheduler answers there (nothing in 0.8 s)"]
+
+
+def test_a_worker_is_no_scheduler(begin: Begin, scheduler: str) -> None:
+    begin("worker", scheduler, "--nthreads", "1")
+    with distributed.Client(scheduler, set_as_default=False) as client:
+        client.wait_for_workers(1, timeout=60)
+        (worker_address,) = client.nthreads()
+    with (
+        pytest.raises(InputError, match=r"no Dask scheduler answers there \(but a Dask worker\)$"),
+        cluster.executor(scheduler=worker_address),
+    ):
+        pass
 
 
 def test_more_workers_than_cores_are_refused() -> None:

@@ -68,6 +68,7 @@ LAYERS = (
         "bench",
         "campaign",
         "cli",
+        "clients",
         "cluster",
         "console",
         "report",
