@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import pyarrow as pa
 
-from sinsjax import columns, directories, runtime, stopping, store, work
+from sinsjax import columns, directories, forecast, runtime, stopping, store, work
 from sinsjax.batch import spread
 from sinsjax.config import with_rate
 from sinsjax.doubts import doubts, layout_of
@@ -68,14 +68,24 @@ def load_tape(study: Study, record: str | Path, reference: str | Path | None = N
     return Tape(read, judge._replace(time_s=judge.time_s - read.t0_s))
 
 
+def at_rate(study: Study, tape: Tape | None) -> Study:
+    """A study at the rate of its record.
+
+    Raises:
+        InputError: at this rate it is none.
+    """
+    if tape is not None and study.is_recorded:
+        return with_rate(study, tape.record.rate_hz)
+    return study
+
+
 def made_ready(study: Study, tape: Tape | None) -> tuple[Study, list[str]]:
     """A study as it runs, at the rate of its record, and one line for everything doubtful about it.
 
     Raises:
         InputError: a record that does not fit, or cannot be what it is taken for.
     """
-    if tape is not None and study.is_recorded:
-        study = with_rate(study, tape.record.rate_hz)
+    study = at_rate(study, tape)
     if study.is_recorded != (tape is not None):  # refused where it is run
         return study, []
     return study, doubts(study, tape)
@@ -161,9 +171,13 @@ def run_into(
         RuntimeError: double precision is off.
     """
     directory = Path(directory)
+    directories.check_free(directory, overwrite=overwrite or resume)
+    study = at_rate(study, tape)
+    if study.study.rate_hz:
+        expected = forecast.of(study, curves=curves)
+        forecast.require_room(study, expected, directory, overwrite=overwrite, resume=resume)
     study, warnings = made_ready(study, tape)
     job = Job(study, tape, curves, chunk_runs)
-    directories.check_free(directory, overwrite=overwrite or resume)
     executor = executor or work.on_this_machine()
     session = runtime.session() | executor.facts
     if resume:

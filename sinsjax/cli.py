@@ -142,7 +142,7 @@ def tune(
 
     Example: sinsjax tune configs/tune_condition5.toml -o out
     """
-    from sinsjax import campaign, console
+    from sinsjax import campaign, console, forecast
     from sinsjax.config import load_study
     from sinsjax.tuning import carry_out
 
@@ -158,6 +158,10 @@ def tune(
     _configure(devices)
     tape = None if record is None else campaign.load_tape(study, record, reference)
     terminal = plain_console()
+    study = campaign.at_rate(study, tape)
+    expected = forecast.of_tuning(study)
+    forecast.require_room(study, expected, out, overwrite=overwrite, resume=resume)
+    say(terminal, f"{expected.told(runtime.usable_cores() if devices is None else devices)}.")
     study = _made_ready(study, tape, terminal)
     with console.interruptible(terminal) as stop:
         carry_out.tune(
@@ -267,7 +271,7 @@ def _run_study(
     cluster: tuple[int | None, str | None] = (None, None),
     files: tuple[Path, Path | None] | None = None,
 ) -> None:
-    from sinsjax import campaign, console, directories
+    from sinsjax import campaign, console, directories, forecast
     from sinsjax.config import load_study
 
     study = load_study(config)
@@ -289,6 +293,11 @@ def _run_study(
         curves = None
     _configure(devices)
     tape = None if files is None else campaign.load_tape(study, *files)
+    study = campaign.at_rate(study, tape)
+    expected = forecast.of(study, curves=curves)
+    forecast.require_room(study, expected, out, overwrite=overwrite, resume=resume)
+    cores = devices or cluster[0] or runtime.usable_cores()
+    say(terminal, f"{expected.told(1 if cluster[1] else cores)}.")
     study = _made_ready(study, tape, terminal)
     if left := study.dropped_s:
         say(terminal, f"The last {left:g} s are no whole record interval and are not run.")

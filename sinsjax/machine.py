@@ -4,8 +4,10 @@ It imports nothing that starts a thread: `affinity` needs it before jax is there
 """
 
 import errno
+import math
 import os
 import platform
+import shutil
 import stat
 import tempfile
 from contextlib import suppress
@@ -55,6 +57,25 @@ def instructions(limit: str = "") -> str:
     allowed = names[names.index(limit.upper()) :] if limit.upper() in names else names
     unknown = f"{platform.machine()} to {allowed[0]}" if allowed != names else platform.machine()
     return next((name for name in here if name in allowed), unknown)
+
+
+def memory_bytes() -> float:
+    """Memory that this process can have at the most; infinite where nothing tells."""
+    told = [math.inf]
+    with suppress(ValueError, OSError, AttributeError):
+        told.append(float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")))
+    for limit in ("memory.max", "memory/memory.limit_in_bytes"):
+        with suppress(ValueError, OSError):
+            told.append(float(Path("/sys/fs/cgroup", limit).read_text(encoding="ascii")))
+    return min(told)
+
+
+def free_bytes(folder: Path) -> float:
+    """Room on the disk that a folder is on, or would be; infinite where nothing tells."""
+    for there in (folder.absolute(), *folder.absolute().parents):
+        with suppress(OSError):
+            return float(shutil.disk_usage(there).free)
+    return math.inf
 
 
 def temporary_folder() -> Path:

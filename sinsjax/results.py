@@ -15,14 +15,14 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.dataset as ds
 
-from sinsjax import columns, designs
+from sinsjax import columns, designs, layouts
 from sinsjax.alignment.base import Fired, Innovations
 from sinsjax.batch import Chunk
 from sinsjax.columns import Column
 from sinsjax.metrics import Observation
 from sinsjax.parts import ask, find
 from sinsjax.parts import read_manifest as read_manifest
-from sinsjax.studies import Study, meaning
+from sinsjax.studies import Study
 from sinsjax.study_limits import has_limit, scheduled_last_s
 from sinsjax.success import bands
 from sinsjax.types import InputError
@@ -57,40 +57,17 @@ class Tables:
             "reset_times_s": [list(t) for t in times],
             **{f"phi_{a}0_deg": study.values(f"phi_{a}0_deg") for a in "enu"},
         }
-        shapes = designs.values(study, 1)
-        known = {c.name: c for c in columns.IDENTITY}
-        extra = [
-            *(columns.axis_column(k, v, meaning(k)) for k, v in swept.items() if k not in known),
-            *(
-                columns.drawn_column(k, v.ndim, meaning(k))
-                for k, v in shapes.items()
-                if k not in known
-            ),
-        ]
-        self.summary_columns: tuple[Column, ...] = (
-            *columns.IDENTITY,
-            *extra,
-            *columns.OBSERVED,
-            *self._settle_columns(),
-            *columns.JUDGED,
-            *(columns.FIRED if study.has_trigger else ()),
-            *(columns.INNOVATIONS if study.is_recorded else ()),
-        )
-        self.curve_columns = columns.curves(passes=study.passes is not None)
+        self.summary_columns = layouts.summary(study)
+        self.curve_columns = layouts.curves(study)
         kinds = {c.name: c.dtype for c in self.summary_columns}
         self._by_variant = {
             name: _swept(values, kinds[name])
             for name, values in (swept | fixed).items()
-            if name not in shapes
+            if name not in study.drawn_keys
         }
         self._start_s = np.zeros(study.n_draws)
         if study.is_recorded:
             self._start_s = starts_of(study, study.study.rate_hz)[1] / study.study.rate_hz
-
-    def _settle_columns(self) -> list[Column]:
-        """Settling times of all bands about the limit and the truth; then the data there was."""
-        kinds = [columns.settle_column, *([columns.settle_data_column] * bool(self._study.passes))]
-        return [kind(b, truth=t) for kind in kinds for t in (False, True) for b in self._bands]
 
     def summary(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
         """One row a run.

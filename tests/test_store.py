@@ -28,7 +28,7 @@ from kept import (
 )
 from studies import small_study
 
-from sinsjax import campaign, directories, files, results, scenario, store
+from sinsjax import campaign, directories, files, forecast, results, scenario, store
 from sinsjax.config import Study, study_from_dict
 from sinsjax.records import Reference
 from sinsjax.types import InputError, StudyInterrupted
@@ -715,3 +715,10 @@ def test_writing_manifests_takes_a_small_share_of_the_time(
     held.release()
     assert len(written) / clock[0] < 0.06
     assert len(written) >= 5
+
+
+def test_the_room_that_is_asked_for_is_about_what_is_taken(whole: Path) -> None:
+    """At 128 runs a part, of which some 20 kB say how it is laid out, more is taken."""
+    expected = forecast.of(STUDY)
+    taken = sum(len(content) for content in parts(whole).values()) - 2 * CHUNKS * 20_000
+    assert 0.5 < expected.runs * expected.run_bytes / taken < 2

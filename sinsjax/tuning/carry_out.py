@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
-from sinsjax import directories
+from sinsjax import directories, forecast
 from sinsjax.campaign import Progress, Tell
 from sinsjax.config import fingerprint, load_study, study_to_toml, with_point, with_rate
 from sinsjax.files import replacing, unwritable
@@ -71,10 +71,13 @@ def tune(
         text = "a record is tuned by a reference (give it with --reference)"
         raise InputError(f"{study.study.name}: [tune]: {text}")
     space = Space.of(study)
+    check_free(directory, overwrite=overwrite or resume)
+    if study.study.rate_hz:
+        expected = forecast.of_tuning(study)
+        forecast.require_room(study, expected, directory, overwrite=overwrite, resume=resume)
     if GRADIENT in settings.searches:
         for combination in space.combinations:
             Relaxation(study, space, combination)  # refuses what has no gradient, before any run
-    check_free(directory, overwrite=overwrite or resume)
     session = Session(
         directory,
         tape,
