@@ -16,7 +16,7 @@ from typing import Any
 import tomli_w
 from pydantic import ValidationError
 
-from sinsjax import sweeps, tuned_keys, variables
+from sinsjax import sweeps, tuned_keys, usual, variables
 from sinsjax.rules import Where, check_study, keys_unread
 from sinsjax.studies import (
     EARTH_CONSTANTS,
@@ -179,7 +179,8 @@ def fingerprint(study: Study) -> str:
     The order of the axes, of the zips and of the drawn keys counts: it numbers the variants and
     points. What a study does not use leaves it as it was before that came.
     """
-    unused: Any = {"report": True, "statements": True, "tune": True, "study": {"name"}}
+    unused: Any = {"report": True, "statements": True, "tune": True}
+    unused["study"] = {"name", "unchecked"}
     content = study.model_dump(exclude=unused)
     content["axes"] = list(study.axes.items())
     content["zips"] = list(study.zips.values())
@@ -206,6 +207,7 @@ def _checked(data: Table, name: str) -> Study:
     study = _validated(_filled(tables, sweep, where, name))
     _check_densities(where, _values_of("q_reading", tables, sweep))
     check_study(study, where)
+    usual.check(study, where)
     sweeps.check_draws(study)
     return study
 

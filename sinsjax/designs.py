@@ -7,10 +7,12 @@ together.
 
 import math
 from collections.abc import Iterable
+from itertools import islice, product
+from typing import Any
 
 import numpy as np
 
-from sinsjax.drawing import NUMBERS, Law
+from sinsjax.drawing import NUMBERS, Drawn, Law
 from sinsjax.studies import Study
 
 _SOBOL_BITS = 30  # 2^30 points, more than a study has draws
@@ -41,6 +43,26 @@ def values(study: Study, count: int, *, first: int = 0) -> dict[str, np.ndarray]
         for key, law in laws.items()
     }
     return {key: rows if NUMBERS[key] > 1 else rows[:, 0] for key, rows in drawn.items()}
+
+
+def shortened(drawn: Drawn, count: int) -> dict[str, Any]:
+    """The table [drawn] of fewer draws, with the same values in each of them.
+
+    Args:
+        drawn: of a study.
+        count: of the draws; lists end where no further entry is drawn.
+    """
+    table = drawn.model_dump(exclude_none=True)
+    grids = {key: law.grid for key, law in drawn.laws.items() if law.grid}
+    if math.prod(map(len, grids.values())) > count:
+        points = list(islice(product(*grids.values()), count))
+        table |= {
+            key: {"values": own} for key, own in zip(grids, zip(*points, strict=True), strict=True)
+        }
+    for key, law in drawn.laws.items():
+        if law.values:
+            table[key] = {"values": law.values[:count]}
+    return table
 
 
 def _random(keys: Iterable[str], seed: int, first: int, count: int) -> dict[str, np.ndarray]:

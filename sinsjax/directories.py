@@ -175,7 +175,8 @@ def differences(there: Study, here: Study) -> list[str]:
 def _by_key(study: Study) -> dict[str, Any]:
     """The values of a study by the place and key that its file gives them."""
     content = study.model_dump(exclude={"report", "statements", "tune"}, exclude_none=True)
-    content["study"].pop("name")
+    for key in ("name", "unchecked"):
+        content["study"].pop(key, None)
     tables = {f"axes.{name}": keys for name, keys in content.pop("zips", {}).items()}
     drawn = content.pop("drawn", {})
     tables["drawn"] = drawn.get("laws", {}) | {k: v for k, v in drawn.items() if k != "laws"}

@@ -6,7 +6,7 @@ wrong in the words of a user.
 
 import re
 from itertools import pairwise
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 from pydantic_core import PydanticCustomError
@@ -23,6 +23,18 @@ def misfit(text: str, key: str | None = None) -> PydanticCustomError:
         key: the key to name, where the rule concerns the whole section.
     """
     return PydanticCustomError("misfit", text, {"key": key} if key else None)
+
+
+class Usual(NamedTuple):
+    """What a number of a study usually is; one outside is asked about, see `usual`.
+
+    Attributes:
+        low: the least, in the unit of the key.
+        high: the greatest.
+    """
+
+    low: float
+    high: float
 
 
 def _shape(value: Any) -> str:
@@ -83,14 +95,30 @@ Share = Annotated[float, Field(ge=0, le=1)]
 Angle = Annotated[float, Field(ge=-360, le=360)]
 HalfTurn = Annotated[float, Field(ge=-180, le=180)]
 Elevation = Annotated[float, Field(gt=-90, lt=90)]
+# What is usual is generous: outside it a number is rather one of another unit.
+Seconds = Annotated[Positive, Usual(1e-9, 1e8)]
+SecondsOrZero = Annotated[NonNegative, Usual(0, 1e8)]
+Period = Annotated[Positive, Usual(1e-4, 1e7)]
+Band = Annotated[Positive, Usual(1e-6, 180 * 60)]
+Amplitude = Annotated[NonNegative, Usual(0, 360)]
+Speed = Annotated[Finite, Usual(-1e4, 1e4)]
+SpeedSigma = Annotated[Positive, Usual(1e-12, 1e4)]
+AngleSigma = Annotated[Positive, Usual(1e-9, 360)]
+GyroSigma = Annotated[Positive, Usual(1e-9, 1e6)]
+AccelSigma = Annotated[Positive, Usual(1e-6, 1e7)]
+GyroNoise = Annotated[NonNegative, Usual(0, 1e6)]
+AccelNoise = Annotated[NonNegative, Usual(0, 1e7)]
+GyroWalk = Annotated[NonNegative, Usual(0, 1e4)]
+Bandwidth = Annotated[Positive, Usual(1e-6, 1e4)]
+Factor = Annotated[Positive, Usual(1e-9, 1e9)]
 Interval = Annotated[tuple[Finite, Finite], AfterValidator(_ordered)]
 Normal = tuple[Finite, NonNegative]
 Name = Annotated[str, Field(min_length=1), AfterValidator(_legible)]
 Triad = tuple[Name, Name, Name]
-Times = Annotated[tuple[Positive, ...], AfterValidator(_increasing)]
-Bands = Annotated[tuple[Positive, ...], AfterValidator(unique), AfterValidator(_own_columns)]
+Times = Annotated[tuple[Seconds, ...], AfterValidator(_increasing)]
+Bands = Annotated[tuple[Band, ...], AfterValidator(unique), AfterValidator(_own_columns)]
 Starts = Annotated[
-    tuple[NonNegative, ...],
+    tuple[SecondsOrZero, ...],
     Field(min_length=1),
     BeforeValidator(lambda value: value if isinstance(value, tuple) else (value,)),
     AfterValidator(unique),
@@ -113,5 +141,5 @@ CrossAxis = Annotated[
 PassNumbers = Annotated[
     tuple[Annotated[int, Field(ge=1, le=10**9)], ...], AfterValidator(_increasing)
 ]
-Factors = Annotated[tuple[Positive, ...], Field(min_length=1)]
+Factors = Annotated[tuple[Factor, ...], Field(min_length=1)]
 Damping = Annotated[float, Field(ge=0.01, lt=1)]

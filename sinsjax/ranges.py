@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from sinsjax.drawing import Entries
-from sinsjax.fields import Count, Finite, Positive, misfit, unique
+from sinsjax.fields import Band, Count, Finite, Positive, Seconds, misfit, unique
 from sinsjax.sections import Section
 
 Some = Annotated[Count, Field(ge=1)]
@@ -62,7 +62,7 @@ class Tune(Section):
     objective: Literal["settle_mean", "settle_quantile", "final_error", "failure_rate"] = Field(
         "settle_mean", description="what is made as small as it can be"
     )
-    objective_band_arcmin: Positive = Field(
+    objective_band_arcmin: Band = Field(
         10.0, description="band of settling times and failures, arcmin; one of the study's"
     )
     objective_quantile: Annotated[float, Field(gt=0, lt=1)] = Field(
@@ -92,7 +92,7 @@ class Tune(Section):
     descent_steps: Some = Field(16, description="steps of a descent")
     descent_draws: Some = Field(4, description="draws a step and descent, in turn")
     descent_rate: Positive = Field(0.1, description="rate of Adam, all ranges being one long")
-    relaxed_window_s: tuple[Positive, Positive] = Field(
+    relaxed_window_s: tuple[Seconds, Seconds] = Field(
         (4.0, 1.0), description="half width of relaxed resets at the first and last step, s"
     )
     relaxed_sharpness: tuple[Positive, Positive] = Field(

@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterable
 from typing import NoReturn
 
-from sinsjax import columns, success
+from sinsjax import columns, success, unreached
 from sinsjax.studies import (
     EARTH_CONSTANTS,
     ROUNDING,
@@ -78,6 +78,7 @@ def check_study(study: Study, where: Where) -> None:
     _check_success(study, where)
     _check_stop(study, where)
     _check_trigger(study, where)
+    unreached.check(study, where)
     keys = ("reset_times_s", "reset_count", "reset_cycle_s", "reset_first_s")
     for point in study.combinations(*keys) if study.resets else ():
         times, count, cycle, first = (point[key] for key in keys)

@@ -10,25 +10,41 @@ from typing import Annotated, Literal, cast
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from sinsjax.fields import (
+    AccelNoise,
+    AccelSigma,
+    Amplitude,
     Angle,
+    AngleSigma,
     AxesOrder,
+    Band,
     Bands,
+    Bandwidth,
     Count,
     CrossAxis,
     Damping,
     Elevation,
+    Factor,
     Factors,
     Finite,
+    GyroNoise,
+    GyroSigma,
+    GyroWalk,
     HalfTurn,
     Name,
     NonNegative,
     PassNumbers,
+    Period,
     Positive,
+    Seconds,
+    SecondsOrZero,
     Share,
+    Speed,
+    SpeedSigma,
     Spread,
     Starts,
     Times,
     Triad,
+    Usual,
     Vector,
     misfit,
 )
@@ -61,13 +77,13 @@ class Settings(Section):
     """[study]: what all runs of a study share; never an axis."""
 
     name: Name = Field(description="the study's name; default: the file's stem")
-    duration_s: Positive = Field(description="length of the fine alignment, s")
+    duration_s: Seconds = Field(description="length of the fine alignment, s")
     # None only in a recorded study whose record is yet to be read, see `config.with_rate`.
-    rate_hz: Positive = Field(
+    rate_hz: Annotated[Positive, Usual(1e-3, 1e6)] = Field(
         cast(float, None),
         description="sample rate, Hz; a record that tells its own must have this one",
     )
-    record_interval_s: Positive = Field(1.0, description="time between recorded values, s")
+    record_interval_s: Seconds = Field(1.0, description="time between recorded values, s")
     draws: Annotated[Count, Field(ge=1)] | None = Field(
         None,
         description="draws of noise and of [drawn], with [stop_when] at most; default 64 where the"
@@ -77,7 +93,7 @@ class Settings(Section):
     settle_bands_arcmin: Bands = Field(
         (60.0, 10.0, 3.0), description="heading error bands of the settling times, arcmin"
     )
-    window_s: tuple[NonNegative, Positive] = Field(
+    window_s: Annotated[tuple[NonNegative, Positive], Usual(0, 1e8)] = Field(
         # A pydantic below 2.14 asks for it even where the duration is missing or wrong.
         default_factory=lambda given: (
             given.get("duration_s", 1.0) / 1.5,
@@ -85,10 +101,10 @@ class Settings(Section):
         ),
         description="statistics window, s; default: the last third of the duration",
     )
-    consistency_after_s: NonNegative = Field(
+    consistency_after_s: SecondsOrZero = Field(
         10.0, description="start of the consistency statistics, s"
     )
-    steady_after_s: NonNegative = Field(
+    steady_after_s: SecondsOrZero = Field(
         300.0, description="start of the steady process in the consistency statistics, s"
     )
     curves: bool = Field(False, description="whether a sweep stores curves too")
@@ -97,20 +113,23 @@ class Settings(Section):
         description="what a run's success is judged from: the truth (default), or the limit that"
         " its own sensor biases leave",
     )
-    success_band_arcmin: Positive | None = Field(
+    success_band_arcmin: Band | None = Field(
         None, description="heading error band that a success ends in, arcmin; default 10"
     )
-    level_band_arcmin: Positive | None = Field(
+    level_band_arcmin: Band | None = Field(
         None, description="level error band that a success ends in, arcmin; default 10"
     )
-    dwell_s: NonNegative | None = Field(
+    dwell_s: SecondsOrZero | None = Field(
         None,
         description="how long before its end a success has stayed in the heading band, s; default:"
         " the smaller of 30 s and a tenth of the run",
     )
-    diverged_deg: Positive | None = Field(
+    diverged_deg: AngleSigma | None = Field(
         None,
         description="heading error at the end beyond which a run has diverged, deg; default 10",
+    )
+    unchecked: bool | None = Field(
+        None, description="whether numbers beyond what is usual are run; default false"
     )
 
     @model_validator(mode="after")
@@ -129,19 +148,19 @@ class Earth(Section):
     """[earth]: the model of gravity and of the earth's shape and turn."""
 
     earth: Literal["constants", "wgs84"] = Field("constants", description="earth model")
-    gravity_m_per_s2: Positive | None = Field(
+    gravity_m_per_s2: Annotated[Positive, Usual(9, 10.5)] | None = Field(
         None, description="gravity, m/s^2; constants only, default 9.8"
     )
-    radius_m: Positive | None = Field(
+    radius_m: Annotated[Positive, Usual(6e6, 7e6)] | None = Field(
         None, description="radius, m; constants only, default 6378137"
     )
-    earth_rate_deg_per_h: Positive | None = Field(
+    earth_rate_deg_per_h: Annotated[Positive, Usual(10, 20)] | None = Field(
         None, description="rotation rate, deg/h; constants only, default 15.041067"
     )
     latitude_deg: Elevation | None = Field(
         None, description="latitude, deg; a recorded study may take it from the record"
     )
-    height_m: Finite | None = Field(
+    height_m: Annotated[Finite, Usual(-12e3, 1e6)] | None = Field(
         None, description="height, m; default: in a recorded study its record's if known, else 0"
     )
 
@@ -150,44 +169,52 @@ class Motion(Section):
     """[motion]: angle(t) = center + amplitude sin(2 pi t / period + phase), each angle its own."""
 
     pitch_center_deg: Elevation = Field(0.0, description="mean pitch, deg")
-    pitch_amplitude_deg: NonNegative = Field(0.0, description="pitch amplitude, deg")
-    pitch_period_s: Positive = Field(10.0, description="pitch period, s")
+    pitch_amplitude_deg: Amplitude = Field(0.0, description="pitch amplitude, deg")
+    pitch_period_s: Period = Field(10.0, description="pitch period, s")
     pitch_phase_deg: Angle = Field(0.0, description="pitch phase, deg")
     roll_center_deg: HalfTurn = Field(0.0, description="mean roll, deg")
-    roll_amplitude_deg: NonNegative = Field(0.0, description="roll amplitude, deg")
-    roll_period_s: Positive = Field(10.0, description="roll period, s")
+    roll_amplitude_deg: Amplitude = Field(0.0, description="roll amplitude, deg")
+    roll_period_s: Period = Field(10.0, description="roll period, s")
     roll_phase_deg: Angle = Field(0.0, description="roll phase, deg")
     yaw_center_deg: Angle | None = Field(
         None, description="heading, deg, counter-clockwise from north"
     )
-    yaw_amplitude_deg: NonNegative = Field(0.0, description="yaw amplitude, deg")
-    yaw_period_s: Positive = Field(10.0, description="yaw period, s")
+    yaw_amplitude_deg: Amplitude = Field(0.0, description="yaw amplitude, deg")
+    yaw_period_s: Period = Field(10.0, description="yaw period, s")
     yaw_phase_deg: Angle = Field(0.0, description="yaw phase, deg")
 
 
 class Sensors(Section):
     """[sensors]: what the sensors do; a number for all three body axes or one number each."""
 
-    gyro_bias_deg_per_h: Vector = Field(0.0, description="gyro bias, deg/h")
-    gyro_noise_deg_per_h: Spread | None = Field(
+    gyro_bias_deg_per_h: Annotated[Vector, Usual(-1e5, 1e5)] = Field(
+        0.0, description="gyro bias, deg/h"
+    )
+    gyro_noise_deg_per_h: Annotated[Spread, Usual(0, 1e6)] | None = Field(
         None, description="gyro white noise, standard deviation of a sample, deg/h"
     )
-    gyro_arw_deg_per_sqrt_h: Spread | None = Field(
+    gyro_arw_deg_per_sqrt_h: Annotated[Spread, Usual(0, 1e4)] | None = Field(
         None, description="gyro angle random walk, deg/sqrt(h)"
     )
-    gyro_scale_ppm: Vector = Field(0.0, description="gyro scale factor error, ppm")
-    gyro_misalignment_arcsec: CrossAxis = Field(
+    gyro_scale_ppm: Annotated[Vector, Usual(-1e6, 1e6)] = Field(
+        0.0, description="gyro scale factor error, ppm"
+    )
+    gyro_misalignment_arcsec: Annotated[CrossAxis, Usual(-1e5, 1e5)] = Field(
         0.0, description="gyro cross-axis angles xy, xz, yx, yz, zx, zy, arcsec"
     )
-    accel_bias_ug: Vector = Field(0.0, description="accelerometer bias, ug")
-    accel_noise_ug: Spread | None = Field(
+    accel_bias_ug: Annotated[Vector, Usual(-1e6, 1e6)] = Field(
+        0.0, description="accelerometer bias, ug"
+    )
+    accel_noise_ug: Annotated[Spread, Usual(0, 1e7)] | None = Field(
         None, description="accelerometer white noise, standard deviation of a sample, ug"
     )
-    accel_vrw_ug_per_sqrt_hz: Spread | None = Field(
+    accel_vrw_ug_per_sqrt_hz: Annotated[Spread, Usual(0, 1e7)] | None = Field(
         None, description="accelerometer velocity random walk, ug/sqrt(Hz)"
     )
-    accel_scale_ppm: Vector = Field(0.0, description="accelerometer scale factor error, ppm")
-    accel_misalignment_arcsec: CrossAxis = Field(
+    accel_scale_ppm: Annotated[Vector, Usual(-1e6, 1e6)] = Field(
+        0.0, description="accelerometer scale factor error, ppm"
+    )
+    accel_misalignment_arcsec: Annotated[CrossAxis, Usual(-1e5, 1e5)] = Field(
         0.0, description="accelerometer cross-axis angles xy, xz, yx, yz, zx, zy, arcsec"
     )
 
@@ -204,8 +231,8 @@ class Alignment(Section):
     misalignment: Literal["vector", "euler"] = Field(
         "vector", description="reading of the three angles: rotation vector or Euler angles"
     )
-    ve0_m_per_s: Finite = Field(0.0, description="initial east velocity, m/s")
-    vn0_m_per_s: Finite = Field(0.0, description="initial north velocity, m/s")
+    ve0_m_per_s: Speed = Field(0.0, description="initial east velocity, m/s")
+    vn0_m_per_s: Speed = Field(0.0, description="initial north velocity, m/s")
     position: Literal["fixed", "integrated"] = Field(
         "fixed", description="whether position stays or follows the velocity"
     )
@@ -213,10 +240,10 @@ class Alignment(Section):
         None,
         description="specific force in A(t): 'measured' (default), or 'gravity', of a base at rest",
     )
-    feedback_interval_s: Positive | None = Field(
+    feedback_interval_s: Seconds | None = Field(
         None, description="time between feedbacks, s; default 1"
     )
-    feedback_time_constant_s: NonNegative | None = Field(
+    feedback_time_constant_s: SecondsOrZero | None = Field(
         None, description="time constant of the feedback, s; default 0: all is fed back at once"
     )
 
@@ -224,35 +251,35 @@ class Alignment(Section):
 class Filter(Section):
     """[filter]: what the filter believes; standard deviations."""
 
-    p0_velocity_m_per_s: Positive = Field(0.1, description="initial velocity, m/s")
-    p0_level_deg: Positive = Field(15.0, description="initial level misalignment, deg")
-    p0_yaw_deg: Positive = Field(80.0, description="initial heading misalignment, deg")
-    p0_gyro_bias_deg_per_h: Positive = Field(0.1, description="gyro bias states, deg/h")
-    p0_accel_bias_ug: Positive = Field(500.0, description="accelerometer bias states, ug")
-    q_accel_ug: NonNegative | None = Field(
+    p0_velocity_m_per_s: SpeedSigma = Field(0.1, description="initial velocity, m/s")
+    p0_level_deg: AngleSigma = Field(15.0, description="initial level misalignment, deg")
+    p0_yaw_deg: AngleSigma = Field(80.0, description="initial heading misalignment, deg")
+    p0_gyro_bias_deg_per_h: GyroSigma = Field(0.1, description="gyro bias states, deg/h")
+    p0_accel_bias_ug: AccelSigma = Field(500.0, description="accelerometer bias states, ug")
+    q_accel_ug: AccelNoise | None = Field(
         None, description="velocity process noise, ug; default 500; under 'psd' in ug/sqrt(Hz)"
     )
-    q_gyro_deg_per_h: NonNegative | None = Field(
+    q_gyro_deg_per_h: GyroNoise | None = Field(
         None, description="attitude process noise, deg/h; default 0.1; under 'psd' deg/h/sqrt(Hz)"
     )
-    q_accel_ug_per_sqrt_hz: NonNegative | None = Field(
+    q_accel_ug_per_sqrt_hz: AccelNoise | None = Field(
         None, description="q_accel_ug under 'psd', by its unit there, ug/sqrt(Hz)"
     )
-    q_gyro_deg_per_h_per_sqrt_hz: NonNegative | None = Field(
+    q_gyro_deg_per_h_per_sqrt_hz: GyroNoise | None = Field(
         None, description="q_gyro_deg_per_h under 'psd', by its unit there, deg/h/sqrt(Hz)"
     )
-    q_gyro_arw_deg_per_sqrt_h: NonNegative | None = Field(
+    q_gyro_arw_deg_per_sqrt_h: GyroWalk | None = Field(
         None, description="the same as an angle random walk, deg/sqrt(h): a 60th of the number"
     )
     q_reading: Literal["per_step", "psd", "per_sample"] = Field(
         "per_step", description="Q of a step: as is, times dt, times dt^2"
     )
-    r_velocity_m_per_s: Positive = Field(0.1, description="velocity measurement noise, m/s")
+    r_velocity_m_per_s: SpeedSigma = Field(0.1, description="velocity measurement noise, m/s")
     r_reading: Literal["per_update", "psd"] = Field(
         "per_update", description="R of an update: as is, divided by dt"
     )
-    q_scale: Positive | None = Field(None, description="factor on Q; default 1")
-    r_scale: Positive | None = Field(None, description="factor on R; default 1")
+    q_scale: Factor | None = Field(None, description="factor on Q; default 1")
+    r_scale: Factor | None = Field(None, description="factor on R; default 1")
 
 
 class Resets(Section):
@@ -261,26 +288,26 @@ class Resets(Section):
     reset_count: Count | None = Field(
         None, description="number of resets, a cycle apart; default 0"
     )
-    reset_cycle_s: Positive | None = Field(None, description="time between resets, s")
-    reset_first_s: Positive | None = Field(
+    reset_cycle_s: Seconds | None = Field(None, description="time between resets, s")
+    reset_first_s: Seconds | None = Field(
         None, description="time of the first of counted resets, s; default: the cycle"
     )
     reset_times_s: Times | None = Field(None, description="explicit reset times, s")
     reset_kind: Literal["full", "yaw", "scale"] = Field("full", description="what P is set to")
-    reset_scale: Positive = Field(10.0, description="factor on P, for kind 'scale'")
-    reset_velocity_m_per_s: Positive | None = Field(
+    reset_scale: Factor = Field(10.0, description="factor on P, for kind 'scale'")
+    reset_velocity_m_per_s: SpeedSigma | None = Field(
         None, description="what the velocity is reset to, m/s; default: as at the start"
     )
-    reset_level_deg: Positive | None = Field(
+    reset_level_deg: AngleSigma | None = Field(
         None, description="what the level angles are reset to, deg; default: as at the start"
     )
-    reset_yaw_deg: Positive | None = Field(
+    reset_yaw_deg: AngleSigma | None = Field(
         None, description="what the heading is reset to, deg; default: as at the start"
     )
-    reset_gyro_bias_deg_per_h: Positive | None = Field(
+    reset_gyro_bias_deg_per_h: GyroSigma | None = Field(
         None, description="what gyro biases are reset to, deg/h; default: as at the start"
     )
-    reset_accel_bias_ug: Positive | None = Field(
+    reset_accel_bias_ug: AccelSigma | None = Field(
         None,
         description="what accelerometer biases are reset to, ug; default: as at the start",
     )
@@ -290,16 +317,16 @@ class Resets(Section):
     trigger_threshold: NonNegative | None = Field(
         None, description="score above which the trigger resets; what a fading one fades by"
     )
-    trigger_window_s: Positive | None = Field(
+    trigger_window_s: Seconds | None = Field(
         None, description="what a trigger that looks back sums up, s; default 10"
     )
-    trigger_refractory_s: NonNegative | None = Field(
+    trigger_refractory_s: SecondsOrZero | None = Field(
         None, description="least time after the start and after a reset, s; default 5"
     )
     trigger_most: Annotated[Count, Field(ge=1)] | None = Field(
         None, description="most resets that a trigger calls for; default 10"
     )
-    trigger_until_s: Positive | None = Field(
+    trigger_until_s: Seconds | None = Field(
         None, description="time after which a trigger calls for none, s; default: no limit"
     )
 
@@ -307,26 +334,26 @@ class Resets(Section):
 class Compass(Section):
     """[compass]: the loops of method 'compass', and when their gains change."""
 
-    level_sigma_per_s: Positive | None = Field(
+    level_sigma_per_s: Bandwidth | None = Field(
         None, description="sigma of the levelling loop, 1/s; default 0.02"
     )
-    level_adjustment_s: Positive | None = Field(
+    level_adjustment_s: Seconds | None = Field(
         None, description="adjustment time of the levelling loop instead of its sigma, s"
     )
     level_gains: tuple[Finite, Finite, Finite] | None = Field(
         None, description="K1, K2, K3 of the levelling loop instead of its sigma, SI"
     )
     level_damping: Damping = Field(_DAMPING, description="damping ratio of the levelling loop")
-    level_time_s: NonNegative | None = Field(
+    level_time_s: SecondsOrZero | None = Field(
         None, description="levelling before the azimuth loop begins, s; default 150"
     )
     level_passes: Annotated[Count, Field(ge=1)] | None = Field(
         None, description="the same in passes over the tape"
     )
-    azimuth_sigma_per_s: Positive | None = Field(
+    azimuth_sigma_per_s: Bandwidth | None = Field(
         None, description="sigma of the azimuth loop, 1/s; default 0.01"
     )
-    azimuth_adjustment_s: Positive | None = Field(
+    azimuth_adjustment_s: Seconds | None = Field(
         None, description="adjustment time of the azimuth loop instead of its sigma, s"
     )
     azimuth_gains: tuple[Finite, Finite, Finite, Finite] | None = Field(
@@ -354,7 +381,7 @@ class Compass(Section):
 class Passes(Section):
     """[passes]: how often a stored tape is gone over, forward and backward in turn."""
 
-    tape_s: Positive | None = Field(
+    tape_s: Seconds | None = Field(
         None, description="length of the tape, s; without it all of the duration, once forward"
     )
     passes: Annotated[Count, Field(ge=1)] | None = Field(
@@ -367,13 +394,13 @@ class Passes(Section):
         Literal["reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"]
         | None
     ) = Field(None, description="what compass loops do at a turn of the tape; default 'reflect'")
-    turn_smoothing_s: Positive | None = Field(
+    turn_smoothing_s: Seconds | None = Field(
         None, description="delay of the low-passed force that 'reflect' turns by, s; default 5"
     )
     turn_covariance: Literal["carried", "inflated", "reset"] | None = Field(
         None, description="what becomes of a filter's P at a turn; default 'carried'"
     )
-    turn_inflation: Positive | None = Field(
+    turn_inflation: Factor | None = Field(
         None, description="factor on P, for 'inflated'; default 10"
     )
 
@@ -382,10 +409,10 @@ class Record(Section):
     """[record]: how to read an IMU record, and where in it the draws start."""
 
     format: Literal["psins", "csv", "parquet"] = Field(description="file format")
-    from_s: NonNegative | None = Field(
+    from_s: SecondsOrZero | None = Field(
         None, description="where the part that is used begins, s from the record's beginning"
     )
-    to_s: Positive | None = Field(None, description="where that part ends, s; default: its end")
+    to_s: Seconds | None = Field(None, description="where that part ends, s; default: its end")
     quantity: Literal["increments", "rates"] | None = Field(
         None, description="what the columns hold (csv, parquet)"
     )
@@ -412,13 +439,13 @@ class Record(Section):
         default_factory=lambda given: (given.get("from_s") or 0.0,),
         description="start times from the record's beginning, s; default: from_s, else 0",
     )
-    max_gap_s: NonNegative | None = Field(
+    max_gap_s: SecondsOrZero | None = Field(
         None, description="longest gap that is interpolated, s; default 0: none"
     )
-    gyro_bias_deg_per_h: NonNegative | None = Field(
+    gyro_bias_deg_per_h: GyroNoise | None = Field(
         None, description="gyro bias that a plausible record may have, deg/h; default 10"
     )
-    accel_bias_ug: NonNegative | None = Field(
+    accel_bias_ug: AccelNoise | None = Field(
         None, description="accelerometer bias that a plausible record may have, ug; default 5000"
     )
     trust: bool | None = Field(
@@ -461,7 +488,7 @@ class Coarse(Section):
     """[coarse]: the coarse alignment before a record's fine alignment, whose t = 0 is its end."""
 
     coarse_method: Literal["inertial", "analytic"] = Field("inertial", description="method")
-    coarse_duration_s: Positive = Field(60.0, description="length, s")
+    coarse_duration_s: Seconds = Field(60.0, description="length, s")
 
 
 class Report(Section):
@@ -488,11 +515,9 @@ class Statements(Section):
     """[statements]: the numbers behind the words of a report's statements."""
 
     converges_share: Share = Field(0.95, description="'converges': at least this share of runs")
-    short_time_s: Positive = Field(200.0, description="'in a short time': settled by then, s")
+    short_time_s: Seconds = Field(200.0, description="'in a short time': settled by then, s")
     cannot_share: Share = Field(0.05, description="'cannot converge': under this share of runs")
-    as_precise_arcmin: Positive = Field(
-        1.0, description="'as precise': means no further apart, arcmin"
-    )
+    as_precise_arcmin: Band = Field(1.0, description="'as precise': means no further apart, arcmin")
     covariance_share: Share = Field(
         0.95, description="'larger throughout': at least this share of records with P_UU > phi_u^2"
     )

@@ -5,12 +5,14 @@ Every value is checked as the key that it stands for. One that is wrong is named
 """
 
 import functools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, NamedTuple
 
+import numpy as np
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from sinsjax import designs
+from sinsjax import designs, usual
 from sinsjax.drawing import NUMBERS, STARTS, Drawn, Law
 from sinsjax.fields import Name
 from sinsjax.studies import (
@@ -28,6 +30,8 @@ from sinsjax.wording import explained, index, near, rule
 
 _LAWS = tuple(Law.model_fields)
 _BLOCK = 2**19  # draws that are looked at together, which bounds the memory
+_MOST_LOOKED_AT = 2**22  # a second; with more of them, what a law could give counts
+_SIGMAS = 8.3  # the furthest of 2^52 points of a normal law
 
 
 class Sweep(NamedTuple):
@@ -71,24 +75,66 @@ def read(tables: Table) -> Sweep:
 
 
 def check_draws(study: Study) -> None:
-    """Refuses a study in which a draw gives a value that its key does not take.
+    """Refuses a draw that gives a value that its key does not take, and what no draw comes to.
+
+    Draws are looked at one by one where their law leaves it open, and where they are not too many.
 
     Raises:
         InputError: ``[drawn] key: draw N gives X: what is wrong``.
     """
-    for first in range(0, study.n_draws if study.drawn else 0, _BLOCK):
+    laws = study.drawn.laws if study.drawn else {}
+    _check_lists(study, laws)
+    unchecked = bool(study.study.unchecked)
+    open_ = {}
+    for key, law in laws.items():
+        for value in _ends(law):
+            if text := _wrong(key, value, unchecked):
+                open_[key] = value, text
+    if study.n_draws > _MOST_LOOKED_AT:
+        for key, (value, text) in open_.items():
+            raise InputError(f"[drawn] {key}: one of so many draws may give {value!r}: {text}")
+    for first in range(0, study.n_draws if open_ else 0, _BLOCK):
         count = min(_BLOCK, study.n_draws - first)
-        for key, rows in designs.values(study, count, first=first).items():
+        drawn = designs.values(study, count, first=first)
+        for key, rows in ((key, drawn[key]) for key in open_):
             for at in map(int, (rows.argmin(), rows.argmax())):
-                _check_draw(key, first + at // NUMBERS[key], float(rows.flat[at]))
+                value = float(rows.flat[at])
+                if text := _wrong(key, value, unchecked):
+                    draw = first + at // NUMBERS[key]
+                    raise InputError(f"[drawn] {key}: draw {draw} gives {value!r}: {text}")
 
 
-def _check_draw(key: str, draw: int, value: float) -> None:
+def _check_lists(study: Study, laws: Mapping[str, Law]) -> None:
+    """Refuses lists of values, and a grid, that are longer than the draws."""
+    there = f"{study.n_draws} {'start times' if study.is_recorded else 'draws'}"
+    for key, law in laws.items():
+        if law.values and len(law.values) > study.n_draws:
+            text = f"has {len(law.values)} entries for {there}"
+            raise InputError(f"[drawn] {key}.values: {text}: the last ones are never drawn")
+    grids = {key: len(law.grid) for key, law in laws.items() if law.grid}
+    if math.prod(grids.values()) > study.n_draws and grids:
+        text = f"{math.prod(grids.values())} points of the grid of {', '.join(grids)}"
+        raise InputError(f"[drawn] {next(iter(grids))}.grid: {text} are more than {there}")
+
+
+def _ends(law: Law) -> tuple[float, ...]:
+    """The least and the greatest number that a law can give."""
+    if law.uniform:
+        return law.uniform
+    if law.normal:
+        mean, deviation = law.normal
+        return mean - _SIGMAS * deviation, mean + _SIGMAS * deviation
+    numbers = [n for entry in law.values or law.grid or () for n in np.ravel(entry).tolist()]
+    return min(numbers), max(numbers)
+
+
+def _wrong(key: str, value: float, unchecked: bool) -> str | None:
+    """What is wrong with a drawn number."""
     try:
         _validator(key)(value)
     except ValidationError as error:
-        text = f"draw {draw} gives {value!r}: {rule(error.errors()[0])}"
-        raise InputError(f"[drawn] {key}: {text}") from None
+        return rule(error.errors()[0])
+    return None if unchecked else usual.doubt(key, value)
 
 
 def checked(value: Any, key: str, place: str) -> Any:

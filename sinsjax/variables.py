@@ -16,6 +16,7 @@ from sinsjax.ranges import Range
 from sinsjax.studies import SECTION_OF, Study, Table, rivals
 from sinsjax.tuned_keys import COUNT, TIMES, TUNABLE, Ranges
 from sinsjax.types import InputError
+from sinsjax.unreached import UNREAD_BESIDE
 
 GRID_MOST = 2
 """Free variables of a full grid, at the most."""
@@ -256,6 +257,7 @@ def comparable(study: Study, based: Study, points: Mapping[str, Table]) -> dict[
 def cleared(tables: Table, keys: Sequence[str]) -> Table:
     """A study's tables without some keys and what says them in another way, and without [tune]."""
     gone = {*keys, *(other for key in keys for other in rivals(key))}
+    gone |= {UNREAD_BESIDE[key] for key in keys if key in UNREAD_BESIDE} - {*keys}
     return {
         name: {key: value for key, value in table.items() if key not in gone}
         if name in TUNABLE

@@ -447,7 +447,7 @@ sizes = st.floats(1e-300, 1e12) | st.integers(1, 10**6)
 )
 def test_any_resolved_study_loads_equal(duration, phi, bias, p0, name, methods):
     study = built(
-        study={"duration_s": duration, "name": name},
+        study={"duration_s": duration, "name": name, "unchecked": True},
         sensors={"gyro_bias_deg_per_h": bias},
         filter={"p0_yaw_deg": p0},
         axes={"phi_u0_deg": phi, "method": methods},
@@ -1498,13 +1498,13 @@ def test_layouts_that_fit():
 
 @given(samples=st.integers(1, 100_000), rate=st.floats(1, 1e4))
 def test_whole_numbers_of_samples_pass(samples: int, rate: float):
-    study = {"rate_hz": rate, "duration_s": 1e3, "record_interval_s": 1 / rate}
+    study = {"rate_hz": rate, "duration_s": 1e3, "record_interval_s": 1 / rate, "unchecked": True}
     built(study=study, alignment={"feedback_interval_s": samples / rate})
 
 
 @given(samples=st.floats(0.01, 1e5).filter(lambda x: 0.01 < x % 1 < 0.99), rate=st.floats(1, 1e4))
 def test_the_nearest_intervals_that_are_named_pass(samples: float, rate: float):
-    study = {"rate_hz": rate, "duration_s": 1e3, "record_interval_s": 1 / rate}
+    study = {"rate_hz": rate, "duration_s": 1e3, "record_interval_s": 1 / rate, "unchecked": True}
     line = refusal(study=study, alignment={"feedback_interval_s": samples / rate})
     for near in line.rsplit("nearest: ")[1].rstrip(")").split(" or "):
         built(study=study, alignment={"feedback_interval_s": float(near)})
@@ -1517,7 +1517,8 @@ def test_constants_have_no_place_with_wgs84(key: str):
     assert refusal(earth={"earth": "wgs84"}, axes={key: [1, 2]}) == f"[axes] {text}"
     assert refusal(earth={key: 1}, cases=[{"earth": "wgs84"}]) == f"[earth] {text}"
     assert getattr(built(earth={"earth": "wgs84"}).earth, key) is None
-    both = built(earth={key: 1}, axes={"earth": ["wgs84", "constants"]})
+    study = {"unchecked": True}
+    both = built(study=study, earth={key: 1}, axes={"earth": ["wgs84", "constants"]})
     assert both.values(key) == [1.0, 1.0]
 
 

@@ -153,7 +153,8 @@ def test_points_on_the_ends_give_finite_numbers(end: float, monkeypatch: pytest.
 @given(first=st.integers(0, 70), count=st.integers(0, 70))
 def test_a_draw_is_the_same_in_any_block(laws: dict[str, Any], first: int, count: int):
     study = study_of(
-        laws | {"pitch_center_deg": {"grid": [0, 1]}, "roll_center_deg": {"grid": [0, 10, 20]}}
+        laws | {"pitch_center_deg": {"grid": [0, 1]}, "roll_center_deg": {"grid": [0, 10, 20]}},
+        study={"draws": 6},
     )
     whole = designs.values(study, 140)
     for key, rows in designs.values(study, count, first=first).items():
@@ -216,10 +217,24 @@ def test_grids_run_through_their_product(lengths: list[int], count: int):
     grids = {key: [float(i) for i in range(n)] for key, n in zip(keys, lengths, strict=False)}
     laws: dict[str, Any] = {key: {"grid": grid} for key, grid in grids.items()}
     laws["ve0_m_per_s"] = {"uniform": [0, 1]}
-    values = drawn(laws, count)
+    values = drawn(laws, count, study={"draws": 256})
     points = itertools.islice(itertools.cycle(itertools.product(*grids.values())), count)
     rows = [values[key].reshape(count, -1)[:, -1] for key in grids]
     assert list(zip(*rows, strict=True)) == list(points)
+
+
+@given(lengths=st.lists(st.integers(1, 4), min_size=1, max_size=3), count=st.integers(1, 40))
+def test_fewer_draws_have_the_same_values(lengths: list[int], count: int):
+    keys = ("roll_center_deg", "phi_u0_deg", "accel_bias_ug")
+    laws: dict[str, Any] = {
+        key: {"grid": [float(i) for i in range(n)]} for key, n in zip(keys, lengths, strict=False)
+    }
+    laws |= LAWS | {k: laws[k] for k in keys[: len(lengths)]}
+    whole = study_of(laws, study={"draws": 64})
+    assert whole.drawn
+    fewer = study_of(designs.shortened(whole.drawn, count), study={"draws": count})
+    for key, rows in designs.values(fewer, count).items():
+        np.testing.assert_array_equal(rows, designs.values(whole, count)[key])
 
 
 # What a study refuses to draw
@@ -364,7 +379,7 @@ def test_rivals_of_a_drawn_key():
 )
 def test_a_draw_out_of_bounds(laws: dict[str, Any], key: str, law: dict[str, Any], text: str):
     table = {"sampling": laws.get("sampling", "random"), key: law}
-    line = refusal(table, study={"draws": 1000})
+    line = refusal(table, study={"draws": 1000, "unchecked": True})
     assert re.fullmatch(rf"\[drawn\] {key}: draw \d+ gives \S+: {text}", line)
 
 

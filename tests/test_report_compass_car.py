@@ -276,7 +276,7 @@ def test_errors_that_have_nothing_in_common_are_not_laid_on_the_data(data, tmp_p
     ("changes", "names", "left"),
     [
         ({}, SMALL[:3] + SMALL[4:], {"heading_error", "by_start", "over_time"}),
-        ({}, (SMALL[0], "Kalman, 600 s"), {"heading_error", "over_time"}),
+        ({}, (SMALL[1], "Kalman, 600 s"), {"heading_error", "over_time"}),
         ({"earth": {"earth": "wgs84"}}, SMALL, {"heading_error", "by_start", "over_time"}),
     ],
     ids=["one smoothing", "no partner", "no latitude"],

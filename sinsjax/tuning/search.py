@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from sinsjax import campaign, results, variables
+from sinsjax import campaign, designs, results, variables
 from sinsjax.campaign import Tell
 from sinsjax.config import study_from_dict, tables_of
 from sinsjax.studies import Dimension, Study, Table, dimensions_of
@@ -246,6 +246,9 @@ def derive(study: Study, points: Mapping[str, Table], *, name: str, judging: boo
         seed = (study.study.seed + judging) % _SEEDS
         draws = tune.evaluation_draws if judging else tune.tune_draws
         tables["study"] |= {"seed": seed, "draws": draws}
+    if study.drawn:
+        count = len(tables["record"]["start_s"]) if study.record else tables["study"]["draws"]
+        tables["drawn"] = designs.shortened(study.drawn, count)
     own = {key: values for key, values in _own_cases(study).items() if key != "case"}
     if own:  # labels are those of the points now
         tables["axes"] = tables.get("axes", {}) | {_free_name(study): own}
