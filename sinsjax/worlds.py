@@ -334,8 +334,10 @@ def _reference_at(tape: Tape, times: np.ndarray) -> np.ndarray:
             f"{reference.source}: covers {clock + first:g} to {clock + last:g} s, but the study"
             f" needs {clock + begin:g} to {clock + end:g} s by the clock of {tape.record.source}"
         )
-    needed = (reference.time_s >= begin - _LONGEST_GAP_S) & (reference.time_s <= end)
-    gap = np.diff(reference.time_s[needed], prepend=begin, append=end).max()
+    # With the samples on either side, between which the ends are interpolated.
+    low = np.searchsorted(reference.time_s, begin, side="right") - 1
+    high = np.searchsorted(reference.time_s, end)
+    gap = np.diff(reference.time_s[max(0, low) : high + 1]).max(initial=0.0)
     if gap > _LONGEST_GAP_S:
         raise InputError(
             f"{reference.source}: has a gap of {gap:g} s where the study needs it"

@@ -8,7 +8,9 @@ from studies import BASE, small_study
 from sinsjax import scenario
 from sinsjax.batch import Group
 from sinsjax.config import study_from_dict
+from sinsjax.records import Record, Reference
 from sinsjax.types import InputError
+from sinsjax.worlds import Tape, _reference_at
 
 DEG = np.pi / 180
 DEG_PER_H = DEG / 3600
@@ -151,3 +153,38 @@ def test_a_recorded_study_needs_its_record() -> None:
     )
     with pytest.raises(InputError, match="reads a record"):
         scenario.parts(study)
+
+
+def attitude_at(times: list[float], *missing: tuple[float, float]) -> np.ndarray:
+    """Of a base that turns by 6 deg/s, from a reference of a second's steps with gaps, 0 to 200."""
+    time_s = np.arange(201.0)
+    for after, before in missing:
+        time_s = time_s[(time_s <= after) | (time_s >= before)]
+    heading = np.stack([0 * time_s, 0 * time_s, 6 * time_s], axis=1)
+    record = Record(dtheta=np.zeros((1, 3)), dv=np.zeros((1, 3)), rate_hz=100.0)
+    return _reference_at(Tape(record, Reference(time_s, heading, None)), np.asarray(times))
+
+
+@pytest.mark.parametrize(
+    ("missing", "times", "gap"),
+    [
+        ((100, 109.5), [105.5, 120], 10),
+        ((100, 109.5), [80, 104], 10),
+        ((100, 109.5), [103, 104], 10),
+        ((100, 109.5), [90, 120], 10),
+        ((100, 109.5), [120, 103], 10),
+        ((100, 106), [104, 120], 6),
+    ],
+)
+def test_a_gap_at_either_end_of_what_is_needed_is_no_truth(missing, times, gap):
+    """A sample within the span is not enough: the ends lie between two, which may be far apart."""
+    with pytest.raises(InputError, match=f"has a gap of {gap} s where the study needs it"):
+        attitude_at(times, missing)
+
+
+@pytest.mark.parametrize("times", [[110, 120], [80, 100], [20, 30], [0, 100], [110, 200]])
+def test_a_gap_beside_what_is_needed_does_no_harm(times):
+    turned = attitude_at(times, (100, 109.5), (5, 10))
+    expected = Rotation.from_rotvec(np.outer(times, [0, 0, 6 * DEG]))
+    left = expected.inv() * Rotation.from_quat(turned, scalar_first=True)
+    np.testing.assert_allclose(left.magnitude(), 0, atol=1e-12)
