@@ -19,7 +19,7 @@ CONNECT_S = 10.0
 
 _CONFIG = {
     "distributed.worker.multiprocessing-method": "spawn",  # jax does not survive a fork
-    "distributed.admin.large-graph-warning-threshold": "1 GiB",  # a record may be long
+    "distributed.admin.large-graph-warning-threshold": "1 GiB",  # a record, once a worker
 }
 
 

@@ -17,8 +17,8 @@ from typing import Any
 
 from sinsjax import clients, runtime
 from sinsjax.types import InputError
-from sinsjax.work import Executor, Packed, Task, Workshop
-from sinsjax.worker import Answer, Machine, answer, versions
+from sinsjax.work import Executor, Job, Packed, Task, Workshop
+from sinsjax.worker import Answer, Machine, Wanting, answer, versions
 
 AHEAD = 2
 """Tasks that a thread of a worker has at a time, so that it never waits for the next one."""
@@ -39,7 +39,7 @@ def executor(*, workers: int | None = None, scheduler: str | None = None) -> Ite
         scheduler: address of a scheduler to use instead, ``tcp://host:port``.
 
     Yields:
-        Executor for `sinsjax.run_into`. A record travels with every task.
+        Executor for `sinsjax.run_into`. A record travels to every worker once.
 
     Raises:
         InputError: Dask is not installed, there are more processes than cores, no scheduler
@@ -55,6 +55,64 @@ def executor(*, workers: int | None = None, scheduler: str | None = None) -> Ite
         crew = Crew(client, scheduler or "--workers")
         facts = {"workers": crew.ready(), "scheduler": scheduler or "local"}
         yield Executor(crew.do, facts | crew.facts())
+
+
+class _Errands:
+    """Tasks that workers have, and how a job reaches every worker once.
+
+    A record may be long, so a task goes without its job. A worker that wants the job says so, and
+    is sent it with that task; others that come back from there meanwhile wait until it has been
+    brought. Data of Dask's own would keep tasks near those that have it, and be lost with them.
+    """
+
+    def __init__(self, client: Any, job: Job) -> None:
+        self._client, self._sent = client, pickle.dumps(job)
+        self._key = f"sinsjax-{job.identity}-{job.curves}-{job.chunk_runs}"
+        self._under_way: dict[str, tuple[Task, Any, str | None]] = {}
+        self._waiting: dict[str, list[Task]] = {}
+        self._sendings = 0
+        self.finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
+
+    def __len__(self) -> int:
+        return len(self._under_way) + sum(map(len, self._waiting.values()))
+
+    def send(self, task: Task, to: str | None = None) -> None:
+        """Give a task to any worker; with the job, to one that wants it if that is still there."""
+        self._sendings += 1
+        # No dependency on data of one worker, near which Dask would keep the tasks.
+        future = self._client.submit(
+            answer,
+            self._key,
+            None if to is None else self._sent,
+            task,
+            key=f"{self._key}-{task.name}-{self._sendings}",
+            retries=_RETRIES,
+            **({} if to is None else {"workers": [to], "allow_other_workers": True}),
+        )
+        self._under_way[future.key] = task, future, to
+        future.add_done_callback(self.finished.put)
+
+    def take(self, future: Any) -> tuple[Task, Any, str | None]:
+        """Of a future that is done: its task, itself, and the worker that it brought the job."""
+        return self._under_way.pop(future.key)
+
+    def bring(self, worker: str, task: Task) -> None:
+        """A worker handed a task back, wanting the job."""
+        if worker in self._waiting:
+            self._waiting[worker].append(task)
+        else:
+            self._waiting[worker] = []
+            self.send(task, to=worker)
+
+    def brought(self, worker: str | None) -> None:
+        """A worker has the job, if any: what waited for that goes out again."""
+        for task in self._waiting.pop(worker, ()) if worker else ():
+            self.send(task)
+
+    def cancel(self) -> None:
+        """Leave what is under way."""
+        if self._under_way:
+            self._client.cancel([future for _, future, _ in self._under_way.values()])
 
 
 class Crew:
@@ -89,32 +147,27 @@ class Crew:
 
     def do(self, workshop: Workshop, tasks: Iterable[Task]) -> Iterator[Packed]:
         """See `Executor`."""
-        job = workshop.job
-        key = f"sinsjax-{job.identity}-{job.curves}-{job.chunk_runs}"
-        sent = pickle.dumps(job)
-        finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        under_way: dict[str, tuple[Task, Any]] = {}
+        errands = _Errands(self._client, workshop.job)
         left = iter(tasks)
         try:
             while True:
-                room = AHEAD * max(1, sum(self._threads().values())) - len(under_way)
+                room = AHEAD * max(1, sum(self._threads().values())) - len(errands)
                 for task in islice(left, max(0, room)):
-                    # No dependency on data of one worker, near which Dask would keep the tasks.
-                    future = self._client.submit(
-                        answer, key, sent, task, key=f"{key}-{task.name}", retries=_RETRIES
-                    )
-                    under_way[future.key] = task, future
-                    future.add_done_callback(finished.put)
-                if not under_way:
+                    errands.send(task)
+                if not errands:
                     return
-                task, future = under_way.pop(self._next(finished).key)
+                task, future, to = errands.take(self._next(errands.finished))
                 got = self._result(task, future)
                 future.release()
+                if isinstance(got, Wanting):
+                    errands.bring(got.worker, task)
+                    continue
+                errands.brought(to)
                 self.check(got)
                 yield got.packed
         finally:
-            if under_way and self._client.status == "running":
-                self._client.cancel([future for _, future in under_way.values()])
+            if self._client.status == "running":
+                errands.cancel()
 
     def _next(self, finished: queue.SimpleQueue) -> Any:
         """The next task that is done or failed."""
@@ -128,7 +181,7 @@ class Crew:
                 else:
                     self._alone(seen)
 
-    def _result(self, task: Task, future: Any) -> Answer:
+    def _result(self, task: Task, future: Any) -> Answer | Wanting:
         from distributed import KilledWorker
 
         if future.status != "error":

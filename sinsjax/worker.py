@@ -47,6 +47,16 @@ class Answer(NamedTuple):
     machine: Machine
 
 
+class Wanting(NamedTuple):
+    """What a worker says that has not the job of a task.
+
+    Attributes:
+        worker: its address.
+    """
+
+    worker: str
+
+
 def dask_setup(worker: Any) -> None:
     """Called by Dask in the workers that `cluster` starts, which preload this module.
 
@@ -56,12 +66,12 @@ def dask_setup(worker: Any) -> None:
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
 
 
-def answer(key: str, sent: bytes, task: Task) -> Answer:
+def answer(key: str, sent: bytes | None, task: Task) -> Answer | Wanting:
     """Do a task; to be called by a Dask worker.
 
     Args:
         key: tells jobs apart.
-        sent: pickled `Job`.
+        sent: pickled `Job`; None: it may be here already.
         task: one of its tasks.
 
     Raises:
@@ -71,6 +81,8 @@ def answer(key: str, sent: bytes, task: Task) -> Answer:
 
     worker = get_worker()
     workshop = _workshop(key, sent, worker.state.nthreads)
+    if workshop is None:
+        return Wanting(worker.address)
     return Answer(workshop.pack(task), worker.address, versions(), machine_here())
 
 
@@ -78,10 +90,12 @@ _held: dict[str, Workshop] = {}
 _building = threading.Lock()
 
 
-def _workshop(key: str, sent: bytes, threads: int) -> Workshop:
+def _workshop(key: str, sent: bytes | None, threads: int) -> Workshop | None:
     """The workshop of a job, made once in a worker and kept until another job comes."""
     with _building:
         if key not in _held:
+            if sent is None:
+                return None
             if threads == 1 and os.environ.get(affinity.VARIABLE, "").strip() != "0":
                 affinity.keep_to_one_core()
             runtime.configure(devices=1)

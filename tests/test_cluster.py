@@ -3,6 +3,7 @@
 import http.server
 import json
 import os
+import pickle
 import signal
 import socket
 import subprocess
@@ -12,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import dask
@@ -383,6 +385,70 @@ def test_the_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
         cluster.executor(workers=1),
     ):
         pass
+
+
+class Far:
+    """A scheduler whose workers do every task at once, in turn; what each was sent is kept."""
+
+    status = "running"
+
+    def __init__(self, workers: list[str]) -> None:
+        self.workers, self.sent = workers, dict[str, list[tuple[str, bytes]]]()
+        self.dying: list[str] = []
+        self._turns = 0
+        self._later: list[Callable[[], None]] = []
+
+    def nthreads(self) -> dict[str, int]:
+        while self._later:  # what was sent together comes back together
+            self._later.pop(0)()
+        return dict.fromkeys(self.workers, 2)
+
+    def submit(
+        self, function: object, job: str, sent: bytes | None, task: work.Task, **how: Any
+    ) -> SimpleNamespace:
+        self._turns += 1
+        name = self.workers[self._turns % len(self.workers)]
+        if sent is not None:
+            assert how["allow_other_workers"]
+            (name,) = how["workers"]
+            if name in self.dying:
+                self.workers.remove(name)
+                name = self.workers[0]
+            self.sent.setdefault(name, []).append((task.name, sent))
+        said: Any = worker.Wanting(name)
+        if name in self.sent:
+            said = answer(worker=name, packed=work.Packed(task, {}, 0, 0.0))
+        future = SimpleNamespace(
+            key=how["key"], status="finished", result=lambda: said, release=lambda: None
+        )
+        future.add_done_callback = lambda call: self._later.append(lambda: call(future))
+        return future
+
+    def cancel(self, futures: list) -> None:
+        raise AssertionError("nothing is left")
+
+
+def test_the_record_goes_to_every_worker_once(
+    study: Study, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster, "_LOOK_S", 0.0)
+    tasks = [work.Task(f"part-0000-{i:06d}", 0, (0, 1), i, 1, 0) for i in range(40)]
+    far = Far(["tcp://a:1", "tcp://b:1"])
+    workshop = work.Workshop.__new__(work.Workshop)  # of which only its job is asked for
+    workshop.job = work.Job(study, chunk_runs=CHUNK)
+    crew, done = cluster.Crew(far, "far"), []
+    for packed in crew.do(workshop, iter(tasks)):
+        done.append(packed.task)
+        if len(done) == 9:  # one comes late
+            far.workers.append("tcp://c:1")
+    assert sorted(done) == tasks
+    assert [len(sent) for sent in far.sent.values()] == [1, 1, 1]
+    assert pickle.loads(far.sent["tcp://c:1"][0][1]) == workshop.job
+    far.sent.clear()
+    # One goes while the job is on its way there, which costs another a second sending.
+    far.workers, far.dying = ["tcp://a:1", "tcp://b:1"], ["tcp://b:1"]
+    assert sorted(packed.task for packed in crew.do(workshop, iter(tasks))) == tasks
+    assert list(far.sent) == ["tcp://a:1"] == far.workers and len(far.sent["tcp://a:1"]) <= 2
 
 
 def answer(**changes: Any) -> worker.Answer:
