@@ -170,7 +170,7 @@ def run_into(
         StudyInterrupted: ``stop`` was set; all that was under way is stored.
         RuntimeError: double precision is off.
     """
-    directory = Path(directory)
+    directory = directories.named(directory)
     directories.check_free(directory, overwrite=overwrite or resume)
     study = at_rate(study, tape)
     if study.study.rate_hz:

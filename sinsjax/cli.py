@@ -32,7 +32,10 @@ MOST_RUNS = 1024
 
 Config = Annotated[Path, typer.Argument(help="Study file (TOML).", show_default=False)]
 Out = Annotated[
-    Path, typer.Option("--out", "-o", help="Directory for the results.", show_default=False)
+    str,  # a path has lost by then that it was empty
+    typer.Option(
+        "--out", "-o", help="Directory for the results.", show_default=False, metavar="<path>"
+    ),
 ]
 Overwrite = Annotated[bool, typer.Option(help="Replace results that the directory holds.")]
 Devices = Annotated[
@@ -131,7 +134,7 @@ def align(
 @app.command()
 def tune(
     config: Config,
-    out: Out,
+    given: Out,
     record: Annotated[Path | None, typer.Option(help="The record, of a recorded study.")] = None,
     reference: Annotated[Path | None, typer.Option(help="And its reference attitude.")] = None,
     overwrite: Overwrite = False,
@@ -142,17 +145,18 @@ def tune(
 
     Example: sinsjax tune configs/tune_condition5.toml -o out
     """
-    from sinsjax import campaign, console, forecast
+    from sinsjax import campaign, console, directories, forecast
     from sinsjax.config import load_study
     from sinsjax.tuning import carry_out
 
+    out = directories.named(given)
     study = load_study(config)
     carry_out.require_tune(study)
     if study.is_recorded and record is None:
         raise InputError(f"{config}: [record]: the study reads a record: give it with --record")
-    for given in (record, reference):
-        if given is not None and not study.is_recorded:
-            raise InputError(f"{config}: has no [record] section to read {given} with")
+    for file in (record, reference):
+        if file is not None and not study.is_recorded:
+            raise InputError(f"{config}: has no [record] section to read {file} with")
     _check_options(overwrite=overwrite, resume=resume, devices=devices)
     carry_out.check_free(out, overwrite=overwrite or resume)
     _configure(devices)
@@ -181,9 +185,14 @@ def tune(
 def rerun(
     directory: Annotated[Path, typer.Argument(help="Directory of results.", show_default=False)],
     run_id: Annotated[int, typer.Option(help="Number of the run.", min=0, show_default=False)],
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", help="Where to put it; DIRECTORY/reruns/RUN_ID if left out."),
+    given: Annotated[
+        str | None,
+        typer.Option(
+            "--out",
+            "-o",
+            help="Where to put it; DIRECTORY/reruns/RUN_ID if left out.",
+            metavar="<path>",
+        ),
     ] = None,
     record: Annotated[Path | None, typer.Option(help="The record, of a recorded study.")] = None,
     reference: Annotated[Path | None, typer.Option(help="And its reference attitude.")] = None,
@@ -192,9 +201,10 @@ def rerun(
 
     Example: sinsjax rerun out --run-id 17
     """
-    from sinsjax import reruns
+    from sinsjax import directories, reruns
 
     runtime.configure()
+    out = None if given is None else directories.named(given)
     terminal, files = plain_console(), (record, reference)
     if not reruns.rerun_into(directory, run_id, terminal, out=out, files=files):
         raise typer.Exit(1)
@@ -261,7 +271,7 @@ def bench(
 
 def _run_study(
     config: Path,
-    out: Path,
+    given: str,
     *,
     overwrite: bool,
     devices: int | None,
@@ -274,6 +284,7 @@ def _run_study(
     from sinsjax import campaign, console, directories, forecast
     from sinsjax.config import load_study
 
+    out = directories.named(given)
     study = load_study(config)
     if study.is_recorded and files is None:
         raise InputError(f"{config}: [record]: the study reads a record: use `sinsjax align`")

@@ -1,14 +1,16 @@
 """What a directory of results holds, and whether a study may be written there."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from sinsjax import runtime
+from sinsjax.belongings import DATASETS
 from sinsjax.config import fingerprint, load_study
 from sinsjax.files import unwritable
 from sinsjax.results import read_manifest
@@ -16,7 +18,6 @@ from sinsjax.studies import Study
 from sinsjax.types import InputError
 from sinsjax.work import Job
 
-DATASETS = ("summary", "curves")
 _NAMES = (*DATASETS, "figures", "study.toml", "manifest.json")
 
 
@@ -70,7 +71,7 @@ class Manifest(_Checked):
 
     identity: str
     curves: bool | None
-    chunk_runs: int | None
+    chunk_runs: Annotated[int, Field(ge=1)] | None
     sessions: list[Session] = []
     chunks: list[Done] = []
 
@@ -107,6 +108,7 @@ def resumed(directory: Path, job: Job, instructions: str | None = None) -> Job:
                 " with (give --overwrite to replace them)"
             )
         return job
+    _check_chunks(directory, known)
     job = job._replace(curves=known.curves, chunk_runs=known.chunk_runs)
     _check_versions(directory, known)
     _check_instructions(directory, known, instructions or runtime.instructions())
@@ -148,17 +150,36 @@ def _kept_study(directory: Path) -> Study | None:
         return None
 
 
+def _check_chunks(directory: Path, known: Manifest) -> None:
+    """Refuses to cut a study otherwise than its parts are: all of them would be made again."""
+    cuts = set()
+    for said in _parts_say(directory):
+        if said.chunk_runs == known.chunk_runs:
+            return
+        cuts.add("none" if said.chunk_runs is None else said.chunk_runs)
+    if cuts:
+        here = "none" if known.chunk_runs is None else known.chunk_runs
+        raise InputError(
+            f"{directory}: manifest.json: chunk_runs: is {here}, but its parts were made with"
+            f" {min(cuts, key=str)} (put that back, or delete manifest.json: they tell it)"
+        )
+
+
 def _told_by_parts(directory: Path) -> Manifest | None:
     """What the first part that can be read says of all; None if there is none."""
-    for path in sorted(directory.glob("summary/part-*.parquet")):
+    return next(_parts_say(directory), None)
+
+
+def _parts_say(directory: Path) -> Iterator[Manifest]:
+    """What each part that can be read says of all."""
+    curves = True if any(directory.glob("curves/part-[0-9]*.parquet")) else None
+    for path in sorted(directory.glob("summary/part-[0-9]*.parquet")):
         try:
             said = pq.read_schema(path).metadata or {}
             chunk, identity = json.loads(said[b"sinsjax.chunk"]), said[b"sinsjax.study"].decode()
+            yield Manifest(identity=identity, curves=curves, chunk_runs=chunk["chunk_runs"])
         except (OSError, ValueError, pa.ArrowException, KeyError, TypeError):
             continue
-        curves = True if any(directory.glob("curves/part-*")) else None
-        return Manifest(identity=identity, curves=curves, chunk_runs=chunk["chunk_runs"])
-    return None
 
 
 def differences(there: Study, here: Study) -> list[str]:
@@ -220,7 +241,21 @@ def check_free(directory: Path, *, overwrite: bool) -> None:
 
 
 def _is_ours(directory: Path) -> bool:
+    """Whether a directory holds results, by its manifest, or its parts where that is none."""
     try:
-        return "fingerprint" in read_manifest(directory)
-    except (InputError, TypeError):
-        return _told_by_parts(directory) is not None
+        if "fingerprint" in read_manifest(directory):
+            return True
+    except InputError:
+        pass
+    return _told_by_parts(directory) is not None
+
+
+def named(directory: str | Path) -> Path:
+    """A directory as it is given.
+
+    Raises:
+        InputError: it has no name: that is no way to say *here*.
+    """
+    if not str(directory):
+        raise InputError("--out: must not be empty (the current directory is '.')")
+    return Path(directory)

@@ -77,7 +77,7 @@ def ask(
 
 def find(directory: Path, name: str) -> Iterator[Path]:
     """The parts of a dataset, whole ones as they have their names, and nothing else."""
-    return directory.glob(f"{name}/*.parquet")
+    return directory.glob(f"{name}/part-[0-9]*.parquet")
 
 
 def read_manifest(directory: str | Path) -> dict[str, Any]:

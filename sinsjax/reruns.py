@@ -10,6 +10,7 @@ from rich.console import Console
 
 from sinsjax import plots, results, screen
 from sinsjax.batch import Calls
+from sinsjax.belongings import RERUN
 from sinsjax.campaign import load_tape
 from sinsjax.config import load_study
 from sinsjax.files import replacing, unwritable
@@ -19,8 +20,6 @@ from sinsjax.studies import Study
 from sinsjax.types import InputError
 from sinsjax.work import Job
 from sinsjax.worlds import Tape
-
-_FILES = ("summary.parquet", "curve.parquet", "curve.png")
 
 
 class Rerun(NamedTuple):
@@ -98,7 +97,7 @@ def rerun_into(
     stored = results.read_summary(directory, run_ids=[run_id])
     if not stored.num_rows:
         raise InputError(f"{directory}: holds no row of run {run_id} (yet)")
-    if out is not None and (there := [name for name in _FILES if (out / name).exists()]):
+    if out is not None and (there := [name for name in RERUN if (out / name).exists()]):
         raise InputError(f"{out}: holds a {there[0]} already: give another one")
     made = rerun(study, run_id, tape)
     target = directory / "reruns" / str(run_id) if out is None else out

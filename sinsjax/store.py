@@ -16,16 +16,13 @@ import filelock
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from sinsjax import columns, directories
+from sinsjax import belongings, columns, directories
+from sinsjax.belongings import DATASETS
 from sinsjax.config import fingerprint, study_to_toml
-from sinsjax.directories import DATASETS
 from sinsjax.files import replacing, unwritable
 from sinsjax.types import InputError
 from sinsjax.work import Job, Packed, Task, Workshop
 
-_OURS = ("summary/part-*", "curves/part-*", "figures/*.png", "study.toml")
-_RERUN = tuple(f"reruns/*/{name}" for name in ("summary.parquet", "curve.parquet", "curve.png"))
-_LEFT = (".manifest.json.*.tmp", ".study.toml.*.tmp", "*/.part-*.tmp", "figures/.*.png.*.tmp")
 _LOCK = ".lock"
 _MANIFEST_SHARE = 0.05  # of the time, at the most, goes into writing manifests
 
@@ -87,8 +84,9 @@ class Store:
         job = self._workshop.job
         if resume and self._resumed()[2:] != job[2:]:
             raise InputError(f"{self.directory}: another process has just written there")
-        patterns = _LEFT if resume else (*_LEFT, *_OURS, *_RERUN)
-        _remove(path for pattern in patterns for path in self.directory.glob(pattern))
+        _remove(belongings.left_behind(self.directory))
+        if not resume:
+            _remove(belongings.made_here(self.directory))
         if resume and (known := directories.manifest(self.directory)):
             self._sessions = [session.model_dump() for session in known.sessions]
             self._chunks = {c.name: c.model_dump() for c in known.chunks if c.state == "done"}
@@ -125,8 +123,8 @@ class Store:
                 self._chunks[task.name] = found
         known = {task.name for task in self._planned}
         self._chunks = {name: c for name, c in self._chunks.items() if name in known}
-        parts = (p for name in DATASETS for p in self.directory.glob(f"{name}/part-*.parquet"))
-        _remove(path for path in parts if path.stem not in self._chunks)
+        there = (p for name in DATASETS for p in self.directory.glob(f"{name}/*.parquet"))
+        _remove(p for p in there if belongings.is_part(p) and p.stem not in self._chunks)
         self._write_manifest("running")
         return missing
 

@@ -56,6 +56,7 @@ LAYERS = (
     },
     {
         "analysis",
+        "belongings",
         "directories",
         "forecast",
         "parts",

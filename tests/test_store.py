@@ -28,7 +28,16 @@ from kept import (
 )
 from studies import small_study
 
-from sinsjax import campaign, directories, files, forecast, results, scenario, store
+from sinsjax import (
+    belongings,
+    campaign,
+    directories,
+    files,
+    forecast,
+    results,
+    scenario,
+    store,
+)
 from sinsjax.config import Study, study_from_dict
 from sinsjax.records import Reference
 from sinsjax.types import InputError, StudyInterrupted
@@ -345,6 +354,8 @@ GARBLED = {
     "null": b"null",
     "a list": b"[1, 2]",
     "a number": b"3",
+    "nothing": b"{}",
+    "another's": b'{"name": "a web page", "icons": []}',
     "no chunks": b'{"fingerprint": "x", "chunks": 3, "sessions": {}}',
     "odd chunks": b'{"fingerprint": "x", "identity": "x", "chunks": [{"state": []}]}',
     "odd sessions": b'{"fingerprint": "x", "sessions": [{"wall_s": "long"}]}',
@@ -360,6 +371,27 @@ def test_a_garbled_manifest_costs_nothing(whole: Path, out: Path, name: str) -> 
         sweep(out)
     assert sweep(out, resume=True) == []
     assert times(out) == before
+    assert_complete(out, whole)
+
+
+@pytest.mark.parametrize(("edited", "said"), [(256, "256"), (None, "none"), (1, "1")])
+def test_chunks_of_another_size_cost_no_part(out: Path, edited: int | None, said: str) -> None:
+    """Cut otherwise, no part that is there would be one of the study's."""
+    told = manifest(out) | {"chunk_runs": edited}
+    (out / "manifest.json").write_text(json.dumps(told))
+    before = everything(out)
+    line = f"manifest.json: chunk_runs: is {said}, but its parts were made with {CHUNK_RUNS} "
+    with pytest.raises(InputError, match=line):
+        sweep(out, resume=True)
+    assert everything(out) == before
+
+
+@pytest.mark.parametrize("edited", ["0", "-128", "1.5", '"many"'])
+def test_chunks_of_no_size_are_told_by_the_parts(whole: Path, out: Path, edited: str) -> None:
+    text = (out / "manifest.json").read_text()
+    text = text.replace(f'"chunk_runs": {CHUNK_RUNS}', f'"chunk_runs": {edited}')
+    (out / "manifest.json").write_text(text)
+    assert sweep(out, resume=True) == []
     assert_complete(out, whole)
 
 
@@ -512,6 +544,36 @@ def assert_complete_but(out: Path, whole: Path, mine: list[str]) -> None:
     }
     assert all((out / name).read_bytes() == b"PAR1" for name in mine)
     assert parts(out) == parts(whole)
+
+
+def test_overwriting_leaves_what_a_person_put_there(whole: Path, out: Path) -> None:
+    mine = [
+        "summary/part-notes.txt",
+        "summary/part-best.parquet",
+        "summary/mine.parquet",
+        "curves/part-0000-000000.csv",
+        "figures/thesis.png",
+        "figures/misalignment.png",
+        "figures/.thesis.png.tmp",
+        "reruns/mine/curve.png",
+        "reruns/3/curve.txt",
+        "notes/.part-1.77.tmp",
+        "study.toml.old",
+    ]
+    for name in mine:
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        (out / name).write_bytes(b"mine")
+    drawn = {"misalignment.png": b"drawn", "distribution.png": b"drawn"}
+    (out / "figures" / "distribution.png").write_bytes(b"drawn")
+    belongings.list_figures(drawn, out)  # one of which the person drew anew
+    assert results.count_runs(out) == CHUNKS * CHUNK_RUNS
+    assert sweep(out, resume=True) == []
+    assert len(sweep(out, overwrite=True)) == CHUNKS
+    assert all((out / name).read_bytes() == b"mine" for name in mine)
+    left = {path.relative_to(out).as_posix() for path in (out / "figures").iterdir()}
+    assert left == {name for name in mine if name.startswith("figures/")}
+    assert results.read_summary(out).num_rows == CHUNKS * CHUNK_RUNS
+    assert {n: b for n, b in parts(out).items() if n not in mine} == parts(whole)
 
 
 def test_overwriting_leaves_nothing_of_what_was_there(out: Path) -> None:

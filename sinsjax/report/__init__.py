@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from sinsjax.belongings import list_figures
 from sinsjax.report import (
     adaptive,
     auto,
@@ -145,6 +146,7 @@ def _tell(report: Report, source: Source, console: Console) -> Made:
     """Draws a report's figures into the directory of its source, and prints its tables."""
     made = Made.of(source, report)
     save_figures(made.images, source.directory / FIGURES)
+    list_figures({f"{name}.png": image for name, image in made.images.items()}, source.directory)
     print_report(made, console)
     return made
 

@@ -63,7 +63,7 @@ def tune(
         StudyInterrupted: ``stop`` was set.
         RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
-    directory = Path(directory)
+    directory = directories.named(directory)
     settings = require_tune(study)
     if tape is not None and study.is_recorded:
         study = with_rate(study, tape.record.rate_hz)
