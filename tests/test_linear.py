@@ -137,6 +137,13 @@ def test_one_variant_of_a_sweep():
     np.testing.assert_allclose(np.diag(model.turn), (-1, 1, 1, 1))
 
 
+def test_one_variant_of_axes_that_go_together():
+    together = {"tape_s": [60.0, 120.0], "level_time_s": [40.0, 80.0]}
+    one = one_variant(compass_study(axes={"phi_u0_deg": [1.0, 2.0], "passes": together}), 3)
+    assert one.n_variants == 1
+    assert [one.values(key)[0] for key in (*together, "phi_u0_deg")] == [120.0, 80.0, 2.0]
+
+
 def test_all_loops_of_a_sweep_are_those_of_its_variants():
     cases = [
         {"tape_s": 60.0, "sigma_factors": [2.0, 1.0], "sigma_times_s": [100.0]},

@@ -87,7 +87,7 @@ def one_variant(study: Study, variant: int) -> Study:
         variant: its number.
     """
     point = {key: values[variant] for key, values in study.variant_values().items()}
-    return study.model_copy(update={"axes": {}, "cases": (point,) if point else ()})
+    return study.model_copy(update={"axes": {}, "zips": {}, "cases": (point,) if point else ()})
 
 
 def limits_of(one: Study) -> Limits:
