@@ -39,7 +39,7 @@ STUDIES: dict[str, dict[str, Any]] = {
         "reset_times_s": (300.0,),
     },
 }
-"""Shipped studies and the variant that is taken: of the last one, two thirds of the runs diverge."""
+"""Shipped studies and the variant that is taken; of the last one two thirds of the runs diverge."""
 
 SHARES = ("share, Wilson", "share by draw, 12 runs each", "difference of paired shares, Newcombe")
 PAIRS = ("difference of paired medians, bootstrap", "ratio of paired medians, bootstrap")

@@ -13,16 +13,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax import kalman, mechanisation, rotations
+from sinsjax import kalman, mechanisation
+from sinsjax.algebra import numbers_of
 from sinsjax.alignment import METHODS, zero_velocity
 from sinsjax.alignment.base import Method, Options, Site
-from sinsjax.alignment.schedules import renew, reset_due, where_due
 from sinsjax.batch import Group, chunks
 from sinsjax.bench.cases import default_group, engine, shortened, without_noise
 from sinsjax.bench.timing import Row, measure_against
 from sinsjax.error_model import MODELS, ErrorModel
 from sinsjax.metrics import Outcome
-from sinsjax.types import Navigation, Sample, Scalar, Vec3
+from sinsjax.types import Navigation, Sample, Scalar
 from sinsjax.units import ARCMIN
 from sinsjax.verdicts import LIMIT
 
@@ -55,24 +55,18 @@ def build(model: ErrorModel, options: Options) -> Method:
         n: Scalar,
     ) -> zero_velocity.State:
         nav, f_dt = mechanisation.step(state.nav, sample, site.place, options.dt)
-        transition = single(model.transition(state.nav, site.place, f_dt, options.dt))
+        entries = numbers_of(model.transition(state.nav, site.place, f_dt, options.dt))
+        transition = single(entries)
         belief = kalman.predict(state.belief, transition, single(params.q))
         belief = kalman.update(belief, (0, 1), single((nav.ve, nav.vn)), single(params.r))
-        due = n >= state.feedback_at
-        reset = reset_due(params.resets, n)
-        gain = jnp.where(reset, 1.0, jnp.where(due, params.feedback.gain, 0.0))
-        fed = tuple(single(gain) * x for x in belief.x)
-        nav = mechanisation.correct_velocity(nav, *double(fed[:2]))
-        renewal = single(where_due(reset, params.resets.renewal))
-        p = renew(renewal, belief.p, single(params.reset_to), yaw=4)
-        return zero_velocity.State(
-            nav=nav._replace(q=rotations.correct(Vec3(*double(fed[2:])), nav.q)),
-            belief=kalman.Belief(
-                tuple(x - f for x, f in zip(belief.x, fed, strict=True)), single(p)
-            ),
-            bias=state.bias,
-            feedback_at=state.feedback_at + jnp.where(due, params.feedback.every, 0.0),
-        )
+        return state._replace(nav=nav, belief=belief)
+
+    def close(
+        params: zero_velocity.Params, state: zero_velocity.State, n: Scalar
+    ) -> zero_velocity.State:
+        assert whole.close is not None
+        closed = whole.close(params, state._replace(belief=double(state.belief)), n)
+        return closed._replace(belief=single(closed.belief))
 
     def turn(
         params: zero_velocity.Params, site: Site, state: zero_velocity.State
@@ -91,6 +85,8 @@ def build(model: ErrorModel, options: Options) -> Method:
         widened(whole.covariance),
         whole.normalise,
         whole.limit,
+        close=close,
+        next_event=whole.next_event,
     )
 
 

@@ -7,10 +7,21 @@ triangle, row by row, and products are unrolled while tracing, skipping what is 
 
 from collections.abc import Mapping, Sequence
 from functools import cache
+from typing import NamedTuple
 
 from sinsjax.types import Scalar, Vec3
 
-Entries = Mapping[tuple[int, int], Scalar]
+
+class Minus(NamedTuple):
+    """The negative of a number that is at hand: it is subtracted where it would be added.
+
+    Negated before, it would be one more array that a step writes and reads again.
+    """
+
+    of: Scalar
+
+
+Entries = Mapping[tuple[int, int], Scalar | Minus]
 """The non-zero entries of a square matrix, by row and column."""
 
 Triangle = tuple[Scalar, ...]
@@ -37,6 +48,11 @@ def cross(a: Vec3, b: Vec3) -> Vec3:
     return Vec3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
 
 
+def numbers_of(entries: Entries) -> dict[tuple[int, int], Scalar]:
+    """Entries as numbers, negatives taken."""
+    return {at: -a.of if isinstance(a, Minus) else a for at, a in entries.items()}
+
+
 @cache
 def triangle_index(n: int) -> dict[tuple[int, int], int]:
     """Where entry (i, j) of an n x n symmetric matrix lies in its `Triangle`."""
@@ -55,7 +71,9 @@ def times_plus_identity(entries: Entries, x: Sequence[Scalar]) -> tuple[Scalar, 
     """(I + A) x for the non-zero ``entries`` of A; entries that are plain zeros are skipped."""
     out = list(x)
     for (i, j), a in entries.items():
-        if not (isinstance(a, float) and a == 0):
+        if isinstance(a, Minus):
+            out[i] = out[i] - a.of * x[j]
+        elif not (isinstance(a, float) and a == 0):
             out[i] = out[i] + a * x[j]
     return tuple(out)
 

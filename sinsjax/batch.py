@@ -17,6 +17,7 @@ from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from sinsjax.draws import Draw, Static, World
@@ -258,6 +259,7 @@ def run_tile(static: Static, world: World, tile: Tiles) -> tuple[Outcome, Observ
         over_runs=over,
         hand_out=hand_out,
         shared=None if distinct == 1 else 0,
+        earliest=jnp.min,
     )
     return simulate(static, world, tile.draws, tile.params, fan)
 

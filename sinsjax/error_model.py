@@ -11,7 +11,7 @@ dV' = f^n x phi - (2 w_ie + w_en) x dV - dw_en x V + nabla and phi' = phi x w_in
 from collections.abc import Callable
 from typing import NamedTuple
 
-from sinsjax.algebra import Entries
+from sinsjax.algebra import Entries, Minus
 from sinsjax.earth import Place
 from sinsjax.rotations import matrix, multiply
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
@@ -57,17 +57,17 @@ def five_state(nav: Navigation, place: Place, f_dt: Vec3, dt: Scalar) -> Entries
     return {
         (VE, VE): nav.vn * place.tan_latitude * ce,
         (VE, VN): coriolis,
-        (VE, PHI_N): -f_dt.z,
+        (VE, PHI_N): Minus(f_dt.z),
         (VE, PHI_U): f_dt.y,
-        (VN, VE): -(coriolis + turn_e * place.tan_latitude),
+        (VN, VE): Minus(coriolis + turn_e * place.tan_latitude),
         (VN, PHI_E): f_dt.z,
-        (VN, PHI_U): -f_dt.x,
-        (PHI_E, VN): -cn,
+        (VN, PHI_U): Minus(f_dt.x),
+        (PHI_E, VN): Minus(cn),
         (PHI_E, PHI_N): wu,
-        (PHI_E, PHI_U): -wn,
+        (PHI_E, PHI_U): Minus(wn),
         (PHI_N, VE): ce,
-        (PHI_N, PHI_E): -wu,
-        (PHI_N, PHI_U): -turn_n,
+        (PHI_N, PHI_E): Minus(wu),
+        (PHI_N, PHI_U): Minus(turn_n),
         (PHI_U, VE): place.tan_latitude * ce,
         (PHI_U, PHI_E): wn,
         (PHI_U, PHI_N): turn_n,

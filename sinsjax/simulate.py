@@ -18,6 +18,7 @@ from sinsjax.alignment.base import Ending, Method, Site
 from sinsjax.draws import Draw, Start, Static, World, attitudes, made, noise, piece, sense
 from sinsjax.limits import Biases, Limit
 from sinsjax.metrics import Metrics, Observation, Outcome
+from sinsjax.stepping import event_by_event, sample_by_sample
 from sinsjax.types import Array, Count, Flag, Increments, Navigation, Quat, Sample, Scalar, Vec3
 
 
@@ -109,12 +110,15 @@ class Fan(NamedTuple):
         hand_out: gives each run what belongs to its draw: leaves (draws,) to (runs,), or to ()
             where all runs share one draw.
         shared: axis of what was handed out, for ``over_runs``: 0, or None where all share it.
+        earliest: the first of the runs' next events; None to close the loop at every sample, which
+            a run taken alone does, so that it can be differentiated in reverse too.
     """
 
     over_draws: Callable[..., Callable]
     over_runs: Callable[..., Callable]
     hand_out: Callable[[Any], Any]
     shared: int | None
+    earliest: Callable[[Array], Scalar] | None = None
 
 
 ONE = Fan(lambda f, *axes: f, lambda f, *axes: f, lambda tree: tree, None)
@@ -237,32 +241,53 @@ def over_a_record(
         so_far = metrics.accumulate(run.metrics, world.criteria, now, floor=floor, time=n * dt)
         return Run(state, so_far)
 
+    def one_close(params: Params, state: Any, n: Scalar) -> Any:
+        return state if method.close is None else method.close(params.method, state, n)
+
+    def one_next_event(params: Params, state: Any, n: Scalar) -> Scalar | None:
+        return method.next_event(params.method, state, n) if method.next_event else None
+
     axes = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
     sensed = fan.over_draws(partial(sense, static, world), axes, None, 0)
     step = fan.over_runs(one_step, 0, 0, shared.site_axis, fan.shared, None)
+    close = fan.over_runs(one_close, 0, 0, None)
+    next_event = fan.over_runs(one_next_event, 0, 0, None)
     record = fan.over_runs(one_record, 0, fan.shared, None, 0)
     opened = reader(static, world, shared, params, fan)
+    size = piece(static, draws)
 
     def record_step(progress: Progress, xs: tuple[Count, Quat]) -> tuple[Progress, Array | None]:
         (run, before), (number, q_true) = progress, xs
         state, samples, site, compensated = opened(number, run.state)
 
-        def sample_step(
-            carry: tuple[Any, Increments], xs: tuple[Count, Count, Any]
-        ) -> tuple[Any, None]:
-            (state, before), (n, place, normal) = carry, xs
-            now = sensed(draws, place, normal)
+        done = number * every  # samples before this interval
+
+        def step_over(carry: tuple[Any, Increments], place: Count, normal: Any) -> tuple:
+            state, before = carry
+            now = sensed(draws, samples[place], normal)
             sample = fan.hand_out(compensated(now, before))
-            return (step(params, state, site, sample, (n + 1).astype(kind)), now), None
+            n = (done + place + 1).astype(kind)
+            return step(params, state, site, sample, n), now
 
-        def piece_step(carry: tuple[Any, Increments], xs: tuple[Array, Array]) -> tuple[Any, None]:
-            updates, samples = xs
-            normal = noise(static, world, draws, samples)
-            return jax.lax.scan(sample_step, carry, (updates, samples, normal))[0], None
+        def closed(carry: tuple[Any, Increments], place: Count) -> tuple:
+            state, before = carry
+            return close(params, state, (done + place).astype(kind)), before
 
-        updates = number * every + jnp.arange(every)
-        pieces = tuple(a.reshape(-1, piece(static, draws)) for a in (updates, samples))
-        (state, before), _ = jax.lax.scan(piece_step, (state, before), pieces)
+        def following(carry: tuple[Any, Increments], place: Count) -> Scalar | None:
+            ahead = next_event(params, carry[0], (done + place).astype(kind))
+            if ahead is None or fan.earliest is None:
+                return None
+            return fan.earliest(ahead) - done.astype(kind)
+
+        def normal_of(number: Count) -> Increments | None:
+            return noise(static, world, draws, samples[number * size + jnp.arange(size)])
+
+        start = state, before
+        if following(start, jnp.asarray(0)) is None:
+            over = sample_by_sample
+        else:
+            over = partial(event_by_event, next_event=following)
+        state, before = over(start, every, step_over, closed, noise=normal_of, piece=size)
         n = ((number + 1) * every).astype(kind)
         run = record(Run(state, run.metrics), fan.hand_out(q_true), n, shared.limit.phi.z)
         # One array: XLA:CPU updates several side by side by copying them whole, every record.

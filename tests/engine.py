@@ -186,3 +186,9 @@ def trail(static: Static, world: World, params: Params) -> Any:
 
     start = Progress(begin(static, world, world.site, params), nothing)
     return jax.lax.scan(record, start, jnp.arange(static.records))[1]
+
+
+def step_and_close(method, params, site, state, sample, n):
+    """A sample of a run taken alone."""
+    state = method.step(params, site, state, sample, n)
+    return method.close(params, state, n) if method.close else state

@@ -18,6 +18,7 @@ from naive import (
 )
 
 from sinsjax import imu, mechanisation, rotations
+from sinsjax.algebra import numbers_of
 from sinsjax.error_model import MODELS
 from sinsjax.types import Navigation, Quat, Sample, Vec3
 
@@ -32,7 +33,7 @@ def engine_matrix(method, c, v, f, planet, latitude):
     model = MODELS[method]
     entries = model.transition(nav, place(planet, latitude), Vec3(*(DT * f)), DT)
     a = np.zeros((len(model.states),) * 2)
-    for entry, value in entries.items():
+    for entry, value in numbers_of(entries).items():
         a[entry] = value / DT
     return a
 
@@ -114,7 +115,7 @@ def test_transition_is_the_derivative_of_the_engines_own_step():
     _, f_dt = mechanisation.step(start, sample, here, DT)
     entries = model.transition(start, here, f_dt, DT)
     phi = np.eye(n)
-    for entry, value in entries.items():
+    for entry, value in numbers_of(entries).items():
         phi[entry] += value
     jacobian = np.array(jax.jit(jax.jacfwd(error_after))(jnp.zeros(n)))
     np.testing.assert_allclose(jacobian[:5, :5], phi[:5, :5], rtol=0, atol=1e-7)

@@ -49,6 +49,7 @@ LAYERS = (
         "metrics",
         "scenario",
         "simulate",
+        "stepping",
         "study_limits",
         "tunings",
         "verdicts",

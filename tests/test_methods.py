@@ -14,6 +14,7 @@ from engine import (
     paper_filter,
     params,
     site,
+    step_and_close,
     swing_increments,
 )
 from naive import DEG, PAPER, Loops, azimuth_gains, exp, level_gains, log, of_quaternion
@@ -65,7 +66,7 @@ def runner(name):
 
             def step(i, state):
                 sample = jax.tree.map(lambda a: a[i], block)
-                return method.step(filt, here, state, sample, second * RATE + 1.0 + i)
+                return step_and_close(method, filt, here, state, sample, second * RATE + 1.0 + i)
 
             state = method.normalise(jax.lax.fori_loop(0, RATE, step, state))
             seen = method.attitude(state), method.covariance(state), state.nav
@@ -192,7 +193,7 @@ def test_tangents_are_finite_where_nothing_is_off(name):
     sample = jax.tree.map(lambda a: a[0], imu.compensate_record(increments()[:1], increments()[0]))
 
     def after(filt, nav):
-        state = method.step(filt, here, method.init(filt, nav), sample, 1.0)
+        state = step_and_close(method, filt, here, method.init(filt, nav), sample, 1.0)
         return method.attitude(state), method.covariance(state), state.nav
 
     point = filt, nav_off(np.zeros(3))
@@ -212,7 +213,7 @@ def under_way(name, seconds):
         counts = 1.0 + jnp.arange(float(len(rows)))
 
         def step(state, xs):
-            return method.step(given, here, state, *xs), None
+            return step_and_close(method, given, here, state, *xs), None
 
         return jax.lax.scan(step, method.init(given, nav), (samples, counts))[0]
 

@@ -41,7 +41,7 @@ from naive import (
 )
 
 from sinsjax import earth, imu, mechanisation
-from sinsjax.algebra import triangle_index
+from sinsjax.algebra import numbers_of, triangle_index
 from sinsjax.alignment import reverse
 from sinsjax.alignment.base import Options
 from sinsjax.alignment.compass import Turn
@@ -260,7 +260,7 @@ def test_the_error_model_holds_backward(name, v, phi, latitude_deg):
 
 def dense(entries, n):
     matrix = np.zeros((n, n))
-    for place_, value in entries.items():
+    for place_, value in numbers_of(entries).items():
         matrix[place_] = value
     return matrix
 

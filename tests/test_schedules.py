@@ -6,7 +6,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from engine import PAPER1, navigation, paper_filter, params, site, swing_increments
+from engine import (
+    PAPER1,
+    navigation,
+    paper_filter,
+    params,
+    site,
+    step_and_close,
+    swing_increments,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 from naive import DEG, PAPER, exp
@@ -162,7 +170,7 @@ def run(resets, nav, samples):
     filt = params(FILTER)._replace(resets=resets)
 
     def step(state, xs):
-        return method.step(filt, here, state, *xs), None
+        return step_and_close(method, filt, here, state, *xs), None
 
     counts = 1.0 + jnp.arange(float(SAMPLES))
     state, _ = jax.lax.scan(step, method.init(filt, nav), (samples, counts))

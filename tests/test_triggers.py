@@ -16,6 +16,7 @@ from engine import (
     params,
     place,
     site,
+    step_and_close,
     swing_increments,
 )
 from hypothesis import given, settings
@@ -138,7 +139,8 @@ def driven(name):
             score = jnp.zeros_like(n)
             if trigger.look:
                 score = trigger.look(numbers, noise, watch.memory, seen)[1]
-            watch, fires = triggers.look(trigger, numbers, noise, watch, seen, n)
+            watch = triggers.look(trigger, numbers, noise, watch, seen, n)
+            fires = triggers.fires(watch, n)
             reset = due | fires
             p = tuple(jnp.where(reset, a, b) for a, b in zip(after_reset, updated, strict=True))
             watch = triggers.after(trigger, numbers, watch, reset=reset, p=p, fed=Vec3(*fed), n=n)
@@ -314,7 +316,9 @@ def program(name, trigger, force):
             sample, n, backward, turns = xs
             turned = method.turn(filt, reverse.site_of_pass(here, ~backward), state)
             state = reverse.where(turns, turned, state)
-            state = method.step(filt, reverse.site_of_pass(here, backward), state, sample, n)
+            state = step_and_close(
+                method, filt, reverse.site_of_pass(here, backward), state, sample, n
+            )
             return state, (state, method.attitude(state), method.fired(state))
 
         return jax.lax.scan(step, method.init(filt, nav), read)[1]

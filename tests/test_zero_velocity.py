@@ -12,6 +12,7 @@ from engine import (
     paper_filter,
     params,
     site,
+    step_and_close,
     swing_increments,
 )
 from naive import DEG, PAPER, WGS84, Unwatched, closed_loop, exp, of_quaternion
@@ -39,7 +40,7 @@ def runner(name, force, position):
         counts = 1.0 + jnp.arange(float(len(increments)))
 
         def step(state, xs):
-            state = method.step(filt, here, state, *xs)
+            state = step_and_close(method, filt, here, state, *xs)
             # As the engine does at every record, here every second.
             due = xs[1] % RATE == 0
             state = jax.tree.map(partial(jnp.where, due), method.normalise(state), state)

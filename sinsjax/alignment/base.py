@@ -94,7 +94,8 @@ class Method(NamedTuple):
 
     Attributes:
         init: (params, navigation) -> state.
-        step: (params, site, state, sample, n) -> state after the n-th sample, n from 1.
+        step: (params, site, state, sample, n) -> state after the n-th sample, n from 1, its loop
+            not yet closed.
         turn: (params, site, state) -> state with which the tape is gone over the other way; the
             site is that of the pass that ends.
         attitude: state -> best attitude, i.e. with the estimated misalignment taken out.
@@ -104,6 +105,11 @@ class Method(NamedTuple):
             that of a forward pass.
         fired: state -> `Fired`; None of a method without a trigger.
         innovations: state -> `Innovations`; None of a method that sums up none.
+        close: (params, state, n) -> state after what is due after the n-th sample: feedback and
+            reset. Where nothing is due it is the state as it stands, to the bit. None of a method
+            whose loop is closed within the step.
+        next_event: (params, state, n) -> sample after the n-th at which anything is due next, as a
+            number; None of a method that finds out as it goes.
         common_covariance: whether the covariance depends on params and n alone, so that runs that
             differ in their draw can share it.
     """
@@ -117,4 +123,6 @@ class Method(NamedTuple):
     limit: Callable[[Any, Place, Biases, Ending], Limit]
     fired: Callable[[Any], Fired] | None = None
     innovations: Callable[[Any], Innovations] | None = None
+    close: Callable[[Any, Any, Scalar], Any] | None = None
+    next_event: Callable[[Any, Any, Scalar], Scalar] | None = None
     common_covariance: bool = False

@@ -108,6 +108,18 @@ def reset_due(resets: Resets | Windows, n: Scalar) -> Flag | Scalar:
     return due
 
 
+def next_due(feedback_at: Scalar, resets: Resets, n: Scalar) -> Scalar:
+    """The sample after the n-th at which comes the next feedback or reset, whichever is first.
+
+    Args:
+        feedback_at: sample of the next feedback.
+        resets: reset schedule.
+        n: number of a sample.
+    """
+    ahead = jnp.where(resets.samples > n, resets.samples, jnp.inf)
+    return jnp.minimum(jnp.ceil(feedback_at), jnp.min(ahead, initial=jnp.inf))
+
+
 def _window_share(windows: Windows, n: Scalar) -> Scalar:
     left = jnp.ones_like(windows.width)
     for sample in windows.samples:

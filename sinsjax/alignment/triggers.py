@@ -130,8 +130,8 @@ def fade(
 
 def look(
     trigger: Trigger, numbers: Numbers, noise: Noise, watch: Watch, seen: Seen, n: Scalar
-) -> tuple[Watch, Flag]:
-    """Take one sample in, and say whether P is to be reset after it.
+) -> Watch:
+    """Take one sample in, and note whether P is to be reset after it, see `fires`.
 
     Args:
         trigger: which.
@@ -142,21 +142,26 @@ def look(
         n: number of the sample.
     """
     if trigger.look is None:
-        return watch, jnp.zeros_like(n, dtype=bool)
+        return watch
     memory, score = trigger.look(numbers, noise, watch.memory, seen)
     fired = watch.fired
-    fires = (
+    calls = (
         (score > numbers.threshold)
         & (n - watch.since >= numbers.refractory)
         & (fired.count < numbers.most)
         & (n <= numbers.until)
     )
     fired = Fired(
-        count=jnp.where(fires, fired.count + 1, fired.count),
-        first=jnp.where(fires & (fired.count == 0), n, fired.first),
-        last=jnp.where(fires, n, fired.last),
+        count=jnp.where(calls, fired.count + 1, fired.count),
+        first=jnp.where(calls & (fired.count == 0), n, fired.first),
+        last=jnp.where(calls, n, fired.last),
     )
-    return watch._replace(memory=memory, fired=fired), fires
+    return watch._replace(memory=memory, fired=fired)
+
+
+def fires(watch: Watch, n: Scalar) -> Flag:
+    """Whether the trigger called for a reset after the n-th sample."""
+    return watch.fired.last == n
 
 
 def after(

@@ -3,11 +3,13 @@
 The filter measures the navigator's velocity, which should be zero, and feeds its estimate back
 into velocity and attitude (closed loop, [P1] section 2.3). Its covariance is reset on a schedule
 ([P1] section 3.2), and where a trigger calls for it. Order within a sample: mechanise, predict,
-update, feedback, reset.
+update, and where they are due feedback and reset, which close the loop.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from sinsjax import earth, kalman, mechanisation, rotations
@@ -27,6 +29,7 @@ from sinsjax.alignment.schedules import (
     Resets,
     Windows,
     mix,
+    next_due,
     renew,
     reset_due,
     where_due,
@@ -118,7 +121,7 @@ def build(model: ErrorModel, options: Options) -> Method:
             watch, belief = triggers.fade(trigger, params.trigger, noise, watch, belief, measured)
         predicted = kalman.add_noise(belief, params.q)
         belief = kalman.update(predicted, (VE, VN), measured, params.r)
-        reset, summed = reset_due(params.resets, n), state.innovations
+        summed = state.innovations
         innovation = measured[0] - predicted.x[VE], measured[1] - predicted.x[VN]
         variance = _innovation_variance(predicted, params.r)
         if summed is not None:
@@ -136,10 +139,8 @@ def build(model: ErrorModel, options: Options) -> Method:
                 place=place,
                 dt=options.dt,
             )
-            watch, fires = triggers.look(trigger, params.trigger, noise, watch, seen, n)
-            reset = reset | fires
-        state = state._replace(nav=nav, belief=belief, watch=watch, innovations=summed)
-        return _close_loop(trigger, params, state, reset, n)
+            watch = triggers.look(trigger, params.trigger, noise, watch, seen, n)
+        return state._replace(nav=nav, belief=belief, watch=watch, innovations=summed)
 
     def turn(params: Params, site: Site, state: State) -> State:
         # x stays where P is renewed: what it says of the attitude is the filter's best either way.
@@ -170,6 +171,8 @@ def build(model: ErrorModel, options: Options) -> Method:
         _limit,
         fired=(lambda state: state.watch.fired) if trigger else None,
         innovations=(lambda state: state.innovations) if options.innovations else None,
+        close=partial(_close, trigger),
+        next_event=None if trigger else _next_event,
         common_covariance=at_rest
         and not integrated
         and not model.uses_attitude
@@ -180,11 +183,32 @@ def build(model: ErrorModel, options: Options) -> Method:
 _LEVEL_AND_YAW = (VE, VN, PHI_E, PHI_N, PHI_U)
 
 
-def _close_loop(
-    trigger: Trigger | None, params: Params, state: State, reset: Flag | Scalar, n: Scalar
-) -> State:
-    """Feed the estimate back and reset P where due; a reset first feeds all of x back."""
+def _next_event(params: Params, state: State, n: Scalar) -> Scalar:
+    return next_due(state.feedback_at, params.resets, n)
+
+
+def _close(trigger: Trigger | None, params: Params, state: State, n: Scalar) -> State:
+    """Feed the estimate back and reset P where due."""
     due = n >= state.feedback_at
+    reset = reset_due(params.resets, n)
+    if isinstance(params.resets, Windows):
+        return _closed(trigger, params, state, due, reset, n)
+    if trigger is not None:
+        reset = reset | triggers.fires(state.watch, n)
+    # Chosen, not computed: nothing times infinity, and zero plus minus zero, would not leave it.
+    closed = _closed(trigger, params, state, due, reset, n)
+    return jax.tree.map(lambda new, old: jnp.where(due | reset, new, old), closed, state)
+
+
+def _closed(
+    trigger: Trigger | None,
+    params: Params,
+    state: State,
+    due: Flag,
+    reset: Flag | Scalar,
+    n: Scalar,
+) -> State:
+    """The state after a feedback or a reset; a reset first feeds all of x back."""
     gain = mix(reset, 1.0, jnp.where(due, params.feedback.gain, 0.0))
     fed = tuple(gain * x for x in state.belief.x)
     nav = mechanisation.correct_velocity(state.nav, fed[VE], fed[VN])
