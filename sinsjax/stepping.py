@@ -6,6 +6,7 @@ which nothing is due as they are.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -56,9 +57,9 @@ def event_by_event(
     count: int,
     step: Step,
     close: Close,
-    next_event: NextEvent,
     noise: Noise,
     piece: int,
+    next_event: NextEvent,
 ) -> Any:
     """Close at events, and at the end of the interval, where that leaves runs as they are.
 
@@ -71,44 +72,38 @@ def event_by_event(
         piece: samples whose normal numbers are made at a time; it divides ``count``.
         next_event: see `NextEvent`.
     """
-    made = noise(jnp.asarray(0))
-    if piece == 1 or made is None:
+    shapes = jax.eval_shape(noise, jnp.asarray(0))
+    in_pieces = piece > 1 and shapes is not None
 
-        def alone(place: Count, carry: Any) -> Any:
-            return step(carry, place, None if made is None else _at(noise(place), 0))
+    def alone(place: Count, carry: Any) -> Any:
+        return step(carry, place, None if shapes is None else _at(noise(place), 0))
 
-        def go_to(stop: Count, place: Count, carry: Any, made: Any) -> tuple[Any, Any]:
-            return jax.lax.fori_loop(place, stop, alone, carry), made
+    def over_piece(stop: Count, progress: tuple[Count, Any, Any]) -> tuple[Count, Any, Any]:
+        place, carry, made = progress
+        number = place // piece
+        # An event may cut a piece in two: its second part takes the numbers of the first.
+        made = jax.lax.cond(place == number * piece, noise, lambda number: made, number)
+        end = jnp.minimum(stop, (number + 1) * piece)
 
-        made = None
-    else:
+        def one(place: Count, carry: Any) -> Any:
+            return step(carry, place, _at(made, place - number * piece))
 
-        def go_to(stop: Count, place: Count, carry: Any, made: Any) -> tuple[Any, Any]:
-            def over_piece(progress: tuple[Count, Any, Any]) -> tuple[Count, Any, Any]:
-                place, carry, made = progress
-                number = place // piece
-                # An event may cut a piece in two: its second part takes the numbers of the first.
-                fresh = place == number * piece
-                made = jax.lax.cond(fresh, noise, lambda number: made, number)
-                end = jnp.minimum(stop, (number + 1) * piece)
-                carry = jax.lax.fori_loop(
-                    place, end, lambda i, c: step(c, i, _at(made, i - number * piece)), carry
-                )
-                return end, carry, made
-
-            _, carry, made = jax.lax.while_loop(
-                lambda progress: progress[0] < stop, over_piece, (place, carry, made)
-            )
-            return carry, made
+        return end, jax.lax.fori_loop(place, end, one, carry), made
 
     def to_event(progress: tuple[Count, Any, Any]) -> tuple[Count, Any, Any]:
         place, carry, made = progress
         # Compared as it is, and infinite where nothing is due any more.
         stop = jnp.minimum(next_event(carry, place), count).astype(place.dtype)
-        carry, made = go_to(stop, place, carry, made)
+        if in_pieces:
+            _, carry, made = jax.lax.while_loop(
+                lambda progress: progress[0] < stop, partial(over_piece, stop), progress
+            )
+        else:
+            carry = jax.lax.fori_loop(place, stop, alone, carry)
         return stop, close(carry, stop), made
 
-    start = (jnp.asarray(0), carry, made)
+    made = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes) if in_pieces else None
+    start = jnp.asarray(0), carry, made
     return jax.lax.while_loop(lambda progress: progress[0] < count, to_event, start)[1]
 
 

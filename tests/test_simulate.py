@@ -241,3 +241,24 @@ def test_derivatives_by_beliefs_as_secants():
         secant = (up - down) / (2 * step)
         assert np.abs(secant).min() > 1e-6
         np.testing.assert_allclose(derivative, secant, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_run_alone_has_derivatives_of_both_modes():
+    """By R, through feedback and a reset, against a central difference."""
+    filt = paper_filter(5, every=7, resets=(33,))
+    here, program = world(20, 3), static(20, 3)
+    start = one_run(filt)
+
+    def yaw(r):
+        run = start._replace(method=start.method._replace(r=r))
+        return simulate(program, here, draw(), run)[0].last.phi.z / ARCMIN
+
+    r, step = np.float64(start.method.r), 1e-4
+    of_r = jax.jit(yaw)
+    secant = (of_r(r * (1 + step)) - of_r(r * (1 - step))) / (2 * step * r)
+    reverse, forward = jax.jit(jax.grad(yaw))(r), jax.jit(jax.jacfwd(yaw))(r)
+    tangent = jax.jit(lambda r: jax.jvp(yaw, (r,), (np.float64(1.0),))[1])(r)
+    for derivative in (reverse, forward, tangent):
+        np.testing.assert_allclose(derivative, secant, rtol=1e-5)
+    assert abs(secant) > 0
