@@ -15,7 +15,7 @@ from sinsjax.stepping import event_by_event, sample_by_sample
 
 SCHEDULES = {
     "reset_times_s": [(), (1.37, 4.0), (0.5,), (2.0, 2.01, 2.02)],
-    "feedback_interval_s": [0.01, 0.07, 1.0, 50.0],
+    "feedback_interval_s": [0.01, 0.07, 1.0, 5.0],
 }
 
 

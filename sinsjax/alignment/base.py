@@ -109,7 +109,7 @@ class Method(NamedTuple):
             reset. Where nothing is due it is the state as it stands, to the bit. None of a method
             whose loop is closed within the step.
         next_event: (params, state, n) -> sample after the n-th at which anything is due next, as a
-            number; None of a method that finds out as it goes.
+            number; None, of some params or of all, where that is found out as it goes.
         common_covariance: whether the covariance depends on params and n alone, so that runs that
             differ in their draw can share it.
     """
@@ -124,5 +124,5 @@ class Method(NamedTuple):
     fired: Callable[[Any], Fired] | None = None
     innovations: Callable[[Any], Innovations] | None = None
     close: Callable[[Any, Any, Scalar], Any] | None = None
-    next_event: Callable[[Any, Any, Scalar], Scalar] | None = None
+    next_event: Callable[[Any, Any, Scalar], Scalar | None] | None = None
     common_covariance: bool = False

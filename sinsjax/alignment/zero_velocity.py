@@ -183,7 +183,9 @@ def build(model: ErrorModel, options: Options) -> Method:
 _LEVEL_AND_YAW = (VE, VN, PHI_E, PHI_N, PHI_U)
 
 
-def _next_event(params: Params, state: State, n: Scalar) -> Scalar:
+def _next_event(params: Params, state: State, n: Scalar) -> Scalar | None:
+    if isinstance(params.resets, Windows):
+        return None  # a share of a reset is due at every sample
     return next_due(state.feedback_at, params.resets, n)
 
 
