@@ -53,7 +53,14 @@ def keep_to_one_core() -> int | None:
 
 
 def _keep_to(core: int) -> None:
-    threads = [int(path.name) for path in Path("/proc/self/task").glob("*")] or [0]
-    for thread in threads:
-        with suppress(ProcessLookupError):  # it ended meanwhile
-            os.sched_setaffinity(thread, {core})
+    kept: set[int] = set()
+    # A thread that is not kept yet may start others meanwhile; one that is hands its core on.
+    while missed := _threads() - kept:
+        for thread in missed:
+            with suppress(ProcessLookupError):  # it ended meanwhile
+                os.sched_setaffinity(thread, {core})
+        kept |= missed
+
+
+def _threads() -> set[int]:
+    return {int(path.name) for path in Path("/proc/self/task").glob("*")} or {0}

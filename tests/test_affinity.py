@@ -90,3 +90,12 @@ def test_a_folder_that_others_can_write_to_is_not_used(start: Start, tmp_path: P
     folder.chmod(0o777)
     assert start()[0] == str(CORES)
     assert not list(folder.iterdir())
+
+
+def test_threads_that_start_meanwhile_are_kept_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By one that has not its core yet, they have not theirs."""
+    seen, kept = iter([{1, 2}, {1, 2, 3}, {1, 3, 4}, {1, 3, 4}]), list[int]()
+    monkeypatch.setattr(affinity, "_threads", lambda: next(seen))
+    monkeypatch.setattr(os, "sched_setaffinity", lambda thread, cores: kept.append(thread))
+    affinity._keep_to(0)
+    assert sorted(kept) == [1, 2, 3, 4]

@@ -93,9 +93,12 @@ class TestTwoWorkers:
 
     @pytest.fixture(scope="class")
     @classmethod
-    def two(cls) -> Iterator[work.Executor]:
-        with cluster.executor(workers=2) as executor:
-            yield executor
+    def two(cls, tmp_path_factory: pytest.TempPathFactory) -> Iterator[work.Executor]:
+        with pytest.MonkeyPatch.context() as patch:
+            # Locks of their own: another test's workers may have taken this machine's cores.
+            patch.setenv("TMPDIR", str(tmp_path_factory.mktemp("locks")))
+            with cluster.executor(workers=2) as executor:
+                yield executor
 
     def test_workers_give_the_bytes_of_this_process(
         self, two: work.Executor, study: Study, here: Parts, tmp_path: Path
