@@ -16,8 +16,9 @@ import typer
 from rich.console import Console
 
 from sinsjax import runtime
-from sinsjax.screen import plain_console, say
+from sinsjax.screen import lasting, plain_console, say
 from sinsjax.types import InputError, StudyInterrupted
+from sinsjax.wording import one_line
 
 app = typer.Typer(
     help="Initial alignment of strapdown inertial navigators, thousands of runs at a time.",
@@ -204,6 +205,7 @@ def rerun(
     from sinsjax import directories, reruns
 
     runtime.configure()
+    runtime.require_backend()
     out = None if given is None else directories.named(given)
     terminal, files = plain_console(), (record, reference)
     if not reruns.rerun_into(directory, run_id, terminal, out=out, files=files):
@@ -246,6 +248,7 @@ def gains() -> None:
 def info() -> None:
     """Show versions, devices and the compiler options in force."""
     runtime.configure()
+    runtime.require_backend()
     console = plain_console()
     for key, value in runtime.info().items():
         shown = ", ".join(f"{k} = {v}" for k, v in value.items()) if key == "options" else value
@@ -356,6 +359,7 @@ def _check_options(*, overwrite: bool, resume: bool, devices: int | None) -> Non
 def _configure(devices: int | None) -> None:
     """Makes JAX ready, and begins to import what a report needs."""
     runtime.configure(devices)
+    runtime.require_backend()
     # Takes a third of a second, which XLA's compiling leaves idle.
     threading.Thread(target=import_module, args=("sinsjax.report",), daemon=True).start()
 
@@ -373,11 +377,12 @@ def main() -> None:
     """Entry point of the ``sinsjax`` command."""
     # A last collection of what ends with the process anyway takes a third of a second.
     atexit.register(gc.freeze)
-    try:
-        app()
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        raise SystemExit(2) from None
-    except StudyInterrupted as interrupted:
-        print(f"interrupted: {interrupted}; --resume goes on with them", file=sys.stderr)
-        raise SystemExit(130) from None
+    with lasting():
+        try:
+            app()
+        except InputError as error:
+            print(f"error: {one_line(str(error))}", file=sys.stderr)
+            raise SystemExit(2) from None
+        except StudyInterrupted as interrupted:
+            print(f"interrupted: {interrupted}; --resume goes on with them", file=sys.stderr)
+            raise SystemExit(130) from None

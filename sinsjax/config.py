@@ -31,7 +31,7 @@ from sinsjax.studies import (
     rivals,
 )
 from sinsjax.types import InputError
-from sinsjax.wording import explained, index, near
+from sinsjax.wording import explained, index, near, one_line
 
 __all__ = [
     "Study",
@@ -108,7 +108,9 @@ def load_study(path: str | Path) -> Study:
     except UnicodeDecodeError:
         raise InputError(f"{path}: is no UTF-8 text") from None
     except ValueError as error:
-        raise InputError(f"{path}: is no TOML: {error}") from None
+        raise InputError(one_line(f"{path}: is no TOML: {error}")) from None
+    except RecursionError:
+        raise InputError(f"{path}: is nested too deeply") from None
     return study_from_dict(data, str(path))
 
 
@@ -127,7 +129,9 @@ def study_from_dict(data: Table, source: str = "study") -> Study:
         if study.tune and study.study.rate_hz:
             _check_tuning(study)
     except InputError as error:
-        raise InputError(" ".join(f"{source}: {error}".splitlines())) from None
+        raise InputError(one_line(f"{source}: {error}")) from None
+    except RecursionError:
+        raise InputError(f"{source}: is nested too deeply") from None
     return study
 
 
@@ -330,7 +334,9 @@ def _values_of(key: str, tables: Table, sweep: sweeps.Sweep) -> set[Any]:
     """The values that a key takes over the variants, its section's default where none is given."""
     section = SECTION_OF[key]
     default = SECTIONS[section].model_fields[key].default
-    return sweep.values(key) or {tables.get(section, {}).get(key, default)}
+    given = tables.get(section, {}).get(key, default)
+    # What is no word is refused where all values are checked.
+    return sweep.values(key) or {given if isinstance(given, str) else default}
 
 
 def _validated(sections: Table) -> Study:

@@ -16,6 +16,7 @@ from sinsjax.files import unwritable
 from sinsjax.results import read_manifest
 from sinsjax.studies import Study
 from sinsjax.types import InputError
+from sinsjax.wording import shortened
 from sinsjax.work import Job
 
 _NAMES = (*DATASETS, "figures", "study.toml", "manifest.json")
@@ -178,7 +179,7 @@ def _parts_say(directory: Path) -> Iterator[Manifest]:
             said = pq.read_schema(path).metadata or {}
             chunk, identity = json.loads(said[b"sinsjax.chunk"]), said[b"sinsjax.study"].decode()
             yield Manifest(identity=identity, curves=curves, chunk_runs=chunk["chunk_runs"])
-        except (OSError, ValueError, pa.ArrowException, KeyError, TypeError):
+        except (OSError, ValueError, RecursionError, pa.ArrowException, KeyError, TypeError):
             continue
 
 
@@ -212,7 +213,7 @@ def _by_key(study: Study) -> dict[str, Any]:
 
 def _said(value: Any) -> str:
     text = "none" if value is None else str(list(value) if isinstance(value, tuple) else value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    return shortened(text, 60)
 
 
 def check_free(directory: Path, *, overwrite: bool) -> None:

@@ -16,6 +16,7 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 
 from sinsjax.types import InputError
+from sinsjax.wording import shortened
 
 MANIFEST = "manifest.json"
 _HINT = "`sinsjax sweep --resume` makes broken parts again"
@@ -89,7 +90,8 @@ def read_manifest(directory: str | Path) -> dict[str, Any]:
     try:
         manifest = json.loads(Path(directory, MANIFEST).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{directory}: holds no readable {MANIFEST} ({error})") from error
+        what = shortened(str(error))
+        raise InputError(f"{directory}: holds no readable {MANIFEST} ({what})") from error
     if not isinstance(manifest, dict):
         raise InputError(f"{directory}: holds no readable {MANIFEST} (it is no table)")
     return manifest

@@ -97,6 +97,11 @@ def rerun_into(
     stored = results.read_summary(directory, run_ids=[run_id])
     if not stored.num_rows:
         raise InputError(f"{directory}: holds no row of run {run_id} (yet)")
+    if stored.num_rows > 1:
+        text = (
+            f"{stored.num_rows} rows of run {run_id}, not one: is each of its parts of a summary?"
+        )
+        raise InputError(f"{directory / 'summary'}: holds {text}")
     if out is not None and (there := [name for name in RERUN if (out / name).exists()]):
         raise InputError(f"{out}: holds a {there[0]} already: give another one")
     made = rerun(study, run_id, tape)

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from sinsjax import machine
+from sinsjax.types import InputError
 
 EXTRA_FLAG = "xla_backend_extra_options"
 OPT_OUT = "SINSJAX_XLA_OPTIONS"
@@ -209,6 +210,22 @@ def configure(devices: int | None = None, x64: bool = True) -> None:
             )
     jax.config.update("jax_enable_x64", x64)
     compile_cache.enable()
+
+
+def require_backend() -> None:
+    """Start JAX's backend, or say why it does not start.
+
+    Raises:
+        InputError: the platform that ``JAX_PLATFORMS`` asks for is not there.
+    """
+    import jax
+
+    try:
+        jax.devices()
+    except (RuntimeError, AssertionError) as error:
+        asked = os.environ.get("JAX_PLATFORMS", "")
+        why = str(error).partition("\n")[0] or "there is no such device"
+        raise InputError(f"JAX_PLATFORMS={asked}: JAX does not start: {why}") from error
 
 
 def require_x64() -> None:

@@ -30,6 +30,14 @@ def shortened(text: str, most: int = 200) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
+def one_line(text: str, most: int = 1000) -> str:
+    """A message in one line that can be seen: controls as escapes, the middle left out if long."""
+    line = " ".join(text.splitlines())
+    if any(map(is_control, line)):
+        line = "".join(repr(c)[1:-1] if is_control(c) else c for c in line)
+    return line if len(line) <= most else f"{line[: most - 300]} ... {line[-295:]}"
+
+
 def near(word: str, words: Iterable[str], form: str = "{}") -> str:
     """A hint at the known word that an unknown one resembles; empty where there is none."""
     found = difflib.get_close_matches(str(word), list(words), n=1)

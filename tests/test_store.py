@@ -356,6 +356,8 @@ GARBLED = {
     "a number": b"3",
     "nothing": b"{}",
     "another's": b'{"name": "a web page", "icons": []}',
+    "deep": b"[" * 20_000,
+    "deep sessions": b'{"fingerprint": "x", "sessions": [{"a": ' + b"[" * 900 + b"]" * 900 + b"}]}",
     "no chunks": b'{"fingerprint": "x", "chunks": 3, "sessions": {}}',
     "odd chunks": b'{"fingerprint": "x", "identity": "x", "chunks": [{"state": []}]}',
     "odd sessions": b'{"fingerprint": "x", "sessions": [{"wall_s": "long"}]}',
@@ -395,7 +397,7 @@ def test_chunks_of_no_size_are_told_by_the_parts(whole: Path, out: Path, edited:
     assert_complete(out, whole)
 
 
-@pytest.mark.parametrize("text", ["", "[study", "[study]\nduration_s = -1"])
+@pytest.mark.parametrize("text", ["", "[study", "[study]\nduration_s = -1", "a = " + "[" * 20_000])
 def test_a_garbled_study_file_costs_nothing(whole: Path, out: Path, text: str) -> None:
     (out / "study.toml").write_text(text)
     assert sweep(out, resume=True) == []

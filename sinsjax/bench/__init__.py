@@ -13,7 +13,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from sinsjax import screen
+from sinsjax import runtime, screen
 from sinsjax.bench.assets import asset
 from sinsjax.bench.cases import SHORT
 from sinsjax.bench.limit import compiler, limit_kernel
@@ -36,6 +36,7 @@ def run(console: Console, *, as_json: bool, limit: bool, repeats: int) -> None:
         InputError: the limit kernel cannot be built or dies.
     """
     use_one_core()
+    runtime.require_backend()
     with tempfile.TemporaryDirectory(prefix="sinsjax-limit-") as folder:
         rows = measure(short_set(limit_folder=folder if limit else None), repeats)
     holds = conditions()
