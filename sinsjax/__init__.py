@@ -30,18 +30,19 @@ Noise depends on the seed and the draw alone, so variants of one draw share it.
 reset at t acts after the update of sample ``round(t/dt)``: the whole state is fed back, then the
 covariance is set.
 
-Importing the package adds XLA:CPU options to ``XLA_FLAGS`` (see `sinsjax.runtime`; a jaxlib that is
+Importing the package adds XLA:CPU options to ``XLA_FLAGS`` (see `sinsjax.xla`; a jaxlib that is
 not in its table is first tried in a process of its own) and changes nothing else, unless
 ``SINSJAX_ONE_CORE=1`` asks for a process that keeps to one core (see `sinsjax.affinity`).
-`sinsjax.runtime.configure` sets the number of CPU devices and double precision.
+`sinsjax.configure` sets the number of CPU devices, double precision and options of LLVM that hold
+for every loop of the process.
 """
 
 # ruff: noqa: E402
-from sinsjax import affinity, runtime
+from sinsjax import affinity, runtime, xla
 
 # XLA reads its options and counts its cores once, so this comes before what may start JAX.
 affinity.apply()
-runtime.apply_options()
+xla.apply_options()
 
 from sinsjax.analysis import summarise
 from sinsjax.campaign import Results, load_tape, run, run_into

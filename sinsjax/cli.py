@@ -250,9 +250,13 @@ def info() -> None:
     runtime.configure()
     runtime.require_backend()
     console = plain_console()
-    for key, value in runtime.info().items():
-        shown = ", ".join(f"{k} = {v}" for k, v in value.items()) if key == "options" else value
-        say(console, f"{key:>20}  {shown}")
+    known = runtime.info()
+    known["options"] = ", ".join(f"{key} = {value}" for key, value in known["options"].items())
+    share = known["vectorised"]
+    known["vectorised"] = "unknown" if share is None else f"{100 * share:.0f} % of a step"
+    for key, value in known.items():
+        if key != "forgone" or value:
+            say(console, f"{key:>20}  {value}")
 
 
 @app.command()

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
-from sinsjax import affinity, runtime
+from sinsjax import affinity, runtime, xla
 from sinsjax.types import InputError
 
 CONNECT_S = 10.0
@@ -111,12 +111,13 @@ def _dask() -> tuple[Any, Any]:
 def _for_workers() -> dict[str, str]:
     """The environment that worker processes take over, read before they import jax."""
     flags = os.environ.get("XLA_FLAGS", "")
-    if not runtime.opted_out() and (not flags.strip() or flags.lstrip().startswith("-")):
-        flags = runtime.merge_options(flags, runtime.refused_flags(runtime.versions()["jaxlib"]))
+    if not xla.opted_out() and (not flags.strip() or flags.lstrip().startswith("-")):
+        refused = xla.refused_flags(runtime.versions()["jaxlib"])
+        flags = xla.merge_options(flags, refused, xla.wanted())
     return {
         affinity.VARIABLE: "1",
         "XLA_FLAGS": flags,
-        runtime.OPT_OUT: "0",  # the flags stand; nothing is warned of a second time
+        xla.OPT_OUT: "0",  # the flags stand; nothing is warned of a second time
         "JAX_PLATFORMS": os.environ.get("JAX_PLATFORMS", "cpu"),
     }
 

@@ -15,7 +15,7 @@ from contextlib import ExitStack, contextmanager
 from itertools import islice
 from typing import Any
 
-from sinsjax import clients, runtime
+from sinsjax import clients, runtime, xla
 from sinsjax.types import InputError
 from sinsjax.work import Executor, Job, Packed, Task, Workshop
 from sinsjax.worker import Answer, Machine, Wanting, answer, versions
@@ -135,7 +135,7 @@ class Crew:
         ours = found["client"]["packages"]
         for worker, about in found["workers"].items():
             _check_versions(worker, about["packages"], ours)
-        sets = self._ask("run", function=runtime.instructions, on_error="ignore")
+        sets = self._ask("run", function=xla.instructions, on_error="ignore")
         for worker, instructions in sorted(sets.items()):
             self._check_instructions(worker, instructions)
         return len(there)

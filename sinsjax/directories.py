@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from sinsjax import runtime
+from sinsjax import runtime, xla
 from sinsjax.belongings import DATASETS
 from sinsjax.config import fingerprint, load_study
 from sinsjax.files import unwritable
@@ -112,7 +112,7 @@ def resumed(directory: Path, job: Job, instructions: str | None = None) -> Job:
     _check_chunks(directory, known)
     job = job._replace(curves=known.curves, chunk_runs=known.chunk_runs)
     _check_versions(directory, known)
-    _check_instructions(directory, known, instructions or runtime.instructions())
+    _check_instructions(directory, known, instructions or xla.instructions())
     if known.identity != job.identity:
         what = "study" if kept is None else "record or reference"
         raise InputError(f"{directory}: holds results of another {what}")

@@ -11,7 +11,7 @@ import threading
 from functools import cache
 from typing import Any, NamedTuple
 
-from sinsjax import affinity, runtime
+from sinsjax import affinity, runtime, xla
 from sinsjax.work import Job, Packed, Task, Workshop
 
 
@@ -116,10 +116,10 @@ def machine_here() -> Machine:
     """Of this process; starts JAX's backend."""
     import jax
 
-    given = runtime.flag_values(os.environ.get("XLA_FLAGS", ""))
+    given = xla.flag_values(os.environ.get("XLA_FLAGS", ""))
     return Machine(
         cpu=runtime.session()["cpu"],
-        instructions=runtime.instructions(),
-        options=tuple((o.name, given[o.name]) for o in runtime.OPTIONS if o.name in given),
+        instructions=xla.instructions(),
+        options=tuple((o.name, given[o.name]) for o in xla.wanted() if o.name in given),
         platform=jax.default_backend(),
     )

@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 from studies import small_study
 
-from sinsjax import bench, runtime, scenario
+from sinsjax import bench, scenario, xla
 from sinsjax.bench import Case, cases, limit, timing
 from sinsjax.bench.limit import limit_kernel
 from sinsjax.types import InputError
@@ -101,13 +101,13 @@ def test_conditions_say_what_a_row_holds_under():
     ("values", "told"),
     [
         ({}, "all"),
-        (dict.fromkeys((option.name for option in runtime.OPTIONS), None), "none"),
-        ({runtime.OPTIONS[0].name: "other"}, None),
+        (dict.fromkeys((option.name for option in xla.wanted()), None), "none"),
+        ({xla.wanted()[0].name: "other"}, None),
     ],
 )
 def test_options_in_force_are_told_in_a_word(values, told):
-    options = {option.name: option.value for option in runtime.OPTIONS} | values
-    rest = " ".join(option.name.removeprefix("xla_cpu_") for option in runtime.OPTIONS[1:])
+    options = {option.name: option.value for option in xla.wanted()} | values
+    rest = " ".join(option.name.removeprefix("xla_cpu_") for option in xla.wanted()[1:])
     assert timing._in_force(options) == (told or rest)
 
 

@@ -25,7 +25,7 @@ import pytest
 import tomli_w
 from studies import BASE, small_study
 
-from sinsjax import campaign, clients, cluster, compile_cache, results, runtime, work, worker
+from sinsjax import campaign, clients, cluster, compile_cache, results, runtime, work, worker, xla
 from sinsjax.config import Study, study_from_dict
 from sinsjax.types import InputError
 
@@ -287,8 +287,8 @@ def test_workers_of_another_version_are_refused(
 def test_workers_of_two_instruction_sets_are_refused(begin: Begin, scheduler: str) -> None:
     begin("worker", scheduler, "--nthreads", "1")
     with cluster.executor(scheduler=scheduler) as executor:
-        assert executor.facts["instructions"] == runtime.instructions()
-    smaller = runtime.merge_options("--xla_cpu_max_isa=SSE4_2")
+        assert executor.facts["instructions"] == xla.instructions()
+    smaller = xla.merge_options("--xla_cpu_max_isa=SSE4_2")
     begin("worker", scheduler, "--nthreads", "1", XLA_FLAGS=smaller)
     with distributed.Client(scheduler, set_as_default=False) as client:
         client.wait_for_workers(2, timeout=60)
@@ -474,7 +474,7 @@ def test_every_answer_is_checked_and_unlike_machines_are_told_once(
     crew.check(answer(machine=other))
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("tcp://far:1: computes with Abacus")
-    assert crew.facts() == {"instructions": runtime.instructions()}
+    assert crew.facts() == {"instructions": xla.instructions()}
     smaller = answer(worker="tcp://old:1", machine=other._replace(instructions="SSE4_2"))
     with pytest.raises(
         InputError, match="^tcp://old:1: the worker has instruction set SSE4_2, tcp"

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from studies import small_study
 
-from sinsjax import campaign, directories, runtime, work
+from sinsjax import campaign, directories, runtime, work, xla
 from sinsjax.config import study_to_toml
 from sinsjax.results import read_manifest
 from sinsjax.types import InputError
@@ -76,12 +76,12 @@ def test_rows_of_another_instruction_set_are_not_added(tmp_path: Path) -> None:
         )
         return done.returncode, done.stderr
 
-    smaller = {"XLA_FLAGS": runtime.merge_options("--xla_cpu_max_isa=SSE4_2")}
+    smaller = {"XLA_FLAGS": xla.merge_options("--xla_cpu_max_isa=SSE4_2")}
     assert sweep(**smaller) == (0, "")
     manifest = read_manifest(out)
     assert manifest["instructions"] == manifest["sessions"][0]["instructions"] == "SSE4_2"
     before = (out / "manifest.json").read_bytes()
-    here = runtime.instructions()
+    here = xla.instructions()
     told = f"out: was made with instruction set SSE4_2, here is {here}: .*max_isa=SSE4_2"
     with pytest.raises(InputError, match=told):
         campaign.run_into(study, out, resume=True)
@@ -100,4 +100,4 @@ def test_a_manifest_that_names_no_instruction_set_is_gone_on_with(tmp_path: Path
     del manifest["instructions"], manifest["sessions"][0]["instructions"]
     (out / "manifest.json").write_text(json.dumps(manifest))
     campaign.run_into(study, out, resume=True)
-    assert read_manifest(out)["sessions"][1]["instructions"] == runtime.instructions()
+    assert read_manifest(out)["sessions"][1]["instructions"] == xla.instructions()

@@ -2,7 +2,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from sinsjax import runtime
+from sinsjax import xla
 from sinsjax.hlo import fused_loop_present, options_seen
 
 
@@ -77,12 +77,12 @@ def test_every_innermost_loop_must_be_fused(text, fused):
     assert fused_loop_present(text) is fused
 
 
-@pytest.mark.skipif(runtime.opted_out(), reason="the XLA options are opted out of")
+@pytest.mark.skipif(xla.opted_out(), reason="the XLA options are opted out of")
 def test_options_are_at_work_in_this_process():
     assert options_seen() == {"fused_loop": True, "multi_output_fusion": True}
 
 
-@pytest.mark.skipif(runtime.opted_out(), reason="the XLA options are opted out of")
+@pytest.mark.skipif(xla.opted_out(), reason="the XLA options are opted out of")
 def test_a_real_program_tells_a_fused_loop_from_one_that_cannot_be():
     def nested(x, inner):
         def record(x, _):

@@ -19,6 +19,8 @@ LAYERS = (
         "runtime",
         "types",
         "units",
+        "xla",
+        "xla_trial",
     },
     {
         "config",

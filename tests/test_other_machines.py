@@ -10,7 +10,7 @@ import pyarrow as pa
 import pytest
 from studies import small_study
 
-from sinsjax import campaign, runtime
+from sinsjax import campaign, xla
 from sinsjax.config import study_to_toml
 from sinsjax.results import read_summary
 
@@ -29,7 +29,7 @@ def test_rows_agree_between_instruction_sets(method: str, tmp_path: Path) -> Non
     )
     here = campaign.run(study).summary
     (tmp_path / "study.toml").write_text(study_to_toml(study))
-    flags = runtime.merge_options("--xla_cpu_max_isa=SSE4_2")
+    flags = xla.merge_options("--xla_cpu_max_isa=SSE4_2")
     code = "import sys, sinsjax; sinsjax.configure(devices=1)\n"
     code += "sinsjax.run_into(sinsjax.load_study(sys.argv[1]), sys.argv[2])"
     subprocess.run(

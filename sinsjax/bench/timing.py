@@ -9,7 +9,7 @@ import statistics
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from sinsjax import runtime
+from sinsjax import runtime, xla
 
 Row = dict[str, Any]
 """A measurement: ``name``, its numbers, and the conditions."""
@@ -136,7 +136,7 @@ def conditions() -> Row:
     """
     import jax
 
-    facts = runtime.info()
+    facts = runtime.facts()
     device = jax.devices()[0]
     return {
         "cpu": facts["cpu"],
@@ -154,7 +154,7 @@ def conditions() -> Row:
 
 
 def _in_force(options: dict[str, str | None]) -> str:
-    wanted = {option.name: option.value for option in runtime.OPTIONS}
+    wanted = {option.name: option.value for option in xla.wanted()}
     there = [name for name, value in options.items() if value == wanted[name]]
     if len(there) == len(wanted):
         return "all"
