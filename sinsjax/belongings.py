@@ -24,7 +24,8 @@ def is_part(path: Path) -> bool:
 
 def left_behind(directory: Path) -> list[Path]:
     """What killed processes left of files of ours that were not yet whole."""
-    patterns = (".manifest.json.*.tmp", ".study.toml.*.tmp", "figures/.*.png.*.tmp")
+    names = (".manifest.json", ".study.toml", f".{FIGURES}", "figures/.*.png")
+    patterns = (f"{name}.*.tmp" for name in names)
     parts = (f"{name}/.part-*.tmp" for name in DATASETS)
     found = (path for pattern in (*patterns, *parts) for path in directory.glob(pattern))
     return [path for path in found if re.search(r"\.\d+\.tmp$", path.name)]

@@ -524,6 +524,7 @@ def test_what_a_killed_process_left_half_done_goes(whole: Path, out: Path) -> No
         f"summary/.{chunk(1)}.parquet.79.tmp",
         f"curves/.{chunk(1)}.parquet.80.tmp",
         "figures/.misalignment.png.81.tmp",
+        "..figures.json.82.tmp",
     ]
     mine = [".notes.tmp", "notes.txt", "figures/mine.txt", ".manifest.json"]
     (out / "figures").mkdir()
