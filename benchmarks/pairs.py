@@ -1,6 +1,7 @@
 """The engine beside the limit kernel, in alternating pairs on one core: how far from the limit?"""
 
 import tempfile
+from collections.abc import Sequence
 
 import common
 
@@ -8,13 +9,21 @@ from sinsjax.bench.cases import at_rest, default_group, engine, shortened, witho
 from sinsjax.bench.limit import compiler, limit_kernel
 from sinsjax.bench.timing import Case, Row, ratios, row, row_against, turns
 
+MADE = {"kalman_shared_record": without_noise, "kalman_shared_covariance": at_rest}
+"""What makes a row's group of the silent default sweep; the second goes on from the first."""
 
-def rows(quick: bool, repeats: int) -> list[Row]:
-    """Time ``limit_kernel`` and the engine in pairs.
+
+def rows(quick: bool, repeats: int, names: Sequence[str] = tuple(MADE)) -> list[Row]:
+    """Time ``limit_kernel`` and the engine in pairs, in CPU time.
+
+    Args:
+        quick: tiny sizes.
+        repeats: pairs.
+        names: of the engine's rows, in `MADE`.
 
     Returns:
-        A row each for the kernel, ``kalman_shared_record`` and ``kalman_shared_covariance``; the
-        engine's have ``ratios``, one a pair, with their median and half range.
+        A row each for the kernel and for ``names``, which have ``ratios``, one a pair, with their
+        median and half range.
 
     Raises:
         InputError: there is no gcc, or it cannot build the kernel.
@@ -25,10 +34,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
         group = shortened(group, 2)
     with tempfile.TemporaryDirectory(prefix="sinsjax-limit-") as folder:
         kernel = limit_kernel(gcc, folder, **({"steps": 200} if quick else {}))
-        ours = [
-            engine("kalman_shared_record", group),
-            engine("kalman_shared_covariance", at_rest(group)),
-        ]
+        ours = [engine(name, MADE[name](group)) for name in names]
         its, *taken = turns([kernel, *ours], repeats)
     return [row(kernel, its), *(told(*pair, kernel, its) for pair in zip(ours, taken, strict=True))]
 
