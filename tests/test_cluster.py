@@ -514,13 +514,20 @@ def sweep(tmp_path: Path) -> Iterator[Sweep]:
         process.communicate()
 
 
+def begun(process: subprocess.Popen) -> str:
+    """Wait for the first chunk of a sweep: what is said of it."""
+    assert process.stdout is not None
+    lines = iter(process.stdout.readline, "")
+    return next((line for line in lines if line.startswith("study: ")), "")
+
+
 @needs_two_cores
 def test_ctrl_c_lets_the_workers_finish_and_resume_goes_on(
     sweep: Sweep, here: Parts, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
     process = sweep(out, "--workers", "2")
-    first = process.stdout.readline()
+    first = begun(process)
     children = worker_processes(process.pid)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all
     told, errors = process.communicate(timeout=300)
@@ -547,7 +554,7 @@ def test_workers_die_with_the_process_that_asked(
 ) -> None:
     out = tmp_path / "out"
     process = sweep(out, "--workers", "2")
-    process.stdout.readline()
+    begun(process)
     children = worker_processes(process.pid)
     process.kill()
     assert len(children) == 2 and not psutil.wait_procs(children, timeout=60)[1]

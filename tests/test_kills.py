@@ -21,6 +21,7 @@ pytestmark = pytest.mark.slow
 STUDY = sweep_study(study={"draws": 160, "duration_s": 12.0, "window_s": [0, 12]})
 CHUNKS = STUDY.n_draws * STUDY.n_variants // CHUNK_RUNS
 DEADLINE_S = 120.0
+FULL = "size=50m,nr_inodes=24"
 
 NEVER = ("never", "", 0)
 NAMED = (
@@ -243,11 +244,14 @@ def test_a_person_or_a_scheduler_may_stop_it(sweeps: Sweeps, whole: Path) -> Non
 
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of a few chunks, of our own; only the superuser can make one."""
+    """A disk of our own, for the files of a few chunks; only the superuser can make one.
+
+    Bytes are counted before a sweep, so it is the number of files that ends this one.
+    """
     disk = tmp_path / "disk"
     disk.mkdir()
     try:
-        mount("-t", "tmpfs", "-o", "size=500k", "sinsjax-test", str(disk))
+        mount("-t", "tmpfs", "-o", FULL, "sinsjax-test", str(disk))
     except (OSError, subprocess.CalledProcessError) as error:
         pytest.skip(f"no disk can be mounted here: {getattr(error, 'stderr', '') or error}")
     try:
@@ -265,7 +269,7 @@ def test_a_full_or_a_write_protected_disk_costs_nothing_that_is_complete(
 ) -> None:
     sweeps, made = Sweeps(folder, small_disk / "out"), dict[str, int]()
     try:
-        for how, why in (("size=500k", "No space left on device"), ("ro", "Read-only file system")):
+        for how, why in ((FULL, "No space left on device"), ("ro", "Read-only file system")):
             mount("-o", f"remount,{how}", str(small_disk))
             code, _, error = sweeps.sweep()
             assert code == 2 and error.count("\n") == 1
@@ -274,7 +278,7 @@ def test_a_full_or_a_write_protected_disk_costs_nothing_that_is_complete(
             assert 0 < count(sweeps.out) < CHUNKS / 2
             assert_sound(sweeps.out, whole, made)
             assert not list(sweeps.out.rglob("*.tmp"))
-        mount("-o", "remount,rw,size=50m", str(small_disk))
+        mount("-o", "remount,rw,nr_inodes=1000", str(small_disk))
         code, _, error = sweeps.sweep()
         assert (code, error) == (0, "")
         assert_sound(sweeps.out, whole, made)
