@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 
 from sinsjax.types import InputError
-from sinsjax.wording import shortened
+from sinsjax.wording import first_line, shortened
 
 MANIFEST = "manifest.json"
 _HINT = "`sinsjax sweep --resume` makes broken parts again"
@@ -72,7 +72,7 @@ def ask(
             _verify(directory, name, parts)
         return question(ds.dataset(parts, format=form))
     except (OSError, pa.ArrowException) as error:
-        what = str(error).splitlines()[0]
+        what = first_line(error)
         raise InputError(f"{directory / name}: cannot be read: {what} ({_HINT})") from error
 
 

@@ -38,6 +38,11 @@ def one_line(text: str, most: int = 1000) -> str:
     return line if len(line) <= most else f"{line[: most - 300]} ... {line[-295:]}"
 
 
+def first_line(error: BaseException) -> str:
+    """What another library says of an error, which may go on and on and quote what it read."""
+    return one_line(str(error).strip().partition("\n")[0], 400)
+
+
 def near(word: str, words: Iterable[str], form: str = "{}") -> str:
     """A hint at the known word that an unknown one resembles; empty where there is none."""
     found = difflib.get_close_matches(str(word), list(words), n=1)

@@ -22,6 +22,7 @@ from sinsjax.records.files import CUT_OFF, Lines, line_batches, load, number, nu
 from sinsjax.records.layout import FloatArray
 from sinsjax.records.stamps import from_iso
 from sinsjax.types import InputError
+from sinsjax.wording import shortened
 
 MISSING = "empty or not finite"
 
@@ -55,7 +56,7 @@ def column_index(path: str | Path, names: list[str], wanted: Sequence[str]) -> l
 
 
 def _listed(names: list[str]) -> str:
-    shown = ", ".join(map(repr, names[:12]))
+    shown = shortened(", ".join(map(repr, names[:12])))
     return f"the file has {shown}{', ...' if len(names) > 12 else ''}"
 
 

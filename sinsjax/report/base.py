@@ -52,7 +52,8 @@ class Source:
         if schema == "1":
             study = as_of_schema_1(study)
         name = manifest.get("config") or f"study.toml of {study.study.name}"
-        warnings = tuple(map(str, manifest.get("warnings") or ()))
+        told = manifest.get("warnings")
+        warnings = tuple(map(str, told if isinstance(told, list) else ()))
         return cls(directory, study, str(name), schema=schema, warnings=warnings)
 
     @cached_property

@@ -14,6 +14,7 @@ from sinsjax.studies import Table, meaning
 from sinsjax.types import InputError
 from sinsjax.units import split_unit
 from sinsjax.variables import Space
+from sinsjax.wording import first_line
 
 FILE = "history.parquet"
 _F, _I, _S = pa.float64(), pa.int64(), pa.string()
@@ -132,7 +133,7 @@ def read_history(directory: str | Path) -> pa.Table:
     try:
         return pq.read_table(path)
     except (OSError, pa.ArrowException) as error:
-        raise InputError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from error
+        raise InputError(f"{path}: cannot be read: {first_line(error)}") from error
 
 
 def read(directory: Path, space: Space) -> list[Found]:

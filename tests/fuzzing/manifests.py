@@ -1,0 +1,102 @@
+"""Directories of results with something wrong in the manifest, the study or a part."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+from hypothesis import strategies as st
+from studies import small_study
+
+from fuzzing.edits import Quiet, edited, mangled
+from sinsjax import columns, layouts, runtime
+from sinsjax.config import fingerprint, study_to_toml
+from sinsjax.work import Job
+
+STUDY = small_study(study={"curves": True})
+MANIFEST, TEXT = "manifest.json", "study.toml"
+PARTS = ("summary/part-0000-000000.parquet", "curves/part-0000-000000.parquet")
+
+
+class Case(NamedTuple):
+    """A directory, by the content of its files; those that are not named stay as they are."""
+
+    files: dict[str, bytes | None]
+
+
+def stored(directory: Path) -> dict[str, bytes]:
+    """Writes what a run of `STUDY` would leave, numbers apart; gives its files."""
+    runs = list(range(STUDY.n_draws * STUDY.n_variants))
+    tables = {
+        PARTS[0]: _table(layouts.summary(STUDY), runs),
+        PARTS[1]: _table(
+            layouts.curves(STUDY), [run for run in runs for _ in range(STUDY.records)]
+        ),
+    }
+    files: dict[str, bytes] = {TEXT: study_to_toml(STUDY).encode()}
+    for name, table in tables.items():
+        sink = pa.BufferOutputStream()
+        pq.write_table(table, sink)
+        files[name] = sink.getvalue().to_pybytes()
+    files[MANIFEST] = json.dumps(_manifest(files)).encode()
+    for name, content in files.items():
+        (directory / name).parent.mkdir(parents=True, exist_ok=True)
+        (directory / name).write_bytes(content)
+    return files
+
+
+def _table(layout: tuple[columns.Column, ...], runs: list[int]) -> pa.Table:
+    arrays = [
+        pa.array(runs) if c.name == "run_id" else pa.nulls(len(runs), c.dtype) for c in layout
+    ]
+    return pa.Table.from_arrays(arrays, schema=columns.schema(layout))
+
+
+def _manifest(files: dict[str, bytes]) -> dict[str, Any]:
+    entries = [
+        {"file": name, "rows": 3, "sha256": hashlib.sha256(files[name]).hexdigest()}
+        for name in reversed(PARTS)
+    ]
+    chunk = {
+        "name": "part-0000-000000",
+        "state": "done",
+        "runs": 3,
+        "seconds": 0.1,
+        "files": entries,
+    }
+    session = runtime.session() | {"started_unix_s": 1.7e9, "wall_s": 1.0}
+    return {
+        "schema": columns.SCHEMA_VERSION,
+        "state": "complete",
+        "fingerprint": fingerprint(STUDY),
+        "identity": Job(STUDY).identity,
+        "seed": 1,
+        "runs": 3,
+        "runs_done": 3,
+        "curves": True,
+        "chunk_runs": None,
+        "config": "small.toml",
+        "warnings": ["one"],
+        "sessions": [session],
+        "study": STUDY.model_dump(mode="json", exclude_none=True),
+        "chunks": [chunk],
+    }
+
+
+@st.composite
+def cases(draw: st.DrawFn, files: Quiet) -> Case:
+    """A directory in which one or two files were changed, cut or taken away."""
+    changed: dict[str, bytes | None] = {}
+    for _ in range(draw(st.integers(1, 2))):
+        name = draw(st.sampled_from([MANIFEST] * 6 + [TEXT, *PARTS]))
+        kind = draw(st.sampled_from(["edit"] * 5 + ["mangle"] * 2 + ["remove"]))
+        if kind == "remove":
+            changed[name] = None
+        elif kind == "edit" and name == MANIFEST:
+            data = draw(edited(Quiet(json.loads(files.value[MANIFEST]))))
+            changed[name] = json.dumps(data, default=str).encode()
+        else:
+            changed[name] = draw(mangled(Quiet(files.value[name])))
+    return Case(changed)

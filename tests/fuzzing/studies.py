@@ -1,0 +1,216 @@
+"""Study files: good ones of every kind with some keys changed, by all that the schema knows."""
+
+import copy
+import functools
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+from hypothesis import strategies as st
+
+from fuzzing.edits import Quiet, edited, mangled
+from fuzzing.values import TEXTS, misfits, of_field, table
+from sinsjax.drawing import NUMBERS
+from sinsjax.studies import EXCLUSIVE, SECTIONS, SWEEPABLE
+from sinsjax.tuned_keys import TUNABLE
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+BASE: dict[str, dict[str, Any]] = {
+    "study": {"duration_s": 6.0, "rate_hz": 100.0, "draws": 3},
+    "earth": {"latitude_deg": 32.0},
+    "motion": {"yaw_center_deg": 10.0},
+}
+
+BASES: dict[str, dict[str, Any]] = {
+    "plain": BASE,
+    "compass": BASE | {"alignment": {"method": "compass"}},
+    "passes": BASE | {"passes": {"tape_s": 2.0}, "axes": {"method": ["kalman10", "compass"]}},
+    "trigger": BASE | {"resets": {"reset_trigger": "nis", "trigger_threshold": 9.0}},
+    "drawn": BASE
+    | {
+        "drawn": {
+            "phi_u0_deg": {"uniform": [-10, 10]},
+            "gyro_bias_deg_per_h": {"normal": [0, 0.1]},
+        },
+        "stop_when": {"statistic": "success_rate", "half_width": 0.1},
+    },
+    "cases": BASE
+    | {"cases": [{"case": "a", "p0_yaw_deg": 10.0}, {"case": "b", "p0_yaw_deg": 20.0}]},
+    "zips": BASE
+    | {"axes": {"p0_yaw_deg": [1.0, 2.0], "start": {"phi_u0_deg": [1, 2], "phi_e0_deg": [0, 1]}}},
+    "tuned": BASE
+    | {
+        "tune": {
+            "searches": ["grid"],
+            "variables": {"p0_yaw_deg": {"low": 1.0, "high": 80.0}},
+            "baseline": {"p0_yaw_deg": 5.0},
+        }
+    },
+    "recorded": {
+        "study": {"duration_s": 2.0, "rate_hz": 10.0, "record_interval_s": 0.5},
+        "earth": {"latitude_deg": 32.0},
+        "record": {"format": "psins", "start_s": [0, 1]},
+        "coarse": {"coarse_duration_s": 2.0},
+    },
+}
+
+
+@functools.cache
+def _shipped() -> tuple[dict[str, Any], ...]:
+    paths = sorted(CONFIGS.glob("*.toml"))
+    return tuple(tomllib.loads(path.read_text(encoding="utf-8")) for path in paths)
+
+
+KEYS = [(name, key) for name, model in SECTIONS.items() for key in model.model_fields]
+_SWEPT = [(name, key) for name, key in KEYS if name in SWEEPABLE]
+_TUNED = [(name, key) for name, key in KEYS if name in TUNABLE]
+
+
+def _one(place: tuple[str, str]) -> st.SearchStrategy[Any]:
+    """A value for a key: three of four fit its type."""
+    fitting = of_field(SECTIONS[place[0]].model_fields[place[1]])
+    return st.one_of(fitting, fitting, fitting, misfits())
+
+
+@functools.cache
+def _value(place: tuple[str, str]) -> st.SearchStrategy[Any]:
+    return _one(place)
+
+
+def _law(draw: st.DrawFn, place: tuple[str, str]) -> Any:
+    number = st.floats(-10, 400) | st.sampled_from([0, 1, 1e12, -1e12, 1e300])
+    some = st.lists(_value(place), max_size=5)
+    kinds = {
+        "uniform": st.lists(number, min_size=2, max_size=2).map(sorted),
+        "normal": st.lists(number.map(abs), min_size=2, max_size=2),
+        "values": some,
+        "grid": some,
+    }
+    kind = draw(st.sampled_from(sorted(kinds)))
+    return {kind: draw(kinds[kind])}
+
+
+def _range(draw: st.DrawFn, place: tuple[str, str]) -> Any:
+    one, ends = _value(place), st.lists(st.floats(1e-3, 400), min_size=2, max_size=2).map(sorted)
+    kind = draw(st.sampled_from(["ends", "log", "list", "fixed", "candidates"]))
+    if kind == "fixed":
+        return {"fixed": draw(one)}
+    if kind == "candidates":
+        return {"candidates": draw(st.lists(one, max_size=4))}
+    if kind == "list":
+        both = draw(st.lists(ends, max_size=3))
+        return [{"low": low, "high": high} for low, high in both]
+    low, high = draw(ends)
+    return {"low": low, "high": high} | ({"scale": "log"} if kind == "log" else {})
+
+
+def _given(data: dict[str, Any], section: str) -> dict[str, Any]:
+    """A table to be put something into, whatever stood there."""
+    if not isinstance(data.get(section), dict):
+        data[section] = {}
+    return data[section]
+
+
+def _without(data: dict[str, Any], place: tuple[str, str]) -> None:
+    """Takes a key and all that says the same out of its section, so that it can stand elsewhere."""
+    others = {other for pair in EXCLUSIVE if place[1] in pair for other in pair}
+    for key in {place[1], *others}:
+        if isinstance(data.get(place[0]), dict):
+            data[place[0]].pop(key, None)
+
+
+_EDITS = ["key"] * 6 + ["axis", "axis", "zip", "case", "drawn", "drawn", "tuned", "tuned"]
+_EDITS += ["section", "unknown"]
+
+
+def _edit(draw: st.DrawFn, data: dict[str, Any]) -> None:
+    kind = draw(st.sampled_from(_EDITS))
+    if kind in ("key", "unknown"):
+        place = draw(st.sampled_from(KEYS))
+        name = place[1] if kind == "key" else draw(st.sampled_from([*TEXTS, place[1][:-1]]))
+        _given(data, place[0])[name] = draw(_value(place))
+    elif kind == "section":
+        section = draw(st.sampled_from(list(SECTIONS)))
+        data[section] = draw(table(SECTIONS[section].model_fields))
+    elif kind == "drawn":
+        place = draw(st.sampled_from([p for p in _SWEPT if p[1] in NUMBERS]))
+        _without(data, place)
+        _given(data, "drawn")[place[1]] = _law(draw, place)
+    elif kind == "tuned":
+        place = draw(st.sampled_from(_TUNED))
+        tune = _given(data, "tune")
+        tune.setdefault("searches", ["sobol"])
+        _given(tune, draw(st.sampled_from(["variables", "variables", "baseline"])))[place[1]] = (
+            _range(draw, place)
+        )
+    else:
+        place = draw(st.sampled_from(_SWEPT))
+        _without(data, place)
+        values = draw(st.lists(_value(place), min_size=1, max_size=4))
+        if kind == "case":
+            data["cases"] = [{"case": str(i), place[1]: value} for i, value in enumerate(values)]
+        elif kind == "zip":
+            _given(_given(data, "axes"), "joint")[place[1]] = values
+        else:
+            _given(data, "axes")[place[1]] = values
+
+
+@st.composite
+def tables(draw: st.DrawFn) -> dict[str, Any]:
+    """A study's tables: a good one of some kind, with some of its keys changed."""
+    kind = draw(st.sampled_from([*BASES, *BASES, "shipped", "made"]))
+    if kind == "made":  # of nothing but the schema
+        names = draw(st.lists(st.sampled_from(list(SECTIONS)), unique=True, max_size=4))
+        data = {name: draw(table(SECTIONS[name].model_fields)) for name in names}
+    else:
+        base = draw(st.sampled_from(_shipped())) if kind == "shipped" else BASES[kind]
+        data = copy.deepcopy(base)
+    for _ in range(draw(st.sampled_from([0, 1, 1, 1, 1, 2, 2, 3]))):
+        _edit(draw, data)
+    return data
+
+
+def everywhere(value: Any) -> Iterator[dict[str, Any]]:
+    """Studies with a value in the place of every key, and of each that is swept, drawn or tuned."""
+    for section, key in KEYS:
+        base = BASES["recorded" if section in ("record", "coarse") else "plain"]
+        yield base | {section: base.get(section, {}) | {key: value}}
+        if section in SWEEPABLE:
+            plain = copy.deepcopy(BASE)
+            _without(plain, (section, key))
+            yield plain | {"axes": {key: value}}
+            yield plain | {"axes": {key: [value, value]}}
+            yield plain | {"cases": [{key: value}]}
+            yield plain | {"drawn": {key: value}}
+            yield plain | {"drawn": {key: {"values": [value]}}}
+        if section in TUNABLE:
+            yield BASE | {"tune": {"variables": {key: value}}}
+            yield BASE | {"tune": {"variables": {key: {"fixed": value}}}}
+            yield BASE | {"tune": {"variables": {key: [{"low": value, "high": value}]}}}
+
+
+def written(data: Any) -> bytes:
+    """Tables as TOML; what TOML has no word for is left out."""
+
+    def told(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {str(k): told(v) for k, v in value.items() if v is not None}
+        if isinstance(value, list | tuple):
+            return [told(v) for v in value if v is not None]
+        return value
+
+    return tomli_w.dumps(told(data)).encode("utf-8", "replace")
+
+
+@st.composite
+def files(draw: st.DrawFn) -> bytes:
+    """The content of a study's file."""
+    kind = draw(st.sampled_from(["tables"] * 8 + ["edited", "mangled"]))
+    data = draw(tables())
+    if kind == "edited" and data:
+        data = draw(edited(Quiet(data)))
+    content = written(data)
+    return draw(mangled(Quiet(content))) if kind == "mangled" else content

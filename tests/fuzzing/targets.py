@@ -1,0 +1,240 @@
+"""What is done with a case, and what must hold: it is taken, or refused in one line."""
+
+import contextlib
+import re
+import signal
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hypothesis import strategies as st
+
+import sinsjax
+from fuzzing import manifests, records, studies
+from fuzzing.edits import Quiet
+from sinsjax import campaign, directories, forecast, results
+from sinsjax.config import Study, fingerprint, load_study, study_from_dict, study_to_toml
+from sinsjax.report.base import Source
+from sinsjax.results import Tables
+from sinsjax.scenario import Scenario
+from sinsjax.tuning import carry_out
+from sinsjax.types import InputError
+from sinsjax.wording import is_control
+from sinsjax.work import Job
+
+MOST_S = 2.0
+"""The longest that a case may take."""
+
+MOST_BYTES = 500e6
+"""The most memory that a case may take."""
+
+_PACKAGE = Path(sinsjax.__file__).parent
+_LONGEST_LINE = 2000
+_MANY = 500  # variants or draws, beyond which a study is resolved no further
+
+
+class Broken(AssertionError):
+    """A case that is neither taken nor refused as it should be."""
+
+
+class Target(NamedTuple):
+    """Something that reads what users write.
+
+    Attributes:
+        name: of it.
+        cases: what it is given.
+        check: reads a case; raises what is wrong.
+    """
+
+    name: str
+    cases: st.SearchStrategy[Any]
+    check: Callable[[Any], None]
+
+
+def targets(folder: Path) -> list[Target]:
+    """All of them; they write into a folder."""
+    stored = folder / "stored"
+    files = manifests.stored(stored)
+    return [
+        Target("studies", studies.files(), lambda case: check_study(folder / "s.toml", case)),
+        Target(
+            "manifests", manifests.cases(Quiet(files)), lambda c: check_directory(stored, files, c)
+        ),
+        Target("records", records.cases(), lambda case: check_record(folder, case)),
+    ]
+
+
+@contextlib.contextmanager
+def in_time(seconds: float) -> Iterator[None]:
+    """Ends what takes too long, where it can be ended; in the main thread only."""
+
+    def late(*_: Any) -> None:
+        raise Broken(f"takes more than {seconds:g} s")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def signature(error: BaseException) -> str:
+    """What tells one find from another: its kind and where it was raised."""
+    cause = error.__cause__ or error
+    frames = traceback.extract_tb(cause.__traceback__)
+    frames = [frame for frame in frames if Path(frame.filename).is_relative_to(_PACKAGE)]
+    at = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "no line of ours"
+    said = re.sub(r"[\d.]+", "N", str(error))[:40] if isinstance(error, Broken) else ""
+    return f"{type(error).__name__} {said} at {at}"
+
+
+def line_of(error: InputError, *names: object) -> str:
+    """The line of a refusal, once it is one, and names what it is about.
+
+    Args:
+        error: the refusal.
+        names: one of which it begins with.
+    """
+    line = str(error)
+    if len(line) > _LONGEST_LINE:
+        raise Broken(f"a line of {len(line)} characters: {line[:200]}...") from error
+    if any(map(is_control, line)):
+        raise Broken(f"more than a line, or control characters: {line[:200]!r}") from error
+    if names and not line.startswith(tuple(map(str, names))):
+        raise Broken(f"names none of {names}: {line[:200]}") from error
+    return line
+
+
+_WHOLE = ("is no TOML", "is no UTF-8", "is nested too deeply", "cannot be read")
+"""What is said of a whole file."""
+
+
+def check_study(path: Path, content: bytes) -> None:
+    """Loads a study, and resolves it as `run` does before anything is compiled."""
+    path.write_bytes(content)
+    try:
+        study = load_study(path)
+    except InputError as error:
+        line = line_of(error, path)
+        told = line.removeprefix(f"{path}: ")
+        if not told.startswith(_WHOLE) and not re.search(r"\[.*\]", told):
+            raise Broken(f"names no key: {told}") from error
+        return
+    again = study_to_toml(study)
+    path.write_text(again, encoding="utf-8")
+    try:
+        if fingerprint(load_study(path)) != fingerprint(study):
+            raise Broken("its resolved study is another one")
+    except InputError as error:
+        raise Broken(f"its resolved study is refused: {error}") from error
+    with contextlib.suppress(InputError):
+        resolve(study)
+
+
+def resolve(study: Study) -> None:
+    """What is worked out from a study before a program is compiled; refusals are one line."""
+    try:
+        if study.study.rate_hz:
+            expected = forecast.of_tuning(study) if study.tune else forecast.of(study)
+            expected.told(2)
+            if study.n_variants > _MANY or study.n_draws > 10**6:
+                return
+        if not study.is_recorded:
+            study, warnings = campaign.made_ready(study, None)
+            assert all("\n" not in line for line in warnings)
+            Scenario(study)
+            Tables(study)
+    except InputError as error:
+        line_of(error)
+        raise
+
+
+def check_directory(directory: Path, files: dict[str, bytes], case: manifests.Case) -> None:
+    """Asks a directory of results all that reports, reruns and whoever goes on with it ask."""
+    for name, content in case.files.items():
+        (directory / name).unlink() if content is None else (directory / name).write_bytes(content)
+    run_ids = [0, 1]
+    questions: list[Callable[[], Any]] = [
+        lambda: results.read_manifest(directory),
+        lambda: results.read_summary(directory),
+        lambda: results.read_summary(directory, ["run_id", "status"], run_ids=run_ids),
+        lambda: results.read_curves(directory, run_ids),
+        lambda: results.count_runs(directory),
+        lambda: directories.check_free(directory, overwrite=False),
+        lambda: directories.check_free(directory, overwrite=True),
+        lambda: directories.resumed(directory, Job(manifests.STUDY)),
+        lambda: carry_out.is_tuning(directory),
+        lambda: Source.read(directory),
+        lambda: forecast.require_room(
+            manifests.STUDY,
+            forecast.of(manifests.STUDY),
+            directory,
+            overwrite=False,
+            resume=True,
+        ),
+    ]
+    try:
+        for question in questions:
+            try:
+                question()
+            except InputError as error:
+                line_of(error, directory)
+    finally:
+        for name in case.files:
+            (directory / name).write_bytes(files[name])
+
+
+def check_record(folder: Path, case: records.Case) -> None:
+    """Reads a record and its reference as `align` does before anything is compiled."""
+    suffix = ".parquet" if case.study["record"].get("format") == "parquet" else ".csv"
+    record, reference = folder / f"r{suffix}", folder / "reference.csv"
+    record.write_bytes(case.record)
+    if case.reference is not None:
+        reference.write_bytes(case.reference)
+    try:
+        study = study_from_dict(case.study, "align")
+    except InputError as error:
+        line_of(error, "align: ")
+        return
+    try:
+        tape = campaign.load_tape(study, record, None if case.reference is None else reference)
+        study, warnings = campaign.made_ready(study, tape)
+        for line in warnings:
+            line_of(InputError(line))
+    except InputError as error:
+        line_of(error, record, reference, study.study.name)
+
+
+def measured(check: Callable[[Any], None], case: Any) -> None:
+    """Checks a case, and what it takes.
+
+    Raises:
+        Broken: it took too long, or too much memory.
+    """
+    _forget_peak()
+    before, since = _memory("VmRSS"), time.process_time()
+    with in_time(10 * MOST_S):
+        check(case)
+    taken, grown = time.process_time() - since, _memory("VmHWM") - before
+    if taken > MOST_S:
+        raise Broken(f"takes {taken:.1f} s of a core")
+    if grown > MOST_BYTES:
+        raise Broken(f"takes {grown / 1e6:.0f} MB")
+
+
+def _forget_peak() -> None:
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+
+
+def _memory(name: str) -> int:
+    """Bytes of memory of this process, by a line of what Linux tells; 0 elsewhere."""
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+            if line.startswith(f"{name}:"):
+                return int(line.split()[1]) * 1024
+    return 0

@@ -1,0 +1,169 @@
+"""Values for the keys of a schema: those that fit, walked from its types, and those that do not."""
+
+import copy
+import datetime
+import functools
+import types
+import typing
+from collections.abc import Callable, Mapping
+from typing import Any, Literal, Union, get_args, get_origin
+
+from annotated_types import Ge, Gt, Le, Lt, MaxLen, MinLen
+from hypothesis import strategies as st
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from sinsjax.fields import Usual
+
+Strategy = st.SearchStrategy[Any]
+
+_CLOSED = 1e-9  # inside of an open bound, relatively
+
+NUMBERS = [
+    *(0, 1, -1, 2, 3, 10, 100, 2**31, 2**53, 2**63, -(2**63), 2**64, 10**30, 10**400),
+    *(0.0, -0.0, 0.5, 1e-3, 1e-12, 1e-300, 5e-324, 1e9, 1e12, 1e13, 1e300, 1.7976931348623157e308),
+    *(-1e12, -1e300, float("inf"), float("-inf"), float("nan"), True, False),
+]
+
+TEXTS = [
+    *("", " ", "\n", "a\nb", "\x00", "\x1b[31mred", "x" * 10_000, "é", "\u202eright", "\U0001f600"),
+    *(
+        "[/b]",
+        "[bold]",
+        "[red",
+        "<script>alert(1)</script>",
+        "$x^$",
+        "$$",
+        "\\frac{",
+        "%s%n",
+        "{0}",
+    ),
+    *("../../etc/passwd", "/", "~", "~nosuchuser/x", "none", "nan", "inf", "None", "true", "0x1F"),
+    *("{{7*7}}", "`|`", "a|b", "|", "#", "&amp;", "'", '"', '"""', "\ud800"[:0] + "\ufffd"),
+]
+
+
+def _deep(depth: int, kind: str) -> Any:
+    value: Any = 1
+    for _ in range(depth):
+        value = [value] if kind == "list" else {"a": value}
+    return value
+
+
+@functools.cache
+def misfits() -> Strategy:
+    """Values that hardly any key takes."""
+    some = st.one_of(
+        st.sampled_from(NUMBERS),
+        st.sampled_from(TEXTS),
+        st.floats(),
+        st.integers(),
+        st.text(max_size=8),
+        st.sampled_from([[], {}, [[]], [{}], {"a": 1}, [1, "a"], [None], [1, [2, [3]]]]),
+        st.lists(st.floats(), max_size=4),
+        st.lists(st.sampled_from([*NUMBERS, *TEXTS]), max_size=4),
+        st.dictionaries(
+            st.sampled_from(["low", "high", "uniform", "a", ""]), st.floats(), max_size=3
+        ),
+        st.sampled_from(
+            [_deep(5, "list"), _deep(5, "table"), _deep(60, "list"), _deep(60, "table")]
+        ),
+        st.sampled_from(
+            [datetime.date(2026, 1, 1), datetime.time(1, 2), datetime.datetime(1, 1, 1)]
+        ),
+        st.builds(lambda n: [0.5] * n, st.sampled_from([1, 2, 7, 100, 3000])),
+    )
+    return some.map(copy.deepcopy)  # what one edit puts in, the next one may change
+
+
+_fields: dict[int, Strategy] = {}
+
+
+def of_field(field: FieldInfo) -> Strategy:
+    """Values that a key of a section takes, as far as its type tells."""
+    if id(field) not in _fields:  # which live as long as the schema
+        _fields[id(field)] = of_type(field.annotation, tuple(field.metadata))
+    return _fields[id(field)]
+
+
+def of_type(annotation: Any, metadata: tuple[Any, ...] = ()) -> Strategy:
+    """Values of a type with its bounds; what is not known of it is left to others to refuse."""
+    while get_origin(annotation) is typing.Annotated:
+        annotation, *more = get_args(annotation)
+        inner = (
+            m
+            for extra in more
+            for m in (extra.metadata if isinstance(extra, FieldInfo) else [extra])
+        )
+        metadata = (*metadata, *inner)
+    made = _PLAIN.get(annotation)
+    if made is not None:
+        return made(metadata)
+    origin, inside = get_origin(annotation), get_args(annotation)
+    if origin is Literal:
+        return st.sampled_from(inside)
+    if origin in (Union, types.UnionType):
+        parts = [part for part in inside if part is not type(None)]
+        return st.one_of([of_type(part, metadata) for part in parts])
+    if origin is tuple:
+        usual = tuple(m for m in metadata if isinstance(m, Usual))
+        if Ellipsis in inside:
+            most = next((m.max_length for m in metadata if isinstance(m, MaxLen)), 4)
+            least = next((m.min_length for m in metadata if isinstance(m, MinLen)), 0)
+            return st.lists(of_type(inside[0], usual), min_size=least, max_size=max(4, least, most))
+        return st.tuples(*(of_type(part, usual) for part in inside)).map(list)
+    if origin is dict:
+        return st.dictionaries(st.text(max_size=4), of_type(inside[1]), max_size=2)
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return table(annotation.model_fields)
+    return misfits()
+
+
+def table(fields: Mapping[str, FieldInfo], most: int = 4) -> Strategy:
+    """Some keys of a section, with values that fit, and all that it cannot do without."""
+    needed = {key: of_field(field) for key, field in fields.items() if field.is_required()}
+
+    @st.composite
+    def some(draw: st.DrawFn) -> dict[str, Any]:
+        keys = draw(st.lists(st.sampled_from(sorted(fields)), max_size=most, unique=True))
+        made = {key: draw(strategy) for key, strategy in needed.items()}
+        return made | {key: draw(of_field(fields[key])) for key in keys}
+
+    return some()
+
+
+def _bounds(metadata: tuple[Any, ...], low: float, high: float) -> tuple[float, float]:
+    for rule in metadata:
+        if isinstance(rule, Ge):
+            low = max(low, float(rule.ge))  # type: ignore[arg-type]
+        elif isinstance(rule, Gt):
+            least = float(rule.gt)  # type: ignore[arg-type]
+            low = max(low, least + _CLOSED * max(1.0, abs(least)))
+        elif isinstance(rule, Le):
+            high = min(high, float(rule.le))  # type: ignore[arg-type]
+        elif isinstance(rule, Lt):
+            most = float(rule.lt)  # type: ignore[arg-type]
+            high = min(high, most - _CLOSED * max(1.0, abs(most)))
+        elif isinstance(rule, Usual):
+            low, high = max(low, rule.low), min(high, rule.high)
+    return low, high
+
+
+def _floats(metadata: tuple[Any, ...]) -> Strategy:
+    low, high = _bounds(metadata, -1e12, 1e12)
+    handy = [x for x in (0.0, 0.01, 0.5, 1.0, 2.0, 6.0, 30.0, 600.0) if low <= x <= high]
+    # Half of them are those at which rules between keys hold.
+    return st.floats(low, high) | st.sampled_from([*handy, low, high])
+
+
+def _integers(metadata: tuple[Any, ...]) -> Strategy:
+    low, high = map(int, _bounds(metadata, -(2.0**40), 2.0**40))
+    return st.integers(low, high) | st.integers(max(low, 0), min(high, 8))
+
+
+_PLAIN: dict[Any, Callable[[tuple[Any, ...]], Strategy]] = {
+    float: _floats,
+    int: _integers,
+    bool: lambda metadata: st.booleans(),
+    str: lambda metadata: st.text(min_size=1, max_size=6) | st.sampled_from(TEXTS),
+}
