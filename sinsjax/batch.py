@@ -309,6 +309,16 @@ def spread(call: Callable[[Any], Any], arguments: Iterable, devices: int) -> Ite
             yield ahead.popleft().result()
 
 
+def shown(group: Group) -> int | None:
+    """Lanes of a tile whose curves are asked for, see `Static.shown`.
+
+    A few runs are in the first lanes, and the curves of idle ones would fill the memory.
+    """
+    draws, variants = group.sizes
+    taken = draws * layout(group.static, variants)[1]
+    return taken if group.static.curves and taken < LANES else None
+
+
 class Calls:
     """A group compiled: its chunks, any of them in any order and from any thread."""
 
@@ -321,22 +331,28 @@ class Calls:
         """
         self._group = group
         self.plan = plan(group, tiles_a_chunk=tiles_a_chunk)
-        self._program = compiled(group.static, group.world, tiles_of(group, self.plan[0]))
+        static = group.static._replace(shown=shown(group))
+        self._program = compiled(static, group.world, tiles_of(group, self.plan[0]))
 
     def chunk(self, number: int) -> Chunk:
         """Run one of the plan's calls."""
         group, places = self._group, self.plan[number]
         draws, variants = group.sizes
         outcome, curves = jax.device_get(self._program(group.world, tiles_of(group, places)))
-        if curves is not None:
-            curves = jax.tree.map(lambda a: np.moveaxis(a, -2, -1), curves)
         draw, variant = places.draw.ravel(), places.variant.ravel()
         busy = np.flatnonzero((draw < draws) & (variant < variants))
         runs = busy[np.argsort(draw[busy] * variants + variant[busy])]
+        tile, lane = np.divmod(runs, places.draw.shape[-1])
+        axes = 1 + (places.draw.shape[1] > 1)  # of tiles, and of sets
+        outcome, curves = (
+            jax.tree.map(lambda a: a.reshape(-1, *a.shape[axes:]), tree)
+            for tree in (outcome, curves)
+        )
         return Chunk(
             group.draws.draw_id[draw[runs]],
             variant[runs],
-            *_lanes((outcome, curves), places.draw.shape, runs),
+            jax.tree.map(lambda a: a[tile, lane], outcome),
+            jax.tree.map(lambda a: a[tile, :, lane], curves),
         )
 
 
@@ -354,9 +370,3 @@ def chunks(group: Group, *, devices: int = 1, tiles_a_chunk: int | None = None) 
     # Compiled before there are threads, which would each compile it.
     calls = Calls(group, tiles_a_chunk=tiles_a_chunk)
     yield from spread(calls.chunk, range(len(calls.plan)), devices)
-
-
-def _lanes(tree: Any, shape: tuple[int, ...], lanes: np.ndarray) -> Any:
-    """Some lanes of a call's results: leaves (tiles, [sets,] lanes, ...) to (runs, ...)."""
-    axes = 2 + (shape[1] > 1)
-    return jax.tree.map(lambda a: a.reshape(-1, *a.shape[axes:])[lanes], tree)

@@ -1,9 +1,11 @@
 """What runs share, what a draw has for itself, and what the sensors of a draw put out."""
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from sinsjax import earth, imu, trajectory
 from sinsjax.alignment import reverse
@@ -25,6 +27,7 @@ class Static(NamedTuple):
         noisy: whether the sensors have any noise to draw.
         repeats: whether the tape is gone over backward and again; else forward, once.
         sways: whether a base that draws have for themselves sways; a still one is sensed once.
+        shown: lanes of a tile whose observations are returned, the first ones; None: all.
     """
 
     method: str
@@ -35,6 +38,7 @@ class Static(NamedTuple):
     noisy: bool
     repeats: bool = False
     sways: bool = True
+    shown: int | None = None
 
 
 class World(NamedTuple):
@@ -42,7 +46,8 @@ class World(NamedTuple):
 
     Attributes:
         site: Earth and place.
-        tape: (T, 6) ideal or recorded increments, rad and m/s.
+        tape: (T, 6) ideal or recorded increments, rad and m/s; None where they are made as a run
+            goes, since together they would fill the memory.
         truth: (rows, records, 4) true or reference attitude at record times; NaN if unknown.
         errors: of the sensors.
         seed: of the noise.
@@ -50,11 +55,11 @@ class World(NamedTuple):
         biases: of the sensors, mean in n.
         pass_records: record intervals a pass over the tape; of no effect without repeats.
         times: (records,) record times on the tape, s; None where `truth` has all that is needed.
-        motion: of the base, where draws have something for themselves.
+        motion: of the base, where draws have something for themselves or there is no tape.
     """
 
     site: Site
-    tape: Array
+    tape: Array | None
     truth: Array
     errors: imu.SensorErrors
     seed: Count
@@ -63,6 +68,19 @@ class World(NamedTuple):
     pass_records: Count
     times: Array | None = None
     motion: trajectory.Motion | None = None
+
+    @property
+    def dtype(self) -> jnp.dtype:
+        """Of all numbers of a run."""
+        return jnp.result_type(self.truth if self.tape is None else self.tape)
+
+
+def empty_tape(samples: int) -> np.ndarray:
+    """Room for a tape (samples, 6) where XLA takes it as it is: others it copies, in every call."""
+    size, line = 8 * 6 * samples, 64
+    room = np.empty(size + line, np.uint8)
+    begin = -room.ctypes.data % line
+    return room[begin : begin + size].view(float).reshape(samples, 6)
 
 
 class Start(NamedTuple):
@@ -136,19 +154,45 @@ def piece(static: Static, draws: Draw) -> int:
     return max(n for n in range(1, max(1, min(most, every)) + 1) if every % n == 0)
 
 
+AT_ONCE = 1000
+"""Samples whose ideal increments are made at a time where there is no tape."""
+
+
+def ideal(static: Static, world: World, draws: Draw, numbers: Array) -> Array | None:
+    """(n, 6) what ideal sensors put out over n samples; None where `sense` finds that itself.
+
+    It does on a tape, and where draws have a motion of their own.
+    """
+    if world.tape is not None or draws.motion is not None:
+        return None
+    assert world.motion is not None
+    motion, place, rate = world.motion, world.site.place, 1 / static.options.dt
+    at = partial(trajectory.increment, motion, place, rate)
+    k = jnp.asarray(numbers, world.dtype)
+    return jax.vmap(at)(k) if k.size <= AT_ONCE else jax.lax.map(at, k, batch_size=AT_ONCE)
+
+
 def sense(
-    static: Static, world: World, draw: Draw, n: Count, normal: Increments | None
+    static: Static,
+    world: World,
+    draw: Draw,
+    n: Count,
+    normal: Increments | None,
+    row: Array | None = None,
 ) -> Increments:
     """What the sensors of one draw put out over its sample number ``n`` (from 0): rad, m/s.
 
-    Zeros for a negative number, before the tape: with them nothing is compensated.
+    Zeros for a negative number, before the tape: with them nothing is compensated. ``row`` is what
+    ideal sensors put out, if it was made already.
     """
     dt = static.options.dt
-    if draw.made.rest is not None:
+    if row is not None:
+        pass
+    elif draw.made.rest is not None:
         row = draw.made.rest
     elif draw.motion is not None:
         place = (world.site if draw.made.site is None else draw.made.site).place
-        k = jnp.asarray(n, world.tape.dtype)
+        k = jnp.asarray(n, world.dtype)
         row = trajectory.increment(draw.motion, place, 1 / dt, k)
     else:
         row = jnp.asarray(world.tape)[draw.start + n]
@@ -176,13 +220,23 @@ def made(static: Static, world: World, draw: Draw) -> Made:
     return Made(own, mean_biases(errors, motion), rest)
 
 
-def attitudes(static: Static, world: World, draws: Draw) -> Quat:
-    """True attitudes at record times, leaves (records, *draws); NaN if unknown."""
+def attitudes(static: Static, world: World, draws: Draw) -> Quat | None:
+    """True attitudes at record times where draws have a motion of their own, else None.
+
+    Returns:
+        Leaves (records, *draws).
+    """
     if draws.motion is None:
-        # From (*draws, records, 4) to leaves (records, *draws).
-        truth = jnp.asarray(world.truth)[draws.row, : static.records]
-        return Quat(*jnp.moveaxis(truth, (-1, -2), (0, 1)))
+        return None
     times = jnp.asarray(world.times)[: static.records]
     at = jax.vmap(trajectory.attitude, in_axes=(None, 0))
     many = at if draws.draw_id.ndim == 0 else jax.vmap(at, in_axes=(0, None), out_axes=1)
     return many(draws.motion, times)
+
+
+def attitude(world: World, draws: Draw, number: Count) -> Quat:
+    """True attitude at the end of a record by `World.truth`, leaves (*draws); NaN if unknown.
+
+    Looked up record by record: those of all records, draw by draw, would fill the memory.
+    """
+    return Quat(*jnp.moveaxis(jnp.asarray(world.truth)[draws.row, number], -1, 0))

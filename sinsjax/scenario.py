@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from sinsjax import runtime, tunings
+from sinsjax import runtime, trajectory, tunings
 from sinsjax.alignment.base import Options, Site
 from sinsjax.batch import Group
 from sinsjax.draws import Draw, Static, World, made, noise, sense
@@ -154,6 +154,11 @@ def simulated_record(study: Study, draw_id: int = 0, variant_id: int = 0) -> Rec
     @jax.jit
     def rows(world: World, draw: Draw, numbers: Array) -> Increments:
         normal = noise(static, world, draw, numbers)
+        if world.tape is None and world.motion is not None:
+            whole = trajectory.increments(
+                world.motion, site.place, study.study.rate_hz, len(numbers)
+            )
+            world = world._replace(tape=whole)
         return jax.vmap(partial(sense, static, world, draw))(numbers, normal)
 
     records = min(static.records, int(world.pass_records))

@@ -15,7 +15,19 @@ import jax.numpy as jnp
 from sinsjax import imu, metrics, rotations, trajectory
 from sinsjax.alignment import METHODS, reverse
 from sinsjax.alignment.base import Ending, Method, Site
-from sinsjax.draws import Draw, Start, Static, World, attitudes, made, noise, piece, sense
+from sinsjax.draws import (
+    Draw,
+    Start,
+    Static,
+    World,
+    attitude,
+    attitudes,
+    ideal,
+    made,
+    noise,
+    piece,
+    sense,
+)
 from sinsjax.limits import Biases, Limit
 from sinsjax.metrics import Metrics, Observation, Outcome
 from sinsjax.stepping import event_by_event, sample_by_sample
@@ -214,7 +226,7 @@ def reader(
 
 def over_a_record(
     static: Static, world: World, shared: Shared, draws: Draw, params: Params, fan: Fan
-) -> Callable[[Progress, tuple[Count, Quat]], tuple[Progress, Array | None]]:
+) -> Callable[[Progress, tuple[Count, Quat | None]], tuple[Progress, Array | None]]:
     """The function that takes runs over one record interval.
 
     Args:
@@ -226,10 +238,10 @@ def over_a_record(
         fan: as in `simulate`.
 
     Returns:
-        (progress, (number of the record, true attitudes of the draws at its end)) -> progress, and
-        observations (fields, *runs) if ``static.curves``.
+        (progress, (number of the record, true attitudes of the draws at its end, or None for those
+        of the world)) -> progress, and observations (fields, *runs) if ``static.curves``.
     """
-    every, dt, kind = static.record_every, static.options.dt, world.tape.dtype
+    every, dt, kind = static.record_every, static.options.dt, world.dtype
     method = method_of(static)
 
     def one_step(params: Params, state: Any, site: Site, sample: Sample, n: Scalar) -> Any:
@@ -248,7 +260,7 @@ def over_a_record(
         return method.next_event(params.method, state, n) if method.next_event else None
 
     axes = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
-    sensed = fan.over_draws(partial(sense, static, world), axes, None, 0)
+    sensed = fan.over_draws(partial(sense, static, world), axes, None, 0, None)
     step = fan.over_runs(one_step, 0, 0, shared.site_axis, fan.shared, None)
     close = fan.over_runs(one_close, 0, 0, None)
     next_event = fan.over_runs(one_next_event, 0, 0, None)
@@ -256,15 +268,18 @@ def over_a_record(
     opened = reader(static, world, shared, params, fan)
     size = piece(static, draws)
 
-    def record_step(progress: Progress, xs: tuple[Count, Quat]) -> tuple[Progress, Array | None]:
+    def record_step(
+        progress: Progress, xs: tuple[Count, Quat | None]
+    ) -> tuple[Progress, Array | None]:
         (run, before), (number, q_true) = progress, xs
         state, samples, site, compensated = opened(number, run.state)
-
+        rows = ideal(static, world, draws, samples)
         done = number * every  # samples before this interval
 
         def step_over(carry: tuple[Any, Increments], place: Count, normal: Any) -> tuple:
             state, before = carry
-            now = sensed(draws, samples[place], normal)
+            row = None if rows is None else rows[place]
+            now = sensed(draws, samples[place], normal, row)
             sample = fan.hand_out(compensated(now, before))
             n = (done + place + 1).astype(kind)
             return step(params, state, site, sample, n), now
@@ -289,9 +304,12 @@ def over_a_record(
             over = partial(event_by_event, next_event=following)
         state, before = over(start, every, step_over, closed, noise=normal_of, piece=size)
         n = ((number + 1) * every).astype(kind)
+        q_true = attitude(world, draws, number) if q_true is None else q_true
         run = record(Run(state, run.metrics), fan.hand_out(q_true), n, shared.limit.phi.z)
         # One array: XLA:CPU updates several side by side by copying them whole, every record.
         out = jnp.stack(jax.tree.leaves(run.metrics.last)) if static.curves else None
+        if out is not None and static.shown is not None:
+            out = out[:, : static.shown]
         return Progress(run, before), out
 
     return record_step
@@ -324,7 +342,7 @@ def simulate(
         params, shared.site
     )
     # A run's first sample has none before it: with zeros nothing is compensated, as with itself.
-    zero = jnp.zeros(draws.draw_id.shape, world.tape.dtype)
+    zero = jnp.zeros(draws.draw_id.shape, world.dtype)
     before = Increments(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
     record_step = over_a_record(static, world, shared, draws, params, fan)
     records = (jnp.arange(static.records), attitudes(static, world, draws))

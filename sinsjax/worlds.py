@@ -14,7 +14,7 @@ import numpy as np
 from sinsjax import designs, earth, imu, trajectory, units
 from sinsjax.alignment.base import Site
 from sinsjax.alignment.coarse import COARSE
-from sinsjax.draws import Draw, Start, World
+from sinsjax.draws import Draw, Start, World, empty_tape
 from sinsjax.limits import NO_BIASES, mean_biases
 from sinsjax.metrics import Criteria
 from sinsjax.records import Record, Reference, require_span
@@ -22,6 +22,9 @@ from sinsjax.sections import Earth, Motion, Section, Sensors
 from sinsjax.studies import EARTH_CONSTANTS, Span, Study
 from sinsjax.types import Array, InputError, Scalar
 from sinsjax.units import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, PPM
+
+LONGEST_TAPE = 2**22
+"""Samples of the longest simulated tape that is kept, 200 MB; more are made as runs go."""
 
 _LONGEST_GAP_S = 5.0  # in a reference; a swinging base turns within seconds
 
@@ -150,14 +153,16 @@ def simulated(
     site, ug = site_of(study, variants, None)
     errors, motion = errors_of(variants.common, ug, study.study.rate_hz), motion_of(variants.common)
     times = np.concatenate([[0.0], tape_times(study, span)])
+    tape: np.ndarray | None
     if draws_own(study, Earth, Motion):
         # Each draw makes its own as it goes.
         tape, attitudes = np.zeros((1, 6)), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
     else:
         # Of one length for all parts, so that they share a program.
         samples = max(s.read for s in study.distinct_spans) * study.record_every
-        truth = _truth(motion, site.place, times, study.study.rate_hz, samples=samples)
-        tape, attitudes = map(np.asarray, truth)
+        kept = samples if samples <= LONGEST_TAPE else 0
+        truth = _truth(motion, site.place, times, study.study.rate_hz, samples=kept)
+        tape, attitudes = np.asarray(truth[0]) if kept else None, np.asarray(truth[1])
     n = len(draws)
     world = World(
         site=site,
@@ -169,7 +174,7 @@ def simulated(
         biases=mean_biases(errors, motion),
         pass_records=np.asarray(span.tape),
         times=times[1:] if draws_own(study, Earth, Motion) else None,
-        motion=motion if study.drawn_keys else None,
+        motion=motion if study.drawn_keys or tape is None else None,
     )
     ids = np.arange(draws.start, draws.stop)
     own = _own(study, variants.ids, draws, ug, (errors, motion)) if study.drawn_keys else {}
@@ -297,7 +302,8 @@ def recorded(
         require_span(record, start, (coarse_n + span.read * study.record_every) / rate)
     # No more of the record than is read.
     first, end = starts.min(), starts.max() + coarse_n + span.read * study.record_every
-    increments = np.concatenate([a[first:end] for a in (record.dtheta, record.dv)], axis=1)
+    increments = empty_tape(int(end - first))
+    np.concatenate([a[first:end] for a in (record.dtheta, record.dv)], axis=1, out=increments)
     align = jax.jit(COARSE[study.coarse.coarse_method])
     pieces = np.stack([increments[s - first :][:coarse_n] for s in starts])
     samples = jax.vmap(imu.compensate_record)(pieces, pieces[:, 0])
