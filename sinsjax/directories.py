@@ -16,7 +16,7 @@ from sinsjax.files import unwritable
 from sinsjax.results import read_manifest
 from sinsjax.studies import Study
 from sinsjax.types import InputError
-from sinsjax.wording import shortened
+from sinsjax.wording import one_line, shortened
 from sinsjax.work import Job
 
 _NAMES = (*DATASETS, "figures", "study.toml", "manifest.json")
@@ -124,7 +124,7 @@ def _check_versions(directory: Path, known: Manifest) -> None:
     here = runtime.versions()
     for session in known.sessions:
         for name in runtime.DECISIVE:
-            there = shortened(session.versions.get(name, here[name]))
+            there = shortened(one_line(session.versions.get(name, here[name])))
             if there != here[name]:
                 raise InputError(
                     f"{directory}: was made with {name} {there}, here is {here[name]}: install that"
@@ -135,7 +135,7 @@ def _check_versions(directory: Path, known: Manifest) -> None:
 def _check_instructions(directory: Path, known: Manifest, here: str) -> None:
     """Refuses to add rows of another instruction set: last bits differ, and grow over a run."""
     for session in known.sessions:
-        if (there := shortened(session.instructions or here)) != here:
+        if (there := shortened(one_line(session.instructions or here))) != here:
             raise InputError(
                 f"{directory}: was made with instruction set {there}, here is {here}: use a machine"
                 f" with that one, or XLA_FLAGS=--xla_cpu_max_isa={there} on a larger, or give"

@@ -26,7 +26,7 @@ _FILTER_S, _COMPASS_S = 60e-9, 10e-9
 _PACKED = 0.8
 """What Parquet leaves of 8-byte numbers: 0.6 to 0.95, measured on sweeps with and without nulls."""
 
-_BASE, _A_SAMPLE, _A_VARIANT, _A_RUN, _A_RECORD = 400e6, 160, 600, 2, 500
+_BASE, _A_SAMPLE, _A_VARIANT, _A_RUN, _A_RECORD, _A_RESET = 400e6, 160, 600, 2, 500, 60
 """Memory, bytes: of a process with JAX, and of each of these; measured."""
 
 _A_POINT = 2000  # of a search
@@ -168,7 +168,10 @@ def _forecast(study: Study, batches: Sequence[Batch], curves: bool) -> Forecast:
     step_s = _COMPASS_S if of_compass == {True} else _FILTER_S
     run_bytes = _row_bytes(study, layouts.summary(study))
     memory = _BASE + _A_SAMPLE * samples
-    memory += max(_A_VARIANT * b.variants + _A_RUN * b.runs + _A_POINT * b.points for b in batches)
+    counts = study.combinations("reset_count") if study.resets else ()
+    resets = [point["reset_count"] or 0 for point in counts]
+    of_variant = _A_VARIANT + _A_RESET * max(resets, default=0)
+    memory += max(of_variant * b.variants + _A_RUN * b.runs + _A_POINT * b.points for b in batches)
     if curves:
         run_bytes += records * _row_bytes(study, layouts.curves(study))
         most = max(batch.runs for batch in batches) * records

@@ -102,6 +102,13 @@ def test_curves_are_counted():
     assert with_.memory > without.memory
 
 
+def test_resets_without_number_are_counted():
+    study = {"duration_s": 9e5, "window_s": [0, 9e5]}
+    resets = {"reset_count": 89_000_000, "reset_cycle_s": 0.01}
+    once, often = (forecast.of(small_study(study=study, resets=r)) for r in ({}, resets))
+    assert often.memory - once.memory > 3 * 8 * 89e6
+
+
 def test_a_stopped_study_needs_room_for_its_first_look(disk: Any, tmp_path: Path):
     stop = {"statistic": "success_rate", "half_width": 0.01}
     study = small_study(study={"draws": 10**6}, stop_when=stop)

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from fuzzing import manifests, studies, values
-from fuzzing.targets import Target, check_study, in_time, targets
+from fuzzing.targets import Target, check_study, in_time, line_of, targets
 from hypothesis import HealthCheck, Phase, given, settings
 
 from sinsjax import directories
@@ -85,12 +85,15 @@ def test_warnings_that_are_no_list_are_none(warnings: Any, tmp_path: Path):
     assert Source.read(directory_with({"warnings": warnings}, tmp_path)).warnings == ()
 
 
-def test_a_version_of_many_letters_is_not_told_whole(tmp_path: Path):
-    session = {"started_unix_s": 1.0, "wall_s": 1.0, "versions": {"numpy": "[" * 5000}}
-    with pytest.raises(InputError) as caught:
-        out = directory_with({"sessions": [session]}, tmp_path)
+@pytest.mark.parametrize("text", ["[" * 5000, "\x1b[31m", "1\n2"])
+@pytest.mark.parametrize("key", ["versions", "instructions"])
+def test_a_version_is_told_in_one_line_that_can_be_seen(key: str, text: str, tmp_path: Path):
+    session = {"started_unix_s": 1.0, "wall_s": 1.0}
+    session |= {key: {"numpy": text} if key == "versions" else text}
+    out = directory_with({"sessions": [session]}, tmp_path)
+    with pytest.raises(InputError, match="was made with (numpy|instruction set)") as caught:
         directories.resumed(out, Job(manifests.STUDY))
-    assert "was made with numpy [[[" in str(caught.value) and len(str(caught.value)) < 500
+    assert len(line_of(caught.value, out)) < 1000
 
 
 def test_columns_of_many_letters_are_not_told_whole(tmp_path: Path):

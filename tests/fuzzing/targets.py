@@ -32,7 +32,7 @@ MOST_BYTES = 500e6
 
 _PACKAGE = Path(sinsjax.__file__).parent
 _LONGEST_LINE = 2000
-_MANY = 500  # variants or draws, beyond which a study is resolved no further
+_MANY, _MUCH = 500, 1e9  # variants and bytes, beyond which a study is resolved no further
 
 
 class Broken(AssertionError):
@@ -141,7 +141,7 @@ def resolve(study: Study) -> None:
         if study.study.rate_hz:
             expected = forecast.of_tuning(study) if study.tune else forecast.of(study)
             expected.told(2)
-            if study.n_variants > _MANY or study.n_draws > 10**6:
+            if study.n_variants > _MANY or expected.memory > _MUCH:
                 return
         if not study.is_recorded:
             study, warnings = campaign.made_ready(study, None)
