@@ -9,12 +9,13 @@ from functools import cache
 from typing import Any, get_args
 
 from sinsjax.fields import Usual
-from sinsjax.studies import ROUNDING, SECTION_OF, SECTIONS, Study
+from sinsjax.studies import EARTH_CONSTANTS, ROUNDING, SECTION_OF, SECTIONS, Study
 from sinsjax.types import InputError
 
 INSIST = "[study] unchecked = true insists on it"
 
 _FEEDBACK = "feedback_interval_s"
+_DEEPEST = 0.99  # of the radius; the least one of an ellipsoid is smaller than its own
 _LEAST_S = 1.0  # the default, which also stands in a study that is shorter
 
 
@@ -26,8 +27,10 @@ def check(study: Study, where: Mapping[str, str]) -> None:
         where: the table, in brackets, of every key that the file gives.
 
     Raises:
-        InputError: ``[section] key: X is outside the usual A to B (hint)``.
+        InputError: ``[section] key: X is outside the usual A to B (hint)``. A place that is not
+            above the centre of the Earth, whoever insists.
     """
+    _check_centre(study, where)
     if study.study.unchecked:
         return
     for section in SECTIONS:
@@ -107,3 +110,12 @@ def _check_feedback(study: Study, where: Mapping[str, str]) -> None:
                 f"{where.get(_FEEDBACK, '[alignment]')} {_FEEDBACK}: {interval:.12g} s is longer"
                 f" than a run of {run_s:.12g} s: nothing would be fed back ({INSIST})"
             )
+
+
+def _check_centre(study: Study, where: Mapping[str, str]) -> None:
+    """Refuses a place where there is no north, east and up."""
+    for point in study.combinations("height_m", "radius_m"):
+        radius = point["radius_m"] or EARTH_CONSTANTS["radius_m"]
+        if point["height_m"] is not None and point["height_m"] <= -_DEEPEST * radius:
+            text = f"{point['height_m']:.12g} m is at the centre of the Earth or below it"
+            raise InputError(f"{where.get('height_m', '[earth]')} height_m: {text}")

@@ -50,7 +50,7 @@ def test_defaults_are_usual():
     [
         ("earth", "radius_m", 1.0),
         ("earth", "gravity_m_per_s2", 980.0),
-        ("earth", "height_m", -6.5e6),
+        ("earth", "height_m", -6e6),
         ("earth", "height_m", 1e12),
         ("sensors", "gyro_bias_deg_per_h", 1e12),
         ("sensors", "accel_bias_ug", -1e12),
@@ -142,6 +142,12 @@ def test_a_feedback_that_never_comes_is_asked_about():
     )
     insisted(alignment={"feedback_interval_s": 7.0})
     small_study(alignment={"feedback_interval_s": 6.0})
+
+
+@pytest.mark.parametrize("earth", ["constants", "wgs84"])
+def test_nobody_stands_below_the_centre_of_the_earth(earth: str):
+    line = refusal(earth={"height_m": -6378137.0, "earth": earth}, study={"unchecked": True})
+    assert line == "[earth] height_m: -6378137 m is at the centre of the Earth or below it"
 
 
 def test_the_default_feedback_stands_in_a_shorter_study():
