@@ -142,15 +142,15 @@ def noise(static: Static, world: World, draws: Draw, numbers: Array) -> Incremen
     return imu.noise(world.seed, draws.draw_id, numbers) if static.noisy else None
 
 
-NOISE_ROW = 64
-"""Samples times draws whose noise is made at a time: fewer leave the vector units idle, more leave
-the first-level cache."""
+AT_A_TIME = 64
+"""Samples times draws that are made at a time: fewer leave the vector units idle, more leave the
+first-level cache."""
 
 
 def piece(static: Static, draws: Draw) -> int:
-    """Samples whose noise is made at a time; a record interval is cut into equal pieces."""
+    """Samples that are made at a time; a record interval is cut into equal pieces."""
     every = static.record_every
-    most = NOISE_ROW // draws.draw_id.size if static.noisy else every
+    most = AT_A_TIME // draws.draw_id.size
     return max(n for n in range(1, max(1, min(most, every)) + 1) if every % n == 0)
 
 

@@ -276,33 +276,33 @@ def over_a_record(
         rows = ideal(static, world, draws, samples)
         done = number * every  # samples before this interval
 
-        def step_over(carry: tuple[Any, Increments], place: Count, normal: Any) -> tuple:
-            state, before = carry
-            row = None if rows is None else rows[place]
-            now = sensed(draws, samples[place], normal, row)
-            sample = fan.hand_out(compensated(now, before))
+        def make(before: Increments, piece: Count) -> tuple[Sample, Increments]:
+            places = piece * size + jnp.arange(size)
+            numbers = samples[places]
+            normal = noise(static, world, draws, numbers)
+            ideal_rows = None if rows is None else rows[places]
+            now = jax.vmap(partial(sensed, draws))(numbers, normal, ideal_rows)
+            shifted = jax.tree.map(lambda a, b: jnp.concatenate([b[None], a[:-1]]), now, before)
+            return jax.vmap(compensated)(now, shifted), jax.tree.map(lambda a: a[-1], now)
+
+        def step_over(state: Any, place: Count, sample: Sample) -> Any:
             n = (done + place + 1).astype(kind)
-            return step(params, state, site, sample, n), now
+            return step(params, state, site, fan.hand_out(sample), n)
 
-        def closed(carry: tuple[Any, Increments], place: Count) -> tuple:
-            state, before = carry
-            return close(params, state, (done + place).astype(kind)), before
+        def closed(state: Any, place: Count) -> Any:
+            return close(params, state, (done + place).astype(kind))
 
-        def following(carry: tuple[Any, Increments], place: Count) -> Scalar | None:
-            ahead = next_event(params, carry[0], (done + place).astype(kind))
+        def following(state: Any, place: Count) -> Scalar | None:
+            ahead = next_event(params, state, (done + place).astype(kind))
             if ahead is None or fan.earliest is None:
                 return None
             return fan.earliest(ahead) - done.astype(kind)
 
-        def normal_of(number: Count) -> Increments | None:
-            return noise(static, world, draws, samples[number * size + jnp.arange(size)])
-
-        start = state, before
-        if following(start, jnp.asarray(0)) is None:
+        if following(state, jnp.asarray(0)) is None:
             over = sample_by_sample
         else:
             over = partial(event_by_event, next_event=following)
-        state, before = over(start, every, step_over, closed, noise=normal_of, piece=size)
+        state, before = over(state, before, every, step_over, closed, make, size)
         n = ((number + 1) * every).astype(kind)
         q_true = attitude(world, draws, number) if q_true is None else q_true
         run = record(Run(state, run.metrics), fan.hand_out(q_true), n, shared.limit.phi.z)

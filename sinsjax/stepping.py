@@ -2,7 +2,8 @@
 
 A step is taken for every sample; closing the loop is an event, due every so many samples. Runs of a
 tile go together to the first event of any of them, where all are closed: that leaves those for
-which nothing is due as they are.
+which nothing is due as they are. The samples themselves are made some at a time, since few draws
+alone would not fill a vector.
 """
 
 from collections.abc import Callable
@@ -12,100 +13,115 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from sinsjax.types import Array, Count, Scalar
+from sinsjax.types import Count, Scalar
 
 Step = Callable[[Any, Count, Any], Any]
-"""(carry, place of the sample in the interval, its normal numbers) -> carry."""
+"""(state, place of the sample in the interval, sample) -> state."""
 
 Close = Callable[[Any, Count], Any]
-"""(carry, samples of the interval gone over) -> carry after what is due."""
+"""(state, samples of the interval gone over) -> state after what is due."""
 
 NextEvent = Callable[[Any, Count], Scalar]
-"""(carry, samples of the interval gone over) -> how many they are at the next event."""
+"""(state, samples of the interval gone over) -> how many they are at the next event."""
 
-Noise = Callable[[Count], Any]
-"""Number of a piece -> normal numbers of its samples, leaves (samples, ...)."""
+Make = Callable[[Any, Count], tuple[Any, Any]]
+"""(what samples look back at, number of a piece) -> its samples, leaves (samples, ...), and what
+the next piece looks back at."""
 
 
 def sample_by_sample(
-    carry: Any, count: int, step: Step, close: Close, noise: Noise, piece: int
-) -> Any:
+    state: Any, before: Any, count: int, step: Step, close: Close, make: Make, piece: int
+) -> tuple[Any, Any]:
     """Close after every sample, by a static scan: it has derivatives of both modes.
 
     Args:
-        carry: what the steps hand on.
+        state: what the steps hand on.
+        before: what the first samples look back at.
         count: samples of the interval.
         step: see `Step`.
         close: see `Close`.
-        noise: see `Noise`.
-        piece: samples whose normal numbers are made at a time; it divides ``count``.
+        make: see `Make`.
+        piece: samples that are made at a time; it divides ``count``.
+
+    Returns:
+        The state, and what the next interval looks back at.
     """
 
-    def over_sample(carry: Any, xs: tuple[Count, Any]) -> tuple[Any, None]:
-        place, normal = xs
-        return close(step(carry, place, normal), place + 1), None
+    def over_sample(state: Any, xs: tuple[Count, Any]) -> tuple[Any, None]:
+        place, sample = xs
+        return close(step(state, place, sample), place + 1), None
 
-    def over_piece(carry: Any, number: Count) -> tuple[Any, None]:
+    def over_piece(carry: tuple[Any, Any], number: Count) -> tuple[tuple[Any, Any], None]:
+        state, before = carry
+        samples, before = make(before, number)
         places = number * piece + jnp.arange(piece)
-        return jax.lax.scan(over_sample, carry, (places, noise(number)))[0], None
+        return (jax.lax.scan(over_sample, state, (places, samples))[0], before), None
 
-    return jax.lax.scan(over_piece, carry, jnp.arange(count // piece))[0]
+    return jax.lax.scan(over_piece, (state, before), jnp.arange(count // piece))[0]
 
 
 def event_by_event(
-    carry: Any,
+    state: Any,
+    before: Any,
     count: int,
     step: Step,
     close: Close,
-    noise: Noise,
+    make: Make,
     piece: int,
     next_event: NextEvent,
-) -> Any:
+) -> tuple[Any, Any]:
     """Close at events, and at the end of the interval, where that leaves runs as they are.
 
     Args:
-        carry: what the steps hand on.
+        state: what the steps hand on.
+        before: what the first samples look back at.
         count: samples of the interval.
         step: see `Step`.
         close: see `Close`.
-        noise: see `Noise`.
-        piece: samples whose normal numbers are made at a time; it divides ``count``.
+        make: see `Make`.
+        piece: samples that are made at a time; it divides ``count``.
         next_event: see `NextEvent`.
-    """
-    shapes = jax.eval_shape(noise, jnp.asarray(0))
-    in_pieces = piece > 1 and shapes is not None
 
-    def alone(place: Count, carry: Any) -> Any:
-        return step(carry, place, None if shapes is None else _at(noise(place), 0))
+    Returns:
+        The state, and what the next interval looks back at.
+    """
+    shapes = jax.eval_shape(make, before, jnp.asarray(0))[0]
+    made = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes) if piece > 1 else None
+
+    def alone(place: Count, carry: tuple[Any, Any]) -> tuple[Any, Any]:
+        state, before = carry
+        samples, before = make(before, place)
+        return step(state, place, jax.tree.map(lambda a: a[0], samples)), before
 
     def over_piece(stop: Count, progress: tuple[Count, Any, Any]) -> tuple[Count, Any, Any]:
-        place, carry, made = progress
+        place, (state, before), made = progress
         number = place // piece
-        # An event may cut a piece in two: its second part takes the numbers of the first.
-        made = jax.lax.cond(place == number * piece, noise, lambda number: made, number)
+        # An event may cut a piece in two: its second part takes the samples of the first.
+        fresh = place == number * piece
+        made, before = jax.lax.cond(fresh, make, lambda before, _: (made, before), before, number)
         end = jnp.minimum(stop, (number + 1) * piece)
 
-        def one(place: Count, carry: Any) -> Any:
-            return step(carry, place, _at(made, place - number * piece))
+        def one(place: Count, state: Any) -> Any:
+            at = place - number * piece
+            sample = jax.tree.map(
+                lambda a: jax.lax.dynamic_index_in_dim(a, at, keepdims=False), made
+            )
+            return step(state, place, sample)
 
-        return end, jax.lax.fori_loop(place, end, one, carry), made
+        return end, (jax.lax.fori_loop(place, end, one, state), before), made
 
     def to_event(progress: tuple[Count, Any, Any]) -> tuple[Count, Any, Any]:
         place, carry, made = progress
         # Compared as it is, and infinite where nothing is due any more.
-        stop = jnp.minimum(next_event(carry, place), count).astype(place.dtype)
-        if in_pieces:
+        stop = jnp.minimum(next_event(carry[0], place), count).astype(place.dtype)
+        if piece > 1:
             _, carry, made = jax.lax.while_loop(
                 lambda progress: progress[0] < stop, partial(over_piece, stop), progress
             )
         else:
             carry = jax.lax.fori_loop(place, stop, alone, carry)
-        return stop, close(carry, stop), made
+        state, before = carry
+        return stop, (close(state, stop), before), made
 
-    made = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes) if in_pieces else None
-    start = jnp.asarray(0), carry, made
+    start = jnp.asarray(0), (state, before), made
     return jax.lax.while_loop(lambda progress: progress[0] < count, to_event, start)[1]
-
-
-def _at(tree: Any, place: Array | int) -> Any:
-    return jax.tree.map(lambda a: jax.lax.dynamic_index_in_dim(a, place, keepdims=False), tree)

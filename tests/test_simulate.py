@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from sinsjax import imu
 from sinsjax.alignment.base import Options
-from sinsjax.draws import NOISE_ROW, Draw, Static, World, noise, piece, sense
+from sinsjax.draws import AT_A_TIME, Draw, Static, World, noise, piece, sense
 from sinsjax.limits import Biases
 from sinsjax.metrics import Criteria
 from sinsjax.simulate import Params, simulate
@@ -171,8 +171,7 @@ def _measure(here, draw, first, samples):
 def test_a_record_interval_is_cut_into_equal_pieces(draws, every):
     many = Draw(np.arange(draws), np.asarray(0), np.zeros(draws, int))
     noisy = piece(static(every, 9), many)
-    assert every % noisy == 0 and noisy * draws <= max(NOISE_ROW, draws)
-    assert piece(static(every, 9)._replace(noisy=False), many) == every
+    assert every % noisy == 0 and noisy * draws <= max(AT_A_TIME, draws)
 
 
 def test_sensors_without_noise_draw_none():
