@@ -25,6 +25,7 @@ from sinsjax.bench.assets import asset
 from sinsjax.bench.cases import TILES, default_group, engine, shortened, without_noise
 from sinsjax.bench.timing import Case, Row, measure_against
 from sinsjax.config import study_from_dict
+from sinsjax.draws import piece
 from sinsjax.scenario import parts
 from sinsjax.simulate import Params
 from sinsjax.studies import Study
@@ -66,14 +67,30 @@ def scaled(params: Params, scales: Array) -> Params:
     )
 
 
-def operations(program: jax.stages.Compiled) -> int:
+def loops_of(group: Group, tiles: Tiles) -> tuple[int, ...]:
+    """How often loops run whose trip count does not stand in the program, the outermost first.
+
+    They are those over the events of a record interval, of which the default sweep has one, over
+    the pieces in which samples are made, and over the samples.
+    """
+    every = group.static.record_every
+    one = jax.tree.map(lambda a: a[0], tiles.draws)
+    size = piece(group.static, one)
+    return (1, every // size, size) if size > 1 else (1, every)
+
+
+def operations(program: jax.stages.Compiled, loops: tuple[int, ...] = ()) -> int:
     """Arithmetic operations on one element that a compiled program carries out.
 
     XLA's own ``cost_analysis`` counts the body of a loop once, however often it runs, so that what
     is done once a record weighs as much as what is done at each of its samples. Here every
     instruction of the optimised program counts once an element of its result and as often as the
-    loops around it run; their trip counts stand in the program. A function of the library counts
-    as one operation, in both programs alike.
+    loops around it run; their trip counts stand in the program, or are given. A function of the
+    library counts as one operation, in both programs alike.
+
+    Args:
+        program: compiled.
+        loops: trip counts of the loops that do not tell theirs, the outermost first.
     """
     lines: dict[str, list[str]] = {}
     body: list[str] = []
@@ -86,7 +103,7 @@ def operations(program: jax.stages.Compiled) -> int:
             body.append(line)
 
     @cache
-    def count(name: str) -> int:
+    def count(name: str, depth: int) -> int:
         total = 0
         for line in lines[name]:
             found = _INSTRUCTION.search(line)
@@ -94,12 +111,14 @@ def operations(program: jax.stages.Compiled) -> int:
                 total += int(np.prod([int(n) for n in found[1].split(",") if n], dtype=np.int64))
             trips = _TRIPS.search(line)
             for how, several, one in _CALLED.findall(line):
-                times = int(trips[1]) if how == "body" and trips else 1
+                told = trips is not None or how != "body"
+                times = int(trips[1]) if how == "body" and trips else 1 if told else loops[depth]
                 names = several.split(",") if several else [one]
-                total += times * sum(count(name.strip(" %")) for name in names)
+                deeper = depth if told else depth + 1
+                total += times * sum(count(name.strip(" %"), deeper) for name in names)
         return total
 
-    return count(entry)
+    return count(entry, 0)
 
 
 def program_of(group: Group, p: int) -> tuple[jax.stages.Compiled, tuple, float]:
@@ -174,9 +193,9 @@ def tuning(seconds: float, repeats: int) -> list[Row]:
     compile_s = time.perf_counter() - since
 
     def call() -> float:
-        since = time.perf_counter()
+        since = time.process_time()
         slope(*arguments)
-        return time.perf_counter() - since
+        return time.process_time() - since
 
     call()
     gradient = Case(f"tune_gradient_p{len(box[0])}", base.runs, base.steps, compile_s, call)
@@ -184,7 +203,9 @@ def tuning(seconds: float, repeats: int) -> list[Row]:
     tiles = tiles_of(part.group, plan(part.group, tiles_a_chunk=TILES)[0])
     plain = compiled(part.group.static, part.group.world, tiles)
     row |= {
-        "operations_ratio": round(operations(program) / operations(plain), 3),
+        "operations_ratio": round(
+            operations(program) / operations(plain, loops_of(part.group, tiles)), 3
+        ),
         "counted": 1 + TANGENT_STEPS * len(box[0]),
         "temp_bytes": temporary(program),
     }
@@ -208,9 +229,10 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     counts = (1,) if quick else range(1, MOST + 1)
     made = {p: case(f"derivative_p{p}", group, p) for p in counts}
     first, *others = measure_against(base, [one for one, _ in made.values()], repeats)
-    by = operations(plain)
+    loops = loops_of(group, tiles_of(group, plan(group, tiles_a_chunk=TILES)[0]))
+    by = operations(plain, loops)
     for row, (p, (_, program)) in zip(others, made.items(), strict=True):
-        ratio = operations(program) / by
+        ratio = operations(program, loops) / by
         row |= {
             "operations_ratio": round(ratio, 3),
             "limit": round(1.2 * max(1 + 2 * p, ratio), 2),

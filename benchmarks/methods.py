@@ -4,7 +4,7 @@ The same base, sensors, record interval and number of variants, silent; everythi
 """
 
 import common
-from derivative import operations
+from derivative import loops_of, operations
 
 from sinsjax.batch import Group, compiled, plan, tiles_of
 from sinsjax.bench.cases import (
@@ -53,8 +53,10 @@ def arithmetic(group: Group) -> float:
     What is done once a run drops out; what is done once a record is spread over its steps.
     """
     arguments = group.world, tiles_of(group, plan(group, tiles_a_chunk=TILES)[0])
+    loops = loops_of(group, arguments[1])
     few, many = (
-        operations(compiled(shortened(group, records).static, *arguments)) for records in COUNTED
+        operations(compiled(shortened(group, records).static, *arguments), loops)
+        for records in COUNTED
     )
     steps = (COUNTED[1] - COUNTED[0]) * group.static.record_every
     return (many - few) / (steps * arguments[1].row.size)
