@@ -23,8 +23,9 @@ def is_part(path: Path) -> bool:
 
 
 def left_behind(directory: Path) -> list[Path]:
-    """What killed processes left of files of ours that were not yet whole."""
-    names = (".manifest.json", ".study.toml", f".{FIGURES}", "figures/.*.png")
+    """What killed processes left of files of ours that were not yet whole, a tuning's too."""
+    names = [".manifest.json", ".study.toml", f".{FIGURES}", "figures/.*.png"]
+    names += [".tuned.toml", ".history.parquet"]
     patterns = (f"{name}.*.tmp" for name in names)
     parts = (f"{name}/.part-*.tmp" for name in DATASETS)
     found = (path for pattern in (*patterns, *parts) for path in directory.glob(pattern))

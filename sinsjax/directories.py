@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
+import filelock
 import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -19,7 +20,27 @@ from sinsjax.types import InputError
 from sinsjax.wording import one_line, shortened
 from sinsjax.work import Job
 
+LOCK = ".lock"
 _NAMES = (*DATASETS, "figures", "study.toml", "manifest.json")
+
+
+def locked(directory: Path) -> filelock.FileLock:
+    """Take hold of a directory, which is made if it is missing: nobody else writes there.
+
+    The lock is the operating system's: released, or let go by a process that ends.
+
+    Raises:
+        InputError: somebody writes there, or nobody can.
+    """
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        lock = filelock.FileLock(directory / LOCK)
+        lock.acquire(blocking=False)
+    except filelock.Timeout:
+        raise InputError(f"{directory}: another process is writing there") from None
+    except OSError as error:
+        raise InputError(unwritable(directory, error)) from error
+    return lock
 
 
 class _Checked(BaseModel):

@@ -12,7 +12,6 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import filelock
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -23,7 +22,6 @@ from sinsjax.files import replacing, unwritable
 from sinsjax.types import InputError
 from sinsjax.work import Job, Packed, Task, Workshop
 
-_LOCK = ".lock"
 _MANIFEST_SHARE = 0.05  # of the time, at the most, goes into writing manifests
 
 
@@ -64,14 +62,7 @@ class Store:
         self._planned: list[Task] = []
         self._next_manifest = 0.0
         directories.check_free(directory, overwrite=overwrite or resume)
-        try:
-            directory.mkdir(parents=True, exist_ok=True)
-            self._lock = filelock.FileLock(directory / _LOCK)
-            self._lock.acquire(blocking=False)
-        except filelock.Timeout:
-            raise InputError(f"{directory}: another process is writing there") from None
-        except OSError as error:
-            raise InputError(unwritable(directory, error)) from error
+        self._lock = directories.locked(directory)
         try:
             self._begin(resume=resume, overwrite=overwrite)
         except BaseException:

@@ -18,7 +18,7 @@ from stored import told
 from studies import BASE, small_study
 
 import sinsjax.tuning
-from sinsjax import cli, results
+from sinsjax import cli, directories, results
 from sinsjax.campaign import Progress
 from sinsjax.config import Study, load_study, study_from_dict, with_point
 from sinsjax.plots import descents
@@ -109,7 +109,7 @@ def made(faked: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) ->
 
 def test_what_a_tuning_leaves(made: Path) -> None:
     names = {"study.toml", "tuned.toml", "history.parquet", "grid", "equal_cost", "evaluation"}
-    assert {path.name for path in made.iterdir()} == names
+    assert {path.name for path in made.iterdir()} == names | {".lock"}
     study = load_study(made / "study.toml")
     assert study == load_study(made.parent / "swing.toml")
     grid, gradient, equal = history.read(made, Space.of(study))
@@ -270,6 +270,39 @@ def test_overwriting_begins_anew(
         carry_out.tune(load_study(out / "study.toml"), out, overwrite=True)
     assert not (out / "tuned.toml").exists() and not (out / "history.parquet").exists()
     assert carry_out.is_tuning(out)
+
+
+def test_what_a_killed_tuning_left_is_cleared_away(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Files that were not whole yet, and nothing that a person put there."""
+    out = shutil.copytree(made, tmp_path / "out")
+    names = (".study.toml.12.tmp", ".history.parquet.3456.tmp", ".tuned.toml.7.tmp")
+    for name in (*names, "notes.tmp", ".tuned.toml.mine.tmp"):
+        (out / name).write_text("half of")
+
+    def stopped(*args: Any, **options: Any) -> None:
+        raise StudyInterrupted("no further")
+
+    monkeypatch.setattr(search.campaign, "run_into", stopped)
+    with pytest.raises(StudyInterrupted):
+        carry_out.tune(load_study(out / "study.toml"), out, resume=True)
+    left = {path.name for path in out.glob("*.tmp")}
+    assert left == {"notes.tmp", ".tuned.toml.mine.tmp"}
+
+
+@pytest.mark.parametrize("how", ["resume", "overwrite"])
+def test_two_tunings_do_not_write_into_one_directory(made: Path, tmp_path: Path, how: str) -> None:
+    """Not even between two searches, where no results are written."""
+    out = shutil.copytree(made, tmp_path / "out")
+    before = everything(out)
+    held = directories.locked(out)
+    try:
+        with pytest.raises(InputError, match=r"out: another process is writing there$"):
+            carry_out.tune(load_study(out / "study.toml"), out, **{how: True})
+    finally:
+        held.release()
+    assert everything(out) == before
 
 
 def test_a_tuning_can_be_interrupted(tmp_path: Path, faked: Any) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
-from sinsjax import directories, forecast
+from sinsjax import belongings, directories, forecast
 from sinsjax.campaign import Progress, Tell
 from sinsjax.config import fingerprint, load_study, study_to_toml, with_point, with_rate
 from sinsjax.files import replacing, unwritable
@@ -87,9 +87,20 @@ def tune(
         stop or threading.Event(),
         source,
     )
+    lock = directories.locked(directory)
+    try:
+        # Once more, as what is there may have changed before the lock was ours.
+        check_free(directory, overwrite=overwrite or resume)
+        _carry_out(study, space, session)
+    finally:
+        lock.release()
+
+
+def _carry_out(study: Study, space: Space, session: Session) -> None:
+    directory = session.directory
     known = _begin(study, space, session)
     found: list[Found] = []
-    for name in settings.searches:
+    for name in require_tune(study).searches:
         found.append(_search(study, space, name, session, known))
         history.write(directory, space, found)
         if name == GRADIENT:
@@ -147,7 +158,8 @@ def _begin(study: Study, space: Space, session: Session) -> list[Found]:
     """Makes a directory ready; gives the searches that it is gone on with."""
     directory, known = session.directory, []
     try:
-        directory.mkdir(parents=True, exist_ok=True)
+        for path in belongings.left_behind(directory):
+            path.unlink()
         if session.resume and (directory / STUDY).exists():
             _check_same(load_study(directory / STUDY), study, directory)
             if (directory / history.FILE).exists():
