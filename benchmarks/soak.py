@@ -32,7 +32,7 @@ HANGS_S = 300.0
 LEAVES_S = 60.0
 """Within this time the workers of a process that was killed have gone."""
 
-MOST_KILLS = 15
+MOST_KILLS = 25
 """Of a directory; then it may come to its end."""
 
 _STOPS = (signal.SIGINT, signal.SIGTERM)
@@ -222,15 +222,15 @@ def members(group: int) -> list[int]:
 
 def plan(case: Case, whole: Whole, chance: random.Random) -> Plan | None:
     """How the next process is killed; None lets it come to its end."""
-    if chance.random() < 0.1:
+    if chance.random() < 0.03:
         return None
     stops = chance.choice([*((one,) for one in _STOPS), _STOPS])
     signals = (signal.SIGKILL,) if chance.random() < 0.7 else stops
     whom = chance.choice(["group", "asker", "worker"]) if case.crew else "asker"
-    if chance.random() < 0.5:
+    if chance.random() < 0.25:  # while it starts, mostly
         after_s, files = chance.uniform(0, whole.seconds), 0
     else:
-        after_s, files = chance.expovariate(10), chance.randint(1, 12)
+        after_s, files = chance.expovariate(10), chance.randint(1, max(1, len(whole.files) // 15))
     return Plan(after_s, files, signals, whom, chance.random())
 
 
