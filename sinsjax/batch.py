@@ -10,10 +10,12 @@ the same variants and different draws are stacked into sets, which share it: JAX
 that it does not depend on what the sets are mapped over.
 """
 
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache, partial
+from itertools import count
 from typing import Any, NamedTuple
 
 import jax
@@ -281,10 +283,31 @@ def over_sets(static: Static, one: Callable[[Tiles], Any], tiles: Tiles) -> Call
     return jax.vmap(one, in_axes=(axes._replace(draws=draws, params=axes.params._replace(q=q)),))
 
 
-def compiled(static: Static, world: World, tiles: Tiles) -> jax.stages.Compiled:
-    """The program for arguments of these shapes: the same bits, whatever thread calls it."""
+def homes() -> list[jax.Device | None]:
+    """The devices that programs are compiled for.
+
+    On a CPU one program serves all threads, at the same speed and with the same bits as one each;
+    accelerators have one each.
+    """
+    return [None] if jax.default_backend() == "cpu" else list(jax.local_devices())
+
+
+def compiled(
+    static: Static, world: World, tiles: Tiles, device: jax.Device | None = None
+) -> jax.stages.Compiled:
+    """The program for arguments of these shapes: the same bits, whatever thread calls it.
+
+    Args:
+        static: what decides it.
+        world: of these shapes.
+        tiles: of these shapes.
+        device: that it runs on; None for the default one.
+    """
     leaves, structure = jax.tree.flatten((world, tiles))
-    shapes = tuple(jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype) for a in leaves)
+    home = None if device is None else jax.sharding.SingleDeviceSharding(device)
+    shapes = tuple(
+        jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype, sharding=home) for a in leaves
+    )
     return _compile(static, structure, shapes)
 
 
@@ -297,9 +320,23 @@ def _compile(static: Static, structure: Any, shapes: tuple) -> jax.stages.Compil
     return jax.jit(run_tiles).lower(*jax.tree.unflatten(structure, shapes)).compile()
 
 
+class _Thread(threading.local):
+    """The number of a thread of `spread`; 0 of any other."""
+
+    number = 0
+
+
+_thread = _Thread()
+
+
 def spread(call: Callable[[Any], Any], arguments: Iterable, devices: int) -> Iterator[Any]:
-    """Results of calls in their order, with ``devices`` of them under way."""
-    with ThreadPoolExecutor(devices) as pool:
+    """Results of calls in their order, with ``devices`` of them under way, a thread each."""
+    numbers = count()
+
+    def begin() -> None:
+        _thread.number = next(numbers)
+
+    with ThreadPoolExecutor(devices, initializer=begin) as pool:
         ahead: deque[Future] = deque()
         for argument in arguments:
             ahead.append(pool.submit(call, argument))
@@ -332,13 +369,15 @@ class Calls:
         self._group = group
         self.plan = plan(group, tiles_a_chunk=tiles_a_chunk)
         static = group.static._replace(shown=shown(group))
-        self._program = compiled(static, group.world, tiles_of(group, self.plan[0]))
+        tiles = tiles_of(group, self.plan[0])
+        self._programs = [compiled(static, group.world, tiles, device) for device in homes()]
 
     def chunk(self, number: int) -> Chunk:
-        """Run one of the plan's calls."""
+        """Run one of the plan's calls, on the device of the thread that asks."""
         group, places = self._group, self.plan[number]
         draws, variants = group.sizes
-        outcome, curves = jax.device_get(self._program(group.world, tiles_of(group, places)))
+        program = self._programs[_thread.number % len(self._programs)]
+        outcome, curves = jax.device_get(program(group.world, tiles_of(group, places)))
         draw, variant = places.draw.ravel(), places.variant.ravel()
         busy = np.flatnonzero((draw < draws) & (variant < variants))
         runs = busy[np.argsort(draw[busy] * variants + variant[busy])]

@@ -41,7 +41,9 @@ Out = Annotated[
 Overwrite = Annotated[bool, typer.Option(help="Replace results that the directory holds.")]
 Devices = Annotated[
     int | None,
-    typer.Option(help="CPU devices to spread the runs over; all cores if left out.", min=1),
+    typer.Option(
+        help="Threads that run one compiled program, a CPU core each; all cores if left out.", min=1
+    ),
 ]
 
 

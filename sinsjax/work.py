@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from sinsjax import columns, stopping
-from sinsjax.batch import LANES, Calls, Plan, spread
+from sinsjax.batch import LANES, Calls, Plan, homes, spread
 from sinsjax.config import fingerprint
 from sinsjax.results import Tables
 from sinsjax.scenario import Scenario
@@ -238,8 +238,10 @@ class Executor(NamedTuple):
 
 
 def on_this_machine() -> Executor:
-    """All devices of this process."""
+    """All devices of this process: on a CPU threads over one program, else a program each."""
     devices = len(jax.devices())
+    are = "threads over one program" if len(homes()) == 1 else "devices with a program each"
     return Executor(
-        lambda workshop, tasks: spread(workshop.pack, tasks, devices), {"devices": devices}
+        lambda workshop, tasks: spread(workshop.pack, tasks, devices),
+        {"devices": devices, "devices_are": are},
     )

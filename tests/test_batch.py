@@ -1,5 +1,8 @@
 """Batching changes nothing: not the noise, not the results, not for any chunk or device count."""
 
+import threading
+from typing import Any
+
 import jax
 import numpy as np
 import pytest
@@ -53,6 +56,40 @@ def test_results_have_the_same_bits_for_any_chunk_and_device_count(
 ) -> None:
     got = all_runs(six_variants, devices=devices, tiles_a_chunk=tiles)
     assert_same_bits(got, reference)
+
+
+def test_a_program_a_device_puts_each_threads_work_on_its_own(
+    six_variants: batch.Group, reference: tuple, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on accelerators: the two virtual devices of the tests have a program each."""
+    devices = jax.local_devices()
+    assert len(devices) == 2
+    monkeypatch.setattr(batch, "homes", lambda: devices)
+    compiled, used = batch.compiled, []
+
+    def watched(*arguments: Any) -> Any:
+        program, home = compiled(*arguments), arguments[-1]
+
+        def run(*given: Any) -> Any:
+            out = program(*given)
+            used.append((home, *{leaf.device for leaf in jax.tree.leaves(out)}))
+            return out
+
+        return run
+
+    monkeypatch.setattr(batch, "compiled", watched)
+    got = all_runs(six_variants, devices=2, tiles_a_chunk=2)
+    assert_same_bits(got, reference)
+    assert used and all(home == on for home, on in used)
+    calls, both = batch.Calls(six_variants, tiles_a_chunk=2), threading.Barrier(2, timeout=60)
+
+    def together(number: int) -> batch.Chunk:
+        both.wait()
+        return calls.chunk(number)
+
+    used.clear()
+    list(batch.spread(together, [0, 0], 2))
+    assert sorted(used, key=str) == [(device, device) for device in devices]
 
 
 def test_every_run_equals_itself_alone(six_variants: batch.Group, reference: tuple) -> None:

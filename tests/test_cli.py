@@ -94,6 +94,7 @@ def test_run_leaves_results_figures_and_a_table(sinsjax: Command, tmp_path: Path
     assert {file["rows"] for file in chunk["files"]} == {6, 36}
     (session,) = manifest["sessions"]
     assert session["devices"] == manifest["devices"] == 2
+    assert session["devices_are"] == "threads over one program"
     assert session["versions"].keys() >= {"sinsjax", "jaxlib", "pyarrow"}
 
 
