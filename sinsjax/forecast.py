@@ -19,6 +19,7 @@ from sinsjax.results import read_manifest
 from sinsjax.studies import Study
 from sinsjax.types import InputError
 from sinsjax.variables import Space
+from sinsjax.worlds import LONGEST_TAPE
 
 _FILTER_S, _COMPASS_S = 60e-9, 10e-9
 """A step of a run on one core, see `docs/performance.md`."""
@@ -167,7 +168,9 @@ def _forecast(study: Study, batches: Sequence[Batch], curves: bool) -> Forecast:
     of_compass = {point["method"] == "compass" for point in study.combinations("method")}
     step_s = _COMPASS_S if of_compass == {True} else _FILTER_S
     run_bytes = _row_bytes(study, layouts.summary(study))
-    memory = _BASE + _A_SAMPLE * samples
+    # Of a longer simulation no tape is kept.
+    kept = samples if study.is_recorded else min(samples, LONGEST_TAPE)
+    memory = _BASE + _A_SAMPLE * kept
     counts = study.combinations("reset_count") if study.resets else ()
     resets = [point["reset_count"] or 0 for point in counts]
     of_variant = _A_VARIANT + _A_RESET * max(resets, default=0)

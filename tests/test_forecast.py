@@ -102,6 +102,16 @@ def test_curves_are_counted():
     assert with_.memory > without.memory
 
 
+def test_a_run_of_a_day_is_not_refused_where_it_has_room():
+    """It takes 0.7 GB with its curves, and no more memory for another day but for these."""
+    day, two = (
+        forecast.of(small_study(study={"draws": 1, "duration_s": n * 86_400.0}), curves=True)
+        for n in (1, 2)
+    )
+    assert 0.7e9 < day.memory < 1.2e9
+    assert two.memory - day.memory < 0.1e9
+
+
 def test_resets_without_number_are_counted():
     study = {"duration_s": 9e5, "window_s": [0, 9e5]}
     resets = {"reset_count": 89_000_000, "reset_cycle_s": 0.01}
