@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
 from store import Machine
-from targets import LIMIT
+from targets import PAIRS
 
 from sinsjax.bench.timing import Row
 from sinsjax.plots.style import COLOURS, GREY, colour, legend_outside, styled
@@ -144,11 +144,14 @@ def history(machines: Sequence[Machine]) -> Figure:
         x = [versions.index(version) for version, ratio in found if ratio is not None]
         y = [ratio for _, ratio in found if ratio is not None]
         axes.plot(x, y, "o-", color=colour(number), label=name)
-    axes.axhline(LIMIT, color=GREY, linestyle="--", linewidth=0.9, label=f"target {LIMIT:g}")
+    targets = PAIRS["kalman_shared_record"]
+    for (instructions, most), line in zip(targets.items(), ("--", ":"), strict=True):
+        told = f"target {most:g}, {instructions}"
+        axes.axhline(most, color=GREY, linestyle=line, linewidth=0.9, label=told)
     axes.axhline(1, color=GREY, linewidth=0.9, label="limit kernel")
     axes.set_xticks(range(len(versions)), versions)
     axes.set_xlim(-0.5, len(versions) - 0.5)
-    axes.set_ylim(0, 1.1 * max(axes.get_ylim()[1], LIMIT))
+    axes.set_ylim(0, 1.1 * max(axes.get_ylim()[1], *targets.values()))
     axes.set_xlabel("sinsjax")
     axes.set_ylabel("times the limit kernel")
     legend_outside(figure, axes)

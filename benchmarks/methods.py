@@ -1,4 +1,4 @@
-"""What a step of the compass costs beside one of the Kalman filter, in time and in arithmetic.
+"""What a step of each method costs beside one of the 5-state filter, in time and in arithmetic.
 
 The same base, sensors, record interval and number of variants, silent; everything in turns.
 """
@@ -13,7 +13,9 @@ from sinsjax.bench.cases import (
     compass_group,
     default_group,
     engine,
+    kalman10_group,
     shortened,
+    trigger_group,
     without_noise,
 )
 from sinsjax.bench.timing import Row, measure_against
@@ -23,14 +25,17 @@ COUNTED = (2, 4)
 
 
 def rows(quick: bool, repeats: int) -> list[Row]:
-    """Time the compass, once over its data and over a stored tape, in turns with the filter.
+    """Time the others in turns with the 5-state filter; the compass also over a stored tape.
 
     Returns:
-        ``kalman``, then ``compass`` and ``compass_tape`` with their ``ratio`` to it. All have
-        ``operations``, the arithmetic of a step and run, and the compass's ``operations_ratio``.
+        ``kalman``, then ``kalman10``, ``linearisation``, ``compass`` and ``compass_tape`` with
+        their ``ratio`` to it. All have ``operations``, the arithmetic of a step and run, and the
+        others their ``operations_ratio``.
     """
     groups = {
         "kalman": default_group(),
+        "kalman10": kalman10_group(),
+        "linearisation": trigger_group(),
         "compass": compass_group(),
         "compass_tape": compass_group(TAPE_S),
     }

@@ -1,16 +1,28 @@
 """The engine beside the limit kernel, in alternating pairs on one core: how far from the limit?"""
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import common
 
-from sinsjax.bench.cases import at_rest, default_group, engine, shortened, without_noise
+from sinsjax.batch import Group
+from sinsjax.bench.cases import (
+    at_rest,
+    default_group,
+    engine,
+    shortened,
+    with_feedback_each_sample,
+    without_noise,
+)
 from sinsjax.bench.limit import compiler, limit_kernel
 from sinsjax.bench.timing import Case, Row, ratios, row, row_against, turns
 
-MADE = {"kalman_shared_record": without_noise, "kalman_shared_covariance": at_rest}
-"""What makes a row's group of the silent default sweep; the second goes on from the first."""
+MADE: dict[str, Callable[[Group], Group]] = {
+    "kalman_shared_record": lambda silent: silent,
+    "kalman_feedback_each_sample": with_feedback_each_sample,
+    "kalman_shared_covariance": at_rest,
+}
+"""What makes a row's group of the silent default sweep."""
 
 
 def rows(quick: bool, repeats: int, names: Sequence[str] = tuple(MADE)) -> list[Row]:

@@ -45,6 +45,31 @@ def default_group() -> Group:
 
 
 @cache
+def kalman10_group() -> Group:
+    """The default sweep with the 10-state filter."""
+    data = tomllib.loads(asset(_DEFAULT).read_text("utf-8"))
+    data["study"]["judged_from"] = "truth"  # it estimates what would set a limit
+    data["alignment"]["method"] = "kalman10"
+    (part,) = parts(study_from_dict(data, _DEFAULT))
+    return part.group
+
+
+@cache
+def trigger_group() -> Group:
+    """The default sweep with resets by the `linearisation` trigger, and as many variants."""
+    data = tomllib.loads(asset(_DEFAULT).read_text("utf-8"))
+    for key in ("reset_count", "reset_cycle_s"):
+        del data["axes"][key]
+    data["resets"] = {"reset_trigger": "linearisation"}
+    data["axes"] |= {
+        "trigger_threshold": [1.1, 1.15, 1.2, 1.25, 1.3, 1.4, 1.5],
+        "trigger_refractory_s": [1, 2, 3, 4, 5, 6, 8, 10],
+    }
+    (part,) = parts(study_from_dict(data, _DEFAULT))
+    return part.group
+
+
+@cache
 def compass_group(tape_s: float | None = None) -> Group:
     """The default sweep with compass loops, and as many variants: sigmas in the place of resets.
 
@@ -85,6 +110,14 @@ def at_rest(group: Group) -> Group:
     options = group.static.options._replace(specific_force="gravity")
     group = group._replace(static=group.static._replace(options=options))
     return shortened(group, max(2, group.static.records // 10))
+
+
+def with_feedback_each_sample(group: Group) -> Group:
+    """The group with its loop closed at every sample."""
+    method = group.variants.method
+    every = np.ones_like(method.feedback.every)
+    method = method._replace(feedback=method.feedback._replace(every=every))
+    return group._replace(variants=group.variants._replace(method=method))
 
 
 def some_variants(group: Group, count: int, runs: int = 0) -> Group:
