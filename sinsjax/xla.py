@@ -61,7 +61,7 @@ OPTIONS = (
 )
 """The options that importing sets, in one place."""
 
-TESTED_JAXLIB = frozenset({"0.10.2"})
+TESTED_JAXLIB = frozenset({"0.10.0", "0.10.2"})
 """jaxlib versions on which all options were seen at work in a compiled loop."""
 
 _WIDTHS = {"AVX512": "8", "AVX2": "4", "AVX": "4", "SSE4_2": "4"}
