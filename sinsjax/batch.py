@@ -2,8 +2,9 @@
 
 Runs are numbered draw by draw (`run_id = draw_id * variants + variant_id`) and cut into tiles of
 64 lanes. A tile is one vectorised scan whose state stays in the first-level cache; in a call tiles
-follow one another under `lax.map`, and each device has a thread that makes calls. Samples are made
-once for each distinct draw of a tile and handed to its lanes, so that variants share their noise.
+follow one another under `lax.map`. Threads make calls: on a CPU all of one program, elsewhere each
+of the program of its own device. Samples are made once for each distinct draw of a tile and handed
+to its lanes, so that variants share their noise.
 
 Where the covariance is the same for all runs of a variant (`Method.common_covariance`), tiles of
 the same variants and different draws are stacked into sets, which share it: JAX finds by itself

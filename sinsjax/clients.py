@@ -7,12 +7,14 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from sinsjax import affinity, runtime, xla
 from sinsjax.types import InputError
+from sinsjax.wording import first_line
 
 CONNECT_S = 10.0
 """Within this time a scheduler has answered, or there is none."""
@@ -28,9 +30,11 @@ def connected(address: str) -> Iterator[Any]:
     """A client of a scheduler that is there."""
     dask, distributed = _dask()
     with dask.config.set(_CONFIG):
+        since = time.monotonic()
         try:
             _require_scheduler(address)
-            client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
+            left = max(1.0, since + CONNECT_S - time.monotonic())
+            client = distributed.Client(address, timeout=left, set_as_default=False)
         except Exception as error:  # whatever else may answer there
             text = f"{address}: no Dask scheduler answers there ({first_line(error)})"
             raise InputError(text) from error
@@ -111,7 +115,7 @@ def _dask() -> tuple[Any, Any]:
 def _for_workers() -> dict[str, str]:
     """The environment that worker processes take over, read before they import jax."""
     flags = os.environ.get("XLA_FLAGS", "")
-    if not xla.opted_out() and (not flags.strip() or flags.lstrip().startswith("-")):
+    if not (xla.opted_out() or xla.names_a_file(flags)):
         refused = xla.refused_flags(runtime.versions()["jaxlib"])
         flags = xla.merge_options(flags, refused, xla.wanted())
     return {
@@ -166,8 +170,3 @@ def _signals_kept_away() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def first_line(error: BaseException) -> str:
-    """The first line of what an error says."""
-    return next(iter(str(error).splitlines()), "")

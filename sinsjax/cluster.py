@@ -17,6 +17,7 @@ from typing import Any
 
 from sinsjax import clients, runtime, xla
 from sinsjax.types import InputError
+from sinsjax.wording import first_line
 from sinsjax.work import Executor, Job, Packed, Task, Workshop
 from sinsjax.worker import Answer, Machine, Wanting, answer, versions
 
@@ -195,7 +196,7 @@ class Crew:
         elif isinstance(error, KilledWorker):
             text = f"{error.allowed_failures + 1} workers died with it (out of memory?)"
         else:
-            text = f"failed on a worker: {type(error).__name__}: {clients.first_line(error)}"
+            text = f"failed on a worker: {type(error).__name__}: {first_line(error)}"
         raise InputError(f"{task.name}: {text}") from error
 
     def check(self, answer: Answer) -> None:

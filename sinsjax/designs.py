@@ -45,7 +45,7 @@ def values(study: Study, count: int, *, first: int = 0) -> dict[str, np.ndarray]
     return {key: rows if NUMBERS[key] > 1 else rows[:, 0] for key, rows in drawn.items()}
 
 
-def shortened(drawn: Drawn, count: int) -> dict[str, Any]:
+def of_fewer(drawn: Drawn, count: int) -> dict[str, Any]:
     """The table [drawn] of fewer draws, with the same values in each of them.
 
     Args:

@@ -1,7 +1,7 @@
 """What a directory of results holds, and whether a study may be written there."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -183,7 +183,7 @@ def _check_chunks(directory: Path, known: Manifest) -> None:
         here = "none" if known.chunk_runs is None else known.chunk_runs
         raise InputError(
             f"{directory}: manifest.json: chunk_runs: is {here}, but its parts were made with"
-            f" {min(cuts, key=str)} (put that back, or delete manifest.json: they tell it)"
+            f" {min(cuts, key=str)} (put that back, or give --overwrite)"
         )
 
 
@@ -245,12 +245,7 @@ def check_free(directory: Path, *, overwrite: bool) -> None:
     Raises:
         InputError: the directory cannot be used.
     """
-    try:
-        if directory.exists() and not directory.is_dir():
-            raise InputError(f"{directory}: is a file, not a directory")
-        taken = [name for name in _NAMES if (directory / name).exists()]
-    except OSError as error:
-        raise InputError(unwritable(directory, error)) from error
+    taken = names_taken(directory, _NAMES)
     if not taken:
         return
     if not _is_ours(directory):
@@ -260,6 +255,20 @@ def check_free(directory: Path, *, overwrite: bool) -> None:
             f"{directory}: holds results already (give --resume to go on with them, or --overwrite"
             " to replace them)"
         )
+
+
+def names_taken(directory: Path, names: Iterable[str]) -> list[str]:
+    """Which of some names a directory has already, which need not be there itself.
+
+    Raises:
+        InputError: it is a file, or cannot be looked into.
+    """
+    try:
+        if directory.exists() and not directory.is_dir():
+            raise InputError(f"{directory}: is a file, not a directory")
+        return [name for name in names if (directory / name).exists()]
+    except OSError as error:
+        raise InputError(unwritable(directory, error)) from error
 
 
 def _is_ours(directory: Path) -> bool:
@@ -279,5 +288,5 @@ def named(directory: str | Path) -> Path:
         InputError: it has no name: that is no way to say *here*.
     """
     if not str(directory):
-        raise InputError("--out: must not be empty (the current directory is '.')")
+        raise InputError("the directory of results must not be empty (the current one is '.')")
     return Path(directory)

@@ -63,8 +63,9 @@ def ask(
     Raises:
         InputError: there is no part, one is not what was written, or it cannot be read.
     """
-    if not (parts := sorted(find(directory, name))):
+    if not is_there(directory, name, verify=verify):
         raise InputError(f"{directory}: holds no results (no part in {name}/)")
+    parts = sorted(find(directory, name))
     checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
     form = ds.ParquetFileFormat(default_fragment_scan_options=checked)
     try:
@@ -74,6 +75,24 @@ def ask(
     except (OSError, pa.ArrowException) as error:
         what = first_line(error)
         raise InputError(f"{directory / name}: cannot be read: {what} ({_HINT})") from error
+
+
+def is_there(directory: Path, name: str, *, verify: bool = True) -> bool:
+    """Whether a dataset has a part.
+
+    Args:
+        directory: of the results.
+        name: of the dataset.
+        verify: whether the manifest is asked, too.
+
+    Raises:
+        InputError: the manifest has parts, and the directory has none.
+    """
+    if any(find(directory, name)):
+        return True
+    if verify:
+        _verify(directory, name, ())
+    return False
 
 
 def find(directory: Path, name: str) -> Iterator[Path]:
@@ -101,8 +120,10 @@ def _verify(directory: Path, name: str, parts: Iterable[Path]) -> None:
     """Compares parts with the manifest; without one there is nothing to compare them with."""
     told = {file: sha for file, sha in _checksums(directory).items() if file.startswith(f"{name}/")}
     there = {f"{name}/{path.name}": path for path in parts}
-    if missing := sorted(told.keys() - there.keys()):
-        raise InputError(f"{directory / missing[0]}: is missing, by the manifest ({_HINT})")
+    for file in sorted(told.keys() - there.keys()):
+        # One that came after `parts` were listed, and before the manifest was read, is there.
+        if not (directory / file).exists():
+            raise InputError(f"{directory / file}: is missing, by the manifest ({_HINT})")
     known = [file for file in there if file in told]  # what is newer than it, it does not know
     with ThreadPoolExecutor(_READERS) as pool:
         found = pool.map(_sha256, map(there.__getitem__, known))

@@ -98,10 +98,8 @@ def rerun_into(
     if not stored.num_rows:
         raise InputError(f"{directory}: holds no row of run {run_id} (yet)")
     if stored.num_rows > 1:
-        text = (
-            f"{stored.num_rows} rows of run {run_id}, not one: is each of its parts of a summary?"
-        )
-        raise InputError(f"{directory / 'summary'}: holds {text}")
+        text = f"holds {stored.num_rows} rows of run {run_id}: a part there is not of a summary"
+        raise InputError(f"{directory / 'summary'}: {text} (of the curves?)")
     if out is not None and (there := [name for name in RERUN if (out / name).exists()]):
         raise InputError(f"{out}: holds a {there[0]} already: give another one")
     made = rerun(study, run_id, tape)

@@ -20,7 +20,7 @@ from sinsjax.alignment.base import Fired, Innovations
 from sinsjax.batch import Chunk
 from sinsjax.columns import Column
 from sinsjax.metrics import Observation
-from sinsjax.parts import ask, find
+from sinsjax.parts import ask, is_there
 from sinsjax.parts import read_manifest as read_manifest
 from sinsjax.studies import Study
 from sinsjax.study_limits import has_limit, scheduled_last_s
@@ -290,7 +290,7 @@ def read_curves(
         InputError: a part is not what was written, or cannot be read.
     """
     directory = Path(directory)
-    if not any(find(directory, "curves")):
+    if not is_there(directory, "curves", verify=verify):
         return columns.schema(columns.CURVES).empty_table()
     wanted = None if run_ids is None else ds.field("run_id").isin(run_ids)
     table = _read(directory, "curves", verify=verify, filter=wanted)

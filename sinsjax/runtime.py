@@ -32,8 +32,9 @@ def configure(devices: int | None = None, x64: bool = True) -> None:
     ``SINSJAX_COMPILE_CACHE`` in the environment compiled programs are kept, see `compile_cache`.
 
     Args:
-        devices: virtual CPU devices, at least 1. None takes what ``JAX_NUM_CPU_DEVICES`` or
-            ``--xla_force_host_platform_device_count`` says, else one for each usable core.
+        devices: CPU devices, at least 1: how many threads run a program. None takes what
+            ``JAX_NUM_CPU_DEVICES`` or ``--xla_force_host_platform_device_count`` says, else one for
+            each usable core.
         x64: whether JAX computes in double precision. The engine's default needs it.
 
     Raises:
@@ -129,7 +130,7 @@ def facts() -> dict[str, Any]:
 
     from sinsjax.hlo import options_seen
 
-    present = xla.flag_values(os.environ.get("XLA_FLAGS", ""))
+    present = xla.given()
     this, cpu = session(), machine.cpu()
     return {
         **this["versions"],
@@ -156,12 +157,14 @@ def info() -> dict[str, Any]:
         where it cannot be told; ``forgone``: what is left out for want of `configure`, or None.
     """
     known = facts()
-    missing = [o.name for o in xla.loop_options() if known["options"][o.name] is None]
+    refused = xla.refused_flags(_version("jaxlib"))
+    loops = [option for option in xla.loop_options() if option.flag not in refused]
+    missing = [option.name for option in loops if known["options"][option.name] is None]
     forgone = None
     if missing and not xla.opted_out():
         forgone = (
-            f"{' and '.join(missing)}: call sinsjax.configure() before JAX starts for loops that"
-            " run up to a quarter faster; they hold for every loop of the process"
+            f"{' and '.join(missing)}: call sinsjax.configure() before JAX starts (and name no file"
+            " in XLA_FLAGS) for loops up to a quarter faster; they hold for the whole process"
         )
     return known | {"vectorised": xla.vectorised(), "forgone": forgone}
 

@@ -32,18 +32,23 @@ def say(console: Console, text: str, *, style: str = "", wrap: bool = False) -> 
 
 
 class _Outlet:
-    """A stream that falls silent where it would fail; the rest is that stream's."""
+    """A stream that falls silent where it would fail; the rest is that stream's.
+
+    None is one that was closed before Python began, as of a daemon.
+    """
 
     def __init__(self, stream: Any) -> None:
         self._stream = stream
         self.error: OSError | None = None
 
     def write(self, text: str) -> int:
-        self._attempt(self._stream.write, text)
+        if self._stream is not None:
+            self._attempt(self._stream.write, text)
         return len(text)
 
     def flush(self) -> None:
-        self._attempt(self._stream.flush)
+        if self._stream is not None:
+            self._attempt(self._stream.flush)
 
     def _attempt(self, act: Any, *given: str) -> None:
         if self.error is not None:

@@ -23,6 +23,8 @@ from sinsjax.types import InputError
 from sinsjax.work import Job, Packed, Task, Workshop
 
 _MANIFEST_SHARE = 0.05  # of the time, at the most, goes into writing manifests
+_OF_ALL = ("versions", "instructions", "devices", "devices_are")
+"""What the last session says for the whole directory."""
 
 
 class Store:
@@ -233,7 +235,7 @@ class Store:
             **self._facts,
             "started_unix_s": sessions[0]["started_unix_s"],
             "wall_s": round(sum(session["wall_s"] for session in sessions), 3),
-            **{key: this[key] for key in ("versions", "instructions", "devices") if key in this},
+            **{key: this[key] for key in _OF_ALL if key in this},
             "sessions": sessions,
             "study": study.model_dump(mode="json", exclude_none=True),
             "chunks": chunks,

@@ -6,6 +6,7 @@ Every value is checked as the key that it stands for. One that is wrong is named
 
 import functools
 import math
+import statistics
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, NamedTuple
 
@@ -91,8 +92,12 @@ def check_draws(study: Study) -> None:
             if text := _wrong(key, value, unchecked):
                 open_[key] = value, text
     if study.n_draws > _MOST_LOOKED_AT:
-        for key, (value, text) in open_.items():
-            raise InputError(f"[drawn] {key}: one of so many draws may give {value!r}: {text}")
+        for key in open_:
+            for value in _ends(laws[key], _reached(study.n_draws)):
+                if text := _wrong(key, value, unchecked):
+                    told = f"one of so many draws may give {value:.6g}: {text}"
+                    raise InputError(f"[drawn] {key}: {told}")
+        return
     for first in range(0, study.n_draws if open_ else 0, _BLOCK):
         count = min(_BLOCK, study.n_draws - first)
         drawn = designs.values(study, count, first=first)
@@ -117,13 +122,18 @@ def _check_lists(study: Study, laws: Mapping[str, Law]) -> None:
         raise InputError(f"[drawn] {next(iter(grids))}.grid: {text} are more than {there}")
 
 
-def _ends(law: Law) -> tuple[float, ...]:
-    """The least and the greatest number that a law can give."""
+def _reached(draws: int) -> float:
+    """Standard deviations that any of so many normal draws exceeds in one study of a thousand."""
+    return min(_SIGMAS, statistics.NormalDist().inv_cdf(1 - 1e-3 / draws))
+
+
+def _ends(law: Law, sigmas: float = _SIGMAS) -> tuple[float, ...]:
+    """The least and the greatest number that a law can give, a normal one within some sigmas."""
     if law.uniform:
         return law.uniform
     if law.normal:
         mean, deviation = law.normal
-        return mean - _SIGMAS * deviation, mean + _SIGMAS * deviation
+        return mean - sigmas * deviation, mean + sigmas * deviation
     numbers = [n for entry in law.values or law.grid or () for n in np.ravel(entry).tolist()]
     return min(numbers), max(numbers)
 

@@ -39,8 +39,10 @@ def check(study: Study, where: Mapping[str, str]) -> None:
             _check_value(f"[{section}] {key}", section, key, getattr(given, key))
     for dimension in study.dimensions:
         for key, values in dimension.items():
-            for i, value in enumerate(dict.fromkeys(values) if key != "case" else ()):
-                _check_value(f"{where[key]} {key}[{i}]", SECTION_OF[key], key, value)
+            for value in dict.fromkeys(values) if key != "case" else ():
+                if doubt(key, value):
+                    place = f"{where[key]} {key}[{values.index(value)}]"
+                    _check_value(place, SECTION_OF[key], key, value)
     if study.study.rate_hz:
         _check_feedback(study, where)
 
@@ -80,7 +82,7 @@ def _numbers(value: Any, at: str = "") -> Iterator[tuple[str, float]]:
         for i, entry in enumerate(value):
             yield from _numbers(entry, f"{at}[{i}]")
     elif isinstance(value, int | float):
-        yield at, value
+        yield at, float(value)
 
 
 @cache

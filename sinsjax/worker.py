@@ -116,7 +116,7 @@ def machine_here() -> Machine:
     """Of this process; starts JAX's backend."""
     import jax
 
-    given = xla.flag_values(os.environ.get("XLA_FLAGS", ""))
+    given = xla.given()
     return Machine(
         cpu=runtime.session()["cpu"],
         instructions=xla.instructions(),

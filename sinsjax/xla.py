@@ -89,13 +89,23 @@ def flag_values(flags: str) -> dict[str, str]:
     return values
 
 
+def names_a_file(flags: str) -> bool:
+    """Whether a value of ``XLA_FLAGS`` is the name of a file with the flags."""
+    return bool(flags.strip()) and not flags.lstrip().startswith("-")
+
+
+def given() -> dict[str, str]:
+    """What ``XLA_FLAGS``, or the file that it names, sets; see `flag_values`."""
+    flags = os.environ.get("XLA_FLAGS", "")
+    if names_a_file(flags):
+        with contextlib.suppress(OSError, ValueError):
+            flags = Path(flags.strip()).read_text(encoding="utf-8")
+    return flag_values(flags)
+
+
 def instructions() -> str:
     """The instruction set in force: this machine's, as far as ``XLA_FLAGS`` lets XLA use it."""
-    flags = os.environ.get("XLA_FLAGS", "").strip()
-    if flags and not flags.startswith("-"):  # the name of a file with the flags
-        with contextlib.suppress(OSError, ValueError):
-            flags = Path(flags).read_text(encoding="utf-8")
-    return machine.instructions(flag_values(flags).get("xla_cpu_max_isa", ""))
+    return machine.instructions(given().get("xla_cpu_max_isa", ""))
 
 
 def loop_options() -> tuple[Option, ...]:
@@ -157,7 +167,7 @@ def apply_options() -> None:
     flags = os.environ.get("XLA_FLAGS", "")
     if opted_out() or all(option.name in flag_values(flags) for option in OPTIONS):
         return
-    if _names_a_file(flags):
+    if names_a_file(flags):
         _warn(f"XLA_FLAGS names the file {flags.strip()}; put {merge_options('')} there")
     elif backend_started():
         _warn(f"JAX has started already; import sinsjax first or set XLA_FLAGS={merge_options('')}")
@@ -172,7 +182,7 @@ def apply_options() -> None:
 def apply_loop_options() -> None:
     """Add `loop_options` to ``XLA_FLAGS``, unless JAX has started or the user has opted out."""
     flags = os.environ.get("XLA_FLAGS", "")
-    if not (opted_out() or _names_a_file(flags) or backend_started()):
+    if not (opted_out() or names_a_file(flags) or backend_started()):
         os.environ["XLA_FLAGS"] = merge_options(flags, refused_flags(_jaxlib()), loop_options())
 
 
@@ -214,12 +224,8 @@ def vectorised() -> float | None:
     Compiled in a process of its own, which takes some seconds; None where it cannot be told.
     """
     flags = os.environ.get("XLA_FLAGS", "")
-    trial = None if _names_a_file(flags) else xla_trial.attempt(flags)
+    trial = None if names_a_file(flags) else xla_trial.attempt(flags)
     return trial.vectorised if trial else None
-
-
-def _names_a_file(flags: str) -> bool:
-    return bool(flags.strip()) and not flags.lstrip().startswith("-")
 
 
 def _warn(what: str) -> None:

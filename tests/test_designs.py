@@ -232,7 +232,7 @@ def test_fewer_draws_have_the_same_values(lengths: list[int], count: int):
     laws |= LAWS | {k: laws[k] for k in keys[: len(lengths)]}
     whole = study_of(laws, study={"draws": 64})
     assert whole.drawn
-    fewer = study_of(designs.shortened(whole.drawn, count), study={"draws": count})
+    fewer = study_of(designs.of_fewer(whole.drawn, count), study={"draws": count})
     for key, rows in designs.values(fewer, count).items():
         np.testing.assert_array_equal(rows, designs.values(whole, count)[key])
 

@@ -133,11 +133,23 @@ def test_curves_in_place_of_a_summary_are_no_row(tmp_path: Path, sinsjax: Comman
     curves = pa.table({"run_id": [0, 0, 1, 1], "time_s": [1.0, 2.0, 1.0, 2.0]})
     out = store(tmp_path / "out", small_study(), curves)
     code, error = sinsjax("rerun", out, "--run-id", 1)
-    assert code == 2 and error.startswith(f"error: {out}/summary: holds 2 rows of run 1, not one")
+    assert code == 2 and error.startswith(
+        f"error: {out}/summary: holds 2 rows of run 1: a part there"
+    )
     assert error.count("\n") == 1
 
 
 # --- where output goes ------------------------------------------------------------------------
+
+
+def test_what_was_closed_before_the_start_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of a daemon, whose standard streams are None in Python."""
+    monkeypatch.setattr(sys, "stdout", None)
+    monkeypatch.setattr(sys, "stderr", None)
+    with pytest.raises(SystemExit) as stop, screen.lasting():
+        print("lost")
+        sys.stdout.flush()
+    assert stop.value.code == 0
 
 
 def test_a_reader_that_leaves_does_not_end_the_work(

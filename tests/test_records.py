@@ -255,6 +255,7 @@ ROWS = "".join(f"{k / 100},1,2,3,4,5,6\n" for k in range(1, 5))
         (HEAD + ROWS + "\n0.05,1,2,x,4,5,6\n", "row 7: column 'gz': 'x' is not a number"),
         (HEAD + ROWS + "0.05,1,2,,4,5,6\n", "row 6: column 'gz': empty or not finite"),
         (HEAD + ROWS + "0.05,1,2,nan,4,5,6\n", "row 6: column 'gz': empty or not finite"),
+        (HEAD + ROWS + "0.05,1,2,1e300,4,5,6\n", "row 6: column 'gz': '1e300' is beyond"),
         (HEAD + ROWS + ",1,2,3,4,5,6\n0.06,1,2,3,4,5,6\n", "row 7: a gap at 100 Hz, from 0.04"),
         (HEAD + ROWS + "0.05,1,2,3,4,1_0,6\n", "row 6: column 'ay': '1_0' is not a number"),
         (HEAD + ROWS + '0.05,1,2,3,4,"5,6\n', "row 6: not comma-separated text"),
@@ -346,6 +347,7 @@ def test_bad_parquet(tmp_path):
     for change, says in (
         ({"gz": pa.array([1.0, None, 3.0])}, "row 2: column 'gz': empty or not finite"),
         ({"ay": pa.array([1.0, 2.0, np.inf])}, "row 3: column 'ay': empty or not finite"),
+        ({"ay": pa.array([1.0, 2.0, -1e31])}, "row 3: column 'ay': beyond 1e+30, which nothing"),
         ({"ay": pa.array(["a", "b", "c"])}, "column 'ay' holds string, not numbers"),
     ):
         pq.write_table(pa.table(columns | change), path)

@@ -378,6 +378,11 @@ def test_a_mistake_is_one_line(name: str, tmp_path: Path, sinsjax_: Command) -> 
     assert not (tmp_path / "out").exists()
 
 
+def test_a_directory_that_cannot_be_looked_into_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="n: cannot be written: File name too long"):
+        carry_out.check_free(tmp_path / ("n" * 5000), overwrite=False)
+
+
 def test_files_of_others_are_never_touched(tmp_path: Path, sinsjax_: Command) -> None:
     config = write(tmp_path / "swing.toml")
     (tmp_path / "figures").mkdir()

@@ -1,5 +1,6 @@
 """Nonsense is asked about, wherever a value is given: what is usual stands beside every key."""
 
+import copy
 import time
 import tomllib
 from typing import Any
@@ -29,6 +30,27 @@ def refusal(**tables: Any) -> str:
 
 def insisted(**tables: Any) -> Study:
     return small_study(**tables | {"study": tables.get("study", {}) | {"unchecked": True}})
+
+
+def test_the_place_of_a_value_is_that_in_the_file():
+    """Also where others before it are given twice."""
+    heights = {"z": {"height_m": [0, 0, 1e12], "ve0_m_per_s": [1, 2, 3]}}
+    assert refusal(axes=heights).startswith("[axes.z] height_m[2]: 1e+12 is outside")
+    gains = {"alignment": {"method": "compass"}, "compass": {"level_gains": [1.0, 1e9, 0.0]}}
+    assert "level_gains[1]: 1000000000 is outside" in refusal(**gains)
+
+
+@pytest.mark.parametrize("draws", [4_100_000, 4_300_000, 40_000_000])
+def test_many_draws_are_taken_as_long_as_none_is_likely_to_be_refused(draws):
+    def of(deviation: float) -> Study:
+        data = copy.deepcopy(BASE) | {"drawn": {"phi_u0_deg": {"normal": [0, deviation]}}}
+        del data["alignment"]["phi_u0_deg"]
+        data["study"]["draws"] = draws
+        return study_from_dict(data)
+
+    assert of(25).n_draws == draws
+    with pytest.raises(InputError, match=r"phi_u0_deg: .*(draw \d+ gives|may give)"):
+        of(60)
 
 
 def test_every_quantity_with_a_unit_says_what_is_usual():

@@ -183,6 +183,15 @@ def test_the_instruction_set_in_force_is_what_the_flags_leave(unset, tmp_path):
     assert xla.instructions() == "AVX"
 
 
+def test_a_file_of_flags_is_read_for_what_it_sets(unset, tmp_path):
+    file = tmp_path / "flags"
+    file.write_text("--xla_cpu_max_isa=AVX2\n--xla_backend_extra_options=--force-vector-width=4\n")
+    unset.setenv("XLA_FLAGS", str(file))
+    assert xla.given() == {"xla_cpu_max_isa": "AVX2", "--force-vector-width": "4"}
+    unset.setenv("XLA_FLAGS", str(tmp_path / "missing"))
+    assert xla.given() == {}
+
+
 @pytest.mark.parametrize(
     ("instructions", "width"),
     [("AVX512", "8"), ("AVX2", "4"), ("AVX", "4"), ("SSE4_2", "4"), ("SVE", None), ("s390x", None)],

@@ -9,6 +9,9 @@ from sinsjax.types import InputError
 
 CUT_OFF = " (the last row: is the file cut off?)"
 
+LARGEST = 1e30
+"""Beyond it a number of a record is none; squares and sums of what is below are finite."""
+
 BATCH = 2**22
 """Bytes of a text file that are looked at together: some 30,000 rows of a record."""
 
@@ -103,4 +106,6 @@ def number(text: str) -> float:
         raise ValueError(f"{shown} is not a number") from None
     if not math.isfinite(value):
         raise ValueError(f"{shown} is not finite")
+    if abs(value) > LARGEST:
+        raise ValueError(f"{shown} is beyond {LARGEST:g}, which nothing measures")
     return value

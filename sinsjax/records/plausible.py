@@ -132,7 +132,8 @@ def _force(felt: _Felt, layout: Layout, rate_hz: float, expected: Expected) -> I
 
 
 def _vertical(felt: _Felt, layout: Layout) -> Iterator[Finding]:
-    lean = math.acos(max(-1.0, min(1.0, felt.force[2] / float(np.linalg.norm(felt.force)))))
+    size = float(np.linalg.norm(felt.force)) or 1.0  # there may be none in a record to be trusted
+    lean = math.acos(max(-1.0, min(1.0, felt.force[2] / size)))
     if lean > 90 * DEG:
         hint = " ('yx-z' of front-right-down)" if layout.axes_order == "xyz" else ""
         yield Finding(

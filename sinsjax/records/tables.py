@@ -18,7 +18,15 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from sinsjax.records.files import CUT_OFF, Lines, line_batches, load, number, number_or_nan
+from sinsjax.records.files import (
+    CUT_OFF,
+    LARGEST,
+    Lines,
+    line_batches,
+    load,
+    number,
+    number_or_nan,
+)
 from sinsjax.records.layout import FloatArray
 from sinsjax.records.stamps import from_iso
 from sinsjax.types import InputError
@@ -181,6 +189,8 @@ def _read(text: _Text, columns: _Columns) -> list[NDArray[Any]]:
     values = _read_quickly(text, columns)
     if values is None or not (columns.blanks or all(np.isfinite(v).all() for v in values)):
         return _read_with_care(text, columns)
+    if any((np.abs(v) > LARGEST).any() for v in values):  # named, or nan, by who reads with care
+        return _read_with_care(text, columns)
     return values
 
 
@@ -290,10 +300,13 @@ def _numbers(
         _dates(path, name, table[name], before) if name in dates else table[name] for name in wanted
     )
     values = [column.to_numpy().astype(np.float64) for column in columns]
-    bad = np.argwhere(~np.isfinite(np.column_stack(values)))
-    if len(bad) and not blanks:
+    whole = np.column_stack(values)
+    large = np.argwhere(np.isfinite(whole) & (np.abs(whole) > LARGEST))
+    bad = large if len(large) else np.argwhere(~np.isfinite(whole))
+    if len(large) or (len(bad) and not blanks):
         row, column = bad[0]
-        raise InputError(f"{path}: row {before + row + 1}: column {wanted[column]!r}: {MISSING}")
+        what = f"beyond {LARGEST:g}, which nothing measures" if len(large) else MISSING
+        raise InputError(f"{path}: row {before + row + 1}: column {wanted[column]!r}: {what}")
     return values
 
 

@@ -132,9 +132,7 @@ def check_free(directory: Path, *, overwrite: bool) -> None:
     Raises:
         InputError: the directory cannot be used.
     """
-    if directory.exists() and not directory.is_dir():
-        raise InputError(f"{directory}: is a file, not a directory")
-    taken = [name for name in _NAMES if (directory / name).exists()]
+    taken = directories.names_taken(directory, _NAMES)
     if taken and not is_tuning(directory):
         raise InputError(f"{directory}: holds a {taken[0]} that is of no tuning: give another one")
     if taken and not overwrite:

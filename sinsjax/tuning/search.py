@@ -248,7 +248,7 @@ def derive(study: Study, points: Mapping[str, Table], *, name: str, judging: boo
         tables["study"] |= {"seed": seed, "draws": draws}
     if study.drawn:
         count = len(tables["record"]["start_s"]) if study.record else tables["study"]["draws"]
-        tables["drawn"] = designs.shortened(study.drawn, count)
+        tables["drawn"] = designs.of_fewer(study.drawn, count)
     own = {key: values for key, values in _own_cases(study).items() if key != "case"}
     if own:  # labels are those of the points now
         tables["axes"] = tables.get("axes", {}) | {_free_name(study): own}
