@@ -9,6 +9,7 @@ import faulthandler
 import sys
 import tempfile
 import time
+import warnings
 from collections import Counter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -119,6 +120,7 @@ def main() -> None:
     flags = parser.parse_args()
     faulthandler.enable()
     sinsjax.configure(devices=1)
+    warnings.simplefilter("error")  # as in the tests: an overflow is a find
     seed = flags.seed or time.time_ns() // 10**9
     with tempfile.TemporaryDirectory(prefix="sinsjax-fuzz-") as folder:
         all_ = [t for t in targets(Path(folder)) if flags.target in (None, t.name)]
