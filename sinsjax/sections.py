@@ -340,7 +340,7 @@ class Compass(Section):
     level_adjustment_s: Seconds | None = Field(
         None, description="adjustment time of the levelling loop instead of its sigma, s"
     )
-    level_gains: Annotated[tuple[Finite, Finite, Finite], Usual(-1e6, 1e6)] | None = Field(
+    level_gains: Annotated[tuple[Finite, Finite, Finite], Usual(-1e11, 1e11)] | None = Field(
         None, description="K1, K2, K3 of the levelling loop instead of its sigma, SI"
     )
     level_damping: Damping = Field(_DAMPING, description="damping ratio of the levelling loop")
@@ -356,7 +356,7 @@ class Compass(Section):
     azimuth_adjustment_s: Seconds | None = Field(
         None, description="adjustment time of the azimuth loop instead of its sigma, s"
     )
-    azimuth_gains: Annotated[tuple[Finite, Finite, Finite, Finite], Usual(-1e6, 1e6)] | None = (
+    azimuth_gains: Annotated[tuple[Finite, Finite, Finite, Finite], Usual(-1e11, 1e11)] | None = (
         Field(None, description="K1 to K4 of the azimuth loop instead of its sigma, SI")
     )
     azimuth_damping: Damping = Field(_DAMPING, description="damping ratio of the azimuth loop")
