@@ -14,14 +14,14 @@ from sinsjax import runtime, xla
 from sinsjax.belongings import DATASETS
 from sinsjax.config import fingerprint, load_study
 from sinsjax.files import unwritable
-from sinsjax.results import read_manifest
+from sinsjax.parts import MANIFEST, find, read_manifest
 from sinsjax.studies import Study
 from sinsjax.types import InputError
 from sinsjax.wording import one_line, shortened
 from sinsjax.work import Job
 
 LOCK = ".lock"
-_NAMES = (*DATASETS, "figures", "study.toml", "manifest.json")
+_NAMES = (*DATASETS, "figures", "study.toml", MANIFEST)
 
 
 def locked(directory: Path) -> filelock.FileLock:
@@ -124,7 +124,7 @@ def resumed(directory: Path, job: Job, instructions: str | None = None) -> Job:
         raise InputError(f"{directory}: holds results of another study: {text}")
     known = manifest(directory) or _told_by_parts(directory)
     if known is None:
-        if (directory / "manifest.json").exists():
+        if (directory / MANIFEST).exists():
             raise InputError(
                 f"{directory}: holds results of another version of sinsjax, which cannot be gone on"
                 " with (give --overwrite to replace them)"
@@ -194,8 +194,8 @@ def _told_by_parts(directory: Path) -> Manifest | None:
 
 def _parts_say(directory: Path) -> Iterator[Manifest]:
     """What each part that can be read says of all."""
-    curves = True if any(directory.glob("curves/part-[0-9]*.parquet")) else None
-    for path in sorted(directory.glob("summary/part-[0-9]*.parquet")):
+    curves = True if any(find(directory, "curves")) else None
+    for path in sorted(find(directory, "summary")):
         try:
             said = pq.read_schema(path).metadata or {}
             chunk, identity = json.loads(said[b"sinsjax.chunk"]), said[b"sinsjax.study"].decode()

@@ -15,7 +15,7 @@ from sinsjax import layouts, machine, stopping
 from sinsjax.batch import CHUNK_RECORDS
 from sinsjax.columns import Column
 from sinsjax.drawing import NUMBERS
-from sinsjax.results import read_manifest
+from sinsjax.parts import read_manifest
 from sinsjax.studies import Study
 from sinsjax.types import InputError
 from sinsjax.variables import Space

@@ -19,6 +19,7 @@ from sinsjax import belongings, columns, directories
 from sinsjax.belongings import DATASETS
 from sinsjax.config import fingerprint, study_to_toml
 from sinsjax.files import replacing, unwritable
+from sinsjax.parts import MANIFEST
 from sinsjax.types import InputError
 from sinsjax.work import Job, Packed, Task, Workshop
 
@@ -241,7 +242,7 @@ class Store:
             "chunks": chunks,
         }
         text = json.dumps(manifest, indent=1, allow_nan=False) + "\n"
-        _write(self.directory / "manifest.json", text.encode())
+        _write(self.directory / MANIFEST, text.encode())
         ended = time.monotonic()
         self._next_manifest = ended + (ended - began) / _MANIFEST_SHARE
 

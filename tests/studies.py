@@ -2,7 +2,10 @@
 
 from typing import Any
 
+import pytest
+
 from sinsjax.config import Study, study_from_dict
+from sinsjax.types import InputError
 
 BASE: dict[str, dict[str, Any]] = {
     "study": {"duration_s": 6.0, "rate_hz": 100.0, "draws": 3, "window_s": [2, 6]},
@@ -38,3 +41,12 @@ def small_study(**changes: Any) -> Study:
         else:
             data[name] = change
     return study_from_dict(data)
+
+
+def refusal(**tables: Any) -> str:
+    """The one line with which a small study with these changes is refused."""
+    with pytest.raises(InputError) as caught:
+        small_study(**tables)
+    line = str(caught.value)
+    assert len(line.splitlines()) == 1
+    return line.removeprefix("study: ")

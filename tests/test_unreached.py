@@ -4,21 +4,13 @@ import tomllib
 from typing import Any
 
 import pytest
-from studies import BASE, small_study
+from studies import BASE, refusal, small_study
 
 from sinsjax.config import study_from_dict, study_to_toml
 from sinsjax.types import InputError
 
 COMPASS = {"alignment": {"method": "compass"}}
 TRIGGER = {"reset_trigger": "nis", "trigger_threshold": 9.0}
-
-
-def refusal(**tables: Any) -> str:
-    with pytest.raises(InputError) as caught:
-        small_study(**tables)
-    line = str(caught.value)
-    assert len(line.splitlines()) == 1
-    return line.removeprefix("study: ")
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import tomllib
 from typing import Any
 
 import pytest
-from studies import BASE, small_study
+from studies import BASE, refusal, small_study
 
 from sinsjax import columns, usual
 from sinsjax.config import fingerprint, study_from_dict, study_to_toml
@@ -18,14 +18,6 @@ BOUNDED = {
 }
 BOUNDED |= {"latitude_deg", "phi_e0_deg", "phi_n0_deg", "phi_u0_deg"}
 """Angles whose bounds say it all."""
-
-
-def refusal(**tables: Any) -> str:
-    with pytest.raises(InputError) as caught:
-        small_study(**tables)
-    line = str(caught.value)
-    assert len(line.splitlines()) == 1
-    return line.removeprefix("study: ")
 
 
 def insisted(**tables: Any) -> Study:

@@ -14,6 +14,7 @@ from sinsjax import belongings, directories, forecast
 from sinsjax.campaign import Progress, Tell
 from sinsjax.config import fingerprint, load_study, study_to_toml, with_point, with_rate
 from sinsjax.files import replacing, unwritable
+from sinsjax.parts import MANIFEST
 from sinsjax.ranges import Tune
 from sinsjax.studies import Study, Table
 from sinsjax.tuning import history, search
@@ -144,7 +145,7 @@ def check_free(directory: Path, *, overwrite: bool) -> None:
 
 def is_tuning(directory: Path) -> bool:
     """Whether a directory holds a tuning, be it one that is not complete."""
-    if (directory / "manifest.json").exists():  # results of a study that could be tuned
+    if (directory / MANIFEST).exists():  # results of a study that could be tuned
         return False
     try:
         return load_study(directory / STUDY).tune is not None
