@@ -1,7 +1,7 @@
-"""What passes between typing ``sinsjax sweep`` and its end: 64 runs of 60 s, nothing cached.
+"""What passes between typing ``sinsjax sweep`` and its end: 64 runs of 60 s.
 
-Every repeat starts two fresh processes: the plain command, whose wall time is the result, and one
-that also notes when its phases end.
+Every repeat starts three fresh processes: the plain command with nothing cached, whose wall time is
+the result, one that also notes when its phases end, and the command with its programs cached.
 """
 
 import json
@@ -50,17 +50,14 @@ phi_u0_deg = [0, 10, 20, 30]
 
 RUNS, RATE_HZ = 64, 100
 
-CACHES = ("JAX_COMPILATION_CACHE_DIR", compile_cache.VARIABLE)
-"""What would let a process find programs that an earlier one compiled."""
-
 PHASES = ("import", "prepare", "trace", "compile", "run_and_write", "report", "exit")
 """Python and the imports; the study's world and its small programs; tracing and lowering the
 engine; compiling it; running it and writing Parquet; tables and figures; the end of Python."""
 
 _NOTED = """
-import json, sys, time
+import json, sys, threading, time
 since = float(sys.argv[1])
-from sinsjax import cli, campaign, report
+from sinsjax import campaign, cli, config
 import jax
 imported = time.time()
 programs = []
@@ -68,11 +65,13 @@ def listen(name, seconds, **about):
     if name.startswith("/jax/core/compile/"):
         programs.append((name.rsplit("/", 1)[1], about.get("fun_name", ""), seconds, time.time()))
 jax.monitoring.register_event_duration_secs_listener(listen)
-summarise, reported = report.summarise, []
-def noted(*arguments):
-    reported.append(time.time())
-    summarise(*arguments)
-report.summarise = noted
+import_module, reported = cli.import_module, []
+def noted(name):
+    module = import_module(name)
+    if threading.current_thread() is threading.main_thread():
+        reported.append(time.time())
+    return module
+cli.import_module = noted
 sys.argv = ["sinsjax", *sys.argv[2:]]
 try:
     cli.main()
@@ -87,8 +86,9 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     """Time whole commands, each in a fresh process.
 
     Returns:
-        ``cold_start_first_result`` with ``best_s`` and ``programs``, how many XLA compiles; then a
-        row a phase, whose times add up to about the whole.
+        ``cold_start_first_result`` with ``best_s`` and ``programs``, how many XLA compiles;
+        ``cold_start_cached``, the same with them cached; then a row a phase of the first, whose
+        times add up to about the whole.
     """
     duration_s = 6 if quick else 60
     with tempfile.TemporaryDirectory(prefix="sinsjax-cold-") as folder:
@@ -98,10 +98,13 @@ def rows(quick: bool, repeats: int) -> list[Row]:
         sweep = ["sweep", str(study), "-o", str(Path(folder) / "out"), "--overwrite"]
         # The first one fills the disk's cache and Python's bytecode.
         command(["-m", "sinsjax", *sweep])
-        whole, noted = [], []
+        cache = str(Path(folder) / "cache")
+        command(["-m", "sinsjax", *sweep], cache)
+        whole, noted, cached = [], [], []
         for _ in range(repeats):
             whole.append(command(["-m", "sinsjax", *sweep])[0])
             noted.append(phases(sweep))
+            cached.append(command(["-m", "sinsjax", *sweep], cache)[0])
     size = {
         "runs": RUNS,
         "steps": duration_s * RATE_HZ,
@@ -111,6 +114,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     more = {"best_s": round(min(whole), 3), "programs": noted[0][1]}
     return [
         row("first_result", whole) | size | more,
+        row("cached", cached) | size,
         *(row(phase, [times[phase] for times, _ in noted]) | size for phase in PHASES),
     ]
 
@@ -125,20 +129,24 @@ def row(name: str, seconds: list[float]) -> Row:
     }
 
 
-def command(arguments: list[str]) -> tuple[float, str]:
+def command(arguments: list[str], cache: str = "0") -> tuple[float, str]:
     """Run Python with arguments: the seconds it took, and its standard error.
+
+    Args:
+        arguments: of Python.
+        cache: folder of compiled programs; 0 for none.
 
     Raises:
         InputError: it failed.
     """
-    environment = {k: v for k, v in os.environ.items() if k not in CACHES}
+    environment = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
     path = os.pathsep.join(filter(None, [str(common.ROOT), os.environ.get("PYTHONPATH")]))
     since = time.perf_counter()
     ended = subprocess.run(
         [sys.executable, *arguments],
         capture_output=True,
         text=True,
-        env=environment | {"PYTHONPATH": path},
+        env=environment | {"PYTHONPATH": path, compile_cache.VARIABLE: cache},
     )
     taken = time.perf_counter() - since
     if ended.returncode:

@@ -6,6 +6,7 @@ A script has a function ``rows(quick, repeats)`` that measures and returns rows,
 
 import argparse
 import json
+import os
 import sys
 import tomllib
 from collections.abc import Callable, Sequence
@@ -16,7 +17,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from sinsjax import runtime
+from sinsjax import compile_cache, runtime
 from sinsjax.bench.timing import Row, conditions, use_one_core
 from sinsjax.types import InputError
 
@@ -60,6 +61,7 @@ def main(
     if one_core:
         use_one_core()
     else:
+        os.environ[compile_cache.VARIABLE] = "0"  # as `use_one_core` does
         runtime.configure()
     try:
         measured = rows(flags.quick, flags.repeats)

@@ -37,23 +37,26 @@ not in its table is first tried in a process of its own) and changes nothing els
 for every loop of the process.
 """
 
-# ruff: noqa: E402
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from sinsjax import affinity, runtime, xla
 
 # XLA reads its options and counts its cores once, so this comes before what may start JAX.
 affinity.apply()
 xla.apply_options()
 
-from sinsjax.analysis import summarise
-from sinsjax.campaign import Results, load_tape, run, run_into
-from sinsjax.config import Study, load_study, study_from_dict
-from sinsjax.records import read_record, read_reference
-from sinsjax.results import read_curves, read_manifest, read_summary
-from sinsjax.runtime import configure, info
-from sinsjax.scenario import simulated_record
-from sinsjax.tuning.carry_out import tune
-from sinsjax.tuning.history import read_history
-from sinsjax.types import InputError
+if TYPE_CHECKING:
+    from sinsjax.analysis import summarise
+    from sinsjax.campaign import Results, load_tape, run, run_into
+    from sinsjax.config import Study, load_study, study_from_dict
+    from sinsjax.records import read_record, read_reference
+    from sinsjax.results import read_curves, read_manifest, read_summary
+    from sinsjax.runtime import configure, info
+    from sinsjax.scenario import simulated_record
+    from sinsjax.tuning.carry_out import tune
+    from sinsjax.tuning.history import read_history
+    from sinsjax.types import InputError
 
 __version__ = runtime.package_version()
 
@@ -78,3 +81,30 @@ __all__ = [
     "summarise",
     "tune",
 ]
+
+_HOMES = {
+    "analysis": ("summarise",),
+    "campaign": ("Results", "load_tape", "run", "run_into"),
+    "config": ("Study", "load_study", "study_from_dict"),
+    "records": ("read_record", "read_reference"),
+    "results": ("read_curves", "read_manifest", "read_summary"),
+    "runtime": ("configure", "info"),
+    "scenario": ("simulated_record",),
+    "tuning.carry_out": ("tune",),
+    "tuning.history": ("read_history",),
+    "types": ("InputError",),
+}
+
+
+def __getattr__(name: str) -> Any:
+    # A command needs some of it at once and the rest while XLA compiles: imported when asked for.
+    for home, names in _HOMES.items():
+        if name in names:
+            found = getattr(import_module(f"{__name__}.{home}"), name)
+            globals()[name] = found
+            return found
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -293,10 +293,30 @@ def homes() -> list[jax.Device | None]:
     return [None] if jax.default_backend() == "cpu" else list(jax.local_devices())
 
 
-def compiled(
+class Program:
+    """What `run_tile` becomes for tiles of some shapes: traced when made, compiled when asked for.
+
+    It gives the same bits whatever thread calls it.
+    """
+
+    def __init__(self, lowered: jax.stages.Lowered) -> None:
+        self._lowered: jax.stages.Lowered | None = lowered
+        self._compiled: jax.stages.Compiled | None = None
+        self._lock = threading.Lock()
+
+    def compiled(self) -> jax.stages.Compiled:
+        """The compiled program; XLA compiles it once, for the first who asks."""
+        with self._lock:
+            if self._compiled is None:
+                assert self._lowered is not None
+                self._compiled, self._lowered = self._lowered.compile(), None
+            return self._compiled
+
+
+def program(
     static: Static, world: World, tiles: Tiles, device: jax.Device | None = None
-) -> jax.stages.Compiled:
-    """The program for arguments of these shapes: the same bits, whatever thread calls it.
+) -> Program:
+    """The program for arguments of these shapes, whatever their values.
 
     Args:
         static: what decides it.
@@ -309,16 +329,23 @@ def compiled(
     shapes = tuple(
         jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype, sharding=home) for a in leaves
     )
-    return _compile(static, structure, shapes)
+    return _trace(static, structure, shapes)
+
+
+def compiled(
+    static: Static, world: World, tiles: Tiles, device: jax.Device | None = None
+) -> jax.stages.Compiled:
+    """`program`, compiled."""
+    return program(static, world, tiles, device).compiled()
 
 
 @cache
-def _compile(static: Static, structure: Any, shapes: tuple) -> jax.stages.Compiled:
+def _trace(static: Static, structure: Any, shapes: tuple) -> Program:
     def run_tiles(world: World, tiles: Tiles) -> Any:
         one = partial(run_tile, static, world)
         return jax.lax.map(over_sets(static, one, tiles), tiles)
 
-    return jax.jit(run_tiles).lower(*jax.tree.unflatten(structure, shapes)).compile()
+    return Program(jax.jit(run_tiles).lower(*jax.tree.unflatten(structure, shapes)))
 
 
 class _Thread(threading.local):
@@ -358,10 +385,10 @@ def shown(group: Group) -> int | None:
 
 
 class Calls:
-    """A group compiled: its chunks, any of them in any order and from any thread."""
+    """The calls of a group: its chunks, any of them in any order and from any thread."""
 
     def __init__(self, group: Group, *, tiles_a_chunk: int | None = None) -> None:
-        """Compile a group.
+        """Trace the program of a group.
 
         Args:
             group: what to run.
@@ -371,14 +398,19 @@ class Calls:
         self.plan = plan(group, tiles_a_chunk=tiles_a_chunk)
         static = group.static._replace(shown=shown(group))
         tiles = tiles_of(group, self.plan[0])
-        self._programs = [compiled(static, group.world, tiles, device) for device in homes()]
+        self._programs = [program(static, group.world, tiles, device) for device in homes()]
+
+    def compile(self) -> None:
+        """Compile what the first chunk would else compile; Python is idle meanwhile."""
+        for one in self._programs:
+            one.compiled()
 
     def chunk(self, number: int) -> Chunk:
         """Run one of the plan's calls, on the device of the thread that asks."""
         group, places = self._group, self.plan[number]
         draws, variants = group.sizes
-        program = self._programs[_thread.number % len(self._programs)]
-        outcome, curves = jax.device_get(program(group.world, tiles_of(group, places)))
+        call = self._programs[_thread.number % len(self._programs)].compiled()
+        outcome, curves = jax.device_get(call(group.world, tiles_of(group, places)))
         draw, variant = places.draw.ravel(), places.variant.ravel()
         busy = np.flatnonzero((draw < draws) & (variant < variants))
         runs = busy[np.argsort(draw[busy] * variants + variant[busy])]
@@ -407,6 +439,6 @@ def chunks(group: Group, *, devices: int = 1, tiles_a_chunk: int | None = None) 
     Yields:
         Results in the order of the plan.
     """
-    # Compiled before there are threads, which would each compile it.
     calls = Calls(group, tiles_a_chunk=tiles_a_chunk)
+    calls.compile()
     yield from spread(calls.chunk, range(len(calls.plan)), devices)

@@ -7,7 +7,7 @@ import atexit
 import gc
 import sys
 import threading
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
@@ -30,6 +30,9 @@ app = typer.Typer(
 
 MOST_RUNS = 1024
 """Runs up to which `run` and `align` keep every curve; `run` takes no more."""
+
+_LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
+"""JAX's name of what comes before XLA compiles."""
 
 Config = Annotated[Path, typer.Argument(help="Study file (TOML).", show_default=False)]
 Out = Annotated[
@@ -366,8 +369,21 @@ def _configure(devices: int | None) -> None:
     """Makes JAX ready, and begins to import what a report needs."""
     runtime.configure(devices)
     runtime.require_backend()
-    # Takes a third of a second, which XLA's compiling leaves idle.
-    threading.Thread(target=import_module, args=("sinsjax.report",), daemon=True).start()
+    _import_while_compiling("sinsjax.report")
+
+
+def _import_while_compiling(name: str) -> None:
+    """Imports a module once XLA has its first program to compile, which leaves Python idle."""
+    import jax.monitoring
+
+    thread = threading.Thread(target=import_module, args=(name,), daemon=True)
+
+    def listen(event: str, seconds: float, **about: Any) -> None:
+        if event == _LOWERED and thread.ident is None:
+            with suppress(RuntimeError):  # another thread's program was as quick
+                thread.start()
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
 
 
 def _executor(workers: int | None, scheduler: str | None) -> Any:

@@ -28,8 +28,8 @@ def configure(devices: int | None = None, x64: bool = True) -> None:
     """Set the number of CPU devices and the precision of JAX; call it before any computation.
 
     Importing sinsjax never does this, since both change the whole program, as do LLVM's options
-    for loops over lanes (`xla.loop_options`), which are set here if JAX has not started. With
-    ``SINSJAX_COMPILE_CACHE`` in the environment compiled programs are kept, see `compile_cache`.
+    for loops over lanes (`xla.loop_options`), which are set here if JAX has not started. Programs
+    that take long to compile are kept for the next process, see `compile_cache`.
 
     Args:
         devices: CPU devices, at least 1: how many threads run a program. None takes what
@@ -121,13 +121,14 @@ def facts() -> dict[str, Any]:
     Returns:
         All of `versions`; ``platform``, ``cpu``; ``instructions``: the set in force; ``avx512``:
         whether it is that one, None where it cannot be told; ``cores``, ``devices``, ``x64``;
-        ``compile_cache``: the folder of compiled programs, or off; ``options``: each XLA option
-        with its value in ``XLA_FLAGS`` or None; ``opted_out``; ``jaxlib_tested``: whether this
-        version is in `xla.TESTED_JAXLIB`; ``fused_loop``, ``multi_output_fusion``: what
+        ``compile_cache``: the folder of compiled programs, or off and why; ``options``: each XLA
+        option with its value in ``XLA_FLAGS`` or None; ``opted_out``; ``jaxlib_tested``: whether
+        this version is in `xla.TESTED_JAXLIB`; ``fused_loop``, ``multi_output_fusion``: what
         `sinsjax.hlo.options_seen` finds.
     """
     import jax
 
+    from sinsjax import compile_cache
     from sinsjax.hlo import options_seen
 
     present = xla.given()
@@ -141,7 +142,8 @@ def facts() -> dict[str, Any]:
         "cores": usable_cores(),
         "devices": [str(device) for device in jax.devices()],
         "x64": bool(jax.config.values["jax_enable_x64"]),
-        "compile_cache": jax.config.values["jax_compilation_cache_dir"] or "off",
+        "compile_cache": jax.config.values["jax_compilation_cache_dir"]
+        or f"off ({compile_cache.why_off()})",
         "options": {option.name: present.get(option.name) for option in xla.wanted()},
         "opted_out": xla.opted_out(),
         "jaxlib_tested": _version("jaxlib") in xla.TESTED_JAXLIB,

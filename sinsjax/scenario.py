@@ -98,8 +98,13 @@ class Scenario:
         variants = (Variants(self.study, ids) for ids in self.variant_ids)
         return [_program(self.study, some, self.curves) for some in variants]
 
-    def part(self, number: int, draws: range | None = None) -> Part:
+    def part(self, number: int, draws: range | None = None, *, blank: bool = False) -> Part:
         """A part with all its draws, or some in a row.
+
+        Args:
+            number: of the part.
+            draws: which; None for all.
+            blank: whether zeros stand for the truth of a simulation: enough to compile for.
 
         Raises:
             InputError: a record that does not fit the study.
@@ -117,7 +122,7 @@ class Scenario:
         span = _span(study, variants)
         if self.tape is None:
             draws = range(study.n_draws) if draws is None else draws
-            world, drawn, q = simulated(study, variants, span, criteria, draws)
+            world, drawn, q = simulated(study, variants, span, criteria, draws, blank=blank)
         else:
             world, drawn, q = recorded(study, variants, span, criteria, self.tape)
         params = _params(study, variants, site, ug)

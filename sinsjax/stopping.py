@@ -5,14 +5,16 @@ place for any chunk, worker and order.
 """
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import pyarrow as pa
 
-from sinsjax import analysis, success
 from sinsjax import columns as layout
-from sinsjax.analysis import Estimate
+from sinsjax import success
 from sinsjax.studies import Study
+
+if TYPE_CHECKING:
+    from sinsjax.analysis import Estimate
 
 FIRST_LOOK = 64
 """Draws at the first look; each further one is at twice as many."""
@@ -71,6 +73,8 @@ def look(study: Study, table: pa.Table, draws: int) -> Look:
         table: `columns` of the summary, in any order, all runs of the draws at least.
         draws: how many.
     """
+    from sinsjax import analysis  # late: scipy takes a quarter of a second, and few studies ask
+
     assert study.stop_when is not None
     rows = table.filter(pa.compute.less(table["draw_id"], draws)).sort_by("run_id")
     name = study.stop_when.statistic
@@ -85,6 +89,6 @@ def look(study: Study, table: pa.Table, draws: int) -> Look:
     return Look(draws, widest, widest <= study.stop_when.half_width)
 
 
-def _half_width(estimate: Estimate) -> float:
+def _half_width(estimate: "Estimate") -> float:
     half = (estimate.high - estimate.low) / 2
     return math.inf if math.isnan(half) else half

@@ -9,6 +9,7 @@ import json
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from itertools import product
 from typing import Any, NamedTuple
@@ -121,7 +122,7 @@ class Workshop:
     """
 
     def __init__(self, job: Job) -> None:
-        """Check a job and make its first part.
+        """Check a job, by making its first part.
 
         Raises:
             InputError: a record that does not fit, or a study that cannot be run.
@@ -135,7 +136,11 @@ class Workshop:
         self._lock = threading.Lock()
         self._part = lru_cache(_PARTS_READY)(self.scenario.part)
         self._calls = lru_cache(_PARTS_READY)(self._compile)
-        self._part(0, self._blocks(self.stages[0])[0])
+        first = self._blocks(self.stages[0])[0]
+        if self.scenario.tape is None:
+            self.scenario.part(0, first, blank=True)
+        else:
+            self._part(0, first)
 
     @property
     def stages(self) -> list[range]:
@@ -214,7 +219,15 @@ class Workshop:
         }
 
     def _compile(self, part: int, draws: range) -> tuple[np.ndarray, Calls]:
-        made = self._part(part, draws)
+        if self.scenario.tape is not None:
+            made = self._part(part, draws)
+            return made.variant_ids, Calls(made.group, tiles_a_chunk=self._tiles)
+        blank = self.scenario.part(part, draws, blank=True)
+        engine = Calls(blank.group, tiles_a_chunk=self._tiles)
+        with ThreadPoolExecutor(1) as beside:
+            compiling = beside.submit(engine.compile)
+            made = self._part(part, draws)  # XLA takes another core for its truth
+            compiling.result()
         return made.variant_ids, Calls(made.group, tiles_a_chunk=self._tiles)
 
 

@@ -143,12 +143,26 @@ def _truth(
     )
 
 
+def _blank(
+    motion: trajectory.Motion, place: earth.Place, times: Array, rate: Scalar, *, samples: int
+) -> tuple[Array, Array]:
+    """Zeros of the shapes of `_truth`."""
+    return np.zeros((samples, 6)), np.zeros((len(times), 4))
+
+
 def simulated(
-    study: Study, variants: Variants, span: Span, criteria: Criteria, draws: range
+    study: Study,
+    variants: Variants,
+    span: Span,
+    criteria: Criteria,
+    draws: range,
+    *,
+    blank: bool = False,
 ) -> tuple[World, Draw, np.ndarray]:
     """World, draws and their true starting attitudes of a simulated part.
 
-    A key that is drawn has a nominal value in the world: zero, or its default.
+    A key that is drawn has a nominal value in the world: zero, or its default. A blank one has
+    zeros for the truth, which takes XLA a while: shapes are all that a program is compiled for.
     """
     site, ug = site_of(study, variants, None)
     errors, motion = errors_of(variants.common, ug, study.study.rate_hz), motion_of(variants.common)
@@ -161,7 +175,8 @@ def simulated(
         # Of one length for all parts, so that they share a program.
         samples = max(s.read for s in study.distinct_spans) * study.record_every
         kept = samples if samples <= LONGEST_TAPE else 0
-        truth = _truth(motion, site.place, times, study.study.rate_hz, samples=kept)
+        make = _blank if blank else _truth
+        truth = make(motion, site.place, times, study.study.rate_hz, samples=kept)
         tape, attitudes = np.asarray(truth[0]) if kept else None, np.asarray(truth[1])
     n = len(draws)
     world = World(

@@ -1,7 +1,7 @@
 """Batching changes nothing: not the noise, not the results, not for any chunk or device count."""
 
 import threading
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -65,19 +65,21 @@ def test_a_program_a_device_puts_each_threads_work_on_its_own(
     devices = jax.local_devices()
     assert len(devices) == 2
     monkeypatch.setattr(batch, "homes", lambda: devices)
-    compiled, used = batch.compiled, []
+    program, used = batch.program, []
 
-    def watched(*arguments: Any) -> Any:
-        program, home = compiled(*arguments), arguments[-1]
+    class Watched(NamedTuple):
+        program: batch.Program
+        home: jax.Device
 
-        def run(*given: Any) -> Any:
-            out = program(*given)
-            used.append((home, *{leaf.device for leaf in jax.tree.leaves(out)}))
+        def compiled(self) -> Any:
+            return self
+
+        def __call__(self, *given: Any) -> Any:
+            out = self.program.compiled()(*given)
+            used.append((self.home, *{leaf.device for leaf in jax.tree.leaves(out)}))
             return out
 
-        return run
-
-    monkeypatch.setattr(batch, "compiled", watched)
+    monkeypatch.setattr(batch, "program", lambda *given: Watched(program(*given), given[-1]))
     got = all_runs(six_variants, devices=2, tiles_a_chunk=2)
     assert_same_bits(got, reference)
     assert used and all(home == on for home, on in used)

@@ -9,7 +9,7 @@ import statistics
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from sinsjax import runtime, xla
+from sinsjax import compile_cache, runtime, xla
 
 Row = dict[str, Any]
 """A measurement: ``name``, its numbers, and the conditions."""
@@ -162,7 +162,11 @@ def _in_force(options: dict[str, str | None]) -> str:
 
 
 def use_one_core() -> None:
-    """Keep this process to one core; before XLA sizes its thread pool, or it is no use."""
+    """Keep this process to one core, and compile all that it runs.
+
+    Call it before XLA sizes its thread pool, or it is no use.
+    """
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    os.environ[compile_cache.VARIABLE] = "0"  # what compiling takes is measured too
     runtime.configure(devices=1)
