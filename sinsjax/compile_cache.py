@@ -84,6 +84,9 @@ def enable() -> Path | None:
     else:
         try:
             return _keep_in(_folder(asked))
+        except InputError as error:  # a full disk
+            _why_off = str(error)
+            return None
         except filelock.Timeout:
             _why_off = f"another process keeps the lock of {_folder(asked)}"
             return None
@@ -151,12 +154,8 @@ def vouch(folder: Path) -> None:
     with _locked(folder):
         known = _sums(folder)
         new = [entry for entry in _entries(folder) if entry.name not in known]
-        sums = {entry.name: _digest(entry) for entry in new if _is_whole(entry)}
-        if sums:
-            there = {entry.name for entry in _entries(folder)}
-            kept = {name: told for name, told in known.items() if name in there}
-            with replacing(folder / _SUMS) as file:
-                file.write(json.dumps(kept | sums).encode())
+        if sums := {entry.name: _digest(entry) for entry in new if _is_whole(entry)}:
+            _note(folder, known | sums)
 
 
 def _remove_unvouched(folder: Path) -> None:
@@ -165,6 +164,9 @@ def _remove_unvouched(folder: Path) -> None:
         if not _used(entry).is_file() or _digest(entry) != sums.get(entry.name):
             entry.unlink(missing_ok=True)
             _used(entry).unlink(missing_ok=True)
+    there = {entry.name for entry in _entries(folder)}
+    if gone := sums.keys() - there:  # by JAX too, which makes room
+        _note(folder, {name: told for name, told in sums.items() if name not in gone})
 
 
 def _remove_old(folder: Path) -> None:
@@ -196,6 +198,11 @@ def _sums(folder: Path) -> dict[str, str]:
     except (OSError, ValueError):
         return {}
     return told if isinstance(told, dict) else {}
+
+
+def _note(folder: Path, sums: dict[str, str]) -> None:
+    with replacing(folder / _SUMS) as file:
+        file.write(json.dumps(sums).encode())
 
 
 def _digest(entry: Path) -> str:

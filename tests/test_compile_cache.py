@@ -189,6 +189,9 @@ def test_a_second_process_finds_what_the_first_compiled(filled):
 
 
 def cut(inner: Path) -> None:
+    """Its digest is that of an entry that took another time to compile."""
+    sums = json.loads((inner / "sums.json").read_text())
+    (inner / "sums.json").write_text(json.dumps(dict.fromkeys(sums, "0")))
     for entry in inner.glob("*-cache"):
         entry.write_bytes(entry.read_bytes()[:100])
 
