@@ -36,6 +36,7 @@ def sections(machines: Sequence[Machine], notes: str) -> list[Section]:
     newest = [machine for machine in machines if machine.version == machines[-1].version]
     cpus = [machine for machine in newest if not machine.on_gpu]
     made = [
+        Section("Machines", compared(cpus)),
         Section("Targets", [block for machine in newest for block in targets(machine)]),
         Section("Beside the limit", [block for machine in cpus for block in beside_limit(machine)]),
         Section("Methods", [block for machine in cpus for block in methods(machine)]),
@@ -62,6 +63,30 @@ def headline(machine: Machine) -> list[str]:
         f" times a hand-written kernel ({kernel['ns_per_step_run']:.1f} ns); that is"
         f" {costs.runs_a_minute(ns):,.0f} runs of {costs.RUN_S} s at {costs.RATE_HZ} Hz a minute."
     ]
+
+
+WIDTHS = {"AVX512": 512, "AVX2": 256, "AVX": 256, "SSE4_2": 128}
+"""Bits of a vector, by instruction set."""
+
+
+def compared(machines: Sequence[Machine]) -> list[Block]:
+    """What the machines are: a ns on one is no ns on another."""
+    header = ["machine", "family/model", "cores", "vector (bits)", "GHz", "limit kernel (ns)"]
+    lines = []
+    for machine in machines:
+        row = next(iter(next(iter(machine.sets.values())).values()))
+        kernel = machine.row("pairs", "limit_kernel") or machine.row("short", "limit_kernel")
+        if "instructions" in row and kernel:
+            width = WIDTHS.get(row["instructions"])
+            told = (str(width or "?"), f"{row['ghz']:.2f}" if row["ghz"] else "?")
+            ns = f"{kernel['ns_per_step_run']:.1f}"
+            lines.append([machine.name, row["family"], str(row["cores"]), *told, ns])
+    note = (
+        "Times compare within a machine only: read the ratios to the limit kernel, which is built"
+        " for the same instruction set. GHz as the system tells it, which need not be what the"
+        " cores ran at."
+    )
+    return [Table("Machines measured", header, lines, note)] if lines else []
 
 
 def targets(machine: Machine) -> list[Block]:

@@ -33,7 +33,7 @@ class Machine(NamedTuple):
         for row in rows:
             sets.setdefault(row["set"], {})[row["name"]] = row
         first = rows[0]
-        name = first["cpu"] + (" (AVX-512)" if first["avx512"] else "")
+        name = f"{first['cpu']}{f' ({told})' if (told := set_in_force(first)) else ''}"
         return cls(first["sinsjax"], name if on_cpu(first) else first["device"], sets)
 
     def row(self, of: str, name: str) -> Row | None:
@@ -65,9 +65,17 @@ def on_cpu(row: Row) -> bool:
     return bool(row["platform"] == "cpu")
 
 
+def set_in_force(row: Row) -> str:
+    """The instruction set of a row; nothing where a row of an early version tells of none."""
+    return {"AVX512": "AVX-512"}.get(told := row.get("instructions", ""), told) or (
+        "AVX-512" if row["avx512"] else ""
+    )
+
+
 def file_name(row: Row) -> str:
-    """The file that a row belongs to: version, and processor or GPU."""
-    words = f"{row['cpu']} {'avx512' if row['avx512'] else ''}" if on_cpu(row) else row["device"]
+    """The file that a row belongs to: version, and processor with its instruction set, or GPU."""
+    told = set_in_force(row).replace("-", "")
+    words = f"{row['cpu']} {told}" if on_cpu(row) else row["device"]
     plain = re.sub(r"\((r|tm)\)|@.*?hz|\b(cpu|processor)\b", " ", words.lower())
     return f"{row['sinsjax']}_{re.sub(r'[^a-z0-9]+', '-', plain).strip('-')}.json"
 

@@ -91,7 +91,7 @@ def test_a_ratio_is_the_median_over_turns_of_the_same_turn():
 
 def test_conditions_say_what_a_row_holds_under():
     holds = bench.conditions()
-    keys = "cpu avx512 cores platform device sinsjax jax jaxlib python options fused_loop"
+    keys = "cpu family ghz instructions avx512 cores platform device sinsjax jax jaxlib python options fused_loop"
     assert list(holds) == keys.split()
     assert holds["platform"] == "cpu"
     json.dumps(holds)

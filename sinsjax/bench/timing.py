@@ -9,7 +9,7 @@ import statistics
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from sinsjax import compile_cache, runtime, xla
+from sinsjax import compile_cache, machine, runtime, xla
 
 Row = dict[str, Any]
 """A measurement: ``name``, its numbers, and the conditions."""
@@ -130,16 +130,21 @@ def conditions() -> Row:
     """What a measurement holds under; starts JAX's backend and compiles a tiny loop.
 
     Returns:
-        ``cpu``, ``avx512``, ``cores`` of the machine, ``platform`` (of JAX: cpu, gpu), ``device``
-        (its kind), versions of ``sinsjax``, ``jax``, ``jaxlib`` and ``python``, ``options`` (of
-        XLA:CPU that are in force: all, none, or the names of those that are) and ``fused_loop``.
+        ``cpu`` with its ``family`` and ``ghz`` (None if untold), ``cores`` of the machine,
+        ``instructions`` (the set in force) and ``avx512``, ``platform`` (of JAX: cpu, gpu),
+        ``device`` (its kind), versions of ``sinsjax``, ``jax``, ``jaxlib`` and ``python``,
+        ``options`` (of XLA:CPU that are in force: all, none, or the names of those that are) and
+        ``fused_loop``.
     """
     import jax
 
-    facts = runtime.facts()
+    facts, told = runtime.facts(), machine.cpu()
     device = jax.devices()[0]
     return {
         "cpu": facts["cpu"],
+        "family": f"{told.get('cpu family', '?')}/{told.get('model', '?')}",
+        "ghz": float(told["cpu MHz"]) / 1e3 if "cpu MHz" in told else None,
+        "instructions": facts["instructions"],
         "avx512": facts["avx512"],
         "cores": os.cpu_count(),
         "platform": device.platform,
