@@ -399,6 +399,8 @@ class Calls:
         static = group.static._replace(shown=shown(group))
         tiles = tiles_of(group, self.plan[0])
         self._programs = [program(static, group.world, tiles, device) for device in homes()]
+        # Once, and not with every call.
+        self._worlds = [jax.device_put(group.world, device) for device in homes()]
 
     def compile(self) -> None:
         """Compile what the first chunk would else compile; Python is idle meanwhile."""
@@ -409,8 +411,9 @@ class Calls:
         """Run one of the plan's calls, on the device of the thread that asks."""
         group, places = self._group, self.plan[number]
         draws, variants = group.sizes
-        call = self._programs[_thread.number % len(self._programs)].compiled()
-        outcome, curves = jax.device_get(call(group.world, tiles_of(group, places)))
+        home = _thread.number % len(self._programs)
+        call = self._programs[home].compiled()
+        outcome, curves = jax.device_get(call(self._worlds[home], tiles_of(group, places)))
         draw, variant = places.draw.ravel(), places.variant.ravel()
         busy = np.flatnonzero((draw < draws) & (variant < variants))
         runs = busy[np.argsort(draw[busy] * variants + variant[busy])]

@@ -5,6 +5,7 @@ and record time. The keys that a study sweeps are columns of the summary too.
 """
 
 from collections.abc import Iterable
+from functools import cache
 from typing import Any, NamedTuple
 
 import pyarrow as pa
@@ -175,7 +176,8 @@ def drawn_column(key: str, dimensions: int, meaning: str) -> Column:
     return Column(key, dtype, split_unit(key)[1], f"drawn by the study: {meaning}")
 
 
-def schema(columns: Iterable[Column]) -> pa.Schema:
+@cache  # asked for with every chunk
+def schema(columns: tuple[Column, ...]) -> pa.Schema:
     """Arrow schema with units and meanings as field metadata."""
     fields = [
         pa.field(c.name, c.dtype, metadata={"unit": c.unit, "meaning": c.meaning}) for c in columns

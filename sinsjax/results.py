@@ -7,6 +7,7 @@ writes it. Parts, like rows, depend on the study alone.
 
 import re
 from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -179,11 +180,22 @@ class Tables:
 
     def _has_limit(self, chunk: Chunk, variant: np.ndarray) -> np.ndarray:
         """Which runs have a limit, their last reset being one of the schedule or the trigger's."""
+        if self._limit_by_variant is not None:
+            return self._limit_by_variant[variant]
         last_s = self._last_reset_s[variant]
         if chunk.outcome.fired is not None:
             fired_s = np.asarray(chunk.outcome.fired.last) / self._study.study.rate_hz
             last_s = np.maximum(last_s, fired_s)
         return has_limit(self._study, chunk.draw, variant, last_s)
+
+    @cached_property
+    def _limit_by_variant(self) -> np.ndarray | None:
+        """Which variants have a limit, where neither draws nor triggers decide."""
+        study = self._study
+        if study.drawn_keys or study.has_trigger:
+            return None
+        variants = np.arange(study.n_variants)
+        return has_limit(study, np.zeros_like(variants), variants, self._last_reset_s)
 
 
 def _innovations(summed: Innovations | None, runs: int) -> dict[str, pa.Array]:

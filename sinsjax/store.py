@@ -24,6 +24,7 @@ from sinsjax.types import InputError
 from sinsjax.work import Job, Packed, Task, Workshop
 
 _MANIFEST_SHARE = 0.05  # of the time, at the most, goes into writing manifests
+_MANIFEST_EVERY_S = 1.0  # at the most: nobody reads them faster, and they hold up the threads
 _OF_ALL = ("versions", "instructions", "devices", "devices_are")
 """What the last session says for the whole directory."""
 
@@ -244,7 +245,8 @@ class Store:
         text = json.dumps(manifest, indent=1, allow_nan=False) + "\n"
         _write(self.directory / MANIFEST, text.encode())
         ended = time.monotonic()
-        self._next_manifest = ended + (ended - began) / _MANIFEST_SHARE
+        wait_s = max(_MANIFEST_EVERY_S, (ended - began) / _MANIFEST_SHARE)
+        self._next_manifest = ended + wait_s
 
 
 def _write(path: Path, content: bytes) -> None:
