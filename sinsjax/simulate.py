@@ -259,11 +259,16 @@ def over_a_record(
     def one_next_event(params: Params, state: Any, n: Scalar) -> Scalar | None:
         return method.next_event(params.method, state, n) if method.next_event else None
 
+    def one_called(state: Any, n: Scalar) -> Flag:
+        assert method.called is not None
+        return method.called(state, n)
+
     axes = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
     sensed = fan.over_draws(partial(sense, static, world), axes, None, 0, None)
     step = fan.over_runs(one_step, 0, 0, shared.site_axis, fan.shared, None)
     close = fan.over_runs(one_close, 0, 0, None)
     next_event = fan.over_runs(one_next_event, 0, 0, None)
+    calls = fan.over_runs(one_called, 0, None)
     record = fan.over_runs(one_record, 0, fan.shared, None, 0)
     opened = reader(static, world, shared, params, fan)
     size = piece(static, draws)
@@ -298,10 +303,14 @@ def over_a_record(
                 return None
             return fan.earliest(ahead) - done.astype(kind)
 
+        def called(state: Any, place: Count) -> Flag:
+            return jnp.any(calls(state, (done + place).astype(kind)))
+
         if following(state, jnp.asarray(0)) is None:
             over = sample_by_sample
         else:
-            over = partial(event_by_event, next_event=following)
+            asked = called if method.called else None
+            over = partial(event_by_event, next_event=following, called=asked)
         state, before = over(state, before, every, step_over, closed, make, size)
         n = ((number + 1) * every).astype(kind)
         q_true = attitude(world, draws, number) if q_true is None else q_true

@@ -1,9 +1,9 @@
 """Going over the samples of a record interval: one by one, or from one event to the next.
 
-A step is taken for every sample; closing the loop is an event, due every so many samples. Runs of a
-tile go together to the first event of any of them, where all are closed: that leaves those for
-which nothing is due as they are. The samples themselves are made some at a time, since few draws
-alone would not fill a vector.
+A step is taken for every sample; closing the loop is an event, due every so many samples, or called
+for by a run at a sample. Runs of a tile go together to the first event of any of them, where all
+are closed: that leaves those for which nothing is due as they are. The samples themselves are made
+some at a time, since few draws alone would not fill a vector.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from sinsjax.types import Count, Scalar
+from sinsjax.types import Count, Flag, Scalar
 
 Step = Callable[[Any, Count, Any], Any]
 """(state, place of the sample in the interval, sample) -> state."""
@@ -23,6 +23,9 @@ Close = Callable[[Any, Count], Any]
 
 NextEvent = Callable[[Any, Count], Scalar]
 """(state, samples of the interval gone over) -> how many they are at the next event."""
+
+Called = Callable[[Any, Count], Flag]
+"""(state, samples of the interval gone over) -> whether the last of them is an event by itself."""
 
 Make = Callable[[Any, Count], tuple[Any, Any]]
 """(what samples look back at, number of a piece) -> its samples, leaves (samples, ...), and what
@@ -69,6 +72,7 @@ def event_by_event(
     make: Make,
     piece: int,
     next_event: NextEvent,
+    called: Called | None = None,
 ) -> tuple[Any, Any]:
     """Close at events, and at the end of the interval, where that leaves runs as they are.
 
@@ -81,6 +85,7 @@ def event_by_event(
         make: see `Make`.
         piece: samples that are made at a time; it divides ``count``.
         next_event: see `NextEvent`.
+        called: see `Called`; None where no sample is.
 
     Returns:
         The state, and what the next interval looks back at.
@@ -88,40 +93,61 @@ def event_by_event(
     shapes = jax.eval_shape(make, before, jnp.asarray(0))[0]
     made = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes) if piece > 1 else None
 
+    def over(
+        place: Count, end: Count, one: Callable[[Count, Any], Any], carry: Any
+    ) -> tuple[Count, Any, Flag]:
+        """Samples up to ``end``, or to the first that is an event by itself; whether it is one."""
+        if called is None:
+            return end, jax.lax.fori_loop(place, end, one, carry), jnp.asarray(False)
+
+        def further(progress: tuple[Count, Any, Flag]) -> Flag:
+            place, _, stopped = progress
+            return (place < end) & ~stopped
+
+        def on(progress: tuple[Count, Any, Flag]) -> tuple[Count, Any, Flag]:
+            place, carry, _ = progress
+            carry = one(place, carry)
+            return place + 1, carry, called(carry[0], place + 1)
+
+        return jax.lax.while_loop(further, on, (place, carry, jnp.asarray(False)))
+
     def alone(place: Count, carry: tuple[Any, Any]) -> tuple[Any, Any]:
         state, before = carry
         samples, before = make(before, place)
         return step(state, place, jax.tree.map(lambda a: a[0], samples)), before
 
-    def over_piece(stop: Count, progress: tuple[Count, Any, Any]) -> tuple[Count, Any, Any]:
-        place, (state, before), made = progress
+    def over_piece(stop: Count, progress: tuple) -> tuple:
+        place, (state, before), made, _ = progress
         number = place // piece
         # An event may cut a piece in two: its second part takes the samples of the first.
         fresh = place == number * piece
         made, before = jax.lax.cond(fresh, make, lambda before, _: (made, before), before, number)
         end = jnp.minimum(stop, (number + 1) * piece)
 
-        def one(place: Count, state: Any) -> Any:
+        def one(place: Count, carry: tuple[Any]) -> tuple[Any]:
             at = place - number * piece
             sample = jax.tree.map(
                 lambda a: jax.lax.dynamic_index_in_dim(a, at, keepdims=False), made
             )
-            return step(state, place, sample)
+            return (step(carry[0], place, sample),)
 
-        return end, (jax.lax.fori_loop(place, end, one, state), before), made
+        place, (state,), stopped = over(place, end, one, (state,))
+        return place, (state, before), made, stopped
 
     def to_event(progress: tuple[Count, Any, Any]) -> tuple[Count, Any, Any]:
         place, carry, made = progress
         # Compared as it is, and infinite where nothing is due any more.
         stop = jnp.minimum(next_event(carry[0], place), count).astype(place.dtype)
         if piece > 1:
-            _, carry, made = jax.lax.while_loop(
-                lambda progress: progress[0] < stop, partial(over_piece, stop), progress
+            place, carry, made, _ = jax.lax.while_loop(
+                lambda progress: (progress[0] < stop) & ~progress[3],
+                partial(over_piece, stop),
+                (place, carry, made, jnp.asarray(False)),
             )
         else:
-            carry = jax.lax.fori_loop(place, stop, alone, carry)
+            place, carry, _ = over(place, stop, alone, carry)
         state, before = carry
-        return stop, (close(state, stop), before), made
+        return place, (close(state, place), before), made
 
     start = jnp.asarray(0), (state, before), made
     return jax.lax.while_loop(lambda progress: progress[0] < count, to_event, start)[1]

@@ -74,10 +74,12 @@ def test_an_event_is_the_next_sample_at_which_anything_is_due(resets, feedback_a
 @given(
     st.sampled_from([(1, 1), (12, 1), (12, 3), (12, 12)]),
     st.lists(st.integers(1, 15), min_size=3, max_size=3),
+    st.integers(0, 3),
 )
-def test_every_sample_is_taken_once_and_looks_back_at_the_one_before(sizes, events):
+def test_every_sample_is_taken_once_and_looks_back_at_the_one_before(sizes, events, told):
     count, piece = sizes
     at = jnp.asarray(sorted(events))
+    foreseen = at[:told]  # of the others the samples themselves tell
 
     def make(before, number):
         now = 100.0 + (number * piece + jnp.arange(piece)).astype(float)
@@ -93,11 +95,16 @@ def test_every_sample_is_taken_once_and_looks_back_at_the_one_before(sizes, even
         return total, log, jnp.where(jnp.any(at == place), closings + 1, closings)
 
     def next_event(state, place):
-        return jnp.min(jnp.where(at > place, at.astype(float), jnp.inf))
+        ahead = jnp.where(foreseen > place, foreseen.astype(float), jnp.inf)
+        return jnp.min(ahead, initial=jnp.inf)
+
+    def called(state, place):
+        return jnp.any(at[told:] == place)
 
     start = (jnp.asarray(0.0), jnp.zeros(count, int), jnp.asarray(0)), jnp.asarray(5.0)
     one = sample_by_sample(*start, count, step, close, make, piece)
-    other = event_by_event(*start, count, step, close, make, piece, next_event)
+    asked = called if told < 3 else None
+    other = event_by_event(*start, count, step, close, make, piece, next_event, asked)
     for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
         np.testing.assert_array_equal(a, b)
     (total, log, closings), last = one

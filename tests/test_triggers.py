@@ -28,7 +28,7 @@ from studies import small_study
 
 from sinsjax import campaign, columns, results
 from sinsjax.algebra import triangle_index
-from sinsjax.alignment import METHODS, reverse, triggers
+from sinsjax.alignment import METHODS, reverse, scores, triggers
 from sinsjax.alignment.base import Options
 from sinsjax.alignment.scores import TRIGGERS
 from sinsjax.alignment.triggers import Noise, Seen
@@ -504,3 +504,8 @@ def test_the_columns_of_a_trigger_come_with_it_alone(rows):
     for tables in ({}, {"axes": {"reset_count": [0, 1]}, "resets": {"reset_cycle_s": 1.0}}):
         names = {column.name for column in results.Tables(small_study(**tables)).summary_columns}
         assert not told & names
+
+
+def test_the_sine_of_scores_is_that_of_the_library():
+    angles = np.linspace(-30.0, 30.0, 10_001)
+    np.testing.assert_allclose(jax.vmap(scores._sine)(angles), np.sin(angles), rtol=0, atol=4e-15)

@@ -110,6 +110,8 @@ class Method(NamedTuple):
             whose loop is closed within the step.
         next_event: (params, state, n) -> sample after the n-th at which anything is due next, as a
             number; None, of some params or of all, where that is found out as it goes.
+        called: (state, n) -> whether the n-th sample itself called for the loop to be closed after
+            it, which no `next_event` could tell before; None of a method where none does.
         common_covariance: whether the covariance depends on params and n alone, so that runs that
             differ in their draw can share it.
     """
@@ -125,4 +127,5 @@ class Method(NamedTuple):
     innovations: Callable[[Any], Innovations] | None = None
     close: Callable[[Any, Any, Scalar], Any] | None = None
     next_event: Callable[[Any, Any, Scalar], Scalar | None] | None = None
+    called: Callable[[Any, Scalar], Flag] | None = None
     common_covariance: bool = False

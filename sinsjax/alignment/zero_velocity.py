@@ -172,7 +172,8 @@ def build(model: ErrorModel, options: Options) -> Method:
         fired=(lambda state: state.watch.fired) if trigger else None,
         innovations=(lambda state: state.innovations) if options.innovations else None,
         close=partial(_close, trigger),
-        next_event=None if trigger else _next_event,
+        next_event=_next_event,
+        called=_called if trigger and trigger.look else None,
         common_covariance=at_rest
         and not integrated
         and not model.uses_attitude
@@ -187,6 +188,10 @@ def _next_event(params: Params, state: State, n: Scalar) -> Scalar | None:
     if isinstance(params.resets, Windows):
         return None  # a share of a reset is due at every sample
     return next_due(state.feedback_at, params.resets, n)
+
+
+def _called(state: State, n: Scalar) -> Flag:
+    return triggers.fires(state.watch, n)
 
 
 def _close(trigger: Trigger | None, params: Params, state: State, n: Scalar) -> State:
