@@ -1,33 +1,58 @@
-"""What noise costs: against silent sensors, with 64, 6 and 1 variants that share a draw."""
+"""What draws cost: noise with 64, 6, 2 and 1 variants that share one, and bases of their own."""
 
 import common
 
-from sinsjax.bench.cases import default_group, engine, shortened, some_variants, without_noise
+from sinsjax.bench.cases import (
+    default_group,
+    drawn_base_group,
+    engine,
+    shortened,
+    some_variants,
+    without_noise,
+)
 from sinsjax.bench.timing import Row, measure_against
+
+BASE_VARIANTS = 2
+"""Variants a draw where each draw has a base of its own."""
 
 
 def rows(quick: bool, repeats: int) -> list[Row]:
     """Time the engine with noise, in turns with the same without.
 
     Returns:
-        ``noise_off``, then rows with ``variants`` and their ``ratio`` to it: ``noise_N``, and
-        ``silent_N``, which has the samples of several draws a tile to hand out but none to draw.
+        ``noise_off``, then rows with ``variants`` and their ``ratio`` to it: ``noise_N``,
+        ``silent_N``, which has the samples of several draws a tile to hand out but none to draw,
+        and ``base_2``, ``noise_2`` with a base of its own for each draw. That has its split too,
+        ns a step and run: ``increments_ns``, ``noise_ns`` (noise, and handing it out), ``rest_ns``.
     """
-    group = default_group()
+    group, based = default_group(), drawn_base_group(BASE_VARIANTS)
     if quick:
-        group = shortened(group, 2)
+        group, based = shortened(group, 2), shortened(based, 2)
     off = engine("noise_off", without_noise(group))
     cases, variants = [], []
-    for count in (64, 1) if quick else (64, 6, 1):
+    for count in (64, BASE_VARIANTS) if quick else (64, 6, BASE_VARIANTS, 1):
         some = some_variants(group, count)
         cases.append(engine(f"noise_{count}", some))
         variants.append(count)
         if count < 64:
             cases.append(engine(f"silent_{count}", without_noise(some)))
             variants.append(count)
+    cases.append(engine(f"base_{BASE_VARIANTS}", based))
+    variants.append(BASE_VARIANTS)
     base, *others = measure_against(off, cases, repeats)
     told = [row | {"variants": count} for row, count in zip(others, variants, strict=True)]
-    return [base, *told]
+    return [base, *told[:-1], told[-1] | split([base, *told])]
+
+
+def split(measured: list[Row]) -> Row:
+    """What of ``base_2`` is due to the increments of its bases, to noise, and to the rest."""
+    ns = {row["name"]: row["ns_per_step_run"] for row in measured}
+    whole, shared, silent = (ns[f"{name}_{BASE_VARIANTS}"] for name in ("base", "noise", "silent"))
+    return {
+        "increments_ns": round(whole - shared, 2),
+        "noise_ns": round(shared - silent, 2),
+        "rest_ns": silent,
+    }
 
 
 if __name__ == "__main__":

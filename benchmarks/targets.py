@@ -10,6 +10,9 @@ from sinsjax.bench.timing import Row
 NOISE = {64: 1.05}
 """Variants a draw, and how many times the silent row they may take."""
 
+BASE_NS = 120.0
+"""Of a step and run with a base of its own for each draw of 2 variants, ns."""
+
 PAIRS = {
     "kalman_shared_record": {"AVX512": 1.45, "AVX2": 1.0},
     "kalman_feedback_each_sample": {"AVX512": 2.3},
@@ -60,6 +63,7 @@ def judged(machine: Machine) -> list[Judged]:
     return [
         *_limit(machine),
         *_noise(machine),
+        *_bases(machine),
         *_methods(machine),
         *_devices(machine),
         *_start(machine),
@@ -122,6 +126,19 @@ def _noise(machine: Machine) -> Iterator[Judged]:
                 sizes(row),
                 row["ratio"] <= most,
             )
+
+
+def _bases(machine: Machine) -> Iterator[Judged]:
+    if row := machine.row("noise", "base_2"):
+        parts = (f"{row[f'{name}_ns']:.0f} ns" for name in ("increments", "noise", "rest"))
+        told = " + ".join(parts)
+        yield Judged(
+            "a base of its own for each draw, 2 variants a draw; a step and run",
+            f"at most {BASE_NS:g} ns",
+            f"{row['ns_per_step_run']:.0f} ns: increments, noise and the rest {told}",
+            sizes(row),
+            row["ns_per_step_run"] <= BASE_NS,
+        )
 
 
 def _methods(machine: Machine) -> Iterator[Judged]:

@@ -103,12 +103,14 @@ class Made(NamedTuple):
     Attributes:
         site: at its latitude.
         biases: of its sensors, mean in n.
-        rest: (6,) ideal increments of its base, where that does not sway.
+        rest: ideal increments of its base, where that does not sway.
+        ahead: of its base, where that sways.
     """
 
     site: Site | None = None
     biases: Biases | None = None
-    rest: Array | None = None
+    rest: Increments | None = None
+    ahead: trajectory.Nodes | None = None
 
 
 class Draw(NamedTuple):
@@ -158,18 +160,49 @@ AT_ONCE = 1000
 """Samples whose ideal increments are made at a time where there is no tape."""
 
 
-def ideal(static: Static, world: World, draws: Draw, numbers: Array) -> Array | None:
-    """(n, 6) what ideal sensors put out over n samples; None where `sense` finds that itself.
+def ideal(static: Static, world: World, draws: Draw, numbers: Array) -> Increments | None:
+    """What ideal sensors put out over n samples, leaves (n,), where no tape has it; else None.
 
-    It does on a tape, and where draws have a motion of their own.
+    None also where draws have a motion of their own.
     """
     if world.tape is not None or draws.motion is not None:
         return None
     assert world.motion is not None
     motion, place, rate = world.motion, world.site.place, 1 / static.options.dt
-    at = partial(trajectory.increment, motion, place, rate)
+    at = partial(trajectory.increment, motion, trajectory.nodes(motion, rate), place, rate)
     k = jnp.asarray(numbers, world.dtype)
     return jax.vmap(at)(k) if k.size <= AT_ONCE else jax.lax.map(at, k, batch_size=AT_ONCE)
+
+
+def own(static: Static, world: World, draws: Draw, numbers: Array) -> Increments | None:
+    """What ideal sensors put out on the swaying bases of draws over n samples, leaves (n, *draws).
+
+    None where draws have no such base. Samples of all draws are made in one row, which fills the
+    vector units.
+    """
+    if draws.made.ahead is None:
+        return None
+    at = partial(_swayed, static, world)
+    if draws.draw_id.ndim == 0:
+        return jax.vmap(partial(at, draws))(numbers)
+    shape = (numbers.size, draws.draw_id.size)
+    axes = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
+
+    def repeated(a: Array) -> Array:
+        return jnp.tile(a, (len(numbers), *(1 for _ in a.shape[1:]))) if jnp.ndim(a) else a
+
+    row = jax.vmap(at, in_axes=(axes, 0))(
+        jax.tree.map(repeated, draws), jnp.repeat(numbers, shape[1])
+    )
+    return jax.tree.map(lambda a: a.reshape(shape), row)
+
+
+def _swayed(static: Static, world: World, draw: Draw, n: Count) -> Increments:
+    """What ideal sensors put out over sample ``n`` on a swaying base that the draw has."""
+    assert draw.motion is not None and draw.made.ahead is not None
+    place = (world.site if draw.made.site is None else draw.made.site).place
+    k = jnp.asarray(n, world.dtype)
+    return trajectory.increment(draw.motion, draw.made.ahead, place, 1 / static.options.dt, k)
 
 
 def sense(
@@ -178,26 +211,23 @@ def sense(
     draw: Draw,
     n: Count,
     normal: Increments | None,
-    row: Array | None = None,
+    exact: Increments | None = None,
 ) -> Increments:
     """What the sensors of one draw put out over its sample number ``n`` (from 0): rad, m/s.
 
-    Zeros for a negative number, before the tape: with them nothing is compensated. ``row`` is what
-    ideal sensors put out, if it was made already.
+    Zeros for a negative number, before the tape: with them nothing is compensated. ``exact`` is
+    what ideal sensors put out, if it was made already.
     """
-    dt = static.options.dt
-    if row is not None:
+    if exact is not None:
         pass
     elif draw.made.rest is not None:
-        row = draw.made.rest
+        exact = draw.made.rest
     elif draw.motion is not None:
-        place = (world.site if draw.made.site is None else draw.made.site).place
-        k = jnp.asarray(n, world.dtype)
-        row = trajectory.increment(draw.motion, place, 1 / dt, k)
+        exact = _swayed(static, world, draw, n)
     else:
-        row = jnp.asarray(world.tape)[draw.start + n]
+        exact = imu.split(jnp.asarray(world.tape)[draw.start + n])
     errors = world.errors if draw.errors is None else draw.errors
-    put_out = imu.measure(imu.split(row), errors, normal, dt)
+    put_out = imu.measure(exact, errors, normal, static.options.dt)
     if not static.repeats:
         return put_out
     return reverse.where(n < 0, jax.tree.map(jnp.zeros_like, put_out), put_out)
@@ -213,11 +243,14 @@ def made(static: Static, world: World, draw: Draw) -> Made:
     errors = world.errors if draw.errors is None else draw.errors
     motion = world.motion if draw.motion is None else draw.motion
     assert motion is not None
-    rest = None
-    if draw.motion is not None and not static.sways:
-        rest = trajectory.increment(motion, site.place, 1 / static.options.dt, 0.0)
+    rest = ahead = None
+    if draw.motion is not None:
+        ahead = trajectory.nodes(motion, 1 / static.options.dt)
+        if not static.sways:
+            rest = trajectory.increment(motion, ahead, site.place, 1 / static.options.dt, 0.0)
+            ahead = None
     own = None if draw.latitude is None else site
-    return Made(own, mean_biases(errors, motion), rest)
+    return Made(own, mean_biases(errors, motion), rest, ahead)
 
 
 def attitudes(static: Static, world: World, draws: Draw) -> Quat | None:

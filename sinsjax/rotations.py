@@ -165,11 +165,7 @@ def sin_cos(x: Scalar) -> tuple[Scalar, Scalar]:
     r = x
     for part in _HALF_PI:
         r = r - quarter * part
-    z = r * r
-    sin, cos = jnp.zeros_like(z), jnp.zeros_like(z)
-    for a, b in zip(_SIN, _COS, strict=True):
-        sin, cos = sin * z + a, cos * z + b
-    sin, cos = r + r * z * sin, 1 - 0.5 * z + z * z * cos
+    sin, cos = sin_cos_near_zero(r)
     turn = quarter - 4 * jnp.floor(0.25 * quarter)
     swapped = (turn == 1) | (turn == 3)
     first, second = jnp.where(swapped, cos, sin), jnp.where(swapped, sin, cos)
@@ -177,3 +173,12 @@ def sin_cos(x: Scalar) -> tuple[Scalar, Scalar]:
         jnp.where(turn >= 2, -first, first),
         jnp.where((turn == 1) | (turn == 2), -second, second),
     )
+
+
+def sin_cos_near_zero(x: Scalar) -> tuple[Scalar, Scalar]:
+    """Sine and cosine by polynomials alone, within 1 ulp up to pi/4 rad, and 1e-12 up to 1 rad."""
+    z = x * x
+    sin, cos = jnp.zeros_like(z), jnp.zeros_like(z)
+    for a, b in zip(_SIN, _COS, strict=True):
+        sin, cos = sin * z + a, cos * z + b
+    return x + x * z * sin, 1 - 0.5 * z + z * z * cos

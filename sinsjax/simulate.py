@@ -25,6 +25,7 @@ from sinsjax.draws import (
     ideal,
     made,
     noise,
+    own,
     piece,
     sense,
 )
@@ -264,7 +265,8 @@ def over_a_record(
         return method.called(state, n)
 
     axes = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
-    sensed = fan.over_draws(partial(sense, static, world), axes, None, 0, None)
+    theirs = None if draws.made.ahead is None else 0  # the axis of increments of their own
+    sensed = fan.over_draws(partial(sense, static, world), axes, None, 0, theirs)
     step = fan.over_runs(one_step, 0, 0, shared.site_axis, fan.shared, None)
     close = fan.over_runs(one_close, 0, 0, None)
     next_event = fan.over_runs(one_next_event, 0, 0, None)
@@ -278,15 +280,17 @@ def over_a_record(
     ) -> tuple[Progress, Array | None]:
         (run, before), (number, q_true) = progress, xs
         state, samples, site, compensated = opened(number, run.state)
-        rows = ideal(static, world, draws, samples)
+        shared_rows = ideal(static, world, draws, samples)
         done = number * every  # samples before this interval
 
         def make(before: Increments, piece: Count) -> tuple[Sample, Increments]:
             places = piece * size + jnp.arange(size)
             numbers = samples[places]
             normal = noise(static, world, draws, numbers)
-            ideal_rows = None if rows is None else rows[places]
-            now = jax.vmap(partial(sensed, draws))(numbers, normal, ideal_rows)
+            exact = own(static, world, draws, numbers)
+            if shared_rows is not None:
+                exact = jax.tree.map(lambda a: a[places], shared_rows)
+            now = jax.vmap(partial(sensed, draws))(numbers, normal, exact)
             shifted = jax.tree.map(lambda a, b: jnp.concatenate([b[None], a[:-1]]), now, before)
             return jax.vmap(compensated)(now, shifted), jax.tree.map(lambda a: a[-1], now)
 

@@ -5,6 +5,7 @@ known in closed form at any time, and are integrated over each sample by Gauss q
 increments owe nothing to the mechanisation that will be tested with them.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -13,10 +14,15 @@ import numpy as np
 
 from sinsjax.algebra import add, scale
 from sinsjax.earth import Place
-from sinsjax.rotations import from_euler, sin_cos
-from sinsjax.types import Array, Quat, Scalar, Vec3
+from sinsjax.rotations import from_euler, sin_cos, sin_cos_near_zero
+from sinsjax.types import Array, Increments, Quat, Scalar, Vec3
 
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
+_COUNT = 6
+_NODES, _SHARES = (a[_COUNT // 2 :] for a in np.polynomial.legendre.leggauss(_COUNT))
+_SHARES = 0.5 * _SHARES
+"""Nodes later than the middle, in half samples, and their shares of the mean over a sample."""
+
+_BATCH = 1000
 
 
 class Sway(NamedTuple):
@@ -71,7 +77,7 @@ def rate_and_force(motion: Motion, place: Place, t: Scalar) -> tuple[Vec3, Vec3]
     roll. The base has no velocity, so that f^n = (0, 0, g) and w_in^n is the Earth rate alone.
     """
     now = Sines(*(sin_cos(sway.angle(t)) for sway in motion))
-    return _felt(place, now, *(sway.rate(t) for sway in motion))
+    return _felt(place, _seen(now, *(sway.rate(t) for sway in motion)))
 
 
 class Sines(NamedTuple):
@@ -82,57 +88,111 @@ class Sines(NamedTuple):
     yaw: tuple[Scalar, Scalar]
 
 
-def _felt(
-    place: Place, now: Sines, pitch_rate: Scalar, roll_rate: Scalar, yaw_rate: Scalar
-) -> tuple[Vec3, Vec3]:
-    """Rate and force in b of an attitude and the rates of its angles."""
+class Seen(NamedTuple):
+    """What a base with an attitude and a rate feels, before the Earth is known.
+
+    Attributes:
+        north: unit vector to the north, in b.
+        up: unit vector up, in b.
+        turn: angular rate of b against n, in b, rad/s.
+    """
+
+    north: Vec3
+    up: Vec3
+    turn: Vec3
+
+
+def _seen(now: Sines, pitch_rate: Scalar, roll_rate: Scalar, yaw_rate: Scalar) -> Seen:
+    """What is felt at an attitude with rates (rad/s) of its angles."""
     (sp, cp), (sr, cr), (sy, cy) = now
-    north = Vec3(sy * cr + cy * sp * sr, cy * cp, sy * sr - cy * sp * cr)  # seen from b
-    up = Vec3(-cp * sr, sp, cp * cr)
-    across = yaw_rate * cp
-    turn = Vec3(
-        pitch_rate * cr - across * sr,
-        roll_rate + yaw_rate * sp,
-        pitch_rate * sr + across * cr,
+    across, tilted = yaw_rate * cp, cy * sp
+    return Seen(
+        north=Vec3(sy * cr + tilted * sr, cy * cp, sy * sr - tilted * cr),
+        up=Vec3(-cp * sr, sp, cp * cr),
+        turn=Vec3(
+            pitch_rate * cr - across * sr,
+            roll_rate + yaw_rate * sp,
+            pitch_rate * sr + across * cr,
+        ),
     )
-    earth = add(scale(place.rate_n, north), scale(place.rate_u, up))
-    return add(earth, turn), scale(place.gravity, up)
 
 
-def increment(motion: Motion, place: Place, rate_hz: Scalar, k: Scalar) -> Array:
+def _felt(place: Place, seen: Seen) -> tuple[Vec3, Vec3]:
+    """Angular rate (rad/s) and specific force (m/s^2) in b; of their integrals over a time, too."""
+    earth = add(scale(place.rate_n, seen.north), scale(place.rate_u, seen.up))
+    return add(earth, seen.turn), scale(place.gravity, seen.up)
+
+
+class Advance(NamedTuple):
+    """How far the argument of a `Sway` is at the later nodes of a sample from its middle.
+
+    Attributes:
+        sin: (nodes / 2,) sine of the advance; at the earlier nodes it is the negative.
+        versed: (nodes / 2,) its cosine, less one.
+    """
+
+    sin: Array
+    versed: Array
+
+
+class Nodes(NamedTuple):
+    """`Advance` of each angle: what is the same for all samples of a motion."""
+
+    pitch: Advance
+    roll: Advance
+    yaw: Advance
+
+
+def nodes(motion: Motion, rate_hz: Scalar) -> Nodes:
+    """What `increment` needs of a motion, at ``rate_hz`` samples a second."""
+
+    def advance(sway: Sway, node: Scalar) -> Advance:
+        sin, cos = sin_cos(0.5 * jnp.pi * node / (sway.period * rate_hz))
+        return Advance(2 * sin * cos, -2 * sin * sin)
+
+    return Nodes(*(jax.vmap(partial(advance, sway))(jnp.asarray(_NODES)) for sway in motion))
+
+
+def increment(motion: Motion, ahead: Nodes, place: Place, rate_hz: Scalar, k: Scalar) -> Increments:
     """Ideal sensor increments over one sample, by Gauss quadrature.
 
     Angles and their rates at the nodes follow from those at the middle of the sample, by the sum
-    of angles: few sines are made, which is what the time goes into.
+    of angles: few sines are made in full, which is what the time goes into. The others are of how
+    far an angle moves within half a sample: where that is more than 1 rad they are less accurate
+    than a sine should be, and so is the quadrature.
 
     Args:
         motion: of the base.
+        ahead: of that motion at that rate, see `nodes`.
         place: Earth rates and gravity.
         rate_hz: samples a second.
         k: number of the sample, which spans k/rate to (k+1)/rate.
 
     Returns:
-        (6,): three angle increments (rad) and three velocity increments (m/s) in b.
+        Angle increments (rad) and velocity increments (m/s) in b.
     """
     middle = (k + 0.5) / rate_hz
-    omegas = [2 * jnp.pi / sway.period for sway in motion]
-    phases = [sway.phase_at(middle) for sway in motion]
-    moved = zip(motion, phases, strict=True)
-    middles = [sin_cos(sway.center + sway.amplitude * sin) for sway, (sin, _) in moved]
+    waves = []
+    for sway in motion:
+        sin, cos = (sway.amplitude * part for part in sway.phase_at(middle))
+        waves.append((sin, cos, 2 * jnp.pi / sway.period, sin_cos(sway.center + sin)))
 
-    def at_node(later: Scalar) -> Array:
-        sines, rates = [], []
-        for sway, omega, phase, here in zip(motion, omegas, phases, middles, strict=True):
-            there = _sum(phase, sin_cos(omega * later))
-            sines.append(_sum(here, sin_cos(sway.amplitude * (there[0] - phase[0]))))
-            rates.append(sway.amplitude * omega * there[1])
-        rate, force = _felt(place, Sines(*sines), *rates)
-        return jnp.stack([*rate, *force])
+    def at_pair(ahead: Nodes) -> Seen:
+        sides = []
+        for side in (-1.0, 1.0):
+            sines, rates = [], []
+            for (sin, cos, omega, here), advance in zip(waves, ahead, strict=True):
+                later, versed = side * advance.sin, advance.versed
+                sines.append(_sum(here, sin_cos_near_zero(sin * versed + cos * later)))
+                rates.append(omega * (cos + (cos * versed - sin * later)))
+            sides.append(_seen(Sines(*sines), *rates))
+        return jax.tree.map(jnp.add, *sides)
 
-    # Mapped, not unrolled: a sixth of the code to compile.
-    felt = jax.vmap(at_node)(jnp.asarray(_NODES) * (0.5 / rate_hz))
-    # A product of matrices would be a call, which breaks the loop that this is part of.
-    return jnp.sum(jnp.asarray(_WEIGHTS / 2)[:, None] * felt, axis=0) / rate_hz
+    # Mapped, not unrolled: half the code to compile.
+    pairs = jax.vmap(at_pair)(ahead)
+    # Neither a product of matrices nor a sum over an axis, whose loops would not be vectorised.
+    mean = jax.tree.map(lambda a: sum(w * a[i] for i, w in enumerate(_SHARES)), pairs)
+    return Increments(*(scale(1 / rate_hz, felt) for felt in _felt(place, mean)))
 
 
 def _sum(a: tuple[Scalar, Scalar], b: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
@@ -141,6 +201,16 @@ def _sum(a: tuple[Scalar, Scalar], b: tuple[Scalar, Scalar]) -> tuple[Scalar, Sc
 
 
 def increments(motion: Motion, place: Place, rate_hz: Scalar, samples: int) -> Array:
-    """Ideal sensor increments of samples 0 to ``samples`` - 1, (samples, 6), see `increment`."""
-    numbers = jnp.arange(samples, dtype=float)
-    return jax.lax.map(lambda k: increment(motion, place, rate_hz, k), numbers, batch_size=1000)
+    """Ideal sensor increments of samples 0 to ``samples`` - 1, (samples, 6), see `increment`.
+
+    Made in batches of one size, two or more: a rest, or one batch, whose loop the compiler would
+    leave out, would be compiled to other bits.
+    """
+    ahead = nodes(motion, rate_hz)
+    batches = max(2, -(-samples // _BATCH))
+    numbers = jnp.arange(batches * _BATCH, dtype=float)
+
+    def row(k: Scalar) -> Array:
+        return jnp.stack(jax.tree.leaves(increment(motion, ahead, place, rate_hz, k)))
+
+    return jax.lax.map(row, numbers, batch_size=_BATCH)[:samples]

@@ -547,6 +547,21 @@ def test_a_tunings_gradient_may_take_what_is_counted(tmp_path, ratio, reached):
     assert f"| {row.what} | {row.target} | {ratio:.2f} ± 0.10 |" in (tmp_path / "p.md").read_text()
 
 
+@pytest.mark.parametrize(("ns", "reached"), [(119.0, True), (121.0, False)])
+def test_a_base_of_its_own_may_take_so_many_ns(tmp_path, ns, reached):
+    rows = [told("noise", "silent_2", 25.0), told("noise", "noise_2", 34.0)]
+    row = told("noise", "base_2", ns, ratio=8.0, ratio_spread=0.1, variants=2)
+    rows.append(row | noise.split([*rows, row]))
+    machines = written(tmp_path / "history", rows)
+    (judgement,) = judged(machines[0])
+    assert (judgement.target, judgement.reached) == ("at most 120 ns", reached)
+    page.write(tmp_path / "p.md", machines, "")
+    text = (tmp_path / "p.md").read_text()
+    assert (
+        f"| {ns:.0f} ns: increments, noise and the rest {ns - 34:.0f} ns + 9 ns + 25 ns |" in text
+    )
+
+
 @pytest.mark.slow
 def test_a_tunings_gradient_is_timed_beside_its_plain_runs():
     plain, gradient = derivative.tuning(4.0, 1)

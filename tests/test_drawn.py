@@ -1,5 +1,6 @@
 """Keys with a value a draw: every run is what a study of that value alone would have given."""
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -7,9 +8,10 @@ import numpy as np
 import pytest
 from studies import BASE, STILL, small_study
 
-from sinsjax import campaign, designs, scenario
+from sinsjax import batch, campaign, designs, scenario
 from sinsjax.config import study_from_dict
 from sinsjax.sections import Sensors
+from sinsjax.simulate import simulate
 from sinsjax.studies import SECTION_OF
 
 DRAWS = 5
@@ -151,6 +153,21 @@ def test_noise_may_be_drawn() -> None:
     # Draws 0, 2, 4 have none: nothing tells them apart.
     assert last[0] == last[2] == last[4] and len({last[0], last[1], last[3]}) == 3
     assert set(NOISE) <= set(Sensors.model_fields)
+
+
+def test_a_run_taken_alone_is_that_of_its_tile() -> None:
+    """Its increments are made sample by sample; in the tile, in a row with those of other draws."""
+    data = drawn_study(["yaw_center_deg", "roll_period_s", "latitude_deg"], axes=THREE["axes"])
+    (part,) = scenario.parts(study_from_dict(data))
+    group = part.group
+    tiles = batch.tiles_of(group, batch.plan(group)[0])
+    tile = jax.tree.map(lambda a: a[0], tiles)
+    many, _ = jax.jit(partial(batch.run_tile, group.static))(group.world, tile)
+    draw = jax.tree.map(lambda a: a[1] if np.ndim(a) else a, tile.draws)
+    lane = int(np.argmax(tile.row == 1))
+    params = jax.tree.map(lambda a: a[lane], tile.params)
+    one, _ = jax.jit(partial(simulate, group.static))(group.world, draw, params)
+    np.testing.assert_allclose(one.last.yaw, many.last.yaw[lane], rtol=0, atol=1e-11)
 
 
 def test_a_record_of_a_draw_is_what_its_sensors_put_out() -> None:

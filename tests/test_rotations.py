@@ -162,3 +162,11 @@ def test_misalignment_is_the_rotation_vector_of_true_times_computed_transposed(o
     a, b = random_quat(one), random_quat(two)
     expected = Rotation.from_matrix(of_quaternion(a) @ of_quaternion(b).T).as_rotvec()
     np.testing.assert_allclose(rotations.misalignment(a, b), expected, atol=1e-7)
+
+
+@pytest.mark.parametrize(("most", "error"), [(np.pi / 4, 2.3e-16), (1.0, 1e-12)])
+def test_sines_near_zero(most, error):
+    x = np.linspace(-most, most, 2001)
+    sin, cos = jax.jit(jax.vmap(rotations.sin_cos_near_zero))(x)
+    np.testing.assert_allclose(sin, np.sin(x), rtol=0, atol=error)
+    np.testing.assert_allclose(cos, np.cos(x), rtol=0, atol=error)

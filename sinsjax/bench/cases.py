@@ -36,6 +36,14 @@ _SIGMAS: dict[str, list[float]] = {
     "azimuth_sigma_per_s": [0.01, 0.012, 0.015, 0.02, 0.025, 0.03, 0.04, 0.05],
 }
 
+_BASE = {
+    "yaw_center_deg": [0.0, 360.0],
+    "pitch_amplitude_deg": [1.0, 3.0],
+    "roll_period_s": [6.0, 10.0],
+    "yaw_phase_deg": [-180.0, 180.0],
+}
+"""What a draw's own base has of its own, and between which ends."""
+
 
 @cache
 def default_group() -> Group:
@@ -122,12 +130,33 @@ def with_feedback_each_sample(group: Group) -> Group:
 
 def some_variants(group: Group, count: int, runs: int = 0) -> Group:
     """The group with its last variants only, and draws enough for `TILES` and a number of runs."""
-    draws = max(runs, TILES * SETS * max(LANES, count)) // count + 1
+    draws = _draws(count, runs)
     return group._replace(
-        variants=jax.tree.map(lambda a: a[-count:], group.variants),
+        variants=_last(group, count),
         draws=Draw(np.arange(draws), np.asarray(0), np.zeros(draws, int)),
         q=np.tile(group.q[:1], (draws, 1)),
     )
+
+
+@cache
+def drawn_base_group(count: int) -> Group:
+    """`some_variants` of the default sweep with a base of its own for each draw."""
+    data = tomllib.loads(asset(_DEFAULT).read_text("utf-8"))
+    data["study"]["draws"] = _draws(count)
+    for key in _BASE:
+        data["motion"].pop(key, None)
+    data["drawn"] = {"sampling": "random"} | {key: {"uniform": ends} for key, ends in _BASE.items()}
+    (part,) = parts(study_from_dict(data, _DEFAULT))
+    return part.group._replace(variants=_last(part.group, count))
+
+
+def _draws(count: int, runs: int = 0) -> int:
+    return max(runs, TILES * SETS * max(LANES, count)) // count + 1
+
+
+def _last(group: Group, count: int) -> Params:
+    variants: Params = jax.tree.map(lambda a: a[-count:], group.variants)
+    return variants
 
 
 def shortened(group: Group, records: int) -> Group:
