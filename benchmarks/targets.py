@@ -88,14 +88,15 @@ def plus_minus(row: Row, key: str, digits: int = 2) -> str:
 
 def _limit(machine: Machine) -> Iterator[Judged]:
     for name, targets in PAIRS.items():
-        if row := machine.row("pairs", name):
-            most = targets.get(_set_of(row))
+        row = machine.row("pairs", name)
+        most = targets.get(_set_of(row)) if row else None
+        if row and most is not None:
             yield Judged(
                 f"`{name}`, times the limit kernel",
-                "none for this set" if most is None else f"at most {most:g}",
+                f"at most {most:g}",
                 plus_minus(row, "ratio"),
                 f"{len(row['ratios'])} alternating pairs; {sizes(row)}",
-                most is None or row["ratio"] <= most,
+                row["ratio"] <= most,
             )
     kernel = machine.row("short", "limit_kernel")
     for name, targets in BESIDE.items():

@@ -21,8 +21,8 @@ from sinsjax.types import InputError
 from sinsjax.variables import Space
 from sinsjax.worlds import LONGEST_TAPE
 
-_FILTER_S, _COMPASS_S = 60e-9, 10e-9
-"""A step of a run on one core, see `docs/performance.md`."""
+_FILTER_S, _COMPASS_S = 20e-9, 5e-9
+"""A step of a run on one core: 10 to 20 and 3 to 5 ns, see `docs/performance.md`."""
 
 _PACKED = 0.8
 """What Parquet leaves of 8-byte numbers: 0.6 to 0.95, measured on sweeps with and without nulls."""

@@ -519,11 +519,10 @@ def test_targets_are_judged_by_their_rows(tmp_path):
 def test_the_limits_target_is_that_of_the_instruction_set(tmp_path, ratio, reached):
     more = {"ratio": ratio, "ratio_spread": 0.01, "ratios": [ratio] * 7, "avx512": False}
     rows = [told("pairs", name, 15.0, **more) for name in ("kalman_shared_record",)]
-    rows.append(told("pairs", "kalman_shared_covariance", 8.0, **more))
+    rows.append(told("pairs", "kalman_shared_covariance", 8.0, **more))  # has none for this set
     (machine,) = written(tmp_path, rows)
-    record_row, covariance = judged(machine)
+    (record_row,) = judged(machine)
     assert (record_row.target, record_row.reached) == ("at most 1", reached)
-    assert (covariance.target, covariance.reached) == ("none for this set", True)
 
 
 @pytest.mark.parametrize(("operations", "most"), [(3.4, "4.1"), (2.0, "3.6")])

@@ -146,9 +146,9 @@ def test_a_tuning_is_asked_about_as_a_whole(disk: Any, tmp_path: Path):
     ("draws", "cores", "text"),
     [
         (1, 1, "1 run of up to 6 s: roughly 1 s on 1 core, "),
-        (10**6, 2, "1,000,000 runs of up to 6 s: roughly 18 s on 2 cores, "),
-        (10**8, 1, "100,000,000 runs of up to 6 s: roughly 60 min on 1 core, "),
-        (10**9, 1, "1,000,000,000 runs of up to 6 s: roughly 10 h on 1 core, "),
+        (10**6, 2, "1,000,000 runs of up to 6 s: roughly 6 s on 2 cores, "),
+        (10**8, 1, "100,000,000 runs of up to 6 s: roughly 20 min on 1 core, "),
+        (10**9, 1, "1,000,000,000 runs of up to 6 s: roughly 4 h on 1 core, "),
     ],
 )
 def test_what_is_told(draws: int, cores: int, text: str):

@@ -8,7 +8,7 @@ Nothing is dropped in silence: a run that never settled counts as an infinite se
 * standard deviations and root mean squares: on the scale of their logarithm, see `_root`; of
   normal values chi-square.
 
-What they cover stands in ``docs/results.md``, measured by ``benchmarks/coverage.py``.
+What they cover stands in ``docs/results.md``, measured by ``benchmarks/interval_coverage.py``.
 
 Runs that depend on one another are no independent values: a draw's runs share its noise, and all
 runs on a record share the record. All functions take the cluster of each value (see
@@ -295,7 +295,7 @@ def _root(value: float, squares: Clustered) -> tuple[float, float]:
     Statistics and Data Analysis 50, 775) for the estimate and its error falling together: both grow
     by the relative variance of the mean square, which is itself told with two degrees of freedom
     less. The upper end reaches further by `_UPPER`: a sample seldom shows the tails of a heavy law.
-    That number is the one that `benchmarks/coverage.py` asks for with Student's t of 5 degrees.
+    That number is the one that `benchmarks/interval_coverage.py` asks for with Student's t of 5 degrees.
     """
     n = squares.n
     if value == 0.0:
