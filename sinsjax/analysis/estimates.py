@@ -295,7 +295,7 @@ def _root(value: float, squares: Clustered) -> tuple[float, float]:
     Statistics and Data Analysis 50, 775) for the estimate and its error falling together: both grow
     by the relative variance of the mean square, which is itself told with two degrees of freedom
     less. The upper end reaches further by `_UPPER`: a sample seldom shows the tails of a heavy law.
-    That number is the one that `benchmarks/interval_coverage.py` asks for with Student's t of 5 degrees.
+    That number is what `benchmarks/interval_coverage.py` asks for with Student's t of 5 degrees.
     """
     n = squares.n
     if value == 0.0:
