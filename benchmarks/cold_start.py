@@ -14,9 +14,9 @@ from pathlib import Path
 
 import common
 
-from sinsjax import compile_cache, runtime
 from sinsjax.bench.timing import Row, Spread
-from sinsjax.types import InputError
+from sinsjax.errors import InputError
+from sinsjax.platform import compile_cache, runtime
 
 STUDY = """
 [study]
@@ -57,7 +57,9 @@ engine; compiling it; running it and writing Parquet; tables and figures; the en
 _NOTED = """
 import json, sys, threading, time
 since = float(sys.argv[1])
-from sinsjax import campaign, cli, config
+from sinsjax.execution import run as campaign
+from sinsjax import cli
+from sinsjax.study import load as config
 import jax
 imported = time.time()
 programs = []

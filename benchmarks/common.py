@@ -17,9 +17,9 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from sinsjax import compile_cache, runtime
 from sinsjax.bench.timing import Row, conditions, use_one_core
-from sinsjax.types import InputError
+from sinsjax.errors import InputError
+from sinsjax.platform import compile_cache, runtime
 
 ROOT = Path(__file__).resolve().parents[1]
 

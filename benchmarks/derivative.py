@@ -20,20 +20,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.batch import LANES, Group, Tiles, compiled, plan, run_tile, tiles_of
 from sinsjax.bench.assets import asset
 from sinsjax.bench.cases import TILES, default_group, engine, shortened, without_noise
 from sinsjax.bench.timing import Case, Row, measure_against
-from sinsjax.config import study_from_dict
-from sinsjax.draws import piece
-from sinsjax.scenario import parts
-from sinsjax.simulate import Params
-from sinsjax.studies import Study
+from sinsjax.engine.batch import compiled, plan
+from sinsjax.engine.build import parts
+from sinsjax.engine.realisations import piece
+from sinsjax.engine.simulate import Params
+from sinsjax.engine.tile import LANES, Group, Tiles, run_tile, tiles_of
+from sinsjax.study.load import study_from_dict
+from sinsjax.study.search_space import Space
+from sinsjax.study.study import Study
 from sinsjax.tuning import search
 from sinsjax.tuning.descent import TANGENT_STEPS, Slope, Softness, sensitivities
 from sinsjax.types import Array
 from sinsjax.units import ARCMIN
-from sinsjax.variables import Space
 
 MOST = 4
 """Parameters that can be scaled."""

@@ -8,14 +8,14 @@ from pathlib import Path
 import common
 import jax
 
-from sinsjax import campaign
-from sinsjax.batch import LANES
 from sinsjax.bench.assets import asset
 from sinsjax.bench.cases import default_group, engine, shortened, without_noise
 from sinsjax.bench.timing import Case, Row, ratios, row, spread, turns
-from sinsjax.config import study_from_dict
-from sinsjax.scenario import parts
-from sinsjax.studies import Study
+from sinsjax.engine.build import parts
+from sinsjax.engine.tile import LANES
+from sinsjax.execution import run
+from sinsjax.study.load import study_from_dict
+from sinsjax.study.study import Study
 
 RESET_COUNTS = [1, 2, 3, 4, 5]
 """With the 8 cycles and 8 misalignments of the default sweep: 320 variants, five tiles a draw."""
@@ -77,12 +77,12 @@ def sweep_study(duration_s: float, draws: int) -> Study:
 
 
 def sweep_case(name: str, study: Study, devices: int) -> Case:
-    """`campaign.run_into` as a case, called once before so that everything is compiled."""
+    """`run.run_into` as a case, called once before so that everything is compiled."""
 
     def call() -> float:
         with tempfile.TemporaryDirectory(prefix="sinsjax-sweep-") as folder:
             since = time.perf_counter()
-            campaign.run_into(study, Path(folder) / "out")
+            run.run_into(study, Path(folder) / "out")
             return time.perf_counter() - since
 
     first = call()

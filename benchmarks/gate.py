@@ -17,11 +17,11 @@ from typing import Any, NamedTuple
 import common
 import pairs
 
-from sinsjax import machine
 from sinsjax.bench.limit import compiler
 from sinsjax.bench.timing import Row, conditions, use_one_core
-from sinsjax.files import replacing
-from sinsjax.types import InputError
+from sinsjax.errors import InputError
+from sinsjax.platform import machine
+from sinsjax.platform.files import replacing
 
 COMMITTED = Path(__file__).parent / "gate.json"
 """Target and committed ratio of each instruction set, and what the ratio was measured with."""

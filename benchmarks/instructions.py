@@ -12,10 +12,10 @@ from pathlib import Path
 
 import common
 
-from sinsjax import machine
 from sinsjax.bench.limit import compiler, limit_kernel
 from sinsjax.bench.timing import Row
-from sinsjax.types import InputError
+from sinsjax.errors import InputError
+from sinsjax.platform import machine
 
 EVENTS = {
     "AuthenticAMD": {"loads": "ls_dispatch.ld_dispatch", "stores": "ls_dispatch.store_dispatch"},

@@ -11,17 +11,17 @@ from collections.abc import Callable
 import common
 import numpy as np
 
-from sinsjax import baseline
-from sinsjax.baseline import Setting
-from sinsjax.batch import Group
+from sinsjax.bench import baseline
+from sinsjax.bench.baseline import Setting
 from sinsjax.bench.cases import default_group, first_run, numpy_baseline, without_noise
 from sinsjax.bench.timing import Case, Row, measure
+from sinsjax.engine.tile import Group
 
 CHECKED = 2000
 """Samples over which the Numba loop is compared."""
 
 Loop = Callable[[np.ndarray, np.ndarray, Setting], tuple[np.ndarray, np.ndarray]]
-"""As `sinsjax.baseline.align`."""
+"""As `sinsjax.bench.baseline.align`."""
 
 
 def rows(quick: bool, repeats: int) -> list[Row]:

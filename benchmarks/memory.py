@@ -9,11 +9,12 @@ from pathlib import Path
 
 import common
 
-from sinsjax.batch import compiled, plan, tiles_of
 from sinsjax.bench.assets import asset
 from sinsjax.bench.cases import default_group, shortened
 from sinsjax.bench.timing import Row
-from sinsjax.types import InputError
+from sinsjax.engine.batch import compiled, plan
+from sinsjax.engine.tile import tiles_of
+from sinsjax.errors import InputError
 
 TILE_COUNTS = (2, 8, 32)
 """Tiles a compiled call: what a chunk is made of."""
@@ -26,7 +27,7 @@ VARIANTS = 448
 _SWEEP = r"""
 import json, re, sys
 import sinsjax
-from sinsjax.config import study_from_dict
+from sinsjax.study.load import study_from_dict
 import tomllib
 sinsjax.configure(devices=1)
 def peak():

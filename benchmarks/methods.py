@@ -6,7 +6,6 @@ The same base, sensors, record interval and number of variants, silent; everythi
 import common
 from derivative import loops_of, operations
 
-from sinsjax.batch import Group, compiled, plan, tiles_of
 from sinsjax.bench.cases import (
     TAPE_S,
     TILES,
@@ -19,6 +18,8 @@ from sinsjax.bench.cases import (
     without_noise,
 )
 from sinsjax.bench.timing import Row, measure_against
+from sinsjax.engine.batch import compiled, plan
+from sinsjax.engine.tile import Group, tiles_of
 
 COUNTED = (2, 4)
 """Records of the programs whose difference tells the arithmetic of a step."""

@@ -1,14 +1,14 @@
 """The alignment step as one scalar Numba loop over the samples of one run.
 
-It does what `sinsjax.baseline.align` does, without its detours: attitude as a quaternion, only the
-non-zero entries of A dt, measurements one after the other. Arrays are of fixed size and made once,
-before the loop.
+It does what `sinsjax.bench.baseline.align` does, without its detours: attitude as a quaternion,
+only the non-zero entries of A dt, measurements one after the other. Arrays are of fixed size and
+made once, before the loop.
 """
 
 import numpy as np
 from numba import njit
 
-from sinsjax.baseline import Setting
+from sinsjax.bench.baseline import Setting
 
 ENTRIES = np.array(
     [
@@ -20,7 +20,7 @@ ENTRIES = np.array(
 
 
 def align(increments: np.ndarray, c: np.ndarray, setting: Setting) -> tuple[np.ndarray, np.ndarray]:
-    """Takes and returns what `sinsjax.baseline.align` does."""
+    """Takes and returns what `sinsjax.bench.baseline.align` does."""
     s = setting
     earth = (s.dt, s.rate_n, s.rate_u, s.tan_latitude, 1 / s.radius)
     resets = np.array(s.resets, dtype=np.int64)

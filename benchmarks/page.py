@@ -15,11 +15,11 @@ import store
 from store import Machine
 from targets import judged, sizes
 
-from sinsjax.files import replacing
+from sinsjax.errors import InputError
+from sinsjax.platform.files import replacing
 from sinsjax.plots import png
 from sinsjax.report.base import Block, Picture, Section, Table, Text
 from sinsjax.report.output import FIGURES, markdown, save_figures
-from sinsjax.types import InputError
 
 PAGE = common.ROOT / "docs" / "performance.md"
 NOTES = Path(__file__).parent / "notes.md"

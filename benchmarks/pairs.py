@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 
 import common
 
-from sinsjax.batch import Group
 from sinsjax.bench.cases import (
     at_rest,
     default_group,
@@ -16,6 +15,7 @@ from sinsjax.bench.cases import (
 )
 from sinsjax.bench.limit import compiler, limit_kernel
 from sinsjax.bench.timing import Case, Row, ratios, row, row_against, turns
+from sinsjax.engine.tile import Group
 
 MADE: dict[str, Callable[[Group], Group]] = {
     "kalman_shared_record": lambda silent: silent,

@@ -17,7 +17,7 @@ import common
 import store
 
 from sinsjax.bench.timing import Row
-from sinsjax.types import InputError
+from sinsjax.errors import InputError
 
 SCRIPTS = (
     "pairs",

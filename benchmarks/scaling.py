@@ -11,11 +11,11 @@ import common
 import devices
 import jax
 
-from sinsjax import campaign, cluster
-from sinsjax.batch import spread as calls_on
 from sinsjax.bench.timing import Case, Row, ratios, row, spread, turns
-from sinsjax.studies import Study
-from sinsjax.work import Executor, Packed, Task, Workshop
+from sinsjax.engine.batch import spread as calls_on
+from sinsjax.execution import dask_pool, run
+from sinsjax.execution.tasks import Executor, Packed, Task, Workshop
+from sinsjax.study.study import Study
 
 DURATION_S, DRAWS = 90.0, 384
 """Of the default sweep's runs: 122,880 of 9,000 steps, about a minute of a core."""
@@ -49,7 +49,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
 def started(workers: int) -> Iterator[tuple[Executor, float]]:
     """Dask workers, and how long it took to start them."""
     since = time.perf_counter()
-    with cluster.executor(workers=workers) as executor:
+    with dask_pool.executor(workers=workers) as executor:
         yield executor, time.perf_counter() - since
 
 
@@ -63,7 +63,7 @@ def on_devices(count: int) -> Executor:
 
 
 def sweep_case(name: str, study: Study, executor: Executor, cores: int) -> Case:
-    """`campaign.run_into` as a case, called once before, so that everything is compiled.
+    """`run.run_into` as a case, called once before, so that everything is compiled.
 
     Its ``compile_s`` is all that the first call took.
     """
@@ -76,7 +76,7 @@ def timed(study: Study, executor: Executor) -> float:
     """The seconds of a whole sweep."""
     with tempfile.TemporaryDirectory(prefix="sinsjax-sweep-") as folder:
         since = time.perf_counter()
-        campaign.run_into(study, Path(folder) / "out", executor=executor)
+        run.run_into(study, Path(folder) / "out", executor=executor)
         return time.perf_counter() - since
 
 

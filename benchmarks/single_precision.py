@@ -13,18 +13,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax import kalman, mechanisation
-from sinsjax.algebra import numbers_of
-from sinsjax.alignment import METHODS, zero_velocity
+from sinsjax.alignment import kalman
 from sinsjax.alignment.base import Method, Options, Site
-from sinsjax.batch import Group, chunks
+from sinsjax.alignment.methods import METHODS
+from sinsjax.alignment.zero_velocity import method as zero_velocity
 from sinsjax.bench.cases import default_group, engine, shortened, without_noise
 from sinsjax.bench.timing import Row, measure_against
-from sinsjax.error_model import MODELS, ErrorModel
-from sinsjax.metrics import Outcome
+from sinsjax.engine.batch import chunks
+from sinsjax.engine.metrics import Outcome
+from sinsjax.engine.tile import Group
+from sinsjax.engine.verdicts import LIMIT
+from sinsjax.maths.algebra import numbers_of
+from sinsjax.strapdown import mechanisation
+from sinsjax.strapdown.error_model import MODELS, ErrorModel
 from sinsjax.types import Navigation, Sample, Scalar
 from sinsjax.units import ARCMIN
-from sinsjax.verdicts import LIMIT
 
 NAME = "kalman5_single"
 

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import common
 import tomli_w
 
-from sinsjax import compile_cache
+from sinsjax.platform import compile_cache
 
 CHUNK_RUNS = 128
 HANGS_S = 300.0

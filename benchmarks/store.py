@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from sinsjax.bench.timing import Row
-from sinsjax.files import replacing
-from sinsjax.types import InputError
+from sinsjax.errors import InputError
+from sinsjax.platform.files import replacing
 
 HISTORY = Path(__file__).parent / "history"
 

@@ -2,7 +2,6 @@
 
 import common
 
-from sinsjax.batch import LANES, Group
 from sinsjax.bench.cases import (
     TILES,
     default_group,
@@ -12,6 +11,7 @@ from sinsjax.bench.cases import (
     without_noise,
 )
 from sinsjax.bench.timing import Case, Row, measure
+from sinsjax.engine.tile import LANES, Group
 
 LANE_COUNTS = (16, 32, 48, 64, 80, 96, 128, 192, 256)
 TILE_COUNTS = (2, 4, 8, 16, 32)

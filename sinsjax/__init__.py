@@ -30,9 +30,9 @@ Noise depends on the seed and the draw alone, so variants of one draw share it.
 reset at t acts after the update of sample ``round(t/dt)``: the whole state is fed back, then the
 covariance is set.
 
-Importing the package adds XLA:CPU options to ``XLA_FLAGS`` (see `sinsjax.xla`; a jaxlib that is
-not in its table is first tried in a process of its own) and changes nothing else, unless
-``SINSJAX_ONE_CORE=1`` asks for a process that keeps to one core (see `sinsjax.affinity`).
+Importing the package adds XLA:CPU options to ``XLA_FLAGS`` (see `sinsjax.platform.xla`; a jaxlib
+that is not in its table is first tried in a process of its own) and changes nothing else, unless
+``SINSJAX_ONE_CORE=1`` asks for a process that keeps to one core (see `sinsjax.platform.affinity`).
 `sinsjax.configure` sets the number of CPU devices, double precision and options of LLVM that hold
 for every loop of the process.
 """
@@ -40,7 +40,7 @@ for every loop of the process.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from sinsjax import affinity, runtime, xla
+from sinsjax.platform import affinity, runtime, xla
 
 # XLA reads its options and counts its cores once, so this comes before what may start JAX.
 affinity.apply()
@@ -48,15 +48,15 @@ xla.apply_options()
 
 if TYPE_CHECKING:
     from sinsjax.analysis import summarise
-    from sinsjax.campaign import Results, load_tape, run, run_into
-    from sinsjax.config import Study, load_study, study_from_dict
+    from sinsjax.engine.build import simulated_record
+    from sinsjax.errors import InputError
+    from sinsjax.execution.run import Results, load_tape, run, run_into
+    from sinsjax.execution.tables import read_curves, read_manifest, read_summary
+    from sinsjax.platform.runtime import configure, info
     from sinsjax.records import read_record, read_reference
-    from sinsjax.results import read_curves, read_manifest, read_summary
-    from sinsjax.runtime import configure, info
-    from sinsjax.scenario import simulated_record
+    from sinsjax.study.load import Study, load_study, study_from_dict
     from sinsjax.tuning.carry_out import tune
     from sinsjax.tuning.history import read_history
-    from sinsjax.types import InputError
 
 __version__ = runtime.package_version()
 
@@ -84,15 +84,15 @@ __all__ = [
 
 _HOMES = {
     "analysis": ("summarise",),
-    "campaign": ("Results", "load_tape", "run", "run_into"),
-    "config": ("Study", "load_study", "study_from_dict"),
+    "engine.build": ("simulated_record",),
+    "errors": ("InputError",),
+    "execution.run": ("Results", "load_tape", "run", "run_into"),
+    "execution.tables": ("read_curves", "read_manifest", "read_summary"),
+    "platform.runtime": ("configure", "info"),
     "records": ("read_record", "read_reference"),
-    "results": ("read_curves", "read_manifest", "read_summary"),
-    "runtime": ("configure", "info"),
-    "scenario": ("simulated_record",),
+    "study.load": ("Study", "load_study", "study_from_dict"),
     "tuning.carry_out": ("tune",),
     "tuning.history": ("read_history",),
-    "types": ("InputError",),
 }
 
 

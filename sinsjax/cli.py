@@ -1,4 +1,4 @@
-"""The command line: thin commands over `campaign`, `report` and `bench`.
+"""The command line: thin commands over `run`, `report` and `bench`.
 
 A user's mistake prints one line and exits with code 2; nothing else of Python is shown.
 """
@@ -15,10 +15,10 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from sinsjax import runtime
-from sinsjax.screen import lasting, plain_console, say
-from sinsjax.types import InputError, StudyInterrupted
-from sinsjax.wording import one_line
+from sinsjax.console import lasting, plain_console, say
+from sinsjax.errors import InputError, StudyInterrupted
+from sinsjax.messages import one_line
+from sinsjax.platform import runtime
 
 app = typer.Typer(
     help="Initial alignment of strapdown inertial navigators, thousands of runs at a time.",
@@ -151,11 +151,13 @@ def tune(
 
     Example: sinsjax tune configs/tune_condition5.toml -o out
     """
-    from sinsjax import campaign, console, directories, forecast
-    from sinsjax.config import load_study
+    from sinsjax.execution import forecast, progress
+    from sinsjax.execution import resume as resuming
+    from sinsjax.execution import run as study_run
+    from sinsjax.study.load import load_study
     from sinsjax.tuning import carry_out
 
-    out = directories.named(given)
+    out = resuming.named(given)
     study = load_study(config)
     carry_out.require_tune(study)
     if study.is_recorded and record is None:
@@ -166,21 +168,21 @@ def tune(
     _check_options(overwrite=overwrite, resume=resume, devices=devices)
     carry_out.check_free(out, overwrite=overwrite or resume)
     _configure(devices)
-    tape = None if record is None else campaign.load_tape(study, record, reference)
+    tape = None if record is None else study_run.load_tape(study, record, reference)
     terminal = plain_console()
-    study = campaign.at_rate(study, tape)
+    study = study_run.at_rate(study, tape)
     expected = forecast.of_tuning(study)
     forecast.require_room(study, expected, out, overwrite=overwrite, resume=resume)
     say(terminal, f"{expected.told(runtime.usable_cores() if devices is None else devices)}.")
     study = _made_ready(study, tape, terminal)
-    with console.interruptible(terminal) as stop:
+    with progress.interruptible(terminal) as stop:
         carry_out.tune(
             study,
             out,
             tape,
             overwrite=overwrite,
             resume=resume,
-            watch=lambda name: console.progress(terminal, f"{study.study.name}: {name}"),
+            watch=lambda name: progress.progress(terminal, f"{study.study.name}: {name}"),
             stop=stop,
             source=config,
         )
@@ -207,13 +209,14 @@ def rerun(
 
     Example: sinsjax rerun out --run-id 17
     """
-    from sinsjax import directories, reruns
+    from sinsjax.execution import rerun as rerunning
+    from sinsjax.execution import resume as resuming
 
     runtime.configure()
     runtime.require_backend()
-    out = None if given is None else directories.named(given)
+    out = None if given is None else resuming.named(given)
     terminal, files = plain_console(), (record, reference)
-    if not reruns.rerun_into(directory, run_id, terminal, out=out, files=files):
+    if not rerunning.rerun_into(directory, run_id, terminal, out=out, files=files):
         raise typer.Exit(1)
 
 
@@ -293,17 +296,19 @@ def _run_study(
     cluster: tuple[int | None, str | None] = (None, None),
     files: tuple[Path, Path | None] | None = None,
 ) -> None:
-    from sinsjax import campaign, console, directories, forecast
-    from sinsjax.config import load_study
+    from sinsjax.execution import forecast, progress
+    from sinsjax.execution import resume as resuming
+    from sinsjax.execution import run as study_run
+    from sinsjax.study.load import load_study
 
-    out = directories.named(given)
+    out = resuming.named(given)
     study = load_study(config)
     if study.is_recorded and files is None:
         raise InputError(f"{config}: [record]: the study reads a record: use `sinsjax align`")
     if files is not None and not study.is_recorded:
         raise InputError(f"{config}: has no [record] section to read {files[0]} with")
     _check_options(overwrite=overwrite, resume=resume, devices=devices)
-    directories.check_free(out, overwrite=overwrite or resume)
+    resuming.check_free(out, overwrite=overwrite or resume)
     runs = study.n_draws * study.n_variants
     terminal = plain_console()
     if curves and runs > MOST_RUNS and files is None:
@@ -315,8 +320,8 @@ def _run_study(
         say(terminal, f"{runs} runs: curves are kept only where [study] curves = true.")
         curves = None
     _configure(devices)
-    tape = None if files is None else campaign.load_tape(study, *files)
-    study = campaign.at_rate(study, tape)
+    tape = None if files is None else study_run.load_tape(study, *files)
+    study = study_run.at_rate(study, tape)
     expected = forecast.of(study, curves=curves)
     forecast.require_room(study, expected, out, overwrite=overwrite, resume=resume)
     cores = devices or cluster[0] or runtime.usable_cores()
@@ -328,10 +333,10 @@ def _run_study(
         say(terminal, f"Runs that end by {study.study.window_s[0]:g} s have no window statistics.")
     with (
         _executor(*cluster) as executor,
-        console.progress(terminal, study.study.name) as tell,
-        console.interruptible(terminal) as stop,
+        progress.progress(terminal, study.study.name) as tell,
+        progress.interruptible(terminal) as stop,
     ):
-        campaign.run_into(
+        study_run.run_into(
             study,
             out,
             tape,
@@ -349,9 +354,9 @@ def _run_study(
 
 def _made_ready(study: Any, tape: Any, terminal: Console) -> Any:
     """A study at the rate of its record, once all that is doubtful about it is told."""
-    from sinsjax import campaign
+    from sinsjax.execution import run as study_run
 
-    study, warnings = campaign.made_ready(study, tape)
+    study, warnings = study_run.made_ready(study, tape)
     for line in warnings:
         say(terminal, f"Warning: {line}")
     return study
@@ -390,9 +395,9 @@ def _executor(workers: int | None, scheduler: str | None) -> Any:
     """Who does the tasks: this process, or Dask workers."""
     if workers is None and scheduler is None:
         return nullcontext()
-    from sinsjax import cluster
+    from sinsjax.execution import dask_pool
 
-    return cluster.executor(workers=workers, scheduler=scheduler)
+    return dask_pool.executor(workers=workers, scheduler=scheduler)
 
 
 def main() -> None:

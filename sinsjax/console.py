@@ -1,114 +1,94 @@
-"""What a person sees of a running study, and how to stop it."""
+"""Where text meets a terminal: it is text there, never rich's markup, and ends no work.
+
+Who reads it may leave before the end (``| head -1``), and a disk that it goes to may be full.
+"""
 
 import os
-import signal
-import threading
-import time
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
-from types import FrameType
+from contextlib import contextmanager, suppress
+from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
-from rich.progress import Progress as Bar
-
-from sinsjax import screen
-from sinsjax.campaign import Progress, Tell
-
-_PLAIN_EVERY_S = 10.0
-_STOPPING = "Stopping: the chunks under way are finished first (again: drop them)."
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)  # a cluster's scheduler sends the second
+from rich.text import Text
 
 
-@contextmanager
-def progress(console: Console, name: str) -> Iterator[Tell]:
-    """A bar on a terminal; elsewhere a plain line every tenth of the way, or every 10 s.
+def plain_console() -> Console:
+    """A console on the standard output to which ``[bold]`` and ``:smile:`` are words."""
+    return Console(markup=False, emoji=False, highlight=False)
 
-    Both tell the runs done, runs a second, the time left and the failures so far.
+
+def say(console: Console, text: str, *, style: str = "", wrap: bool = False) -> None:
+    """Prints a line as it stands, on any console, whatever that one makes of markup.
+
+    Args:
+        console: where.
+        text: to print.
+        style: of all of it.
+        wrap: whether it is broken at the width of a terminal; a file or a pipe has none.
     """
-    if not console.is_terminal:
-        yield _plainly(console, name, _Pace())
-        return
-    bar = Bar(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("runs{task.fields[pace]}"),
-        console=console,
-    )
-    with bar:
-        shown = bar.add_task(f"{name} (compiling)", total=None, pace="")
-        pace = _Pace()
-
-        def tell(now: Progress) -> None:
-            text = pace.text(now)
-            called = name if text else f"{name} (compiling)"
-            bar.update(shown, description=called, completed=now.done, total=now.total, pace=text)
-
-        yield tell
+    soft = not (wrap and console.is_terminal)
+    console.print(Text(text, style=style), highlight=False, soft_wrap=soft)
 
 
-def _plainly(console: Console, name: str, pace: "_Pace") -> Tell:
-    told, last = -1, time.monotonic()
+class _Outlet:
+    """A stream that falls silent where it would fail; the rest is that stream's.
 
-    def tell(now: Progress) -> None:
-        nonlocal told, last
-        text = pace.text(now)
-        tenth, clock = now.done * 10 // now.total, time.monotonic()
-        began = now.done == now.before
-        news = now.before > 0 if began else tenth != told or clock >= last + _PLAIN_EVERY_S
-        if not news:
+    None is one that was closed before Python began, as of a daemon.
+    """
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+        self.error: OSError | None = None
+
+    def write(self, text: str) -> int:
+        if self._stream is not None:
+            self._attempt(self._stream.write, text)
+        return len(text)
+
+    def flush(self) -> None:
+        if self._stream is not None:
+            self._attempt(self._stream.flush)
+
+    def _attempt(self, act: Any, *given: str) -> None:
+        if self.error is not None:
             return
-        told, last = tenth, clock
-        there = ", there already" if began else text
-        screen.say(console, f"{name}: {now.done:,} of {now.total:,} runs{there}")
+        try:
+            act(*given)
+        except OSError as error:
+            self.error = error
+            # What is still held back is lost here, and not told of once more as Python ends.
+            with suppress(OSError, ValueError):
+                nowhere = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(nowhere, self._stream.fileno())
+                os.close(nowhere)
 
-    return tell
-
-
-class _Pace:
-    """Runs a second since the first chunk came in: what is before it is mostly compiling."""
-
-    def __init__(self) -> None:
-        self._first: tuple[float, int] | None = None
-
-    def text(self, now: Progress) -> str:
-        """The pace in words; empty before there is a chunk."""
-        if now.done == now.before:
-            return ""
-        clock = time.monotonic()
-        since, done = self._first = self._first or (clock, now.done)
-        if now.done == done:
-            return f", {now.failures:,} failed"
-        rate = (now.done - done) / max(clock - since, 1e-3)
-        left = _clock((now.total - now.done) / rate)
-        return f", {rate:,.0f} runs/s, {left} left, {now.failures:,} failed"
-
-
-def _clock(seconds: float) -> str:
-    minutes, s = divmod(round(seconds), 60)
-    hours, m = divmod(minutes, 60)
-    return f"{hours}:{m:02d}:{s:02d}" if hours else f"{m}:{s:02d}"
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
 
 @contextmanager
-def interruptible(console: Console) -> Iterator[threading.Event]:
-    """An event that Ctrl-C or a termination signal sets; a second one ends the process at once.
+def lasting() -> Iterator[None]:
+    """Lets work go on when what it prints can go nowhere any more.
 
-    At once loses the chunks under way and nothing else: files appear whole or not at all.
+    Raises:
+        SystemExit: at its end, with code 2 and one line on the standard error, if a disk was full
+            or the like. Who closes a pipe has seen enough: that is no error.
     """
-    stop = threading.Event()
-
-    def handle(number: int, frame: FrameType | None) -> None:
-        if stop.is_set():
-            os._exit(128 + number)
-        stop.set()
-        # In a thread: the signal may have come while this one was printing.
-        threading.Thread(target=screen.say, args=(console, _STOPPING), daemon=True).start()
-
-    before = {number: signal.signal(number, handle) for number in _SIGNALS}
+    streams = sys.stdout, sys.stderr
+    out, err = map(_Outlet, streams)
+    sys.stdout, sys.stderr = out, err
+    code: Any = 0
     try:
-        yield stop
+        yield
+    except SystemExit as stop:
+        code = stop.code
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        out.flush()
+        sys.stdout, sys.stderr = streams
+    if out.error is not None and not isinstance(out.error, BrokenPipeError):
+        said = out.error.strerror or out.error
+        err.write(f"error: standard output: cannot be written: {said}\n")
+        err.flush()
+        code = code or 2
+    raise SystemExit(code)

@@ -1,4 +1,4 @@
-"""The values that flow between modules, and the one error that a user's mistake raises.
+"""The values that flow between modules: vectors, attitudes, increments, navigation.
 
 Everything here describes *one* run. Batching adds leading axes to the leaves; nothing here knows.
 """
@@ -22,14 +22,6 @@ else:
     Flag = Bool[ArrayLike, ""]
     Count = Int[ArrayLike, ""]
     Word = UInt32[ArrayLike, ""]
-
-
-class InputError(ValueError):
-    """A user's mistake: one line that names the file and the key or row, and what is wrong."""
-
-
-class StudyInterrupted(Exception):
-    """A study was asked to stop before its end; what was done is kept."""
 
 
 class Vec3(NamedTuple):
@@ -92,7 +84,6 @@ __all__ = [
     "Count",
     "Flag",
     "Increments",
-    "InputError",
     "Navigation",
     "Quat",
     "Sample",

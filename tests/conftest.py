@@ -20,7 +20,7 @@ import hypothesis
 import jax
 import pytest
 
-from sinsjax import runtime
+from sinsjax.platform import runtime
 
 runtime.configure(devices=2, x64=True)
 jax.config.update("jax_legacy_prng_key", "error")

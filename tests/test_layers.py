@@ -1,4 +1,4 @@
-"""Imports point up the list of layers only; read from the source, nothing is imported."""
+"""Imports point down the floors only, folder by folder; read from the source, nothing is run."""
 
 import ast
 import graphlib
@@ -8,96 +8,29 @@ import pytest
 
 import sinsjax
 
-LAYERS = (
-    {
-        "affinity",
-        "columns",
-        "compile_cache",
-        "files",
-        "hlo",
-        "machine",
-        "runtime",
-        "types",
-        "units",
-        "xla",
-        "xla_trial",
-    },
-    {
-        "config",
-        "designs",
-        "drawing",
-        "fields",
-        "layouts",
-        "ranges",
-        "records",
-        "rules",
-        "sections",
-        "studies",
-        "success",
-        "sweeps",
-        "tuned_keys",
-        "unreached",
-        "usual",
-        "variables",
-        "wording",
-    },
-    {"algebra", "earth", "kalman", "randomness", "rotations"},
-    {"bounds", "error_model", "imu", "limits", "loops", "mechanisation", "trajectory"},
+FLOORS = (
+    {"console", "errors", "messages", "types", "units"},
+    {"analysis", "columns", "maths", "platform"},
+    {"plots", "records", "strapdown", "value_types"},
     {"alignment"},
-    {
-        "batch",
-        "doubts",
-        "draws",
-        "metrics",
-        "scenario",
-        "simulate",
-        "stepping",
-        "study_limits",
-        "tunings",
-        "verdicts",
-        "worlds",
-    },
-    {
-        "analysis",
-        "belongings",
-        "directories",
-        "forecast",
-        "parts",
-        "plots",
-        "results",
-        "statements",
-        "stopping",
-        "store",
-        "work",
-    },
-    {
-        "__main__",
-        "baseline",
-        "bench",
-        "campaign",
-        "cli",
-        "clients",
-        "cluster",
-        "console",
-        "report",
-        "reruns",
-        "screen",
-        "tuning",
-        "worker",
-    },
+    {"study"},
+    {"engine"},
+    {"bench", "execution"},
+    {"tuning"},
+    {"report"},
+    {"__main__", "cli"},
 )
-"""Level 0 first. A package stands for all of its modules."""
+"""The ground floor first. A folder stands for all of its modules."""
 
-LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
-SHARED_BY_METHODS = {
-    "alignment.base",
-    "alignment.schedules",
-    "alignment.triggers",
-    "alignment.scores",
-}
-NOT_METHODS = SHARED_BY_METHODS | {"alignment", "alignment.coarse", "alignment.reverse"}
-WITHOUT_JAX = LAYERS[1]
+FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
+METHODS = {"alignment.compass", "alignment.zero_velocity"}
+"""Folders of alignment methods; no method knows another."""
+KNOW_METHODS = {"alignment.methods", "alignment.sections"}
+"""What in `alignment` may know the methods' folders."""
+WITHOUT_JAX = {"columns", "errors", "messages", "records", "study", "units", "value_types"}
 FOR_PEOPLE = {"matplotlib", "rich", "typer"}
+MEETS_PEOPLE = {"bench", "cli", "console", "execution", "plots", "report", "tuning"}
+JAX = {"jax", "jaxlib", "optax"}
 
 Sources = dict[str, str]
 
@@ -114,13 +47,16 @@ def read_sources() -> Sources:
     return sources
 
 
-def imported(name: str, source: str, sources: Sources) -> tuple[set[str], set[str]]:
-    """What a module imports anywhere in it: modules of the package, and others' top-level names.
+def imported(
+    name: str, source: str, sources: Sources, *, later: bool = True
+) -> tuple[set[str], set[str]]:
+    """What a module imports: modules of the package, and others' top-level names.
 
-    The package itself is the module ``""``.
+    The package itself is the module ``""``. Without ``later``, what functions import when they are
+    called is left out.
     """
     found: list[str] = []
-    for node in ast.walk(ast.parse(source)):
+    for node in walk(ast.parse(source), later=later):
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -139,47 +75,101 @@ def imported(name: str, source: str, sources: Sources) -> tuple[set[str], set[st
     return own, others
 
 
-def level(name: str) -> int | None:
-    """The level of a module of the package; None if the table lacks it."""
-    return LEVEL.get(name.partition(".")[0])
+def walk(node: ast.AST, *, later: bool) -> list[ast.AST]:
+    """All nodes below one, those in functions' bodies if ``later``."""
+    if not later and isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+        return []
+    below = [walk(child, later=later) for child in ast.iter_child_nodes(node)]
+    return [node, *(found for nodes in below for found in nodes)]
+
+
+def loaded(name: str, sources: Sources) -> set[str]:
+    """What importing a module loads from outside the package, through all that it imports.
+
+    The packages that a module lies in are loaded with it, but for `sinsjax` itself.
+    """
+    others: set[str] = set()
+    done: set[str] = set()
+    left = [name]
+    while left:
+        module = left.pop()
+        if module in done or module not in sources:
+            continue
+        done.add(module)
+        own, outside = imported(module, sources[module], sources, later=False)
+        others |= outside
+        left += own
+        left.append(module.rpartition(".")[0])
+    return others
+
+
+def floor(name: str) -> int | None:
+    """The floor of a module of the package; None if the table lacks it."""
+    return FLOOR.get(folder(name))
+
+
+def folder(name: str) -> str:
+    """What of the table a module belongs to."""
+    return name.partition(".")[0]
+
+
+def method_of(name: str) -> str | None:
+    """The folder of the method that a module belongs to."""
+    return next((m for m in METHODS if name == m or name.startswith(f"{m}.")), None)
+
+
+def is_without_jax(name: str) -> bool:
+    """Whether a module reads input: it, and all that it imports, does without JAX."""
+    return folder(name) in WITHOUT_JAX or name.rpartition(".")[2] in ("section", "sections")
 
 
 def violations(sources: Sources) -> list[str]:
-    """One line for every module or import that breaks the layers."""
+    """One line for every module or import that breaks the floors."""
     wrong = []
     graph: dict[str, set[str]] = {}
     for name, source in sources.items():
-        if level(name) is None:
-            wrong.append(f"{name} is in no layer: add it to LAYERS in {Path(__file__).name}")
+        if floor(name) is None:
+            wrong.append(f"{name} is on no floor: add it to FLOORS in {Path(__file__).name}")
             continue
         own, others = imported(name, source, sources)
         graph[name] = {other for other in own if other in sources}
         if "" in own:
             wrong.append(f"{name} imports from the package itself a name that is no module")
         wrong += [
-            f"{name} (level {level(name)}) imports {other} (level {level(other)})"
+            f"{name} (floor {floor(name)}) imports {other} (floor {floor(other)})"
             for other in sorted(graph[name])
-            if (level(other) or 0) > level(name)
+            if (floor(other) or 0) > floor(name)
         ]
-        if name.startswith("alignment.") and name not in NOT_METHODS:
+        if folder(name) == "alignment" and name not in KNOW_METHODS:
             wrong += [
-                f"{name} imports {other}: a method may share only {sorted(SHARED_BY_METHODS)}"
-                for other in sorted(own - SHARED_BY_METHODS)
-                if other.partition(".")[0] == "alignment"
+                f"{name} imports {other}: no method knows another"
+                for other in sorted(graph[name] - {name})
+                if other in KNOW_METHODS or method_of(other) not in (None, method_of(name))
             ]
-        if name.partition(".")[0] in WITHOUT_JAX and others & {"jax", "jaxlib", "optax"}:
-            wrong.append(f"{name} reads input and must not import jax")
-        if level(name) <= 5 and others & FOR_PEOPLE:
+        if is_without_jax(name) and loaded(name, sources) & JAX:
+            wrong.append(f"{name} reads input, but importing it loads jax")
+        if folder(name) not in MEETS_PEOPLE and others & FOR_PEOPLE:
             wrong.append(f"{name} must not import {sorted(others & FOR_PEOPLE)}")
-    try:
-        graphlib.TopologicalSorter(graph).prepare()
-    except graphlib.CycleError as error:
-        wrong.append("cycle: " + " -> ".join(error.args[1]))
+    by_folder: dict[str, set[str]] = {}
+    for name, others in graph.items():
+        by_folder.setdefault(folder(name), set()).update(set(map(folder, others)) - {folder(name)})
+    for arrows, of in ((graph, ""), (by_folder, " of folders")):
+        try:
+            graphlib.TopologicalSorter(arrows).prepare()
+        except graphlib.CycleError as error:
+            wrong.append(f"cycle{of}: " + " -> ".join(error.args[1]))
     return wrong
 
 
-def test_imports_point_up_the_list_of_layers():
+def test_imports_point_down_the_floors():
     assert not violations(read_sources())
+
+
+def test_the_folder_of_methods_imports_nothing():
+    """Else importing a section would load every method, and JAX."""
+    for name in ("alignment", *METHODS, "alignment.triggers"):
+        tree = ast.parse(read_sources()[name])
+        assert [type(node) for node in tree.body] == [ast.Expr], name
 
 
 def test_others_may_check_their_types_against_the_package():
@@ -188,35 +178,88 @@ def test_others_may_check_their_types_against_the_package():
 
 
 def test_every_source_file_is_read():
-    assert {"types", "runtime", "alignment", "alignment.base"} <= read_sources().keys()
+    assert {"types", "platform.runtime", "alignment", "alignment.base"} <= read_sources().keys()
+
+
+def test_every_folder_says_what_it_is():
+    """In one sentence, for whoever reads the list of folders."""
+    sources = read_sources()
+    folders = {name.rpartition(".")[0] for name in sources} - {""}
+    assert all(ast.get_docstring(ast.parse(sources[name])) for name in folders)
 
 
 @pytest.mark.parametrize(
     ("sources", "message"),
     [
-        ({"novel": ""}, "novel is in no layer"),
-        ({"units": "from sinsjax import kalman", "kalman": ""}, "units (level 0) imports kalman"),
-        ({"units": "import sinsjax.kalman", "kalman": ""}, "units (level 0) imports kalman"),
+        ({"novel": ""}, "novel is on no floor"),
+        ({"novel.part": ""}, "novel.part is on no floor"),
         (
-            {"units": "def f():\n    from sinsjax.kalman import predict", "kalman": ""},
-            "units (level 0) imports kalman",
+            {"units": "from sinsjax.maths import rng", "maths.rng": ""},
+            "units (floor 0) imports maths.rng",
         ),
-        ({"batch": "from sinsjax import __version__"}, "batch imports from the package itself"),
+        ({"units": "import sinsjax.maths.rng", "maths.rng": ""}, "units (floor 0) imports maths"),
         (
-            {"earth": "from sinsjax import kalman", "kalman": "import sinsjax.earth"},
+            {"units": "def f():\n    from sinsjax.maths.rng import pair", "maths.rng": ""},
+            "units (floor 0) imports maths.rng",
+        ),
+        ({"engine.batch": "from sinsjax import __version__"}, "engine.batch imports from the"),
+        (
+            {
+                "maths.algebra": "from sinsjax.maths import rng",
+                "maths.rng": "import sinsjax.maths.algebra",
+            },
             "cycle: ",
         ),
         (
-            {"alignment.a": "from sinsjax.alignment.b import step", "alignment.b": ""},
-            "alignment.a imports alignment.b: a method may share only",
+            {
+                "maths.algebra": "from sinsjax.platform import machine",
+                "maths.rng": "",
+                "platform.files": "from sinsjax.maths import rng",
+                "platform.machine": "",
+            },
+            "cycle of folders: ",
         ),
         (
-            {"alignment.a": "from sinsjax.alignment import METHODS", "alignment": ""},
-            "alignment.a imports alignment: a method may share only",
+            {
+                "alignment.compass.method": "from sinsjax.alignment.zero_velocity.method import x",
+                "alignment.zero_velocity.method": "",
+            },
+            "alignment.compass.method imports alignment.zero_velocity.method: no method knows",
         ),
-        ({"config": "import jax.numpy as jnp"}, "config reads input and must not import jax"),
+        (
+            {
+                "alignment.compass.method": "from sinsjax.alignment.methods import METHODS",
+                "alignment.methods": "",
+            },
+            "alignment.compass.method imports alignment.methods: no method knows",
+        ),
+        (
+            {
+                "alignment.kalman": "from sinsjax.alignment.compass import design",
+                "alignment.compass.design": "",
+            },
+            "alignment.kalman imports alignment.compass.design: no method knows",
+        ),
+        ({"study.load": "import jax.numpy as jnp"}, "study.load reads input, but importing it"),
         ({"records.psins": "from jax import jit"}, "records.psins reads input"),
-        ({"simulate": "import matplotlib.pyplot"}, "simulate must not import ['matplotlib']"),
+        (
+            {
+                "study.schema": "from sinsjax.alignment.sections import AlignmentSection",
+                "alignment": "from sinsjax.alignment import base",
+                "alignment.base": "import jax",
+                "alignment.sections": "",
+            },
+            "study.schema reads input, but importing it loads jax",
+        ),
+        (
+            {
+                "alignment.compass.section": "from sinsjax.maths import algebra",
+                "maths.algebra": "from sinsjax.maths import rng",
+                "maths.rng": "import jaxlib",
+            },
+            "alignment.compass.section reads input, but importing it loads jax",
+        ),
+        ({"engine.simulate": "import matplotlib.pyplot"}, "engine.simulate must not import"),
     ],
 )
 def test_a_broken_rule_is_told(sources, message):
@@ -224,18 +267,19 @@ def test_a_broken_rule_is_told(sources, message):
 
 
 def test_a_relative_import_is_told():
-    with pytest.raises(AssertionError, match="earth: line 1: write imports in full"):
-        violations({"earth": "from . import kalman"})
+    with pytest.raises(AssertionError, match="maths.rng: line 1: write imports in full"):
+        violations({"maths.rng": "from . import algebra"})
 
 
 def test_what_is_allowed_is_not_told():
     assert not violations(
         {
             "units": "import math",
-            "kalman": "import jax\nfrom sinsjax.units import DEG",
-            "alignment.base": "from sinsjax import kalman, units",
-            "alignment.a": "from sinsjax.alignment.base import Method",
-            "alignment": "from sinsjax.alignment import a",
+            "maths.rng": "import jax\nfrom sinsjax.units import DEG",
+            "alignment.base": "from sinsjax.maths import rng",
+            "alignment.compass.method": "from sinsjax.alignment.base import Method",
+            "alignment.compass.section": "def f():\n    import jax",
+            "alignment.methods": "from sinsjax.alignment.compass import method",
             "plots": "import matplotlib",
         }
     )

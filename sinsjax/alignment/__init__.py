@@ -1,14 +1,1 @@
-"""Alignment methods by name; a study names one, the engine drives it through `base.Method`."""
-
-from collections.abc import Callable
-from functools import partial
-
-from sinsjax.alignment import compass, zero_velocity
-from sinsjax.alignment.base import Method, Options
-from sinsjax.error_model import MODELS
-
-METHODS: dict[str, Callable[[Options], Method]] = {
-    **{name: partial(zero_velocity.build, model) for name, model in MODELS.items()},
-    "compass": compass.build,
-}
-"""A builder for each method."""
+"""Alignment methods: pure functions of one run, one folder a method."""

@@ -7,8 +7,8 @@ numbers. Methods never import one another; whoever drives them sees only this sh
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from sinsjax.earth import Earth, Place
-from sinsjax.limits import Biases, Limit
+from sinsjax.alignment.limits import Biases, Limit
+from sinsjax.strapdown.earth import Earth, Place
 from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar
 
 

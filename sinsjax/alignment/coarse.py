@@ -13,9 +13,9 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from sinsjax.algebra import scale
-from sinsjax.earth import Place
-from sinsjax.rotations import conjugate, exp, log, multiply, rotate
+from sinsjax.maths.algebra import scale
+from sinsjax.maths.rotations import conjugate, exp, log, multiply, rotate
+from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Quat, Sample, Scalar, Vec3
 
 Coarse = Callable[[Sample, Place, Scalar], Quat]

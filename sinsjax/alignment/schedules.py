@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from sinsjax.algebra import Triangle, triangle_index
+from sinsjax.maths.algebra import Triangle, triangle_index
 from sinsjax.types import Array, Flag, Scalar
 
 

@@ -9,15 +9,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sinsjax.analysis.estimates import (
-    SEED,
-    Estimate,
-    bootstrap,
-    clean,
-    mean,
-    place,
-    proportion,
-)
+from sinsjax.analysis.estimates import SEED, Estimate, bootstrap, clean, mean, place, proportion
 
 
 def difference(a: ArrayLike, b: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:

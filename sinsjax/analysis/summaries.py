@@ -12,15 +12,7 @@ from numpy.typing import NDArray
 
 from sinsjax.analysis.clusters import COLUMNS, are_single, clusters_of
 from sinsjax.analysis.differences import difference, proportion_difference, quantile_difference
-from sinsjax.analysis.estimates import (
-    UNKNOWN,
-    Estimate,
-    chi2_mean_band,
-    mean,
-    quantile,
-    share,
-    std,
-)
+from sinsjax.analysis.estimates import UNKNOWN, Estimate, chi2_mean_band, mean, quantile, share, std
 from sinsjax.analysis.tables import (
     by_draw,
     groups,
@@ -30,7 +22,7 @@ from sinsjax.analysis.tables import (
     require,
     with_limit,
 )
-from sinsjax.types import InputError
+from sinsjax.errors import InputError
 
 NEES_FREEDOM = 3
 """Degrees of freedom of ``nees``: three angles."""

@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from sinsjax.types import InputError
+from sinsjax.errors import InputError
 
 _SLICE = 2**16  # rows turned into Python's objects at a time
 

@@ -13,12 +13,13 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from sinsjax import runtime, screen
+from sinsjax import console as screen
 from sinsjax.bench.assets import asset
 from sinsjax.bench.cases import SHORT
 from sinsjax.bench.limit import compiler, limit_kernel
 from sinsjax.bench.timing import Case, Row, conditions, measure, use_one_core
-from sinsjax.types import InputError
+from sinsjax.errors import InputError
+from sinsjax.platform import runtime
 
 __all__ = ["SHORT", "Case", "Row", "asset", "conditions", "measure", "run", "short_set"]
 

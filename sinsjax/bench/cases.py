@@ -11,15 +11,16 @@ from functools import cache, partial
 import jax
 import numpy as np
 
-from sinsjax.baseline import Setting, align
-from sinsjax.batch import LANES, SETS, Group, Tiles, compiled, plan, spread, tiles_of
 from sinsjax.bench.assets import asset
+from sinsjax.bench.baseline import Setting, align
 from sinsjax.bench.timing import Case
-from sinsjax.config import load_study, study_from_dict
-from sinsjax.draws import Draw, World
-from sinsjax.rotations import matrix, misalign
-from sinsjax.scenario import parts
-from sinsjax.simulate import Params, simulate
+from sinsjax.engine.batch import compiled, plan, spread
+from sinsjax.engine.build import parts
+from sinsjax.engine.realisations import Draw, World
+from sinsjax.engine.simulate import Params, simulate
+from sinsjax.engine.tile import LANES, SETS, Group, Tiles, tiles_of
+from sinsjax.maths.rotations import matrix, misalign
+from sinsjax.study.load import load_study, study_from_dict
 from sinsjax.types import Quat
 
 TILES = 2
@@ -217,7 +218,7 @@ def numpy_baseline(group: Group) -> Case:
 
 
 def first_run(group: Group) -> tuple[np.ndarray, np.ndarray, Setting]:
-    """The first run of a noise-free group, as the arguments of `sinsjax.baseline.align`."""
+    """The first run of a noise-free group, as the arguments of `sinsjax.bench.baseline.align`."""
     errors, place = group.world.errors, group.world.site.place
     dt = group.static.options.dt
     bias = np.concatenate([errors.gyro_bias, errors.accel_bias])

@@ -9,7 +9,7 @@ import statistics
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from sinsjax import compile_cache, machine, runtime, xla
+from sinsjax.platform import compile_cache, machine, runtime, xla
 
 Row = dict[str, Any]
 """A measurement: ``name``, its numbers, and the conditions."""

@@ -16,15 +16,7 @@ from sinsjax.plots.curves import (
     yaw_errors,
 )
 from sinsjax.plots.errors import Mark, attitude_errors, over_time
-from sinsjax.plots.grids import (
-    Contours,
-    Scale,
-    Shown,
-    Verdicts,
-    heat_maps,
-    spread,
-    verdict_matrix,
-)
+from sinsjax.plots.grids import Contours, Scale, Shown, Verdicts, heat_maps, spread, verdict_matrix
 from sinsjax.plots.spreads import Spread, along_axis, distributions
 from sinsjax.plots.style import COLOURS, colour, label, png, setting
 from sinsjax.plots.tapes import by_tape, prediction, survival

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from sinsjax.types import InputError
+from sinsjax.errors import InputError
 
 CUT_OFF = " (the last row: is the file cut off?)"
 

@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.files import replacing
+from sinsjax.errors import InputError
+from sinsjax.platform.files import replacing
 from sinsjax.records.files import CUT_OFF, Lines, line_batches, number
 from sinsjax.records.layout import (
     PSINS_LAYOUT,
@@ -26,7 +27,6 @@ from sinsjax.records.layout import (
     check_layout,
     to_body,
 )
-from sinsjax.types import InputError
 from sinsjax.units import ARCSEC, STANDARD_GRAVITY, micro_g
 
 _COUNT_COLUMNS = tuple(f"{sensor} {axis}" for sensor in ("gyro", "accelerometer") for axis in "xyz")

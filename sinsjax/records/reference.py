@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sinsjax.records.layout import TIME_UNITS, FloatArray, Layout
+from sinsjax.errors import InputError
+from sinsjax.records.layout import TIME_UNITS, FloatArray, Layout, Record
 from sinsjax.records.tables import open_csv, open_parquet
-from sinsjax.types import InputError
 
 _SIGMAS = ("sigma_e_deg", "sigma_n_deg", "sigma_u_deg")
 
@@ -70,3 +70,15 @@ def read_reference(path: str | Path, layout: Layout | None = None) -> Reference:
     if len(time_s) < 2:
         raise InputError(f"{path}: a reference needs at least two rows")
     return Reference(time_s, attitude, sigma if sigmas else None, str(path))
+
+
+class Tape(NamedTuple):
+    """A record made ready for the engine.
+
+    Attributes:
+        record: increments.
+        reference: attitude to compare with, its times from the record's beginning; or None.
+    """
+
+    record: Record
+    reference: Reference | None

@@ -11,8 +11,8 @@ from typing import NamedTuple, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from sinsjax.errors import InputError
 from sinsjax.records.layout import FloatArray, Layout, agreed_rate
-from sinsjax.types import InputError
 
 _LATE_S = 0.02  # as late as a busy logger stamps
 _CATCHES_UP_S = 0.1  # and as long as it takes to be in time again

@@ -18,19 +18,11 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from sinsjax.records.files import (
-    CUT_OFF,
-    LARGEST,
-    Lines,
-    line_batches,
-    load,
-    number,
-    number_or_nan,
-)
+from sinsjax.errors import InputError
+from sinsjax.messages import shortened
+from sinsjax.records.files import CUT_OFF, LARGEST, Lines, line_batches, load, number, number_or_nan
 from sinsjax.records.layout import FloatArray
 from sinsjax.records.stamps import from_iso
-from sinsjax.types import InputError
-from sinsjax.wording import shortened
 
 MISSING = "empty or not finite"
 

@@ -10,7 +10,8 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
-from sinsjax.files import replacing
+from sinsjax.errors import InputError
+from sinsjax.platform.files import replacing
 from sinsjax.records.layout import (
     ACCEL_UNITS,
     GYRO_UNITS,
@@ -26,7 +27,6 @@ from sinsjax.records.layout import (
 )
 from sinsjax.records.stamps import Sampling, between, sampling
 from sinsjax.records.tables import MISSING, Table, open_csv, open_parquet
-from sinsjax.types import InputError
 
 
 def read_csv(path: str | Path, layout: Layout) -> Record:

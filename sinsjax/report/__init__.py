@@ -9,7 +9,9 @@ from pathlib import Path
 
 from rich.console import Console
 
-from sinsjax.belongings import list_figures
+from sinsjax.errors import InputError
+from sinsjax.execution.belongings import list_figures
+from sinsjax.messages import shortened
 from sinsjax.report import (
     adaptive,
     auto,
@@ -31,8 +33,6 @@ from sinsjax.report.base import Layout, Report, Source, at_the_end
 from sinsjax.report.html import write_html
 from sinsjax.report.output import FIGURES, Made, print_report, save_figures, write_page
 from sinsjax.tuning.carry_out import is_tuning
-from sinsjax.types import InputError
-from sinsjax.wording import shortened
 
 LAYOUTS: dict[str, Layout] = {
     "auto": auto.report,

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax import analysis, columns
-from sinsjax.alignment.scores import TRIGGERS
+from sinsjax.alignment.triggers.scores import TRIGGERS
+from sinsjax.errors import InputError
 from sinsjax.report.base import Source, value_text
 from sinsjax.report.reset_grid import (
     BAND_ARCMIN,
@@ -19,8 +20,7 @@ from sinsjax.report.reset_grid import (
     Schedule,
     schedule_name,
 )
-from sinsjax.studies import Study
-from sinsjax.types import InputError
+from sinsjax.study.study import Study
 
 HEALTHY_LEVEL_DEG, HEALTHY_YAW_DEG = 0.1, 1.0
 """Up to here a start is healthy, and a reset of no use: the linear model holds.

@@ -3,7 +3,7 @@
 import inspect
 from collections.abc import Iterator
 
-from sinsjax.alignment.scores import TRIGGERS
+from sinsjax.alignment.triggers.scores import TRIGGERS
 from sinsjax.report.adaptive_scores import Scores
 from sinsjax.report.adaptive_tables import LESS, cells_within
 from sinsjax.report.base import Block, Section, Table, Text, percent

@@ -3,8 +3,8 @@
 from scipy import special
 
 from sinsjax import analysis
+from sinsjax.errors import InputError
 from sinsjax.report.base import Source, Table, shown_keys, value_text
-from sinsjax.types import InputError
 
 MOST_ROWS = 20
 """Rows of a table; what is left out is said."""

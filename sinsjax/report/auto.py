@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sinsjax import analysis, plots, stopping
+from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_difference, format_estimate
+from sinsjax.execution import stopping
 from sinsjax.report.attitudes import MOST_ROWS, attitudes
 from sinsjax.report.base import (
     Block,
@@ -26,7 +27,7 @@ from sinsjax.report.base import (
 )
 from sinsjax.report.over_axes import over_axes
 from sinsjax.report.spreads import spreads
-from sinsjax.success import yardsticks
+from sinsjax.study.success import yardsticks
 
 _MOST_LINES = 6
 _MOST_DRAWS = 256  # in a line's band

@@ -10,12 +10,13 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from sinsjax import analysis, columns, plots, results
+from sinsjax import analysis, columns, plots
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.config import load_study
-from sinsjax.studies import Study
-from sinsjax.success import Yardstick, as_of_schema_1, success_of, yardsticks
-from sinsjax.types import InputError
+from sinsjax.errors import InputError
+from sinsjax.execution import tables
+from sinsjax.study.load import load_study
+from sinsjax.study.study import Study
+from sinsjax.study.success import Yardstick, as_of_schema_1, success_of, yardsticks
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +46,9 @@ class Source:
         Raises:
             InputError: it holds none, or its study cannot be read.
         """
-        results.count_runs(directory)
+        tables.count_runs(directory)
         study = load_study(directory / "study.toml")
-        manifest = results.read_manifest(directory)
+        manifest = tables.read_manifest(directory)
         schema = str(manifest.get("schema"))
         if schema == "1":
             study = as_of_schema_1(study)
@@ -59,7 +60,7 @@ class Source:
     @cached_property
     def runs(self) -> int:
         """Number of runs, which is that of the rows of the summary."""
-        return results.count_runs(self.directory) if self.table is None else self.table.num_rows
+        return tables.count_runs(self.directory) if self.table is None else self.table.num_rows
 
     @property
     def draws(self) -> int:
@@ -82,7 +83,7 @@ class Source:
     @cached_property
     def summary(self) -> pa.Table:
         """All columns, one row a run, by run_id; kept. A large study has no room for it."""
-        return results.read_summary(self.directory) if self.table is None else self.table
+        return tables.read_summary(self.directory) if self.table is None else self.table
 
     def rows(self, names: Iterable[str]) -> pa.Table:
         """Some columns, one row a run, by run_id; read anew each time.
@@ -95,7 +96,7 @@ class Source:
         """
         wanted = list(dict.fromkeys(names))
         if self.table is None:
-            return results.read_summary(self.directory, wanted)
+            return tables.read_summary(self.directory, wanted)
         if missing := [name for name in wanted if name not in self.table.column_names]:
             raise InputError(f"{self.directory}: summary: column {missing[0]} is missing")
         return self.table.select(wanted)
@@ -118,7 +119,7 @@ class Source:
 
     def curves(self, run_ids: Iterable[int] | None = None) -> pa.Table:
         """Curves of some runs, or of all; empty where none were stored."""
-        return results.read_curves(self.directory, None if run_ids is None else sorted(run_ids))
+        return tables.read_curves(self.directory, None if run_ids is None else sorted(run_ids))
 
 
 class Text(NamedTuple):

@@ -12,6 +12,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
+from sinsjax.errors import InputError
 from sinsjax.report.attitudes import attitudes
 from sinsjax.report.base import (
     Block,
@@ -25,7 +26,6 @@ from sinsjax.report.base import (
     value_text,
     yardstick,
 )
-from sinsjax.types import InputError
 from sinsjax.units import ARCMIN, DEG
 
 _ANGLES = ("pitch", "roll", "yaw")
@@ -100,7 +100,7 @@ def reference_attitude(curves: pa.Table) -> NDArray:
     """
     columns = [analysis.numbers(curves, f"{angle}_deg") for angle in ("yaw", "pitch", "roll")]
     phi = np.column_stack([analysis.numbers(curves, f"phi_{a}_arcmin") for a in "enu"])
-    from scipy.spatial.transform import Rotation  # late, as in `worlds`
+    from scipy.spatial.transform import Rotation  # late, as in `truth`
 
     estimate = Rotation.from_euler("ZXY", np.column_stack(columns), degrees=True)
     true = Rotation.from_rotvec(phi * ARCMIN) * estimate

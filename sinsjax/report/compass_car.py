@@ -13,15 +13,10 @@ from numpy.typing import NDArray
 from sinsjax import analysis, plots
 from sinsjax.analysis import rms
 from sinsjax.plots.starts import by_start, over_passes, strips
-from sinsjax.report import kicks
+from sinsjax.report import reversal_transients
 from sinsjax.report.attitudes import attitudes
 from sinsjax.report.base import Block, Picture, Report, Section, Source, Table, Text, value_text
-from sinsjax.report.compass_cases import (
-    Case,
-    cases_of,
-    first_of_kinds_by_tape,
-    partner,
-)
+from sinsjax.report.compass_cases import Case, cases_of, first_of_kinds_by_tape, partner
 
 _RELATIVE = (
     "Errors are relative to the reference (for the car record a smoother on the same record, whose"
@@ -42,7 +37,7 @@ def report(source: Source) -> Report:
         return Report([f"{starts} Without a reference: attitude only."], [attitude])
     made = [
         Section("Heading error", [_table(source, cases), _strips(cases), Text(_overlap(source))]),
-        Section("What the turns do", list(kicks.blocks(source, cases))),
+        Section("What the turns do", list(reversal_transients.blocks(source, cases))),
         Section("What limits a tape", list(_limits_of_tapes(source, cases))),
         Section("Heading over update time", list(_over_time(source, cases))),
     ]

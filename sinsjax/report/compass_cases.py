@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis
 from sinsjax.report.base import Source, name_of, shown_keys
-from sinsjax.studies import Study
+from sinsjax.study.study import Study
 
 
 class Case(NamedTuple):

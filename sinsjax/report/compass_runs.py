@@ -5,12 +5,13 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax import analysis
-from sinsjax.bounds import Number, tape_bound
+from sinsjax.alignment.bounds import Number, tape_bound
+from sinsjax.engine.truth import errors_of, site_of
+from sinsjax.errors import InputError
 from sinsjax.report.limits import only
-from sinsjax.studies import SECTION_OF, Study
-from sinsjax.types import InputError
+from sinsjax.study.resolved import Variants
+from sinsjax.study.study import SECTION_OF, Study
 from sinsjax.units import ARCMIN
-from sinsjax.worlds import Variants, errors_of, site_of
 
 _LOOP_SECTIONS = ("compass", "passes")
 
@@ -51,7 +52,7 @@ def bound_arcmin(study: Study, tape_s: Number) -> NDArray:
     rate_hz = study.study.rate_hz
     errors = errors_of(first.common, ug, rate_hz)
     angles = [only(study, f"{angle}_center_deg") for angle in ("yaw", "pitch", "roll")]
-    from scipy.spatial.transform import Rotation  # late, as in `worlds`
+    from scipy.spatial.transform import Rotation  # late, as in `truth`
 
     east, north, _ = Rotation.from_euler("ZXY", angles, degrees=True).as_matrix()
     bound = tape_bound(

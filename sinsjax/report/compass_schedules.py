@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_difference, format_estimate, rms
+from sinsjax.errors import InputError
 from sinsjax.report.base import (
     Block,
     Picture,
@@ -24,7 +25,6 @@ from sinsjax.report.base import (
 from sinsjax.report.compass_runs import require_loops
 from sinsjax.report.linear import all_loops, heading_of, start_of
 from sinsjax.report.schedule_scores import Ranking, Scored, bands_of, rank, rule, scored_of
-from sinsjax.types import InputError
 
 _MOST_ROWS = 10
 _MOST_LINES = 5

@@ -14,6 +14,7 @@ from scipy import special
 
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, chi2_mean_band, format_estimate
+from sinsjax.errors import InputError
 from sinsjax.report.base import (
     Block,
     Report,
@@ -26,9 +27,8 @@ from sinsjax.report.base import (
     shown_keys,
 )
 from sinsjax.report.spreads import belief, consistency
-from sinsjax.sections import Sensors
-from sinsjax.studies import Study
-from sinsjax.types import InputError
+from sinsjax.study.schema import Sensors
+from sinsjax.study.study import Study
 
 _STARTS = {  # an initial error, and the 1 sigma that the filter believes of it
     "phi_e0_deg": "p0_level_deg",

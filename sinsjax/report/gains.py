@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 from rich.console import Console
 
-from sinsjax import loops
-from sinsjax.loops import PAPER_DAMPING, AzimuthGains, LevelGains
+from sinsjax.alignment.compass import design as loops
+from sinsjax.alignment.compass.design import PAPER_DAMPING, AzimuthGains, LevelGains
 from sinsjax.report.base import Table
 from sinsjax.report.output import print_table
 

@@ -2,7 +2,7 @@
 
 from rich.console import Console
 
-from sinsjax import screen
+from sinsjax import console as screen
 from sinsjax.report.base import Section, Text
 from sinsjax.report.names import NO_NAMES
 

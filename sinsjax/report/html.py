@@ -7,7 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from sinsjax.files import replacing
+from sinsjax.platform.files import replacing
 from sinsjax.report.base import Block, Picture, Table, Text
 from sinsjax.report.names import NO_NAMES, Names
 from sinsjax.report.output import Made, meanings, names_of, origin

@@ -8,9 +8,9 @@ import pyarrow as pa
 
 from sinsjax import analysis
 from sinsjax.analysis import format_estimate
+from sinsjax.errors import InputError
 from sinsjax.report.base import Block, Table, Text
-from sinsjax.studies import Study
-from sinsjax.types import InputError
+from sinsjax.study.study import Study
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H, MICRO
 
 PAPER_LIMITS_ARCMIN = {"e": -1.7189, "n": 1.7189, "u": -27.0248}
@@ -51,7 +51,7 @@ def ingredients(study: Study, earth_rate_deg_per_h: float | None = None) -> Ingr
     if study.is_recorded or any(p["earth"] != "constants" for p in study.combinations("earth")):
         raise InputError(f"{study.study.name}: its layout needs earth = 'constants'")
     angles = [only(study, f"{a}_center_deg") for a in ("yaw", "pitch", "roll")]
-    from scipy.spatial.transform import Rotation  # late, as in `worlds`
+    from scipy.spatial.transform import Rotation  # late, as in `truth`
 
     turn = Rotation.from_euler("ZXY", angles, degrees=True)
     eps_e = turn.apply(np.ones(3) * only(study, "gyro_bias_deg_per_h"))[0] * DEG_PER_H

@@ -14,13 +14,15 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from sinsjax import loops, tunings
-from sinsjax.alignment import compass
-from sinsjax.loops import Number
+from sinsjax.alignment.compass import design as loops
+from sinsjax.alignment.compass import method as compass
+from sinsjax.alignment.compass.design import Number
+from sinsjax.engine import method_parameters
+from sinsjax.engine.truth import site_of
 from sinsjax.report.limits import ingredients, only
-from sinsjax.studies import Study
+from sinsjax.study.resolved import Variants
+from sinsjax.study.study import Study
 from sinsjax.units import ARCMIN, DEG
-from sinsjax.worlds import Variants, site_of
 
 _LEVEL = np.ix_((0, 1, 3), (0, 1, 3))  # of x, see `_matrix`
 _AZIMUTH = np.ix_((0, 1, 2, 4), (0, 1, 2, 4))
@@ -69,7 +71,7 @@ class Loops(NamedTuple):
 
     @property
     def turn(self) -> NDArray:
-        """What a turn makes of [dV_N, phi_E, phi_U, w_cU], see `loops.turn_matrix`."""
+        """What a turn makes of [dV_N, phi_E, phi_U, w_cU]: `compass.design.turn_matrix`."""
         velocity, _, rate, reflection = self.params.turn
         return loops.turn_matrix(velocity, 1 - 2 * reflection, rate)
 
@@ -110,13 +112,13 @@ def all_loops(study: Study) -> list[Loops]:
     """The loops of each variant of a compass study that sweeps keys of loops and passes alone."""
     variants = Variants(study, np.arange(study.n_variants))
     site, ug = site_of(study, variants, None)
-    params = tunings.of_method(study, variants, site, ug)
+    params = method_parameters.of_method(study, variants, site, ug)
     leaves, structure = jax.tree.flatten(params)
     tapes = study.values("tape_s") if study.passes else [None] * study.n_variants
     return [
         Loops(
             params=jax.tree.unflatten(structure, [np.asarray(leaf)[i] for leaf in leaves]),
-            earth=tunings.earth_numbers(site),
+            earth=method_parameters.earth_numbers(site),
             rate_n=float(site.place.rate_n),
             rate_hz=study.study.rate_hz,
             tape_s=study.study.duration_s if tape_s is None else tape_s,
@@ -185,7 +187,7 @@ def _flows(matrix: bytes, steps: bytes) -> NDArray:
 def cycle_radius(
     sigma: Number, tape_s: Number, turn: compass.Turn, *, damping: Number, smoothing_s: Number
 ) -> NDArray:
-    """As `loops.cycle_radius`, with the turn as it is made: by a specific force that lags.
+    """As `compass.design.cycle_radius`, with the turn as it is made: by a specific force that lags.
 
     Args:
         sigma: decay rate, 1/s.

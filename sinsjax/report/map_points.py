@@ -6,17 +6,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax import analysis, tunings
+from sinsjax import analysis
+from sinsjax.alignment.compass.design import Number
 from sinsjax.analysis import Estimate, rms
-from sinsjax.loops import Number
+from sinsjax.engine import method_parameters
+from sinsjax.errors import InputError
 from sinsjax.report.base import Source, name_of, shown_keys
 from sinsjax.report.compass_runs import heading_errors, require_loops
 from sinsjax.report.limits import only
 from sinsjax.report.linear import Loops, all_loops, cycle_radius, heading_of, start_of
-from sinsjax.studies import Study
-from sinsjax.types import InputError
+from sinsjax.study.study import Study
+from sinsjax.study.times import spans_s
 from sinsjax.units import ARCMIN, DEG
-from sinsjax.worlds import spans_s
 
 TURN, TAPE, SIGMA = "turn", "tape_s", "azimuth_sigma_per_s"
 """The keys that the map is drawn over; all others make a schedule."""
@@ -146,7 +147,7 @@ def _radii(study: Study, models: Sequence[Loops], ends: NDArray) -> tuple[NDArra
         radii[here] = cycle_radius(
             sigma[here],
             tape[here],
-            tunings.TURNS[turn],
+            method_parameters.TURNS[turn],
             damping=damping[here, None],
             smoothing_s=smoothing[here],
         )
@@ -160,7 +161,7 @@ def radius_of(study: Study, turn: str, sigma: Number, tape_s: Number) -> NDArray
     return cycle_radius(
         sigma,
         tape_s,
-        tunings.TURNS[turn],
+        method_parameters.TURNS[turn],
         damping=only(study, "azimuth_damping"),
         smoothing_s=only(study, "turn_smoothing_s"),
     )

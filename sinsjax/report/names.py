@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
-from sinsjax.studies import Study
+from sinsjax.study.study import Study
 
 _MARKUP = re.compile(r"[\\`*\[\]~$#]|(?<![^\W_])_|_(?![^\W_])|^[-+>]")
 """What Markdown, or what GitHub adds to it, reads in a name; ``_`` is one only at a word's rim."""

@@ -10,11 +10,13 @@ from rich.console import Console
 from rich.measure import Measurement
 from rich.text import Text as RichText
 
-from sinsjax import plots, runtime, screen
-from sinsjax.files import replacing, unwritable
+from sinsjax import console as screen
+from sinsjax import plots
+from sinsjax.errors import InputError
+from sinsjax.platform import runtime
+from sinsjax.platform.files import replacing, unwritable
 from sinsjax.report.base import Block, Picture, Report, Source, Table, Text, yardstick
 from sinsjax.report.names import NO_NAMES, Names, file_stem
-from sinsjax.types import InputError
 
 FIGURES = "figures"
 """Directory of the figures, in that of the results or of a page."""

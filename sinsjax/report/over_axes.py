@@ -20,8 +20,8 @@ from sinsjax.report.base import (
     swept,
     value_text,
 )
-from sinsjax.studies import SECTION_OF
-from sinsjax.success import Yardstick
+from sinsjax.study.study import SECTION_OF
+from sinsjax.study.success import Yardstick
 
 _MOST_PANELS = 12
 _MOST_LINES = 7

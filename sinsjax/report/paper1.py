@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import format_estimate
+from sinsjax.errors import InputError
 from sinsjax.plots import Ensemble, Line
 from sinsjax.report.base import (
     Block,
@@ -21,9 +22,8 @@ from sinsjax.report.base import (
     yardstick,
 )
 from sinsjax.report.limits import limit_accuracy, limit_blocks, only
-from sinsjax.statements import CONDITIONS, RESET
-from sinsjax.studies import Study
-from sinsjax.types import InputError
+from sinsjax.report.statements import CONDITIONS, RESET
+from sinsjax.study.study import Study
 
 
 def report_conditions(source: Source) -> Report:

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.errors import InputError
 from sinsjax.plots import Line, Mark
 from sinsjax.report.base import Picture, Report, Section, Source, Table, value_text
 from sinsjax.report.limits import only
 from sinsjax.report.linear import Limits, limits_of, one_variant
-from sinsjax.studies import Study
-from sinsjax.types import InputError
+from sinsjax.study.study import Study
 from sinsjax.units import ARCMIN, DEG
 
 ANGLES = {"pitch": "e", "roll": "n", "heading": "u"}

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax import analysis, loops, plots
+from sinsjax import analysis, plots
+from sinsjax.alignment.compass import design as loops
 from sinsjax.analysis import format_estimate
 from sinsjax.columns import DIVERGED_DEG
 from sinsjax.plots import Line

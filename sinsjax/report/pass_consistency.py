@@ -7,9 +7,9 @@ import numpy as np
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.errors import InputError
 from sinsjax.report.base import Block, Picture, Report, Section, Source, Table, Text, shown_keys
 from sinsjax.report.compass_runs import heading_errors
-from sinsjax.types import InputError
 
 _KEYS = ("case", "turn_covariance", "passes")
 _DEGREES = 3  # of freedom of nees

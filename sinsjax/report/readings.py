@@ -21,8 +21,8 @@ from sinsjax.report.base import (
     value_text,
     yardstick,
 )
-from sinsjax.statements import STATEMENTS, Meaning, Verdict, judge
-from sinsjax.studies import Study
+from sinsjax.report.statements import STATEMENTS, Meaning, Verdict, judge
+from sinsjax.study.study import Study
 
 CONCLUSIONS = ("S8", "S10", "S11", "S12")
 """What the paper's abstract concludes: failure, its reason, the cure, its accuracy."""

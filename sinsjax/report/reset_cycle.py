@@ -1,6 +1,6 @@
 """The sweep that paper 1 leaves open: its questions on resets, one after another."""
 
-from sinsjax import results
+from sinsjax.execution import tables
 from sinsjax.report import reset_choice, reset_claim, reset_failure, reset_timing
 from sinsjax.report.base import Report, Section, Source, Table
 from sinsjax.report.reset_grid import Answer, Grid
@@ -33,7 +33,7 @@ def _scope(source: Source, grid: Grid) -> str:
 
 def cost(source: Source) -> Answer:
     """What the runs took, as the manifest tells."""
-    study, manifest = source.study, results.read_manifest(source.directory)
+    study, manifest = source.study, tables.read_manifest(source.directory)
     sessions = manifest.get("sessions") or [manifest]
     wall_s = sum(session["wall_s"] for session in sessions)
     each = [session.get("devices") or session.get("workers") or 1 for session in sessions]

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_difference
+from sinsjax.errors import InputError
 from sinsjax.report.base import Block, Source, percent, value_text
-from sinsjax.studies import Study
-from sinsjax.types import InputError
+from sinsjax.study.study import Study
 
 Schedule = tuple[float, ...]
 """Times of the resets, s."""

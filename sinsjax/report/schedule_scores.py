@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax import analysis
+from sinsjax.alignment.bounds import share_outside
 from sinsjax.analysis import Estimate
-from sinsjax.bounds import share_outside
 from sinsjax.report.base import Source, name_of, shown_keys
 from sinsjax.report.compass_runs import bound_arcmin, heading_errors
-from sinsjax.worlds import spans_s
+from sinsjax.study.times import spans_s
 
 
 class Scored(NamedTuple):

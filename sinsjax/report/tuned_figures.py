@@ -3,19 +3,11 @@
 import numpy as np
 
 from sinsjax import plots
-from sinsjax.plots.descents import (
-    Landscape,
-    Progress,
-    Side,
-    Spot,
-    Way,
-    best_by_cost,
-    descent,
-)
+from sinsjax.plots.descents import Landscape, Progress, Side, Spot, Way, best_by_cost, descent
 from sinsjax.report.base import Picture, value_text
 from sinsjax.report.tuned_results import Tuning, axis
+from sinsjax.study.search_space import Space, Variable
 from sinsjax.tuning.carry_out import GRADIENT
-from sinsjax.variables import Space, Variable
 
 _LOOKS = ("grid", GRADIENT, "baseline", "sobol", "equal cost", "random")  # by marker
 

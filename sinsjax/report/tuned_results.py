@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from sinsjax.analysis import Estimate
 from sinsjax.analysis.estimates import bootstrap
-from sinsjax.config import load_study
-from sinsjax.ranges import Tune
 from sinsjax.report.base import Source
-from sinsjax.studies import Study
-from sinsjax.success import as_of_schema_1, yardsticks
+from sinsjax.study.load import load_study
+from sinsjax.study.ranges import Tune
+from sinsjax.study.search_space import Space, Variable
+from sinsjax.study.study import Study
+from sinsjax.study.success import as_of_schema_1, yardsticks
 from sinsjax.tuning import history, objective, search
 from sinsjax.tuning.carry_out import STUDY, require_tune
 from sinsjax.tuning.history import Found
-from sinsjax.variables import Space, Variable
 
 _AT_BOUND = 5e-3
 """A value within this share of its range is on the bound: descents stop short of it."""

@@ -10,20 +10,21 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
-from sinsjax import belongings, directories, forecast
-from sinsjax.campaign import Progress, Tell
-from sinsjax.config import fingerprint, load_study, study_to_toml, with_point, with_rate
-from sinsjax.files import replacing, unwritable
-from sinsjax.parts import MANIFEST
-from sinsjax.ranges import Tune
-from sinsjax.studies import Study, Table
+from sinsjax.errors import InputError, StudyInterrupted
+from sinsjax.execution import belongings, forecast
+from sinsjax.execution import resume as resuming
+from sinsjax.execution.parts import MANIFEST
+from sinsjax.execution.run import Progress, Tell
+from sinsjax.platform.files import replacing, unwritable
+from sinsjax.records.reference import Tape
+from sinsjax.study.load import fingerprint, load_study, study_to_toml, with_point, with_rate
+from sinsjax.study.ranges import Tune
+from sinsjax.study.search_space import Space, comparable
+from sinsjax.study.study import Study, Table
 from sinsjax.tuning import history, search
 from sinsjax.tuning.history import Found
 from sinsjax.tuning.relaxation import Relaxation
 from sinsjax.tuning.search import Session
-from sinsjax.types import InputError, StudyInterrupted
-from sinsjax.variables import Space, comparable
-from sinsjax.worlds import Tape
 
 STUDY, TUNED, EVALUATION = "study.toml", "tuned.toml", "evaluation"
 GRADIENT, EQUAL_COST = "gradient", "equal_cost"
@@ -51,7 +52,7 @@ def tune(
     Args:
         study: with [tune].
         directory: where; must hold no tuning unless ``overwrite`` or ``resume``.
-        tape: the record of a recorded study, with a reference (`campaign.load_tape`).
+        tape: the record of a recorded study, with a reference (`run.load_tape`).
         overwrite: whether an earlier tuning is replaced.
         resume: whether whole searches of the same tuning are kept, and only the rest is made.
         watch: gives, by the name of a search, what is told how far it is.
@@ -64,7 +65,7 @@ def tune(
         StudyInterrupted: ``stop`` was set.
         RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
-    directory = directories.named(directory)
+    directory = resuming.named(directory)
     settings = require_tune(study)
     if tape is not None and study.is_recorded:
         study = with_rate(study, tape.record.rate_hz)
@@ -88,7 +89,7 @@ def tune(
         stop or threading.Event(),
         source,
     )
-    lock = directories.locked(directory)
+    lock = resuming.locked(directory)
     try:
         # Once more, as what is there may have changed before the lock was ours.
         check_free(directory, overwrite=overwrite or resume)
@@ -133,7 +134,7 @@ def check_free(directory: Path, *, overwrite: bool) -> None:
     Raises:
         InputError: the directory cannot be used.
     """
-    taken = directories.names_taken(directory, _NAMES)
+    taken = resuming.names_taken(directory, _NAMES)
     if taken and not is_tuning(directory):
         raise InputError(f"{directory}: holds a {taken[0]} that is of no tuning: give another one")
     if taken and not overwrite:
@@ -178,7 +179,7 @@ def _check_same(there: Study, here: Study, directory: Path) -> None:
     old, new = (require_tune(study).model_dump() for study in (there, here))
     differ = [f"[tune] {key}" for key in old if old[key] != new[key]]
     if fingerprint(there) != fingerprint(here):
-        differ += directories.differences(there, here)
+        differ += resuming.differences(there, here)
     if differ:
         raise InputError(f"{directory}: holds a tuning of another study: {'; '.join(differ)}")
 

@@ -16,20 +16,23 @@ import numpy as np
 import optax
 from numpy.typing import NDArray
 
-from sinsjax import batch, campaign
-from sinsjax.batch import Group, Plan, Tiles
-from sinsjax.campaign import Progress, Tell
-from sinsjax.draws import World
-from sinsjax.ranges import Tune
-from sinsjax.scenario import Scenario
-from sinsjax.studies import Study
-from sinsjax.success import success_of
+from sinsjax.engine import batch
+from sinsjax.engine import tile as tile_layout
+from sinsjax.engine.batch import Plan
+from sinsjax.engine.build import Scenario
+from sinsjax.engine.realisations import World
+from sinsjax.engine.tile import Group, Tiles
+from sinsjax.execution import run
+from sinsjax.execution.run import Progress, Tell
+from sinsjax.records.reference import Tape
+from sinsjax.study.ranges import Tune
+from sinsjax.study.search_space import Space
+from sinsjax.study.study import Study
+from sinsjax.study.success import success_of
 from sinsjax.tuning import objective, search
 from sinsjax.tuning.history import Found, Look
 from sinsjax.tuning.relaxation import Relaxation
 from sinsjax.types import Array, Count
-from sinsjax.variables import Space
-from sinsjax.worlds import Tape
 
 NAME = "gradient"
 
@@ -161,7 +164,7 @@ class Slope:
         group = group._replace(variants=params._replace(method=Lane(params.method, start)))
         runs, devices = self.draws * len(start), len(jax.devices())
         # Few runs take fewer lanes, and a call has two blocks at the least.
-        lanes = min(batch.LANES, 1 << (max(runs // (2 * devices), 8) - 1).bit_length())
+        lanes = min(tile_layout.LANES, 1 << (max(runs // (2 * devices), 8) - 1).bit_length())
         tiles = -(-runs // (lanes * devices))
         plan = Plan(group.static, self.draws, len(start), tiles_a_chunk=tiles, lanes=lanes)
         return _Fan(group, plan, jax.jit(partial(self._tiles, group)))
@@ -198,7 +201,7 @@ class Slope:
         soft = group.world.criteria._replace(sharpness=np.float64(softness.sharpness))
         world = group.world._replace(criteria=soft)
         width = np.float64(softness.window_s * self._rate_hz)
-        return [(world, batch.tiles_of(group, lanes), box, width) for lanes in fan.plan]
+        return [(world, tile_layout.tiles_of(group, lanes), box, width) for lanes in fan.plan]
 
     def _tiles(
         self, group: Group, world: World, tiles: Tiles, box: Array, width: Array
@@ -214,14 +217,14 @@ class Slope:
             def of(box: Array) -> Array:
                 method = jax.vmap(one_lane, in_axes=(0, None))(tile.params.method, box)
                 lanes = tile._replace(params=tile.params._replace(method=method))
-                outcome, _ = batch.run_tile(group.static, world, lanes)
+                outcome, _ = tile_layout.run_tile(group.static, world, lanes)
                 return objective.relaxed_values(
                     self._tune, world.criteria, outcome, truth=self._truth
                 )
 
             return sensitivities(of, box, directions)
 
-        return jax.lax.map(batch.over_sets(group.static, one_tile, tiles), tiles)
+        return jax.lax.map(tile_layout.over_sets(group.static, one_tile, tiles), tiles)
 
 
 class _Fan(NamedTuple):
@@ -332,7 +335,7 @@ class _Descents:
         combination = self._space.combinations[self._number]
         points = [self._space.point(list(np.nan_to_num(own)), combination) for own in values]
         scores, taken, each = search.scored(
-            study, NAME, points, lambda one: campaign.run(one, self._tape, curves=False).summary
+            study, NAME, points, lambda one: run.run(one, self._tape, curves=False).summary
         )
         self._cost += len(set(taken)) * each
         return np.array(scores)

@@ -9,12 +9,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from sinsjax.columns import Column, schema
-from sinsjax.files import replacing
-from sinsjax.studies import Table, meaning
-from sinsjax.types import InputError
+from sinsjax.errors import InputError
+from sinsjax.messages import first_line
+from sinsjax.platform.files import replacing
+from sinsjax.study.search_space import Space
+from sinsjax.study.study import Table, meaning
 from sinsjax.units import split_unit
-from sinsjax.variables import Space
-from sinsjax.wording import first_line
 
 FILE = "history.parquet"
 _F, _I, _S = pa.float64(), pa.int64(), pa.string()

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from scipy import special
 
 from sinsjax import analysis, columns
-from sinsjax.metrics import Criteria, Outcome, outside
-from sinsjax.ranges import Tune
-from sinsjax.studies import Study
-from sinsjax.success import success_of
+from sinsjax.engine.metrics import Criteria, Outcome, outside
+from sinsjax.engine.verdicts import LIMIT, TRUTH
+from sinsjax.study.ranges import Tune
+from sinsjax.study.study import Study
+from sinsjax.study.success import success_of
+from sinsjax.study.times import spans_s
 from sinsjax.types import Array
 from sinsjax.units import ARCMIN
-from sinsjax.verdicts import LIMIT, TRUTH
-from sinsjax.worlds import spans_s
 
 _OVER_DRAWS: dict[str, Callable[[Tune, NDArray], NDArray]] = {
     "settle_mean": lambda tune, values: np.mean(values, axis=-1),

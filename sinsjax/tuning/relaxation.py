@@ -1,8 +1,8 @@
 """Variables as numbers of the engine, to be differentiated by.
 
 Each variable changes the `Params` of its method by the ratio of its value to that of a base point,
-whose numbers were made as those of any study: no unit and no formula of `tunings` is said twice.
-Resets become smooth windows.
+whose numbers were made as those of any study: no unit and no formula of `method_parameters` is said
+twice. Resets become smooth windows.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,11 +10,12 @@ from typing import Any, NoReturn
 
 import jax.numpy as jnp
 
-from sinsjax import loops
-from sinsjax.alignment import compass, zero_velocity
+from sinsjax.alignment.compass import design as loops
+from sinsjax.alignment.compass import method as compass
 from sinsjax.alignment.schedules import Windows
-from sinsjax.config import with_point
-from sinsjax.error_model import (
+from sinsjax.alignment.zero_velocity import method as zero_velocity
+from sinsjax.errors import InputError
+from sinsjax.strapdown.error_model import (
     EPS_X,
     EPS_Y,
     EPS_Z,
@@ -26,10 +27,11 @@ from sinsjax.error_model import (
     VE,
     VN,
 )
-from sinsjax.studies import Study, Table
-from sinsjax.tuned_keys import COUNT, TIMES
-from sinsjax.types import Array, InputError, Scalar
-from sinsjax.variables import Space, Variable
+from sinsjax.study.load import with_point
+from sinsjax.study.search_space import Space, Variable
+from sinsjax.study.study import Study, Table
+from sinsjax.study.tuned_keys import COUNT, TIMES
+from sinsjax.types import Array, Scalar
 
 Change = Callable[[Any, Variable, Scalar, Scalar], Any]
 """(params of one run, variable, its value, its value at the base point) -> params."""

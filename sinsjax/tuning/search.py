@@ -15,14 +15,16 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from sinsjax import campaign, designs, results, variables
-from sinsjax.campaign import Tell
-from sinsjax.config import study_from_dict, tables_of
-from sinsjax.studies import Dimension, Study, Table, dimensions_of
+from sinsjax.execution import run as study_run
+from sinsjax.execution import tables as result_tables
+from sinsjax.execution.run import Tell
+from sinsjax.records.reference import Tape
+from sinsjax.study import sampling, search_space
+from sinsjax.study.load import study_from_dict, tables_of
+from sinsjax.study.search_space import Space
+from sinsjax.study.study import Dimension, Study, Table, dimensions_of
 from sinsjax.tuning import objective
 from sinsjax.tuning.history import Found, Look
-from sinsjax.variables import Space
-from sinsjax.worlds import Tape
 
 _SEEDS = 2**63
 
@@ -51,7 +53,7 @@ class Session(NamedTuple):
     def run(self, study: Study, name: str) -> Path:
         """Runs a study into a folder of the directory, without curves; gives the folder."""
         with self.watch(name) as tell:
-            campaign.run_into(
+            study_run.run_into(
                 study,
                 self.directory / name,
                 self.tape,
@@ -163,7 +165,10 @@ def look(study: Study, name: str, design: Design, session: Session) -> Found:
     ]
     names = objective.columns_of(study.tune, study)
     scores, taken, each = scored(
-        study, name, points, lambda derived: results.read_summary(session.run(derived, name), names)
+        study,
+        name,
+        points,
+        lambda derived: result_tables.read_summary(session.run(derived, name), names),
     )
     paid = np.maximum.accumulate(taken) + 1
     return Found(
@@ -236,7 +241,7 @@ def derive(study: Study, points: Mapping[str, Table], *, name: str, judging: boo
     tune = study.tune
     assert tune is not None
     keys = next(iter(points.values()))
-    tables = variables.cleared(tables_of(study), list(keys))
+    tables = search_space.cleared(tables_of(study), list(keys))
     tables["study"] = tables["study"] | {"name": name, "curves": False}
     tables["report"] = {"layout": "auto"}
     if study.record:
@@ -248,7 +253,7 @@ def derive(study: Study, points: Mapping[str, Table], *, name: str, judging: boo
         tables["study"] |= {"seed": seed, "draws": draws}
     if study.drawn:
         count = len(tables["record"]["start_s"]) if study.record else tables["study"]["draws"]
-        tables["drawn"] = designs.of_fewer(study.drawn, count)
+        tables["drawn"] = sampling.of_fewer(study.drawn, count)
     own = {key: values for key, values in _own_cases(study).items() if key != "case"}
     if own:  # labels are those of the points now
         tables["axes"] = tables.get("axes", {}) | {_free_name(study): own}

@@ -8,12 +8,14 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 import pyarrow.parquet as pq
 from hypothesis import strategies as st
-from studies import small_study
+from support.studies import small_study
 
 from fuzzing.edits import Quiet, edited, mangled
-from sinsjax import columns, layouts, runtime
-from sinsjax.config import fingerprint, study_to_toml
-from sinsjax.work import Job
+from sinsjax import columns
+from sinsjax.execution import layouts
+from sinsjax.execution.tasks import Job
+from sinsjax.platform import runtime
+from sinsjax.study.load import fingerprint, study_to_toml
 
 STUDY = small_study(study={"curves": True})
 MANIFEST, TEXT = "manifest.json", "study.toml"

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from fuzzing.edits import Quiet, edited, mangled
 from fuzzing.values import TEXTS, misfits, of_field, table
-from sinsjax.drawing import NUMBERS
-from sinsjax.studies import EXCLUSIVE, SECTIONS, SWEEPABLE
-from sinsjax.tuned_keys import TUNABLE
+from sinsjax.study.distributions import NUMBERS
+from sinsjax.study.study import EXCLUSIVE, SECTIONS, SWEEPABLE
+from sinsjax.study.tuned_keys import TUNABLE
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 

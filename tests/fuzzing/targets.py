@@ -14,15 +14,15 @@ from hypothesis import strategies as st
 import sinsjax
 from fuzzing import manifests, records, studies
 from fuzzing.edits import Quiet
-from sinsjax import campaign, directories, forecast, results
-from sinsjax.config import Study, fingerprint, load_study, study_from_dict, study_to_toml
+from sinsjax.engine.build import Scenario
+from sinsjax.errors import InputError
+from sinsjax.execution import forecast, resume, run, tables
+from sinsjax.execution.tables import Tables
+from sinsjax.execution.tasks import Job
+from sinsjax.messages import is_control
 from sinsjax.report.base import Source
-from sinsjax.results import Tables
-from sinsjax.scenario import Scenario
+from sinsjax.study.load import Study, fingerprint, load_study, study_from_dict, study_to_toml
 from sinsjax.tuning import carry_out
-from sinsjax.types import InputError
-from sinsjax.wording import is_control
-from sinsjax.work import Job
 
 MOST_S = 2.0
 """The longest that a case may take."""
@@ -144,7 +144,7 @@ def resolve(study: Study) -> None:
             if study.n_variants > _MANY or expected.memory > _MUCH:
                 return
         if not study.is_recorded:
-            study, warnings = campaign.made_ready(study, None)
+            study, warnings = run.made_ready(study, None)
             assert all("\n" not in line for line in warnings)
             Scenario(study)
             Tables(study)
@@ -159,14 +159,14 @@ def check_directory(directory: Path, files: dict[str, bytes], case: manifests.Ca
         (directory / name).unlink() if content is None else (directory / name).write_bytes(content)
     run_ids = [0, 1]
     questions: list[Callable[[], Any]] = [
-        lambda: results.read_manifest(directory),
-        lambda: results.read_summary(directory),
-        lambda: results.read_summary(directory, ["run_id", "status"], run_ids=run_ids),
-        lambda: results.read_curves(directory, run_ids),
-        lambda: results.count_runs(directory),
-        lambda: directories.check_free(directory, overwrite=False),
-        lambda: directories.check_free(directory, overwrite=True),
-        lambda: directories.resumed(directory, Job(manifests.STUDY)),
+        lambda: tables.read_manifest(directory),
+        lambda: tables.read_summary(directory),
+        lambda: tables.read_summary(directory, ["run_id", "status"], run_ids=run_ids),
+        lambda: tables.read_curves(directory, run_ids),
+        lambda: tables.count_runs(directory),
+        lambda: resume.check_free(directory, overwrite=False),
+        lambda: resume.check_free(directory, overwrite=True),
+        lambda: resume.resumed(directory, Job(manifests.STUDY)),
         lambda: carry_out.is_tuning(directory),
         lambda: Source.read(directory),
         lambda: forecast.require_room(
@@ -201,8 +201,8 @@ def check_record(folder: Path, case: records.Case) -> None:
         line_of(error, "align: ")
         return
     try:
-        tape = campaign.load_tape(study, record, None if case.reference is None else reference)
-        study, warnings = campaign.made_ready(study, tape)
+        tape = run.load_tape(study, record, None if case.reference is None else reference)
+        study, warnings = run.made_ready(study, tape)
         for line in warnings:
             line_of(InputError(line))
     except InputError as error:

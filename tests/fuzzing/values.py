@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from sinsjax.fields import Usual
+from sinsjax.value_types import Usual
 
 Strategy = st.SearchStrategy[Any]
 

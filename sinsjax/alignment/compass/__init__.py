@@ -1,0 +1,1 @@
+"""Compass alignment by levelling and azimuth loops, [P2]."""

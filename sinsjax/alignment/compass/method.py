@@ -1,0 +1,185 @@
+"""Compass alignment: levelling and azimuth loops of a mathematical platform, [P2] section 2.1.
+
+No covariance, no error model: the platform is levelled by what velocity and its integral show
+([P2] Fig. 1, third order), then turned in azimuth by the north velocity that the Earth rate drives
+through a heading error ([P2] Fig. 2, fourth order). The east channel levels throughout.
+
+The transport rate is part of the mechanisation; the loops turn the platform by K2 times it on top,
+which makes up the 1 + K2 of the characteristic polynomials.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from sinsjax.alignment.base import AttitudeCovariance, Ending, Method, Options, Site
+from sinsjax.alignment.compass.design import AzimuthGains, LevelGains, at_pace
+from sinsjax.alignment.limits import Biases, Limit, unaided
+from sinsjax.alignment.schedules import Pieces, value_at
+from sinsjax.maths import rotations
+from sinsjax.strapdown import earth, mechanisation
+from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
+
+
+class Turn(NamedTuple):
+    """What becomes of the loops' state when the tape is turned: factors.
+
+    Attributes:
+        velocity: of both velocities.
+        integral: of both levelling integrals. They stand for gyro drift and for the Earth rate that
+            a heading error leaves, both of which change their sign with that of time.
+        rate: of the azimuth rate.
+        reflection: share by which each tilt is reflected about its equilibrium: 1 turns the
+            platform by twice what the low-passed specific force says, 0 leaves it.
+    """
+
+    velocity: Scalar
+    integral: Scalar
+    rate: Scalar
+    reflection: Scalar
+
+
+class Params(NamedTuple):
+    """Numbers of the loops.
+
+    Attributes:
+        level: gains of the levelling loop.
+        azimuth: gains of the azimuth loop at pace 1.
+        pace: factor on the sigma of the azimuth loop, whose gains follow: a loop of pace p has its
+            roots p times as far out.
+        azimuth_from: samples before the azimuth loop takes over the north channel.
+        smoothing: share of each new sample in each stage of the low-passed specific force.
+        turn: what happens when the tape is turned.
+    """
+
+    level: LevelGains
+    azimuth: AzimuthGains
+    pace: Pieces
+    azimuth_from: Scalar
+    smoothing: Scalar
+    turn: Turn
+
+
+class LowPassed(NamedTuple):
+    """A number low-passed by two equal stages, one after the other.
+
+    A single stage of the same delay passes as much white noise, and far more of a base's sway.
+    """
+
+    once: Scalar
+    twice: Scalar
+
+
+class State(NamedTuple):
+    """One run under way.
+
+    Attributes:
+        nav: navigation solution; its velocity is an error, as the base does not travel.
+        integral_e: K3 times the integral of the east velocity, rad/s.
+        integral_n: K3 times the integral of the north velocity while levelling, rad/s.
+        rate_u: azimuth rate of the platform, rad/s.
+        force_e: low-passed specific force east, m/s^2.
+        force_n: low-passed specific force north, m/s^2.
+    """
+
+    nav: Navigation
+    integral_e: Scalar
+    integral_n: Scalar
+    rate_u: Scalar
+    force_e: LowPassed
+    force_n: LowPassed
+
+
+def build(options: Options) -> Method:
+    """The compass method.
+
+    Args:
+        options: what decides the program; ``specific_force`` concerns filters only.
+    """
+    dt = options.dt
+    integrated = options.position == "integrated"
+
+    def init(params: Params, nav: Navigation) -> State:
+        zero = jnp.zeros_like(nav.ve)
+        return State(nav, zero, zero, zero, LowPassed(zero, zero), LowPassed(zero, zero))
+
+    def step(params: Params, site: Site, state: State, sample: Sample, n: Scalar) -> State:
+        before = state.nav
+        place = earth.place(site.earth, before.latitude) if integrated else site.place
+        level, azimuth = params.level, at_pace(params.azimuth, value_at(params.pace, n))
+        levelling = n <= params.azimuth_from
+        k1 = jnp.where(levelling, level.k1, azimuth.k1)
+        k2 = jnp.where(levelling, level.k2, azimuth.k2)
+        control = Vec3(
+            -k2 * place.curvature_n * before.vn - jnp.where(levelling, state.integral_n, 0.0),
+            level.k2 * place.curvature_e * before.ve + state.integral_e,
+            state.rate_u,
+        )
+        nav, f_dt = mechanisation.step(before, sample, place, dt, control)
+        if integrated:
+            nav = mechanisation.travel(nav, place, dt)
+        spin = azimuth.k3 / place.rate_n * before.vn - azimuth.k4 * state.rate_u
+        return State(
+            nav=mechanisation.correct_velocity(nav, level.k1 * dt * before.ve, k1 * dt * before.vn),
+            integral_e=state.integral_e + level.k3 * dt * before.ve,
+            integral_n=state.integral_n + jnp.where(levelling, level.k3 * dt * before.vn, 0.0),
+            rate_u=state.rate_u + jnp.where(levelling, 0.0, spin * dt),
+            force_e=_follow(state.force_e, f_dt.x / dt, params.smoothing),
+            force_n=_follow(state.force_n, f_dt.y / dt, params.smoothing),
+        )
+
+    return Method(init, step, _turn, _attitude, _covariance, _normalise, _limit)
+
+
+def _follow(low: LowPassed, value: Scalar, share: Scalar) -> LowPassed:
+    once = low.once + share * (value - low.once)
+    return LowPassed(once, low.twice + share * (once - low.twice))
+
+
+def _turn(params: Params, site: Site, state: State) -> State:
+    turn = params.turn
+    # f = (-g phi_N + nabla_E, g phi_E + nabla_N): g times the tilts from their equilibria.
+    angle = 2 * turn.reflection / site.place.gravity
+    tilt = Vec3(angle * state.force_n.twice, -angle * state.force_e.twice, jnp.zeros_like(angle))
+    nav = state.nav
+    left = 1 - 2 * turn.reflection
+    return State(
+        nav=nav._replace(
+            q=rotations.correct(tilt, nav.q),
+            ve=turn.velocity * nav.ve,
+            vn=turn.velocity * nav.vn,
+        ),
+        integral_e=turn.integral * state.integral_e,
+        integral_n=turn.integral * state.integral_n,
+        rate_u=turn.rate * state.rate_u,
+        force_e=LowPassed(*(left * stage for stage in state.force_e)),
+        force_n=LowPassed(*(left * stage for stage in state.force_n)),
+    )
+
+
+def _limit(params: Params, place: earth.Place, biases: Biases, ending: Ending) -> Limit:
+    """Biases taken for what the Earth does, and a lag: K(s) leaks.
+
+    A platform rate that cancels eps_U has to be kept up by a north velocity, whose transport rate
+    stands for a level rate that a heading error makes: (1 + K2) K4 eps_U / (R K3) of omega_N,
+    2 eps_U/sigma for the gains of [P2] eq. (23). It is of the other sign in a backward pass.
+    """
+    gains = at_pace(params.azimuth, value_at(params.pace, ending.n))
+    eps = biases.eps
+    lag = (1 + gains.k2) * gains.k4 * place.curvature_n * eps.z / gains.k3
+    felt = jnp.hypot(eps.x, place.rate_n + eps.y)
+    lag = jnp.arcsin(jnp.clip(lag * place.rate_n / felt, -1.0, 1.0))
+    return unaided(place, biases, jnp.where(ending.backward, lag, -lag))
+
+
+def _attitude(state: State) -> Quat:
+    return state.nav.q
+
+
+def _covariance(state: State) -> AttitudeCovariance:
+    unknown = jnp.full_like(state.rate_u, jnp.nan)
+    return AttitudeCovariance(*(unknown for _ in AttitudeCovariance._fields))
+
+
+def _normalise(state: State) -> State:
+    return state._replace(nav=state.nav._replace(q=rotations.normalise(state.nav.q)))

@@ -1,0 +1,86 @@
+"""The standard Kalman filter, [P1] eqs (8)-(12), for any number of states.
+
+The state transition is given by its non-zero off-identity entries, by state number; sums over
+zeros never enter the program. P is kept as its upper triangle, so it is symmetric by construction.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from sinsjax.maths.algebra import (
+    Entries,
+    Triangle,
+    congruence,
+    diagonal_triangle,
+    times_plus_identity,
+    triangle_index,
+)
+from sinsjax.types import Scalar
+
+
+class Belief(NamedTuple):
+    """What the filter believes: the mean and covariance of n states.
+
+    Attributes:
+        x: n means.
+        p: upper triangle of the covariance, n (n + 1) / 2 entries.
+    """
+
+    x: tuple[Scalar, ...]
+    p: Triangle
+
+
+def start(variances: Sequence[Scalar]) -> Belief:
+    """Zero mean and a diagonal covariance."""
+    return Belief(tuple(0.0 * v for v in variances), diagonal_triangle(variances))
+
+
+def predict(belief: Belief, transition: Entries, q: Sequence[Scalar]) -> Belief:
+    """Predict over one step, [P1] eqs (8) and (9).
+
+    Args:
+        belief: mean and covariance of n states.
+        transition: non-zero entries of Phi - I = A dt.
+        q: n diagonal entries of the discrete process noise.
+    """
+    return add_noise(propagate(belief, transition), q)
+
+
+def propagate(belief: Belief, transition: Entries) -> Belief:
+    """Predict over one step without process noise; arguments as of `predict`."""
+    p = congruence(transition, belief.p, len(belief.x))
+    return Belief(times_plus_identity(transition, belief.x), p)
+
+
+def add_noise(belief: Belief, q: Sequence[Scalar]) -> Belief:
+    """Add the process noise of one step; arguments as of `predict`."""
+    n = len(belief.x)
+    p, at = list(belief.p), triangle_index(n)
+    for i in range(n):
+        p[at[i, i]] = p[at[i, i]] + q[i]
+    return Belief(belief.x, tuple(p))
+
+
+def update(belief: Belief, measured: Sequence[int], z: Sequence[Scalar], r: Scalar) -> Belief:
+    """Update with direct measurements of some states, [P1] eqs (10)-(12).
+
+    The measurement noise is white over the components (R = r I), so the components are taken one
+    after the other: the same result as the joint update, without a matrix inverse.
+
+    Args:
+        belief: predicted mean and covariance.
+        measured: numbers of the measured states (the rows of H).
+        z: what was measured.
+        r: variance of each measurement.
+    """
+    n = len(belief.x)
+    at = triangle_index(n)
+    x, p = belief
+    for m, value in zip(measured, z, strict=True):
+        column = [p[at[i, m]] for i in range(n)]
+        inverse = 1 / (column[m] + r)
+        innovation = (value - x[m]) * inverse
+        gain = [c * inverse for c in column]
+        x = tuple(x[i] + column[i] * innovation for i in range(n))
+        p = tuple(p[at[i, j]] - gain[i] * column[j] for i in range(n) for j in range(i, n))
+    return Belief(x, p)

@@ -1,0 +1,144 @@
+"""Where constant sensor biases leave an aligned attitude, in closed form.
+
+A method that does not estimate the biases takes the mean specific force for the vertical and the
+horizontal part of the mean angular rate for north. The biases enter in n, averaged over the motion
+of the base. Left out are scale factors and misalignments of the sensors: on a still base they act
+as a bias of their own (1,000 ppm of Earth rate is 0.015 deg/h), on a swaying one through the sway.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sinsjax.maths.rotations import misalign, misalignment
+from sinsjax.strapdown.base_motion import Motion
+from sinsjax.strapdown.earth import Place
+from sinsjax.strapdown.sensors import SensorErrors
+from sinsjax.types import Array, Flag, Quat, Scalar, Vec3
+
+
+class Biases(NamedTuple):
+    """Mean constant biases in n.
+
+    Attributes:
+        eps: of the gyros, rad/s.
+        nabla: of the accelerometers, m/s^2.
+        most: the largest of the accelerometers' in b, m/s^2.
+    """
+
+    eps: Vec3
+    nabla: Vec3
+    most: Scalar
+
+
+class Limit(NamedTuple):
+    """What a run's own biases leave of the misalignment.
+
+    Attributes:
+        phi: rotation vector in n, rad.
+        tilt: the most that the accelerometer biases can leave of a level error, max |nabla|/g, rad.
+        no_north: whether the level gyro bias exceeds the north component of the Earth rate, so
+            that what the gyros feel points anywhere.
+    """
+
+    phi: Vec3
+    tilt: Scalar
+    no_north: Flag
+
+
+NO_BIASES = Biases(*(Vec3(*(np.float64(0.0),) * 3),) * 2, np.float64(0.0))
+
+_PHASES = 2 * np.pi * np.arange(64) / 64  # exact to rounding for three amplitudes of 360 deg
+_SIGNS = np.array([-1.0, 0.0, 1.0])
+_ONE, _COS, _SIN = range(3)
+_FROM_MODES = np.array([[0, 1, 0], [0.5, 0, 0.5], [0.5j, 0, -0.5j]])
+"""1, cosine and sine of an angle x from exp(i s x) for the `_SIGNS` s."""
+
+
+def mean_biases(errors: SensorErrors, motion: Motion) -> Biases:
+    """Constant biases turned to n, averaged over whole periods of the motion.
+
+    Args:
+        errors: of the sensors, biases ``(..., 3)``.
+        motion: of the base, leaves ``(...)``. Angles of one period keep their phase to one another;
+            others count as independent, which is exact but for periods in a small whole ratio.
+
+    Returns:
+        Leaves ``(...)``. NumPy's where nothing given is JAX's: that compiles nothing.
+    """
+    turned = mean_attitude(motion)
+    in_n = [(turned @ b[..., None])[..., 0] for b in (errors.gyro_bias, errors.accel_bias)]
+    eps, nabla = (Vec3(b[..., 0], b[..., 1], b[..., 2]) for b in in_n)
+    return Biases(eps, nabla, abs(errors.accel_bias).max(-1))
+
+
+def mean_attitude(motion: Motion) -> Array:
+    """Mean of C_b^n over the motion, ``(..., 3, 3)``, see `mean_biases`."""
+    xp: Any = jnp if any(isinstance(a, jax.Array) for a in jax.tree.leaves(motion)) else np
+    periods = [sway.period for sway in motion]
+    # Angles of one period share the phase of the first that has it.
+    second = xp.where(periods[1] == periods[0], 0, 1)
+    third = xp.where(periods[2] == periods[1], second, 2)
+    phase_of = (xp.asarray(0), second, xp.where(periods[2] == periods[0], 0, third))
+    modes: Any = 1.0
+    for phase in range(3):
+        swing: Any = 0.0
+        for axis, (sway, own) in enumerate(zip(motion, phase_of, strict=True)):
+            angle = sway.amplitude[..., None] * xp.sin(_PHASES + sway.phase[..., None])
+            angle = xp.where((own == phase)[..., None], angle, 0.0)
+            swing = swing + _along(axis)[..., None] * angle[..., None, None, None, :]
+        modes = modes * xp.exp(1j * swing.astype(complex)).mean(-1)
+    center: Any = 0.0
+    for axis, sway in enumerate(motion):
+        center = center + _along(axis) * sway.center[..., None, None, None]
+    modes = modes * xp.exp(1j * center.astype(complex))
+    to = _FROM_MODES
+    mean = xp.einsum("pa,rb,yc,...abc->...pry", to, to, to, modes).real
+
+    def of(pitch: int, roll: int, yaw: int) -> Array:
+        return mean[..., pitch, roll, yaw]
+
+    rows = [
+        of(_ONE, _COS, _COS) - of(_SIN, _SIN, _SIN),
+        -of(_COS, _ONE, _SIN),
+        of(_ONE, _SIN, _COS) + of(_SIN, _COS, _SIN),
+        of(_ONE, _COS, _SIN) + of(_SIN, _SIN, _COS),
+        of(_COS, _ONE, _COS),
+        of(_ONE, _SIN, _SIN) - of(_SIN, _COS, _COS),
+        -of(_COS, _SIN, _ONE),
+        of(_SIN, _ONE, _ONE),
+        of(_COS, _COS, _ONE),
+    ]
+    return xp.stack(rows, -1).reshape(*mean.shape[:-3], 3, 3)
+
+
+def _along(axis: int) -> np.ndarray:
+    """The sign with which one of three angles enters each mode, (3, 3, 3) but for ones."""
+    shape = [1, 1, 1]
+    shape[axis] = 3
+    return _SIGNS.reshape(shape)
+
+
+def unaided(place: Place, biases: Biases, heading: Scalar = 0.0) -> Limit:
+    """The limit of a method that takes the biases for what the Earth does.
+
+    phi_E = -nabla_N/g, phi_N = nabla_E/g and, the mean rate being felt across the tilted vertical,
+    phi_U = -atan2(eps_E, omega_N + eps_N) + (nabla_E/g) tan L to first order in the tilt.
+
+    Args:
+        place: Earth rates and gravity, of a forward pass.
+        biases: mean biases in n.
+        heading: what the method adds to phi_U, rad.
+    """
+    eps, nabla, most = biases
+    tilt = Vec3(-nabla.y / place.gravity, nabla.x / place.gravity, jnp.zeros_like(nabla.x))
+    up = place.rate_u + eps.z
+    east, north = eps.x - up * tilt.y, place.rate_n + eps.y + up * tilt.x
+    turn = heading - jnp.arctan2(east, north)
+    zero = jnp.zeros_like(turn)
+    true = Quat(zero + 1, zero, zero, zero)
+    settled = misalign(Vec3(zero, zero, turn), misalign(tilt, true))
+    most_tilt = most / place.gravity
+    return Limit(misalignment(true, settled), most_tilt, eps.x**2 + eps.y**2 > place.rate_n**2)

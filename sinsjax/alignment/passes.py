@@ -1,0 +1,68 @@
+"""Passes over a tape, forward and backward in turn, [P2] section 2.3: with any method.
+
+A backward pass is navigation in a world where time is reversed: the samples come last to first and
+reversed (`sensors.reverse`), the Earth turns the other way, velocity has the opposite sign. Method
+and mechanisation are the same in both directions; what happens to a method's state at a turn is its
+own affair (`Method.turn`).
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from sinsjax.alignment.base import Site
+from sinsjax.strapdown import earth, sensors
+from sinsjax.types import Array, Count, Flag, Increments, Sample
+
+
+class Reading(NamedTuple):
+    """How one record interval reads the tape.
+
+    Attributes:
+        backward: whether it belongs to a backward pass.
+        opens_pass: whether it is the first of a pass other than the first.
+        samples: (n,) numbers on the tape, in the order in which they are read. Backward they run
+            one ahead of what is navigated, as a sample is compensated with the one before it; -1
+            stands for what is before the tape.
+    """
+
+    backward: Flag
+    opens_pass: Flag
+    samples: Array
+
+
+def reading(record: Count, pass_records: Count, every: int) -> Reading:
+    """How the tape is read in a record interval.
+
+    Args:
+        record: its number, from 0.
+        pass_records: record intervals a pass.
+        every: samples a record interval.
+    """
+    number, place = record // pass_records, record % pass_records
+    backward = number % 2 == 1
+    ahead = jnp.arange(every)
+    first = jnp.where(backward, (pass_records - place) * every - 2, place * every)
+    samples = first + jnp.where(backward, -ahead, ahead)
+    return Reading(backward, (place == 0) & (number > 0), samples)
+
+
+def site_of_pass(site: Site, backward: Flag) -> Site:
+    """The site, with the Earth turning the other way in a backward pass."""
+    sign = jnp.where(backward, -1.0, 1.0)
+    turned = site.earth._replace(rate=sign * site.earth.rate)
+    return site._replace(earth=turned, place=earth.reverse(site.place, sign))
+
+
+def compensate(now: Increments, before: Increments, backward: Flag) -> Sample:
+    """The compensated sample in the direction of the pass: forward ``now``, backward ``before``."""
+    later = where(backward, before, now)
+    earlier = where(backward, now, before)
+    sample = sensors.compensate(later, earlier)
+    return where(backward, sensors.reverse(sample), sample)
+
+
+def where(flag: Flag, one: Any, other: Any) -> Any:
+    """One of two trees of the same structure."""
+    return jax.tree.map(lambda a, b: jnp.where(flag, a, b), one, other)

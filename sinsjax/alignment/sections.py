@@ -1,0 +1,70 @@
+"""The sections of a study that an alignment reads, whatever its method; free of jax."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from sinsjax.value_types import Count, Factor, HalfTurn, Seconds, SecondsOrZero, Section, Speed
+
+
+class Alignment(Section):
+    """[alignment]: the method, where it starts, and how its estimate is fed back."""
+
+    method: Literal["kalman5", "kalman10", "compass"] = Field(
+        "kalman5", description="alignment method"
+    )
+    phi_e0_deg: HalfTurn = Field(0.0, description="initial east misalignment, deg")
+    phi_n0_deg: HalfTurn = Field(0.0, description="initial north misalignment, deg")
+    phi_u0_deg: HalfTurn = Field(0.0, description="initial up (heading) misalignment, deg")
+    misalignment: Literal["vector", "euler"] = Field(
+        "vector", description="reading of the three angles: rotation vector or Euler angles"
+    )
+    ve0_m_per_s: Speed = Field(0.0, description="initial east velocity, m/s")
+    vn0_m_per_s: Speed = Field(0.0, description="initial north velocity, m/s")
+    position: Literal["fixed", "integrated"] = Field(
+        "fixed", description="whether position stays or follows the velocity"
+    )
+    specific_force: Literal["measured", "gravity"] | None = Field(
+        None,
+        description="specific force in A(t): 'measured' (default), or 'gravity', of a base at rest",
+    )
+    feedback_interval_s: Seconds | None = Field(
+        None, description="time between feedbacks, s; default 1"
+    )
+    feedback_time_constant_s: SecondsOrZero | None = Field(
+        None, description="time constant of the feedback, s; default 0: all is fed back at once"
+    )
+
+
+class Passes(Section):
+    """[passes]: how often a stored tape is gone over, forward and backward in turn."""
+
+    tape_s: Seconds | None = Field(
+        None, description="length of the tape, s; without it all of the duration, once forward"
+    )
+    passes: Annotated[Count, Field(ge=1)] | None = Field(
+        None, description="number of passes; default: what the duration holds"
+    )
+    ending: Literal["duration", "forward"] = Field(
+        "duration", description="end with the duration, or with the last whole forward pass in it"
+    )
+    turn: (
+        Literal["reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"]
+        | None
+    ) = Field(None, description="what compass loops do at a turn of the tape; default 'reflect'")
+    turn_smoothing_s: Seconds | None = Field(
+        None, description="delay of the low-passed force that 'reflect' turns by, s; default 5"
+    )
+    turn_covariance: Literal["carried", "inflated", "reset"] | None = Field(
+        None, description="what becomes of a filter's P at a turn; default 'carried'"
+    )
+    turn_inflation: Factor | None = Field(
+        None, description="factor on P, for 'inflated'; default 10"
+    )
+
+
+class Coarse(Section):
+    """[coarse]: the coarse alignment before a record's fine alignment, whose t = 0 is its end."""
+
+    coarse_method: Literal["inertial", "analytic"] = Field("inertial", description="method")
+    coarse_duration_s: Seconds = Field(60.0, description="length, s")

@@ -1,0 +1,1 @@
+"""Triggers: when a filter resets its own covariance."""

@@ -1,0 +1,1 @@
+"""Zero-velocity alignment with a Kalman filter, [P1]."""

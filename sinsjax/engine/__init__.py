@@ -1,0 +1,1 @@
+"""The engine: one run as equations, many runs as one compiled program."""

@@ -1,0 +1,250 @@
+"""From a study to arrays: the one place where units are left behind and programs part from numbers.
+
+A `Part` holds the variants that share a compiled program and a world (Earth, base motion, sensors);
+within a part everything that differs is a number. Parts are cut from the study's variants by the
+values of `PROGRAM_KEYS`, `WORLD_KEYS` and `PASS_KEYS`, wherever these are swept.
+"""
+
+from collections.abc import Iterator, Sequence
+from functools import cached_property, partial
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from sinsjax.alignment.base import Options, Site
+from sinsjax.engine import method_parameters
+from sinsjax.engine.metrics import Criteria
+from sinsjax.engine.realisations import Draw, Static, World, made, noise, sense
+from sinsjax.engine.simulate import Params
+from sinsjax.engine.study_limits import require_limit
+from sinsjax.engine.tile import Group
+from sinsjax.engine.truth import recorded, simulated, site_of
+from sinsjax.errors import InputError
+from sinsjax.maths.rotations import euler_vector
+from sinsjax.platform import runtime
+from sinsjax.records import Record
+from sinsjax.records.reference import Tape
+from sinsjax.strapdown import base_motion
+from sinsjax.study.resolved import Variants
+from sinsjax.study.schema import Earth, Motion, Sensors
+from sinsjax.study.study import PASS_KEYS, Span, Study
+from sinsjax.study.success import bands
+from sinsjax.types import Array, Increments, Quat, Vec3
+from sinsjax.units import ARCMIN, DEG
+
+PROGRAM_KEYS = ("method", "specific_force", "position", "reset_trigger")
+"""Keys whose values decide the compiled program."""
+
+WORLD_KEYS = tuple(key for model in (Earth, Motion, Sensors) for key in model.model_fields)
+"""Keys whose values decide the truth that runs share."""
+
+_NOISES = tuple(key for key in Sensors.model_fields if key.split("_")[1] in ("noise", "arw", "vrw"))
+_AMPLITUDES = tuple(key for key in Motion.model_fields if "amplitude" in key)
+
+
+class Part(NamedTuple):
+    """Variants of a study that run together.
+
+    Attributes:
+        group: what the engine runs.
+        variant_ids: (variants,) their numbers in the study.
+    """
+
+    group: Group
+    variant_ids: np.ndarray
+
+
+class Scenario:
+    """A study ready to be run: how it falls into parts, each made when it is asked for.
+
+    Attributes:
+        study: checked study.
+        tape: the record of a recorded study, else None.
+        curves: whether curves are returned.
+        variant_ids: of each part, the numbers of its variants.
+    """
+
+    def __init__(
+        self, study: Study, tape: Tape | None = None, *, curves: bool | None = None
+    ) -> None:
+        """Check what can be checked before anything runs.
+
+        Args:
+            study: checked study.
+            tape: the record of a recorded study, else None.
+            curves: whether curves are returned; None takes the study's word.
+
+        Raises:
+            InputError: a record where there should be none or the other way round, compass
+                loops that cannot be run, or a limit to judge from where there is none.
+            RuntimeError: double precision is off.
+        """
+        runtime.require_x64()
+        if study.is_recorded != (tape is not None):
+            what = "reads a record, none is given" if study.is_recorded else "reads no record"
+            raise InputError(f"{study.study.name}: the study {what}: see [record]")
+        require_limit(study)
+        self.study, self.tape = study, tape
+        self.curves = study.study.curves if curves is None else curves
+        self.variant_ids = list(_split(study))
+        for ids in self.variant_ids:
+            variants = Variants(study, ids)
+            method_parameters.check_loops(study, variants, site_of(study, variants, tape)[0])
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether runs can be judged: by a simulation's truth, or a record's reference."""
+        return self.tape is None or self.tape.reference is not None
+
+    @cached_property
+    def programs(self) -> list[Static]:
+        """The program of each part."""
+        variants = (Variants(self.study, ids) for ids in self.variant_ids)
+        return [_program(self.study, some, self.curves) for some in variants]
+
+    def part(self, number: int, draws: range | None = None, *, blank: bool = False) -> Part:
+        """A part with all its draws, or some in a row.
+
+        Args:
+            number: of the part.
+            draws: which; None for all.
+            blank: whether zeros stand for the truth of a simulation: enough to compile for.
+
+        Raises:
+            InputError: a record that does not fit the study.
+        """
+        study, ids = self.study, self.variant_ids[number]
+        variants = Variants(study, ids)
+        site, ug = site_of(study, variants, self.tape)
+        criteria = Criteria(
+            bands=np.asarray(bands(study)) * ARCMIN,
+            window_start=np.float64(study.study.window_s[0]),
+            window_end=np.float64(study.study.window_s[1]),
+            consistency_after=np.float64(study.study.consistency_after_s),
+            steady_after=np.float64(study.study.steady_after_s),
+        )
+        span = _span(study, variants)
+        if self.tape is None:
+            draws = range(study.n_draws) if draws is None else draws
+            world, drawn, q = simulated(study, variants, span, criteria, draws, blank=blank)
+        else:
+            world, drawn, q = recorded(study, variants, span, criteria, self.tape)
+        params = _params(study, variants, site, ug)
+        return Part(Group(self.programs[number], world, drawn, q, params), ids)
+
+
+def parts(study: Study, tape: Tape | None = None, *, curves: bool | None = None) -> Iterator[Part]:
+    """What the engine runs for a study, part by part: see `Scenario`."""
+    scenario = Scenario(study, tape, curves=curves)
+    return (scenario.part(number) for number in range(len(scenario.variant_ids)))
+
+
+def simulated_record(study: Study, draw_id: int = 0, variant_id: int = 0) -> Record:
+    """What the sensors of a simulated study put out, as a record that can be written to a file.
+
+    Args:
+        study: a simulated study.
+        draw_id: whose noise.
+        variant_id: whose Earth, motion and sensors, where these are swept.
+
+    Raises:
+        InputError: the study has no such variant, or reads a record itself.
+    """
+    if study.is_recorded or not 0 <= variant_id < study.n_variants:
+        raise InputError(f"{study.study.name}: has no simulated variant {variant_id}")
+    scenario = Scenario(study, curves=False)
+    number = next(i for i, ids in enumerate(scenario.variant_ids) if variant_id in ids)
+    part = scenario.part(number, range(draw_id, draw_id + 1))
+    static, world = part.group.static, part.group.world
+    draw = jax.tree.map(lambda a: a[0] if np.ndim(a) else a, part.group.draws)
+    draw = draw._replace(made=made(static, world, draw))
+    site = world.site if draw.made.site is None else draw.made.site
+
+    @jax.jit
+    def rows(world: World, draw: Draw, numbers: Array) -> Increments:
+        normal = noise(static, world, draw, numbers)
+        if world.tape is None and world.motion is not None:
+            whole = base_motion.increments(
+                world.motion, site.place, study.study.rate_hz, len(numbers)
+            )
+            world = world._replace(tape=whole)
+        return jax.vmap(partial(sense, static, world, draw))(numbers, normal)
+
+    records = min(static.records, int(world.pass_records))
+    out = rows(world, draw, np.arange(records * static.record_every))
+    return Record(
+        dtheta=np.stack(out.dtheta, axis=1),
+        dv=np.stack(out.dv, axis=1),
+        rate_hz=study.study.rate_hz,
+        latitude_deg=float(site.latitude / DEG),
+        height_m=float(site.earth.height),
+        gravity_m_per_s2=float(site.place.gravity),
+        source=study.study.name,
+    )
+
+
+def _split(study: Study) -> Iterator[np.ndarray]:
+    """Numbers of the variants that share program and world, in order of first appearance."""
+    keys = {*PROGRAM_KEYS, *WORLD_KEYS, *PASS_KEYS}
+    swept = [key for key in study.axis_keys if key in keys]
+    columns = [study.values(key) for key in swept]
+    groups: dict[tuple[Any, ...], list[int]] = {}
+    for i in range(study.n_variants):
+        groups.setdefault(tuple(column[i] for column in columns), []).append(i)
+    yield from (np.asarray(ids) for ids in groups.values())
+
+
+def _span(study: Study, variants: Variants) -> Span:
+    return study.span(**{k: variants.common(k) for k in PASS_KEYS} if study.passes else {})
+
+
+def _program(study: Study, variants: Variants, curves: bool) -> Static:
+    """The program of some variants."""
+    return Static(
+        variants.common("method"),
+        Options(
+            dt=1 / study.study.rate_hz,
+            specific_force=variants.common("specific_force") or "measured",
+            position=variants.common("position"),
+            trigger=(study.resets and variants.common("reset_trigger")) or "none",
+            innovations=study.is_recorded,  # a simulation has the truth to be judged by
+        ),
+        study.record_every,
+        _span(study, variants).records,
+        curves,
+        noisy=_takes(study, variants, _NOISES),
+        repeats=study.passes is not None,
+        sways=_takes(study, variants, _AMPLITUDES),
+    )
+
+
+def _takes(study: Study, variants: Variants, keys: Sequence[str]) -> bool:
+    """Whether one of some keys of a simulated study is drawn, or not zero."""
+    if study.is_recorded:
+        return False
+    return any(key in study.drawn_keys or np.any(variants.common(key) or 0) for key in keys)
+
+
+def _params(study: Study, variants: Variants, site: Site, ug: float) -> Params:
+    """Numbers of the part's variants, leaves (variants, ...)."""
+    zero = np.zeros(len(variants.ids))
+    phi = Vec3(*(variants.column(f"phi_{axis}0_deg", DEG) for axis in "enu"))
+    euler = np.asarray(variants.raw("misalignment")) == "euler"
+    drawn = any(f"phi_{axis}0_deg" in study.drawn_keys for axis in "enu")
+    if euler.any() and not drawn:
+        vector = _euler_vectors(*phi)
+        phi = Vec3(*(np.where(euler, v, a) for v, a in zip(vector, phi, strict=True)))
+    return Params(
+        q=Quat(zero, zero, zero, zero),
+        phi=phi,
+        ve=variants.column("ve0_m_per_s"),
+        vn=variants.column("vn0_m_per_s"),
+        method=method_parameters.of_method(study, variants, site, ug),
+        euler=euler if drawn and euler.any() else None,
+    )
+
+
+@jax.jit
+def _euler_vectors(e: Array, n: Array, u: Array) -> Vec3:
+    return jax.vmap(euler_vector)(e, n, u)

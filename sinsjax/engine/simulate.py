@@ -1,0 +1,370 @@
+"""One alignment run, from sensor increments to its outcome, as pure functions.
+
+`draws` makes the samples, `over_a_record` takes a run over those of a record interval and judges it
+at the end. `simulate` puts them together for a single run; `batch` maps the same functions over
+many.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from sinsjax.alignment import passes
+from sinsjax.alignment.base import Ending, Method, Site
+from sinsjax.alignment.limits import Biases, Limit
+from sinsjax.alignment.methods import METHODS
+from sinsjax.engine import metrics
+from sinsjax.engine.metrics import Metrics, Observation, Outcome
+from sinsjax.engine.realisations import (
+    Draw,
+    Start,
+    Static,
+    World,
+    attitude,
+    attitudes,
+    ideal,
+    made,
+    noise,
+    own,
+    piece,
+    sense,
+)
+from sinsjax.engine.stepping import event_by_event, sample_by_sample
+from sinsjax.maths import rotations
+from sinsjax.strapdown import base_motion, sensors
+from sinsjax.types import Array, Count, Flag, Increments, Navigation, Quat, Sample, Scalar, Vec3
+
+
+class Params(NamedTuple):
+    """Numbers of one run: all of it can be swept, mapped or differentiated.
+
+    Attributes:
+        q: attitude before the study's misalignment is added: true, or coarsely aligned.
+        phi: initial misalignment, rotation vector in n, rad.
+        ve: initial velocity east, m/s.
+        vn: initial velocity north, m/s.
+        method: numbers of the method.
+        euler: whether ``phi`` are Euler angles yet, where a draw has some of its own.
+    """
+
+    q: Quat
+    phi: Vec3
+    ve: Scalar
+    vn: Scalar
+    method: Any
+    euler: Flag | None = None
+
+
+class Run(NamedTuple):
+    """One run under way: the method's state and the metrics so far."""
+
+    state: Any
+    metrics: Metrics
+
+
+def method_of(static: Static) -> Method:
+    """Build the study's method."""
+    return METHODS[static.method](static.options)
+
+
+def begin(static: Static, world: World, site: Site, params: Params) -> Run:
+    """The run before its first sample."""
+    method = method_of(static)
+    zero = jnp.zeros_like(params.ve)
+    nav = Navigation(
+        q=rotations.misalign(params.phi, params.q),
+        ve=params.ve,
+        vn=params.vn,
+        latitude=site.latitude + zero,
+        longitude=zero,
+    )
+    state = method.init(params.method, nav)
+    return Run(state, metrics.start(world.criteria, zero))
+
+
+def started(params: Params, own: Start, q: Quat | None) -> Params:
+    """A run's numbers with what its draw begins with, its true attitude included if it has one."""
+    angles = Vec3(*(a if b is None else b for a, b in zip(params.phi, own.phi, strict=True)))
+    if params.euler is not None:
+        vector = rotations.euler_vector(*angles)
+        pairs = zip(vector, angles, strict=True)
+        angles = Vec3(*(jnp.where(params.euler, v, a) for v, a in pairs))
+    return params._replace(
+        q=params.q if q is None else q,
+        phi=angles,
+        ve=params.ve if own.ve is None else own.ve,
+        vn=params.vn if own.vn is None else own.vn,
+    )
+
+
+def limit(static: Static, pass_records: Count, params: Params, site: Site, own: Biases) -> Limit:
+    """What the sensor biases of a run leave of its misalignment."""
+    backward = static.repeats & ((static.records - 1) // pass_records % 2 == 1)
+    ending = Ending(float(static.records * static.record_every), backward)
+    return method_of(static).limit(params.method, site.place, own, ending)
+
+
+def end(static: Static, run: Run, limit: Limit) -> Outcome:
+    """The outcome of a run after its last record."""
+    method = method_of(static)
+    fired = method.fired(run.state) if method.fired else None
+    outcome = metrics.finish(run.metrics, method.covariance(run.state), limit, fired)
+    if method.innovations is None:
+        return outcome
+    return outcome._replace(innovations=method.innovations(run.state))
+
+
+class Fan(NamedTuple):
+    """How functions of one draw and of one run are applied to many; `ONE` applies them as they are.
+
+    Attributes:
+        over_draws: maps a function of draws, or of what belongs to them.
+        over_runs: maps a function of runs, given the axis of each argument that counts them.
+        hand_out: gives each run what belongs to its draw: leaves (draws,) to (runs,), or to ()
+            where all runs share one draw.
+        shared: axis of what was handed out, for ``over_runs``: 0, or None where all share it.
+        earliest: the first of the runs' next events; None to close the loop at every sample, which
+            a run taken alone does, so that it can be differentiated in reverse too.
+    """
+
+    over_draws: Callable[..., Callable]
+    over_runs: Callable[..., Callable]
+    hand_out: Callable[[Any], Any]
+    shared: int | None
+    earliest: Callable[[Array], Scalar] | None = None
+
+
+ONE = Fan(lambda f, *axes: f, lambda f, *axes: f, lambda tree: tree, None)
+
+
+class Shared(NamedTuple):
+    """What runs take as they are or from their draws, and the axis along which runs differ in it.
+
+    Attributes:
+        site: Earth and place.
+        site_axis: None where all runs share it.
+        limit: of each run.
+    """
+
+    site: Site
+    site_axis: int | None
+    limit: Limit
+
+
+def shared_by(static: Static, world: World, draws: Draw, params: Params, fan: Fan) -> Shared:
+    """Site and biases of the world, or of the draws that have their own; what limit they set."""
+    made_of = fan.hand_out(draws.made)
+    site = world.site if made_of.site is None else made_of.site
+    site_axis = None if made_of.site is None else fan.shared
+    biases = world.biases if made_of.biases is None else made_of.biases
+    biases_axis = None if made_of.biases is None else fan.shared
+    limits = fan.over_runs(partial(limit, static, world.pass_records), 0, site_axis, biases_axis)
+    return Shared(site, site_axis, limits(params, site, biases))
+
+
+class Progress(NamedTuple):
+    """Runs under way, and the last increments of their draws, which compensation looks back at."""
+
+    run: Run
+    before: Increments
+
+
+class Interval(NamedTuple):
+    """How one record interval is gone over.
+
+    Attributes:
+        state: with which it begins.
+        samples: numbers on the tape, in the order in which they are read.
+        site: in the direction of the pass.
+        compensated: (increments, those read before) -> compensated samples of the draws.
+    """
+
+    state: Any
+    samples: Array
+    site: Site
+    compensated: Callable[[Increments, Increments], Sample]
+
+
+def reader(
+    static: Static, world: World, shared: Shared, params: Params, fan: Fan
+) -> Callable[[Count, Any], Interval]:
+    """The function that opens a record interval, and turns the tape where a pass begins.
+
+    Args:
+        static: program.
+        world: shared by all.
+        shared: site and limits.
+        params: as in `simulate`.
+        fan: as in `simulate`.
+
+    Returns:
+        (number of the record, state) -> `Interval`.
+    """
+    every = static.record_every
+    forward = fan.over_draws(sensors.compensate, 0, 0)
+    either_way = fan.over_draws(passes.compensate, 0, 0, None)
+
+    def one_turn(params: Params, state: Any, site: Site) -> Any:
+        return method_of(static).turn(params.method, site, state)
+
+    turn = fan.over_runs(one_turn, 0, 0, shared.site_axis)
+
+    def once_forward(number: Count, state: Any) -> Interval:
+        return Interval(state, number * every + jnp.arange(every), shared.site, forward)
+
+    def in_passes(number: Count, state: Any) -> Interval:
+        read = passes.reading(number, world.pass_records, every)
+        turned = turn(params, state, passes.site_of_pass(shared.site, ~read.backward))
+        return Interval(
+            passes.where(read.opens_pass, turned, state),
+            read.samples,
+            passes.site_of_pass(shared.site, read.backward),
+            lambda *pair: either_way(*pair, read.backward),
+        )
+
+    return in_passes if static.repeats else once_forward
+
+
+def over_a_record(
+    static: Static, world: World, shared: Shared, draws: Draw, params: Params, fan: Fan
+) -> Callable[[Progress, tuple[Count, Quat | None]], tuple[Progress, Array | None]]:
+    """The function that takes runs over one record interval.
+
+    Args:
+        static: program.
+        world: shared by all.
+        shared: site and limits.
+        draws: as in `simulate`.
+        params: as in `simulate`.
+        fan: as in `simulate`.
+
+    Returns:
+        (progress, (number of the record, true attitudes of the draws at its end, or None for those
+        of the world)) -> progress, and observations (fields, *runs) if ``static.curves``.
+    """
+    every, dt, kind = static.record_every, static.options.dt, world.dtype
+    method = method_of(static)
+
+    def one_step(params: Params, state: Any, site: Site, sample: Sample, n: Scalar) -> Any:
+        return method.step(params.method, site, state, sample, n)
+
+    def one_record(run: Run, q_true: Quat, n: Scalar, floor: Scalar) -> Run:
+        state = method.normalise(run.state)
+        now = metrics.observe(q_true, method.attitude(state), method.covariance(state))
+        so_far = metrics.accumulate(run.metrics, world.criteria, now, floor=floor, time=n * dt)
+        return Run(state, so_far)
+
+    def one_close(params: Params, state: Any, n: Scalar) -> Any:
+        return state if method.close is None else method.close(params.method, state, n)
+
+    def one_next_event(params: Params, state: Any, n: Scalar) -> Scalar | None:
+        return method.next_event(params.method, state, n) if method.next_event else None
+
+    def one_called(state: Any, n: Scalar) -> Flag:
+        assert method.called is not None
+        return method.called(state, n)
+
+    axes = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
+    theirs = None if draws.made.ahead is None else 0  # the axis of increments of their own
+    sensed = fan.over_draws(partial(sense, static, world), axes, None, 0, theirs)
+    step = fan.over_runs(one_step, 0, 0, shared.site_axis, fan.shared, None)
+    close = fan.over_runs(one_close, 0, 0, None)
+    next_event = fan.over_runs(one_next_event, 0, 0, None)
+    calls = fan.over_runs(one_called, 0, None)
+    record = fan.over_runs(one_record, 0, fan.shared, None, 0)
+    opened = reader(static, world, shared, params, fan)
+    size = piece(static, draws)
+
+    def record_step(
+        progress: Progress, xs: tuple[Count, Quat | None]
+    ) -> tuple[Progress, Array | None]:
+        (run, before), (number, q_true) = progress, xs
+        state, samples, site, compensated = opened(number, run.state)
+        shared_rows = ideal(static, world, draws, samples)
+        done = number * every  # samples before this interval
+
+        def make(before: Increments, piece: Count) -> tuple[Sample, Increments]:
+            places = piece * size + jnp.arange(size)
+            numbers = samples[places]
+            normal = noise(static, world, draws, numbers)
+            exact = own(static, world, draws, numbers)
+            if shared_rows is not None:
+                exact = jax.tree.map(lambda a: a[places], shared_rows)
+            now = jax.vmap(partial(sensed, draws))(numbers, normal, exact)
+            shifted = jax.tree.map(lambda a, b: jnp.concatenate([b[None], a[:-1]]), now, before)
+            return jax.vmap(compensated)(now, shifted), jax.tree.map(lambda a: a[-1], now)
+
+        def step_over(state: Any, place: Count, sample: Sample) -> Any:
+            n = (done + place + 1).astype(kind)
+            return step(params, state, site, fan.hand_out(sample), n)
+
+        def closed(state: Any, place: Count) -> Any:
+            return close(params, state, (done + place).astype(kind))
+
+        def following(state: Any, place: Count) -> Scalar | None:
+            ahead = next_event(params, state, (done + place).astype(kind))
+            if ahead is None or fan.earliest is None:
+                return None
+            return fan.earliest(ahead) - done.astype(kind)
+
+        def called(state: Any, place: Count) -> Flag:
+            return jnp.any(calls(state, (done + place).astype(kind)))
+
+        if following(state, jnp.asarray(0)) is None:
+            over = sample_by_sample
+        else:
+            asked = called if method.called else None
+            over = partial(event_by_event, next_event=following, called=asked)
+        state, before = over(state, before, every, step_over, closed, make, size)
+        n = ((number + 1) * every).astype(kind)
+        q_true = attitude(world, draws, number) if q_true is None else q_true
+        run = record(Run(state, run.metrics), fan.hand_out(q_true), n, shared.limit.phi.z)
+        # One array: XLA:CPU updates several side by side by copying them whole, every record.
+        out = jnp.stack(jax.tree.leaves(run.metrics.last)) if static.curves else None
+        if out is not None and static.shown is not None:
+            out = out[:, : static.shown]
+        return Progress(run, before), out
+
+    return record_step
+
+
+def simulate(
+    static: Static, world: World, draws: Draw, params: Params, fan: Fan = ONE
+) -> tuple[Outcome, Observation | None]:
+    """Whole runs, from first sample to outcome.
+
+    Args:
+        static: program.
+        world: shared.
+        draws: one draw, or many with a leading axis.
+        params: of one run, or of many with a leading axis.
+        fan: one run or many.
+
+    Returns:
+        Outcomes, and, if ``static.curves``, observations with leaves (records,) in front.
+    """
+    axes = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
+    draws = draws._replace(made=fan.over_draws(partial(made, static, world), axes)(draws))
+    shared = shared_by(static, world, draws, params, fan)
+    q = None
+    if draws.motion is not None:
+        q = fan.hand_out(fan.over_draws(lambda m: base_motion.attitude(m, 0.0), 0)(draws.motion))
+    own = fan.hand_out(draws.begins)
+    params = fan.over_runs(started, 0, fan.shared, fan.shared)(params, own, q)
+    run = fan.over_runs(lambda p, site: begin(static, world, site, p), 0, shared.site_axis)(
+        params, shared.site
+    )
+    # A run's first sample has none before it: with zeros nothing is compensated, as with itself.
+    zero = jnp.zeros(draws.draw_id.shape, world.dtype)
+    before = Increments(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
+    record_step = over_a_record(static, world, shared, draws, params, fan)
+    records = (jnp.arange(static.records), attitudes(static, world, draws))
+    (run, _), curves = jax.lax.scan(record_step, Progress(run, before), records)
+    outcome = fan.over_runs(partial(end, static), 0, 0)(run, shared.limit)
+    if curves is None:
+        return outcome, None
+    fields = [curves[:, i] for i in range(curves.shape[1])]
+    return outcome, jax.tree.unflatten(jax.tree.structure(outcome.last), fields)

@@ -1,0 +1,240 @@
+"""Which runs of a study have the limit that `limits` gives, and which cannot find north at all."""
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from sinsjax.alignment.limits import mean_attitude
+from sinsjax.engine.truth import errors_of, motion_of
+from sinsjax.errors import InputError
+from sinsjax.strapdown import earth
+from sinsjax.study import sampling
+from sinsjax.study.schema import Motion
+from sinsjax.study.study import Study
+from sinsjax.study.success import success_of
+from sinsjax.study.times import spans_s
+from sinsjax.units import ARCMIN, DEG, DEG_PER_H
+
+LEAST_PERIODS = 10
+"""Periods of a sway since the last reset without which a bias is not averaged."""
+
+MOST_SHARED = 5 * ARCMIN
+"""Of one sigma of heading: what a filter may take for gyro bias and still have the limit, rad."""
+
+_LOOKED_AT = 4096  # draws, of a study with more
+_BLOCK = 256  # draws averaged at a time: some 10 MB
+_ANGLES = ("pitch", "roll", "yaw")
+_BIASES = ("gyro_bias_deg_per_h", "accel_bias_ug")
+_SHARED = (
+    ("p0_gyro_bias_deg_per_h", "p0_yaw_deg"),
+    ("reset_gyro_bias_deg_per_h", "reset_yaw_deg"),
+)
+_EARTH = ("earth", "latitude_deg", "earth_rate_deg_per_h")
+
+
+class HiddenNorth(NamedTuple):
+    """The run whose level gyro bias exceeds the north component of the Earth rate by most.
+
+    Attributes:
+        bias_deg_per_h: its level gyro bias, averaged over the motion.
+        rate_deg_per_h: Omega cos L.
+        runs: how many runs have a bias above theirs.
+        of_runs: how many were looked at: all, or those of the first 4,096 draws.
+    """
+
+    bias_deg_per_h: float
+    rate_deg_per_h: float
+    runs: int
+    of_runs: int
+
+    def __str__(self) -> str:
+        """A warning in one sentence."""
+        return (
+            f"the level gyro bias is up to {self.bias_deg_per_h:.3g} deg/h, the level part of the"
+            f" Earth rate {self.rate_deg_per_h:.3g} deg/h: {self.runs:,} of {self.of_runs:,} runs"
+            " cannot find north (status no_north)"
+        )
+
+
+def has_limit(
+    study: Study, draw_ids: np.ndarray, variant_ids: np.ndarray, last_reset_s: np.ndarray
+) -> np.ndarray:
+    """Whether runs have a limit at all, (runs,) bool.
+
+    Biases that a sway turns need `LEAST_PERIODS` of it since the last reset (and on the tape, if it
+    is gone over again). ``kalman10`` tells the gyro biases from the heading once the base moves;
+    on a still one it cannot, and has the limit of ``kalman5`` as far as its P0, and what P is reset
+    to, leave the east bias to the heading: see `MOST_SHARED`. Runs of a recorded study, whose
+    reference is their limit, all have one.
+
+    Args:
+        study: checked study.
+        draw_ids: (runs,).
+        variant_ids: (runs,).
+        last_reset_s: (runs,) time of the last reset, s from the start of the run; 0 for none.
+    """
+    if study.is_recorded:
+        return np.ones(np.shape(variant_ids), bool)
+    runs = _Runs(study, np.asarray(draw_ids), np.asarray(variant_ids))
+    amplitudes, periods = (
+        np.stack([runs.numbers(f"{angle}_{what}") for angle in _ANGLES])
+        for what in ("amplitude_deg", "period_s")
+    )
+    biased = np.stack([runs.vectors(key).any(-1) for key in _BIASES]).any(0)
+    length, tape = spans_s(study)[runs.variant_ids].T
+    averaged_over = np.minimum(length - last_reset_s, tape) * (1 + 1e-9)
+    slow = (amplitudes != 0) & (LEAST_PERIODS * periods > averaged_over)
+    still = ~(amplitudes != 0).any(0)
+    learns = runs.raw("method") == "kalman10"
+    apart = still & (_shared(study, runs) <= MOST_SHARED) if learns.any() else still
+    return np.where(learns, apart, ~(biased & slow.any(0)))
+
+
+def scheduled_last_s(study: Study) -> np.ndarray:
+    """(variants,) time of the last reset of every schedule, s; 0 for none."""
+    return np.array([max(times, default=0.0) for times in study.reset_times()])
+
+
+def require_limit(study: Study) -> None:
+    """Refuses a study that is judged from a limit where some run has none.
+
+    The resets of a trigger are not known yet; draws that differ are looked at where they are few.
+
+    Raises:
+        InputError: it names the method.
+    """
+    if success_of(study).from_truth:
+        return
+    draws = np.arange(min(study.n_draws, 1 + _LOOKED_AT // study.n_variants))
+    variants = np.tile(np.arange(study.n_variants), len(draws))
+    last_s = scheduled_last_s(study)[variants]
+    found = has_limit(study, np.repeat(draws, study.n_variants), variants, last_s)
+    if found.all():
+        return
+    variant = int(variants[~found][0])
+    method = study.values("method")[variant]
+    why = "has no limit of heading on this base"
+    if method != "kalman10":
+        why = (
+            "has no limit of heading where a sway period exceeds a tenth of the time since the last"
+            " reset"
+        )
+    raise InputError(
+        f"{study.study.name}: [study] judged_from: 'limit' cannot be judged: method '{method}'"
+        f" {why} (variant {variant}; use 'truth')"
+    )
+
+
+def _shared(study: Study, runs: "_Runs") -> np.ndarray:
+    """Of one sigma of heading, what ``kalman10`` takes for east gyro bias, (runs,), rad.
+
+    Heading and east bias are seen only as their sum, omega_N phi_U + eps_E, and the least squares
+    of that split it by their variances.
+    """
+    rates = list(map(_earth_rate, study.values("earth"), study.values("earth_rate_deg_per_h")))
+    rate_n = np.asarray(rates)[runs.variant_ids] * np.cos(runs.numbers("latitude_deg") * DEG)
+    most = np.zeros(len(rate_n))
+    start: list[np.ndarray] = []
+    for keys in _SHARED[: 1 if study.resets is None else 2]:
+        own = [np.asarray(runs.raw(key), dtype=float) for key in keys]
+        start = start or own  # what P is reset to is as at the start where it is not told
+        bias, yaw = (np.where(np.isnan(a), b, a) for a, b in zip(own, start, strict=True))
+        ratio = (bias * DEG_PER_H / (rate_n * yaw * DEG)) ** 2
+        most = np.maximum(most, yaw * DEG * ratio / (1 + ratio))
+    return most
+
+
+def _earth_rate(model: str, rate_deg_per_h: float | None) -> float:
+    """Of an Earth model as a study names it, rad/s."""
+    return earth.WGS84_RATE if model == "wgs84" else (rate_deg_per_h or 0.0) * DEG_PER_H
+
+
+class _Runs:
+    """Values of keys, one a run."""
+
+    def __init__(self, study: Study, draw_ids: np.ndarray, variant_ids: np.ndarray) -> None:
+        self.variant_ids = variant_ids
+        self._study = study
+        first, last = (int(f(draw_ids, initial=0)) for f in (np.min, np.max))
+        self._drawn = sampling.values(study, last + 1 - first, first=first)
+        self._draws = draw_ids - first
+
+    def raw(self, key: str) -> np.ndarray:
+        """Of a key that is not drawn, None being NaN where others are numbers."""
+        if key not in self._study.axis_keys:
+            constant = np.asarray(self._study.values(key)[0])
+            return np.broadcast_to(constant, self.variant_ids.shape)
+        return np.asarray(self._study.values(key))[self.variant_ids]
+
+    def numbers(self, key: str) -> np.ndarray:
+        """Of a key that has one number."""
+        if key in self._drawn:
+            return self._drawn[key][self._draws]
+        return np.asarray(self.raw(key), dtype=float)
+
+    def vectors(self, key: str) -> np.ndarray:
+        """Of a key that has a number an axis, or one for all, (runs, 3)."""
+        if key in self._drawn:
+            return self._drawn[key][self._draws]
+        values = self._study.values(key)
+        if key not in self._study.axis_keys:
+            return np.broadcast_to(np.asarray(values[0], float), (len(self.variant_ids), 3))
+        return np.stack([np.broadcast_to(v, 3) for v in values])[self.variant_ids]
+
+
+def hidden_north(study: Study) -> HiddenNorth | None:
+    """The worst run whose level gyro bias exceeds Omega cos L, None if there is no such run.
+
+    Such a run cannot find north: what its gyros feel points anywhere. The gyro biases are averaged
+    over the motion, as in its limit.
+
+    Args:
+        study: checked study; of a recorded one the biases are not known.
+    """
+    if study.is_recorded:
+        return None
+    keys = ("gyro_bias_deg_per_h", *Motion.model_fields, *_EARTH)
+    drawn = sampling.values(study, min(study.n_draws, _LOOKED_AT))
+    drawn = {key: values for key, values in drawn.items() if key in keys}
+    draws = min(study.n_draws, _LOOKED_AT)
+    swept = [key for key in study.axis_keys if key in keys]
+    variants = Counter(zip(*map(study.values, swept), strict=True)) if swept else Counter([()])
+    each = 1 if swept else study.n_variants
+    worst, runs = None, 0
+    for point in study.combinations(*keys):
+        count = each * variants[tuple(point[key] for key in swept)]
+        biases, rates = _level_bias({**point, **drawn}, draws if drawn else 1)
+        hidden = biases > rates
+        runs += count * int(hidden.sum()) * (draws // len(hidden))
+        at = int(np.argmax(biases / rates))
+        found = float(biases[at]), float(rates[at])
+        if hidden[at] and (worst is None or found[0] / found[1] > worst[0] / worst[1]):
+            worst = found
+    if worst is None:
+        return None
+    bias, rate = (x / DEG_PER_H for x in worst)
+    return HiddenNorth(bias, rate, runs, draws * study.n_variants)
+
+
+def _level_bias(values: Mapping[str, Any], draws: int) -> tuple[np.ndarray, np.ndarray]:
+    """Level gyro bias and Omega cos L at a point of a sweep, rad/s, (draws,).
+
+    Where the whole bias is below Omega cos L it stands for its level part.
+    """
+    shape = (draws,)
+    rate = _earth_rate(values["earth"], values["earth_rate_deg_per_h"])
+    rate_n = rate * np.cos(np.asarray(values["latitude_deg"], float) * DEG)
+    bias = errors_of(values.get, 1.0, 1.0).gyro_bias
+    rate_n, level = (np.broadcast_to(a, shape) for a in (rate_n, np.linalg.norm(bias, axis=-1)))
+    level = level.copy()
+    doubtful = np.flatnonzero(level > rate_n)
+    bias = np.broadcast_to(bias, (*shape, 3))
+    motion = jax.tree.map(lambda a: np.broadcast_to(a, shape), motion_of(values.get))
+    for block in np.split(doubtful, range(_BLOCK, len(doubtful), _BLOCK)):
+        here = jax.tree.map(lambda a, block=block: a[block], motion)
+        turned = (mean_attitude(here) @ bias[block][..., None])[..., 0]
+        level[block] = np.hypot(turned[:, 0], turned[:, 1])
+    return level, rate_n

@@ -1,0 +1,309 @@
+"""The world of a study's runs: Earth, base motion and sensors, or a record in their place.
+
+Everything that runs of a part share is made here, in SI units, from the study's own.
+"""
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sinsjax import units
+from sinsjax.alignment.base import Site
+from sinsjax.alignment.coarse import COARSE
+from sinsjax.alignment.limits import NO_BIASES, mean_biases
+from sinsjax.engine.metrics import Criteria
+from sinsjax.engine.realisations import Draw, Start, World, empty_tape
+from sinsjax.errors import InputError
+from sinsjax.records import require_span
+from sinsjax.records.reference import Tape
+from sinsjax.strapdown import base_motion, earth, sensors
+from sinsjax.study import sampling
+from sinsjax.study.resolved import Lookup, Variants
+from sinsjax.study.schema import Earth, Motion, Sensors
+from sinsjax.study.study import EARTH_CONSTANTS, Span, Study
+from sinsjax.study.times import tape_times
+from sinsjax.types import Array, Scalar
+from sinsjax.units import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, PPM
+from sinsjax.value_types import Section
+
+LONGEST_TAPE = 2**22
+"""Samples of the longest simulated tape that is kept, 200 MB; more are made as runs go."""
+
+_LONGEST_GAP_S = 5.0  # in a reference; a swinging base turns within seconds
+
+
+NOMINAL_LATITUDE_DEG = 45.0
+"""What stands for a drawn latitude where one is needed for all draws: in the gains of compass
+loops, which know of it by gravity and radius alone, 0.3 % on an ellipsoid."""
+
+
+def site_of(study: Study, variants: Variants, tape: Tape | None) -> tuple[Site, float]:
+    """The Earth and place of a part, and its ug in m/s^2."""
+    height = variants.common("height_m")
+    if height is None:
+        height = (tape.record.height_m if tape else None) or 0.0
+    if variants.common("earth") == "wgs84":
+        model, ug = earth.wgs84(height), units.micro_g()
+    else:
+        constants = {key: variants.common(key) for key in EARTH_CONSTANTS}
+        gravity = constants["gravity_m_per_s2"]
+        rate = constants["earth_rate_deg_per_h"] * DEG_PER_H
+        model = earth.sphere(rate, constants["radius_m"], gravity, height)
+        ug = units.micro_g(gravity)
+    latitude = variants.common("latitude_deg")
+    if latitude is None and tape is not None:
+        latitude = tape.record.latitude_deg
+    if latitude is None and "latitude_deg" in study.drawn_keys:
+        latitude = NOMINAL_LATITUDE_DEG
+    if latitude is None:
+        source = tape.record.source if tape else study.study.name
+        raise InputError(f"{source}: no latitude in the record: give [earth] latitude_deg")
+    place = earth.place(model, latitude * DEG)
+    site = Site(model, place, latitude * DEG)
+    return jax.tree.map(np.float64, site), ug
+
+
+@partial(jax.jit, static_argnames=("samples",))
+def _truth(
+    motion: base_motion.Motion, place: earth.Place, times: Array, rate: Scalar, *, samples: int
+) -> tuple[Array, Array]:
+    """Ideal increments (samples, 6), and true attitudes (n, 4) at n times."""
+    return (
+        base_motion.increments(motion, place, rate, samples),
+        jax.vmap(lambda t: jnp.stack(base_motion.attitude(motion, t)))(times),
+    )
+
+
+def _blank(
+    motion: base_motion.Motion, place: earth.Place, times: Array, rate: Scalar, *, samples: int
+) -> tuple[Array, Array]:
+    """Zeros of the shapes of `_truth`."""
+    return np.zeros((samples, 6)), np.zeros((len(times), 4))
+
+
+def simulated(
+    study: Study,
+    variants: Variants,
+    span: Span,
+    criteria: Criteria,
+    draws: range,
+    *,
+    blank: bool = False,
+) -> tuple[World, Draw, np.ndarray]:
+    """World, draws and their true starting attitudes of a simulated part.
+
+    A key that is drawn has a nominal value in the world: zero, or its default. A blank one has
+    zeros for the truth, which takes XLA a while: shapes are all that a program is compiled for.
+    """
+    site, ug = site_of(study, variants, None)
+    errors, motion = errors_of(variants.common, ug, study.study.rate_hz), motion_of(variants.common)
+    times = np.concatenate([[0.0], tape_times(study, span)])
+    tape: np.ndarray | None
+    if draws_own(study, Earth, Motion):
+        # Each draw makes its own as it goes.
+        tape, attitudes = np.zeros((1, 6)), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+    else:
+        # Of one length for all parts, so that they share a program.
+        samples = max(s.read for s in study.distinct_spans) * study.record_every
+        kept = samples if samples <= LONGEST_TAPE else 0
+        make = _blank if blank else _truth
+        truth = make(motion, site.place, times, study.study.rate_hz, samples=kept)
+        tape, attitudes = np.asarray(truth[0]) if kept else None, np.asarray(truth[1])
+    n = len(draws)
+    world = World(
+        site=site,
+        tape=tape,
+        truth=attitudes[None, 1:],
+        errors=errors,
+        seed=np.asarray(study.study.seed),
+        criteria=criteria,
+        biases=mean_biases(errors, motion),
+        pass_records=np.asarray(span.tape),
+        times=times[1:] if draws_own(study, Earth, Motion) else None,
+        motion=motion if study.drawn_keys or tape is None else None,
+    )
+    ids = np.arange(draws.start, draws.stop)
+    own = _own(study, variants.ids, draws, ug, (errors, motion)) if study.drawn_keys else {}
+    return world, Draw(ids, np.asarray(0), np.zeros(n, int), **own), np.tile(attitudes[0], (n, 1))
+
+
+def draws_own(study: Study, *sections: type[Section]) -> bool:
+    """Whether a study draws a key of some sections."""
+    return any(key in section.model_fields for key in study.drawn_keys for section in sections)
+
+
+def _own(
+    study: Study,
+    ids: np.ndarray,
+    draws: range,
+    ug: float,
+    nominal: tuple[sensors.SensorErrors, base_motion.Motion],
+) -> dict[str, Any]:
+    """What the draws of a simulated study have for themselves, as fields of `Draw`."""
+    values = sampling.values(study, len(draws), first=draws.start)
+    variants = Variants(study, ids, values)
+    drawn = errors_of(variants.common, ug, study.study.rate_hz), motion_of(variants.common)
+    errors, motion = jax.tree.map(
+        lambda a, like: np.broadcast_to(a, (len(draws), *np.shape(like))), drawn, nominal
+    )
+    own: dict[str, Any] = {"begins": _begins(values)}
+    if draws_own(study, Sensors):
+        own["errors"] = errors
+    if draws_own(study, Motion, Earth):
+        own["motion"] = motion
+    if draws_own(study, Earth):
+        own["latitude"] = values["latitude_deg"] * DEG
+    return own
+
+
+def _begins(values: Mapping[str, np.ndarray]) -> Start:
+    """What draws begin with, where that is drawn."""
+    e, n, u = (values.get(f"phi_{axis}0_deg") for axis in "enu")
+    return Start(
+        phi=(_angle(e), _angle(n), _angle(u)),
+        ve=values.get("ve0_m_per_s"),
+        vn=values.get("vn0_m_per_s"),
+    )
+
+
+def _angle(degrees: np.ndarray | None) -> np.ndarray | None:
+    return None if degrees is None else degrees * DEG
+
+
+def motion_of(common: Lookup) -> base_motion.Motion:
+    """How the base of a part moves, from `Variants.common`."""
+
+    def number(key: str, factor: float = 1.0) -> np.ndarray:
+        value = common(key)
+        default = Motion.model_fields[key].default  # stands for a drawn value
+        given = np.asarray((default or 0.0) if value is None else value, dtype=float)
+        return np.asarray(given * factor)
+
+    def sway(angle: str) -> base_motion.Sway:
+        return base_motion.Sway(
+            center=number(f"{angle}_center_deg", DEG),
+            amplitude=number(f"{angle}_amplitude_deg", DEG),
+            period=number(f"{angle}_period_s"),
+            phase=number(f"{angle}_phase_deg", DEG),
+        )
+
+    return base_motion.Motion(sway("pitch"), sway("roll"), sway("yaw"))
+
+
+def errors_of(common: Lookup, ug: float, rate_hz: float) -> sensors.SensorErrors:
+    """What the sensors of a part do, from `Variants.common`: its ug in m/s^2, its rate in Hz."""
+    dt = 1 / rate_hz
+
+    def numbers(key: str, factor: float, count: int = 3) -> np.ndarray:
+        """(..., count): a number stands for all axes, and zero for what is drawn."""
+        value = common(key)
+        given = np.asarray(0.0 if value is None else value, dtype=float) * factor
+        return np.broadcast_to(given, np.broadcast_shapes(given.shape, (count,)))
+
+    def noise(per_sample: str, density: str, units_: tuple[float, float]) -> np.ndarray:
+        # A rate's standard deviation a sample integrates to dt times it; a density to sqrt(dt).
+        if common(density) is not None:
+            return numbers(density, units_[1] * np.sqrt(dt))
+        return numbers(per_sample, units_[0] * dt)
+
+    def matrix(scale: str, cross: str) -> np.ndarray:
+        scales, angles = numbers(scale, PPM), numbers(cross, ARCSEC, 6)
+        out = np.zeros((*np.broadcast_shapes(scales.shape[:-1], angles.shape[:-1]), 3, 3))
+        out[..., range(3), range(3)] = scales
+        out[..., ~np.eye(3, dtype=bool)] = angles
+        return out
+
+    return sensors.SensorErrors(
+        gyro_bias=numbers("gyro_bias_deg_per_h", DEG_PER_H),
+        accel_bias=numbers("accel_bias_ug", ug),
+        gyro_noise=noise(
+            "gyro_noise_deg_per_h", "gyro_arw_deg_per_sqrt_h", (DEG_PER_H, DEG_PER_SQRT_H)
+        ),
+        accel_noise=noise("accel_noise_ug", "accel_vrw_ug_per_sqrt_hz", (ug, ug)),
+        gyro_matrix=matrix("gyro_scale_ppm", "gyro_misalignment_arcsec"),
+        accel_matrix=matrix("accel_scale_ppm", "accel_misalignment_arcsec"),
+    )
+
+
+def starts_of(study: Study, rate_hz: float) -> tuple[int, np.ndarray]:
+    """Samples of coarse alignment in a record, and (draws,) the sample at which each begins."""
+    assert study.record is not None and study.coarse is not None
+    starts = np.round(np.asarray(study.record.start_s) * rate_hz).astype(int)
+    return round(study.coarse.coarse_duration_s * rate_hz), starts
+
+
+def recorded(
+    study: Study, variants: Variants, span: Span, criteria: Criteria, tape: Tape
+) -> tuple[World, Draw, np.ndarray]:
+    """World, draws (one a start time) and coarsely aligned attitudes of a recorded part."""
+    assert study.coarse is not None
+    site, _ = site_of(study, variants, tape)
+    record, rate = tape.record, study.study.rate_hz
+    if abs(record.rate_hz - rate) > 1e-6 * rate:
+        raise InputError(
+            f"{record.source}: the record has {record.rate_hz:g} Hz, [study] rate_hz is {rate:g}"
+        )
+    coarse_n, starts = starts_of(study, rate)
+    for start in starts / rate:
+        require_span(record, start, (coarse_n + span.read * study.record_every) / rate)
+    # No more of the record than is read.
+    first, end = starts.min(), starts.max() + coarse_n + span.read * study.record_every
+    increments = empty_tape(int(end - first))
+    np.concatenate([a[first:end] for a in (record.dtheta, record.dv)], axis=1, out=increments)
+    align = jax.jit(COARSE[study.coarse.coarse_method])
+    pieces = np.stack([increments[s - first :][:coarse_n] for s in starts])
+    samples = jax.vmap(sensors.compensate_record)(pieces, pieces[:, 0])
+    q = jax.vmap(lambda s: jnp.stack(align(s, site.place, 1 / rate)))(samples)
+    fine = starts + coarse_n
+    truth = np.stack([_reference_at(tape, s / rate + tape_times(study, span)) for s in fine])
+    world = World(
+        site=site,
+        tape=increments,
+        truth=truth,
+        errors=sensors.perfect(),
+        seed=np.asarray(study.study.seed),
+        criteria=criteria,
+        biases=NO_BIASES,
+        pass_records=np.asarray(span.tape),
+    )
+    n = len(starts)
+    begins = _begins(sampling.values(study, n))
+    draws = Draw(np.arange(n), fine - first, np.arange(n), begins=begins)
+    return world, draws, np.asarray(q)
+
+
+def _reference_at(tape: Tape, times: np.ndarray) -> np.ndarray:
+    """(n, 4) reference attitude at times from the record's start; NaN without a reference."""
+    reference = tape.reference
+    if reference is None:
+        return np.full((len(times), 4), np.nan)
+    first, last = reference.time_s[0], reference.time_s[-1]
+    begin, end = times.min(), times.max()  # a backward pass ends before it begins
+    slack = 1e-6 + 1 / tape.record.rate_hz
+    if begin < first - slack or end > last + slack:
+        clock = tape.record.t0_s
+        raise InputError(
+            f"{reference.source}: covers {clock + first:g} to {clock + last:g} s, but the study"
+            f" needs {clock + begin:g} to {clock + end:g} s by the clock of {tape.record.source}"
+        )
+    # With the samples on either side, between which the ends are interpolated.
+    low = np.searchsorted(reference.time_s, begin, side="right") - 1
+    high = np.searchsorted(reference.time_s, end)
+    gap = np.diff(reference.time_s[max(0, low) : high + 1]).max(initial=0.0)
+    if gap > _LONGEST_GAP_S:
+        raise InputError(
+            f"{reference.source}: has a gap of {gap:g} s where the study needs it"
+            f" (at most {_LONGEST_GAP_S:g} s are interpolated)"
+        )
+    # Half the time that importing all of sinsjax takes, and only a reference needs it.
+    from scipy.spatial.transform import Rotation, Slerp
+
+    pitch, roll, yaw = reference.attitude_deg.T
+    attitudes = Rotation.from_euler("ZXY", np.column_stack([yaw, pitch, roll]), degrees=True)
+    return Slerp(reference.time_s, attitudes)(np.clip(times, first, last)).as_quat(
+        scalar_first=True
+    )

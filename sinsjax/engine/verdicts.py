@@ -1,0 +1,86 @@
+"""How runs ended: when their heading settled about the limit and about the truth, and a status."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from sinsjax.engine.metrics import Outcome
+from sinsjax.study.study import Study
+from sinsjax.study.success import bands, success_of
+from sinsjax.units import ARCMIN, DEG
+
+LIMIT, TRUTH = 0, 1
+"""Rows of what is judged from both."""
+
+
+class Verdict(NamedTuple):
+    """How some runs ended.
+
+    Attributes:
+        has_limit: (runs,) whether their biases leave phi_u a limit.
+        settled_s: (2, bands, runs) settling times about the limit and about the truth, s; NaN
+            where the last record is still outside, or there is no limit.
+        ok: (2, runs) whether a run is a success, judged from either.
+        status: (runs,) of `columns.STATUSES`, None where there is nothing to judge it from.
+    """
+
+    has_limit: NDArray
+    settled_s: NDArray
+    ok: NDArray
+    status: pa.Array
+
+
+class Judge:
+    """Judges the runs of a study."""
+
+    def __init__(self, study: Study, *, has_truth: bool) -> None:
+        """Take a study's idea of success; without a truth nothing is known but broken runs."""
+        self._success = success_of(study)
+        self._band = bands(study).index(self._success.band_arcmin)
+        self._has_truth = has_truth
+
+    def __call__(self, outcome: Outcome, has_limit: NDArray, end_s: NDArray) -> Verdict:
+        """How some runs ended.
+
+        Args:
+            outcome: of the engine, leaves (runs, ...).
+            has_limit: (runs,).
+            end_s: (runs,) their lengths, s.
+        """
+        outside_until = np.moveaxis(np.asarray(outcome.outside_until), 0, -1)
+        settled_s = np.where(outside_until >= end_s * (1 - 1e-12), np.nan, outside_until)
+        settled_s[LIMIT, :, ~has_limit] = np.nan
+        no_north = has_limit & np.asarray(outcome.limit.no_north)
+        latest_s = (end_s - self._success.dwell(end_s)) * (1 + 1e-12)
+        long_enough = settled_s[:, self._band] <= latest_s
+        ok = long_enough & self._level(outcome) & ~no_north
+        return Verdict(has_limit, settled_s, ok, self._status(outcome, has_limit, no_north, ok))
+
+    def _level(self, outcome: Outcome) -> NDArray:
+        """(2, runs) whether both level errors end in their band, about the limit and the truth."""
+        band, limit = self._success.level_band_arcmin * ARCMIN, outcome.limit
+        phi, left = (np.stack([vector.x, vector.y]) for vector in (outcome.last.phi, limit.phi))
+        from_limit = np.abs(phi - left).max(axis=0) <= band
+        from_truth = np.abs(phi).max(axis=0) <= band + np.asarray(limit.tilt)
+        return np.stack([from_limit, from_truth])
+
+    def _status(
+        self, outcome: Outcome, has_limit: NDArray, no_north: NDArray, ok: NDArray
+    ) -> pa.Array:
+        last = outcome.last
+        broken = ~np.isfinite(np.stack([last.pitch, last.roll, last.yaw])).all(axis=0)
+        if not self._has_truth:
+            return pa.array(["nonfinite" if b else None for b in broken], pa.string())
+        from_truth = self._success.from_truth
+        error = np.asarray(last.phi.z) - np.where(has_limit, outcome.limit.phi.z, 0.0)
+        kinds = {
+            "nonfinite": broken,
+            "no_north": no_north,
+            None: ~has_limit & (not from_truth),
+            "ok": ok[TRUTH if from_truth else LIMIT],
+            "diverged": np.abs(error) > self._success.diverged_deg * DEG,
+        }
+        found = np.select(list(kinds.values()), list(range(len(kinds))), default=len(kinds))
+        return pa.array(np.array([*kinds, "not_settled"], dtype=object)[found], pa.string())

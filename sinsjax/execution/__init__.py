@@ -1,0 +1,1 @@
+"""A study carried out: tasks, tables, directories that survive, and workers."""

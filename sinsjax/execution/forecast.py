@@ -1,0 +1,226 @@
+"""What a study will take: runs, time, memory and room on the disk, before anything is made.
+
+All of it is rough, and none of it needs more than the lengths of the axes: a study of a thousand
+million runs is told, and refused, as fast as one of three.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pyarrow as pa
+
+from sinsjax.columns import Column
+from sinsjax.engine.batch import CHUNK_RECORDS
+from sinsjax.engine.truth import LONGEST_TAPE
+from sinsjax.errors import InputError
+from sinsjax.execution import layouts, stopping
+from sinsjax.execution.parts import read_manifest
+from sinsjax.platform import machine
+from sinsjax.study.distributions import NUMBERS
+from sinsjax.study.search_space import Space
+from sinsjax.study.study import Study
+
+_FILTER_S, _COMPASS_S = 20e-9, 5e-9
+"""A step of a run on one core: 10 to 20 and 3 to 5 ns, see `docs/performance.md`."""
+
+_PACKED = 0.8
+"""What Parquet leaves of 8-byte numbers: 0.6 to 0.95, measured on sweeps with and without nulls."""
+
+_BASE, _A_SAMPLE, _A_VARIANT, _A_RUN, _A_RECORD, _A_RESET = 400e6, 160, 600, 2, 500, 60
+"""Memory, bytes: of a process with JAX, and of each of these; measured."""
+
+_A_POINT = 2000  # of a search
+
+
+class Batch(NamedTuple):
+    """Runs whose results go into one directory.
+
+    Attributes:
+        name: of the directory below that of the whole; empty for that one.
+        runs: how many, at the most.
+        sure: how many at the least, where it may be stopped early.
+        variants: over which they are spread.
+        points: of a search.
+    """
+
+    name: str
+    runs: int
+    sure: int
+    variants: int
+    points: int = 0
+
+
+class Forecast(NamedTuple):
+    """What a study will take, roughly.
+
+    Attributes:
+        batches: of runs.
+        run_bytes: on the disk, each run.
+        run_s: of one core, each run.
+        memory: bytes at the peak.
+        at_most: whether it may be stopped early.
+        length_s: of the longest run.
+    """
+
+    batches: tuple[Batch, ...]
+    run_bytes: float
+    run_s: float
+    memory: float
+    at_most: bool
+    length_s: float
+
+    @property
+    def runs(self) -> int:
+        """All runs."""
+        return sum(batch.runs for batch in self.batches)
+
+    def told(self, cores: int) -> str:
+        """One line for a user, with the time that so many cores take."""
+        runs = f"{self.runs:,} run{'s' if self.runs != 1 else ''} of up to {self.length_s:g} s"
+        takes = _time(self.runs * self.run_s / cores)
+        most = "At most " if self.at_most else ""
+        on = f"{cores} core{'s' if cores != 1 else ''}"
+        return (
+            f"{most}{runs}: roughly {takes} on {on}, {_size(self.memory)} of memory,"
+            f" {_size(self.runs * self.run_bytes)} on disk"
+        )
+
+
+def of(study: Study, *, curves: bool | None = None) -> Forecast:
+    """What a sweep takes.
+
+    Args:
+        study: checked study, whose rate is known.
+        curves: whether curves are kept; None takes the study's word.
+    """
+    sure = min(study.n_draws, stopping.FIRST_LOOK) if study.stop_when else study.n_draws
+    variants = study.n_variants
+    batch = Batch("", study.n_draws * variants, sure * variants, variants)
+    return _forecast(study, [batch], study.study.curves if curves is None else curves)
+
+
+def of_tuning(study: Study) -> Forecast:
+    """What a tuning takes: of a descent its steps, and no more than a guess at their cost."""
+    tune = study.tune
+    assert tune is not None
+    if study.record:
+        draws, judging = (study.n_draws + 1) // 2, study.n_draws // 2
+    else:
+        draws, judging = tune.tune_draws or 1, tune.evaluation_draws or 1
+    space, variants = Space.of(study), study.n_variants
+    free = [len(space.used(combination)) for combination in space.combinations]
+    points = {
+        "grid": sum(tune.grid_points**count for count in free),
+        "sobol": tune.sobol_points * len(free),
+        "random": tune.random_points * len(free),
+        "gradient": tune.descent_starts * tune.descent_steps * (2 + max(free)),
+    }
+    wanted = {("equal_cost" if s == "gradient" else s): points[s] for s in tune.searches}
+    wanted = {name: max(1, count) for name, count in wanted.items()}
+    batches = [
+        Batch(name, n * variants * draws, n * variants * draws, n * variants, n)
+        for name, n in wanted.items()
+    ]
+    found = (len(wanted) + 1) * variants
+    batches.append(Batch("evaluation", found * judging, found * judging, found))
+    return _forecast(study, batches, False)
+
+
+def require_room(
+    study: Study, forecast: Forecast, directory: Path, *, overwrite: bool, resume: bool
+) -> None:
+    """Refuses what the disk or the memory cannot hold; what is resumed needs what is missing.
+
+    Args:
+        study: whose forecast.
+        forecast: of it.
+        directory: of the results.
+        overwrite: whether what is there is removed first.
+        resume: whether what is there is kept.
+
+    Raises:
+        InputError: with what is needed and what there is.
+    """
+    need = 0.0
+    for batch in forecast.batches:
+        done = _done(directory / batch.name) if resume else 0
+        need += max(0, batch.sure - done) * forecast.run_bytes
+    free = machine.free_bytes(directory)
+    if overwrite:
+        free += _size_of_parts(directory / batch.name for batch in forecast.batches)
+    if need > free:
+        raise InputError(
+            f"{directory}: the results of {forecast.runs:,} runs need some {_size(need)}, the disk"
+            f" has {_size(free)} free"
+        )
+    there = machine.memory_bytes()
+    if forecast.memory > there:
+        raise InputError(
+            f"{study.study.name}: {forecast.runs:,} runs need some {_size(forecast.memory)} of"
+            f" memory, this machine has {_size(there)}"
+        )
+
+
+def _forecast(study: Study, batches: Sequence[Batch], curves: bool) -> Forecast:
+    records = max(span.records for span in study.distinct_spans)
+    samples = records * study.record_every
+    of_compass = {point["method"] == "compass" for point in study.combinations("method")}
+    step_s = _COMPASS_S if of_compass == {True} else _FILTER_S
+    run_bytes = _row_bytes(study, layouts.summary(study))
+    # Of a longer simulation no tape is kept.
+    kept = samples if study.is_recorded else min(samples, LONGEST_TAPE)
+    memory = _BASE + _A_SAMPLE * kept
+    counts = study.combinations("reset_count") if study.resets else ()
+    resets = [point["reset_count"] or 0 for point in counts]
+    of_variant = _A_VARIANT + _A_RESET * max(resets, default=0)
+    memory += max(of_variant * b.variants + _A_RUN * b.runs + _A_POINT * b.points for b in batches)
+    if curves:
+        run_bytes += records * _row_bytes(study, layouts.curves(study))
+        most = max(batch.runs for batch in batches) * records
+        memory += _A_RECORD * min(most, max(CHUNK_RECORDS, 2 * records))
+    length_s = samples / study.study.rate_hz
+    at_most = study.stop_when is not None
+    return Forecast(tuple(batches), run_bytes, samples * step_s, memory, at_most, length_s)
+
+
+def _row_bytes(study: Study, columns: Iterable[Column]) -> float:
+    """What a row takes on the disk: its numbers, as what a study sweeps or counts packs well."""
+    numbers = 0
+    for column in columns:
+        if column.name in study.drawn_keys:
+            numbers += NUMBERS[column.name]
+        elif pa.types.is_floating(column.dtype) and column.name not in study.axis_keys:
+            numbers += 1
+    return 8 * _PACKED * numbers
+
+
+def _done(directory: Path) -> int:
+    """Runs whose results are there."""
+    try:
+        done: Any = read_manifest(directory).get("runs_done")
+    except InputError:
+        return 0
+    return done if isinstance(done, int) else 0
+
+
+def _size_of_parts(directories: Iterable[Path]) -> int:
+    parts = (p for d in directories for p in d.glob("*/part-*.parquet"))
+    return sum(path.stat().st_size for path in parts)
+
+
+def _size(count: float) -> str:
+    """Bytes, to be read by a person."""
+    for unit in ("B", "kB", "MB", "GB"):
+        if count < 999.5:
+            return f"{count:.3g} {unit}"
+        count /= 1000
+    return f"{count:.3g} TB" if count < 1e5 else f"{count:.1e} TB"
+
+
+def _time(seconds: float) -> str:
+    for most, unit, name in ((100, 1, "s"), (6000, 60, "min"), (360_000, 3600, "h")):
+        if seconds < most:
+            return f"{max(1, math.ceil(seconds / unit))} {name}"
+    return f"{math.ceil(seconds / 86400):,} days"

@@ -1,0 +1,41 @@
+"""Which columns the results of a study have."""
+
+from sinsjax import columns
+from sinsjax.columns import Column
+from sinsjax.study.distributions import NUMBERS
+from sinsjax.study.study import Study, meaning
+from sinsjax.study.success import bands
+
+
+def summary(study: Study) -> tuple[Column, ...]:
+    """Columns of the summary; the study's axes cost no more than they are long."""
+    known = {c.name for c in columns.IDENTITY}
+    swept = {key: values for dimension in study.dimensions for key, values in dimension.items()}
+    extra = [
+        *(columns.axis_column(k, v, meaning(k)) for k, v in swept.items() if k not in known),
+        *(
+            columns.drawn_column(k, 1 if NUMBERS[k] == 1 else 2, meaning(k))
+            for k in study.drawn_keys
+            if k not in known
+        ),
+    ]
+    return (
+        *columns.IDENTITY,
+        *extra,
+        *columns.OBSERVED,
+        *_settling(study),
+        *columns.JUDGED,
+        *(columns.FIRED if study.has_trigger else ()),
+        *(columns.INNOVATIONS if study.is_recorded else ()),
+    )
+
+
+def curves(study: Study) -> tuple[Column, ...]:
+    """Columns of the curves."""
+    return columns.curves(passes=study.passes is not None)
+
+
+def _settling(study: Study) -> list[Column]:
+    """Settling times of all bands about the limit and the truth; then the data there was."""
+    kinds = [columns.settle_column, *([columns.settle_data_column] * bool(study.passes))]
+    return [kind(b, truth=t) for kind in kinds for t in (False, True) for b in bands(study)]

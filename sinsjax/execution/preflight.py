@@ -1,0 +1,110 @@
+"""What is doubtful about a study before it runs: its record, or what it is sampled by."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from sinsjax.engine.study_limits import hidden_north
+from sinsjax.engine.truth import site_of, starts_of
+from sinsjax.errors import InputError
+from sinsjax.records import Layout, Record, require_span
+from sinsjax.records.plausible import Expected, findings
+from sinsjax.records.reference import Tape
+from sinsjax.study import sampling
+from sinsjax.study.resolved import Variants
+from sinsjax.study.study import Study
+from sinsjax.units import DEG_PER_H, micro_g
+
+_BIASES = {"gyro_bias_deg_per_h": 10.0, "accel_bias_ug": 5000.0}
+_DRAWS = 1024  # that a drawn period is looked at in
+
+
+def doubts(study: Study, tape: Tape | None = None) -> list[str]:
+    """One line for everything that a user should know before a study runs.
+
+    Args:
+        study: checked study, at the rate of its record.
+        tape: the record of a recorded study.
+
+    Raises:
+        InputError: a record that cannot be what it is taken for, unless the study trusts it; one
+            that does not hold what the study reads.
+    """
+    if tape is None:
+        hidden = hidden_north(study)
+        return [*_fast_sways(study), *([str(hidden)] if hidden else [])]
+    return list(_of_record(study, tape))
+
+
+def layout_of(study: Study) -> Layout:
+    """How the record of a study is laid out."""
+    assert study.record is not None
+    given = {key: getattr(study.record, key, None) for key in Layout._fields}
+    given["rate_hz"] = study.study.rate_hz
+    return Layout(**{key: value for key, value in given.items() if value is not None})
+
+
+def _of_record(study: Study, tape: Tape) -> Iterator[str]:
+    section, record = study.record, tape.record
+    assert section is not None
+    if record.filled:
+        yield (
+            f"{record.source}: {record.filled} missing samples are interpolated (gaps up to"
+            f" [record] max_gap_s = {section.max_gap_s:g})"
+        )
+    site, _ = site_of(study, Variants(study, np.zeros(1, int)), tape)
+    bias = {
+        key: default if getattr(section, key) is None else getattr(section, key)
+        for key, default in _BIASES.items()
+    }
+    expected = Expected(
+        earth_rate=float(site.earth.rate),
+        latitude=float(site.latitude),
+        gravity=float(site.place.gravity),
+        gyro_bias=bias["gyro_bias_deg_per_h"] * DEG_PER_H,
+        accel_bias=bias["accel_bias_ug"] * micro_g(),
+    )
+    for begin, end in _used(study, record):
+        where = f"{record.source}: {begin / record.rate_hz:g} to {end / record.rate_hz:g} s"
+        for finding in findings(record, (begin, end), layout_of(study), expected):
+            if finding.hard and not section.trust:
+                hint = "[record] trust = true aligns it all the same"
+                raise InputError(f"{where}: {finding.text} ({hint})")
+            yield f"{where}: {finding.text}"
+
+
+def _used(study: Study, record: Record) -> list[tuple[int, int]]:
+    """The samples that a study reads: spans without overlap, all there."""
+    coarse, starts = starts_of(study, record.rate_hz)
+    needed = coarse + max(span.read for span in study.distinct_spans) * study.record_every
+    merged: list[tuple[int, int]] = []
+    for start in sorted(starts.tolist()):
+        require_span(record, start / record.rate_hz, needed / record.rate_hz)
+        if merged and start <= merged[-1][1]:
+            merged[-1] = merged[-1][0], start + needed
+        else:
+            merged.append((start, start + needed))
+    assert study.record is not None
+    end = study.record.to_s
+    if end is not None and merged[-1][1] / record.rate_hz > end * (1 + 1e-9):
+        raise InputError(
+            f"{record.source}: the study needs it up to {merged[-1][1] / record.rate_hz:g} s, but"
+            f" [record] to_s is {end:g}"
+        )
+    return merged
+
+
+def _fast_sways(study: Study) -> Iterator[str]:
+    """Sways that the sample rate cannot show."""
+    half = study.study.rate_hz / 2
+    for angle in ("pitch", "roll", "yaw"):
+        amplitude, period = f"{angle}_amplitude_deg", f"{angle}_period_s"
+        points = list(study.combinations(amplitude, period))
+        periods = [p[period] for p in points if p[amplitude] or amplitude in study.drawn_keys]
+        if periods and period in study.drawn_keys:
+            periods = sampling.values(study, min(study.n_draws, _DRAWS))[period].tolist()
+        if periods and 1 / min(periods) > half:
+            yield (
+                f"[motion] {period}: a sway of {1 / min(periods):.4g} Hz is above half of rate_hz ="
+                f" {study.study.rate_hz:g}: samples of it look like a slower one"
+            )

@@ -1,0 +1,172 @@
+"""One run of some results, done again alone: its row must come out the same, and has a curve."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from rich.console import Console
+
+from sinsjax import console as screen
+from sinsjax import plots
+from sinsjax.engine.batch import Calls
+from sinsjax.engine.build import Scenario
+from sinsjax.errors import InputError
+from sinsjax.execution import tables as result_tables
+from sinsjax.execution.belongings import RERUN
+from sinsjax.execution.run import load_tape
+from sinsjax.execution.tables import Tables
+from sinsjax.execution.tasks import Job
+from sinsjax.platform.files import replacing, unwritable
+from sinsjax.records.reference import Tape
+from sinsjax.study.load import load_study
+from sinsjax.study.study import Study
+
+
+class Rerun(NamedTuple):
+    """A run done again.
+
+    Attributes:
+        row: of the summary, one row.
+        curve: one row a record time.
+    """
+
+    row: pa.Table
+    curve: pa.Table
+
+
+def rerun(study: Study, run_id: int, tape: Tape | None = None) -> Rerun:
+    """Do one run of a study, with its curve: its row is that of the whole study, to the last bit.
+
+    Raises:
+        InputError: the study has no such run, or a record that does not fit.
+        RuntimeError: double precision is off.
+    """
+    _check_number(study, run_id, study.study.name)
+    draw, variant = divmod(run_id, study.n_variants)
+    scenario = Scenario(study, tape, curves=True)
+    number = next(i for i, ids in enumerate(scenario.variant_ids) if variant in ids)
+    group, ids = scenario.part(number, range(draw, draw + 1))
+    place = int(np.flatnonzero(group.draws.draw_id == draw)[0])
+    # The smallest call there is: which lane and which call a run has leaves its bits alone.
+    calls = Calls(group, tiles_a_chunk=1)
+    chunk = calls.chunk(calls.plan.call_of(place, int(np.flatnonzero(ids == variant)[0])))
+    tables = Tables(study, has_truth=scenario.has_truth)
+    made = tables.summary(chunk, ids), tables.curves(chunk, ids)
+    return Rerun(*(table.filter(pa.compute.equal(table["run_id"], run_id)) for table in made))
+
+
+def _check_number(study: Study, run_id: int, source: str | Path) -> None:
+    runs = study.n_draws * study.n_variants
+    if not 0 <= run_id < runs:
+        raise InputError(f"{source}: has no run {run_id} (runs are 0 to {runs - 1})")
+
+
+def rerun_into(
+    directory: Path,
+    run_id: int,
+    console: Console,
+    *,
+    out: Path | None = None,
+    files: tuple[Path | None, Path | None] = (None, None),
+) -> bool:
+    """Do one run of a directory of results again, compare its row, and keep row, curve and figure.
+
+    Args:
+        directory: of the results.
+        run_id: which run.
+        console: where is told what came out.
+        out: where to put it; None: ``reruns/RUN_ID`` in the directory.
+        files: record and reference of a recorded study.
+
+    Returns:
+        Whether the row came out the same.
+
+    Raises:
+        InputError: no results, no such run, another record, or nothing can be written.
+    """
+    study = load_study(directory / "study.toml")
+    if files[0] is None and files[1] is not None:
+        raise InputError("--reference: needs the record too (give --record)")
+    if study.is_recorded and files[0] is None:
+        raise InputError(f"{directory}: its study reads a record: give it with --record")
+    tape = None if files[0] is None else load_tape(study, files[0], files[1])
+    told = result_tables.read_manifest(directory).get("identity")
+    if told not in (None, Job(study, tape).identity):
+        raise InputError(f"{directory}: was made from another record or reference than is given")
+    _check_number(study, run_id, directory)
+    stored = result_tables.read_summary(directory, run_ids=[run_id])
+    if not stored.num_rows:
+        raise InputError(f"{directory}: holds no row of run {run_id} (yet)")
+    if stored.num_rows > 1:
+        text = f"holds {stored.num_rows} rows of run {run_id}: a part there is not of a summary"
+        raise InputError(f"{directory / 'summary'}: {text} (of the curves?)")
+    if out is not None and (there := [name for name in RERUN if (out / name).exists()]):
+        raise InputError(f"{out}: holds a {there[0]} already: give another one")
+    made = rerun(study, run_id, tape)
+    target = directory / "reruns" / str(run_id) if out is None else out
+    _write(target, made, study)
+    differ = _differing(stored, made.row)
+    for line in [
+        *_told(made.row),
+        "",
+        _verdict(stored, made.row, differ),
+        f"Row, curve and figure: {target}",
+    ]:
+        screen.say(console, line)
+    return not differ
+
+
+def _write(target: Path, made: Rerun, study: Study) -> None:
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(unwritable(target, error)) from error
+    for name, table in (("summary", made.row), ("curve", made.curve)):
+        with replacing(target / f"{name}.parquet") as file:
+            pq.write_table(table, file, compression="zstd")
+    with replacing(target / "curve.png") as file:
+        file.write(plots.png(_figure(made, study)))
+
+
+def _figure(made: Rerun, study: Study) -> Any:
+    run_id = made.row["run_id"][0].as_py()
+    title = f"{study.study.name}, run {run_id}"
+    shown = plots.ensembles(made.curve, {f"run {run_id}": [run_id]})
+    if made.curve["phi_u_arcmin"].null_count == made.curve.num_rows:
+        return plots.attitude(shown, title)
+    limit = made.row["floor_arcmin"][0].as_py()
+    return plots.misalignment(
+        shown,
+        title,
+        limits=None if limit is None else {"u": limit},
+        resets_s=made.row["reset_times_s"][0].as_py(),
+        zoom_s=study.study.window_s,
+        with_sigma=made.curve["sigma_u_arcmin"].null_count < made.curve.num_rows,
+    )
+
+
+def _told(row: pa.Table) -> list[str]:
+    (values,) = row.to_pylist()
+    width = max(map(len, values))
+    return [f"{name:>{width}}  {value}" for name, value in values.items()]
+
+
+def _differing(stored: pa.Table, again: pa.Table) -> list[str]:
+    """Columns in which two rows are not the same."""
+    (one,), (other,) = stored.to_pylist(), again.to_pylist()
+    return [name for name in dict.fromkeys((*one, *other)) if one.get(name) != other.get(name)]
+
+
+def _verdict(stored: pa.Table, again: pa.Table, differ: list[str]) -> str:
+    """Whether two rows are the same, else where they are not."""
+    (one,), (other,) = stored.to_pylist(), again.to_pylist()
+    if not differ:
+        return f"The row is identical to the stored one, in all {len(one)} columns."
+    said = [f"{name} {one.get(name)} there, {other.get(name)} here" for name in differ[:3]]
+    return (
+        f"{len(differ)} of {len(one)} columns differ from the stored row: {', '.join(said)}. Last"
+        " bits depend on jaxlib, its flags and the processor; `manifest.json` tells those of the"
+        " stored row."
+    )

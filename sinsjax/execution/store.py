@@ -1,0 +1,264 @@
+"""A directory that a study's results are streamed to, so that nothing is lost and nothing doubled.
+
+Every file is written under a temporary name, synced and renamed. A part is known by its own
+metadata and page checksums, and is trusted over the manifest: whoever kills a sweep at any point
+leaves whole parts, or none. The lock is the operating system's and dies with its process.
+"""
+
+import hashlib
+import json
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from sinsjax import columns
+from sinsjax.errors import InputError
+from sinsjax.execution import belongings
+from sinsjax.execution import resume as resuming
+from sinsjax.execution.belongings import DATASETS
+from sinsjax.execution.parts import MANIFEST
+from sinsjax.execution.tasks import Job, Packed, Task, Workshop
+from sinsjax.platform.files import replacing, unwritable
+from sinsjax.study.load import fingerprint, study_to_toml
+
+_MANIFEST_SHARE = 0.05  # of the time, at the most, goes into writing manifests
+_MANIFEST_EVERY_S = 1.0  # at the most: nobody reads them faster, and they hold up the threads
+_OF_ALL = ("versions", "instructions", "devices", "devices_are")
+"""What the last session says for the whole directory."""
+
+
+class Store:
+    """The writer of a directory of results; there is never a second one.
+
+    Attributes:
+        directory: where.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        workshop: Workshop,
+        *,
+        resume: bool = False,
+        overwrite: bool = False,
+        facts: dict[str, Any] | None = None,
+    ) -> None:
+        """Take hold of a directory, and make it ready.
+
+        Args:
+            directory: where; made if missing.
+            workshop: of the job whose results are stored.
+            resume: whether results of the same job are kept and added to.
+            overwrite: whether earlier results are removed.
+            facts: for the manifest: of the job, and under ``session`` of this process.
+
+        Raises:
+            InputError: the directory holds results, cannot be written, or has a writer.
+        """
+        self.directory = directory
+        self._workshop, self._facts = workshop, dict(facts or {})
+        self._session = self._facts.pop("session", {}) | {"started_unix_s": round(time.time(), 3)}
+        self._since = time.monotonic()
+        self._chunks: dict[str, dict[str, Any]] = {}
+        self._sessions: list[dict[str, Any]] = []
+        self._planned: list[Task] = []
+        self._next_manifest = 0.0
+        resuming.check_free(directory, overwrite=overwrite or resume)
+        self._lock = resuming.locked(directory)
+        try:
+            self._begin(resume=resume, overwrite=overwrite)
+        except BaseException:
+            self.release()
+            raise
+
+    def _begin(self, *, resume: bool, overwrite: bool) -> None:
+        # Once more, as what is there may have changed before the lock was ours.
+        resuming.check_free(self.directory, overwrite=overwrite or resume)
+        job = self._workshop.job
+        if resume and self._resumed()[2:] != job[2:]:
+            raise InputError(f"{self.directory}: another process has just written there")
+        _remove(belongings.left_behind(self.directory))
+        if not resume:
+            _remove(belongings.made_here(self.directory))
+        if resume and (known := resuming.manifest(self.directory)):
+            self._sessions = [session.model_dump() for session in known.sessions]
+            self._chunks = {c.name: c.model_dump() for c in known.chunks if c.state == "done"}
+        else:
+            # First of all, so that what a killed run leaves is known to be ours.
+            self._write_manifest("running")
+        _write(self.directory / "study.toml", study_to_toml(job.study).encode())
+
+    def _resumed(self) -> Job:
+        instructions = self._session.get("instructions")
+        return resuming.resumed(self.directory, self._workshop.job, instructions)
+
+    def release(self) -> None:
+        """Let another process write."""
+        self._lock.release()
+
+    def missing(self, tasks: Iterable[Task]) -> list[Task]:
+        """The tasks of which no whole part is there; what is there of others is removed.
+
+        Args:
+            tasks: all that the study can have.
+
+        Raises:
+            InputError: the directory cannot be written.
+        """
+        self._planned = list(tasks)
+        missing = []
+        for task in self._planned:
+            found = self._found(task)
+            if found is None:
+                self._chunks.pop(task.name, None)
+                missing.append(task)
+            else:
+                self._chunks[task.name] = found
+        known = {task.name for task in self._planned}
+        self._chunks = {name: c for name, c in self._chunks.items() if name in known}
+        there = (p for name in DATASETS for p in self.directory.glob(f"{name}/*.parquet"))
+        _remove(p for p in there if belongings.is_part(p) and p.stem not in self._chunks)
+        self._write_manifest("running")
+        return missing
+
+    def write(self, packed: Packed) -> None:
+        """Write the parts of one task.
+
+        Raises:
+            InputError: the directory cannot be written.
+        """
+        files = []
+        # The summary last: where it is, the curves are.
+        for dataset in reversed(DATASETS):
+            if (content := packed.files.get(dataset)) is None:
+                continue
+            path = self._path(dataset, packed.task)
+            try:
+                path.parent.mkdir(exist_ok=True)
+            except OSError as error:
+                raise InputError(unwritable(path, error)) from error
+            _write(path, content)
+            rows = packed.task.runs * (packed.task.records if dataset == "curves" else 1)
+            files.append(self._entry(path, rows, content))
+        self._chunks[packed.task.name] = {
+            "name": packed.task.name,
+            "state": "done",
+            "runs": packed.task.runs,
+            "seconds": round(packed.seconds, 4),
+            "files": files,
+        }
+        if time.monotonic() >= self._next_manifest:
+            self._write_manifest("running")
+
+    def summary(self, names: list[str]) -> pa.Table:
+        """Some columns of all rows that are there."""
+        paths = [self._path("summary", t) for t in self._planned if t.name in self._chunks]
+        return pa.concat_tables([pq.ParquetFile(path).read(columns=names) for path in paths])
+
+    def finish(self, state: str, **facts: Any) -> None:
+        """Write the last manifest of this session.
+
+        Args:
+            state: "complete", or "interrupted".
+            facts: whatever else is worth keeping.
+        """
+        self._facts |= facts
+        if state == "complete":  # what [stop_when] made needless is not missing
+            self._planned = [task for task in self._planned if task.name in self._chunks]
+        self._write_manifest(state)
+
+    def _path(self, dataset: str, task: Task) -> Path:
+        return self.directory / dataset / f"{task.name}.parquet"
+
+    def _entry(self, path: Path, rows: int, content: bytes) -> dict[str, Any]:
+        return {
+            "file": path.relative_to(self.directory).as_posix(),
+            "rows": rows,
+            "sha256": hashlib.sha256(content).hexdigest(),
+        }
+
+    def _found(self, task: Task) -> dict[str, Any] | None:
+        """What the manifest shall say of a task whose parts are whole; None if they are not."""
+        known = self._chunks.get(task.name, {})
+        told = {entry["file"]: entry for entry in known.get("files", [])}
+        files = []
+        for dataset, rows in (("curves", task.runs * task.records), ("summary", task.runs)):
+            if not rows:
+                continue
+            path = self._path(dataset, task)
+            try:
+                content = path.read_bytes()
+            except OSError:
+                return None
+            entry = self._entry(path, rows, content)
+            same = told.get(entry["file"]) == entry
+            if not same and not self._is_whole(dataset, content, rows, task):
+                return None
+            files.append(entry)
+        seconds = known.get("seconds")
+        return {"name": task.name, "state": "done", "runs": task.runs, "seconds": seconds} | {
+            "files": files
+        }
+
+    def _is_whole(self, dataset: str, content: bytes, rows: int, task: Task) -> bool:
+        """Whether a part whose checksum is not known is what it would be if written again."""
+        try:
+            part = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
+            table = part.read()
+            # The pages have checksums of their own, the footer has none.
+            return (
+                table.num_rows == rows and self._workshop.parquet(dataset, table, task) == content
+            )
+        except (OSError, ValueError, pa.ArrowException):
+            return False
+
+    def _write_manifest(self, state: str) -> None:
+        began = time.monotonic()
+        job = self._workshop.job
+        study = job.study
+        this = self._session | {"wall_s": round(began - self._since, 3)}
+        sessions = [*self._sessions, this]
+        chunks = [
+            self._chunks.get(t.name, {"name": t.name, "state": "missing", "runs": t.runs})
+            for t in self._planned
+        ]
+        manifest = {
+            "schema": columns.SCHEMA_VERSION,
+            "state": state,
+            "fingerprint": fingerprint(study),
+            "identity": self._workshop.identity,
+            "seed": study.study.seed,
+            "runs": study.n_draws * study.n_variants,
+            "runs_done": sum(chunk["runs"] for chunk in self._chunks.values()),
+            "curves": self._workshop.scenario.curves,
+            "chunk_runs": job.chunk_runs,
+            **self._facts,
+            "started_unix_s": sessions[0]["started_unix_s"],
+            "wall_s": round(sum(session["wall_s"] for session in sessions), 3),
+            **{key: this[key] for key in _OF_ALL if key in this},
+            "sessions": sessions,
+            "study": study.model_dump(mode="json", exclude_none=True),
+            "chunks": chunks,
+        }
+        text = json.dumps(manifest, indent=1, allow_nan=False) + "\n"
+        _write(self.directory / MANIFEST, text.encode())
+        ended = time.monotonic()
+        wait_s = max(_MANIFEST_EVERY_S, (ended - began) / _MANIFEST_SHARE)
+        self._next_manifest = ended + wait_s
+
+
+def _write(path: Path, content: bytes) -> None:
+    with replacing(path) as file:
+        file.write(content)
+
+
+def _remove(paths: Iterable[Path]) -> None:
+    for path in paths:
+        try:
+            path.unlink()
+        except OSError as error:
+            raise InputError(unwritable(path, error)) from error

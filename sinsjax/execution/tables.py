@@ -1,0 +1,319 @@
+"""Results as tables: from the engine's arrays to Arrow tables, and from Parquet back.
+
+A directory of results holds ``summary/`` and perhaps ``curves/`` (Parquet datasets, one part a
+chunk), ``study.toml`` (the resolved study) and ``manifest.json`` (versions, parts, timing); `store`
+writes it. Parts, like rows, depend on the study alone.
+"""
+
+import re
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.dataset as ds
+
+from sinsjax import columns
+from sinsjax.alignment.base import Fired, Innovations
+from sinsjax.columns import Column
+from sinsjax.engine.batch import Chunk
+from sinsjax.engine.metrics import Observation
+from sinsjax.engine.study_limits import has_limit, scheduled_last_s
+from sinsjax.engine.truth import starts_of
+from sinsjax.engine.verdicts import LIMIT, TRUTH, Judge, Verdict
+from sinsjax.errors import InputError
+from sinsjax.execution import layouts
+from sinsjax.execution.parts import ask, is_there
+from sinsjax.execution.parts import read_manifest as read_manifest
+from sinsjax.study import sampling
+from sinsjax.study.study import Study
+from sinsjax.study.success import bands
+from sinsjax.study.times import pass_numbers, spans_s, tape_times, update_times
+from sinsjax.units import ARCMIN, DEG
+
+
+class Tables:
+    """Turns chunks of a study's runs into tables."""
+
+    def __init__(self, study: Study, *, has_truth: bool = True) -> None:
+        """Prepare the columns that repeat from chunk to chunk.
+
+        Args:
+            study: whose runs.
+            has_truth: False for a record without a reference: what needs one is null.
+        """
+        self._study = study
+        self._has_truth = has_truth
+        self._bands = bands(study)
+        self._judge = Judge(study, has_truth=has_truth)
+        self._spans = study.spans
+        self._end_s, self._tape_s = spans_s(study).T
+        times = study.reset_times()
+        self._last_reset_s = scheduled_last_s(study)
+        swept = study.variant_values()
+        fixed = {
+            "method": study.values("method"),
+            "reset_count": [len(t) for t in times],
+            "reset_cycle_s": study.values("reset_cycle_s") if study.resets else [None] * len(times),
+            "reset_times_s": [list(t) for t in times],
+            **{f"phi_{a}0_deg": study.values(f"phi_{a}0_deg") for a in "enu"},
+        }
+        self.summary_columns = layouts.summary(study)
+        self.curve_columns = layouts.curves(study)
+        kinds = {c.name: c.dtype for c in self.summary_columns}
+        self._by_variant = {
+            name: _swept(values, kinds[name])
+            for name, values in (swept | fixed).items()
+            if name not in study.drawn_keys
+        }
+        self._start_s = np.zeros(study.n_draws)
+        if study.is_recorded:
+            self._start_s = starts_of(study, study.study.rate_hz)[1] / study.study.rate_hz
+
+    def summary(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
+        """One row a run.
+
+        Args:
+            chunk: engine results.
+            variant_ids: (variants of the part,) their numbers in the study.
+        """
+        variant = variant_ids[chunk.variant]
+        out = chunk.outcome
+        values: dict[str, Any] = {
+            "run_id": chunk.draw * self._study.n_variants + variant,
+            "draw_id": chunk.draw,
+            "variant_id": variant,
+            "start_s": self._start_s[chunk.draw],
+        }
+        values |= {name: column.take(variant) for name, column in self._by_variant.items()}
+        first = int(chunk.draw.min())
+        drawn = sampling.values(self._study, int(chunk.draw.max()) + 1 - first, first=first)
+        for name, column in drawn.items():
+            own = column[chunk.draw - first]
+            values[name] = own if own.ndim == 1 else list(own)
+        values |= self._observed(out.last)
+        verdict = self._judge(out, self._has_limit(chunk, variant), self._end_s[variant])
+        values |= self._settled(verdict, self._tape_s[variant])
+        for suffix, statistics in (("_mean", out.mean), ("_std", out.std)):
+            for axis, value in zip("enu", statistics[:3], strict=True):
+                values[f"phi_{axis}{suffix}_arcmin"] = self._known(value / ARCMIN)
+            for angle, value in zip(("pitch", "roll", "yaw"), statistics[3:], strict=True):
+                values[f"{angle}{suffix}_deg"] = _nullable(value / DEG)
+        shares = ("error", "floor_error", "error_steady")
+        for name, value in zip(shares, out.above_share, strict=True):
+            values[f"p_above_{name}_share"] = self._known(value)
+        from_limit = {
+            "p_above_floor_error_share": values["p_above_floor_error_share"],
+            "floor_arcmin": self._known(out.limit.phi.z / ARCMIN),
+            "nis_u": self._known(out.nis_u),
+            "ok_limit": self._if_known(verdict.ok[LIMIT]),
+        }
+        nothing = pa.array(~verdict.has_limit)
+        values |= {k: pc.if_else(nothing, None, column) for k, column in from_limit.items()}
+        values["has_limit"] = self._if_known(verdict.has_limit)
+        values["ok_truth"] = self._if_known(verdict.ok[TRUTH])
+        values["nees"] = self._known(out.nees)
+        values["status"] = verdict.status
+        if self._study.has_trigger:
+            values |= self._fired(out.fired, len(variant))
+        if self._study.is_recorded:
+            values |= _innovations(out.innovations, len(variant))
+        return _table(self.summary_columns, values)
+
+    def curves(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
+        """One row a run and record time; `Chunk.curves` must be there."""
+        assert chunk.curves is not None
+        run_id = chunk.draw * self._study.n_variants + variant_ids[chunk.variant]
+        span = self._spans[variant_ids[0]]  # that of all variants of a part
+        time_s = update_times(self._study, span)
+        values = {"run_id": np.repeat(run_id, len(time_s)), "time_s": np.tile(time_s, len(run_id))}
+        if self._study.passes:
+            values["update_time_s"] = values["time_s"]
+            values["tape_time_s"] = np.tile(tape_times(self._study, span), len(run_id))
+            values["pass"] = np.tile(pass_numbers(span), len(run_id))
+        return _table(self.curve_columns, values | self._observed(chunk.curves))
+
+    def _observed(self, seen: Observation) -> dict[str, pa.Array]:
+        values = {f"phi_{a}_arcmin": self._known(v / ARCMIN) for a, v in _axes(seen.phi)}
+        values |= {f"sigma_{a}_arcmin": _nullable(v / ARCMIN) for a, v in _axes(seen.sigma)}
+        angles = {"pitch": seen.pitch, "roll": seen.roll, "yaw": seen.yaw}
+        values |= {f"{name}_deg": _nullable(v / DEG) for name, v in angles.items()}
+        # Twice, as what is left of the smallest negative angle is rounded up to the whole turn.
+        heading = np.mod(np.mod(-np.asarray(seen.yaw) / DEG, 360.0), 360.0)
+        return values | {"heading_deg": _nullable(heading)}
+
+    def _fired(self, fired: Fired | None, runs: int) -> dict[str, pa.Array]:
+        """What the trigger did; nothing, of runs without one."""
+        count, first, last = Fired(*np.zeros((3, runs))) if fired is None else fired
+        rate = self._study.study.rate_hz
+        first_s, last_s = (
+            np.where(t > 0, t / rate, np.nan) for t in map(np.asarray, (first, last))
+        )
+        return {
+            "triggered_count": pa.array(np.asarray(count).astype(int)),
+            "triggered_first_s": _nullable(first_s),
+            "triggered_last_s": _nullable(last_s),
+        }
+
+    def _known(self, values: Any) -> pa.Array:
+        """Values that need a truth: null without one, and where they are no number."""
+        return _nullable(values if self._has_truth else np.full(np.shape(values), np.nan))
+
+    def _if_known(self, flags: np.ndarray) -> pa.Array:
+        """Flags that need a truth: null without one."""
+        return pa.array(flags if self._has_truth else [None] * len(flags), pa.bool_())
+
+    def _settled(self, verdict: Verdict, tape_s: np.ndarray) -> dict[str, pa.Array]:
+        """Settling times of all bands, about the limit and the truth, by column."""
+        values = {}
+        for truth, of_bands in (
+            (False, verdict.settled_s[LIMIT]),
+            (True, verdict.settled_s[TRUTH]),
+        ):
+            for band, settled in zip(self._bands, of_bands, strict=True):
+                name = columns.settle_column(band, truth=truth).name
+                values[name] = self._known(settled)
+                if self._study.passes:
+                    data = columns.settle_data_column(band, truth=truth).name
+                    values[data] = self._known(np.minimum(settled, tape_s))
+        return values
+
+    def _has_limit(self, chunk: Chunk, variant: np.ndarray) -> np.ndarray:
+        """Which runs have a limit, their last reset being one of the schedule or the trigger's."""
+        if self._limit_by_variant is not None:
+            return self._limit_by_variant[variant]
+        last_s = self._last_reset_s[variant]
+        if chunk.outcome.fired is not None:
+            fired_s = np.asarray(chunk.outcome.fired.last) / self._study.study.rate_hz
+            last_s = np.maximum(last_s, fired_s)
+        return has_limit(self._study, chunk.draw, variant, last_s)
+
+    @cached_property
+    def _limit_by_variant(self) -> np.ndarray | None:
+        """Which variants have a limit, where neither draws nor triggers decide."""
+        study = self._study
+        if study.drawn_keys or study.has_trigger:
+            return None
+        variants = np.arange(study.n_variants)
+        return has_limit(study, np.zeros_like(variants), variants, self._last_reset_s)
+
+
+def _innovations(summed: Innovations | None, runs: int) -> dict[str, pa.Array]:
+    """Mean and degrees of freedom of normalised innovations; null of runs without a filter."""
+    total, count = np.full((2, runs), np.nan) if summed is None else map(np.asarray, summed)
+    return {"innovation_nis": _nullable(total / count), "innovation_freedom": _nullable(2 * count)}
+
+
+def _swept(values: list[Any], dtype: pa.DataType) -> pa.Array:
+    """Values of a key, one a variant; a number among lists stands for all its axes."""
+    if pa.types.is_list(dtype):
+        values = [[v] if isinstance(v, int | float) else v for v in values]
+    return pa.array(values, dtype)
+
+
+def _axes(vector: Any) -> Any:
+    return zip("enu", vector, strict=True)
+
+
+def _nullable(values: Any) -> pa.Array:
+    flat = np.asarray(values, dtype=float).ravel()
+    return pa.array(flat, mask=~np.isfinite(flat))
+
+
+def _table(layout: tuple[Column, ...], values: dict[str, Any]) -> pa.Table:
+    arrays = [pa.array(values[c.name]).cast(c.dtype) for c in layout]
+    return pa.Table.from_arrays(arrays, schema=columns.schema(layout))
+
+
+def read_summary(
+    directory: str | Path,
+    names: Sequence[str] | None = None,
+    *,
+    run_ids: list[int] | None = None,
+    verify: bool = True,
+) -> pa.Table:
+    """Rows of the summary, by run_id.
+
+    Args:
+        directory: of the results.
+        names: which columns, in this order; all of them without it.
+        run_ids: which runs; all of them without it.
+        verify: whether every part is compared with the manifest's SHA-256, once a process.
+
+    Raises:
+        InputError: the directory holds no results, a part is not what was written, or a column is
+            missing.
+    """
+    directory = Path(directory)
+    rows = None if run_ids is None else ds.field("run_id").isin(run_ids)
+    there = ask(directory, "summary", lambda dataset: dataset.schema, verify=verify)
+    later = _later(there)
+    wanted = [*there.names, *later] if names is None else list(names)
+    if missing := [name for name in wanted if name not in there.names and name not in later]:
+        raise InputError(f"{directory}: summary: column {missing[0]} is missing")
+    needed = {"run_id", *wanted, *filter(None, map(later.get, wanted))}
+    names = sorted(needed - later.keys())
+    table = _read(directory, "summary", verify=verify, columns=names, filter=rows)
+    table = table.sort_by("run_id")
+    for name in needed & later.keys():
+        told_by = later[name]
+        dtype = pa.bool_() if name in _FLAGS else pa.float64()
+        told = pc.is_valid(table[told_by]) if told_by else pa.nulls(table.num_rows, dtype)
+        table = table.append_column(name, told)
+    return table.select(wanted)
+
+
+_FLAGS = {"has_limit": "floor_arcmin", "ok_limit": "settle_10_s", "ok_truth": None}
+"""Flags that came with schema 2, and what column of schema 1 says the same by having a value."""
+
+
+def _later(there: pa.Schema) -> dict[str, str | None]:
+    """The columns that a summary of schema 1 lacks, and what tells a flag, as in `_FLAGS`.
+
+    A settling time about the truth was not recorded: it is null.
+    """
+    if (there.metadata or {}).get(b"sinsjax.schema") != b"1":
+        return {}
+    settling = [name for name in there.names if name.startswith("settle_")]
+    ends = (re.sub(r"^(settle_[^_]+)", r"\1_truth", name) for name in settling)
+    return _FLAGS | dict.fromkeys(ends)
+
+
+def count_runs(directory: str | Path) -> int:
+    """Number of rows of the summary, every part of it compared with the manifest.
+
+    Raises:
+        InputError: the directory holds no results, or a part is not what was written.
+    """
+    return ask(Path(directory), "summary", lambda dataset: dataset.count_rows())
+
+
+def read_curves(
+    directory: str | Path, run_ids: list[int] | None = None, *, verify: bool = True
+) -> pa.Table:
+    """Rows of the curves, by run_id and time; empty where none were stored.
+
+    Args:
+        directory: of the results.
+        run_ids: which runs; None for all.
+        verify: whether every part is compared with the manifest's SHA-256, once a process.
+
+    Raises:
+        InputError: a part is not what was written, or cannot be read.
+    """
+    directory = Path(directory)
+    if not is_there(directory, "curves", verify=verify):
+        return columns.schema(columns.CURVES).empty_table()
+    wanted = None if run_ids is None else ds.field("run_id").isin(run_ids)
+    table = _read(directory, "curves", verify=verify, filter=wanted)
+    return table.sort_by([("run_id", "ascending"), ("time_s", "ascending")])
+
+
+def _read(directory: Path, name: str, *, verify: bool, **options: Any) -> pa.Table:
+    """Rows of a dataset."""
+    table = ask(directory, name, lambda dataset: dataset.to_table(**options), verify=verify)
+    # What the first part says of itself does not hold for the rows of all.
+    return table.replace_schema_metadata({"sinsjax.schema": columns.SCHEMA_VERSION})

@@ -1,0 +1,184 @@
+"""Attitude as unit quaternions, scalar first, and its relation to vectors, angles and matrices.
+
+Conventions: `q_nb` takes body vectors to navigation vectors. Euler angles follow
+C_b^n = Rz(yaw) Rx(pitch) Ry(roll), yaw counter-clockwise from north.
+"""
+
+import math
+
+import jax.numpy as jnp
+
+from sinsjax.maths.algebra import add, cross, dot, scale
+from sinsjax.types import Quat, Scalar, Vec3
+
+_TERMS = 8
+
+
+def multiply(a: Quat, b: Quat) -> Quat:
+    """Hamilton product a b: first b, then a."""
+    return Quat(
+        a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z,
+        a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
+        a.w * b.y - a.x * b.z + a.y * b.w + a.z * b.x,
+        a.w * b.z + a.x * b.y - a.y * b.x + a.z * b.w,
+    )
+
+
+def conjugate(q: Quat) -> Quat:
+    """The inverse rotation."""
+    return Quat(q.w, -q.x, -q.y, -q.z)
+
+
+def normalise(q: Quat) -> Quat:
+    """Scale to unit length."""
+    inverse = 1 / jnp.sqrt(q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z)
+    return Quat(q.w * inverse, q.x * inverse, q.y * inverse, q.z * inverse)
+
+
+def rotate(q: Quat, v: Vec3) -> Vec3:
+    """The vector q v q*, for a unit quaternion."""
+    u = Vec3(q.x, q.y, q.z)
+    t = scale(2.0, cross(u, v))
+    return add(add(v, scale(q.w, t)), cross(u, t))
+
+
+def rotate_small(h: Vec3, q: Quat) -> Quat:
+    """Turn q by the tiny rotation vector 2 h (rad): (1 - |h|^2 / 2, h) q.
+
+    Neglected are terms of order |h|^3: for the Earth's rate over a sample |h| is 4e-7, and they
+    are below rounding. Without the square the norm would drift by 1e-13 a sample.
+    """
+    c = 1 - 0.5 * dot(h, h)
+    return Quat(
+        c * q.w - (h.x * q.x + h.y * q.y + h.z * q.z),
+        c * q.x + (h.x * q.w + h.y * q.z - h.z * q.y),
+        c * q.y + (h.y * q.w + h.z * q.x - h.x * q.z),
+        c * q.z + (h.z * q.w + h.x * q.y - h.y * q.x),
+    )
+
+
+def exp(phi: Vec3) -> Quat:
+    """Quaternion of the rotation vector ``phi`` (rad), accurate to rounding for |phi| <= 2 pi.
+
+    Power series of a quarter of the half angle, doubled twice: no call of sin, cos or sqrt, so
+    that it stays vectorised inside a scan, and smooth at zero.
+    """
+    s = scale(0.125, phi)
+    g = -dot(s, s)
+    cos, sinc = 1 / math.factorial(2 * _TERMS), 1 / math.factorial(2 * _TERMS + 1)
+    for n in reversed(range(_TERMS)):
+        cos = cos * g + 1 / math.factorial(2 * n)
+        sinc = sinc * g + 1 / math.factorial(2 * n + 1)
+    # q -> q q twice: (w, v) -> (2 w^2 - 1, 2 w v)
+    double = 2 * cos * cos - 1
+    gain = 4 * double * cos * sinc
+    return Quat(2 * double * double - 1, gain * s.x, gain * s.y, gain * s.z)
+
+
+def log(q: Quat) -> Vec3:
+    """Rotation vector (rad, length at most pi) of a unit quaternion; smooth at identity."""
+    sign = jnp.where(q.w < 0, -1.0, 1.0)
+    w, x, y, z = sign * q.w, sign * q.x, sign * q.y, sign * q.z
+    square = x * x + y * y + z * z
+    tiny = square < 1e-16
+    sine = jnp.sqrt(jnp.where(tiny, 1.0, square))
+    factor = jnp.where(tiny, 2.0, 2 * jnp.arctan2(sine, w) / sine)
+    return Vec3(factor * x, factor * y, factor * z)
+
+
+def from_euler(pitch: Scalar, roll: Scalar, yaw: Scalar) -> Quat:
+    """Quaternion of C = Rz(yaw) Rx(pitch) Ry(roll), angles in rad."""
+    zero = jnp.zeros_like(jnp.asarray(pitch) + roll + yaw)
+    qz = Quat(jnp.cos(yaw / 2) + zero, zero, zero, jnp.sin(yaw / 2) + zero)
+    qx = Quat(jnp.cos(pitch / 2) + zero, jnp.sin(pitch / 2) + zero, zero, zero)
+    qy = Quat(jnp.cos(roll / 2) + zero, zero, jnp.sin(roll / 2) + zero, zero)
+    return multiply(multiply(qz, qx), qy)
+
+
+def to_euler(q: Quat) -> tuple[Scalar, Scalar, Scalar]:
+    """Pitch, roll, yaw (rad) of a unit quaternion; pitch within +-90 deg, the others +-180."""
+    c = matrix(q)
+    pitch = jnp.arcsin(jnp.clip(c[2][1], -1.0, 1.0))
+    return pitch, jnp.arctan2(-c[2][0], c[2][2]), jnp.arctan2(-c[0][1], c[1][1])
+
+
+def matrix(q: Quat) -> tuple[Vec3, Vec3, Vec3]:
+    """The rows of the rotation matrix of a unit quaternion."""
+    w, x, y, z = q
+    return (
+        Vec3(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        Vec3(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        Vec3(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+
+
+def misalign(phi: Vec3, q: Quat) -> Quat:
+    """The attitude that is off by the misalignment phi (rad, n): exp(-phi x) C."""
+    return multiply(exp(scale(-1.0, phi)), q)
+
+
+def correct(phi: Vec3, q: Quat) -> Quat:
+    """The attitude with an estimated misalignment taken out: exp(+phi x) C."""
+    return multiply(exp(phi), q)
+
+
+def misalignment(q_true: Quat, q_hat: Quat) -> Vec3:
+    """Rotation vector (rad, n) of C_true C_hat^T: the phi for which C_hat = exp(-phi x) C_true."""
+    return log(multiply(q_true, conjugate(q_hat)))
+
+
+def euler_vector(pitch: Scalar, roll: Scalar, yaw: Scalar) -> Vec3:
+    """Rotation vector of Euler angles, rad.
+
+    [P1] section 1 gives a misalignment so: angles from the ideal to the computed frame, about U, E
+    and N in turn.
+    """
+    return log(from_euler(pitch, roll, yaw))
+
+
+_HALF_PI = (1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
+_SIN = (
+    1.58969099521155010221e-10,
+    -2.50507602534068634195e-08,
+    2.75573137070700676789e-06,
+    -1.98412698298579493134e-04,
+    8.33333333332248946124e-03,
+    -1.66666666666666324348e-01,
+)
+_COS = (
+    -1.13596475577881948265e-11,
+    2.08757232129817482790e-09,
+    -2.75573143513906633035e-07,
+    2.48015872894767294178e-05,
+    -1.38888888888741095749e-03,
+    4.16666666666666019037e-02,
+)
+
+
+def sin_cos(x: Scalar) -> tuple[Scalar, Scalar]:
+    """Sine and cosine by polynomials, within 2 ulp up to 1e5 rad.
+
+    XLA:CPU calls a library for its own, number by number, which takes ten times as long as this in
+    a vector. Split of pi/2 and coefficients are those of fdlibm (Sun Microsystems).
+    """
+    quarter = jnp.round(x * (2 / jnp.pi))
+    r = x
+    for part in _HALF_PI:
+        r = r - quarter * part
+    sin, cos = sin_cos_near_zero(r)
+    turn = quarter - 4 * jnp.floor(0.25 * quarter)
+    swapped = (turn == 1) | (turn == 3)
+    first, second = jnp.where(swapped, cos, sin), jnp.where(swapped, sin, cos)
+    return (
+        jnp.where(turn >= 2, -first, first),
+        jnp.where((turn == 1) | (turn == 2), -second, second),
+    )
+
+
+def sin_cos_near_zero(x: Scalar) -> tuple[Scalar, Scalar]:
+    """Sine and cosine by polynomials alone, within 1 ulp up to pi/4 rad, and 1e-12 up to 1 rad."""
+    z = x * x
+    sin, cos = jnp.zeros_like(z), jnp.zeros_like(z)
+    for a, b in zip(_SIN, _COS, strict=True):
+        sin, cos = sin * z + a, cos * z + b
+    return x + x * z * sin, 1 - 0.5 * z + z * z * cos

@@ -1,0 +1,1 @@
+"""The machine underneath: compiler options, devices, cores and files."""

@@ -1,0 +1,1 @@
+"""Strapdown navigation: Earth, base motion, sensors, mechanisation, error models."""

@@ -1,0 +1,62 @@
+"""Strapdown mechanisation in ENU: one navigation step on a vehicle that keeps its height.
+
+Attitude by quaternion, velocity with Coriolis and transport rate, vertical velocity zero.
+"""
+
+from sinsjax.maths.algebra import add, cross, scale
+from sinsjax.maths.rotations import multiply, rotate, rotate_small
+from sinsjax.strapdown.earth import Place
+from sinsjax.types import Navigation, Sample, Scalar, Vec3
+
+
+def step(
+    nav: Navigation, sample: Sample, place: Place, dt: Scalar, control: Vec3 | None = None
+) -> tuple[Navigation, Vec3]:
+    """Advance the navigation solution by one sample; position stays.
+
+    dV = C_b^n dv - (2 w_ie + w_en) x V dt + g dt, with C_b^n dv turned back by half the rotation
+    of the navigation frame over the sample; C <- exp(-w_in dt) C exp(dtheta).
+
+    The same step navigates backward in time: given reversed samples (`sensors.reverse`), a place
+    whose Earth turns the other way (`earth.reverse`) and the negative velocity, [P2] eqs (12)-(14).
+
+    Args:
+        nav: solution at the sample's start.
+        sample: compensated sample.
+        place: Earth at the solution's latitude.
+        dt: sample time, s.
+        control: rate at which the mathematical platform is turned beside w_in, in n, rad/s.
+
+    Returns:
+        The solution at the sample's end, and the specific force in n times dt, m/s.
+    """
+    turn_e = nav.ve * place.curvature_e
+    wu = place.rate_u + turn_e * place.tan_latitude
+    rate = Vec3(-nav.vn * place.curvature_n, place.rate_n + turn_e, wu)
+    half_turn = scale(-0.5 * dt, rate if control is None else add(rate, control))
+    f_dt = rotate(nav.q, sample.dv)
+    f_dt = add(f_dt, cross(half_turn, f_dt))
+    coriolis = (place.rate_u + wu) * dt
+    q = rotate_small(half_turn, multiply(nav.q, sample.turn))
+    ve = nav.ve + f_dt.x + coriolis * nav.vn
+    vn = nav.vn + f_dt.y - coriolis * nav.ve
+    return nav._replace(q=q, ve=ve, vn=vn), f_dt
+
+
+def travel(nav: Navigation, place: Place, dt: Scalar) -> Navigation:
+    """Advance the position by the present velocity over dt (s)."""
+    secant = (1 + place.tan_latitude**2) ** 0.5
+    return nav._replace(
+        latitude=nav.latitude + nav.vn * place.curvature_n * dt,
+        longitude=nav.longitude + nav.ve * place.curvature_e * dt * secant,
+    )
+
+
+def correct_velocity(nav: Navigation, dve: Scalar, dvn: Scalar) -> Navigation:
+    """Take estimated velocity errors (m/s) out of the solution."""
+    return nav._replace(ve=nav.ve - dve, vn=nav.vn - dvn)
+
+
+def reverse(nav: Navigation) -> Navigation:
+    """The solution seen from time run backward: same place and attitude, opposite velocity."""
+    return nav._replace(ve=-nav.ve, vn=-nav.vn)

@@ -1,0 +1,361 @@
+"""The rules between the keys of a study, checked before anything runs.
+
+They hold for every variant, and are checked over the distinct values that the keys of a rule take
+together: a sweep of a million variants costs no more than its axes.
+"""
+
+import math
+from collections.abc import Iterable
+from typing import NoReturn
+
+from sinsjax import columns
+from sinsjax.errors import InputError
+from sinsjax.study import ignored, success
+from sinsjax.study.study import (
+    EARTH_CONSTANTS,
+    ROUNDING,
+    SECTION_OF,
+    SECTIONS,
+    Study,
+    counted_resets,
+)
+
+Where = dict[str, str]
+"""The table, in brackets, of every key that a file gives: that which sweeps or draws it if any."""
+
+RESET = "5 with resets"
+CONDITIONS = ("1", "2", "3", "4", "5", RESET)
+"""Paper 1's conditions; its layouts want the cases labelled ``condition 1`` and so on."""
+
+_LAYOUT_CONDITIONS = {
+    "paper1_conditions": CONDITIONS[:-1],
+    "paper1_resets": ("1", "5", RESET),
+    "paper1_readings": CONDITIONS,
+}
+_READINGS = ("q_reading", "r_reading", "feedback_interval_s")
+_MAX_SAMPLES, _MAX_RUNS = 10**8, 10**9
+_FILTER_LAYOUTS = ("consistency", "reset_cycle", "adaptive")
+_RECORDED_LAYOUTS = ("car_test", "compass_car")
+_GENERAL_LAYOUTS = ("auto", *_FILTER_LAYOUTS)  # the others know each key of theirs
+_OF_COMPASS = {*SECTIONS["compass"].model_fields, "turn", "turn_smoothing_s"}
+_OF_FILTERS = {
+    *SECTIONS["filter"].model_fields,
+    *SECTIONS["resets"].model_fields,
+    "specific_force",
+    "feedback_interval_s",
+    "feedback_time_constant_s",
+    "turn_covariance",
+    "turn_inflation",
+}
+
+
+def keys_unread(methods: Iterable[str]) -> set[str]:
+    """The keys that none of some methods reads."""
+    methods = set(methods)
+    unread = set() if "compass" in methods else _OF_COMPASS
+    return unread | (_OF_FILTERS if methods == {"compass"} else set())
+
+
+def check_study(study: Study, where: Where) -> None:
+    """Checks the rules between keys for every variant.
+
+    Args:
+        study: sections, axes and cases, each value checked.
+        where: the keys that the file gives.
+
+    Raises:
+        InputError: ``[section] key: what is wrong (hint)``.
+    """
+    _check_required(study, where)
+    _check_layout(study, where)
+    _check_methods(study, where)
+    if not study.study.rate_hz:  # checked again once the record has told it
+        return
+    _check_size(study, where)
+    _check_intervals(study, where)
+    _check_passes(study, where)
+    _check_schedules(study, where)
+    _check_window(study, where)
+    _check_success(study, where)
+    _check_stop(study, where)
+    _check_trigger(study, where)
+    ignored.check(study, where)
+    keys = ("reset_times_s", "reset_count", "reset_cycle_s", "reset_first_s")
+    for point in study.combinations(*keys) if study.resets else ():
+        times, count, cycle, first = (point[key] for key in keys)
+        if times is not None:
+            _check_times(study, where, times)
+        elif count:
+            _check_counted(study, where, count, cycle, first)
+
+
+def _refuse(key: str, where: Where, text: str) -> NoReturn:
+    raise InputError(f"{where.get(key, f'[{SECTION_OF[key]}]')} {key}: {text}")
+
+
+def _check_required(study: Study, where: Where) -> None:
+    """Refuses a key that is missing, or given for nothing, because of another key's value."""
+    simulated = not study.is_recorded
+    untimed = study.record and study.record.format != "psins" and not study.record.time_column
+    if "rate_hz" not in where and (simulated or untimed):
+        description = SECTIONS["study"].model_fields["rate_hz"].description
+        why = "[record] has no time_column to tell it" if untimed else description
+        _refuse("rate_hz", where, f"required ({why})")
+    for key in ("latitude_deg", "yaw_center_deg") if simulated else ():
+        if key not in where:
+            description = SECTIONS[SECTION_OF[key]].model_fields[key].description
+            _refuse(key, where, f"required ({description})")
+    for angle in ("pitch", "roll", "yaw") if simulated else ():
+        amplitude, period = f"{angle}_amplitude_deg", f"{angle}_period_s"
+        sways = amplitude in study.drawn_keys or any(
+            p[amplitude] for p in study.combinations(amplitude)
+        )
+        if period not in where and sways:
+            _refuse(period, where, f"required where {amplitude} > 0")
+    if all(point["earth"] != "constants" for point in study.combinations("earth")):
+        for key in EARTH_CONSTANTS:
+            if key in where:
+                _refuse(key, where, "has no place without earth = 'constants'")
+
+
+def _check_layout(study: Study, where: Where) -> None:
+    """Refuses a study that the layout of its report cannot show."""
+    layout = study.report.layout
+    kind = "recorded" if layout in _RECORDED_LAYOUTS else "simulated"
+    if layout != "auto" and study.is_recorded != (kind == "recorded"):
+        _refuse("layout", where, f"'{layout}' needs a {kind} study")
+    if layout in _FILTER_LAYOUTS and "compass" in {
+        p["method"] for p in study.combinations("method")
+    }:
+        _refuse("layout", where, f"'{layout}' needs methods with a filter, not compass")
+    labels = [case.get("case") for case in study.cases]
+    if layout not in _GENERAL_LAYOUTS:
+        tables = [*(["[drawn]"] if study.drawn else []), *(f"[axes.{zip_}]" for zip_ in study.zips)]
+        if tables:
+            _refuse("layout", where, f"'{layout}' takes no {tables[0]}")
+    for name in _LAYOUT_CONDITIONS.get(layout, ()):
+        if f"condition {name}" not in labels:
+            _refuse("layout", where, f"'{layout}' needs [[cases]] with case = 'condition {name}'")
+    if layout == "paper1_readings":
+        if not study.axes or not set(study.axes) <= set(_READINGS):
+            _refuse("layout", where, f"'{layout}' needs [axes] among {', '.join(_READINGS)}")
+    elif layout in _LAYOUT_CONDITIONS and study.n_variants > len(study.cases):
+        _refuse("layout", where, f"'{layout}' takes no [axes] ({', '.join(study.axes)})")
+
+
+def _check_size(study: Study, where: Where) -> None:
+    """Refuses what no machine could run, from the lengths of the axes alone."""
+    settings = study.study
+    if settings.duration_s * settings.rate_hz > _MAX_SAMPLES * (1 + ROUNDING):
+        text = f"{settings.duration_s:.12g} s at rate_hz = {settings.rate_hz:.12g}"
+        _refuse("duration_s", where, f"{text} is more than {_MAX_SAMPLES} samples a run")
+    if study.n_draws * study.n_variants > _MAX_RUNS:
+        key = "start_s" if study.is_recorded else "draws"
+        text = f"{study.n_draws} draws x {study.n_variants} variants of [axes] and [[cases]]"
+        _refuse(key, where, f"{text} are more than {_MAX_RUNS} runs")
+
+
+def _check_intervals(study: Study, where: Where) -> None:
+    """Refuses times that are no whole number of samples, and a study shorter than a record."""
+    rate, record = study.study.rate_hz, study.study.record_interval_s
+    _check_whole(study, where, "record_interval_s", record)
+    for point in study.combinations("feedback_interval_s"):
+        if point["feedback_interval_s"] is not None:
+            _check_whole(study, where, "feedback_interval_s", point["feedback_interval_s"])
+    if study.coarse:
+        _check_whole(study, where, "coarse_duration_s", study.coarse.coarse_duration_s, least=2)
+    taken: dict[int, float] = {}
+    for start in study.record.start_s if study.record else ():
+        _check_whole(study, where, "start_s", start, least=0)
+        if taken.setdefault(round(start * rate), start) != start:
+            _refuse("start_s", where, f"{start!r} s falls on the sample of another start time")
+    if study.study.duration_s < record * (1 - ROUNDING):
+        duration = f"duration_s = {study.study.duration_s:.12g}"
+        _refuse("record_interval_s", where, f"{record:.12g} s is longer than the study, {duration}")
+
+
+def _check_methods(study: Study, where: Where) -> None:
+    """Refuses keys that no method of the study reads."""
+    methods = {point["method"] for point in study.combinations("method")}
+    for key in sorted(keys_unread(methods) & where.keys()):
+        _refuse(key, where, f"has no place with method {' or '.join(sorted(methods))}")
+
+
+def _check_passes(study: Study, where: Where) -> None:
+    """Refuses a tape that is no whole number of record intervals, or passes that do not fit."""
+    duration = study.study.duration_s * (1 + ROUNDING)
+    for point in study.combinations("tape_s", "passes", "ending") if study.passes else ():
+        tape, passes = point["tape_s"], point["passes"]
+        if tape is None:
+            if (passes or 1) > 1:
+                _refuse("passes", where, f"{passes} need a tape to go over (give tape_s)")
+            continue
+        _check_multiple(study, where, "tape_s", tape)
+        if tape > duration:
+            _refuse("tape_s", where, f"{tape:.12g} s is longer than the study, {_end(study)}")
+        if passes and passes * tape > duration:
+            text = f"{passes} over a tape of {tape:.12g} s last {passes * tape:.12g} s"
+            _refuse("passes", where, f"{text}, longer than the study ({_end(study)})")
+        if passes and passes % 2 == 0 and point["ending"] == "forward":
+            _refuse("passes", where, f"{passes} end backward, not as ending = 'forward' says")
+
+
+def _check_multiple(study: Study, where: Where, key: str, time: float) -> None:
+    """Refuses a time that is no whole number of record intervals."""
+    record = study.study.record_interval_s
+    count = time / record
+    if abs(count - round(count)) > ROUNDING * count or round(count) < 1:
+        near = sorted({max(1, math.floor(count)), max(1, math.ceil(count))})
+        shown = " or ".join(f"{n * record:.12g}" for n in near)
+        text = f"{time:.12g} s is no whole number of record intervals, record_interval_s ="
+        _refuse(key, where, f"{text} {record:.12g} (nearest: {shown})")
+
+
+def _check_schedules(study: Study, where: Where) -> None:
+    """Refuses pieces of sigma without a beginning each, and passes to count without a tape."""
+    if study.compass is None:
+        return
+    for point in study.combinations("sigma_factors", "sigma_times_s", "sigma_passes"):
+        factors = point["sigma_factors"]
+        key = "sigma_passes" if point["sigma_passes"] is not None else "sigma_times_s"
+        if len(point[key] or ()) != len(factors) - 1:
+            text = f"needs {len(factors) - 1} entries for {len(factors)} sigma_factors"
+            _refuse(key, where, f"{text}, not {len(point[key] or ())}")
+    for key in ("level_passes", "sigma_passes"):
+        if all(point[key] is None for point in study.combinations(key)):
+            continue
+        if study.passes is None or any(p["tape_s"] is None for p in study.combinations("tape_s")):
+            _refuse(key, where, "counts passes over a tape (give [passes] tape_s)")
+
+
+def _check_whole(study: Study, where: Where, key: str, time: float, *, least: int = 1) -> None:
+    """Refuses a time that is no whole number of samples, or less than ``least`` of them.
+
+    A record has the rate that it has: there the nearest number of samples is taken.
+    """
+    rate, samples = study.study.rate_hz, time * study.study.rate_hz
+    off = 0.0 if study.is_recorded else abs(samples - round(samples))
+    if off > ROUNDING * samples or round(samples) < least:
+        whole = {max(least, math.floor(samples)), max(least, math.ceil(samples))}
+        near = " or ".join(f"{n / rate:.12g}" for n in sorted(whole))
+        more = f", {least} or more" if least > 1 else ""
+        text = f"{time:.12g} s is no whole number of samples of {1 / rate:.12g} s{more}"
+        _refuse(key, where, f"{text} (nearest: {near})")
+
+
+def _check_window(study: Study, where: Where) -> None:
+    """Refuses a window in which no run has a standard deviation, of two record times or more.
+
+    Runs that end before it have none; those of other lengths do.
+    """
+    (start, end), every, rate = study.study.window_s, study.record_every, study.study.rate_hz
+    longest = max(span.records for span in study.distinct_spans)
+    last = min(longest, int(end * rate / every) + 1)
+    # Compared as the engine does, rounding and all.
+    while last * every / rate > end:
+        last -= 1
+    if (last - 1) * every / rate <= start:
+        text = f"fewer than 2 records are after {start:.12g} s and up to {end:.12g} s"
+        _refuse("window_s", where, f"{text} ({_end(study)})")
+
+
+def _check_success(study: Study, where: Where) -> None:
+    """Refuses a success that no run can reach, and one judged from a limit that there is not."""
+    names = [columns.settle_column(band).name for band in success.bands(study)]
+    if len(set(names)) < len(names):
+        key = "success_band_arcmin" if "success_band_arcmin" in where else "settle_bands_arcmin"
+        text = "gives another of the bands the same name, to the 6 digits that its column shows"
+        _refuse(key, where, text)
+    dwell = study.study.dwell_s
+    if dwell is not None and dwell >= study.run_s:
+        _refuse("dwell_s", where, f"{dwell:.12g} s is not less than the run ({_end(study)})")
+
+
+def _end(study: Study) -> str:
+    """Where a study and its shortest run end, in words."""
+    text = f"duration_s = {study.study.duration_s:.12g}"
+    whole_s = study.study.duration_s - study.dropped_s
+    if study.dropped_s:
+        text += f"; the last partial record interval, after {whole_s:.12g} s, is not run"
+    if study.run_s < whole_s * (1 - ROUNDING):
+        text += f"; the shortest run ends at {study.run_s:.12g} s"
+    return text
+
+
+def _check_times(
+    study: Study, where: Where, times: tuple[float, ...], key: str = "reset_times_s"
+) -> None:
+    """Refuses resets at given times after the end, on the start, or two on one sample."""
+    rate = study.study.rate_hz
+    earlier, taken = 0.0, 0
+    for time in times:
+        if time > study.run_s * (1 + ROUNDING):
+            text = f"{time:.12g} s is after the study's end ({_end(study)})"
+            _refuse(key, where, text)
+        sample = round(time * rate)
+        if sample == taken:
+            other = f"the reset at {earlier:.12g} s" if taken else "the start"
+            text = f"{time:.12g} s falls on the sample of {other} ({1 / rate:.12g} s a sample)"
+            _refuse(key, where, text)
+        earlier, taken = time, sample
+
+
+def _check_trigger(study: Study, where: Where) -> None:
+    """Refuses a trigger without a threshold, and numbers of one where there is none."""
+    if study.resets is None:
+        return
+    keys = [key for key in SECTIONS["resets"].model_fields if key.startswith("trigger_")]
+    for key in keys if not study.has_trigger else ():
+        if key in where:
+            _refuse(key, where, "has no place without a reset_trigger")
+    for point in study.combinations("reset_trigger", "trigger_threshold"):
+        name, threshold = point["reset_trigger"], point["trigger_threshold"]
+        if name not in (None, "none") and threshold is None:
+            _refuse("trigger_threshold", where, f"required with reset_trigger = '{name}'")
+
+
+def _check_stop(study: Study, where: Where) -> None:
+    """Refuses a statistic that the study has not, and a share that says nothing."""
+    if study.stop_when is None:
+        return
+    bands = success.bands(study)
+    known = ["success_rate", *(f"{columns.settle_column(band).name}_mean" for band in bands)]
+    if study.stop_when.statistic not in known:
+        text = f"'{study.stop_when.statistic}' is none of {', '.join(known)}"
+        _refuse("statistic", where, text)
+    if study.stop_when.statistic == "success_rate" and study.stop_when.half_width >= 1:
+        _refuse(
+            "half_width",
+            where,
+            f"must be less than 1, a share, not {study.stop_when.half_width:.12g}",
+        )
+
+
+def _check_counted(
+    study: Study, where: Where, count: int, cycle: float | None, first: float | None
+) -> None:
+    """Refuses counted resets after the end, on the start, or two on one sample."""
+    alone = 0 if first is None else 1  # resets that need no cycle
+    if cycle is None and count > alone:
+        _refuse("reset_cycle_s", where, f"required where reset_count > {alone} (it is {count})")
+    if first is not None:
+        _check_times(study, where, (first,), key="reset_first_s")
+    if cycle is None or count <= alone:
+        return
+    rate = study.study.rate_hz
+    begin, last = ("", count * cycle)
+    if first is not None:
+        begin, last = f" from {first:.12g} s", first + (count - 1) * cycle
+    if last > study.run_s * (1 + ROUNDING):
+        key = "reset_cycle_s" if where.get("reset_count") == "[resets]" else "reset_count"
+        text = f"{count} resets{begin} every {cycle:.12g} s last {last:.12g} s"
+        _refuse(key, where, f"{text}, longer than the study ({_end(study)})")
+    if cycle * rate < 1 - ROUNDING:
+        text = f"{cycle:.12g} s is shorter than a sample of {1 / rate:.12g} s"
+        _refuse("reset_cycle_s", where, text)
+    if first is not None and cycle * rate < 2:
+        # Halves are rounded to even: a sample apart, 1.5 and 2.5 samples are both 2.
+        samples = [round(time * rate) for time in counted_resets(count, cycle, first)]
+        if len(set(samples)) < count:
+            text = f"{first:.12g} s and a cycle of {cycle:.12g} s put two resets on one sample"
+            _refuse("reset_first_s", where, f"{text} ({1 / rate:.12g} s a sample)")

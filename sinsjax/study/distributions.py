@@ -1,0 +1,66 @@
+"""The sections of draws: [drawn], the keys that differ from draw to draw, and [stop_when].
+
+Which keys may be drawn stands here; the numbers themselves are made in `sampling`.
+"""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import ConfigDict, Field
+
+from sinsjax.study.schema import Motion, Sensors
+from sinsjax.value_types import Interval, Name, Normal, Positive, Section
+
+STARTS = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg", "ve0_m_per_s", "vn0_m_per_s")
+"""The keys of [alignment] that may be drawn; in a recorded study no others may."""
+
+NUMBERS = {
+    "latitude_deg": 1,
+    **dict.fromkeys(Motion.model_fields, 1),
+    **{key: 6 if "misalignment" in key else 3 for key in Sensors.model_fields},
+    **dict.fromkeys(STARTS, 1),
+}
+"""Every key that may be drawn and its numbers a draw: one, or one for each axis of a vector."""
+
+Entries = Annotated[tuple[Any, ...], Field(min_length=1)]
+
+
+class Law(Section):
+    """How the values of a key are drawn; exactly one of the fields is given.
+
+    The entries of a list are values of the key: for a vector one number or one for each axis.
+    """
+
+    uniform: Interval | None = Field(None, description="evenly between [low, high]")
+    normal: Normal | None = Field(None, description="normally, with [mean, standard deviation]")
+    values: Entries | None = Field(None, description="one entry a draw, from the first again")
+    grid: Entries | None = Field(
+        None, description="one point a draw of the product of all grids, the last key fastest"
+    )
+
+
+class Drawn(Section):
+    """[drawn]: one value a draw, common to all variants of the draw."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Law] = Field(init=False)
+
+    sampling: Literal["random", "sobol"] = Field(
+        "random", description="uniform and normal numbers: independent, or scrambled Sobol points"
+    )
+
+    @property
+    def laws(self) -> dict[str, Law]:
+        """How every drawn key is drawn, in the order written."""
+        return self.__pydantic_extra__
+
+
+class StopWhen(Section):
+    """[stop_when]: drawing goes on until a statistic is known well in every variant."""
+
+    statistic: Name = Field(
+        description="'success_rate', or the mean settling time 'settle_B_s_mean' of a band of B',"
+        " from the truth or the limit as judged_from says"
+    )
+    half_width: Positive = Field(
+        description="of its 95 % interval in the variant where it is widest: a share, or s"
+    )

@@ -1,0 +1,353 @@
+"""Reading and writing studies: one TOML file, checked in full before anything runs.
+
+A file either gives a `Study` or raises `InputError` with one line,
+``FILE: [section] key: what is wrong (hint)``. The tables that vary a study are read in `axes`.
+Values stay in the units of the file; `build` turns them into arrays.
+"""
+
+import difflib
+import hashlib
+import json
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+from pydantic import ValidationError
+
+from sinsjax.errors import InputError
+from sinsjax.messages import explained, index, near, one_line
+from sinsjax.study import axes, search_space, tuned_keys, usual
+from sinsjax.study.checks import Where, check_study, keys_unread
+from sinsjax.study.study import (
+    EARTH_CONSTANTS,
+    EXCLUSIVE,
+    NOISES,
+    Q_DENSITIES,
+    SECTION_OF,
+    SECTIONS,
+    SIMULATED_ONLY,
+    Study,
+    Table,
+    rivals,
+)
+
+__all__ = [
+    "Study",
+    "fingerprint",
+    "load_study",
+    "study_from_dict",
+    "study_to_toml",
+    "tables_of",
+    "with_point",
+]
+
+_DEFAULTS: dict[str, dict[str, Any]] = {
+    "alignment": {
+        "specific_force": "measured",
+        "feedback_interval_s": 1.0,
+        "feedback_time_constant_s": 0.0,
+    },
+    "filter": {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1},
+    "resets": {"reset_count": 0},
+    "compass": {"level_sigma_per_s": 0.02, "level_time_s": 150.0, "azimuth_sigma_per_s": 0.01},
+    "passes": {
+        "turn": "reflect",
+        "turn_smoothing_s": 5.0,
+        "turn_covariance": "carried",
+        "turn_inflation": 10.0,
+    },
+}
+"""Values of keys that apply: to a method of the study, and where none of their rivals is given."""
+_TRIGGER_DEFAULTS = {
+    "trigger_window_s": 10.0,
+    "trigger_refractory_s": 5.0,
+    "trigger_most": 10,
+}
+"""Values of keys that apply where a variant has a trigger."""
+_DEFAULT_DRAWS = 64
+_LATER: dict[str, tuple[str, ...]] = {
+    "study": (
+        "judged_from",
+        "success_band_arcmin",
+        "level_band_arcmin",
+        "dwell_s",
+        "diverged_deg",
+    ),
+    "record": (
+        *("from_s", "to_s", "max_gap_s", "time_unit"),
+        *("gyro_bias_deg_per_h", "accel_bias_ug", "trust"),
+    ),
+    "filter": ("q_scale", "r_scale", *(key for keys in Q_DENSITIES.values() for key in keys)),
+    "resets": (
+        "reset_first_s",
+        *(key for key in SECTIONS["resets"].model_fields if key.startswith("trigger")),
+        "reset_trigger",
+        "reset_velocity_m_per_s",
+        "reset_level_deg",
+        "reset_yaw_deg",
+        "reset_gyro_bias_deg_per_h",
+        "reset_accel_bias_ug",
+    ),
+}
+"""Keys that came later than others: a study that leaves them out is told as it was before."""
+_SWEEPS = ("axes", "cases", "drawn")
+
+
+def load_study(path: str | Path) -> Study:
+    """Reads and checks a study file.
+
+    Raises:
+        InputError: the file cannot be read, is no TOML or is no study; one line says why.
+    """
+    try:
+        data = tomllib.loads(Path(path).read_text("utf-8-sig"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is no UTF-8 text") from None
+    except ValueError as error:
+        raise InputError(one_line(f"{path}: is no TOML: {error}")) from None
+    except RecursionError:
+        raise InputError(f"{path}: is nested too deeply") from None
+    return study_from_dict(data, str(path))
+
+
+def study_from_dict(data: Table, source: str = "study") -> Study:
+    """Checks a study given as nested dictionaries, as a TOML parser returns it.
+
+    Args:
+        data: sections by name; left as it is.
+        source: what error messages call the study; its stem is the default of ``study.name``.
+
+    Raises:
+        InputError: the study is not valid; one line says why.
+    """
+    try:
+        study = _checked(data, Path(source).stem)
+        if study.tune and study.study.rate_hz:
+            _check_tuning(study)
+    except InputError as error:
+        raise InputError(one_line(f"{source}: {error}")) from None
+    except RecursionError:
+        raise InputError(f"{source}: is nested too deeply") from None
+    return study
+
+
+def tables_of(study: Study) -> Table:
+    """The resolved study as nested dictionaries: `study_from_dict` makes an equal study of them."""
+    content = study.model_dump(exclude_none=True)
+    for key in study.drawn_keys:
+        content[SECTION_OF[key]].pop(key, None)
+    content["axes"] |= content.pop("zips")
+    return {name: table for name, table in content.items() if table}
+
+
+def study_to_toml(study: Study) -> str:
+    """The resolved study as TOML, all defaults filled in; loading it gives an equal study."""
+    text = tomli_w.dumps(tables_of(study))
+    return "# The resolved study: every value, defaults filled in.\n" + text
+
+
+def with_point(study: Study, point: Table) -> Study:
+    """A study with the values of some keys put in their places, and without [tune].
+
+    Args:
+        study: checked study, left as it is; none of the keys is swept or drawn.
+        point: values by leaf key. What says the same in another way goes: a study with
+            ``reset_times_s`` has no ``reset_count``.
+
+    Raises:
+        InputError: that is no study.
+    """
+    return study_from_dict(search_space.put(tables_of(study), point), study.study.name)
+
+
+def with_rate(study: Study, rate_hz: float) -> Study:
+    """A recorded study at the rate of its record, where it leaves its own out.
+
+    Raises:
+        InputError: at this rate it is none.
+    """
+    if study.study.rate_hz:
+        return study
+    tables = tables_of(study)
+    settings = tables["study"] | {"rate_hz": rate_hz}
+    return study_from_dict(tables | {"study": settings}, study.study.name)
+
+
+def fingerprint(study: Study) -> str:
+    """16 hex digits that tell what a study computes, whatever its name, report or key order.
+
+    The order of the axes, of the zips and of the drawn keys counts: it numbers the variants and
+    points. What a study does not use leaves it as it was before that came.
+    """
+    unused: Any = {"report": True, "statements": True, "tune": True}
+    unused["study"] = {"name", "unchecked"}
+    content = study.model_dump(exclude=unused)
+    content["axes"] = list(study.axes.items())
+    content["zips"] = list(study.zips.values())
+    if study.drawn:
+        content["drawn"] = list(study.drawn.model_dump(exclude_none=True).items())
+    for name in ("zips", "drawn", "stop_when"):
+        if not content[name]:
+            del content[name]
+    for name, keys in _LATER.items():
+        for key in keys if content[name] else ():
+            if content[name][key] is None:
+                del content[name][key]
+    text = json.dumps(content, sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _checked(data: Table, name: str) -> Study:
+    """The study that tables make, but for what is between [tune] and the rest of it."""
+    tables = _tables(_with_tuples(data))
+    sweep = axes.read(tables)
+    where = {key: f"[{name}]" for name in SECTIONS for key in tables.get(name, ())}
+    where |= sweep.where
+    _check_forms(where)
+    study = _validated(_filled(tables, sweep, where, name))
+    _check_densities(where, _values_of("q_reading", tables, sweep))
+    check_study(study, where)
+    usual.check(study, where)
+    axes.check_draws(study)
+    return study
+
+
+def _check_tuning(study: Study) -> None:
+    """Refuses a [tune] that does not go with its study, or whose points make no study."""
+    assert study.tune is not None
+    search_space.check(study)
+    tables, baseline = tables_of(study), study.tune.baseline
+
+    def at(place: str, point: Table) -> Study:
+        try:
+            return _checked(search_space.put(tables, point), study.study.name)
+        except InputError as error:
+            raise InputError(f"{place}: {error}") from None
+
+    corners = {f"[tune.variables] {text}": point for text, point in search_space.corners(study)}
+    for place, point in corners.items():
+        at(place, point)
+    search_space.comparable(study, at("[tune.baseline]", baseline), corners)
+
+
+def _with_tuples(value: Any) -> Any:
+    """The same data with tuples for lists, so that the frozen study is frozen all the way."""
+    if isinstance(value, Mapping):
+        return {key: _with_tuples(entry) for key, entry in value.items()}
+    return tuple(map(_with_tuples, value)) if isinstance(value, list | tuple) else value
+
+
+def _tables(data: Table) -> Table:
+    """The data, once every section and key in it is known."""
+    names = (*SECTIONS, *_SWEEPS)
+    for name, table in data.items():
+        if name in SECTION_OF and name not in SECTIONS:
+            raise InputError(f"{name}: belongs in [{SECTION_OF[name]}]")
+        if name not in names:
+            raise InputError(f"[{name}]: unknown section{near(name, names, '[{}]')}")
+        if name == "cases":
+            continue
+        if not isinstance(table, Mapping):
+            raise InputError(f"[{name}]: must be a table of keys")
+        for key, value in table.items():
+            if name in SECTIONS and key not in SECTIONS[name].model_fields:
+                raise InputError(f"[{name}] {key}: unknown key{_hint(key, name)}")
+            if value is None:
+                raise InputError(f"[{name}] {key}: None is no value (leave the key out)")
+    for name in SIMULATED_ONLY:
+        if name in data and "record" in data:
+            raise InputError(f"[{name}]: has no place in a recorded study (drop it or [record])")
+    if "coarse" in data and "record" not in data:
+        raise InputError("[coarse]: only a recorded study has one ([record] is missing)")
+    if "record" in data and "draws" in data.get("study", {}):
+        raise InputError("[study] draws: has no place in a recorded study (one draw a start time)")
+    return data
+
+
+def _hint(key: str, section: str) -> str:
+    """Where an unknown key of a section belongs, or the nearest known key."""
+    if key in SECTION_OF:
+        return f" (it belongs in [{SECTION_OF[key]}])"
+    if here := near(key, SECTIONS[section].model_fields):
+        return here
+    found = difflib.get_close_matches(str(key), list(SECTION_OF), n=1)
+    return f" (did you mean {found[0]} in [{SECTION_OF[found[0]]}]?)" if found else ""
+
+
+def _check_forms(where: Where) -> None:
+    """Refuses two keys that say the same thing in two ways."""
+    for one, other in EXCLUSIVE:
+        if one in where and other in where:
+            raise InputError(
+                f"{where[one]} {one}: cannot go with {other} in {where[other]} (give one of them)"
+            )
+
+
+def _check_densities(where: Where, readings: set[Any]) -> None:
+    """Refuses a density of Q where Q is read as something else."""
+    for key in (key for keys in Q_DENSITIES.values() for key in keys):
+        if key in where and (others := readings - {"psd"}):
+            text = f"has no place without q_reading = 'psd' (it is '{min(others)}')"
+            raise InputError(f"{where[key]} {key}: {text}")
+
+
+def _filled(tables: Table, sweep: axes.Sweep, where: Where, name: str) -> Table:
+    """The sections that apply, with the defaults that depend on other keys."""
+    recorded = "record" in tables
+    unused: tuple[str, ...] = SIMULATED_ONLY if recorded else ("record", "coarse")
+    unread = keys_unread(_values_of("method", tables, sweep))
+    given = {SECTION_OF.get(key) for key in where}
+    unused += tuple({"passes", "stop_when", "tune"} - given - tables.keys())
+    unused += tuple(
+        name
+        for name in ("filter", "resets", "compass")
+        if name not in given and unread.issuperset(SECTIONS[name].model_fields)
+    )
+    sections = {key: dict(tables.get(key, {})) for key in SECTIONS if key not in unused}
+    sections["study"].setdefault("name", name)
+    if not recorded:
+        sections["study"].setdefault("draws", _DEFAULT_DRAWS)
+        sections["earth"].setdefault("height_m", 0.0)
+        for white, density in NOISES:
+            if white not in where and density not in where:
+                sections["sensors"][white] = 0.0
+    if _values_of("reset_trigger", tables, sweep) - {None, "none"}:
+        for key, value in _TRIGGER_DEFAULTS.items() if "resets" in sections else ():
+            if key not in where:
+                sections["resets"].setdefault(key, value)
+    for section, defaults in _DEFAULTS.items():
+        for key, value in defaults.items() if section in sections else ():
+            if key not in unread and where.keys().isdisjoint(rivals(key)):
+                sections[section].setdefault(key, value)
+    if "constants" in _values_of("earth", tables, sweep):
+        sections["earth"] = EARTH_CONSTANTS | sections["earth"]
+    if "tune" in sections:
+        sections["tune"] = tuned_keys.read(sections["tune"], sweep.where, recorded=recorded)
+    return sections | sweep._asdict()
+
+
+def _values_of(key: str, tables: Table, sweep: axes.Sweep) -> set[Any]:
+    """The values that a key takes over the variants, its section's default where none is given."""
+    section = SECTION_OF[key]
+    default = SECTIONS[section].model_fields[key].default
+    given = tables.get(section, {}).get(key, default)
+    # What is no word is refused where all values are checked.
+    return sweep.values(key) or {given if isinstance(given, str) else default}
+
+
+def _validated(sections: Table) -> Study:
+    try:
+        return Study.model_validate(sections)
+    except ValidationError as error:
+        first = error.errors()[0]
+        section = str(first["loc"][0])
+        key = first["loc"][1] if len(first["loc"]) > 1 else first["ctx"]["key"]
+        hint = ""
+        if first["type"] == "missing" and len(first["loc"]) == 2:
+            hint = f" ({SECTIONS[section].model_fields[str(key)].description})"
+        place = f"[{section}] {key}{index(first)}"
+        raise InputError(f"{place}: {explained(first)}{hint}") from None

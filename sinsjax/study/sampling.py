@@ -1,0 +1,124 @@
+"""The values of drawn keys, draw by draw: points of a design that neither count nor block changes.
+
+Every value is a function of the study's seed, of [drawn] and of the number of the draw. With random
+sampling each key has a stream of its own, which no other key changes; Sobol points are of all keys
+together.
+"""
+
+import math
+from collections.abc import Iterable
+from itertools import islice, product
+from typing import Any
+
+import numpy as np
+
+from sinsjax.study.distributions import NUMBERS, Drawn, Law
+from sinsjax.study.study import Study
+
+_SOBOL_BITS = 30  # 2^30 points, more than a study has draws
+_RANDOM_BITS = 52  # the middle of an interval of 2^-52 is still a double
+
+
+def values(study: Study, count: int, *, first: int = 0) -> dict[str, np.ndarray]:
+    """The values of all drawn keys in the draws ``first`` to ``first + count - 1``.
+
+    Args:
+        study: checked study.
+        count: number of draws.
+        first: number of the first one.
+
+    Returns:
+        By key, in the order written and in the units of the file: (count,), or (count, 3 or 6) for
+        a key with a number for each axis. Empty where nothing is drawn.
+    """
+    if study.drawn is None:
+        return {}
+    laws, seed = study.drawn.laws, study.study.seed
+    spread = [key for key, law in laws.items() if law.uniform or law.normal]
+    points = (_sobol if study.drawn.sampling == "sobol" else _random)(spread, seed, first, count)
+    draws = np.arange(first, first + count)
+    entries = _cycled(laws, draws)
+    drawn = {
+        key: entries[key] if key in entries else _spread(law, points[key])
+        for key, law in laws.items()
+    }
+    return {key: rows if NUMBERS[key] > 1 else rows[:, 0] for key, rows in drawn.items()}
+
+
+def of_fewer(drawn: Drawn, count: int) -> dict[str, Any]:
+    """The table [drawn] of fewer draws, with the same values in each of them.
+
+    Args:
+        drawn: of a study.
+        count: of the draws; lists end where no further entry is drawn.
+    """
+    table = drawn.model_dump(exclude_none=True)
+    grids = {key: law.grid for key, law in drawn.laws.items() if law.grid}
+    if math.prod(map(len, grids.values())) > count:
+        points = list(islice(product(*grids.values()), count))
+        table |= {
+            key: {"values": own} for key, own in zip(grids, zip(*points, strict=True), strict=True)
+        }
+    for key, law in drawn.laws.items():
+        if law.values:
+            table[key] = {"values": law.values[:count]}
+    return table
+
+
+def _random(keys: Iterable[str], seed: int, first: int, count: int) -> dict[str, np.ndarray]:
+    """Independent points in (0, 1), (count, numbers) by key; a key has its stream by its name."""
+    points = {}
+    for key in keys:
+        # Raw words and not a Generator, whose methods numpy may change.
+        bits = np.random.PCG64(np.random.SeedSequence(seed, spawn_key=tuple(key.encode())))
+        bits.advance(first * NUMBERS[key])
+        words = bits.random_raw(count * NUMBERS[key]) >> np.uint64(64 - _RANDOM_BITS)
+        points[key] = (words.reshape(count, NUMBERS[key]) + 0.5) * 2.0**-_RANDOM_BITS
+    return points
+
+
+def _sobol(keys: list[str], seed: int, first: int, count: int) -> dict[str, np.ndarray]:
+    """Scrambled Sobol points in (0, 1), (count, numbers) by key: one dimension a number."""
+    if not keys:
+        return {}
+    # A second or more, and few studies need it.
+    from scipy.stats import qmc
+
+    numbers = [NUMBERS[key] for key in keys]
+    rng = np.random.Generator(np.random.PCG64(seed))
+    engine = qmc.Sobol(sum(numbers), bits=_SOBOL_BITS, rng=rng)
+    if first:
+        engine.fast_forward(first)
+    # One point at first: scipy warns where a first call asks for another number than 2^m.
+    points = np.concatenate([engine.random(min(count, 1)), engine.random(max(count - 1, 0))])
+    points += 2.0 ** -(_SOBOL_BITS + 1)
+    return dict(zip(keys, np.split(points, np.cumsum(numbers)[:-1], axis=1), strict=True))
+
+
+def _spread(law: Law, points: np.ndarray) -> np.ndarray:
+    """Points in (0, 1), taken to a law's distribution."""
+    if law.uniform:
+        low, high = law.uniform
+        return low + (high - low) * points
+    # Slow to import, as above.
+    from scipy.special import ndtri
+
+    mean, deviation = law.normal or (0.0, 0.0)
+    return mean + deviation * ndtri(points)
+
+
+def _cycled(laws: dict[str, Law], draws: np.ndarray) -> dict[str, np.ndarray]:
+    """The entries of lists and grids in some draws, (draws, numbers) by key."""
+    grids = {key: len(law.grid) for key, law in laws.items() if law.grid}
+    fastest = math.prod(grids.values())
+    taken = {}
+    for key, law in laws.items():
+        if not (listed := law.values or law.grid):
+            continue
+        rows = np.stack([np.broadcast_to(np.asarray(v, float), NUMBERS[key]) for v in listed])
+        steps = 1
+        if law.grid:
+            fastest //= len(rows)
+            steps = fastest
+        taken[key] = rows[draws // steps % len(rows)]
+    return taken

@@ -1,0 +1,300 @@
+"""The sections of a study file: one frozen model each, one field a key, the unit in its name.
+
+Values stay in the file's units; leaf keys are unique over all sections, so that a key alone names
+an axis and a result column. Rules that hold inside one section live here, those between sections in
+`checks`.
+"""
+
+from typing import Annotated, Literal, cast
+
+from pydantic import Field, model_validator
+
+from sinsjax.value_types import (
+    AccelNoise,
+    Amplitude,
+    Angle,
+    AngleSigma,
+    AxesOrder,
+    Band,
+    Bands,
+    Count,
+    CrossAxis,
+    Elevation,
+    Finite,
+    GyroNoise,
+    HalfTurn,
+    Name,
+    NonNegative,
+    Period,
+    Positive,
+    Seconds,
+    SecondsOrZero,
+    Section,
+    Share,
+    Spread,
+    Starts,
+    Triad,
+    Usual,
+    Vector,
+    misfit,
+)
+
+GYRO_INCREMENTS = ("rad", "deg", "arcsec")
+ACCEL_INCREMENTS = ("m_per_s", "g_s", "ug_s")
+
+
+class Settings(Section):
+    """[study]: what all runs of a study share; never an axis."""
+
+    name: Name = Field(description="the study's name; default: the file's stem")
+    duration_s: Seconds = Field(description="length of the fine alignment, s")
+    # None only in a recorded study whose record is yet to be read, see `load.with_rate`.
+    rate_hz: Annotated[Positive, Usual(1e-3, 1e6)] = Field(
+        cast(float, None),
+        description="sample rate, Hz; a record that tells its own must have this one",
+    )
+    record_interval_s: Seconds = Field(1.0, description="time between recorded values, s")
+    draws: Annotated[Count, Field(ge=1)] | None = Field(
+        None,
+        description="draws of noise and of [drawn], with [stop_when] at most; default 64 where the"
+        " sensors are simulated",
+    )
+    seed: int = Field(1, ge=0, lt=2**63, description="seed of all that is drawn")
+    settle_bands_arcmin: Bands = Field(
+        (60.0, 10.0, 3.0), description="heading error bands of the settling times, arcmin"
+    )
+    window_s: Annotated[tuple[NonNegative, Positive], Usual(0, 1e8)] = Field(
+        # A pydantic below 2.14 asks for it even where the duration is missing or wrong.
+        default_factory=lambda given: (
+            given.get("duration_s", 1.0) / 1.5,
+            given.get("duration_s", 1.0),
+        ),
+        description="statistics window, s; default: the last third of the duration",
+    )
+    consistency_after_s: SecondsOrZero = Field(
+        10.0, description="start of the consistency statistics, s"
+    )
+    steady_after_s: SecondsOrZero = Field(
+        300.0, description="start of the steady process in the consistency statistics, s"
+    )
+    curves: bool = Field(False, description="whether a sweep stores curves too")
+    judged_from: Literal["truth", "limit"] | None = Field(
+        None,
+        description="what a run's success is judged from: the truth (default), or the limit that"
+        " its own sensor biases leave",
+    )
+    success_band_arcmin: Band | None = Field(
+        None, description="heading error band that a success ends in, arcmin; default 10"
+    )
+    level_band_arcmin: Band | None = Field(
+        None, description="level error band that a success ends in, arcmin; default 10"
+    )
+    dwell_s: SecondsOrZero | None = Field(
+        None,
+        description="how long before its end a success has stayed in the heading band, s; default:"
+        " the smaller of 30 s and a tenth of the run",
+    )
+    diverged_deg: AngleSigma | None = Field(
+        None,
+        description="heading error at the end beyond which a run has diverged, deg; default 10",
+    )
+    unchecked: bool | None = Field(
+        None, description="whether numbers beyond what is usual are run; default false"
+    )
+
+    @model_validator(mode="after")
+    def _window_inside(self) -> "Settings":
+        start, end = self.window_s
+        if not start < end <= self.duration_s:
+            raise misfit(
+                f"must be [a, b] with 0 <= a < b <= duration_s = {self.duration_s:g},"
+                f" not [{start:g}, {end:g}]",
+                key="window_s",
+            )
+        return self
+
+
+class Earth(Section):
+    """[earth]: the model of gravity and of the earth's shape and turn."""
+
+    earth: Literal["constants", "wgs84"] = Field("constants", description="earth model")
+    gravity_m_per_s2: Annotated[Positive, Usual(9, 10.5)] | None = Field(
+        None, description="gravity, m/s^2; constants only, default 9.8"
+    )
+    radius_m: Annotated[Positive, Usual(6e6, 7e6)] | None = Field(
+        None, description="radius, m; constants only, default 6378137"
+    )
+    earth_rate_deg_per_h: Annotated[Positive, Usual(10, 20)] | None = Field(
+        None, description="rotation rate, deg/h; constants only, default 15.041067"
+    )
+    latitude_deg: Elevation | None = Field(
+        None, description="latitude, deg; a recorded study may take it from the record"
+    )
+    height_m: Annotated[Finite, Usual(-12e3, 1e6)] | None = Field(
+        None, description="height, m; default: in a recorded study its record's if known, else 0"
+    )
+
+
+class Motion(Section):
+    """[motion]: angle(t) = center + amplitude sin(2 pi t / period + phase), each angle its own."""
+
+    pitch_center_deg: Elevation = Field(0.0, description="mean pitch, deg")
+    pitch_amplitude_deg: Amplitude = Field(0.0, description="pitch amplitude, deg")
+    pitch_period_s: Period = Field(10.0, description="pitch period, s")
+    pitch_phase_deg: Angle = Field(0.0, description="pitch phase, deg")
+    roll_center_deg: HalfTurn = Field(0.0, description="mean roll, deg")
+    roll_amplitude_deg: Amplitude = Field(0.0, description="roll amplitude, deg")
+    roll_period_s: Period = Field(10.0, description="roll period, s")
+    roll_phase_deg: Angle = Field(0.0, description="roll phase, deg")
+    yaw_center_deg: Angle | None = Field(
+        None, description="heading, deg, counter-clockwise from north"
+    )
+    yaw_amplitude_deg: Amplitude = Field(0.0, description="yaw amplitude, deg")
+    yaw_period_s: Period = Field(10.0, description="yaw period, s")
+    yaw_phase_deg: Angle = Field(0.0, description="yaw phase, deg")
+
+
+class Sensors(Section):
+    """[sensors]: what the sensors do; a number for all three body axes or one number each."""
+
+    gyro_bias_deg_per_h: Annotated[Vector, Usual(-1e5, 1e5)] = Field(
+        0.0, description="gyro bias, deg/h"
+    )
+    gyro_noise_deg_per_h: Annotated[Spread, Usual(0, 1e6)] | None = Field(
+        None, description="gyro white noise, standard deviation of a sample, deg/h"
+    )
+    gyro_arw_deg_per_sqrt_h: Annotated[Spread, Usual(0, 1e4)] | None = Field(
+        None, description="gyro angle random walk, deg/sqrt(h)"
+    )
+    gyro_scale_ppm: Annotated[Vector, Usual(-1e6, 1e6)] = Field(
+        0.0, description="gyro scale factor error, ppm"
+    )
+    gyro_misalignment_arcsec: Annotated[CrossAxis, Usual(-1e5, 1e5)] = Field(
+        0.0, description="gyro cross-axis angles xy, xz, yx, yz, zx, zy, arcsec"
+    )
+    accel_bias_ug: Annotated[Vector, Usual(-1e6, 1e6)] = Field(
+        0.0, description="accelerometer bias, ug"
+    )
+    accel_noise_ug: Annotated[Spread, Usual(0, 1e7)] | None = Field(
+        None, description="accelerometer white noise, standard deviation of a sample, ug"
+    )
+    accel_vrw_ug_per_sqrt_hz: Annotated[Spread, Usual(0, 1e7)] | None = Field(
+        None, description="accelerometer velocity random walk, ug/sqrt(Hz)"
+    )
+    accel_scale_ppm: Annotated[Vector, Usual(-1e6, 1e6)] = Field(
+        0.0, description="accelerometer scale factor error, ppm"
+    )
+    accel_misalignment_arcsec: Annotated[CrossAxis, Usual(-1e5, 1e5)] = Field(
+        0.0, description="accelerometer cross-axis angles xy, xz, yx, yz, zx, zy, arcsec"
+    )
+
+
+class Record(Section):
+    """[record]: how to read an IMU record, and where in it the draws start."""
+
+    format: Literal["psins", "csv", "parquet"] = Field(description="file format")
+    from_s: SecondsOrZero | None = Field(
+        None, description="where the part that is used begins, s from the record's beginning"
+    )
+    to_s: Seconds | None = Field(None, description="where that part ends, s; default: its end")
+    quantity: Literal["increments", "rates"] | None = Field(
+        None, description="what the columns hold (csv, parquet)"
+    )
+    time_column: str | None = Field(
+        None, description="time stamps (csv, parquet); without it rate_hz gives the times"
+    )
+    gyro_columns: Triad | None = Field(None, description="x, y, z gyro columns (csv, parquet)")
+    accel_columns: Triad | None = Field(
+        None, description="x, y, z accelerometer columns (csv, parquet)"
+    )
+    gyro_unit: Literal["rad", "deg", "arcsec", "rad_per_s", "deg_per_s", "deg_per_h"] | None = (
+        Field(None, description="unit of the gyro columns (csv, parquet)")
+    )
+    accel_unit: Literal["m_per_s", "g_s", "ug_s", "m_per_s2", "g", "mg", "ug"] | None = Field(
+        None, description="unit of the accelerometer columns (csv, parquet)"
+    )
+    axes_order: AxesOrder = Field(
+        "xyz", description="the record's axes that point right, front and up, such as 'y-xz'"
+    )
+    time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = Field(
+        None, description="unit of the time stamps, 'iso' for dates with time; default 's'"
+    )
+    start_s: Starts = Field(
+        default_factory=lambda given: (given.get("from_s") or 0.0,),
+        description="start times from the record's beginning, s; default: from_s, else 0",
+    )
+    max_gap_s: SecondsOrZero | None = Field(
+        None, description="longest gap that is interpolated, s; default 0: none"
+    )
+    gyro_bias_deg_per_h: GyroNoise | None = Field(
+        None, description="gyro bias that a plausible record may have, deg/h; default 10"
+    )
+    accel_bias_ug: AccelNoise | None = Field(
+        None, description="accelerometer bias that a plausible record may have, ug; default 5000"
+    )
+    trust: bool | None = Field(
+        None, description="whether an implausible record is aligned all the same; default false"
+    )
+
+    @model_validator(mode="after")
+    def _columns_fit_format(self) -> "Record":
+        self._check_times()
+        layout = ("quantity", "gyro_columns", "accel_columns", "gyro_unit", "accel_unit")
+        if self.format == "psins":
+            for key in (*layout, "time_column", "max_gap_s"):
+                if getattr(self, key) is not None:
+                    raise misfit("has no place with format 'psins', which fixes it", key=key)
+            return self
+        for key in layout:
+            if getattr(self, key) is None:
+                raise misfit(f"required with format '{self.format}'", key=key)
+        columns = (*(self.gyro_columns or ()), *(self.accel_columns or ()))
+        if len({*columns, self.time_column}) < len(columns) + 1:
+            raise misfit("names a column twice, or one of the gyro or time", key="accel_columns")
+        for key, increments in (("gyro_unit", GYRO_INCREMENTS), ("accel_unit", ACCEL_INCREMENTS)):
+            unit = getattr(self, key)
+            if (unit in increments) != (self.quantity == "increments"):
+                raise misfit(f"'{unit}' is no unit of {self.quantity}", key=key)
+        return self
+
+    def _check_times(self) -> None:
+        if self.time_unit is not None and self.time_column is None:
+            raise misfit("has no place without a time_column", key="time_unit")
+        begin, end = self.from_s or 0.0, self.to_s
+        if end is not None and end <= begin:
+            raise misfit(f"must be after from_s = {begin:g}, not {end:g}", key="to_s")
+        if min(self.start_s) < begin:
+            text = f"{min(self.start_s):g} s lies before from_s = {begin:g}"
+            raise misfit(text, key="start_s")
+
+
+class Report(Section):
+    """[report]: the shape of the report."""
+
+    layout: Literal[
+        "auto",
+        "paper1_conditions",
+        "paper1_resets",
+        "paper1_readings",
+        "car_test",
+        "paper2",
+        "compass_map",
+        "compass_schedules",
+        "pass_consistency",
+        "compass_car",
+        "consistency",
+        "reset_cycle",
+        "adaptive",
+    ] = Field("auto", description="page layout")
+
+
+class Statements(Section):
+    """[statements]: the numbers behind the words of a report's statements."""
+
+    converges_share: Share = Field(0.95, description="'converges': at least this share of runs")
+    short_time_s: Seconds = Field(200.0, description="'in a short time': settled by then, s")
+    cannot_share: Share = Field(0.05, description="'cannot converge': under this share of runs")
+    as_precise_arcmin: Band = Field(1.0, description="'as precise': means no further apart, arcmin")
+    covariance_share: Share = Field(
+        0.95, description="'larger throughout': at least this share of records with P_UU > phi_u^2"
+    )

@@ -1,0 +1,275 @@
+"""The variables of a tuning, and the points that they span.
+
+A *box point* has a place in [0, 1] for every free variable, in the order written, each entry of a
+list being a variable of its own. Its *values* are in the units of the file. A *point* is the table
+of keys that they come to, with one combination of all candidates: what is put into the study.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, NamedTuple, NoReturn
+
+from sinsjax.errors import InputError
+from sinsjax.study import success
+from sinsjax.study.ignored import UNREAD_BESIDE
+from sinsjax.study.ranges import Range
+from sinsjax.study.study import SECTION_OF, Study, Table, rivals
+from sinsjax.study.tuned_keys import COUNT, TIMES, TUNABLE, Ranges
+
+GRID_MOST = 2
+"""Free variables of a full grid, at the most."""
+
+_STANDS_FOR: dict[str, str | float] = {
+    "q_scale": 1.0,
+    "r_scale": 1.0,
+    "reset_velocity_m_per_s": "p0_velocity_m_per_s",
+    "reset_level_deg": "p0_level_deg",
+    "reset_yaw_deg": "p0_yaw_deg",
+    "reset_gyro_bias_deg_per_h": "p0_gyro_bias_deg_per_h",
+    "reset_accel_bias_ug": "p0_accel_bias_ug",
+}
+"""What a key says that is left out: a value, or that of another key."""
+
+_WHOLE = (TIMES, "sigma_times_s", "feedback_interval_s", "tape_s")
+
+
+class Variable(NamedTuple):
+    """A number that is searched between two ends.
+
+    Attributes:
+        key: leaf key of the study.
+        entry: which number of a list, from 0; None where the key is one number.
+        low: least value, in the unit of the key.
+        high: greatest value.
+        log: whether the way from low to high is geometric.
+    """
+
+    key: str
+    entry: int | None
+    low: float
+    high: float
+    log: bool
+
+    @property
+    def name(self) -> str:
+        """``p0_yaw_deg``, or ``reset_times_s[0]`` for an entry of a list."""
+        return self.key if self.entry is None else f"{self.key}[{self.entry}]"
+
+    def value(self, place: Any) -> Any:
+        """The value at a place from 0 to 1; of arrays and traced numbers too."""
+        if self.log:
+            return self.low * (self.high / self.low) ** place
+        return self.low + (self.high - self.low) * place
+
+    def place(self, value: float) -> float:
+        """The place of a value, the inverse of `value`."""
+        if self.log:
+            return math.log(value / self.low) / math.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
+
+@dataclass(frozen=True)
+class Space:
+    """All points that a tuning may look at.
+
+    Attributes:
+        ranges: of [tune.variables], by key.
+        variables: the free ones, in the order written: the dimensions of the box.
+        combinations: of the candidates of all keys that have some, the last one fastest; fixed
+            values are in each of them.
+        rate_hz: samples a second of the study.
+        record_interval_s: of the study.
+    """
+
+    ranges: Ranges
+    variables: tuple[Variable, ...]
+    combinations: tuple[Table, ...]
+    rate_hz: float
+    record_interval_s: float
+
+    @classmethod
+    def of(cls, study: Study) -> "Space":
+        """The space of a study with [tune]."""
+        assert study.tune is not None
+        ranges = study.tune.variables
+        chosen = {
+            key: kind.candidates or (kind.fixed,)
+            for key, kind in ranges.items()
+            if isinstance(kind, Range) and not kind.is_free
+        }
+        combinations = tuple(
+            dict(zip(chosen, values, strict=True)) for values in product(*chosen.values())
+        )
+        settings = study.study
+        return cls(
+            ranges, _free(ranges), combinations, settings.rate_hz, settings.record_interval_s
+        )
+
+    def used(self, combination: Table) -> list[int]:
+        """Numbers of the variables that a combination leaves something to do."""
+        count = combination.get(COUNT, math.inf)
+        return [
+            number
+            for number, variable in enumerate(self.variables)
+            if variable.key != TIMES or variable.entry is None or variable.entry < count
+        ]
+
+    def values(self, box: Iterable[Any]) -> list[Any]:
+        """The values at a box point: one a variable, those that are not used too."""
+        return [v.value(place) for v, place in zip(self.variables, box, strict=True)]
+
+    def box(self, values: Sequence[float]) -> list[float]:
+        """The box point of some values, the inverse of `values`."""
+        return [v.place(value) for v, value in zip(self.variables, values, strict=True)]
+
+    def point(self, values: Sequence[float], combination: Table) -> Table:
+        """The keys that values and a combination come to.
+
+        Times are whole numbers of samples and ascend. Resets on one sample are one.
+        """
+        numbers = iter(
+            min(max(float(value), v.low), v.high)
+            for v, value in zip(self.variables, values, strict=True)
+        )
+        out: Table = {}
+        for key, kind in self.ranges.items():
+            if isinstance(kind, Range):
+                out[key] = next(numbers) if kind.is_free else combination[key]
+            else:
+                out[key] = tuple(next(numbers) if k.is_free else k.fixed for k in kind)
+        if COUNT in out and TIMES in out:
+            out[TIMES] = out[TIMES][: out.pop(COUNT)]
+        return {
+            key: self._whole(key, value) if key in _WHOLE else value for key, value in out.items()
+        }
+
+    def _whole(self, key: str, value: Any) -> Any:
+        """Times as whole numbers of samples, the tape's as one of record intervals."""
+        if key == "tape_s":
+            return max(1, round(value / self.record_interval_s)) * self.record_interval_s
+        if not isinstance(value, tuple):
+            return max(1, round(value * self.rate_hz)) / self.rate_hz
+        samples = sorted(max(1, round(time * self.rate_hz)) for time in value)
+        if key == TIMES:
+            samples = list(dict.fromkeys(samples))
+        for number in range(1, len(samples)):  # a piece each, be it a sample long
+            samples[number] = max(samples[number], samples[number - 1] + 1)
+        return tuple(sample / self.rate_hz for sample in samples)
+
+
+def _free(ranges: Ranges) -> tuple[Variable, ...]:
+    found = []
+    for key, kind in ranges.items():
+        entries = [(None, kind)] if isinstance(kind, Range) else list(enumerate(kind))
+        for entry, own in entries:
+            if own.low is not None and own.high is not None:
+                found.append(Variable(key, entry, own.low, own.high, own.scale == "log"))
+    return tuple(found)
+
+
+def check(study: Study) -> None:
+    """Checks the rules between [tune] and the rest of a study.
+
+    Raises:
+        InputError: ``[table] key: what is wrong (hint)``.
+    """
+    tune = study.tune
+    assert tune is not None
+    if study.stop_when:
+        _refuse("[stop_when]", "has no place beside [tune], whose draws are counted")
+    if study.record and len(study.record.start_s) < 2:
+        _refuse("[record] start_s", "tuning needs two start times, one to tune and one to judge by")
+    bands = success.bands(study)
+    if tune.objective_band_arcmin not in bands:
+        text = f"{tune.objective_band_arcmin:g} is none of {', '.join(f'{b:g}' for b in bands)}"
+        _refuse(
+            "[tune] objective_band_arcmin", f"{text} (settle_bands_arcmin, and that of success)"
+        )
+    space = Space.of(study)
+    most = max(len(space.used(combination)) for combination in space.combinations)
+    if "grid" in tune.searches and most > GRID_MOST:
+        text = f"'grid' takes up to {GRID_MOST} variables at a time, here are {most}"
+        _refuse("[tune] searches", f"{text} (use 'sobol')")
+    if "gradient" in tune.searches and not most:
+        _refuse("[tune] searches", "'gradient' needs a variable with low and high")
+
+
+def _refuse(place: str, text: str) -> NoReturn:
+    raise InputError(f"{place}: {text}")
+
+
+def corners(study: Study) -> Iterator[tuple[str, Table]]:
+    """The points at which all ranges are at one of their ends, and what to call them."""
+    space = Space.of(study)
+    ends = {"low": 0.0, "high": 1.0} if space.variables else {}
+    for combination in space.combinations:
+        for name, place in ends.items():
+            values = space.values([place] * len(space.variables))
+            yield f"with every range at its {name} end", space.point(values, combination)
+        if not ends:
+            yield "with these values", space.point([], combination)
+
+
+def told(study: Study, keys: Iterable[str]) -> Table:
+    """The values that keys have in a study, none of them swept or drawn; None where it has none.
+
+    What a key that is left out stands for is told too, and ``reset_times_s`` of counted resets.
+    """
+    out = {}
+    for key in keys:
+        section = getattr(study, SECTION_OF[key])
+        out[key] = None if section is None else getattr(section, key)
+        if section is not None and key == TIMES:
+            out[key] = study.reset_times()[0]
+        elif section is not None and out[key] is None and key in _STANDS_FOR:
+            other = _STANDS_FOR[key]
+            out[key] = getattr(study.filter, other) if isinstance(other, str) else other
+    return out
+
+
+def comparable(study: Study, based: Study, points: Mapping[str, Table]) -> dict[str, Table]:
+    """Points and the baseline, each with the same keys, so that they can be cases of one study.
+
+    Args:
+        study: with [tune], whose points they are.
+        based: the study with the baseline put in.
+        points: by name.
+
+    Raises:
+        InputError: the baseline lacks a key of the points, or the study one of the baseline.
+    """
+    assert study.tune is not None
+    keys = list(next(iter(points.values())))
+    taken = {*keys, *(other for key in keys for other in rivals(key))}
+    own = told(study, [key for key in study.tune.baseline if key not in taken])
+    out = {"baseline": told(based, [*keys, *own])}
+    for key, value in own.items():
+        if value is None:
+            _refuse(f"[tune.baseline] {key}", "must have a value in the study too, for all others")
+    for key, value in out["baseline"].items():
+        if value is None:
+            _refuse(f"[tune.baseline] {key}", "required, as the study itself gives none")
+    return out | {name: own | point for name, point in points.items()}
+
+
+def cleared(tables: Table, keys: Sequence[str]) -> Table:
+    """A study's tables without some keys and what says them in another way, and without [tune]."""
+    gone = {*keys, *(other for key in keys for other in rivals(key))}
+    gone |= {UNREAD_BESIDE[key] for key in keys if key in UNREAD_BESIDE} - {*keys}
+    return {
+        name: {key: value for key, value in table.items() if key not in gone}
+        if name in TUNABLE
+        else table
+        for name, table in tables.items()
+        if name != "tune"
+    }
+
+
+def put(tables: Table, point: Table) -> Table:
+    """A study's tables with the keys of a point in their sections, and without [tune]."""
+    out = cleared(tables, list(point))
+    for key, value in point.items():
+        out[SECTION_OF[key]] = out.get(SECTION_OF[key], {}) | {key: value}
+    return out

@@ -1,0 +1,347 @@
+"""The study: its sections, the axes it sweeps, the variants that they span.
+
+The rules between its keys stand in `checks`.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import combinations, product
+from typing import Any, NamedTuple
+
+from pydantic import BaseModel, ConfigDict
+
+from sinsjax.alignment.compass.section import Compass
+from sinsjax.alignment.sections import Alignment, Coarse, Passes
+from sinsjax.alignment.zero_velocity.section import Filter, Resets
+from sinsjax.study.distributions import Drawn, StopWhen
+from sinsjax.study.ranges import Tune
+from sinsjax.study.schema import Earth, Motion, Record, Report, Sensors, Settings, Statements
+from sinsjax.value_types import Section
+
+SECTIONS: dict[str, type[Section]] = {
+    "study": Settings,
+    "earth": Earth,
+    "motion": Motion,
+    "sensors": Sensors,
+    "alignment": Alignment,
+    "filter": Filter,
+    "resets": Resets,
+    "compass": Compass,
+    "passes": Passes,
+    "record": Record,
+    "coarse": Coarse,
+    "stop_when": StopWhen,
+    "tune": Tune,
+    "report": Report,
+    "statements": Statements,
+}
+"""Every section of leaf keys by its name in the file."""
+
+SWEEPABLE = (
+    "earth",
+    "motion",
+    "sensors",
+    "alignment",
+    "filter",
+    "resets",
+    "compass",
+    "passes",
+)
+"""The sections whose keys may be axes."""
+
+SIMULATED_ONLY = ("motion", "sensors", "stop_when")
+"""The sections that have no place in a recorded study."""
+
+SECTION_OF = {key: name for name, model in SECTIONS.items() for key in model.model_fields} | {
+    key: "sensors" for key in Sensors.model_fields
+}
+"""The section of every leaf key; two of [record]'s, on what sensors may do, are [sensors]'s too."""
+
+EARTH_CONSTANTS = {
+    "gravity_m_per_s2": 9.8,
+    "radius_m": 6378137.0,
+    "earth_rate_deg_per_h": 15.041067,
+}
+"""The keys of [earth] that only ``earth = "constants"`` has, with their defaults."""
+
+NOISES = (
+    ("gyro_noise_deg_per_h", "gyro_arw_deg_per_sqrt_h"),
+    ("accel_noise_ug", "accel_vrw_ug_per_sqrt_hz"),
+)
+"""The keys of white noise, each beside the one that gives its density."""
+
+Q_DENSITIES = {
+    "q_accel_ug": {"q_accel_ug_per_sqrt_hz": 1.0},
+    "q_gyro_deg_per_h": {"q_gyro_deg_per_h_per_sqrt_hz": 1.0, "q_gyro_arw_deg_per_sqrt_h": 60.0},
+}
+"""Under ``q_reading = "psd"``, the keys that give Q by its true units: factors to the old keys."""
+
+EXCLUSIVE = (
+    *NOISES,
+    *(pair for key, by_unit in Q_DENSITIES.items() for pair in combinations((key, *by_unit), 2)),
+    ("reset_times_s", "reset_count"),
+    ("reset_times_s", "reset_cycle_s"),
+    ("reset_times_s", "reset_first_s"),
+    ("level_gains", "level_sigma_per_s"),
+    ("level_gains", "level_adjustment_s"),
+    ("level_adjustment_s", "level_sigma_per_s"),
+    ("level_passes", "level_time_s"),
+    ("azimuth_gains", "azimuth_sigma_per_s"),
+    ("azimuth_gains", "azimuth_adjustment_s"),
+    ("azimuth_adjustment_s", "azimuth_sigma_per_s"),
+    ("sigma_passes", "sigma_times_s"),
+)
+"""Pairs of keys that say the same thing in two ways: a study gives one of them."""
+
+PASS_KEYS = ("tape_s", "passes", "ending")
+"""The keys that decide which sample of the tape an update reads, and how many there are."""
+
+ROUNDING = 1e-9
+"""Relative; how far a product of two decimal numbers may be off."""
+
+
+Table = dict[str, Any]
+Dimension = dict[str, tuple[Any, ...]]
+
+
+def meaning(key: str) -> str:
+    """What a key says, in the words of its section; ``case`` is the label of a case."""
+    if key not in SECTION_OF:
+        return "label of the case"
+    return SECTIONS[SECTION_OF[key]].model_fields[key].description or ""
+
+
+def rivals(key: str) -> set[str]:
+    """The keys that say in another way what a key says."""
+    return {other for pair in EXCLUSIVE if key in pair for other in pair} - {key}
+
+
+def dimensions_of(
+    cases: Sequence[Table], zips: Iterable[Dimension], axes: Dimension
+) -> list[Dimension]:
+    """What a sweep is the product of: values by key, those of one dimension going together.
+
+    Args:
+        cases: one table a case.
+        zips: values by key of every zip.
+        axes: values by key, each a dimension of its own.
+
+    Returns:
+        The cases first, as the slowest, a label before their keys; then the zips; then the axes.
+    """
+    keys = sorted(cases[0] if cases else (), key=lambda key: key != "case")
+    joint = {key: tuple(case[key] for case in cases) for key in keys}
+    return [*([joint] if joint else ()), *zips, *({key: axes[key]} for key in axes)]
+
+
+def counted_resets(count: int, cycle_s: float | None, first_s: float | None) -> tuple[float, ...]:
+    """Times of counted resets, s.
+
+    Args:
+        count: how many.
+        cycle_s: between two of them; not needed for a first one alone.
+        first_s: of the first; without it they come at the cycle and its multiples.
+    """
+    if first_s is None:
+        return tuple((i + 1) * (cycle_s or 0.0) for i in range(count))
+    return tuple(first_s + i * (cycle_s or 0.0) for i in range(count))
+
+
+class Span(NamedTuple):
+    """How long a variant runs, in record intervals.
+
+    Attributes:
+        records: in the run.
+        tape: in a pass over its tape; all of the run where it is gone over once.
+    """
+
+    records: int
+    tape: int
+
+    @property
+    def read(self) -> int:
+        """Record intervals of data that the run reads."""
+        return min(self.records, self.tape)
+
+
+class Study(BaseModel):
+    """A checked study: its sections with all defaults filled in, and what it sweeps and draws.
+
+    A variant is one point of the sweep: cases outermost, then the zips, then the axes, each as
+    written, the last one fastest. A section that does not apply is None: ``motion`` and ``sensors``
+    of a recorded study, ``record`` and ``coarse`` of a simulated one, ``filter``, ``resets`` and
+    ``compass`` where no method reads them, ``passes`` where no tape is gone over again, ``drawn``,
+    ``stop_when`` and ``tune`` where not given. So is a key that does not apply, such as
+    ``gravity_m_per_s2`` where no variant has constants.
+
+    Attributes:
+        axes: values by leaf key, in the order written, of the axes that stand alone.
+        zips: axes that go together, by the name of their table: values by leaf key, of one length.
+        cases: one table of leaf keys a case, all with the same keys, ``case`` being its label.
+        drawn: how the keys are drawn whose value differs from draw to draw; no section, axis or
+            case has them.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    study: Settings
+    earth: Earth
+    motion: Motion | None = None
+    sensors: Sensors | None = None
+    alignment: Alignment
+    filter: Filter | None = None
+    resets: Resets | None = None
+    compass: Compass | None = None
+    passes: Passes | None = None
+    record: Record | None = None
+    coarse: Coarse | None = None
+    drawn: Drawn | None = None
+    stop_when: StopWhen | None = None
+    tune: Tune | None = None
+    report: Report
+    statements: Statements
+    axes: Dimension
+    zips: dict[str, Dimension] = {}
+    cases: tuple[Table, ...]
+
+    @property
+    def is_recorded(self) -> bool:
+        """Whether the sensors come from a record and not from a simulation."""
+        return self.record is not None
+
+    @property
+    def n_draws(self) -> int:
+        """Number of draws, or of the start times in a record; with ``stop_when`` the most."""
+        return len(self.record.start_s) if self.record else self.study.draws or 1
+
+    @property
+    def n_variants(self) -> int:
+        """Number of points of the sweep; 1 where nothing is swept."""
+        return math.prod(map(_length, self.dimensions))
+
+    @property
+    def dimensions(self) -> list[Dimension]:
+        """What the sweep is the product of, as `dimensions_of` gives it."""
+        return dimensions_of(self.cases, self.zips.values(), self.axes)
+
+    @property
+    def record_every(self) -> int:
+        """Samples in a record interval."""
+        return round(self.study.record_interval_s * self.study.rate_hz)
+
+    @property
+    def records(self) -> int:
+        """Whole record intervals in the duration; a last partial one is not run."""
+        samples = self.study.duration_s * self.study.rate_hz
+        return math.floor(samples * (1 + ROUNDING)) // self.record_every
+
+    @property
+    def spans(self) -> list[Span]:
+        """How long every variant runs."""
+        if self.passes is None:
+            return [self.span()] * self.n_variants
+        return [self.span(*values) for values in zip(*map(self.values, PASS_KEYS), strict=True)]
+
+    @property
+    def distinct_spans(self) -> set[Span]:
+        """How long variants run, each length once, from the axes alone."""
+        points = self.combinations(*PASS_KEYS) if self.passes else [{}]
+        return {self.span(**point) for point in points}
+
+    def span(
+        self, tape_s: float | None = None, passes: int | None = None, ending: str = "duration"
+    ) -> Span:
+        """How long a variant with some values of `PASS_KEYS` runs."""
+        if tape_s is None:
+            return Span(self.records, self.records)
+        tape = max(1, round(tape_s * self.study.rate_hz / self.record_every))
+        if passes is None:
+            whole = self.records // tape
+            passes = whole - (whole + 1) % 2 if ending == "forward" else None
+        return Span(self.records if passes is None else passes * tape, tape)
+
+    @property
+    def run_s(self) -> float:
+        """Length of the shortest run, whole record intervals, s."""
+        return min(s.records for s in self.distinct_spans) * self.record_every / self.study.rate_hz
+
+    @property
+    def dropped_s(self) -> float:
+        """Length of the last partial record interval, which is not run, s."""
+        left = self.study.duration_s - self.records * self.record_every / self.study.rate_hz
+        return left if left > ROUNDING * self.study.duration_s else 0.0
+
+    @property
+    def has_trigger(self) -> bool:
+        """Whether a trigger calls for resets in some variant."""
+        points = self.combinations("reset_trigger") if self.resets else ()
+        return any(point["reset_trigger"] not in (None, "none") for point in points)
+
+    def reset_times(self) -> list[tuple[float, ...]]:
+        """Reset times of every variant, s."""
+        if self.resets is None:
+            return [()] * self.n_variants
+        keys = ("reset_times_s", "reset_count", "reset_cycle_s", "reset_first_s")
+        return [
+            counted_resets(count or 0, cycle, first) if times is None else tuple(times)
+            for times, count, cycle, first in zip(*map(self.values, keys), strict=True)
+        ]
+
+    @property
+    def axis_keys(self) -> tuple[str, ...]:
+        """Every key that varies over the variants: ``case`` if labelled, then as they number them.
+
+        Those of the cases, of the zips, the axes.
+        """
+        return tuple(key for dimension in self.dimensions for key in dimension)
+
+    @property
+    def drawn_keys(self) -> tuple[str, ...]:
+        """Every key whose value differs from draw to draw, in the order written."""
+        return tuple(self.drawn.laws) if self.drawn else ()
+
+    def variant_values(self) -> dict[str, list[Any]]:
+        """The values of every axis key, one a variant, in variant order."""
+        return {key: self.values(key) for key in self.axis_keys}
+
+    def values(self, key: str) -> list[Any]:
+        """The values of a sweepable leaf key, one a variant, in the units of the file.
+
+        Args:
+            key: leaf key of a section in `SWEEPABLE`; one that is drawn is None.
+
+        Raises:
+            KeyError: no sweepable section of this study has the key.
+        """
+        fastest = variants = self.n_variants
+        for dimension in self.dimensions:
+            fastest //= _length(dimension)
+            if key in dimension:
+                once = [value for value in dimension[key] for _ in range(fastest)]
+                return once * (variants // len(once))
+        return [self._constant(key)] * variants
+
+    def combinations(self, *keys: str) -> Iterator[dict[str, Any]]:
+        """The distinct values that sweepable keys take together over all variants.
+
+        A drawn key is None.
+        """
+        points = []
+        for dimension in self.dimensions:
+            if here := [key for key in keys if key in dimension]:
+                rows = dict.fromkeys(zip(*(dimension[key] for key in here), strict=True))
+                points.append([dict(zip(here, row, strict=True)) for row in rows])
+        swept = {key for rows in points for key in rows[0]}
+        fixed = {key: self._constant(key) for key in keys if key not in swept}
+        for parts in product(*points):
+            yield fixed | {key: value for part in parts for key, value in part.items()}
+
+    def _constant(self, key: str) -> Any:
+        section = getattr(self, SECTION_OF[key])
+        if SECTION_OF[key] not in SWEEPABLE or section is None:
+            raise KeyError(key)
+        return None if key in self.drawn_keys else getattr(section, key)
+
+
+def _length(dimension: Dimension) -> int:
+    return len(next(iter(dimension.values())))

@@ -1,0 +1,506 @@
+"""Commands as a user types them: what they leave behind, and one clear line for every mistake."""
+
+import inspect
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import tomli_w
+from support.kept import everything
+from support.studies import BASE, small_study
+
+from sinsjax import cli
+from sinsjax.engine import build
+from sinsjax.execution import tables
+from sinsjax.records import PSINS_LAYOUT, Layout, read_psins, write_csv, write_parquet, write_psins
+
+Command = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def sinsjax(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    """Runs a command line in this process; gives exit code, output and error output."""
+
+    def call(*words: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["sinsjax", *map(str, words)])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        told = capsys.readouterr()
+        return int(stop.value.code or 0), told.out, told.err
+
+    return call
+
+
+def write_study(folder: Path, **changes: Any) -> Path:
+    """A small study file with sections changed; a key set to None is left out."""
+    data: dict[str, Any] = {name: dict(section) for name, section in BASE.items()}
+    for name, change in changes.items():
+        if change is None:
+            del data[name]
+        elif isinstance(change, dict):
+            merged = data.get(name, {}) | change
+            data[name] = {key: value for key, value in merged.items() if value is not None}
+        else:
+            data[name] = change
+    path = folder / "study.toml"
+    path.write_text(tomli_w.dumps(data), encoding="utf-8")
+    return path
+
+
+TWO: dict[str, Any] = {
+    "axes": {"phi_u0_deg": [0.0, 30.0]},
+    "resets": {"reset_times_s": [2.5]},
+}
+"""Two variants, 6 runs: what is compiled for one test serves the others."""
+
+RECORDED: dict[str, Any] = {
+    "study": {"duration_s": 2.0, "draws": None, "window_s": [0, 2]},
+    "motion": None,
+    "sensors": None,
+    "alignment": {"phi_e0_deg": 1.0, "phi_n0_deg": 0.0, "phi_u0_deg": 3.0},
+    "record": {"format": "psins", "start_s": [0.0, 1.0]},
+    "coarse": {"coarse_duration_s": 3.0},
+}
+
+
+@pytest.fixture(scope="module")
+def record() -> build.Record:
+    return build.simulated_record(small_study())
+
+
+def test_run_leaves_results_figures_and_a_table(sinsjax: Command, tmp_path: Path) -> None:
+    config = write_study(tmp_path, **TWO)
+    out = tmp_path / "out"
+    code, told, _ = sinsjax("run", config, "-o", out)
+    assert code == 0
+    summary, curves = tables.read_summary(out), tables.read_curves(out)
+    assert summary["run_id"].to_pylist() == list(range(6))
+    assert summary["phi_u0_deg"].to_pylist() == [0.0, 30.0] * 3
+    assert curves.num_rows == 6 * 6
+    last = curves.filter(pa.compute.equal(curves["time_s"], 6.0))
+    np.testing.assert_array_equal(last["phi_u_arcmin"], summary["phi_u_arcmin"])
+    assert list((out / "figures").glob("*.png"))
+    assert "phi_u0_deg" in told
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert manifest["runs"] == manifest["runs_done"] == 6 and manifest["seed"] == 1
+    assert (manifest["state"], manifest["config"]) == ("complete", config.name)
+    (chunk,) = manifest["chunks"]
+    assert {file["rows"] for file in chunk["files"]} == {6, 36}
+    (session,) = manifest["sessions"]
+    assert session["devices"] == manifest["devices"] == 2
+    assert session["devices_are"] == "threads over one program"
+    assert session["versions"].keys() >= {"sinsjax", "jaxlib", "pyarrow"}
+
+
+def written_help(callback: Callable[..., None]) -> list[str]:
+    """What the source says of a command: the lines of its docstring, the help of its options."""
+    hints = get_type_hints(callback, include_extras=True).values()
+    given = (each for hint in hints for each in getattr(hint, "__metadata__", ()))
+    return [inspect.getdoc(callback) or "", *(each.help for each in given if each.help)]
+
+
+@pytest.mark.parametrize("command", [one.callback for one in cli.app.registered_commands])
+def test_help_shows_every_word_that_is_written(sinsjax: Command, command: Any) -> None:
+    """The section [tune] is no markup."""
+    code, told, error = sinsjax(command.__name__, "--help")
+    assert (code, error) == (0, "")
+    shown = "".join(told.split())
+    for text in written_help(command):
+        assert "".join(text.split()) in shown
+
+
+def test_brackets_in_what_is_printed_are_no_markup(
+    sinsjax: Command, tmp_path: Path, record: build.Record, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cli, "MOST_RUNS", 1)
+    write_psins(record, tmp_path / "swing.imu")
+    study = RECORDED["study"] | {"name": "swing [tune]"}
+    config = write_study(tmp_path, **RECORDED | {"study": study})
+    code, told, _ = sinsjax("align", tmp_path / "swing.imu", config, "-o", tmp_path / "[out]")
+    assert code == 0
+    assert "curves are kept only where [study] curves = true" in told
+    assert "swing [tune]: 2 of 2 runs" in told
+    code, told, _ = sinsjax(
+        "rerun", tmp_path / "[out]", "--run-id", 1, "--record", tmp_path / "swing.imu"
+    )
+    assert code == 0
+    assert str(tmp_path / "[out]" / "reruns" / "1") in told
+
+
+def test_results_are_not_overwritten_unasked(sinsjax: Command, tmp_path: Path) -> None:
+    config, out = write_study(tmp_path, **TWO), tmp_path / "out"
+    assert sinsjax("sweep", config, "-o", out)[0] == 0
+    before = (out / "manifest.json").read_bytes()
+    code, _, error = sinsjax("sweep", config, "-o", out)
+    assert (code, error.count("\n")) == (2, 1)
+    assert str(out) in error and "--overwrite" in error
+    assert (out / "manifest.json").read_bytes() == before
+    (out / "notes.txt").write_text("mine")
+    assert sinsjax("sweep", config, "-o", out, "--overwrite")[0] == 0
+    assert (out / "notes.txt").read_text() == "mine"
+
+
+def test_files_that_only_look_like_results_are_never_touched(
+    sinsjax: Command, tmp_path: Path
+) -> None:
+    (tmp_path / "figures").mkdir()
+    (tmp_path / "figures" / "thesis.png").write_text("mine")
+    config = write_study(tmp_path)
+    code, _, error = sinsjax("sweep", config, "-o", tmp_path, "--overwrite")
+    assert code == 2 and error.count("\n") == 1 and "no result" in error
+    assert (tmp_path / "figures" / "thesis.png").read_text() == "mine"
+    assert config.read_text()
+
+
+def test_a_sweep_is_repeatable_byte_for_byte(sinsjax: Command, tmp_path: Path) -> None:
+    config = write_study(tmp_path, axes={"reset_times_s": [[], [2.5]]})
+    for name in ("one", "two"):
+        assert sinsjax("sweep", config, "-o", tmp_path / name)[0] == 0
+    parts = [sorted((tmp_path / name / "summary").iterdir()) for name in ("one", "two")]
+    assert [p.read_bytes() for p in parts[0]] == [p.read_bytes() for p in parts[1]]
+    assert not (tmp_path / "one" / "curves").exists()
+
+
+def test_a_sweep_is_gone_on_with_where_it_was_left(sinsjax: Command, tmp_path: Path) -> None:
+    config, out = write_study(tmp_path, **TWO, study={"draws": 100}), tmp_path / "out"
+    words = ("sweep", config, "-o", out, "--resume")
+    assert sinsjax(*words, "--chunk-runs", 64)[0] == 0
+    before = everything(out)
+    lost, *kept = sorted(out.glob("summary/*.parquet"))
+    assert len(kept) == 1
+    lost.unlink()
+    code, told, _ = sinsjax(*words)
+    assert code == 0
+    assert "study: 72 of 200 runs, there already" in told
+    assert "study: 200 of 200 runs" in told
+    assert {k: v[0] for k, v in everything(out).items() if "summary" in k} == {
+        k: v[0] for k, v in before.items() if "summary" in k
+    }
+    assert kept[0].stat().st_mtime_ns == before[str(kept[0].relative_to(out))][1]
+    code, told, _ = sinsjax(*words)
+    assert code == 0 and "study: 200 of 200 runs, there already" in told
+    assert "Window" in told
+
+
+def test_what_cannot_be_gone_on_with_is_one_clear_line(sinsjax: Command, tmp_path: Path) -> None:
+    config, out = write_study(tmp_path, **TWO), tmp_path / "out"
+    assert sinsjax("sweep", config, "-o", out)[0] == 0
+    before = everything(out)
+    both = ("sweep", config, "-o", out, "--resume", "--overwrite")
+    assert_refused(sinsjax(*both), tmp_path / "none", "--resume", "--overwrite")
+    write_study(tmp_path, **TWO, study={"seed": 2}, alignment={"phi_n0_deg": 6.0})
+    named = ("[study] seed: 1 there, 2 here", "[alignment] phi_n0_deg: 5.0 there, 6.0 here")
+    told = sinsjax("sweep", config, "-o", out, "--resume")
+    assert_refused(told, tmp_path / "none", str(out), "another study", *named)
+    assert everything(out) == before
+
+
+def test_words_that_do_not_go_together_are_one_clear_line(sinsjax: Command, tmp_path: Path) -> None:
+    words = ("sweep", write_study(tmp_path), "-o", tmp_path / "out")
+    address = ("--scheduler", "tcp://127.0.0.1:1")
+    none = tmp_path / "out"
+    assert_refused(sinsjax(*words, "--workers", 2, *address), none, "--workers", "--scheduler")
+    assert_refused(sinsjax(*words, "--workers", 2, "--devices", 1), none, "--devices")
+    assert_refused(sinsjax(*words, "--devices", 1, *address), none, "--devices")
+    assert_refused(sinsjax(*words, "--devices", 4096), none, "--devices", "4096")
+
+
+def test_rerun_does_one_run_again(sinsjax: Command, tmp_path: Path) -> None:
+    config, out = write_study(tmp_path, **TWO), tmp_path / "out"
+    assert sinsjax("sweep", config, "-o", out)[0] == 0
+    code, told, error = sinsjax("rerun", out, "--run-id", 3)
+    assert (code, error) == (0, "")
+    assert "identical to the stored one" in told
+    curve = pq.read_table(out / "reruns" / "3" / "curve.parquet")
+    row = tables.read_summary(out, run_ids=[3])
+    assert curve["phi_u_arcmin"].to_pylist()[-1] == row["phi_u_arcmin"].to_pylist()[0]
+    assert_refused(sinsjax("rerun", out, "--run-id", 6), tmp_path / "none", "run 6", "0 to 5")
+    told = sinsjax("rerun", tmp_path / "nothing", "--run-id", 0)
+    assert_refused(told, tmp_path / "none", "nothing")
+
+
+def test_a_recorded_run_is_gone_on_with_and_done_again(
+    sinsjax: Command, tmp_path: Path, record: build.Record
+) -> None:
+    path, other = tmp_path / "swing.imu", tmp_path / "other.imu"
+    write_psins(record, path)
+    write_psins(record._replace(dv=record.dv * 1.01), other)
+    config, out = write_study(tmp_path, **RECORDED), tmp_path / "out"
+    assert sinsjax("align", path, config, "-o", out)[0] == 0
+    before = everything(out)
+    told = sinsjax("align", other, config, "-o", out, "--resume")
+    assert_refused(told, tmp_path / "none", str(out), "another record or reference")
+    told = sinsjax("rerun", out, "--run-id", 1)
+    assert_refused(told, tmp_path / "none", str(out), "--record")
+    told = sinsjax("rerun", out, "--run-id", 1, "--record", other)
+    assert_refused(told, tmp_path / "none", str(out), "another record")
+    assert everything(out) == before
+    code, told, _ = sinsjax("align", path, config, "-o", out, "--resume")
+    assert code == 0 and "2 of 2 runs, there already" in told
+    code, told, _ = sinsjax("rerun", out, "--run-id", 1, "--record", path)
+    assert code == 0 and "identical to the stored one" in told
+
+
+def test_report_needs_parquet_alone(sinsjax: Command, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    sinsjax("run", write_study(tmp_path, **TWO), "-o", out)
+    shutil.rmtree(out / "figures")
+    code, told, _ = sinsjax("report", out)
+    assert code == 0 and told
+    assert list((out / "figures").glob("*.png"))
+
+
+@pytest.mark.parametrize("folder", ["", "mine/"])
+def test_a_page_names_the_file_that_was_given(
+    sinsjax: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / folder).mkdir(exist_ok=True)
+    config = write_study(tmp_path / folder, **TWO).relative_to(tmp_path)
+    assert sinsjax("sweep", config, "-o", "out")[0] == 0
+    assert sinsjax("report", "out", "--page", "page.md", "--html", "page.html")[0] == 0
+    named = f"{folder}study.toml; sinsjax "
+    assert f"page.md ({named}" in Path("page.md").read_text()
+    assert f"<footer>{named}" in Path("page.html").read_text()
+
+
+def test_align_gives_attitude_and_its_sigma_without_a_reference(
+    sinsjax: Command, tmp_path: Path, record: build.Record
+) -> None:
+    write_psins(record, tmp_path / "swing.imu")
+    config, out = write_study(tmp_path, **RECORDED), tmp_path / "out"
+    code, _, error = sinsjax("align", tmp_path / "swing.imu", config, "-o", out)
+    assert (code, error) == (0, "")
+    summary = tables.read_summary(out)
+    assert summary["start_s"].to_pylist() == [0.0, 1.0]
+    for name in ("phi_u_arcmin", "settle_10_s", "nees", "floor_arcmin", "status"):
+        assert summary[name].null_count == 2
+    for name in ("yaw_deg", "sigma_u_arcmin", "yaw_mean_deg"):
+        assert summary[name].null_count == 0
+
+
+def test_align_judges_against_a_reference(
+    sinsjax: Command, tmp_path: Path, record: build.Record
+) -> None:
+    """The reference is the true attitude of the simulated swing, so phi is the true error."""
+    write_psins(record, tmp_path / "swing.imu")
+    times = np.arange(0, 6.01, 0.01)
+    swing = [1.8 * np.sin(2 * np.pi * times / 6), 2.4 * np.sin(2 * np.pi * times / 8)]
+    yaw = 10 + 2.8 * np.sin(2 * np.pi * times / 10)
+    rows = np.column_stack([times, *swing, yaw])
+    header = "time_s,pitch_deg,roll_deg,yaw_deg"
+    np.savetxt(tmp_path / "true.csv", rows, delimiter=",", header=header, comments="")
+    config, out = write_study(tmp_path, **RECORDED), tmp_path / "out"
+    words = ("align", tmp_path / "swing.imu", config, "--reference", tmp_path / "true.csv")
+    assert sinsjax(*words, "-o", out)[0] == 0
+    summary = tables.read_summary(out)
+    truth = 10 + 2.8 * np.sin(2 * np.pi * np.array([5.0, 6.0]) / 10)
+    error = np.array(summary["yaw_deg"]) - truth
+    # phi is the vector of C_true C_hat^T: about minus the error in yaw for small level angles.
+    np.testing.assert_allclose(-np.array(summary["phi_u_arcmin"]) / 60, error, rtol=0.02)
+
+
+def test_a_record_gives_the_same_results_through_any_format(
+    sinsjax: Command, tmp_path: Path, record: build.Record
+) -> None:
+    """Bit-identical through increments, 1e-9 through rates, quantised through PSINS text."""
+    columns = {
+        "time_column": "t",
+        "gyro_columns": ["gx", "gy", "gz"],
+        "accel_columns": ["ax", "ay", "az"],
+    }
+    increments = {"quantity": "increments", "gyro_unit": "rad", "accel_unit": "m_per_s"}
+    rates = {"quantity": "rates", "gyro_unit": "deg_per_h", "accel_unit": "ug"}
+    yaw = {}
+    for name, kind, units in (
+        ("a", "parquet", increments),
+        ("b", "csv", increments),
+        ("c", "parquet", rates),
+        ("d", "csv", rates),
+        ("e", "psins", {}),
+    ):
+        section = {"format": kind, "start_s": [0.0, 1.0]}
+        path = tmp_path / f"{name}.{kind}"
+        if kind == "psins":
+            write_psins(record, path, gyro_scale_arcsec=0.001, accel_scale_ug_s=1.0)
+        else:
+            section |= columns | units
+            layout = Layout(kind, **(columns | units))
+            (write_csv if kind == "csv" else write_parquet)(record, path, layout)
+        changes = RECORDED | {"record": section, "earth": {"latitude_deg": 32.0}}
+        config = write_study(tmp_path, **changes)
+        out = tmp_path / f"out-{name}"
+        assert sinsjax("align", path, config, "-o", out)[0] == 0
+        yaw[name] = tables.read_summary(out)["yaw_deg"].to_pylist()[0]
+    assert yaw["a"] == yaw["b"]
+    assert yaw["c"] == pytest.approx(yaw["a"], rel=1e-9)
+    assert yaw["d"] == pytest.approx(yaw["a"], rel=1e-9)
+    # Half a quantum of 1 ug s in each mean over 1.5 s of coarse alignment is 0.7 urad of level, and
+    # gravity turns by 93 urad between the two: 0.4 deg of yaw.
+    read = read_psins(tmp_path / "e.psins", PSINS_LAYOUT)
+    off = np.abs(np.cumsum(read.dtheta - record.dtheta, axis=0)).max()
+    assert 0.0004 < off / (np.pi / 648000) < 0.00051
+    assert yaw["e"] != yaw["a"]
+    assert yaw["e"] == pytest.approx(yaw["a"], abs=0.5)
+
+
+def test_bench_prints_one_json_object_a_line(
+    monkeypatch: pytest.MonkeyPatch, sinsjax: Command
+) -> None:
+    from sinsjax import bench
+    from sinsjax.bench.cases import engine, numpy_baseline, without_noise
+
+    # The short set itself takes half a minute: `.ci/run` runs it. Here two rows in small.
+    study = small_study(axes={"phi_u0_deg": [0.0, 30.0]}, study={"draws": 64, "duration_s": 20.0})
+    (part,) = build.parts(study)
+    silent = without_noise(part.group)
+    monkeypatch.setattr(bench, "use_one_core", lambda: None)
+    monkeypatch.setattr(
+        bench,
+        "short_set",
+        lambda **_: [engine("kalman_shared_record", silent), numpy_baseline(silent)],
+    )
+    code, told, _ = sinsjax("bench", "--json", "--repeats", 1)
+    rows = [json.loads(line) for line in told.splitlines()]
+    keys = {"name", "ns_per_step_run", "runs", "steps", "dtype", "devices"}
+    assert code == 0
+    assert [row["name"] for row in rows] == ["kalman_shared_record", "numpy_baseline"]
+    assert all(keys | {"compile_s", "median_s", "spread_s"} <= row.keys() for row in rows)
+
+
+MISTAKES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
+    "misspelt key": ({"alignment": {"phi_u0_degs": 3}}, ("phi_u0_degs", "phi_u0_deg")),
+    "unknown section": ({"algnment": {"method": "kalman5"}}, ("algnment", "alignment")),
+    "wrong type": ({"study": {"rate_hz": "fast"}}, ("rate_hz", "number")),
+    "negative duration": ({"study": {"duration_s": -1.0}}, ("duration_s",)),
+    "zero rate": ({"study": {"rate_hz": 0.0}}, ("rate_hz",)),
+    "latitude beyond 90": ({"earth": {"latitude_deg": 91.0}}, ("latitude_deg", "90")),
+    "reset after the end": ({"resets": {"reset_times_s": [50.0]}}, ("reset_times_s", "6")),
+    "feedback interval": ({"alignment": {"feedback_interval_s": 0.015}}, ("0.015", "0.01")),
+    "record interval": ({"study": {"record_interval_s": 0.123456}}, ("record_interval_s",)),
+    "empty axis": ({"axes": {"phi_u0_deg": []}}, ("phi_u0_deg", "empty")),
+    "unknown method": ({"alignment": {"method": "kalman7"}}, ("method", "kalman5")),
+    "no heading": ({"motion": {"yaw_center_deg": None}}, ("yaw_center_deg", "required")),
+    "window": ({"study": {"window_s": [2, 7]}}, ("window_s", "6")),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_in_a_study_is_one_clear_line(
+    sinsjax: Command, tmp_path: Path, name: str
+) -> None:
+    changes, named = MISTAKES[name]
+    config, out = write_study(tmp_path, **changes), tmp_path / "out"
+    assert_refused(sinsjax("sweep", config, "-o", out), out, str(config), *named)
+
+
+def spoil(row: int, text: str) -> Callable[[list[str]], list[str]]:
+    return lambda lines: [*lines[: row - 1], text, *lines[row:]]
+
+
+SPOILT: dict[str, tuple[Callable[[list[str]], list[str]], tuple[str, ...]]] = {
+    "truncated": (lambda lines: [*lines[:-1], lines[-1][:9]], ("row",)),
+    "column count": (spoil(100, "1 2 3 4 5"), ("row 100", "5")),
+    "not a number": (spoil(200, "1 2 x 4 5 6"), ("row 200", "x")),
+    "NaN": (spoil(300, "1 2 nan 4 5 6"), ("row 300", "nan")),
+    "too short": (lambda lines: lines[:500], ("5",)),
+    "empty": (lambda lines: [], ("empty",)),
+}
+
+
+@pytest.mark.parametrize("name", SPOILT)
+def test_a_spoilt_record_is_one_clear_line(
+    sinsjax: Command, tmp_path: Path, record: build.Record, name: str
+) -> None:
+    change, named = SPOILT[name]
+    path = tmp_path / "swing.imu"
+    write_psins(record, path)
+    lines = change(path.read_text().splitlines())
+    path.write_text("".join(f"{line}\n" for line in lines))
+    config, out = write_study(tmp_path, **RECORDED), tmp_path / "out"
+    assert_refused(sinsjax("align", path, config, "-o", out), out, str(path), *named)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("gap", lambda t: np.where(np.arange(len(t)) >= 100, t + 0.05, t)),
+        ("repeated", lambda t: np.where(np.arange(len(t)) == 100, t - 0.01, t)),
+        ("backward", lambda t: np.where(np.arange(len(t)) == 100, t - 0.03, t)),
+    ],
+)
+def test_times_that_jump_are_one_clear_line(
+    sinsjax: Command,
+    tmp_path: Path,
+    record: build.Record,
+    name: str,
+    change: Callable[[np.ndarray], np.ndarray],
+) -> None:
+    names = ("t", "gx", "gy", "gz", "ax", "ay", "az")
+    layout = Layout("parquet", time_column="t", gyro_columns=names[1:4], accel_columns=names[4:])
+    path = tmp_path / "swing.parquet"
+    write_parquet(record, path, layout)
+    table = pq.read_table(path)
+    pq.write_table(table.set_column(0, "t", pa.array(change(np.asarray(table["t"])))), path)
+    section = {
+        "format": "parquet",
+        "quantity": "increments",
+        "time_column": "t",
+        "gyro_columns": list(names[1:4]),
+        "accel_columns": list(names[4:]),
+        "gyro_unit": "rad",
+        "accel_unit": "m_per_s",
+    }
+    config, out = write_study(tmp_path, **RECORDED | {"record": section}), tmp_path / "out"
+    assert_refused(sinsjax("align", path, config, "-o", out), out, str(path), "row")
+
+
+def test_missing_files_and_wrong_commands_are_one_clear_line(
+    sinsjax: Command, tmp_path: Path, record: build.Record
+) -> None:
+    out = tmp_path / "out"
+    config = write_study(tmp_path)
+    assert_refused(sinsjax("sweep", tmp_path / "no.toml", "-o", out), out, "no.toml")
+    assert_refused(sinsjax("report", tmp_path / "nothing"), out, "nothing")
+    assert_refused(sinsjax("align", tmp_path / "no.imu", config, "-o", out), out, "[record]")
+    recorded = write_study(tmp_path, **RECORDED)
+    assert_refused(sinsjax("align", tmp_path / "no.imu", recorded, "-o", out), out, "no.imu")
+    assert_refused(sinsjax("sweep", recorded, "-o", out), out, "align")
+
+
+def test_an_output_that_cannot_be_written_is_one_clear_line(
+    sinsjax: Command, tmp_path: Path
+) -> None:
+    config = write_study(tmp_path)
+    (tmp_path / "file").write_text("in the way")
+    for out in (tmp_path / "file", tmp_path / "file" / "below", tmp_path / ("x" * 300)):
+        assert_refused(sinsjax("sweep", config, "-o", out), tmp_path / "none", str(out))
+    assert (tmp_path / "file").read_text() == "in the way"
+
+
+def assert_refused(told: tuple[int, str, str], out: Path, *named: str) -> None:
+    """Exit code 2, one line that names what is wrong, no traceback, nothing left behind."""
+    code, _, error = told
+    assert code == 2, error
+    assert error.count("\n") == 1 and error.startswith("error: "), error
+    assert "Traceback" not in error
+    for word in named:
+        assert word in error, (word, error)
+    assert not out.exists()
+
+
+@pytest.mark.slow
+def test_the_installed_command_shows_no_traceback(tmp_path: Path) -> None:
+    config = write_study(tmp_path, alignment={"methode": "kalman5"})
+    words = [sys.executable, "-m", "sinsjax", "sweep", str(config), "-o", str(tmp_path / "out")]
+    told = subprocess.run(words, capture_output=True, text=True)
+    assert told.returncode == 2
+    assert told.stderr.startswith("error: ") and told.stderr.count("\n") == 1

@@ -1,0 +1,55 @@
+"""The pages written by hand are facts too: what they tell to type runs."""
+
+import re
+from pathlib import Path
+
+import pytest
+from support.studies import small_study
+
+import sinsjax
+from sinsjax.execution import run
+
+ROOT = Path(__file__).parents[2]
+RESULTS = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("docs")
+    study = small_study(study={"curves": True}, axes={"phi_u0_deg": [0.0, 10.0, 30.0]})
+    run.run_into(study, folder / "out")
+    variables = {"p0_yaw_deg": {"candidates": [20.0, 80.0]}}
+    tune = {"searches": ["grid"], "tune_draws": 2, "evaluation_draws": 3, "variables": variables}
+    sinsjax.tune(small_study(tune=tune), folder / "tuned")
+    return folder
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_examples_of_reading_run(
+    number: int, out: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One after another, as a reader would type them; the fifth needs a name of the second."""
+    examples = re.findall(r"```python\n(.*?)```", RESULTS, re.DOTALL)
+    assert len(examples) == 6
+    monkeypatch.chdir(out)
+    names: dict[str, object] = {}
+    if number == 4:
+        exec("import pyarrow.dataset as ds", names)
+    exec(compile(examples[number], "docs/results.md", "exec"), names)
+    told = capsys.readouterr().out
+    if number == 1:
+        assert int(told) == 3
+    if number in (2, 3):
+        assert re.search(r"30(\.0)?\D+3\D", told)
+    if number == 4:
+        assert "'settle_10_s': 's'" in told
+    if number == 5:
+        steps = 2 * 2 * 600  # of two candidates on two draws
+        assert re.match(rf"grid \d\.\d+ {steps}\n", told)
+        assert "'case': 'baseline" in told and "'n': 3" in told
+
+
+def test_links_of_every_page_lead_somewhere() -> None:
+    for page in (ROOT / "docs").glob("*.md"):
+        for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8")):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"

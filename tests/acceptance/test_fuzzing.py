@@ -1,0 +1,110 @@
+"""Whatever a study, a manifest or a record says, it is taken or refused in one line.
+
+`python benchmarks/fuzz.py --minutes N` hunts for longer, and looks at time and memory too.
+"""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fuzzing import manifests, studies, values
+from fuzzing.targets import Target, check_study, in_time, line_of, targets
+from hypothesis import HealthCheck, Phase, given, settings
+
+from sinsjax.errors import InputError
+from sinsjax.execution import resume
+from sinsjax.execution.tasks import Job
+from sinsjax.messages import first_line
+from sinsjax.records import read_reference
+from sinsjax.report.base import Source
+from sinsjax.study.study import SECTIONS
+
+EXAMPLES = {"studies": 1000, "manifests": 500, "records": 500}
+LATE_S = 60
+"""Only against what never ends; a case may take two seconds where nothing else runs."""
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Target]]:
+    yield {target.name: target for target in targets(tmp_path_factory.mktemp("fuzz"))}
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_it_is_taken_or_refused_in_one_line(name: str, found: dict[str, Target]):
+    target = found[name]
+
+    @settings(
+        max_examples=EXAMPLES[name],
+        derandomize=True,
+        deadline=None,
+        database=None,
+        phases=[Phase.generate, Phase.shrink],
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(target.cases)
+    def check(case: object) -> None:
+        with in_time(LATE_S):
+            target.check(case)
+
+    check()
+
+
+MISFITS = [{"a": 1}, [[[1]]], 1e300, -1]
+
+
+@pytest.mark.parametrize("value", MISFITS, ids=repr)
+def test_no_key_takes_offence_anywhere(value: object, tmp_path: Path):
+    """Chance hardly ever puts a table where one word belongs."""
+    for data in studies.everywhere(value):
+        check_study(tmp_path / "s.toml", studies.written(data))
+
+
+def test_every_key_of_the_schema_is_fuzzed():
+    assert set(studies.KEYS) == {
+        (name, key) for name, m in SECTIONS.items() for key in m.model_fields
+    }
+    for name, key in studies.KEYS:
+        assert not values.of_field(SECTIONS[name].model_fields[key]).is_empty
+
+
+# What hunts have found
+
+
+def directory_with(manifest: dict[str, Any], folder: Path) -> Path:
+    """Results with some entries of the manifest replaced."""
+    files = manifests.stored(folder)
+    told = json.loads(files[manifests.MANIFEST]) | manifest
+    (folder / manifests.MANIFEST).write_text(json.dumps(told))
+    return folder
+
+
+@pytest.mark.parametrize("warnings", [1, True, {"a": 1}, "text", 2.5])
+def test_warnings_that_are_no_list_are_none(warnings: Any, tmp_path: Path):
+    assert Source.read(directory_with({"warnings": warnings}, tmp_path)).warnings == ()
+
+
+@pytest.mark.parametrize("text", ["[" * 5000, "\x1b[31m", "1\n2"])
+@pytest.mark.parametrize("key", ["versions", "instructions"])
+def test_a_version_is_told_in_one_line_that_can_be_seen(key: str, text: str, tmp_path: Path):
+    session = {"started_unix_s": 1.0, "wall_s": 1.0}
+    session |= {key: {"numpy": text} if key == "versions" else text}
+    out = directory_with({"sessions": [session]}, tmp_path)
+    with pytest.raises(InputError, match="was made with (numpy|instruction set)") as caught:
+        resume.resumed(out, Job(manifests.STUDY))
+    assert len(line_of(caught.value, out)) < 1000
+
+
+def test_columns_of_many_letters_are_not_told_whole(tmp_path: Path):
+    (tmp_path / "r.csv").write_text("[" * 5000 + ",pitch_deg\n1,2\n")
+    with pytest.raises(InputError, match="no column 'time_s'") as caught:
+        read_reference(tmp_path / "r.csv")
+    assert len(str(caught.value)) < 500
+
+
+def test_what_a_library_says_of_a_broken_part_is_one_line_that_can_be_seen():
+    error = OSError("Could not read 'a\x04b\u2028c': " + "x" * 5000 + "\nand more")
+    line = first_line(error)
+    assert line.startswith("Could not read 'a\\x04b c': xxx") and len(line) <= 400
+    assert first_line(OSError("")) == ""

@@ -1,0 +1,288 @@
+"""Sweeps in processes of their own that are killed, stopped and disturbed, and lose nothing."""
+
+import hashlib
+import random
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from support.dying import Dying
+from support.kept import CHUNK_RUNS, assert_complete, manifest, parts, sweep_study, times
+
+from sinsjax.execution import tables
+from sinsjax.platform import compile_cache
+from sinsjax.study.load import study_to_toml
+
+pytestmark = pytest.mark.slow
+
+STUDY = sweep_study(study={"draws": 160, "duration_s": 12.0, "window_s": [0, 12]})
+CHUNKS = STUDY.n_draws * STUDY.n_variants // CHUNK_RUNS
+DEADLINE_S = 120.0
+FULL = "size=50m,nr_inodes=24"
+
+NEVER = ("never", "", 0)
+NAMED = (
+    ("half", "*/manifest.json", 1),
+    ("before", "*/manifest.json", 1),
+    ("after", "*/manifest.json", 1),
+    ("before", "curves/*", 1),
+    ("after", "curves/*", 1),
+    ("before", "summary/*", 2),
+    ("after", "summary/*", 2),
+    ("half", "summary/*", 2),
+    ("half", "*/manifest.json", 1),
+    ("before", "*/manifest.json", 2),
+)
+"""The first three find an empty directory: those are its first manifest."""
+
+
+class Sweeps:
+    """Starts processes that sweep into a directory, each made ready while the last one runs."""
+
+    def __init__(self, folder: Path, out: Path) -> None:
+        self.out, self._folder = out, folder
+        self._environment = {compile_cache.VARIABLE: str(folder / "cache")}
+        self.study = folder / "study.toml"
+        self.study.write_text(study_to_toml(STUDY))
+        self._all: list[Dying] = []
+
+    def ready(
+        self, point: tuple[str, str, int] = NEVER, *options: str, how: str = "--resume"
+    ) -> Dying:
+        """A process that waits for `go`."""
+        words = ["sweep", self.study, "-o", self.out, how, "--chunk-runs", CHUNK_RUNS, *options]
+        said = Path(tempfile.mkdtemp(dir=self._folder)) / "output"
+        process = Dying([str(word) for word in words], self._environment, said, point=point)
+        self._all.append(process)
+        return process
+
+    def ended(self, process: Dying) -> tuple[int, str, str]:
+        """Exit code, output and error output of a process that ends by itself."""
+        return exit_code(process), *process.said()
+
+    def sweep(self, *options: str, how: str = "--resume") -> tuple[int, str, str]:
+        """Sweep to the end."""
+        return self.ended(self.ready(NEVER, *options, how=how).go())
+
+    def close(self) -> None:
+        """End what is left."""
+        for process in self._all:
+            process.close()
+
+
+def exit_code(process: Dying) -> int:
+    """Of a process that ends by itself."""
+    process.process.join(DEADLINE_S)
+    code = process.process.exitcode
+    assert code is not None, process.said()
+    return code
+
+
+def wait(process: Dying, until: Callable[[], bool]) -> None:
+    """Wait for something that a process does."""
+    since = time.monotonic()
+    while not until():
+        assert process.process.exitcode is None, process.said()
+        assert time.monotonic() < since + DEADLINE_S
+        time.sleep(0.002)
+
+
+def count(out: Path) -> int:
+    return len(list(out.glob("summary/*.parquet")))
+
+
+def written(path: Path) -> int:
+    return path.stat().st_mtime_ns if path.exists() else 0
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("kills")
+
+
+@pytest.fixture(scope="module")
+def whole(folder: Path) -> Iterator[Path]:
+    """What an uninterrupted run on one device leaves; all others here have two."""
+    sweeps = Sweeps(folder, folder / "whole")
+    code, _, error = sweeps.sweep("--devices", "1")
+    assert (code, error) == (0, "")
+    assert count(sweeps.out) == CHUNKS
+    yield sweeps.out
+    sweeps.close()
+
+
+@pytest.fixture
+def sweeps(folder: Path, whole: Path, tmp_path: Path) -> Iterator[Sweeps]:
+    sweeps = Sweeps(folder, tmp_path / "out")
+    yield sweeps
+    sweeps.close()
+
+
+def assert_sound(out: Path, whole: Path, made: dict[str, int]) -> None:
+    """What a kill left can be read, is part of the whole, and holds all that was there before.
+
+    Args:
+        out: the directory that a process died in.
+        whole: an uninterrupted run's.
+        made: when every part was written that had been made before; those found now are added.
+    """
+    there, expected = parts(out), parts(whole)
+    assert {name: expected[name] for name in there} == there
+    summaries = {name for name in there if name.startswith("summary")}
+    assert {name.replace("summary", "curves") for name in summaries} <= there.keys()
+    now = times(out)
+    assert {name: now.get(name) for name in made} == made, "a part was lost, or made twice"
+    done = summaries | {name.replace("summary", "curves") for name in summaries}
+    made |= {name: now[name] for name in done}
+    if summaries:
+        rows = tables.read_summary(out)
+        all_rows = tables.read_summary(whole)
+        assert rows.num_rows == CHUNK_RUNS * len(summaries) == tables.count_runs(out)
+        assert rows.equals(all_rows.take(rows["run_id"]))
+        assert tables.read_curves(out, rows["run_id"].to_pylist()).num_rows == 12 * rows.num_rows
+    if (out / "manifest.json").exists():
+        for chunk in manifest(out)["chunks"]:
+            for file in chunk.get("files", []):
+                assert hashlib.sha256(there[file["file"]]).hexdigest() == file["sha256"]
+
+
+def test_twenty_kills_cost_nothing(sweeps: Sweeps, whole: Path) -> None:
+    """Ten at named points, ten at moments spread over the sweep, all on one directory."""
+    out, chance = sweeps.out, random.Random(5)
+    chunk_s = sum(chunk["seconds"] for chunk in manifest(whole)["chunks"]) / CHUNKS
+    named, kills = iter(NAMED), {"named": 0, "spread": 0}
+    order = "nnnn ss n s n s n s n s n s n sss".replace(" ", "")
+    points = [NEVER if kind == "s" else next(named) for kind in order]
+    made: dict[str, int] = {}
+    following = sweeps.ready(points[0])
+    for i, point in enumerate(points):
+        process, before, there = following, written(out / "manifest.json"), count(out)
+        process.go()
+        following = sweeps.ready(points[i + 1] if i + 1 < len(points) else NEVER)
+        if point is NEVER:
+            if kills["spread"] == 0:  # while JAX starts
+                time.sleep(0.5)
+            elif kills["spread"] == 1:  # while it compiles
+                wait(process, lambda before=before: written(out / "manifest.json") > before)
+            else:
+                wait(process, lambda there=there: count(out) > there)
+            time.sleep(chance.uniform(0, chunk_s))
+            process.send(signal.SIGKILL)
+        assert exit_code(process) == -signal.SIGKILL, (point, process.said())
+        kills["spread" if point is NEVER else "named"] += 1
+        assert_sound(out, whole, made)
+    assert kills == {"named": 10, "spread": 10}
+    assert count(out) < CHUNKS
+    code, told, error = sweeps.ended(following.go())
+    assert (code, error) == (0, "")
+    assert "runs, there already" in told
+    assert_sound(out, whole, made)
+    assert_complete(out, whole)
+    assert tables.read_summary(out).equals(tables.read_summary(whole))
+    assert tables.read_curves(out).equals(tables.read_curves(whole))
+
+
+def test_a_second_process_is_refused_until_the_first_dies(sweeps: Sweeps, whole: Path) -> None:
+    """Whatever way it dies: the lock is the operating system's."""
+    first = sweeps.ready().go()
+    wait(first, lambda: count(sweeps.out) > 0)
+    first.send(signal.SIGSTOP)  # holds on, and writes no more
+    before = times(sweeps.out)
+    seconds = [sweeps.ready(), sweeps.ready(how="--overwrite")]
+    for second in seconds:
+        code, _, error = sweeps.ended(second.go())
+        assert code == 2
+        assert error == f"error: {sweeps.out}: another process is writing there\n"
+    assert times(sweeps.out) == before
+    first.send(signal.SIGKILL)
+    assert exit_code(first) == -signal.SIGKILL
+    code, _, error = sweeps.sweep()
+    assert (code, error) == (0, "")
+    assert_complete(sweeps.out, whole)
+
+
+def test_a_person_or_a_scheduler_may_stop_it(sweeps: Sweeps, whole: Path) -> None:
+    """Once: what is under way is finished. Twice: it ends at once, and nothing else is lost."""
+    out, made = sweeps.out, dict[str, int]()
+    following = sweeps.ready()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        process, there = following, count(out)
+        process.go()
+        following = sweeps.ready()
+        wait(process, lambda there=there: count(out) > there)
+        process.send(number)
+        code, told, error = sweeps.ended(process)
+        assert code == 130
+        assert "Stopping: the chunks under way are finished first" in " ".join(told.split())
+        done = f"{count(out) * CHUNK_RUNS:,} of {CHUNKS * CHUNK_RUNS:,} runs are in {out}"
+        assert error == f"interrupted: {done}; --resume goes on with them\n"
+        state = manifest(out)
+        assert state["state"] == "interrupted"
+        assert state["runs_done"] == count(out) * CHUNK_RUNS
+        assert not list(out.rglob("*.tmp")) and not (out / "figures").exists()
+        assert_sound(out, whole, made)
+    process, there = following, count(out)
+    process.go()
+    following = sweeps.ready()
+    wait(process, lambda: count(out) > there)
+    process.send(signal.SIGSTOP)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGCONT):  # the first two come together
+        process.send(number)
+    code, _, error = sweeps.ended(process)
+    assert code in (128 + signal.SIGINT, 128 + signal.SIGTERM) and error == ""
+    assert manifest(out)["state"] == "running"
+    assert_sound(out, whole, made)
+    code, _, error = sweeps.ended(following.go())
+    assert (code, error) == (0, "")
+    assert_sound(out, whole, made)
+    assert_complete(out, whole)
+    assert len(manifest(out)["sessions"]) == 4
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of our own, for the files of a few chunks; only the superuser can make one.
+
+    Bytes are counted before a sweep, so it is the number of files that ends this one.
+    """
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    try:
+        mount("-t", "tmpfs", "-o", FULL, "sinsjax-test", str(disk))
+    except (OSError, subprocess.CalledProcessError) as error:
+        pytest.skip(f"no disk can be mounted here: {getattr(error, 'stderr', '') or error}")
+    try:
+        yield disk
+    finally:
+        subprocess.run(["umount", "-l", str(disk)], check=True)
+
+
+def mount(*words: str) -> None:
+    subprocess.run(["mount", *words], check=True, capture_output=True, text=True)
+
+
+def test_a_full_or_a_write_protected_disk_costs_nothing_that_is_complete(
+    small_disk: Path, folder: Path, whole: Path
+) -> None:
+    sweeps, made = Sweeps(folder, small_disk / "out"), dict[str, int]()
+    try:
+        for how, why in ((FULL, "No space left on device"), ("ro", "Read-only file system")):
+            mount("-o", f"remount,{how}", str(small_disk))
+            code, _, error = sweeps.sweep()
+            assert code == 2 and error.count("\n") == 1
+            assert error.startswith(f"error: {sweeps.out}")
+            assert error.endswith(f": cannot be written: {why}\n")
+            assert 0 < count(sweeps.out) < CHUNKS / 2
+            assert_sound(sweeps.out, whole, made)
+            assert not list(sweeps.out.rglob("*.tmp"))
+        mount("-o", "remount,rw,nr_inodes=1000", str(small_disk))
+        code, _, error = sweeps.sweep()
+        assert (code, error) == (0, "")
+        assert_sound(sweeps.out, whole, made)
+        assert_complete(sweeps.out, whole)
+    finally:
+        sweeps.close()

@@ -1,0 +1,104 @@
+"""Runs of a day: what is kept of them, and that truth in pieces is truth at once."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from support.studies import small_study
+
+from sinsjax.engine import batch, build, realisations, truth
+from sinsjax.engine import tile as tile_layout
+from sinsjax.engine.realisations import empty_tape
+from sinsjax.execution import run
+
+DAY_S = 86_400.0
+MOST_BYTES = 60e6
+"""Of one array in the program of a day's run; its curves are 6 MB, those of 8 sets of lanes 50."""
+
+
+@pytest.fixture
+def without_tapes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(truth, "LONGEST_TAPE", 0)
+    monkeypatch.setattr(realisations, "AT_ONCE", 30)
+
+
+def arrays(jaxpr: Any) -> Iterator[tuple[int, str]]:
+    """Bytes and shape of every array of a program."""
+    for equation in jaxpr.eqns:
+        for variable in (*equation.invars, *equation.outvars):
+            if isinstance(aval := getattr(variable, "aval", None), jax.core.ShapedArray):
+                yield aval.size * aval.dtype.itemsize, f"{equation.primitive} {aval.shape}"
+        for inner in jax.tree.leaves(
+            list(equation.params.values()), is_leaf=lambda a: hasattr(a, "eqns")
+        ):
+            inner = getattr(inner, "jaxpr", inner)
+            if hasattr(inner, "eqns"):
+                yield from arrays(inner)
+
+
+@pytest.mark.parametrize("specific_force", ["measured", "gravity"])
+def test_a_run_of_a_day_holds_no_large_array(specific_force: str) -> None:
+    """Neither a tape, nor what idle lanes would have; with gravity, tiles share a covariance."""
+    study = small_study(
+        study={"duration_s": DAY_S, "draws": 1},
+        alignment={"specific_force": specific_force},
+    )
+    (part,) = build.parts(study, curves=True)
+    static = part.group.static._replace(shown=tile_layout.shown(part.group))
+    tiles = tile_layout.tiles_of(part.group, batch.plan(part.group)[0])
+    assert static.shown == 1 and static.records == DAY_S
+
+    def program(world: Any, tiles: Any) -> Any:
+        def one(tile: Any) -> Any:
+            return tile_layout.run_tile(static, world, tile)
+
+        return jax.lax.map(tile_layout.over_sets(static, one, tiles), tiles)
+
+    traced = jax.make_jaxpr(program)(part.group.world, tiles)
+    size, what = max(arrays(traced.jaxpr))
+    assert 6e6 < size < MOST_BYTES, what
+
+
+PASSES = small_study(
+    study={"draws": 2, "duration_s": 2.0, "window_s": [0, 2], "curves": True},
+    passes={"tape_s": 1.0},
+    alignment={"method": "compass"},
+)
+
+
+def test_truth_in_pieces_is_truth_at_once(request: pytest.FixtureRequest) -> None:
+    """To rounding, forward and backward: the formulas are the same, not the loop they are in."""
+    whole = run.run(PASSES).curves
+    request.getfixturevalue("without_tapes")
+    (part,) = build.parts(PASSES)
+    assert part.group.world.tape is None
+    pieces = run.run(PASSES).curves
+    assert pieces.num_rows == whole.num_rows == 4
+    for name in ("phi_e_arcmin", "phi_n_arcmin", "phi_u_arcmin", "yaw_deg"):
+        np.testing.assert_allclose(pieces[name], whole[name], rtol=0, atol=1e-7, err_msg=name)
+
+
+def test_a_long_simulation_is_written_as_a_short_one(request: pytest.FixtureRequest) -> None:
+    whole = build.simulated_record(PASSES, draw_id=1)
+    request.getfixturevalue("without_tapes")
+    again = build.simulated_record(PASSES, draw_id=1)
+    np.testing.assert_allclose(again.dtheta, whole.dtheta, rtol=0, atol=1e-16)
+    np.testing.assert_allclose(again.dv, whole.dv, rtol=0, atol=1e-13)
+
+
+def test_curves_of_idle_lanes_are_not_asked_for() -> None:
+    (part,) = build.parts(small_study(study={"draws": 3}), curves=True)
+    assert tile_layout.shown(part.group) == 3
+    silent = part.group._replace(static=part.group.static._replace(curves=False))
+    assert tile_layout.shown(silent) is None
+    (part,) = build.parts(small_study(study={"draws": 64}), curves=True)
+    assert tile_layout.shown(part.group) is None
+
+
+@pytest.mark.parametrize("samples", [1, 5, 1000, 100_000])
+def test_a_tape_begins_where_xla_takes_it_as_it_is(samples: int) -> None:
+    tape = empty_tape(samples)
+    assert tape.shape == (samples, 6) and tape.dtype == float and tape.flags.c_contiguous
+    assert tape.ctypes.data % 64 == 0 and tape.flags.writeable

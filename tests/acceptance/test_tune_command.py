@@ -1,0 +1,492 @@
+"""`sinsjax tune` as a user types it: what it leaves, how it is gone on with, every mistake told."""
+
+import shutil
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import tomli_w
+from support.kept import everything
+from support.stored import told
+from support.studies import BASE, small_study
+
+import sinsjax.tuning
+from sinsjax import cli
+from sinsjax.engine.build import simulated_record
+from sinsjax.errors import InputError, StudyInterrupted
+from sinsjax.execution import resume, tables
+from sinsjax.execution.run import Progress
+from sinsjax.plots import descents
+from sinsjax.records import write_psins
+from sinsjax.report import tuned
+from sinsjax.report.tuned_results import Tuning
+from sinsjax.study.load import Study, load_study, study_from_dict, with_point
+from sinsjax.study.search_space import Space, Variable
+from sinsjax.tuning import carry_out, history, objective, search
+from sinsjax.tuning.history import Found, Look
+
+Command = Callable[..., tuple[int, str, str]]
+
+TUNE: dict[str, Any] = {
+    "objective": "final_error",
+    "objective_across": "worst",
+    "searches": ["grid", "gradient"],
+    "tune_draws": 3,
+    "evaluation_draws": 4,
+    "grid_points": 3,
+    "variables": {
+        "reset_times_s": [{"low": 1.0, "high": 10.0}, {"low": 2.0, "high": 19.0}],
+        "reset_count": {"candidates": [1, 2]},
+    },
+}
+STUDY: dict[str, Any] = {
+    **BASE,
+    "study": {"name": "swing", "duration_s": 20.0, "rate_hz": 20.0, "window_s": [10, 20]},
+    "resets": {"reset_count": 2, "reset_cycle_s": 5.0},
+    "axes": {"phi_u0_deg": [5.0, 30.0]},
+    "tune": TUNE,
+}
+COST = 3 * 2 * 400  # steps a point
+
+
+def write(path: Path, **changes: Any) -> Path:
+    """The file of `STUDY` with sections replaced; None leaves one out."""
+    data = {k: v for k, v in (STUDY | changes).items() if v is not None}
+    path.write_text(tomli_w.dumps(data), encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def sinsjax_(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    """Runs a command line in this process; gives exit code, output and error output."""
+
+    def call(*words: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["sinsjax", *map(str, words)])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        said = capsys.readouterr()
+        return int(stop.value.code or 0), said.out, said.err
+
+    return call
+
+
+def descend(study: Study, tape: Any, *, tell: Any) -> Found:
+    """A descent that needs no engine: of two starts, the second of which ends best."""
+    looks = [
+        Look(step, 1, [2.0 + step + start, 9.0 - step], 9.0 - step - start, 4 * COST, start, 9.0, 2)
+        for step in range(3)
+        for start in range(2)
+    ]
+    ends = [Look(3, 1, [5.0 + n, 12.0], 1e6 - n, 5 * COST, n) for n in range(2)]
+    return Found("gradient", [*looks, *ends])
+
+
+@pytest.fixture(scope="module")
+def faked() -> Iterator[pytest.MonkeyPatch]:
+    """That descent in place of the real one."""
+    fake = ModuleType("sinsjax.tuning.descent")
+    fake.descend = descend  # type: ignore[attr-defined]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, fake.__name__, fake)
+        patch.setattr(sinsjax.tuning, "descent", fake, raising=False)
+        yield patch
+
+
+@pytest.fixture(scope="module")
+def made(faked: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tuning by grid and gradient; its study is beside it."""
+    folder = tmp_path_factory.mktemp("tune")
+    config = write(folder / "swing.toml")
+    carry_out.tune(load_study(config), folder / "out", source=config)
+    return folder / "out"
+
+
+def test_what_a_tuning_leaves(made: Path) -> None:
+    names = {"study.toml", "tuned.toml", "history.parquet", "grid", "equal_cost", "evaluation"}
+    assert {path.name for path in made.iterdir()} == names | {".lock"}
+    study = load_study(made / "study.toml")
+    assert study == load_study(made.parent / "swing.toml")
+    grid, gradient, equal = history.read(made, Space.of(study))
+    assert [one.search for one in (grid, gradient, equal)] == ["grid", "gradient", "equal_cost"]
+    assert [look.candidate for look in grid.looks] == [0] * 3 + [1] * 9
+    assert grid.cost == 12 * COST and equal.cost == gradient.cost == 5 * COST
+    np.testing.assert_array_equal([look.candidate for look in equal.looks], [0, 0, 0, 1, 1])
+    evaluation = tables.read_summary(made / "evaluation")
+    own = load_study(made / "evaluation" / "study.toml")
+    assert (own.study.seed, own.n_draws, own.tune) == (2, 4, None)
+    times = {row["case"]: row["reset_times_s"] for row in evaluation.to_pylist()}
+    assert list(times) == ["baseline", "grid", "gradient", "equal cost"]
+    assert times["baseline"] == [5.0, 10.0]
+    assert times["gradient"] == [6.0, 12.0]
+    assert tables.read_manifest(made / "grid")["config"] == "swing.toml"
+
+
+def test_the_best_on_the_tuning_draws_is_put_into_the_study(made: Path) -> None:
+    study = load_study(made / "study.toml")
+    space = Space.of(study)
+    best = min(history.read(made, space), key=lambda one: one.best.objective)
+    tuned_study = load_study(made / "tuned.toml")
+    assert best.search != "gradient"
+    assert tuned_study == with_point(study, best.point(space))
+    assert tuned_study.tune is None and tuned_study.axes == study.axes
+    assert tuned_study.n_draws == study.n_draws
+
+
+def test_a_tuning_is_reported_from_its_files(made: Path, tmp_path: Path) -> None:
+    said = told(made, page=tmp_path / "page.md", html=tmp_path / "page.html")
+    page = (tmp_path / "page.md").read_text()
+    for text in (said, page):
+        assert "Tuned on 3 draws, judged on 4 others by the root mean square heading error" in text
+        assert "worst over 2 variants" in text and "at 41.7 % of its cost" in text
+        assert "5, 10" in text and "Candidates on the unused draws" in text
+    assert "# swing" in page and "figures/swing_descent.png" in page
+    pictures = {path.name for path in (made / "figures").iterdir()}
+    assert pictures == {"descent.png", "history.png"}
+    shutil.rmtree(made / "figures")
+
+
+def test_values_on_the_bound_of_their_range_are_flagged(made: Path) -> None:
+    tuning = Tuning.of(tuned.read(made))
+    space = Space.of(tuning.study)
+    bounds = {
+        name: {v.name for v, x in there if x in (v.low, v.high)}
+        for name, there in tuning.on_bounds.items()
+    }
+    for name, found in tuning.found.items():
+        used = space.used(space.combinations[found.best.candidate])
+        there = {
+            space.variables[i].name
+            for i in used
+            if found.best.values[i] in (space.variables[i].low, space.variables[i].high)
+        }
+        assert bounds[name] == there
+    made_report = tuned.report(tuned.read(made))
+    (last,) = made_report.headline[-1:]
+    assert ("At the end of the range" in last) == any(bounds.values())
+    cells = [cell for row in made_report.sections[0].blocks[0].rows for cell in row]
+    assert any("(bound)" in cell for cell in cells) == any(bounds.values())
+
+
+def test_resets_close_together_are_told_as_a_double_one() -> None:
+    first = Variable("reset_times_s", 0, 2.0, 50.0, True)
+    assert tuned._value((8.94, 76.55, 76.74), (), "reset_times_s") == "8.94, 76.55 and 76.74"
+    found = tuned._value((2.0, 63.84), [(first, 2.0)], "reset_times_s")
+    assert found == "2 (bound), 63.84"
+    assert tuned._value(0.5, (), "q_scale") == "0.5" and tuned._value((), (), "q") == "none"
+
+
+def test_a_judging_that_lacks_runs_is_not_reported(made: Path, tmp_path: Path) -> None:
+    out = shutil.copytree(made, tmp_path / "out")
+    (part,) = (out / "evaluation" / "summary").iterdir()
+    pq.write_table(pq.read_table(part).slice(1), part)
+    with pytest.raises(InputError, match="part-0000-000000.parquet: is not what was written"):
+        told(out)
+    (out / "evaluation" / "manifest.json").write_text("{}")  # which knows of no part
+    with pytest.raises(InputError, match=r"evaluation: 31 runs where the study has 32: are the re"):
+        told(out)
+
+
+def test_intervals_and_differences_are_of_common_draws(made: Path) -> None:
+    tuning = Tuning.of(tuned.read(made))
+    own, other = (tuning.runs[tuning.places[name]] for name in ("gradient", "grid"))
+    rows = tables.read_summary(made / "evaluation").to_pylist()
+    errors = [abs(row["phi_u_arcmin"]) for row in rows if row["case"] == "gradient"]
+    assert own.shape == (2, 4) and sorted(own.ravel()) == pytest.approx(sorted(errors))
+    worst = [np.sqrt(np.mean(runs**2, axis=1)).max() for runs in (own, other)]
+    score, difference = tuning.score("gradient"), tuning.difference("gradient")
+    assert score.value == pytest.approx(worst[0]) and score.low <= score.value <= score.high
+    assert difference.value == pytest.approx(worst[0] - worst[1])
+    assert tuning.difference("grid")[:3] == (0, 0, 0)
+
+
+def test_a_tuning_is_gone_on_with(made: Path, tmp_path: Path, faked: Any) -> None:
+    """What is complete is kept, the gradient too; only what is missing is made."""
+    out = shutil.copytree(made, tmp_path / "out")
+    shutil.rmtree(out / "equal_cost")
+    (out / "tuned.toml").unlink()
+    study = load_study(out / "study.toml")
+    whole = {name: everything(made / name / "summary") for name in ("grid", "evaluation")}
+    runs = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delattr(sys.modules["sinsjax.tuning.descent"], "descend")
+        before = search.study_run.run_into
+
+        def counted(own: Study, directory: Path, *args: Any, **options: Any) -> None:
+            seen: list[int] = []
+            tell = seen.append
+            before(own, directory, *args, **options | {"tell": lambda p: tell(p.done - p.before)})
+            runs[directory.name] = seen[-1]
+
+        patch.setattr(search.study_run, "run_into", counted)
+        carry_out.tune(study, out, resume=True)
+    assert runs == {"grid": 0, "equal_cost": 5 * 6, "evaluation": 0}
+    assert {name: everything(out / name / "summary") for name in whole} == whole
+    assert (out / "tuned.toml").read_bytes() == (made / "tuned.toml").read_bytes()
+
+
+def test_a_directory_with_a_tuning_is_not_overwritten_unasked(
+    made: Path, sinsjax_: Command, tmp_path: Path
+) -> None:
+    config = made.parent / "swing.toml"
+    before = everything(made / "evaluation")
+    code, _, error = sinsjax_("tune", config, "-o", made)
+    assert code == 2
+    assert error == (
+        f"error: {made}: holds a tuning already (give --resume to go on with it, or --overwrite to"
+        " replace it)\n"
+    )
+    code, _, error = sinsjax_("sweep", config, "-o", made, "--overwrite")
+    assert code == 2 and "is no result" in error
+    assert everything(made / "evaluation") == before
+    other = write(tmp_path / "swing.toml", tune=TUNE | {"grid_points": 4})
+    code, _, error = sinsjax_("tune", other, "-o", made, "--resume")
+    assert (code, error) == (
+        2,
+        f"error: {made}: holds a tuning of another study: [tune] grid_points\n",
+    )
+    changed = write(tmp_path / "swing.toml", resets={"reset_count": 1, "reset_cycle_s": 5.0})
+    code, _, error = sinsjax_("tune", changed, "-o", made, "--resume")
+    text = "holds a tuning of another study: [resets] reset_count: 2 there, 1 here"
+    assert (code, error) == (2, f"error: {made}: {text}\n")
+
+
+def test_overwriting_begins_anew(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = shutil.copytree(made, tmp_path / "out")
+
+    def stopped(*args: Any, **options: Any) -> None:
+        assert options["overwrite"] and not options["resume"]
+        raise StudyInterrupted("no further")
+
+    monkeypatch.setattr(search.study_run, "run_into", stopped)
+    with pytest.raises(StudyInterrupted):
+        carry_out.tune(load_study(out / "study.toml"), out, overwrite=True)
+    assert not (out / "tuned.toml").exists() and not (out / "history.parquet").exists()
+    assert carry_out.is_tuning(out)
+
+
+def test_what_a_killed_tuning_left_is_cleared_away(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Files that were not whole yet, and nothing that a person put there."""
+    out = shutil.copytree(made, tmp_path / "out")
+    names = (".study.toml.12.tmp", ".history.parquet.3456.tmp", ".tuned.toml.7.tmp")
+    for name in (*names, "notes.tmp", ".tuned.toml.mine.tmp"):
+        (out / name).write_text("half of")
+
+    def stopped(*args: Any, **options: Any) -> None:
+        raise StudyInterrupted("no further")
+
+    monkeypatch.setattr(search.study_run, "run_into", stopped)
+    with pytest.raises(StudyInterrupted):
+        carry_out.tune(load_study(out / "study.toml"), out, resume=True)
+    left = {path.name for path in out.glob("*.tmp")}
+    assert left == {"notes.tmp", ".tuned.toml.mine.tmp"}
+
+
+@pytest.mark.parametrize("how", ["resume", "overwrite"])
+def test_two_tunings_do_not_write_into_one_directory(made: Path, tmp_path: Path, how: str) -> None:
+    """Not even between two searches, where no results are written."""
+    out = shutil.copytree(made, tmp_path / "out")
+    before = everything(out)
+    held = resume.locked(out)
+    try:
+        with pytest.raises(InputError, match=r"out: another process is writing there$"):
+            carry_out.tune(load_study(out / "study.toml"), out, **{how: True})
+    finally:
+        held.release()
+    assert everything(out) == before
+
+
+def test_a_tuning_can_be_interrupted(tmp_path: Path, faked: Any) -> None:
+    study, stop = load_study(write(tmp_path / "swing.toml")), threading.Event()
+    stop.set()
+    with pytest.raises(StudyInterrupted, match=r"0 of 72 runs are in .*grid"):
+        carry_out.tune(study, tmp_path / "out", stop=stop)
+    with pytest.raises(InputError, match=r"out: holds a tuning that is not complete \(`sinsjax tu"):
+        told(tmp_path / "out")
+    alone = load_study(write(tmp_path / "swing.toml", tune=TUNE | {"searches": ["gradient"]}))
+    with pytest.MonkeyPatch.context() as patch:
+        fake = sys.modules["sinsjax.tuning.descent"]
+        patch.setattr(fake, "descend", lambda study, tape, tell: tell(Progress(0, 1, 0, 0)))
+        with pytest.raises(StudyInterrupted, match="what was complete before is in"):
+            carry_out.tune(alone, tmp_path / "alone", stop=stop)
+
+
+MISTAKES: dict[str, tuple[dict[str, Any], list[str], str]] = {
+    "nothing to tune": (
+        {"tune": None},
+        [],
+        "swing: has no [tune] section that says what to tune",
+    ),
+    "two minds": ({}, ["--resume", "--overwrite"], "--resume: cannot go with --overwrite"),
+    "a record for nothing": ({}, ["--record", "x.imu"], "has no [record] section to read x.imu"),
+    "a reference for nothing": (
+        {},
+        ["--reference", "x.csv"],
+        "has no [record] section to read x.csv with",
+    ),
+    "no record": (
+        {
+            "motion": None,
+            "sensors": None,
+            "axes": None,
+            "record": {"format": "psins", "start_s": [0, 1]},
+            "tune": {"variables": {"p0_yaw_deg": {"fixed": 3.0}}, "searches": ["grid"]},
+        },
+        [],
+        "[record]: the study reads a record: give it with --record",
+    ),
+    "devices that are not there": ({}, ["--devices", "1000"], "--devices: 1000 are more than"),
+}
+
+
+@pytest.mark.parametrize("objective", ["settle_mean", "failure_rate"])
+def test_a_tuning_in_which_every_point_fails_says_so(
+    objective: str, tmp_path: Path, sinsjax_: Command
+) -> None:
+    """A gyro bias whose limit lies far outside the band, judged from the truth."""
+    tune = {
+        "objective": objective,
+        "searches": ["grid"],
+        "tune_draws": 2,
+        "evaluation_draws": 2,
+        "variables": {"p0_yaw_deg": {"candidates": [20.0, 80.0]}},
+    }
+    sensors = BASE["sensors"] | {"gyro_bias_deg_per_h": [5.0, 0.0, 0.0]}
+    axes = {"phi_u0_deg": [30.0, 40.0]}
+    config = write(tmp_path / "x.toml", tune=tune, sensors=sensors, axes=axes, resets=None)
+    code, out, _ = sinsjax_("tune", config, "-o", tmp_path / "out")
+    assert code == 0
+    assert "Every point fails" in out and "within 10' of true north" in out
+    assert "`judged_from`" in out or "judged_from" in out
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_one_line(name: str, tmp_path: Path, sinsjax_: Command) -> None:
+    changes, words, text = MISTAKES[name]
+    config = write(tmp_path / "swing.toml", **changes)
+    code, _, error = sinsjax_("tune", config, "-o", tmp_path / "out", *words)
+    assert (code, error.count("\n")) == (2, 1) and text in error
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_directory_that_cannot_be_looked_into_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="n: cannot be written: File name too long"):
+        carry_out.check_free(tmp_path / ("n" * 5000), overwrite=False)
+
+
+def test_files_of_others_are_never_touched(tmp_path: Path, sinsjax_: Command) -> None:
+    config = write(tmp_path / "swing.toml")
+    (tmp_path / "figures").mkdir()
+    code, _, error = sinsjax_("tune", config, "-o", tmp_path, "--overwrite")
+    assert code == 2 and "holds a figures that is of no tuning: give another one" in error
+    code, _, error = sinsjax_("tune", config, "-o", config)
+    assert code == 2 and f"{config}: is a file, not a directory" in error
+
+
+def test_equal_points_are_judged_once_under_all_their_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One candidate, the study's own value: the grid finds the baseline."""
+    tune = TUNE | {"searches": ["grid"], "variables": {"reset_count": {"fixed": 2}}}
+    study = load_study(write(tmp_path / "swing.toml", tune=tune))
+    seen: list[Study] = []
+
+    def run_into(own: Study, directory: Path, *args: Any, **options: Any) -> None:
+        seen.append(own)
+
+    monkeypatch.setattr(search.study_run, "run_into", run_into)
+    monkeypatch.setattr(search.result_tables, "read_summary", lambda *_: pa.table({}))
+    monkeypatch.setattr(objective, "values", lambda tune, own, _: np.ones((own.n_variants, 2)))
+    carry_out.tune(study, tmp_path / "out")
+    assert [case["case"] for case in seen[-1].cases] == ["baseline, grid"]
+
+
+@pytest.mark.slow
+def test_a_record_is_tuned(tmp_path: Path, sinsjax_: Command) -> None:
+    """Its start times tune and judge in turn; the tuned study is one that `align` takes."""
+    write_psins(simulated_record(small_study()), tmp_path / "swing.imu")
+    times = np.arange(0, 6.01, 0.01)
+    angles = zip((1.8, 2.4, 2.8), (6, 8, 10), (0, 0, 10), strict=True)
+    swing = [mean + a * np.sin(2 * np.pi * times / period) for a, period, mean in angles]
+    header = "time_s,pitch_deg,roll_deg,yaw_deg"
+    rows = np.column_stack([times, *swing])
+    np.savetxt(tmp_path / "true.csv", rows, delimiter=",", header=header, comments="")
+    variables = {"p0_yaw_deg": {"candidates": [10.0, 80.0]}}
+    tune = {"searches": ["grid"], "variables": variables, "objective": "final_error"}
+    data = {
+        "study": {"duration_s": 2.0, "rate_hz": 100.0, "window_s": [0, 2]},
+        "record": {"format": "psins", "start_s": [0.0, 0.5, 1.0]},
+        "coarse": {"coarse_duration_s": 3.0},
+        "tune": tune,
+    }
+    assert study_from_dict(data)
+    config = tmp_path / "car.toml"
+    config.write_text(tomli_w.dumps(data))
+    words = ["tune", config, "-o", tmp_path / "out", "--record", tmp_path / "swing.imu"]
+    code, _, error = sinsjax_(*words)
+    assert code == 2 and "[tune]: a record is tuned by a reference (give it with --ref" in error
+    code, said, error = sinsjax_(*words, "--reference", tmp_path / "true.csv")
+    assert (code, error) == (0, "")
+    assert "Tuned on 2 start times, judged on 1 others" in said
+    grid = tables.read_summary(tmp_path / "out" / "grid")
+    assert sorted(set(grid["start_s"].to_pylist())) == [0.0, 1.0]
+    judged = tables.read_summary(tmp_path / "out" / "evaluation")
+    assert set(judged["start_s"].to_pylist()) == {0.5}
+    tuned_study = load_study(tmp_path / "out" / "tuned.toml")
+    assert tuned_study.record is not None and len(tuned_study.record.start_s) == 3
+
+
+def landscape(count: int, *, grid: bool = False) -> descents.Landscape:
+    sides = [descents.Side(f"x{i}", 1.0, 100.0, bool(i % 2)) for i in range(count)]
+    axes = [np.geomspace(1, 100, 4) if i % 2 else np.linspace(1, 100, 4) for i in range(count)]
+    values = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, count)
+    scores = values.sum(axis=1)
+    scores[0] = np.inf
+    shape = (4,) * count if grid else None
+    return descents.Landscape(sides, values, scores, shape, "time (s)")
+
+
+@pytest.mark.parametrize(("count", "grid"), [(1, True), (2, True), (2, False), (3, False)])
+def test_a_descent_is_drawn_over_what_was_seen(count: int, grid: bool) -> None:
+    ways = [descents.Way(np.full((3, count), 20.0), np.array([3.0, 2.0, 1.0]))]
+    point = np.full(count, 30.0)
+    spots = [descents.Spot("best", point, 2.0, 0), descents.Spot("baseline", point, None, 2)]
+    figure = descents.descent(landscape(count, grid=grid), ways, spots, "swing")
+    panels = [axes for axes in figure.axes if axes.get_visible() and axes.get_xlabel()]
+    assert len(panels) == {1: 1, 2: 1, 3: 3}[count]
+    if count > 1:
+        assert [axes.get_yscale() for axes in panels[:1]] == ["log"]
+    (legend,) = figure.legends
+    assert {"best", "baseline"} <= {text.get_text() for text in legend.get_texts()}
+
+
+def test_a_map_has_the_objective_where_the_grid_had_it() -> None:
+    figure = descents.descent(landscape(2, grid=True), [], [], "swing")
+    (mesh,) = figure.axes[0].collections
+    shown = np.ma.masked_invalid(mesh.get_array()).reshape(4, 4)
+    assert shown.mask[0, 0] and shown.mask.sum() == 1
+    assert shown[0, 3] == pytest.approx(100 + 1) and shown[3, 0] == pytest.approx(1 + 100)
+    assert shown[1, 3] == pytest.approx(100 + 100 ** (1 / 3))
+
+
+def test_best_by_cost_tells_relaxed_from_hard() -> None:
+    cost, best = np.array([1.0, 2.0, 4.0]), np.array([5.0, 4.0, 3.0])
+    searches = [
+        descents.Progress("grid", cost, best, False, None),
+        descents.Progress("gradient", cost, best, True, (5.0, 3.5)),
+    ]
+    figure = descents.best_by_cost(searches, "time (s)", "swing")
+    (axes,) = figure.axes
+    assert axes.get_xscale() == "log"
+    labels = axes.get_legend_handles_labels()[1]
+    assert labels == ["grid", "gradient, relaxed", "gradient, its end with hard resets"]

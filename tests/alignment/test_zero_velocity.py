@@ -1,0 +1,218 @@
+from functools import cache, partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from oracles.in_engine import (
+    DEG_PER_H,
+    PAPER1,
+    UG,
+    navigation,
+    paper_filter,
+    params,
+    site,
+    step_and_close,
+    swing_increments,
+)
+from oracles.naive import DEG, PAPER, WGS84, Unwatched, closed_loop, exp, of_quaternion
+from scipy.spatial.transform import Rotation
+from support.studies import BASE
+
+from sinsjax.alignment.base import Options
+from sinsjax.alignment.methods import METHODS
+from sinsjax.engine import build
+from sinsjax.maths.algebra import triangle_index
+from sinsjax.strapdown import sensors
+from sinsjax.study.load import study_from_dict
+
+RATE, SAMPLES = 100, 2000
+PHI0, V0 = np.array([5.0, 5.0, 30.0]) * DEG, np.array([0.3, -0.2])
+
+
+@cache
+def runner(name, force, position):
+    """A compiled run of one program that returns the state after every sample."""
+    method = METHODS[name](Options(1 / RATE, force, position, innovations=True))
+
+    @jax.jit
+    def run(filt, here, nav, increments):
+        samples = sensors.compensate_record(increments, increments[0])
+        counts = 1.0 + jnp.arange(float(len(increments)))
+
+        def step(state, xs):
+            state = step_and_close(method, filt, here, state, *xs)
+            # As the engine does at every record, here every second.
+            due = xs[1] % RATE == 0
+            state = jax.tree.map(partial(jnp.where, due), method.normalise(state), state)
+            return state, (state, method.attitude(state), method.covariance(state))
+
+        return jax.lax.scan(step, method.init(filt, nav), (samples, counts))[1]
+
+    return run
+
+
+@cache
+def measured(planet, latitude):
+    """Increments of [P1]'s swing with biases and noise twice its own."""
+    return swing_increments(
+        PAPER1._replace(center=np.array([0.02, -0.03, 1.0])),
+        planet,
+        latitude,
+        rate=RATE,
+        samples=SAMPLES,
+        gyro=((0.2 * DEG_PER_H, -0.1 * DEG_PER_H, 0.3 * DEG_PER_H), 0.2 * DEG_PER_H),
+        accel=((1e3 * UG, -5e2 * UG, 3e2 * UG), 1e3 * UG),
+    )
+
+
+def states(triangle):
+    """Covariances (samples, n, n)."""
+    n = {15: 5, 55: 10}[len(triangle)]
+    index = triangle_index(n)
+    order = np.array([[index[i, j] for j in range(n)] for i in range(n)])
+    return np.moveaxis(np.array(triangle)[order], -1, 0)
+
+
+class Summing(Unwatched):
+    """Normalised innovations squared, sample by sample."""
+
+    def __init__(self):
+        self.squares = []
+
+    def look(self, seen, x, p):
+        self.squares.append(seen.r @ np.linalg.solve(seen.s, seen.r))
+        return False
+
+
+def compare(name, planet, latitude_deg, filt):
+    """Both runs, sample by sample, to 1e-9."""
+    latitude = latitude_deg * DEG
+    rows, start = measured(planet, latitude), exp(-PHI0) @ PAPER1.matrix(0.0)
+    watcher = Summing()
+    about = {"latitude": latitude, "c": start, "v": V0, "filt": filt, "watcher": watcher}
+    naive = closed_loop(rows, 1 / RATE, planet, **about)
+    run = runner(name, filt.force, filt.position)
+    here, nav = site(planet, latitude), navigation(start, V0, latitude)
+    state, attitude, covariance = run(params(filt), here, nav, rows)
+
+    close = {"rtol": 0, "atol": 1e-9}
+    c = of_quaternion(np.stack(state.nav.q, axis=1))
+    np.testing.assert_allclose(c, naive.c, **close)
+    np.testing.assert_allclose(np.stack([state.nav.ve, state.nav.vn], axis=1), naive.v, **close)
+    np.testing.assert_allclose(state.nav.latitude, naive.latitude, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(state.nav.longitude, naive.longitude, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(np.stack(state.belief.x, axis=1), naive.x, **close)
+    # Biases are small: to 1e-9 of what they are believed to be at the start.
+    bias = np.stack(state.bias, axis=1) if state.bias else np.zeros((SAMPLES, 0))
+    unit = np.sqrt(filt.p0[5:])
+    np.testing.assert_allclose(bias / unit, naive.bias / unit, **close)
+    sigma = np.sqrt(np.diagonal(naive.p, axis1=1, axis2=2))
+    p, unit = states(state.belief.p), sigma[:, :, None] * sigma[:, None, :]
+    np.testing.assert_allclose(p / unit, naive.p / unit, **close)
+    # What a user is given: the attitude with all that is estimated taken out, and its covariance.
+    corrected = Rotation.from_rotvec(naive.x[:, 2:5]).as_matrix() @ naive.c
+    np.testing.assert_allclose(of_quaternion(np.stack(attitude, axis=1)), corrected, **close)
+    upper = np.array([p[:, i, j] for i in (2, 3, 4) for j in range(i, 5)])
+    np.testing.assert_array_equal(np.array(covariance), upper)
+    summed, count = state.innovations
+    np.testing.assert_allclose(summed, np.cumsum(watcher.squares), rtol=1e-8)
+    np.testing.assert_array_equal(count, np.arange(1, SAMPLES + 1))
+    return naive
+
+
+SCHEDULES = {
+    "feedback every sample": {},
+    "feedback every 7 samples, full resets": {"every": 7, "resets": (1, 500, 1333)},
+    "partial feedback, yaw resets": {"every": 10, "gain": 0.3, "resets": (250, 777), "kind": "yaw"},
+    "a reset where feedback is due, P times 10": {
+        "every": 100,
+        "gain": 0.05,
+        "resets": (500, 1999),
+        "kind": "scale",
+    },
+    "P shrunk": {"every": 33, "resets": (200,), "kind": "scale", "factor": 0.01},
+    "resets alone feed back, in any order": {"every": 10**9, "resets": (1600, 3, 800)},
+    "other numbers": {"r": 1e-6, "every": 50, "resets": (60,)},
+}
+
+
+@pytest.mark.parametrize("schedule", SCHEDULES)
+def test_closed_loop_as_the_naive_one(schedule):
+    compare("kalman5", PAPER, 32.0, paper_filter(5, **SCHEDULES[schedule]))
+
+
+@pytest.mark.parametrize(
+    ("name", "force", "position", "schedule"),
+    [
+        ("kalman5", "gravity", "integrated", "feedback every 7 samples, full resets"),
+        ("kalman10", "measured", "integrated", "feedback every 7 samples, full resets"),
+        ("kalman10", "measured", "integrated", "partial feedback, yaw resets"),
+        ("kalman10", "measured", "integrated", "a reset where feedback is due, P times 10"),
+    ],
+)
+def test_every_program_as_the_naive_one(name, force, position, schedule):
+    n = {"kalman5": 5, "kalman10": 10}[name]
+    filt = paper_filter(n, force=force, position=position, **SCHEDULES[schedule])
+    naive = compare(name, WGS84, -41.0, filt)
+    moved = abs(naive.latitude[-1] - naive.latitude[0]) > 1e-9
+    assert moved == (position == "integrated")
+
+
+def test_q_is_added_before_the_update_and_acts_on_its_own_state():
+    filt = paper_filter(5, q=np.array([1e-3, 2e-3, 3e-5, 4e-5, 5e-5]))
+    compare("kalman5", PAPER, 32.0, filt)
+
+
+@pytest.mark.parametrize("kind", ["full", "yaw", "scale"])
+def test_a_reset_sets_p_after_all_of_x_is_fed_back(kind):
+    k = 137
+    run = runner("kalman5", "measured", "fixed")
+    start, here = exp(-PHI0) @ PAPER1.matrix(0.0), site(PAPER, 0.5)
+    args = here, navigation(start, V0, 0.5), measured(PAPER, 0.5)
+    filt = paper_filter(5, every=1000, gain=0.1)
+    state, attitude, _ = run(params(filt._replace(resets=(k,), kind=kind)), *args)
+    alone, corrected, _ = run(params(filt), *args)
+    np.testing.assert_array_equal(np.array(state.belief.x)[:, k - 1], 0.0)
+    p, before = states(state.belief.p)[k - 1], states(alone.belief.p)[k - 1]
+    if kind == "full":
+        expected = np.diag(filt.p0)
+    elif kind == "scale":
+        expected = 10 * before
+    else:
+        expected = before.copy()
+        expected[4], expected[:, 4] = 0.0, 0.0
+        expected[4, 4] = filt.p0[4]
+    np.testing.assert_allclose(p, expected, rtol=1e-14, atol=0)
+    # The attitude that a user is given does not jump.
+    for a, b in zip(attitude, corrected, strict=True):
+        np.testing.assert_allclose(a[k - 1], b[k - 1], atol=1e-14)
+    # Up to there nothing knew of the reset.
+    np.testing.assert_array_equal(
+        np.array(state.belief.x)[:, : k - 1], np.array(alone.belief.x)[:, : k - 1]
+    )
+
+
+@pytest.mark.parametrize(("name", "position"), [("kalman5", "fixed"), ("kalman10", "integrated")])
+def test_a_full_reset_sets_p_to_values_of_its_own(name, position):
+    """As the study gives them, in the units of its keys; yaw resets take theirs."""
+    data = {name: dict(table) for name, table in BASE.items()}
+    data["alignment"] = {"method": name, "position": position}
+    data["resets"] = {"reset_times_s": [1.0, 2.0, 3.0, 4.0], "reset_yaw_deg": 20.0}
+    data["resets"] |= {"reset_velocity_m_per_s": 0.5, "reset_level_deg": 1.5}
+    data["resets"] |= {"reset_accel_bias_ug": 40.0, "reset_gyro_bias_deg_per_h": 0.03}
+    angles, biases = [1.5 * DEG, 1.5 * DEG, 20 * DEG], [40 * UG] * 2 + [0.03 * DEG_PER_H] * 3
+    sigma = np.array([0.5, 0.5, *angles, *biases])
+    n = {"kalman5": 5, "kalman10": 10}[name]
+    here, nav = site(PAPER, 0.5), navigation(exp(-PHI0) @ PAPER1.matrix(0.0), V0, 0.5)
+    for kind in ("full", "yaw"):
+        data["resets"]["reset_kind"] = kind
+        (part,) = build.parts(study_from_dict(data))
+        filt = jax.tree.map(lambda a: a[0], part.group.variants.method)
+        state, _, _ = runner(name, "measured", position)(filt, here, nav, measured(PAPER, 0.5))
+        for k in (100, 400):
+            p = states(state.belief.p)[k - 1]
+            if kind == "full":
+                np.testing.assert_allclose(p, np.diag(sigma[:n] ** 2), rtol=1e-13, atol=0)
+            else:
+                np.testing.assert_allclose(p[4], np.eye(n)[4] * sigma[4] ** 2, rtol=1e-13, atol=0)

@@ -1,0 +1,259 @@
+"""What is timed is faked here, but for the limit kernel: the short set itself takes long."""
+
+import json
+import shutil
+import sys
+import tempfile
+from functools import partial
+
+import numpy as np
+import pytest
+from rich.console import Console
+from support.studies import small_study
+
+from sinsjax import bench
+from sinsjax.bench import Case, cases, limit, timing
+from sinsjax.bench.limit import limit_kernel
+from sinsjax.engine import build
+from sinsjax.errors import InputError
+from sinsjax.platform import xla
+
+HOLDS = {"cpu": "model X", "sinsjax": "1.2", "jax": "0", "platform": "cpu", "fused_loop": True}
+ROWS = ["kalman_shared_record", "kalman_noise_64", "numpy_baseline"]
+
+
+def fake(name, seconds, calls=None, runs=10, steps=100, **more):
+    left = iter(seconds)
+
+    def call():
+        if calls is not None:
+            calls.append(name)
+        return next(left)
+
+    return Case(name, runs, steps, 0.5, call, **more)
+
+
+@pytest.fixture
+def quiet(monkeypatch, tmp_path):
+    """Nothing of this process is changed, no engine is compiled, temporary files go to tmp_path."""
+    monkeypatch.setattr(bench, "use_one_core", lambda: None)
+    monkeypatch.setattr(bench, "conditions", lambda: HOLDS)
+    faked = {name: partial(Case, name, 1, 1, 0.0, lambda: 1e-6) for name in ROWS}
+    monkeypatch.setattr(bench, "SHORT", faked)
+    monkeypatch.setattr(bench, "limit_kernel", partial(limit_kernel, steps=200, vectors=1))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    return monkeypatch
+
+
+def timed(capsys, **choices):
+    """The rows of a run, and what it says on stderr."""
+    bench.run(Console(), as_json=True, repeats=2, **choices)
+    told = capsys.readouterr()
+    return [json.loads(line) for line in told.out.splitlines()], told.err
+
+
+def tool(path, script):
+    """An executable that runs a line of Python."""
+    path.write_text(f"#!{sys.executable}\n{script}\n")
+    path.chmod(0o755)
+    return str(path)
+
+
+@pytest.fixture
+def gcc():
+    try:
+        return limit.compiler()
+    except InputError as error:
+        pytest.skip(str(error))
+
+
+def test_cases_are_timed_in_turns_and_the_median_is_told():
+    calls: list[str] = []
+    slow = fake("slow", [0.004, 0.1, 0.002], calls)
+    fast = fake("fast", [0.001, 0.001, 0.003], calls, runs=1, dtype="float32", devices=2)
+    rows = bench.measure([slow, fast], 3)
+    assert calls == ["slow", "fast"] * 3
+    assert [row["name"] for row in rows] == ["slow", "fast"]
+    assert [row["median_s"] for row in rows] == [0.004, 0.001]
+    assert [row["ns_per_step_run"] for row in rows] == [4000.0, 10000.0]
+    assert [row["spread_s"] for row in rows] == [0.049, 0.001]
+    assert [(row["dtype"], row["devices"]) for row in rows] == [("float64", 1), ("float32", 2)]
+    assert all(row["compile_s"] == 0.5 for row in rows)
+
+
+def test_a_ratio_is_the_median_over_turns_of_the_same_turn():
+    base = fake("base", [1.0, 2.0, 4.0])
+    other = fake("other", [3.0, 4.0, 20.0], runs=20)
+    first, second = timing.measure_against(base, [other], 3)
+    assert "ratio" not in first
+    # 1.5, 1 and 2.5 times, where the ratio of the medians would be 1.
+    assert second["ratio"] == pytest.approx(1.5)
+    assert second["ratio_spread"] == pytest.approx(0.75)
+
+
+def test_conditions_say_what_a_row_holds_under():
+    holds = bench.conditions()
+    machine = "cpu family ghz instructions avx512 cores platform device"
+    software = "sinsjax jax jaxlib python options fused_loop"
+    assert list(holds) == f"{machine} {software}".split()
+    assert holds["platform"] == "cpu"
+    json.dumps(holds)
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({}, "all"),
+        (dict.fromkeys((option.name for option in xla.wanted()), None), "none"),
+        ({xla.wanted()[0].name: "other"}, None),
+    ],
+)
+def test_options_in_force_are_told_in_a_word(values, told):
+    options = {option.name: option.value for option in xla.wanted()} | values
+    rest = " ".join(option.name.removeprefix("xla_cpu_") for option in xla.wanted()[1:])
+    assert timing._in_force(options) == (told or rest)
+
+
+@pytest.mark.parametrize("name", ["configs/reset_sweep.toml", "benchmarks/limit_kernel.c"])
+def test_assets_are_found(name):
+    assert bench.asset(name).is_file()
+
+
+def test_limit_kernel_runs(gcc, tmp_path):
+    case = limit_kernel(gcc, str(tmp_path), steps=200, vectors=1)
+    assert (case.runs, case.steps) == (8, 200)
+    assert case.compile_s > 0
+    assert 0 < case.call() < 1
+
+
+def test_a_run_with_the_kernel_leaves_nothing_behind(gcc, quiet, tmp_path, capsys):
+    rows, said = timed(capsys, limit=True)
+    assert [row["name"] for row in rows] == ["limit_kernel", *ROWS]
+    assert all(HOLDS.items() <= row.items() for row in rows)
+    assert said == ""
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_gcc_it_says_so_and_goes_on(quiet, capsys):
+    quiet.setattr(shutil, "which", lambda name: None)
+    rows, said = timed(capsys, limit=True)
+    without, silent = timed(capsys, limit=False)
+    assert said == "warning: no limit kernel: there is no gcc here\n"
+    assert silent == ""
+    assert [row["name"] for row in rows] == [row["name"] for row in without] == ROWS
+
+
+@pytest.mark.parametrize(
+    ("script", "why"),
+    [
+        ("raise SystemExit(1)", "gcc failed: exit status 1"),
+        ("pass", "what gcc builds cannot be started: No such file or directory"),
+    ],
+)
+def test_a_gcc_that_does_not_work_is_as_good_as_none(quiet, tmp_path, capsys, script, why):
+    tool(tmp_path / "gcc", script)
+    quiet.setenv("PATH", str(tmp_path))
+    rows, said = timed(capsys, limit=True)
+    assert said == f"warning: no limit kernel: {why}\n"
+    assert [row["name"] for row in rows] == ROWS
+
+
+def test_an_absent_fused_loop_is_warned_of_on_a_cpu_only(quiet, capsys):
+    for platform, warned in (("cpu", True), ("gpu", False)):
+        holds = HOLDS | {"platform": platform, "fused_loop": False}
+        quiet.setattr(bench, "conditions", lambda holds=holds: holds)
+        assert ("fused loop" in timed(capsys, limit=False)[1]) == warned
+
+
+def test_the_table_shows_the_ratio_to_the_limit(gcc, quiet, capsys):
+    bench.run(Console(width=80), as_json=False, limit=True, repeats=1)
+    told = capsys.readouterr().out
+    assert "x limit" in told and "1.00" in told and "model X" in told
+    assert max(map(len, told.splitlines())) <= 80
+
+
+@pytest.mark.parametrize(
+    ("script", "why"),
+    [
+        ("raise SystemExit(3)", "gcc failed: exit status 3"),
+        ("raise SystemExit('no such option\\nmore')", "gcc failed: no such option"),
+    ],
+)
+def test_a_failing_compiler_is_told_in_one_line(tmp_path, script, why):
+    with pytest.raises(InputError) as told:
+        limit_kernel(tool(tmp_path / "gcc", script), str(tmp_path))
+    assert str(told.value) == why
+
+
+def test_a_compiler_that_does_not_start_is_told(tmp_path):
+    with pytest.raises(InputError, match="^gcc cannot be started: "):
+        limit_kernel(str(tmp_path / "none"), str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("script", "why"),
+    [("import os; os.kill(os.getpid(), 9)", "signal 9"), ("raise SystemExit(2)", "exit status 2")],
+)
+def test_a_kernel_that_dies_is_told_in_one_line(tmp_path, script, why):
+    case = limit_kernel(tool(tmp_path / "gcc", ""), str(tmp_path))
+    tool(tmp_path / "limit", script)
+    with pytest.raises(InputError) as told:
+        case.call()
+    assert str(told.value) == f"the limit kernel failed: {why}"
+
+
+def test_every_row_of_the_registry_has_the_name_it_is_listed_under(monkeypatch):
+    monkeypatch.setattr(cases, "engine", lambda name, group: fake(name, []))
+    monkeypatch.setattr(cases, "numpy_baseline", lambda group: fake("numpy_baseline", []))
+    assert {name: make().name for name, make in cases.SHORT.items()} == {n: n for n in cases.SHORT}
+
+
+def test_compass_rows_have_the_samples_and_the_shape_of_the_filters():
+    kalman, compass, stored = cases.default_group(), *map(cases.compass_group, (None, 80.0))
+    for group in (compass, stored):
+        assert group.sizes == kalman.sizes
+        tape = group.world.tape
+        np.testing.assert_array_equal(tape, kalman.world.tape[: len(tape)])
+        assert group.static.method == "compass"
+        assert group.static.records == kalman.static.records
+    assert (compass.static.repeats, stored.static.repeats) == (False, True)
+    assert len(stored.world.tape) == 8000 and int(stored.world.pass_records) == 80
+    assert len({tuple(row) for row in np.stack(compass.variants.method.azimuth[:3], 1)}) == 8
+
+
+@pytest.fixture(scope="module")
+def small_group():
+    axes = {"phi_u0_deg": [0.0, 10.0, 20.0, 30.0]}
+    (part,) = build.parts(small_study(axes=axes, study={"draws": 64, "duration_s": 20.0}))
+    return part.group
+
+
+def test_some_variants_are_the_last_with_draws_enough(small_group):
+    group = cases.some_variants(small_group, 3, runs=1000)
+    draws, variants = group.sizes
+    assert variants == 3 and draws * variants >= 1000
+    assert len(set(group.draws.draw_id.tolist())) == draws == len(group.q)
+    np.testing.assert_array_equal(group.variants.phi[2], small_group.variants.phi[2][1:])
+
+
+def test_without_noise_only_the_noise_is_gone(small_group):
+    quiet = cases.without_noise(small_group)
+    assert not quiet.world.errors.gyro_noise.any() and not quiet.world.errors.accel_noise.any()
+    assert quiet.static == small_group.static._replace(noisy=False)
+    np.testing.assert_array_equal(quiet.world.errors.gyro_bias, small_group.world.errors.gyro_bias)
+
+
+@pytest.mark.parametrize("devices", [1, 2])
+def test_the_engine_is_timed_on_whole_tiles(small_group, devices):
+    case = cases.engine("x", cases.shortened(small_group, 2), tiles=4, lanes=16, devices=devices)
+    runs = 64 * devices
+    assert (case.name, case.runs, case.steps, case.devices) == ("x", runs, 200, devices)
+    assert case.compile_s > 0
+    assert 0 < case.call() < 10
+
+
+def test_a_baseline_that_differs_from_the_engine_is_refused(small_group, monkeypatch):
+    wrong = lambda *_: (np.eye(3), np.zeros(5))  # noqa: E731
+    monkeypatch.setattr(cases, "align", wrong)
+    with pytest.raises(RuntimeError, match="the NumPy baseline and the engine differ"):
+        cases.numpy_baseline(cases.without_noise(small_group))

@@ -1,0 +1,679 @@
+"""The scripts of ``benchmarks/``: faked timings, and their quick path on a real engine."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sinsjax.bench import limit
+from sinsjax.bench.timing import Case, Row
+from sinsjax.errors import InputError
+
+FOLDER = Path(__file__).parents[2] / "benchmarks"
+sys.path.insert(0, str(FOLDER))
+
+import common  # noqa: E402
+import derivative  # noqa: E402
+import devices  # noqa: E402
+import gate  # noqa: E402
+import gpu  # noqa: E402
+import instructions  # noqa: E402
+import memory  # noqa: E402
+import methods  # noqa: E402
+import noise  # noqa: E402
+import page  # noqa: E402
+import pairs  # noqa: E402
+import record  # noqa: E402
+import single_precision  # noqa: E402
+import store  # noqa: E402
+import throughput  # noqa: E402
+from targets import judged  # noqa: E402
+
+HOLDS: Row = {
+    "cpu": "AMD EPYC 9999 64-Core Processor",
+    "avx512": True,
+    "cores": 2,
+    "platform": "cpu",
+    "device": "cpu",
+    "sinsjax": "0.1.0",
+    "jax": "0.10.2",
+    "jaxlib": "0.10.2",
+    "python": "3.11.7",
+    "options": "all",
+    "fused_loop": True,
+}
+
+
+def told(of: str, name: str, ns: float, **more: object) -> Row:
+    """A row of the history."""
+    sizes = {"runs": 128, "steps": 90000, "dtype": "float64", "devices": 1, "compile_s": 1.5}
+    seconds = {"median_s": round(ns * 128 * 9e-5, 5), "spread_s": 0.012}
+    row = {"set": of, "date": "2025-01-02", "name": name, "ns_per_step_run": ns}
+    return row | sizes | seconds | HOLDS | more
+
+
+def history(version: str = "0.1.0", factor: float = 1.0, **changes: object) -> list[Row]:
+    """Rows of every set but the GPU's, with numbers that are easy to find on a page."""
+    ns = {"limit_kernel": 10.0, "kalman_shared_record": 14.2 * factor, "kalman_noise_64": 15.1}
+    ns |= {"kalman_noise_6": 17.3, "kalman_noise_1": 24.9, "numpy_baseline": 448286.3}
+    rows = [told("short", name, value) for name, value in ns.items()]
+    spread = {"ratio_spread": 0.03}
+    rows += [
+        told("pairs", "limit_kernel", 10.0),
+        told(
+            "pairs",
+            "kalman_shared_record",
+            14.2 * factor,
+            ratio=1.42 * factor,
+            ratios=[1.4, 1.42, 1.45],
+            **spread,
+        ),
+    ]
+    lanes = {16: 40.1, 32: 22.0, 48: 17.2, 64: 14.2, 80: 13.9, 96: 14.8, 128: 18.0, 256: 33.3}
+    rows += [told("throughput", f"lanes_{n}", x * factor, lanes=n) for n, x in lanes.items()]
+    rows += [told("throughput", f"tiles_{n}", 14.2 + n / 50, tiles=n) for n in (2, 4, 8, 16, 32)]
+    variants = {1: 24.9, 2: 20.0, 4: 18.1, 8: 16.9, 16: 15.9, 32: 15.4, 64: 15.1}
+    rows += [told("throughput", f"variants_{n}", x, variants=n) for n, x in variants.items()]
+    rows += [told("throughput", "curves_off", 14.2), told("throughput", "curves_on", 14.9)]
+    rows += [told("noise", "noise_off", 14.2)]
+    ratios = {64: 1.06, 6: 1.22, 1: 1.75}
+    rows += [
+        told("noise", f"noise_{n}", 14.2 * x, ratio=x, variants=n, **spread)
+        for n, x in ratios.items()
+    ]
+    rows += [
+        told("devices", f"devices_{n}", 14.2 / s, devices=n, speedup=s, speedup_spread=0.02)
+        for n, s in ((1, 1.0), (2, 1.87))
+    ]
+    rows += [told("devices", "call_900s", 7.6, devices=2)]
+    rows += [told("devices", "sweep_900s", 8.3, devices=2, share=0.91, share_spread=0.01)]
+    rows += [told("loops", "numba_loop", 6200.0)]
+    rows += [
+        {k: v for k, v in told("memory", name, 0.0, **more).items() if k != "ns_per_step_run"}
+        for name, more in (
+            ("memory_call_2_tiles", {"bytes_per_run": 21000, "temp_bytes": 5}),
+            ("memory_sweep_448", {"before_mib": 240, "peak_mib": 1510}),
+        )
+    ]
+    return [row | {"sinsjax": version} | changes for row in rows]
+
+
+def written(folder: Path, *pieces: list[Row]) -> list[store.Machine]:
+    for rows in pieces:
+        store.keep(rows, record.SETS, folder)
+    return store.machines(folder)
+
+
+# -- the gate ------------------------------------------------------------------------------------
+
+COMMITTED = {"AVX512": {"target": 1.4, "ratio": 2.0}, "AVX2": {"target": 1.0}}
+
+
+@pytest.mark.parametrize(
+    ("measured", "instructions", "status", "line"),
+    [
+        (
+            1.39,
+            "AVX512",
+            0,
+            "gate passed: 1.39 x the limit with AVX512 is within the target of 1.40",
+        ),
+        (2.49, "AVX512", 0, "gate warning: 2.49 x the limit with AVX512 is above the target"),
+        (2.51, "AVX512", 1, "gate failed: 2.51 x the limit with AVX512 is more than 1.25 times"),
+        (1.24, "AVX2", 0, "gate warning: 1.24 x the limit with AVX2 is above the target of 1.00"),
+        (1.26, "AVX2", 1, "gate failed: 1.26 x the limit with AVX2 is more than 1.25 times"),
+    ],
+)
+def test_the_gate_judges(measured, instructions, status, line):
+    verdict = gate.judge(measured, instructions, COMMITTED)
+    assert verdict.status == status
+    assert verdict.line.startswith(line)
+    assert "\n" not in verdict.line
+
+
+@pytest.fixture
+def faked(monkeypatch, tmp_path):
+    """A gate that measures 1.42 with each set, on a machine that has both; the sets asked for."""
+    asked: list[str] = []
+
+    def row(instructions: str) -> Row:
+        asked.append(instructions)
+        (found,) = (r for r in history() if r["set"] == "pairs" and "ratio" in r)
+        return found | {"kernel_ns": 10.0}
+
+    monkeypatch.setattr(gate, "measured", row)
+    monkeypatch.setattr(gate, "compiler", lambda: "gcc")
+    monkeypatch.setattr(gate.platform, "machine", lambda: "x86_64")
+    monkeypatch.setattr(gate.machine, "instructions", lambda limit="": "AVX512")
+    path = tmp_path / "gate.json"
+    path.write_text(json.dumps(COMMITTED))
+    return monkeypatch, asked, path
+
+
+def test_the_gate_measures_each_set_that_the_machine_has(faked, capsys):
+    patch, asked, path = faked
+    assert [verdict.status for verdict in gate.gate(commit=False, path=path)] == [0, 1]
+    assert asked == ["AVX512", "AVX2"]
+    assert "ratios of 7 pairs: 1.40, 1.42, 1.45; median 1.42" in capsys.readouterr().out
+    patch.setattr(gate.machine, "instructions", lambda limit="": "AVX2")
+    assert len(gate.gate(commit=False, path=path)) == 1
+    assert asked[2:] == ["AVX2"]
+
+
+def test_the_gate_ends_with_the_worst_status(faked, capsys):
+    patch, _, path = faked
+    patch.setattr(gate, "COMMITTED", path)
+    patch.setattr(gate.gate, "__kwdefaults__", gate.gate.__kwdefaults__ | {"path": path})
+    patch.setattr(sys, "argv", ["gate.py"])
+    with pytest.raises(SystemExit) as ended:
+        gate.main()
+    assert ended.value.code == 1
+    told = capsys.readouterr().out.splitlines()[-2:]
+    assert told[0].startswith("gate warning") and told[1].startswith("gate failed")
+
+
+@pytest.mark.parametrize(
+    ("what", "answer", "why"),
+    [
+        ("gcc", "", "there is no gcc"),
+        ("gcc", "exit 1", "gcc failed: exit status 1"),
+        ("machine", "arm64", "the limit kernel is for x86-64"),
+        ("instructions", "SSE4_2", "this processor has none of AVX512, AVX2"),
+    ],
+)
+def test_where_the_kernel_cannot_be_built_nothing_is_timed(faked, tools, what, answer, why):
+    patch, asked, path = faked
+    if what == "gcc":
+        patch.setattr(gate, "compiler", limit.compiler)
+        tools(gcc=answer)
+    else:
+        where = gate.platform if what == "machine" else gate.machine
+        patch.setattr(where, what, lambda limit="": answer)
+    (verdict,) = gate.gate(commit=False, path=path)
+    assert verdict.status == 0 and verdict.line.startswith(f"gate skipped: {why}")
+    assert asked == []
+
+
+def test_ratios_are_committed_and_targets_stay(faked):
+    _, _, path = faked
+    assert [verdict.status for verdict in gate.gate(commit=True, path=path)] == [0, 0]
+    kept = json.loads(path.read_text())
+    assert {name: (e["target"], e["ratio"]) for name, e in kept.items()} == {
+        "AVX512": (1.4, 1.42),
+        "AVX2": (1.0, 1.42),
+    }
+    assert kept["AVX512"]["cpu"] == HOLDS["cpu"]
+    statuses = [verdict.line.split(":")[0] for verdict in gate.gate(commit=False, path=path)]
+    assert statuses == ["gate warning", "gate warning"]
+
+
+def test_a_set_that_cannot_be_measured_is_one_line(faked, monkeypatch):
+    monkeypatch.undo()
+    monkeypatch.setattr(sys, "executable", "false")
+    with pytest.raises(InputError, match="no ratio with AVX2: exit status 1"):
+        gate.measured("AVX2")
+
+
+def test_the_committed_file_has_a_target_for_each_set():
+    committed = json.loads(gate.COMMITTED.read_text())
+    assert committed.keys() == set(gate.SETS)
+    assert all(e["target"] > 0 and e.get("ratio", 1.0) > 0 for e in committed.values())
+
+
+# -- scripts -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def tools(monkeypatch, tmp_path):
+    """Makes the only programs there are: shell scripts by name; an empty one is not there."""
+
+    def make(**scripts: str) -> None:
+        folder = tmp_path / "bin"
+        folder.mkdir()
+        for name, script in scripts.items():
+            if script:
+                (folder / name).write_text(f"#!/bin/sh\n{script}\n")
+                (folder / name).chmod(0o755)
+        monkeypatch.setenv("PATH", str(folder))
+
+    return make
+
+
+@pytest.fixture
+def unpinned(monkeypatch):
+    monkeypatch.setattr(common, "use_one_core", lambda: None)
+    monkeypatch.setattr(common.runtime, "configure", lambda: None)
+    monkeypatch.setattr(common, "conditions", lambda: HOLDS)
+
+
+def test_a_script_hands_its_flags_on_and_its_rows_carry_conditions(unpinned, capsys):
+    asked = []
+
+    def rows(quick: bool, repeats: int) -> list[Row]:
+        asked.append((quick, repeats))
+        return [{"name": "a", "platform": "mine"}]
+
+    common.main(rows, ["--json", "--quick", "--repeats", "3"])
+    common.main(rows, ["--json"], one_core=False, repeats=2)
+    assert asked == [(True, 3), (False, 2)]
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert lines == [HOLDS | {"name": "a", "platform": "mine"}] * 2
+
+
+def test_a_script_prints_a_table(unpinned, capsys):
+    common.main(lambda quick, repeats: [told("x", "one", 14.2, ratio=1.5, ratio_spread=0.1)], [])
+    out = capsys.readouterr().out
+    assert "one" in out and "1.5 +- 0.1" in out and HOLDS["cpu"] in out
+
+
+def test_a_users_mistake_in_a_script_is_one_line(unpinned, capsys):
+    def rows(quick: bool, repeats: int) -> list[Row]:
+        raise InputError("no gcc here")
+
+    with pytest.raises(SystemExit) as ended:
+        common.main(rows, [])
+    assert ended.value.code == 2
+    assert capsys.readouterr().err == "error: no gcc here\n"
+
+
+def test_without_a_gpu_the_script_says_so(capsys):
+    assert gpu.rows(True, 1) == []
+    assert capsys.readouterr().err == "no GPU: JAX has cpu only\n"
+
+
+@pytest.mark.parametrize(("script", "why"), [("", "no gcc"), ("exit 1", "gcc failed")])
+def test_without_a_gcc_that_works_there_are_no_pairs(tools, script, why):
+    tools(gcc=script)
+    with pytest.raises(InputError, match=why):
+        pairs.rows(True, 1)
+
+
+@pytest.mark.parametrize("duration_s", [9.0, 90.0, 900.0])
+def test_the_sweep_of_another_length_keeps_its_shape(duration_s):
+    study = devices.sweep_study(duration_s, 32)
+    assert study.n_draws * study.n_variants == 10240
+    assert study.study.window_s[1] == pytest.approx(duration_s)
+    assert len(set(study.values("reset_cycle_s"))) == 8
+
+
+def test_the_speed_up_is_over_one_device_in_the_same_turn(monkeypatch):
+    taken = {1: iter([8.0, 9.0, 8.0]), 2: iter([4.0, 6.0, 5.0])}
+
+    def engine(name: str, group: Any, *, tiles: int, devices: int) -> Case:
+        assert tiles % (2 * devices) == 0
+        runs = 64 * tiles * devices
+        return Case(name, runs, 9000, 0.0, lambda: next(taken[devices]), devices=devices)
+
+    monkeypatch.setattr(devices, "engine", engine)
+    one, two = devices.scaling(False, 3)
+    assert (one["name"], one["speedup"]) == ("devices_1", 1.0)
+    assert (two["name"], two["devices"]) == ("devices_2", 2)
+    assert (two["speedup"], two["speedup_spread"]) == (1.6, 0.25)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "script", [pairs, throughput, noise, methods, devices, derivative, single_precision]
+)
+def test_a_script_runs_quickly(script):
+    if script is pairs and (why := gate.unable()):
+        pytest.skip(why)
+    rows = script.rows(True, 1)
+    keys = "name ns_per_step_run runs steps dtype devices compile_s median_s spread_s".split()
+    assert all(set(keys) <= row.keys() for row in rows)
+    assert all(0 < row["ns_per_step_run"] < 1e6 for row in rows)
+    assert len({row["name"] for row in rows}) == len(rows) > 0
+    json.dumps(rows)
+
+
+@pytest.mark.slow
+def test_memory_is_asked_for_quickly():
+    plain, curves, sweep = memory.rows(True, 1)
+    assert 0 < plain["bytes_per_run"] < curves["bytes_per_run"]
+    assert sweep["before_mib"] < sweep["peak_mib"] < 2000
+
+
+@pytest.mark.slow
+def test_instructions_are_counted_where_they_can_be(capsys):
+    rows = instructions.rows(True, 1)
+    if not rows:
+        pytest.skip(capsys.readouterr().err.strip())
+    assert all(0 < row[key] < 1e5 for row in rows for key in ("instructions", "loads", "stores"))
+
+
+PERFS = {
+    "": "perf cannot be started: No such file or directory",
+    "exit 1": "perf stat: exit status 1",
+    "echo \"event syntax error: '..ld_dispatch:u'\" >&2; exit 129": (
+        "perf stat: event syntax error: '..ld_dispatch:u'"
+    ),
+    "echo Error: >&2; echo Access is limited. >&2; echo More >&2; exit 255": (
+        "perf stat: Access is limited."
+    ),
+    'for e in a b c d; do echo "<not supported>;;$e:u;0;100.00;;" >&2; done': (
+        "perf stat: a:u: not supported"
+    ),
+}
+"""What a perf does that cannot count, and what is said of it."""
+
+
+@pytest.mark.parametrize(("script", "why"), PERFS.items())
+def test_a_perf_that_cannot_count_is_as_good_as_none(monkeypatch, tools, capsys, script, why):
+    monkeypatch.setattr(instructions.machine, "cpu", lambda: {"vendor_id": "AuthenticAMD"})
+    monkeypatch.setattr(instructions, "compiler", lambda: "gcc")
+    tools(perf=script)
+    assert instructions.rows(True, 1) == []
+    assert capsys.readouterr().err == f"warning: nothing is counted: {why}\n"
+
+
+def test_counters_that_are_not_known_are_not_asked_for(monkeypatch, capsys):
+    monkeypatch.setattr(instructions.machine, "cpu", dict)
+    assert instructions.rows(True, 1) == []
+    expected = "warning: nothing is counted: only the counters of AMD and Intel are known\n"
+    assert capsys.readouterr().err == expected
+
+
+def test_counts_are_those_of_the_longer_run_over_the_shorter():
+    few, many = {"instructions": 100, "stores": 30}, {"instructions": 400, "stores": 130}
+    expected = {"name": "x", "step_runs": 50, "instructions": 6.0, "stores": 2.0}
+    assert instructions.row("x", few, many, 50) == expected
+
+
+@pytest.mark.slow
+def test_a_script_starts_from_anywhere(tmp_path):
+    path = os.pathsep.join([str(FOLDER.parent), os.environ.get("PYTHONPATH", "")])
+    ended = subprocess.run(
+        [sys.executable, str(FOLDER / "gpu.py"), "--quick", "--json", "--repeats", "1"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": path, "JAX_PLATFORMS": "cpu"},
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "no GPU: JAX has cpu only\n")
+
+
+# -- the history ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [
+        ({}, "0.1.0_amd-epyc-9999-64-core-avx512.json"),
+        ({"cpu": "AMD EPYC", "avx512": False}, "0.1.0_amd-epyc.json"),
+        (
+            {"cpu": "Intel(R) Xeon(R) Platinum 8481C CPU @ 2.70GHz"},
+            "0.1.0_intel-xeon-platinum-8481c-avx512.json",
+        ),
+        (
+            {"platform": "gpu", "device": "NVIDIA H100 80GB HBM3"},
+            "0.1.0_nvidia-h100-80gb-hbm3.json",
+        ),
+    ],
+)
+def test_a_row_belongs_to_a_version_and_a_machine(changes, name):
+    assert store.file_name(HOLDS | changes) == name
+
+
+def test_a_set_measured_again_replaces_its_rows_only(tmp_path):
+    store.keep(history(), record.SETS, tmp_path)
+    (path,) = store.keep([told("noise", "noise_off", 99.123456789)], record.SETS, tmp_path)
+    rows = store.read(path)
+    assert [r["ns_per_step_run"] for r in rows if r["set"] == "noise"] == [99.123]
+    rest = [(r["set"], r["name"]) for r in history() if r["set"] != "noise"]
+    rest.sort(key=lambda row: record.SETS.index(row[0]))
+    assert [(r["set"], r["name"]) for r in rows if r["set"] != "noise"] == rest
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+    assert len(path.read_text().splitlines()) == len(rows) + 2
+
+
+@pytest.mark.parametrize("text", ["{", '["a"]', '[{"name": "x"}]', "3"])
+def test_a_history_that_is_none_is_told_by_its_name(tmp_path, text):
+    path = tmp_path / "0.1.0_x.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"^0\.1\.0_x\.json: "):
+        store.read(path)
+
+
+def test_machines_come_in_order_of_version(tmp_path):
+    found = written(tmp_path, history("0.10.0"), history("0.9.0"), history("0.2.1", avx512=False))
+    assert [machine.version for machine in found] == ["0.2.1", "0.9.0", "0.10.0"]
+    assert [machine.x_limit for machine in found] == [1.42] * 3
+
+
+def test_without_pairs_the_short_set_tells_the_ratio(tmp_path):
+    rows = [row for row in history() if row["set"] == "short"]
+    (machine,) = written(tmp_path, rows)
+    assert machine.x_limit == pytest.approx(1.42)
+
+
+def test_recording_takes_version_date_and_set_along(tmp_path, monkeypatch, capsys):
+    commands = []
+
+    def run(command, **_):
+        commands.append(command)
+        rows = [told("?", "noise_off", 5.0, sinsjax="0+source"), told("?", "noise_64", 6.0)]
+        told_lines = "\n".join(json.dumps(row) for row in rows)
+        return subprocess.CompletedProcess(command, 0, told_lines)
+
+    monkeypatch.setattr(record.subprocess, "run", run)
+    with pytest.raises(SystemExit) as ended:
+        record.main(["--only", "noise,short", "--repeats", "2"], tmp_path)
+    assert ended.value.code == 0
+    assert [Path(commands[0][1]).name, *commands[0][2:]] == ["noise.py", "--json", "--repeats", "2"]
+    assert commands[1][1:] == "-m sinsjax bench --limit --json --repeats 2".split()
+    (path,) = tmp_path.iterdir()
+    rows = store.read(path)
+    assert [row["set"] for row in rows] == ["short"] * 2 + ["noise"] * 2
+    assert all(row["sinsjax"] == common.source_version() for row in rows)
+    assert all(re.fullmatch(r"\d{4}-\d\d-\d\d", row["date"]) for row in rows)
+
+
+def test_a_failing_set_does_not_stop_the_others(monkeypatch, capsys, tmp_path):
+    def measured(name, repeats):
+        if name == "noise":
+            raise InputError("noise: failed with exit status 1")
+        return []
+
+    monkeypatch.setattr(record, "measured", measured)
+    with pytest.raises(SystemExit) as ended:
+        record.main(["--only", "noise,gpu"], tmp_path)
+    out, err = capsys.readouterr()
+    assert ended.value.code == 1
+    assert err == "error: noise: failed with exit status 1\n"
+    assert "gpu: 0 rows to nothing" in out
+
+
+def test_an_unknown_set_is_refused(capsys):
+    with pytest.raises(SystemExit) as ended:
+        record.main(["--only", "noize"])
+    assert ended.value.code == 2
+    assert "no set noize" in capsys.readouterr().err
+
+
+def test_every_script_that_measures_is_a_set():
+    scripts = [p.stem for p in FOLDER.glob("*.py") if "\n    common.main(rows" in p.read_text()]
+    assert set(scripts) <= set(record.SCRIPTS)
+
+
+# -- the page ------------------------------------------------------------------------------------
+
+
+def test_targets_are_judged_by_their_rows(tmp_path):
+    (machine,) = written(tmp_path, history())
+    found = {row.what: row for row in judged(machine)}
+    reached = [row.reached for row in found.values()]
+    assert reached == [True, True, True, False, True, True]
+    pair = found["`kalman_shared_record`, times the limit kernel"]
+    assert (pair.target, pair.measured) == ("at most 1.45", "1.42 ± 0.03")
+    drawn = found["`kalman_noise_1`, times the limit kernel"]
+    assert (drawn.target, drawn.measured) == ("at most 3.2", "2.49")
+    assert pair.conditions.startswith("3 alternating pairs")
+
+
+@pytest.mark.parametrize(("ratio", "reached"), [(0.99, True), (1.01, False)])
+def test_the_limits_target_is_that_of_the_instruction_set(tmp_path, ratio, reached):
+    more = {"ratio": ratio, "ratio_spread": 0.01, "ratios": [ratio] * 7, "avx512": False}
+    rows = [told("pairs", name, 15.0, **more) for name in ("kalman_shared_record",)]
+    rows.append(told("pairs", "kalman_shared_covariance", 8.0, **more))  # has none for this set
+    (machine,) = written(tmp_path, rows)
+    (record_row,) = judged(machine)
+    assert (record_row.target, record_row.reached) == ("at most 1", reached)
+
+
+@pytest.mark.parametrize(("operations", "most"), [(3.4, "4.1"), (2.0, "3.6")])
+def test_the_derivatives_target_is_the_larger_one(tmp_path, operations, most):
+    more = {"ratio": 4.0, "ratio_spread": 0.1, "operations_ratio": operations}
+    (machine,) = written(tmp_path, [told("derivative", "derivative_p1", 57.0, **more)])
+    (row,) = judged(machine)
+    assert row.target == f"at most {most}"
+    assert row.reached == (most == "4.1")
+
+
+@pytest.mark.parametrize(("ratio", "reached"), [(4.9, True), (5.1, False)])
+def test_a_tunings_gradient_may_take_what_is_counted(tmp_path, ratio, reached):
+    more = {"ratio": ratio, "ratio_spread": 0.1, "operations_ratio": 4.0, "counted": 5}
+    rows = [told("derivative", "tune_plain", 50.0)]
+    rows.append(told("derivative", "tune_gradient_p2", 250.0, **more))
+    machines = written(tmp_path / "history", rows)
+    (row,) = judged(machines[0])
+    assert (row.target, row.reached) == ("at most 5, as its cost is counted", reached)
+    page.write(tmp_path / "p.md", machines, "")
+    assert f"| {row.what} | {row.target} | {ratio:.2f} ± 0.10 |" in (tmp_path / "p.md").read_text()
+
+
+@pytest.mark.parametrize(("ns", "reached"), [(119.0, True), (121.0, False)])
+def test_a_base_of_its_own_may_take_so_many_ns(tmp_path, ns, reached):
+    rows = [told("noise", "silent_2", 25.0), told("noise", "noise_2", 34.0)]
+    row = told("noise", "base_2", ns, ratio=8.0, ratio_spread=0.1, variants=2)
+    rows.append(row | noise.split([*rows, row]))
+    machines = written(tmp_path / "history", rows)
+    (judgement,) = judged(machines[0])
+    assert (judgement.target, judgement.reached) == ("at most 120 ns", reached)
+    page.write(tmp_path / "p.md", machines, "")
+    text = (tmp_path / "p.md").read_text()
+    assert (
+        f"| {ns:.0f} ns: increments, noise and the rest {ns - 34:.0f} ns + 9 ns + 25 ns |" in text
+    )
+
+
+@pytest.mark.slow
+def test_a_tunings_gradient_is_timed_beside_its_plain_runs():
+    plain, gradient = derivative.tuning(4.0, 1)
+    assert [row["name"] for row in (plain, gradient)] == ["tune_plain", "tune_gradient_p2"]
+    assert (gradient["runs"], gradient["steps"]) == (plain["runs"], plain["steps"]) == (128, 400)
+    assert gradient["counted"] == 5 and 2 < gradient["operations_ratio"] < 6
+
+
+@pytest.mark.parametrize(("ratio", "reached"), [(0.28, True), (0.29, False)])
+def test_an_operation_of_a_method_may_take_little_more_than_the_filters(tmp_path, ratio, reached):
+    beside = {"ratio": ratio, "ratio_spread": 0.02, "operations": 145.3, "operations_ratio": 0.228}
+    rows = [told("methods", "kalman", 46.0, operations=638.1)]
+    rows.append(told("methods", "compass", 10.0, **beside))
+    machines = written(tmp_path / "history", rows)
+    (row,) = judged(machines[0])
+    assert (row.what, row.target) == (
+        "`compass`, time per operation, times that of `kalman5`",
+        "at most 1.25",
+    )
+    assert (row.measured, row.reached) == (f"{ratio / 0.228:.2f} ± 0.09", reached)
+    page.write(tmp_path / "p.md", machines, "")
+    text = (tmp_path / "p.md").read_text()
+    assert "## Methods" in text
+    assert "| `kalman` | 46.0 | 1 | 638 | 1 | 13.9 |" in text
+    assert f"| `compass` | 10.0 | {ratio:.2f} | 145 | 0.23 | 14.5 |" in text
+
+
+@pytest.mark.slow
+def test_a_step_of_each_method_has_its_own_arithmetic():
+    rows = methods.rows(True, 1)
+    names = ["kalman", "kalman10", "linearisation", "compass", "compass_tape"]
+    assert [row["name"] for row in rows] == names
+    kalman, ten, trigger, compass, tape = rows
+    assert 400 < kalman["operations"] < 1000
+    assert 1.5 < trigger["operations_ratio"] < ten["operations_ratio"] < 6
+    assert 0.1 < compass["operations_ratio"] < tape["operations_ratio"] < 0.4
+
+
+@pytest.mark.parametrize(("double", "reached"), [(105e3, True), (200e3, False)])
+def test_a_derivatives_memory_may_not_grow_with_the_steps(tmp_path, double, reached):
+    more = {"ratio": 4.0, "ratio_spread": 0.1, "operations_ratio": 5.0}
+    more |= {"temp_bytes_half": 100e3, "temp_bytes": 101e3, "temp_bytes_double": double}
+    (machine,) = written(tmp_path, [told("derivative", "derivative_p4", 57.0, **more)])
+    _, row = judged(machine)
+    assert row.measured == f"100, 101, {double / 1e3:.0f} kB"
+    assert row.reached == reached
+
+
+def test_the_start_is_judged_and_told_by_phases(tmp_path):
+    told_row = told("cold_start", "cold_start_first_result", 0.0, median_s=5.91, spread_s=0.2)
+    phase = told("cold_start", "cold_start_compile", 0.0, median_s=2.5, spread_s=0.1)
+    for row in (told_row, phase):
+        for key in ("ns_per_step_run", "compile_s"):
+            del row[key]
+    machines = written(tmp_path / "history", [told_row, phase])
+    (row,) = judged(machines[0])
+    assert (row.target, row.measured, row.reached) == ("under 4.5 s", "5.9 ± 0.2 s", False)
+    page.write(tmp_path / "p.md", machines, "")
+    assert "| `cold_start_compile` | 2.50 ± 0.10 |" in (tmp_path / "p.md").read_text()
+
+
+def test_the_page_says_what_the_rows_say(tmp_path):
+    machines = written(tmp_path / "history", history("0.0.9", 1.3), history())
+    page.write(tmp_path / "performance.md", machines, "float32: the reason.")
+    text = (tmp_path / "performance.md").read_text()
+    headings = re.findall("^## (.*)$", text, re.MULTILINE)
+    assert headings == [
+        "Targets",
+        "Beside the limit",
+        "Cost model",
+        "History",
+        "Left out, and why",
+    ]
+    # 60e9 ns a minute over 90,000 steps of 14.2 ns; with two devices 1.87 times as many.
+    assert "| none | 14.2 | 46,948 | 87,793 |" in text
+    assert "| `numba_loop` | 6,200 | 620 |" in text
+    assert "the best count is 80 with 13.9 ns, the engine's 64 take 14.2 ns" in text
+    assert "| `memory_call_2_tiles` | 128 | 90,000 | 21,000 |" in text
+    assert "| `memory_sweep_448` | 128 | 90,000 | 240 | 1,510 |" in text
+    assert "keep 91 % of the compiled call's throughput" in text
+    assert "| 0.0.9 | AMD EPYC 9999 64-Core Processor (AVX-512) | 18.5 | 1.85 |" in text
+    assert text.rstrip().endswith("float32: the reason.")
+    pictures = re.findall(r"\((figures/\w[\w-]*\.png)\)", text)
+    assert len(pictures) == 3
+    for name in pictures:
+        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+        assert (tmp_path / name).stat().st_size < 300_000
+
+
+def test_what_was_not_measured_is_not_on_the_page(tmp_path):
+    rows = [row for row in history() if row["set"] == "short"]
+    page.write(tmp_path / "p.md", written(tmp_path / "history", rows), "")
+    headings = re.findall("^## (.*)$", (tmp_path / "p.md").read_text(), re.MULTILINE)
+    assert headings == ["Targets", "Beside the limit", "History"]
+
+
+def test_a_gpu_has_its_section(tmp_path):
+    row = told("gpu", "gpu_silent_1000", 0.9, lanes=1000, runs_per_s=12345)
+    row |= {"platform": "gpu", "device": "NVIDIA H100"}
+    page.write(tmp_path / "p.md", written(tmp_path / "history", history(), [row]), "")
+    text = (tmp_path / "p.md").read_text()
+    assert "## On a GPU" in text and "12,345" in text and "NVIDIA H100" in text
+
+
+def test_two_machines_share_the_figure(tmp_path):
+    machines = written(tmp_path / "history", history(), history(cpu="Other", avx512=False))
+    page.write(tmp_path / "p.md", machines, "")
+    text = (tmp_path / "p.md").read_text()
+    assert text.count("**Runs a minute to expect") == 2
+    assert text.count("bends.png)") == 1
+
+
+def test_an_empty_history_is_told(tmp_path):
+    with pytest.raises(InputError, match="run benchmarks/record.py first"):
+        page.write(tmp_path / "p.md", [], "")
+    assert not (tmp_path / "p.md").exists()

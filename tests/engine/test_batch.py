@@ -1,0 +1,265 @@
+"""Batching changes nothing: not the noise, not the results, not for any chunk or device count."""
+
+import threading
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.studies import small_study
+
+from sinsjax.engine import batch, build
+from sinsjax.engine import tile as tile_layout
+from sinsjax.engine.realisations import Draw
+from sinsjax.engine.simulate import ONE, Params, simulate
+from sinsjax.types import Quat
+
+
+def all_runs(group: tile_layout.Group, **options: int) -> tuple:
+    """Outcome and curves of all runs of a group, in their order."""
+    pieces = list(batch.chunks(group, **options))
+    whole = jax.tree.map(lambda *leaves: np.concatenate(leaves), *pieces)
+    order = np.lexsort((whole.variant, whole.draw))
+    return jax.tree.map(lambda a: a[order], (whole.outcome, whole.curves))
+
+
+def assert_same_bits(one: object, other: object) -> None:
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.fixture(scope="module", params=["measured", "gravity"])
+def six_variants(request: pytest.FixtureRequest) -> tile_layout.Group:
+    """Six variants a draw: tiles hold eleven or twelve draws, and the last one is padded.
+
+    With gravity in A(t) they share their covariance: eight draws a tile, eight tiles a set.
+    """
+    study = small_study(
+        study={"draws": 50, "curves": True},
+        alignment={"specific_force": request.param},
+        axes={"phi_u0_deg": [0.0, 10.0, 30.0], "reset_times_s": [[], [1.37, 4.0]]},
+    )
+    (part,) = build.parts(study)
+    return part.group
+
+
+@pytest.fixture(scope="module")
+def reference(six_variants: tile_layout.Group) -> tuple:
+    """All runs in one call."""
+    return all_runs(six_variants, devices=1, tiles_a_chunk=64)
+
+
+@pytest.mark.parametrize(("devices", "tiles"), [(1, 2), (2, 2)])
+def test_results_have_the_same_bits_for_any_chunk_and_device_count(
+    six_variants: tile_layout.Group, reference: tuple, devices: int, tiles: int
+) -> None:
+    got = all_runs(six_variants, devices=devices, tiles_a_chunk=tiles)
+    assert_same_bits(got, reference)
+
+
+def test_a_program_a_device_puts_each_threads_work_on_its_own(
+    six_variants: tile_layout.Group, reference: tuple, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on accelerators: the two virtual devices of the tests have a program each."""
+    devices = jax.local_devices()
+    assert len(devices) == 2
+    monkeypatch.setattr(batch, "homes", lambda: devices)
+    program, used = batch.program, []
+
+    class Watched(NamedTuple):
+        program: batch.Program
+        home: jax.Device
+
+        def compiled(self) -> Any:
+            return self
+
+        def __call__(self, *given: Any) -> Any:
+            out = self.program.compiled()(*given)
+            used.append((self.home, *{leaf.device for leaf in jax.tree.leaves(out)}))
+            return out
+
+    monkeypatch.setattr(batch, "program", lambda *given: Watched(program(*given), given[-1]))
+    got = all_runs(six_variants, devices=2, tiles_a_chunk=2)
+    assert_same_bits(got, reference)
+    assert used and all(home == on for home, on in used)
+    calls, both = batch.Calls(six_variants, tiles_a_chunk=2), threading.Barrier(2, timeout=60)
+
+    def together(number: int) -> batch.Chunk:
+        both.wait()
+        return calls.chunk(number)
+
+    used.clear()
+    list(batch.spread(together, [0, 0], 2))
+    assert sorted(used, key=str) == [(device, device) for device in devices]
+
+
+def test_every_run_equals_itself_alone(six_variants: tile_layout.Group, reference: tuple) -> None:
+    """The unmapped function of one run gives what the tile gave, to rounding."""
+    group = six_variants
+    alone = jax.jit(lambda d, p: simulate(group.static, group.world, d, p, ONE))
+    for run in (0, 5, 64, 299):
+        draw, variant = divmod(run, 6)
+        params = jax.tree.map(lambda a, v=variant: np.asarray(a)[v], group.variants)
+        params = params._replace(q=Quat(*group.q[draw]))
+        one = alone(Draw(group.draws.draw_id[draw], np.asarray(0), np.asarray(0)), params)
+        for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(reference), strict=True):
+            np.testing.assert_allclose(a, b[run], rtol=1e-9, atol=1e-9)
+
+
+def test_later_draws_leave_earlier_rows_alone(
+    six_variants: tile_layout.Group, reference: tuple
+) -> None:
+    fewer = 30
+    group = six_variants._replace(
+        draws=six_variants.draws._replace(draw_id=np.arange(fewer), row=np.zeros(fewer, int)),
+        q=six_variants.q[:fewer],
+    )
+    got = all_runs(group, devices=1, tiles_a_chunk=2)
+    assert_same_bits(got, jax.tree.map(lambda a: a[: fewer * 6], reference))
+
+
+def test_draws_differ_and_variants_share_their_noise(reference: tuple) -> None:
+    """Without initial misalignment and resets, variants would be one and the same run."""
+    phi = reference[0].last.phi.z.reshape(50, 6)
+    assert np.unique(phi[:, 0]).size == 50
+
+
+@given(st.integers(1, 400))
+def test_a_tile_never_holds_more_draws_than_counted(variants: int) -> None:
+    draws = 130
+    runs = np.arange(draws * variants // tile_layout.LANES * tile_layout.LANES).reshape(
+        -1, tile_layout.LANES
+    )
+    held = [np.unique(row // variants).size for row in runs]
+    room = tile_layout.distinct_draws(variants)
+    assert max(held, default=1) <= room
+    if len(held) > variants:
+        assert room - max(held) < tile_layout.VECTOR
+
+
+@given(st.integers(1, 400), st.sampled_from([8, 16, 24, 32, 48, 64]))
+def test_a_tile_has_a_draw_a_lane_only_where_each_lane_takes_one(width: int, lanes: int) -> None:
+    """Then draws are not handed out at all."""
+    assert (tile_layout.distinct_draws(width, lanes) == lanes) == (width == 1)
+
+
+def some_group(
+    force: str, method: str = "kalman5", *, draws: int, variants: int
+) -> tile_layout.Group:
+    study = small_study(
+        study={"draws": draws, "duration_s": 2.0, "window_s": [0, 2]},
+        alignment={"specific_force": force, "method": method},
+        axes={"p0_yaw_deg": list(np.linspace(10.0, 80.0, variants))},
+    )
+    (part,) = build.parts(study)
+    return part.group
+
+
+@given(
+    st.sampled_from(["measured", "gravity"]),
+    st.integers(1, 150),
+    st.integers(1, 200),
+    st.sampled_from([None, 2, 40]),
+)
+@settings(max_examples=20)
+def test_every_run_has_one_lane(
+    force: str, draws: int, variants: int, tiles_a_chunk: int | None
+) -> None:
+    """Calls of one size; each run once; its tile holds its draw; sets share variants."""
+    group = some_group(force, draws=1, variants=1)._replace(
+        draws=Draw(np.arange(draws), np.zeros(draws, int), np.zeros(draws, int)),
+        q=np.zeros((draws, 4)),
+        variants=jax.tree.map(lambda a: np.arange(variants), Params(*range(5))),
+    )
+    group = group._replace(variants=group.variants._replace(q=Quat(*[np.zeros(variants)] * 4)))
+    runs, shapes = [], set()
+    plan = batch.plan(group, tiles_a_chunk=tiles_a_chunk)
+    assert sum(map(plan.runs, range(len(plan)))) == draws * variants
+    for number, places in enumerate(plan):
+        tiles = tile_layout.tiles_of(group, places)
+        shapes.add(jax.tree.leaves(jax.tree.map(lambda a: a.shape, tuple(tiles))).__repr__())
+        assert len(tiles.row) >= 2
+        assert np.all(places.variant == places.variant[:, :1])
+        ids = np.asarray(tiles.draws.draw_id).reshape(*places.draw.shape[:2], -1)
+        row = np.broadcast_to(tiles.row[:, None], places.draw.shape)
+        held = np.take_along_axis(ids, row, axis=2)
+        busy = (places.draw < draws) & (places.variant < variants)
+        np.testing.assert_array_equal(held[busy], places.draw[busy])
+        taken = np.broadcast_to(tiles.params.ve[:, None], places.draw.shape)
+        np.testing.assert_array_equal(taken[busy], places.variant[busy])
+        chunk = np.sort((places.draw * variants + places.variant)[busy])
+        assert len(chunk) == plan.runs(number)
+        assert {plan.call_of(*divmod(int(run), variants)) for run in chunk} == {number}
+        runs.extend(chunk)
+    if force == "measured":
+        assert runs == sorted(runs)
+    np.testing.assert_array_equal(np.sort(runs), np.arange(draws * variants))
+    assert len(shapes) == 1
+
+
+@pytest.mark.parametrize("variants", [1, 70])
+def test_a_shared_covariance_gives_the_results_of_a_computed_one(variants: int) -> None:
+    """To rounding, against tiles of the same program in which every run has its own."""
+    group = some_group("gravity", draws=9, variants=variants)
+    shared, _ = all_runs(group)
+    own = jax.jit(lambda world, tile: tile_layout.run_tile(group.static, world, tile))
+    flat = group._replace(static=some_group("measured", draws=1, variants=1).static)
+    for places in batch.plan(flat):
+        tiles = tile_layout.tiles_of(flat, places)
+        for k in range(len(tiles.row)):
+            outcome, _ = own(group.world, jax.tree.map(lambda a, k=k: a[k], tiles))
+            runs = places.draw[k, 0] * variants + places.variant[k, 0]
+            busy = places.draw[k, 0] < 9
+            for a, b in zip(jax.tree.leaves(outcome), jax.tree.leaves(shared), strict=True):
+                np.testing.assert_allclose(a[busy], b[runs[busy]], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("method", "changes", "sets"),
+    [
+        ("kalman5", {}, tile_layout.SETS),
+        ("kalman5", {"position": "integrated"}, 1),
+        ("kalman5", {"specific_force": "measured"}, 1),
+        ("kalman10", {}, 1),
+    ],
+)
+def test_only_a_covariance_that_no_draw_changes_is_shared(
+    method: str, changes: dict[str, str], sets: int
+) -> None:
+    study = small_study(
+        alignment={"specific_force": "gravity", "method": method, **changes},
+    )
+    (part,) = build.parts(study)
+    assert tile_layout.layout(part.group.static, 1)[0] == sets
+
+
+def test_the_record_interval_does_not_touch_the_noise() -> None:
+    """Final attitude after the same samples, to rounding: records only scale quaternions."""
+    last, every = [], 0.07
+    for interval in (every, 0.01 * round(every * 100) * 2):
+        study = small_study(
+            study={
+                "record_interval_s": interval,
+                "duration_s": 8 * every,
+                "window_s": [0, 8 * every],
+            },
+        )
+        (part,) = build.parts(study)
+        outcome, _ = all_runs(part.group)
+        last.append(np.array([outcome.last.pitch, outcome.last.roll, outcome.last.yaw]))
+    np.testing.assert_allclose(last[0], last[1], rtol=0, atol=1e-11)
+
+
+def test_broken_runs_are_rows_and_leave_their_neighbours_alone(
+    six_variants: tile_layout.Group, reference: tuple
+) -> None:
+    phi = six_variants.variants.phi
+    broken = phi._replace(z=np.where(np.arange(6) == 2, np.nan, phi.z))
+    group = six_variants._replace(variants=six_variants.variants._replace(phi=broken))
+    outcome, _ = all_runs(group, devices=1, tiles_a_chunk=2)
+    variant = np.arange(300) % 6
+    assert np.isnan(outcome.last.yaw[variant == 2]).all()
+    good = jax.tree.map(lambda a: a[variant != 2], outcome)
+    assert_same_bits(good, jax.tree.map(lambda a: a[variant != 2], reference[0]))

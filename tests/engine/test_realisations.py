@@ -1,0 +1,184 @@
+"""Keys with a value a draw: every run is what a study of that value alone would have given."""
+
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from support.studies import BASE, STILL, small_study
+
+from sinsjax.engine import batch, build
+from sinsjax.engine import tile as tile_layout
+from sinsjax.engine.simulate import simulate
+from sinsjax.execution import run
+from sinsjax.study import sampling as draw_sampling
+from sinsjax.study.load import study_from_dict
+from sinsjax.study.schema import Sensors
+from sinsjax.study.study import SECTION_OF
+
+DRAWS = 5
+NOISE = {key: value for key, value in BASE["sensors"].items() if "bias" not in key}
+ALL = {
+    "latitude_deg": {"uniform": [-60.0, 60.0]},
+    "yaw_center_deg": {"uniform": [0.0, 360.0]},
+    "pitch_center_deg": {"grid": [-5.0, 5.0]},
+    "roll_amplitude_deg": {"uniform": [0.0, 3.0]},
+    "roll_period_s": {"uniform": [3.0, 8.0]},
+    "yaw_phase_deg": {"uniform": [-180.0, 180.0]},
+    "gyro_bias_deg_per_h": {"normal": [0.0, 0.1]},
+    "accel_bias_ug": {"values": [100.0, [50.0, -50.0, 20.0]]},
+    "accel_scale_ppm": {"normal": [0.0, 100.0]},
+    "gyro_misalignment_arcsec": {"normal": [0.0, 20.0]},
+    "phi_e0_deg": {"normal": [0.0, 3.0]},
+    "phi_u0_deg": {"uniform": [-30.0, 30.0]},
+    "vn0_m_per_s": {"normal": [0.0, 0.1]},
+}
+
+
+def drawn_study(keys: list[str], sampling: str = "random", **changes: Any) -> dict[str, Any]:
+    """`BASE` with some keys drawn, as nested dictionaries."""
+    data = {name: dict(section) for name, section in BASE.items()}
+    data["study"]["draws"] = DRAWS
+    for name, section in changes.items():
+        data[name] = data.get(name, {}) | section
+    for key in keys:
+        data[SECTION_OF[key]].pop(key, None)
+    data["drawn"] = {"sampling": sampling} | {key: ALL[key] for key in keys}
+    return data
+
+
+def fixed(data: dict[str, Any], values: dict[str, np.ndarray], draw: int) -> dict[str, Any]:
+    """The same study without drawing, its keys having the values of one draw."""
+    out = {name: dict(section) for name, section in data.items() if name != "drawn"}
+    for key, column in values.items():
+        out[SECTION_OF[key]][key] = column[draw].tolist()
+    return out
+
+
+SOME = ["phi_e0_deg", "phi_u0_deg", "vn0_m_per_s"]
+EULER = {"alignment": {"misalignment": "euler"}}
+THREE = {"axes": {"p0_yaw_deg": [40.0, 50.0, 80.0]}}
+"""Variants; with as many everywhere the studies share what is compiled."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("keys", "sampling", "changes"),
+    [
+        (SOME, "random", EULER | THREE),
+        (["gyro_bias_deg_per_h", "accel_scale_ppm", "gyro_misalignment_arcsec"], "random", THREE),
+        (["latitude_deg"], "sobol", {"earth": {"earth": "wgs84"}} | THREE),
+        (
+            ["yaw_center_deg", "pitch_center_deg"],
+            "random",
+            {"motion": STILL} | THREE,
+        ),
+        (list(ALL), "sobol", EULER | THREE),
+        (
+            ["yaw_center_deg", "gyro_bias_deg_per_h", "phi_u0_deg"],
+            "random",
+            {"passes": {"tape_s": 2.0}, "alignment": {"specific_force": "gravity"}},
+        ),
+        (
+            ["latitude_deg", "yaw_center_deg", "phi_u0_deg"],
+            "random",
+            {
+                "passes": {"tape_s": 2.0},
+                "alignment": {"method": "compass"},
+                "compass": {"level_time_s": 1.0},
+            },
+        ),
+    ],
+)
+def test_a_drawn_value_is_a_given_value(
+    keys: list[str], sampling: str, changes: dict[str, Any]
+) -> None:
+    data = drawn_study(keys, sampling, **changes)
+    study = study_from_dict(data)
+    values = draw_sampling.values(study, DRAWS)
+    rows = run.run(study).summary
+    for draw in (0, DRAWS - 1):
+        alone = run.run(study_from_dict(fixed(data, values, draw))).summary
+        run_id = draw * study.n_variants
+        got, want = (table.slice(run_id, 1).to_pylist()[0] for table in (rows, alone))
+        for key in keys:
+            np.testing.assert_array_equal(got.pop(key), values[key][draw])
+            want.pop(key, None)
+        for name, value in want.items():
+            if isinstance(value, float):
+                # The engine's rounding grows over a run; an angle of 1e-9 arcmin is nothing.
+                np.testing.assert_allclose(got[name], value, rtol=1e-7, atol=1e-8, err_msg=name)
+            else:
+                assert got[name] == value, name
+
+
+def test_draws_differ_in_what_is_drawn_and_share_the_rest() -> None:
+    axes = {"q_reading": ["psd", "per_step"]}
+    data = drawn_study(["phi_u0_deg", "gyro_bias_deg_per_h"], motion=STILL, axes=axes)
+    study = study_from_dict(data)
+    table = run.run(study).summary
+    for name in ("phi_u0_deg", "gyro_bias_deg_per_h", "floor_arcmin"):
+        told = np.array(table[name].to_pylist()).reshape(DRAWS, 2, -1)
+        assert len({tuple(row) for row in told[:, 0]}) == DRAWS
+        np.testing.assert_array_equal(told[:, 0], told[:, 1])
+    assert len(set(table["phi_n0_deg"].to_pylist())) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("keys", [SOME, list(ALL)])
+def test_rows_of_drawn_studies_have_the_same_bits_for_any_chunk_and_number_of_draws(
+    keys: list[str],
+) -> None:
+    data = drawn_study(keys, "sobol", study={"draws": 130}, **EULER, **THREE)
+    whole = run.run(study_from_dict(data)).summary
+    assert run.run(study_from_dict(data), chunk_runs=64).summary.equals(whole)
+    fewer = study_from_dict(data | {"study": data["study"] | {"draws": 70}})
+    assert run.run(fewer).summary.equals(whole.slice(0, 70 * 3))
+
+
+def test_a_study_that_draws_only_noise_runs_the_program_it_always_did() -> None:
+    """What is not drawn takes no part in the program: its arguments are not even there."""
+    (part,) = build.parts(small_study())
+    assert len(jax.tree.leaves(part.group.draws)) == 3
+    assert part.group.world.times is None and part.group.variants.euler is None
+
+
+def test_noise_may_be_drawn() -> None:
+    data = drawn_study([], axes=THREE["axes"], filter={"q_reading": "psd"})
+    for key in NOISE:
+        del data["sensors"][key]
+    data["drawn"] = {"gyro_noise_deg_per_h": {"values": [0.0, 0.5]}}
+    study = study_from_dict(data)
+    (part,) = build.parts(study)
+    assert part.group.static.noisy
+    last = run.run(study).summary["phi_u_arcmin"].to_pylist()[:: study.n_variants]
+    # Draws 0, 2, 4 have none: nothing tells them apart.
+    assert last[0] == last[2] == last[4] and len({last[0], last[1], last[3]}) == 3
+    assert set(NOISE) <= set(Sensors.model_fields)
+
+
+def test_a_run_taken_alone_is_that_of_its_tile() -> None:
+    """Its increments are made sample by sample; in the tile, in a row with those of other draws."""
+    data = drawn_study(["yaw_center_deg", "roll_period_s", "latitude_deg"], axes=THREE["axes"])
+    (part,) = build.parts(study_from_dict(data))
+    group = part.group
+    tiles = tile_layout.tiles_of(group, batch.plan(group)[0])
+    tile = jax.tree.map(lambda a: a[0], tiles)
+    many, _ = jax.jit(partial(tile_layout.run_tile, group.static))(group.world, tile)
+    draw = jax.tree.map(lambda a: a[1] if np.ndim(a) else a, tile.draws)
+    lane = int(np.argmax(tile.row == 1))
+    params = jax.tree.map(lambda a: a[lane], tile.params)
+    one, _ = jax.jit(partial(simulate, group.static))(group.world, draw, params)
+    np.testing.assert_allclose(one.last.yaw, many.last.yaw[lane], rtol=0, atol=1e-11)
+
+
+def test_a_record_of_a_draw_is_what_its_sensors_put_out() -> None:
+    study = study_from_dict(drawn_study(["yaw_center_deg", "latitude_deg", "gyro_bias_deg_per_h"]))
+    values = draw_sampling.values(study, DRAWS)
+    record = build.simulated_record(study, draw_id=3)
+    assert record.latitude_deg == pytest.approx(values["latitude_deg"][3], abs=1e-12)
+    data = fixed(drawn_study(list(values)), values, 3)
+    alone = build.simulated_record(study_from_dict(data), draw_id=3)
+    np.testing.assert_allclose(record.dtheta, alone.dtheta, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(record.dv, alone.dv, rtol=0, atol=1e-13)

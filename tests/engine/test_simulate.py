@@ -1,0 +1,263 @@
+from functools import cache, partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from oracles.in_engine import (
+    ARCMIN,
+    DEG_PER_H,
+    PAPER1,
+    UG,
+    paper_filter,
+    params,
+    site,
+    swing_increments,
+)
+from oracles.naive import DEG, PAPER, closed_loop, exp, judge, log, quaternion
+from scipy.spatial.transform import Rotation
+
+from sinsjax.alignment.base import Options
+from sinsjax.alignment.limits import Biases
+from sinsjax.engine.metrics import Criteria
+from sinsjax.engine.realisations import AT_A_TIME, Draw, Static, World, noise, piece, sense
+from sinsjax.engine.simulate import Params, simulate
+from sinsjax.strapdown import sensors
+from sinsjax.types import Quat, Vec3
+
+RATE, LATITUDE, SEED = 100, 32 * DEG, 11
+PHI0, V0 = np.array([2.0, -3.0, 10.0]) * DEG, (0.1, -0.2)
+BIAS = np.array([0.1 * DEG_PER_H] * 3 + [500 * UG] * 3)
+NOISE = BIAS / RATE
+FLOOR = -20 * ARCMIN
+BANDS = np.array([600.0, 60.0, 10.0]) * ARCMIN
+WINDOW, AFTER = (2.0, 6.0), (1.0, 1.0, 4.0)
+WHOLE, DRAW = 900, 5
+
+run = jax.jit(simulate, static_argnums=(0, 4))
+
+
+def static(every, records, repeats=False):
+    return Static("kalman5", Options(1 / RATE), every, records, True, noisy=True, repeats=repeats)
+
+
+@cache
+def ideal():
+    """Ideal increments of [P1]'s swing; two extra rows in front belong to no run."""
+    rows = swing_increments(PAPER1, PAPER, LATITUDE, rate=RATE, samples=WHOLE)
+    return np.concatenate([np.full((2, 6), 1e3), rows])
+
+
+def world(every, records, noise=NOISE, tape=None):
+    times = tape_times(records, tape or records) * every / RATE
+    truth = np.array([quaternion(PAPER1.matrix(t)) for t in times])
+    errors = sensors.SensorErrors(
+        BIAS[:3], BIAS[3:], noise[:3], noise[3:], np.zeros((3, 3)), np.zeros((3, 3))
+    )
+    criteria = Criteria(BANDS, *map(np.float64, (*WINDOW, AFTER[0], AFTER[2])))
+    # The first row of truth belongs to another draw.
+    truth = np.stack([np.full_like(truth, np.nan), truth])
+    here = site(PAPER, LATITUDE)
+    east, zero = -np.tan(FLOOR) * here.place.rate_n, np.float64(0.0)
+    return World(
+        here,
+        ideal(),
+        truth,
+        errors,
+        np.asarray(SEED),
+        criteria,
+        Biases(Vec3(east, zero, zero), Vec3(zero, zero, zero), zero),
+        np.asarray(tape or records),
+    )
+
+
+def tape_times(records, tape):
+    """Where on its tape a run is after each record, in records: 1 2 3 2 1 0 1 2 3 ..."""
+    way = [*range(1, tape + 1), *reversed(range(tape))]
+    return np.array((way * records)[:records])
+
+
+def one_run(filt):
+    q = Quat(*map(np.float64, quaternion(PAPER1.matrix(0.0))))
+    return Params(q, Vec3(*PHI0), *map(np.float64, V0), params(filt))
+
+
+def draw(number=DRAW):
+    return Draw(np.asarray(number), np.asarray(2), np.asarray(1))
+
+
+def naive_measured():
+    """Ideal increments, bias and the draw's own numbers."""
+    numbers = sensors.noise(np.asarray(SEED), np.asarray(DRAW), np.arange(WHOLE))
+    normal = np.stack([*numbers.dtheta, *numbers.dv], axis=1).astype(float)
+    return ideal()[2:] + BIAS / RATE + NOISE * normal
+
+
+@pytest.mark.parametrize(
+    ("every", "records", "tape"),
+    [(30, 23, None), (70, 9, None), (30, 23, 7), (30, 23, 23)],
+)
+def test_one_run_is_the_naive_loop_and_its_metrics(every, records, tape):
+    """Forward over the data once, or over a tape of some records forward and backward."""
+    filt = paper_filter(5, every=40, resets=(215, 400))
+    here = world(every, records, tape=tape)
+    rows = naive_measured()[: every * (tape or records)]
+    c, v = exp(-PHI0) @ PAPER1.matrix(0.0), np.array(V0)
+    case = {"latitude": LATITUDE, "c": c, "v": v, "filt": filt, "count": every * records}
+    naive = closed_loop(rows, 1 / RATE, PAPER, **case)
+    at = np.arange(1, records + 1) * every
+    corrected = Rotation.from_rotvec(naive.x[:, 2:5]).as_matrix() @ naive.c
+    values, sigma = [], []
+    for k, place in zip(at, tape_times(records, tape or records), strict=True):
+        yaw, pitch, roll = Rotation.from_matrix(corrected[k - 1]).as_euler("ZXY")
+        phi = log(PAPER1.matrix(place * every / RATE) @ corrected[k - 1].T)
+        values.append([*phi, pitch, roll, yaw])
+        sigma.append(np.sqrt(np.diagonal(naive.p[k - 1])[2:5]))
+    values, sigma = np.array(values), np.array(sigma)
+    expected = judge(
+        at / RATE,
+        values,
+        sigma[:, 2],
+        p=naive.p[-1][2:5, 2:5],
+        floor=FLOOR,
+        bands=BANDS,
+        window=WINDOW,
+        after=AFTER,
+    )
+
+    program = static(every, records, repeats=tape is not None)
+    outcome, curves = run(program, here, draw(), one_run(filt))
+
+    close = {"rtol": 0, "atol": 1e-9}
+    got = np.stack([*curves.phi, curves.pitch, curves.roll, curves.yaw], axis=1)
+    np.testing.assert_allclose(got, values, **close)
+    np.testing.assert_allclose(np.stack(curves.sigma, axis=1), sigma, **close)
+    np.testing.assert_array_equal(outcome.outside_until, expected.outside_until)
+    np.testing.assert_allclose(outcome.mean, expected.mean, **close)
+    np.testing.assert_allclose(outcome.std, expected.std, **close)
+    np.testing.assert_allclose(outcome.above_share, expected.above_share, rtol=1e-12)
+    np.testing.assert_allclose(outcome.nees, expected.nees, rtol=1e-6)
+    np.testing.assert_allclose(outcome.nis_u, expected.nis_u, rtol=1e-6)
+
+
+def test_measured_increments_do_not_depend_on_how_they_are_asked_for():
+    """Any stretch gives the same numbers; another draw or seed gives others."""
+    here = world(100, 9)
+    whole = measure(here, draw(), 0, 900)
+    # The last bits of a single-precision normal number are worth 1e-6 of the noise.
+    rounding = {"rtol": 0, "atol": 3e-6 * NOISE.max()}
+    np.testing.assert_allclose(whole, naive_measured(), **rounding)
+    cuts = (0, 300, 600, 831)
+    parts = [measure(here, draw(), a, b - a) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+    np.testing.assert_allclose(np.concatenate(parts), whole[: cuts[-1]], **rounding)
+    assert not np.any(measure(here, draw(6), 0, 900) == whole)
+    assert not np.any(measure(here._replace(seed=np.asarray(12)), draw(), 0, 900) == whole)
+
+
+def measure(here, draw, first, samples):
+    now = _measure(here, draw, first, samples)
+    return np.stack([*now.dtheta, *now.dv], axis=1)
+
+
+@partial(jax.jit, static_argnums=3)
+def _measure(here, draw, first, samples):
+    program, numbers = static(100, 9), first + jnp.arange(samples)
+    normal = noise(program, here, draw, numbers)
+    return jax.vmap(partial(sense, program, here, draw))(numbers, normal)
+
+
+@pytest.mark.parametrize("draws", [1, 6, 16, 64, 200])
+@pytest.mark.parametrize("every", [1, 7, 50, 97, 1000])
+def test_a_record_interval_is_cut_into_equal_pieces(draws, every):
+    many = Draw(np.arange(draws), np.asarray(0), np.zeros(draws, int))
+    noisy = piece(static(every, 9), many)
+    assert every % noisy == 0 and noisy * draws <= max(AT_A_TIME, draws)
+
+
+def test_sensors_without_noise_draw_none():
+    program, here = static(100, 9)._replace(noisy=False), world(100, 9)
+    assert noise(program, here, draw(), np.arange(9)) is None
+    now = sense(program, here, draw(), np.asarray(3), None)
+    expected = ideal()[2 + 3] + BIAS / RATE
+    np.testing.assert_allclose([*now.dtheta, *now.dv], expected, rtol=0, atol=1e-17)
+
+
+def test_before_a_tape_there_is_nothing():
+    """A first sample is compensated with zeros, that is not at all, on every pass."""
+    normal = jax.tree.map(
+        lambda a: a[0], noise(static(100, 9), world(100, 9), draw(), np.arange(1))
+    )
+    for repeats in (False, True):
+        now = sense(static(100, 9, repeats), world(100, 9), draw(), np.asarray(-1), normal)
+        assert np.any([*now.dtheta, *now.dv]) != repeats
+
+
+def test_a_single_noisy_axis_is_noisy():
+    only = np.zeros(6)
+    only[4] = NOISE[4]
+    off = measure(world(100, 9, noise=only), draw(), 0, 900) - ideal()[2:] - BIAS / RATE
+    np.testing.assert_allclose(np.std(off, axis=0), only, rtol=0.1, atol=1e-17)
+
+
+def test_curves_at_common_times_do_not_depend_on_record_interval_and_length():
+    """To rounding: records only scale quaternions."""
+    filt = paper_filter(5, every=40, resets=(215,))
+    fine, coarse = (
+        run(static(every, records), world(every, records), draw(), one_run(filt))[1]
+        for every, records in ((30, 23), (70, 9))
+    )
+    # After 210, 420 and 630 samples.
+    for a, b in zip(*map(jax.tree.leaves, (fine, coarse)), strict=True):
+        np.testing.assert_allclose(a[6::7], b[2::3], rtol=0, atol=1e-11)
+
+
+@pytest.mark.slow
+def test_derivatives_by_beliefs_as_secants():
+    """Forward mode through the whole closed loop, by P0 of the yaw and by a scale of Q."""
+    filt = paper_filter(5, every=40, resets=(215,))
+    here, program = world(50, 12), static(50, 12)
+
+    def smooth(yaw, q):
+        start = one_run(filt)
+        method = start.method
+        changed = method._replace(
+            p0=(*method.p0[:4], method.p0[4] * yaw), q=tuple(q * value for value in method.q)
+        )
+        outcome, _ = simulate(program, here, draw(), start._replace(method=changed))
+        return (1 / ARCMIN) * jnp.stack(
+            [*outcome.mean[:3], *outcome.std[:3], *outcome.last.phi, *outcome.last.sigma]
+        )
+
+    @jax.jit
+    def value_and_derivative(point, direction):
+        return jax.jvp(smooth, tuple(point), tuple(direction))
+
+    step = 1e-4
+    for direction in np.eye(2):
+        _, derivative = value_and_derivative(np.ones(2), direction)
+        up, _ = value_and_derivative(1 + step * direction, direction)
+        down, _ = value_and_derivative(1 - step * direction, direction)
+        secant = (up - down) / (2 * step)
+        assert np.abs(secant).min() > 1e-6
+        np.testing.assert_allclose(derivative, secant, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_run_alone_has_derivatives_of_both_modes():
+    """By R, through feedback and a reset, against a central difference."""
+    filt = paper_filter(5, every=7, resets=(33,))
+    here, program = world(20, 3), static(20, 3)
+    start = one_run(filt)
+
+    def yaw(r):
+        run = start._replace(method=start.method._replace(r=r))
+        return simulate(program, here, draw(), run)[0].last.phi.z / ARCMIN
+
+    r, step = np.float64(start.method.r), 1e-4
+    of_r = jax.jit(yaw)
+    secant = (of_r(r * (1 + step)) - of_r(r * (1 - step))) / (2 * step * r)
+    reverse, forward = jax.jit(jax.grad(yaw))(r), jax.jit(jax.jacfwd(yaw))(r)
+    tangent = jax.jit(lambda r: jax.jvp(yaw, (r,), (np.float64(1.0),))[1])(r)
+    for derivative in (reverse, forward, tangent):
+        np.testing.assert_allclose(derivative, secant, rtol=1e-5)
+    assert abs(secant) > 0

@@ -1,0 +1,231 @@
+"""How runs end: from the truth and from the limit, in their bands, for long enough."""
+
+import hashlib
+import io
+import math
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from rich.console import Console
+from support.chunks import chunk
+from support.studies import STILL, small_study
+
+from sinsjax import analysis, report
+from sinsjax.errors import InputError
+from sinsjax.execution import run, tables
+from sinsjax.report.base import Source
+from sinsjax.study import success
+from sinsjax.study.load import Study, fingerprint, load_study, study_to_toml
+
+AXES = {"phi_u0_deg": [0.0, 1.0]}
+
+
+def judged(*, draws_from: dict[str, Any], **settings: Any) -> dict[str, list[Any]]:
+    """The verdict columns of two runs of 6 s, which end at the limit or at the truth as told."""
+    study = small_study(study=settings, motion=STILL, axes=AXES)
+    table = tables.Tables(study).summary(chunk(**draws_from), np.arange(2))
+    return table.select(["ok_limit", "ok_truth", "status", "has_limit"]).to_pydict()
+
+
+AT_THE_LIMIT = {
+    "phi_u_arcmin": [-20.0, 1.0],
+    "outside_until": [[0.0, 1.0, 2.0], [6.0, 6.0, 6.0]],
+    "from_truth": [[0.0, 6.0, 6.0], [1.0, 2.0, 3.0]],
+}
+"""The first run ends at its limit, the second at the truth; both have a limit of -20'."""
+
+
+@pytest.mark.parametrize(
+    ("judged_from", "status"),
+    [("limit", ["ok", "not_settled"]), ("truth", ["not_settled", "ok"])],
+)
+def test_a_status_says_what_the_study_judges_from(judged_from: str, status: list[str]) -> None:
+    found = judged(draws_from=AT_THE_LIMIT, judged_from=judged_from)
+    assert found["ok_limit"] == [True, False] and found["ok_truth"] == [False, True]
+    assert found["status"] == status and found["has_limit"] == [True, True]
+
+
+def test_the_truth_is_the_default() -> None:
+    assert judged(draws_from=AT_THE_LIMIT)["status"] == ["not_settled", "ok"]
+
+
+@pytest.mark.parametrize(
+    ("dwell_s", "ok"), [(0.0, True), (4.9, True), (5.0, True), (5.1, False), (5.9, False)]
+)
+def test_a_success_has_been_in_the_band_for_long_enough(dwell_s: float, ok: bool) -> None:
+    """The first run is within 10' of its limit from 1 s to its end at 6 s."""
+    assert judged(draws_from=AT_THE_LIMIT, dwell_s=dwell_s)["ok_limit"] == [ok, False]
+
+
+@pytest.mark.parametrize(("end_s", "dwell_s"), [(6.0, 0.6), (300.0, 30.0), (900.0, 30.0)])
+def test_how_long_by_default(end_s: float, dwell_s: float) -> None:
+    assert success.success_of(small_study()).dwell(np.array([end_s])) == pytest.approx(dwell_s)
+
+
+@pytest.mark.parametrize(
+    ("band", "level_arcmin", "ok_limit", "ok_truth"),
+    [
+        # About limits of 1' (east) and -1' (north); from the truth 1.5' more than the band.
+        (10.0, 8.9, True, True),
+        (10.0, 9.1, False, True),
+        (10.0, 11.4, False, True),
+        (10.0, 11.6, False, False),
+        (10.0, 179 * 60.0, False, False),
+        (180.0, 170.0, True, True),
+    ],
+)
+def test_a_level_error_outside_its_band_is_never_ok(
+    band: float, level_arcmin: float, ok_limit: bool, ok_truth: bool
+) -> None:
+    """The heading is right in the first run about the limit, in the second about the truth."""
+    found = judged(draws_from=AT_THE_LIMIT | {"level_arcmin": level_arcmin}, level_band_arcmin=band)
+    assert found["ok_limit"] == [ok_limit, False] and found["ok_truth"] == [False, ok_truth]
+
+
+def test_without_a_level_earth_rate_left_there_is_no_north() -> None:
+    found = judged(draws_from=AT_THE_LIMIT | {"no_north": True})
+    assert found["status"] == ["no_north"] * 2
+    assert found["ok_limit"] == found["ok_truth"] == [False, False]
+
+
+@pytest.mark.parametrize(("diverged_deg", "status"), [(None, "diverged"), (12.0, "not_settled")])
+def test_a_run_has_diverged_from_its_limit(diverged_deg: float | None, status: str) -> None:
+    off = AT_THE_LIMIT | {"phi_u_arcmin": [-20.0 + 11 * 60, 0.0]}
+    off["outside_until"] = off["from_truth"] = [[6.0] * 3] * 2
+    settings = {} if diverged_deg is None else {"diverged_deg": diverged_deg}
+    assert judged(draws_from=off, **settings)["status"][0] == status
+
+
+def test_the_success_band_is_a_band_of_its_own() -> None:
+    study = small_study(study={"success_band_arcmin": 30.0}, motion=STILL, axes=AXES)
+    assert success.bands(study) == (60.0, 10.0, 3.0, 30.0)
+    table = tables.Tables(study).summary(
+        chunk([-20.0, -20.0], [[0.0, 6.0, 6.0, 1.0], [0.0, 1.0, 1.0, 6.0]]), np.arange(2)
+    )
+    assert table["ok_limit"].to_pylist() == [True, False]
+    assert table["settle_30_s"].to_pylist() == [1.0, None]
+    assert [yard.words for yard in success.yardsticks(study)] == [
+        "within 30' of true north",
+        "within 30' of what its gyro bias allows",
+    ]
+
+
+SWAYING = {"judged_from": "truth"}
+
+
+def test_what_counts_from_a_limit_is_null_where_there_is_none() -> None:
+    """A biased base that sways more slowly than the run is long; null is not never."""
+    study = small_study(study=SWAYING, axes=AXES)
+    table = tables.Tables(study).summary(chunk(**AT_THE_LIMIT), np.arange(2))
+    assert table["has_limit"].to_pylist() == [False, False]
+    for name in ("floor_arcmin", "settle_10_s", "nis_u", "p_above_floor_error_share", "ok_limit"):
+        assert table[name].null_count == 2, name
+    assert table["settle_10_truth_s"].to_pylist() == [None, 2.0]
+    assert table["status"].to_pylist() == ["not_settled", "ok"]
+    (row,) = analysis.summarise(table, []).to_pylist()
+    assert row["no_limit"] == 2 and row["success_truth_rate"] == 0.5
+    assert row["success_limit_rate"] is row["settle_10_s_median"] is row["never_settled_10"] is None
+    assert row["never_settled_10_truth"] == 1 and row["settle_10_truth_s_median"] == 2.0
+
+
+def test_a_limit_is_not_judged_from_where_there_is_none() -> None:
+    text = "judged_from: 'limit' cannot be judged: method 'kalman10' has no limit"
+    study = small_study(study={"judged_from": "limit"}, alignment={"method": "kalman10"})
+    with pytest.raises(InputError, match=text):
+        run.run(study)
+    with pytest.raises(InputError, match="method 'kalman5' .* a tenth of the time since the last"):
+        run.run(small_study(study={"judged_from": "limit"}))
+
+
+def test_rates_of_both_are_shares_by_hand() -> None:
+    table = pa.table(
+        {
+            "status": ["ok"] * 4 + ["not_settled"] * 4,
+            "phi_u_arcmin": np.arange(8.0),
+            "has_limit": [True] * 6 + [False] * 2,
+            "ok_limit": [True, True, True, False, False, False, None, None],
+            "ok_truth": [False, True, False, False, True, False, False, False],
+        }
+    )
+    names = ["success_rate", "success_limit_rate", "success_truth_rate"]
+    (row,) = analysis.summarise(table, [], names).to_pylist()
+    for name, k, n in zip(names, (4, 3, 2), (8, 6, 8), strict=True):
+        share = analysis.proportion(k, n)
+        assert (row[name], row[f"{name}_low"], row[f"{name}_high"]) == share[:3]
+
+
+def test_differences_of_both_are_paired() -> None:
+    flags = {"ok_limit": [True] * 20, "ok_truth": [True] * 5 + [False] * 15}
+    common = {"draw_id": np.arange(20), "phi_u_mean_arcmin": np.zeros(20)}
+    common |= {"status": ["ok"] * 20, "phi_u_arcmin": np.zeros(20), "floor_arcmin": np.zeros(20)}
+    other = {"ok_limit": [False] * 10 + [True] * 10, "ok_truth": [False] * 20}
+    parts = [
+        pa.table(common | {"case": [case] * 20} | own) for case, own in (("a", flags), ("b", other))
+    ]
+    (row,) = analysis.compare(pa.concat_tables(parts), ["case"], {"case": "b"}).to_pylist()
+    for name in ("limit", "truth"):
+        pair = [np.array(own[f"ok_{name}"]) for own in (flags, other)]
+        expected = analysis.proportion_difference(*pair)
+        assert row[f"success_{name}_rate_difference"] == expected.value
+        assert row[f"success_{name}_rate_difference_low"] == expected.low
+
+
+# --- results of an earlier version ----------------------------------------------------------------
+
+
+def stored(tmp_path: Any, schema: str) -> tuple[Study, Any]:
+    """Results as a version of the first schema left them, of a study without a word of success."""
+    study = small_study(motion=STILL, axes={"phi_u0_deg": [0.0, 30.0]})
+    out = tmp_path / "out"
+    run.run_into(study, out)
+    if schema == "1":
+        (part,) = (out / "summary").glob("*.parquet")
+        table = pa.parquet.read_table(part)
+        gone = [n for n in table.column_names if "truth" in n or n in ("has_limit", "ok_limit")]
+        table = table.drop_columns(gone)
+        marks = dict(table.schema.metadata) | {b"sinsjax.schema": b"1"}
+        was = hashlib.sha256(part.read_bytes()).hexdigest()
+        pa.parquet.write_table(table.replace_schema_metadata(marks), part)
+        now = hashlib.sha256(part.read_bytes()).hexdigest()
+        manifest = out / "manifest.json"
+        text = manifest.read_text()
+        assert '"schema": "2"' in text
+        manifest.write_text(text.replace('"schema": "2"', '"schema": "1"').replace(was, now))
+    return study, out
+
+
+def test_results_of_the_version_before_are_read_as_judged_from_the_limit(tmp_path: Any) -> None:
+    study, out = stored(tmp_path, "1")
+    table = tables.read_summary(out)
+    assert table["ok_truth"].null_count == table["settle_10_truth_s"].null_count == table.num_rows
+    assert table["has_limit"].to_pylist() == [True] * table.num_rows
+    settled = [time is not None for time in table["settle_10_s"].to_pylist()]
+    assert table["ok_limit"].to_pylist() == settled
+    assert tables.read_summary(out, ["ok_limit", "run_id"]).column_names == ["ok_limit", "run_id"]
+    with pytest.raises(InputError, match="column ok_never is missing"):
+        tables.read_summary(out, ["ok_never"])
+    source = Source.read(out)
+    assert success.success_of(source.study).judged_from == "limit"
+    assert [yard.truth for yard in source.yardsticks] == [False]
+
+
+def test_a_report_says_what_an_earlier_version_did_not_record(tmp_path: Any) -> None:
+    _, out = stored(tmp_path, "1")
+    console = Console(width=400, file=io.StringIO())
+    report.summarise([out], console)
+    text = console.file.getvalue()
+    assert "within 10' of true north (%)" in text and "not recorded" in text
+
+
+def test_a_study_that_says_nothing_keeps_its_fingerprint_and_file(tmp_path: Any) -> None:
+    study = small_study()
+    text = study_to_toml(study)
+    assert not any(key in text for key in ("judged_from", "band_arcmin =", "dwell_s", "diverged"))
+    path = tmp_path / "study.toml"
+    path.write_text(text)
+    assert fingerprint(load_study(path)) == fingerprint(study)
+    other = small_study(study={"judged_from": "truth"})
+    assert fingerprint(other) != fingerprint(study)
+    assert math.isclose(success.success_of(other).band_arcmin, 10.0)

@@ -1,0 +1,571 @@
+"""Dask workers, real ones: the same bytes as here, whatever becomes of them."""
+
+import http.server
+import json
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import dask
+import distributed
+import psutil
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import tomli_w
+from support.studies import BASE, small_study
+
+from sinsjax.errors import InputError
+from sinsjax.execution import dask_client, dask_pool, dask_worker, run
+from sinsjax.execution import tables as result_tables
+from sinsjax.execution import tasks as study_tasks
+from sinsjax.platform import compile_cache, runtime, xla
+from sinsjax.study.load import Study, study_from_dict
+
+pytestmark = pytest.mark.slow
+needs_two_cores = pytest.mark.skipif(
+    runtime.usable_cores() < 2, reason="two workers need two cores, one each"
+)
+
+CHUNK = 128
+STUDY: dict[str, Any] = BASE | {
+    "study": BASE["study"] | {"duration_s": 300.0, "window_s": [200, 300], "draws": 600},
+    "alignment": {"method": "compass", "phi_e0_deg": 0.1, "phi_n0_deg": 0.1},
+    "compass": {"level_time_s": 60.0},
+    "axes": {"phi_u0_deg": [0.0, 0.3, 0.6, 1.0]},
+}
+"""2400 runs in 19 chunks of some 0.2 s; a compass is compiled quickly."""
+
+Parts = dict[str, bytes]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Every worker is a new process: they share what is compiled, or would need minutes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(compile_cache.VARIABLE, str(tmp_path_factory.mktemp("compiled")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return study_from_dict(STUDY)
+
+
+@pytest.fixture(scope="module")
+def here(study: Study, tmp_path_factory: pytest.TempPathFactory) -> Parts:
+    """The parts that this process makes."""
+    out = tmp_path_factory.mktemp("here")
+    run.run_into(study, out, chunk_runs=CHUNK)
+    return parts(out)
+
+
+def parts(directory: Path) -> Parts:
+    return {
+        str(path.relative_to(directory)): path.read_bytes() for path in directory.glob("*/part-*")
+    }
+
+
+def rows(directory: Path) -> pa.Table:
+    tables = [pq.read_table(path) for path in sorted(directory.glob("summary/*"))]
+    return pa.concat_tables([t.replace_schema_metadata() for t in tables]).sort_by("run_id")
+
+
+def worker_processes(parent: int | None = None) -> list[psutil.Process]:
+    """Processes that a local cluster of this or another process has now."""
+    return [
+        process
+        for process in psutil.Process(parent).children()
+        if any("spawn_main" in word for word in process.cmdline())
+    ]
+
+
+@needs_two_cores
+class TestTwoWorkers:
+    """Of one cluster, which ends with these tests: others count their processes."""
+
+    @pytest.fixture(scope="class")
+    @classmethod
+    def two(cls, tmp_path_factory: pytest.TempPathFactory) -> Iterator[study_tasks.Executor]:
+        with pytest.MonkeyPatch.context() as patch:
+            # Locks of their own: another test's workers may have taken this machine's cores.
+            patch.setenv("TMPDIR", str(tmp_path_factory.mktemp("locks")))
+            with dask_pool.executor(workers=2) as executor:
+                yield executor
+
+    def test_workers_give_the_bytes_of_this_process(
+        self, two: study_tasks.Executor, study: Study, here: Parts, tmp_path: Path
+    ) -> None:
+        run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=two)
+        assert len(here) == 19
+        assert "ok" in rows(tmp_path)["status"].to_pylist()
+        assert parts(tmp_path) == here
+        (session,) = result_tables.read_manifest(tmp_path)["sessions"]
+        assert (session["workers"], session["scheduler"]) == (2, "local")
+
+    def test_the_filter_gives_the_bytes_of_this_process(
+        self, two: study_tasks.Executor, tmp_path: Path
+    ) -> None:
+        study = small_study(
+            study={"draws": 500, "curves": True}, drawn={"gyro_scale_ppm": {"normal": [0, 9]}}
+        )
+        run.run_into(study, tmp_path / "here", chunk_runs=CHUNK)
+        run.run_into(study, tmp_path / "there", chunk_runs=CHUNK, executor=two)
+        assert len(parts(tmp_path / "here")) == 2 * 4
+        assert parts(tmp_path / "here") == parts(tmp_path / "there")
+
+    def test_every_worker_keeps_to_a_core_of_its_own(self, two: study_tasks.Executor) -> None:
+        cores = []
+        for process in worker_processes():
+            of_threads = {frozenset(psutil.Process(t.id).cpu_affinity()) for t in process.threads()}
+            assert len(of_threads) == 1
+            cores.append(*of_threads.pop())
+        assert len(cores) == len(set(cores)) == 2
+
+    def test_tasks_are_taken_when_there_is_a_place_for_them(
+        self, two: study_tasks.Executor, study: Study
+    ) -> None:
+        workshop = study_tasks.Workshop(study_tasks.Job(study, chunk_runs=CHUNK))
+        (tasks,) = workshop.tasks()
+        taken: list[study_tasks.Task] = []
+
+        def offered() -> Iterator[study_tasks.Task]:
+            for task in tasks[:9]:
+                taken.append(task)
+                yield task
+
+        done = []
+        for packed in two.do(workshop, offered()):
+            done.append(packed.task)
+            assert len(taken) - len(done) < 2 * dask_pool.AHEAD
+        assert sorted(done) == taken == tasks[:9]
+
+
+@needs_two_cores
+def test_a_worker_that_is_killed_costs_no_row(study: Study, here: Parts, tmp_path: Path) -> None:
+    killed: list[psutil.Process] = []
+
+    def tell(progress: run.Progress) -> None:
+        if progress.done >= 3 * CHUNK and not killed:
+            killed.append(worker_processes()[0])
+            # Stopped with tasks in hand, it takes them with it a second later.
+            killed[0].suspend()
+            threading.Timer(1.0, killed[0].kill).start()
+
+    with dask_pool.executor(workers=2) as executor:
+        run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
+        assert killed and not killed[0].is_running()
+    assert parts(tmp_path) == here
+    assert rows(tmp_path)["run_id"].to_pylist() == list(range(2400))
+
+
+def test_a_task_that_workers_die_of_is_named(study: Study, here: Parts, tmp_path: Path) -> None:
+    def tell(progress: run.Progress) -> None:
+        if progress.done == 2 * CHUNK:
+            worker_processes()[0].kill()
+
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        dask_pool.executor(workers=1) as executor,
+        pytest.raises(InputError, match=r"^part-0000-\d{6}: 1 workers died with it"),
+    ):
+        run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
+    there = parts(tmp_path)
+    assert len(there) >= 2 and there.items() <= here.items()
+
+
+def test_a_task_that_fails_is_named(
+    study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv(compile_cache.VARIABLE, str(tmp_path / "file"))
+    with (
+        dask_pool.executor(workers=1) as executor,
+        pytest.raises(InputError, match=rf"^part-0000-000000: {compile_cache.VARIABLE}: "),
+    ):
+        run.run_into(study, tmp_path / "out", executor=executor)
+
+
+# --- A scheduler and workers that others started -------------------------------------------------
+
+Begin = Callable[..., subprocess.Popen]
+
+
+@pytest.fixture
+def begin() -> Iterator[Begin]:
+    """Starts a Dask command; it ends with the test."""
+    started: list[subprocess.Popen] = []
+
+    def dask_command(*words: str, **environment: str) -> subprocess.Popen:
+        command = [sys.executable, "-m", "dask", *words, "--no-dashboard"]
+        with open(os.devnull, "w") as nowhere:
+            process = subprocess.Popen(
+                command, env=os.environ | environment, stdout=nowhere, stderr=nowhere
+            )
+        started.append(process)
+        return process
+
+    yield dask_command
+    for process in reversed(started):
+        process.terminate()
+        process.wait(60)
+
+
+@pytest.fixture
+def scheduler(begin: Begin, tmp_path: Path) -> str:
+    """Address of a scheduler without workers."""
+    about = tmp_path / "scheduler.json"
+    begin("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(about))
+    for _ in range(600):
+        with suppress(FileNotFoundError, json.JSONDecodeError):
+            return str(json.loads(about.read_text())["address"])
+        time.sleep(0.05)
+    raise AssertionError("no scheduler within 30 s")
+
+
+def test_a_scheduler_gives_the_same_bytes(
+    begin: Begin, scheduler: str, study: Study, here: Parts, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    # Workers that come late are waited for, and take part.
+    begin("worker", scheduler, "--nthreads", "1")
+    joined = []
+
+    def tell(progress: run.Progress) -> None:
+        if progress.done and not joined:
+            joined.append(begin("worker", scheduler, "--nthreads", "1"))
+
+    with dask_pool.executor(scheduler=scheduler) as executor:
+        run.run_into(study, out, chunk_runs=CHUNK, executor=executor, tell=tell)
+    assert parts(out) == here
+    (session,) = result_tables.read_manifest(out)["sessions"]
+    assert (session["workers"], session["scheduler"]) == (1, scheduler)
+
+
+def test_a_scheduler_that_dies_is_told(
+    begin: Begin, scheduler: str, study: Study, here: Parts, tmp_path: Path
+) -> None:
+    begin("worker", scheduler, "--nthreads", "1")
+    (process,) = (
+        p for p in psutil.Process().children() if p.cmdline()[1:4] == ["-m", "dask", "scheduler"]
+    )
+
+    def tell(progress: run.Progress) -> None:
+        if progress.done == 3 * CHUNK:
+            process.kill()
+
+    with (
+        dask_pool.executor(scheduler=scheduler) as executor,
+        pytest.raises(InputError, match=f"^{scheduler}: the scheduler is gone"),
+    ):
+        run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
+    there = parts(tmp_path)
+    assert len(there) >= 3 and there.items() <= here.items()
+
+
+def test_workers_of_another_version_are_refused(
+    begin: Begin, scheduler: str, tmp_path: Path
+) -> None:
+    about = tmp_path / "pyarrow-18.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: pyarrow\nVersion: 18.0\n")
+    begin("worker", scheduler, "--nthreads", "1", PYTHONPATH=str(tmp_path))
+    with (
+        pytest.raises(InputError, match=r"^tcp://127\.0\.0\.1:\d+: .* pyarrow 18\.0, this process"),
+        dask_pool.executor(scheduler=scheduler),
+    ):
+        pass
+
+
+def test_workers_of_two_instruction_sets_are_refused(begin: Begin, scheduler: str) -> None:
+    begin("worker", scheduler, "--nthreads", "1")
+    with dask_pool.executor(scheduler=scheduler) as executor:
+        assert executor.facts["instructions"] == xla.instructions()
+    smaller = xla.merge_options("--xla_cpu_max_isa=SSE4_2")
+    begin("worker", scheduler, "--nthreads", "1", XLA_FLAGS=smaller)
+    with distributed.Client(scheduler, set_as_default=False) as client:
+        client.wait_for_workers(2, timeout=60)
+    with (
+        pytest.raises(
+            InputError, match=r"^tcp://127\.0\.0\.1:\d+: the worker has instruction set "
+        ),
+        dask_pool.executor(scheduler=scheduler),
+    ):
+        pass
+
+
+def test_a_scheduler_without_workers_is_left_in_the_end(
+    scheduler: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(dask_client, "CONNECT_S", 0.5)
+    monkeypatch.setattr(dask_pool, "_PATIENCE_S", 1.2)
+    with (
+        pytest.raises(InputError, match=f"^{scheduler}: no worker for 0.02 min$"),
+        dask_pool.executor(scheduler=scheduler),
+    ):
+        pass
+    assert capsys.readouterr().err.count("waiting") == 1
+
+
+# --- What a person sees --------------------------------------------------------------------------
+
+
+def test_an_address_where_nobody_answers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dask_client, "CONNECT_S", 0.5)
+    for address in ("tcp://127.0.0.1:1", "nowhere"):
+        with (
+            pytest.raises(InputError, match=f"^{address}: no Dask scheduler answers") as told,
+            dask_pool.executor(scheduler=address),
+        ):
+            pass
+        assert "\n" not in str(told.value)
+
+
+class Mute(http.server.BaseHTTPRequestHandler):
+    """Answers as HTTP, and writes no log."""
+
+    def log_message(self, *_: Any) -> None:
+        pass
+
+
+@pytest.mark.parametrize("kind", ["silent", "http"])
+def test_something_else_that_answers_is_told(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dask_client, "CONNECT_S", 1.0)
+    with ExitStack() as stack:
+        if kind == "http":
+            server = stack.enter_context(
+                http.server.ThreadingHTTPServer(("127.0.0.1", 0), Mute, bind_and_activate=True)
+            )
+            threading.Thread(target=server.serve_forever, daemon=True).start()
+            stack.callback(server.shutdown)
+            port = server.server_address[1]
+        else:
+            port = stack.enter_context(socket.create_server(("127.0.0.1", 0))).getsockname()[1]
+        address, told = f"tcp://127.0.0.1:{port}", []
+
+        def connect() -> None:
+            with pytest.raises(InputError) as error, dask_pool.executor(scheduler=address):
+                pass
+            told.append(str(error.value))
+
+        asking = threading.Thread(target=connect, daemon=True)  # it used to ask for ever
+        asking.start()
+        asking.join(30.0)
+        assert told == [f"{address}: no Dask scheduler answers there (nothing in 0.8 s)"]
+
+
+def test_a_worker_is_no_scheduler(begin: Begin, scheduler: str) -> None:
+    begin("worker", scheduler, "--nthreads", "1")
+    with distributed.Client(scheduler, set_as_default=False) as client:
+        client.wait_for_workers(1, timeout=60)
+        (worker_address,) = client.nthreads()
+    with (
+        pytest.raises(InputError, match=r"no Dask scheduler answers there \(but a Dask worker\)$"),
+        dask_pool.executor(scheduler=worker_address),
+    ):
+        pass
+
+
+def test_more_workers_than_cores_are_refused() -> None:
+    with (
+        pytest.raises(InputError, match="--workers: 4096 are more"),
+        dask_pool.executor(workers=4096),
+    ):
+        pass
+
+
+def test_the_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with (
+        pytest.raises(InputError, match=r'pip install "sinsjax\[cluster\]"'),
+        dask_pool.executor(workers=1),
+    ):
+        pass
+
+
+class Far:
+    """A scheduler whose workers do every task at once, in turn; what each was sent is kept."""
+
+    status = "running"
+
+    def __init__(self, workers: list[str]) -> None:
+        self.workers, self.sent = workers, dict[str, list[tuple[str, bytes]]]()
+        self.dying: list[str] = []
+        self._turns = 0
+        self._later: list[Callable[[], None]] = []
+
+    def nthreads(self) -> dict[str, int]:
+        while self._later:  # what was sent together comes back together
+            self._later.pop(0)()
+        return dict.fromkeys(self.workers, 2)
+
+    def submit(
+        self, function: object, job: str, sent: bytes | None, task: study_tasks.Task, **how: Any
+    ) -> SimpleNamespace:
+        self._turns += 1
+        name = self.workers[self._turns % len(self.workers)]
+        if sent is not None:
+            assert how["allow_other_workers"]
+            (name,) = how["workers"]
+            if name in self.dying:
+                self.workers.remove(name)
+                name = self.workers[0]
+            self.sent.setdefault(name, []).append((task.name, sent))
+        said: Any = dask_worker.Wanting(name)
+        if name in self.sent:
+            said = answer(worker=name, packed=study_tasks.Packed(task, {}, 0, 0.0))
+        future = SimpleNamespace(
+            key=how["key"], status="finished", result=lambda: said, release=lambda: None
+        )
+        future.add_done_callback = lambda call: self._later.append(lambda: call(future))
+        return future
+
+    def cancel(self, futures: list) -> None:
+        raise AssertionError("nothing is left")
+
+
+def test_the_record_goes_to_every_worker_once(
+    study: Study, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dask_pool, "_LOOK_S", 0.0)
+    tasks = [study_tasks.Task(f"part-0000-{i:06d}", 0, (0, 1), i, 1, 0) for i in range(40)]
+    far = Far(["tcp://a:1", "tcp://b:1"])
+    workshop = study_tasks.Workshop.__new__(
+        study_tasks.Workshop
+    )  # of which only its job is asked for
+    workshop.job = study_tasks.Job(study, chunk_runs=CHUNK)
+    crew, done = dask_pool.Crew(far, "far"), []
+    for packed in crew.do(workshop, iter(tasks)):
+        done.append(packed.task)
+        if len(done) == 9:  # one comes late
+            far.workers.append("tcp://c:1")
+    assert sorted(done) == tasks
+    assert [len(sent) for sent in far.sent.values()] == [1, 1, 1]
+    assert pickle.loads(far.sent["tcp://c:1"][0][1]) == workshop.job
+    far.sent.clear()
+    # One goes while the job is on its way there, which costs another a second sending.
+    far.workers, far.dying = ["tcp://a:1", "tcp://b:1"], ["tcp://b:1"]
+    assert sorted(packed.task for packed in crew.do(workshop, iter(tasks))) == tasks
+    assert list(far.sent) == ["tcp://a:1"] == far.workers and len(far.sent["tcp://a:1"]) <= 2
+
+
+def answer(**changes: Any) -> dask_worker.Answer:
+    task = study_tasks.Task("part-0000-000000", 0, (0, 1), 0, 1, 0)
+    this = dask_worker.Answer(
+        study_tasks.Packed(task, {}, 0, 0.0),
+        "tcp://far:1",
+        dask_worker.versions(),
+        dask_worker.machine_here(),
+    )
+    return this._replace(**changes)
+
+
+def test_every_answer_is_checked_and_unlike_machines_are_told_once(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    crew = dask_pool.Crew(None, "tcp://there:1")
+    crew.check(answer())
+    crew.check(answer())
+    assert capsys.readouterr().err == ""
+    other = dask_worker.machine_here()._replace(cpu="Abacus")
+    crew.check(answer(machine=other))
+    crew.check(answer(machine=other))
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("tcp://far:1: computes with Abacus")
+    assert crew.facts() == {"instructions": xla.instructions()}
+    smaller = answer(worker="tcp://old:1", machine=other._replace(instructions="SSE4_2"))
+    with pytest.raises(
+        InputError, match="^tcp://old:1: the worker has instruction set SSE4_2, tcp"
+    ):
+        crew.check(smaller)
+    late = dask_worker.versions() | {"jaxlib": "0.1"}
+    with pytest.raises(InputError, match="^tcp://far:1: the worker has jaxlib 0.1, this process"):
+        crew.check(answer(versions=late))
+
+
+Sweep = Callable[..., subprocess.Popen]
+
+
+@pytest.fixture
+def sweep(tmp_path: Path) -> Iterator[Sweep]:
+    """Starts `sinsjax sweep` in a process group of its own, as a shell does."""
+    config = tmp_path / "study.toml"
+    config.write_text(tomli_w.dumps(STUDY))
+    started: list[subprocess.Popen] = []
+
+    def start(out: Path, *words: str) -> subprocess.Popen:
+        command = [sys.executable, "-m", "sinsjax", "sweep", str(config), "-o", str(out), *words]
+        command += ["--chunk-runs", str(CHUNK)]
+        process = subprocess.Popen(
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def begun(process: subprocess.Popen) -> str:
+    """Wait for the first chunk of a sweep: what is said of it."""
+    assert process.stdout is not None
+    lines = iter(process.stdout.readline, "")
+    return next((line for line in lines if line.startswith("study: ")), "")
+
+
+@needs_two_cores
+def test_ctrl_c_lets_the_workers_finish_and_resume_goes_on(
+    sweep: Sweep, here: Parts, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    process = sweep(out, "--workers", "2")
+    first = begun(process)
+    children = worker_processes(process.pid)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all
+    told, errors = process.communicate(timeout=300)
+    assert process.returncode == 130, (first, told, errors)
+    assert "Stopping: the chunks under way are finished first" in told
+    assert errors.startswith("interrupted: ") and errors.count("\n") == 1
+    assert len(children) == 2 and not psutil.wait_procs(children, timeout=60)[1]
+    there = parts(out)
+    assert there.items() < here.items()
+    chunks = result_tables.read_manifest(out)["chunks"]
+    assert sum(chunk["state"] == "done" for chunk in chunks) == len(there)
+
+    process = sweep(out, "--workers", "2", "--resume")
+    told, errors = process.communicate(timeout=300)
+    assert (process.returncode, errors) == (0, "")
+    lines = [line for line in told.splitlines() if "runs/s" in line]
+    assert lines and len(set(lines)) == len(lines)
+    assert parts(out) == here
+
+
+@needs_two_cores
+def test_workers_die_with_the_process_that_asked(
+    sweep: Sweep, here: Parts, study: Study, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    process = sweep(out, "--workers", "2")
+    begun(process)
+    children = worker_processes(process.pid)
+    process.kill()
+    assert len(children) == 2 and not psutil.wait_procs(children, timeout=60)[1]
+    assert parts(out).items() < here.items()
+    run.run_into(study, out, resume=True)
+    assert parts(out) == here

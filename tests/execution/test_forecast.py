@@ -1,0 +1,176 @@
+"""What a study will take is told and asked about before anything is made."""
+
+import json
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.studies import small_study
+
+from sinsjax.errors import InputError
+from sinsjax.execution import forecast, run
+from sinsjax.platform import machine
+from sinsjax.study.load import Study, study_from_dict
+from sinsjax.tuning import carry_out
+
+TUNE = {"searches": ["grid"], "grid_points": 5, "variables": {"p0_yaw_deg": {"low": 1, "high": 80}}}
+TUNE |= {"tune_draws": 4, "evaluation_draws": 8}
+
+
+def huge(**changes: Any) -> Study:
+    """896 million runs, of which no list can be made."""
+    return small_study(
+        study={"draws": 1000} | changes,
+        axes={
+            "phi_e0_deg": [n / 100 for n in range(896)],
+            "phi_u0_deg": [n / 100 for n in range(1000)],
+        },
+    )
+
+
+@pytest.fixture
+def disk(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Sets what the disk has free, and the memory that there is."""
+
+    def has(free: float = math.inf, memory: float = math.inf) -> None:
+        monkeypatch.setattr(machine, "free_bytes", lambda folder: float(free))
+        monkeypatch.setattr(machine, "memory_bytes", lambda: memory)
+
+    return has
+
+
+def refused(study: Study, out: Path, **options: Any) -> str:
+    with pytest.raises(InputError) as caught:
+        run.run_into(study, out, **options)
+    assert not out.exists() or not (out / "study.toml").exists()
+    return str(caught.value)
+
+
+def test_896_million_runs_are_refused_at_once(disk: Any, tmp_path: Path):
+    disk(free=2e9)
+    since = time.monotonic()
+    line = refused(huge(), tmp_path / "out")
+    assert time.monotonic() - since < 10
+    assert line == (
+        f"{tmp_path / 'out'}: the results of 896,000,000 runs need some 212 GB, the disk has 2 GB"
+        " free"
+    )
+
+
+def test_what_the_memory_cannot_hold_is_refused(disk: Any, tmp_path: Path):
+    disk(memory=5e8)
+    line = refused(huge(draws=1), tmp_path / "out")
+    assert line.startswith("study: 896,000 runs need some ")
+    assert line.endswith("MB of memory, this machine has 500 MB")
+
+
+def test_what_fits_is_not_refused(disk: Any, tmp_path: Path):
+    expected = forecast.of(small_study())
+    disk(free=3 * expected.run_bytes, memory=expected.memory)
+    study = small_study()
+    forecast.require_room(study, expected, tmp_path, overwrite=False, resume=False)
+    disk(free=2.9 * expected.run_bytes)
+    with pytest.raises(InputError, match="the results of 3 runs need some"):
+        forecast.require_room(study, expected, tmp_path, overwrite=False, resume=False)
+
+
+def test_only_what_is_missing_counts_where_results_are_gone_on_with(disk: Any, tmp_path: Path):
+    study, expected = small_study(), forecast.of(small_study())
+    (tmp_path / "manifest.json").write_text(json.dumps({"runs_done": 2}))
+    disk(free=1.1 * expected.run_bytes)
+    forecast.require_room(study, expected, tmp_path, overwrite=False, resume=True)
+    with pytest.raises(InputError, match="free"):
+        forecast.require_room(study, expected, tmp_path, overwrite=False, resume=False)
+
+
+def test_what_is_replaced_leaves_its_room(disk: Any, tmp_path: Path):
+    study, expected = small_study(), forecast.of(small_study())
+    (tmp_path / "summary").mkdir()
+    (tmp_path / "summary" / "part-0000-000000.parquet").write_bytes(b"0" * 10_000)
+    disk(free=0.0)
+    forecast.require_room(study, expected, tmp_path, overwrite=True, resume=False)
+    with pytest.raises(InputError, match="0 B free"):
+        forecast.require_room(study, expected, tmp_path, overwrite=False, resume=False)
+
+
+def test_curves_are_counted():
+    without, with_ = (forecast.of(small_study(), curves=curves) for curves in (False, True))
+    assert forecast.of(small_study(study={"curves": True})) == with_
+    # Eleven numbers a second.
+    assert with_.run_bytes - without.run_bytes == pytest.approx(6 * 11 * 8, rel=0.3)
+    assert with_.memory > without.memory
+
+
+def test_a_run_of_a_day_is_not_refused_where_it_has_room():
+    """It takes 0.7 GB with its curves, and no more memory for another day but for these."""
+    day, two = (
+        forecast.of(small_study(study={"draws": 1, "duration_s": n * 86_400.0}), curves=True)
+        for n in (1, 2)
+    )
+    assert 0.7e9 < day.memory < 1.2e9
+    assert two.memory - day.memory < 0.1e9
+
+
+def test_resets_without_number_are_counted():
+    study = {"duration_s": 9e5, "window_s": [0, 9e5]}
+    resets = {"reset_count": 89_000_000, "reset_cycle_s": 0.01}
+    once, often = (forecast.of(small_study(study=study, resets=r)) for r in ({}, resets))
+    assert often.memory - once.memory > 3 * 8 * 89e6
+
+
+def test_a_stopped_study_needs_room_for_its_first_look(disk: Any, tmp_path: Path):
+    stop = {"statistic": "success_rate", "half_width": 0.01}
+    study = small_study(study={"draws": 10**6}, stop_when=stop)
+    expected = forecast.of(study)
+    assert expected.told(2).startswith("At most 1,000,000 runs of up to 6 s: ")
+    disk(free=65 * expected.run_bytes)
+    forecast.require_room(study, expected, tmp_path, overwrite=False, resume=False)
+
+
+def test_a_tuning_is_asked_about_as_a_whole(disk: Any, tmp_path: Path):
+    study = small_study(tune=TUNE)
+    expected = forecast.of_tuning(study)
+    assert [batch.runs for batch in expected.batches] == [5 * 4, 2 * 8]
+    disk(free=35 * expected.run_bytes)
+    with pytest.raises(InputError, match="the results of 36 runs need some"):
+        carry_out.tune(study, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    tables = {"tune": TUNE | {"searches": ["sobol", "gradient"], "sobol_points": 10**9}}
+    disk(memory=1e12)
+    with pytest.raises(InputError, match="of memory, this machine has 1 TB"):
+        carry_out.tune(small_study(**tables), tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("draws", "cores", "text"),
+    [
+        (1, 1, "1 run of up to 6 s: roughly 1 s on 1 core, "),
+        (10**6, 2, "1,000,000 runs of up to 6 s: roughly 6 s on 2 cores, "),
+        (10**8, 1, "100,000,000 runs of up to 6 s: roughly 20 min on 1 core, "),
+        (10**9, 1, "1,000,000,000 runs of up to 6 s: roughly 4 h on 1 core, "),
+    ],
+)
+def test_what_is_told(draws: int, cores: int, text: str):
+    assert forecast.of(small_study(study={"draws": draws})).told(cores).startswith(text)
+
+
+def test_compass_runs_take_less_than_filters():
+    filters, loops = small_study(), small_study(alignment={"method": "compass"})
+    assert forecast.of(loops).run_s < forecast.of(filters).run_s
+
+
+def test_this_machine_tells_its_memory_and_disk(tmp_path: Path):
+    assert 1e8 < machine.memory_bytes()
+    assert machine.free_bytes(tmp_path / "not" / "yet") == pytest.approx(
+        machine.free_bytes(tmp_path), rel=0.1
+    )
+
+
+def test_a_recorded_study_without_a_rate_is_asked_about_at_that_of_its_record():
+    section = {"format": "psins", "start_s": [0, 10]}
+    data = {"study": {"duration_s": 6.0}, "record": section, "earth": {"latitude_deg": 32.0}}
+    study = study_from_dict(data)
+    assert not study.study.rate_hz
+    assert forecast.of(run.with_rate(study, 100.0)).runs == 2

@@ -1,0 +1,279 @@
+"""What is doubtful about a record is told before it is aligned, or refused."""
+
+import gc
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support.stored import told
+from support.studies import small_study
+
+from sinsjax.engine import build
+from sinsjax.errors import InputError
+from sinsjax.execution import run, tables
+from sinsjax.execution.preflight import doubts
+from sinsjax.records import Layout, Record, Reference, plausible, write_csv
+from sinsjax.records.plausible import Expected, Finding, findings
+from sinsjax.records.reference import Tape
+from sinsjax.records.turning import attitudes
+from sinsjax.study.load import Study, load_study, study_from_dict
+from sinsjax.units import DEG, DEG_PER_H, micro_g
+
+RATES = {"quantity": "rates", "gyro_unit": "rad_per_s", "accel_unit": "m_per_s2"}
+LAYOUT = Layout("csv", gyro_columns=("a", "b", "c"), accel_columns=("d", "e", "f"), **RATES)
+SPAN = (0, 20_000)
+STILL = {f"{angle}_amplitude_deg": 0.0 for angle in ("pitch", "roll", "yaw")}
+LARGE = {f"{angle}_amplitude_deg": 20.0 for angle in ("pitch", "roll", "yaw")}
+BASES = {"still": STILL, "swinging": {}, "swinging by 20 deg": LARGE}
+
+
+@cache
+def record(base: str = "swinging") -> Record:
+    """200 s at 32 N with 0.1 deg/h and 500 ug."""
+    settings = {"duration_s": 200.0, "window_s": [0, 200]}
+    return build.simulated_record(small_study(study=settings, motion=BASES[base]))
+
+
+def found(
+    some: Record, *, gyro: float = 10.0, accel: float = 5000.0, **layout: Any
+) -> list[Finding]:
+    rate = 15.041067 * DEG_PER_H
+    expected = Expected(rate, 32 * DEG, 9.8, gyro * DEG_PER_H, accel * micro_g())
+    return findings(some, SPAN, LAYOUT._replace(**layout), expected)
+
+
+def refused(some: Record, **layout: Any) -> str:
+    (first, *_) = found(some, **layout)
+    assert first.hard
+    return first.text
+
+
+@pytest.mark.parametrize("base", BASES)
+def test_a_good_record_is_not_doubted(base: str) -> None:
+    assert not found(record(base)) and not found(record(base), gyro=1.0)
+
+
+@pytest.mark.parametrize("base", BASES)
+def test_a_wrong_gyro_unit_is_refused_and_named(base: str) -> None:
+    some = record(base)
+    wrong = some._replace(dtheta=some.dtheta / DEG)
+    text = refused(wrong)
+    assert "times Earth rate" in text and text.endswith("are these deg/s?")
+    if base == "still":
+        assert "57.9 times Earth rate: are these deg/s?" in text
+    small = some._replace(dtheta=some.dtheta * DEG)
+    assert "0.01" in refused(small, gyro_unit="deg_per_s")
+    assert refused(small, gyro_unit="deg_per_s").endswith("are these rad/s?")
+
+
+def test_a_wrong_accelerometer_unit_is_refused_and_named() -> None:
+    some = record()
+    text = refused(some._replace(dv=some.dv / 9.80665))
+    assert text.endswith("times gravity: are these g?")
+    text = refused(some._replace(dv=some.dv * 9.80665), accel_unit="g")
+    assert text.endswith("9.81 times gravity: are these m/s^2?")
+
+
+def test_a_vertical_that_points_down_is_refused() -> None:
+    some = record()
+    turned = [v[:, [1, 0, 2]] * [1, 1, -1] for v in (some.dtheta, some.dv)]
+    assert "'yx-z' of front-right-down" in refused(some._replace(dtheta=turned[0], dv=turned[1]))
+    assert "points down" in refused(some._replace(dv=-some.dv))
+
+
+@pytest.mark.parametrize("base", ["still", "swinging"])
+@pytest.mark.parametrize(("bias", "hard"), [(60.0, False), (700.0, True)])
+def test_a_bias_that_hides_earth_rate_is_no_unit_error(base: str, bias: float, hard: bool) -> None:
+    """860 deg/h would be Earth rate in other units, but not along the vertical."""
+    some = record(base)
+    biased = some._replace(dtheta=some.dtheta + np.array([bias, 0, 0]) * DEG_PER_H / 100)
+    (one,) = found(biased)
+    assert "hides Earth rate" in one.text and "are these" not in one.text
+    assert one.hard == hard
+
+
+def test_small_biases_are_allowed_by_their_keys() -> None:
+    some = record("still")
+    biased = some._replace(dtheta=some.dtheta + np.array([0, 4, 4]) * DEG_PER_H / 100)
+    assert not found(biased)
+    (one,) = found(biased, gyro=1.0)
+    assert not one.hard and "a gyro bias of 5.66 deg/h or more" in one.text
+    light = some._replace(dv=some.dv * 0.99)
+    (one,) = found(light)
+    assert not one.hard and "0.991 times gravity" in one.text
+    assert not found(light, accel=2e4)
+
+
+@pytest.mark.parametrize(("angle", "seconds"), [(3.0, 5), (90.0, 5), (60.0, 30)])
+def test_a_vehicle_that_turns_is_told(angle: float, seconds: int) -> None:
+    some = record("still")
+    dtheta = some.dtheta.copy()
+    dtheta[9000 : 9000 + 100 * seconds, 2] += angle * DEG / 100 / seconds
+    (one,) = found(some._replace(dtheta=dtheta))
+    assert not one.hard and "the base turns by about" in one.text
+    told_deg = float(one.text.split("about ")[1].split()[0])
+    assert told_deg == pytest.approx(angle, rel=0.4)
+
+
+def test_a_turn_that_the_gyros_did_not_feel_is_told() -> None:
+    some = record("still")
+    turn = Rotation.from_euler("z", 90, degrees=True).as_matrix()
+    dtheta = np.concatenate([some.dtheta[:10_000], some.dtheta[10_000:] @ turn])
+    (one,) = found(some._replace(dtheta=dtheta))
+    assert not one.hard and "the mean rate changes by" in one.text
+
+
+@pytest.mark.parametrize("base", ["still", "swinging"])
+def test_a_long_span_is_judged_as_a_short_one(base: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where samples are put together, a record of 200 s stands for one of a day."""
+    some = record(base)
+    turned = some.dtheta.copy()
+    turned[9000:9500, 2] += 60 * DEG / 500
+    biased = some.dtheta + np.array([700.0, 0, 0]) * DEG_PER_H / 100
+    cases = [some, *(some._replace(dtheta=dtheta) for dtheta in (turned, biased))]
+    whole = [found(case) for case in cases]
+    monkeypatch.setattr(plausible, "_MOST", 8000)
+    together = [found(case) for case in cases]
+    assert [[f.hard for f in one] for one in whole] == [[f.hard for f in one] for one in together]
+    assert [[f.text[:24] for f in one] for one in whole] == [
+        [f.text[:24] for f in one] for one in together
+    ]
+    assert not whole[0] and whole[1] and whole[2]
+
+
+def test_attitudes_as_scipy_multiplies_them() -> None:
+    """A swing of 20 deg over 60 s, without the coning terms: 1e-6."""
+    dtheta = record("swinging by 20 deg").dtheta[:6000]
+    whole = Rotation.identity()
+    for step in Rotation.from_rotvec(dtheta):
+        whole = whole * step
+    ours = Rotation.from_quat(attitudes(dtheta)[-1], scalar_first=True)
+    assert (whole.inv() * ours).magnitude() < 1e-5
+
+
+# As part of a study
+
+
+def recorded(**changes: Any) -> Study:
+    data: dict[str, Any] = {
+        "study": {"duration_s": 30.0, "record_interval_s": 5.0, "window_s": [0, 30]},
+        "earth": {"latitude_deg": 32.0},
+        "record": {"format": "psins"},
+        "coarse": {"coarse_duration_s": 60.0},
+    }
+    for name, section in changes.items():
+        data[name] = data.get(name, {}) | section
+    return study_from_dict(data)
+
+
+def test_hard_findings_are_refused_unless_the_study_trusts_the_record(tmp_path: Path) -> None:
+    some = record()
+    tape = Tape(some._replace(dv=-some.dv, source="drive.imu"), None)
+    with pytest.raises(InputError) as caught:
+        run.run_into(recorded(), tmp_path / "out", tape)
+    line = str(caught.value)
+    assert line.startswith("drive.imu: 0 to 90 s: the specific force points down")
+    assert "trust = true" in line and "\n" not in line and not (tmp_path / "out").exists()
+    with pytest.raises(InputError, match="points down"):
+        run.run(recorded(), tape)
+    assert (
+        "points down" in doubts(run.made_ready(recorded(record={"trust": True}), tape)[0], tape)[0]
+    )
+
+
+def test_doubtful_findings_are_in_manifest_and_report(tmp_path: Path) -> None:
+    some = record("still")
+    tape = Tape(some._replace(dv=some.dv * 0.99, source="drive.imu", filled=3), None)
+    study = recorded(
+        record={"max_gap_s": 0.1}
+        | {"format": "csv", **RATES, "time_column": "t"}
+        | {"gyro_columns": list("abc"), "accel_columns": list("def")}
+    )
+    run.run_into(study, tmp_path / "out", tape)
+    filled, light = json.loads((tmp_path / "out" / "manifest.json").read_text())["warnings"]
+    assert filled.startswith("drive.imu: 3 missing samples are interpolated")
+    assert light.startswith("drive.imu: 0 to 90 s: the mean specific force is 9.7")
+    report = told(tmp_path / "out")
+    assert f"Warning: {filled}" in report and f"Warning: {light}" in report
+    assert "Innovations: the mean of r' S^-1 r is" in report
+
+
+def test_nothing_beyond_to_s_is_used() -> None:
+    tape = Tape(record(), None)
+    study = recorded(record={"from_s": 100.0, "to_s": 190.0})
+    assert not run.made_ready(study, tape)[1]
+    study = recorded(record={"from_s": 101.0, "to_s": 190.0})
+    with pytest.raises(InputError, match=r"needs it up to 191 s, but \[record\] to_s is 190"):
+        run.made_ready(study, tape)
+
+
+def test_a_rate_that_is_no_whole_number_and_a_clock_that_starts_at_1000_s(tmp_path: Path) -> None:
+    """Times are those of the record: 200 samples a record are 1.001 s."""
+    rate = 199.8
+    settings = {"duration_s": 25.1, "rate_hz": rate, "window_s": [0, 25]}
+    some = build.simulated_record(
+        small_study(
+            study=settings | {"record_interval_s": 1000 / rate},
+            alignment={"feedback_interval_s": 1000 / rate},
+            sensors={"accel_noise_ug": 0.0, "gyro_noise_deg_per_h": 0.0},
+            motion=STILL,
+        )
+    )
+    some = some._replace(t0_s=1000.0)
+    section = {"time_column": "t", "gyro_columns": tuple("abc"), "accel_columns": tuple("def")}
+    section |= {"quantity": "increments", "gyro_unit": "rad", "accel_unit": "m_per_s"}
+    write_csv(some, tmp_path / "drive.csv", Layout("csv", **section))
+    rows = "".join(f"{1000 + t},0,0,350\n" for t in range(21))
+    (tmp_path / "r.csv").write_text("time_s,pitch_deg,roll_deg,heading_deg\n" + rows)
+    study = recorded(
+        study={"duration_s": 5.0, "record_interval_s": 1.0, "window_s": [0, 5]},
+        record={k: list(v) if isinstance(v, tuple) else v for k, v in section.items()}
+        | {"format": "csv", "start_s": [0.0, 2.0]},
+        coarse={"coarse_duration_s": 10.0},
+        alignment={"feedback_interval_s": 0.1},
+    )
+    tape = run.load_tape(study, tmp_path / "drive.csv", tmp_path / "r.csv")
+    assert tape.record.rate_hz == pytest.approx(rate, rel=1e-9)
+    made = run.run(study, tape, curves=True)
+    times = made.curves["time_s"].to_pylist()[:4]
+    np.testing.assert_allclose(times, 200 / rate * np.arange(1, 5), rtol=1e-9)
+    starts = made.summary["start_s"].to_pylist()
+    np.testing.assert_allclose(starts, [0, 400 / rate], rtol=1e-9)
+    assert np.abs(made.summary["phi_u_arcmin"]).max() < 60
+    np.testing.assert_allclose(made.summary["heading_deg"], 350, atol=1)
+    early = tape.reference
+    assert isinstance(early, Reference) and early.time_s[0] == pytest.approx(0)
+    late = tape._replace(reference=early._replace(time_s=early.time_s + 1000))
+    with pytest.raises(InputError, match="covers 2000 to 2020 s, but the study needs 1011 to 10"):
+        run.run(study, late)
+
+
+@pytest.mark.parametrize("name", ["car_test", "compass_car", "car_adaptive", "car_batch"])
+def test_no_shipped_study_of_the_real_record_warns(name: str, data_dir: Path) -> None:
+    gc.collect()
+    study = load_study(Path(__file__).parents[2] / "configs" / f"{name}.toml")
+    assert study.is_recorded
+    tape = run.load_tape(study, data_dir / "lasergyro_0_900.imu")
+    assert run.made_ready(study, tape)[1] == []
+
+
+# Simulations
+
+
+def test_a_sway_above_half_the_sample_rate_is_told(tmp_path: Path) -> None:
+    study = small_study(motion={"roll_period_s": 0.0125})
+    (line,) = doubts(study)
+    assert line == (
+        "[motion] roll_period_s: a sway of 80 Hz is above half of rate_hz = 100: samples of it look"
+        " like a slower one"
+    )
+    run.run_into(study, tmp_path / "out")
+    assert tables.read_manifest(tmp_path / "out")["warnings"] == [line]
+    assert not doubts(small_study(motion={"roll_period_s": 0.0125, "roll_amplitude_deg": 0.0}))
+    assert not doubts(small_study()) and not doubts(small_study(motion=STILL))
+    swept = small_study(axes={"yaw_period_s": [10.0, 0.015]})
+    assert "66.67 Hz" in doubts(swept)[0]

@@ -1,0 +1,156 @@
+"""What a person sees of a running study, and how it is stopped."""
+
+import io
+import os
+import signal
+import threading
+from collections.abc import Iterator
+
+import pytest
+from rich.console import Console
+
+from sinsjax.execution import progress
+from sinsjax.execution.run import Progress
+
+
+class Clock:
+    """A clock that goes on when it is told to."""
+
+    now = 100.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(progress, "time", clock)
+    return clock
+
+
+def plain() -> tuple[Console, io.StringIO]:
+    file = io.StringIO()
+    return Console(file=file, width=40), file
+
+
+def test_plain_lines_come_every_tenth_and_tell_pace_and_failures(clock: Clock) -> None:
+    screen, file = plain()
+    with progress.progress(screen, "swing") as tell:
+        tell(Progress(0, 20_000, 0, 0))
+        for done in range(100, 20_001, 100):
+            clock.now += 0.1
+            tell(Progress(done, 20_000, done // 1000, 0))
+    lines = file.getvalue().splitlines()
+    assert lines == [
+        # The pace is that since the first chunk: what is before it is compiling.
+        "swing: 100 of 20,000 runs, 0 failed",
+        *(
+            f"swing: {n},000 of 20,000 runs, 1,000 runs/s, 0:{20 - n:02d} left, {n} failed"
+            for n in range(2, 21, 2)
+        ),
+    ]
+
+
+def test_plain_lines_come_every_ten_seconds_where_a_tenth_takes_longer(clock: Clock) -> None:
+    screen, file = plain()
+    with progress.progress(screen, "swing") as tell:
+        tell(Progress(0, 1_000_000, 0, 0))
+        for i in range(1, 61):
+            clock.now += 1.0
+            tell(Progress(i, 1_000_000, 0, 0))
+    lines = file.getvalue().splitlines()
+    assert [line.split()[1] for line in lines] == ["1", "11", "21", "31", "41", "51"]
+    assert lines[-1] == "swing: 51 of 1,000,000 runs, 1 runs/s, 277:45:49 left, 0 failed"
+
+
+def test_what_was_there_before_is_told_and_does_not_make_the_pace(clock: Clock) -> None:
+    screen, file = plain()
+    with progress.progress(screen, "swing") as tell:
+        tell(Progress(900, 1000, 0, 900))
+        clock.now += 5.0
+        tell(Progress(950, 1000, 0, 900))
+        clock.now += 5.0
+        tell(Progress(1000, 1000, 2, 900))
+    assert file.getvalue().splitlines() == [
+        "swing: 900 of 1,000 runs, there already",
+        "swing: 1,000 of 1,000 runs, 10 runs/s, 0:00 left, 2 failed",
+    ]
+
+
+def test_what_is_complete_already_says_so(clock: Clock) -> None:
+    screen, file = plain()
+    with progress.progress(screen, "swing") as tell:
+        tell(Progress(1000, 1000, 0, 1000))
+    assert file.getvalue() == "swing: 1,000 of 1,000 runs, there already\n"
+
+
+def test_a_terminal_has_a_bar(clock: Clock) -> None:
+    file = io.StringIO()
+    screen = Console(file=file, force_terminal=True, width=120)
+    with progress.progress(screen, "swing [tune]") as tell:
+        tell(Progress(0, 1000, 0, 0))
+        clock.now += 4.0
+        tell(Progress(250, 1000, 1, 0))
+        clock.now += 2.0
+        tell(Progress(500, 1000, 3, 0))
+    told = file.getvalue()
+    assert "swing [tune] (compiling)" in told
+    assert "500/1000" in told and "125 runs/s, 0:04 left, 3 failed" in told
+
+
+# --- signals ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def handlers() -> Iterator[None]:
+    before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    assert {n: signal.getsignal(n) for n in before} == before
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_asks_for_a_stop_and_says_so(
+    handlers: None, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    screen, file = plain()
+    ended: list[int] = []
+    monkeypatch.setattr(progress.os, "_exit", ended.append)
+    with progress.interruptible(screen) as stop:
+        assert not stop.is_set()
+        os.kill(os.getpid(), number)
+        assert stop.wait(5)
+        for thread in threading.enumerate():
+            if thread is not threading.current_thread() and thread.daemon:
+                thread.join(0.2)
+        assert " ".join(file.getvalue().split()).startswith("Stopping: the chunks under way")
+        assert not ended
+        os.kill(os.getpid(), number)
+        assert ended == [128 + number]
+
+
+def test_a_signal_while_a_line_is_written_does_no_harm(handlers: None) -> None:
+    """A stream that is being written to must not be written to by a handler."""
+
+    class Busy(io.StringIO):
+        writing = False
+        rang = False
+
+        def write(self, text: str) -> int:
+            if self.writing and threading.current_thread() is threading.main_thread():
+                raise RuntimeError("reentrant call")
+            if "first" in text and not self.rang:
+                self.writing = self.rang = True
+                signal.raise_signal(signal.SIGINT)
+                self.writing = False
+            return super().write(text)
+
+    screen = Console(file=Busy(), width=200)
+    with progress.interruptible(screen) as stop:
+        screen.print("the first line")
+        assert stop.is_set()
+
+
+def test_handlers_come_back_after_an_error(handlers: None) -> None:
+    with pytest.raises(ZeroDivisionError), progress.interruptible(plain()[0]):
+        raise ZeroDivisionError

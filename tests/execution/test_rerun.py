@@ -1,0 +1,205 @@
+"""One run done again alone has the bits that it had among the others."""
+
+import hashlib
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from rich.console import Console
+from support.kept import STUDIES, everything, study_of
+from support.studies import small_study
+
+from sinsjax.engine import build
+from sinsjax.errors import InputError
+from sinsjax.execution import rerun, tables
+from sinsjax.execution import run as study_run
+from sinsjax.records import PSINS_LAYOUT, Reference, read_psins, write_psins
+from sinsjax.records.reference import Tape
+from sinsjax.study.load import Study, study_from_dict
+
+pytestmark = pytest.mark.usefixtures("drawn_on_request")
+
+
+def of_run(table: pa.Table, run_id: int) -> pa.Table:
+    return table.filter(pa.compute.equal(table["run_id"], run_id))
+
+
+def assert_alone_as_among_others(
+    study: Study, tape: Tape | None = None, *, curves: bool, runs: list[int]
+) -> None:
+    whole = study_run.run(study, tape, curves=curves)
+    for run_id in runs:
+        again = rerun.rerun(study, run_id, tape)
+        assert again.row.num_rows == 1
+        assert again.row.equals(of_run(whole.summary, run_id)), run_id
+        if curves:
+            assert again.curve.equals(of_run(whole.curves, run_id)), run_id
+        else:
+            assert whole.curves.num_rows == 0
+        last = again.curve.slice(again.curve.num_rows - 1)
+        for name in ("phi_u_arcmin", "sigma_n_arcmin", "yaw_deg"):
+            assert last[name].to_pylist() == again.row[name].to_pylist()
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_a_run_alone_is_the_run_among_others(name: str) -> None:
+    study = study_of(name)
+    runs = study.n_draws * study.n_variants
+    chosen = [0, 65, runs // 2 + 1, runs - 1]
+    assert {run % study.n_variants for run in chosen} != {0}
+    assert_alone_as_among_others(study, curves=True, runs=chosen)
+
+
+def test_keeping_curves_changes_no_row() -> None:
+    study = study_of("worlds")
+    assert_alone_as_among_others(study, curves=False, runs=[7, 299])
+
+
+def stopping_study() -> Study:
+    """Stops after 64 draws of 6 variants, which are compiled as those of "worlds" are."""
+    return small_study(
+        study={"draws": 150, "duration_s": 2.0, "window_s": [0, 2]},
+        stop_when={"statistic": "success_rate", "half_width": 0.4},
+        axes={"phi_u0_deg": [0.0, 1.0, 2.0], "reset_times_s": [[], [1.37]]},
+    )
+
+
+def test_a_run_of_a_study_that_stopped_early() -> None:
+    assert_alone_as_among_others(stopping_study(), curves=False, runs=[5, 383])
+
+
+# --- records ------------------------------------------------------------------------------------
+
+
+def recorded_study(**changes: Any) -> Study:
+    sections = {
+        "study": {"duration_s": 2.0, "rate_hz": 100.0, "window_s": [0, 2]},
+        "alignment": {"phi_e0_deg": 1.0},
+        "record": {"format": "psins", "start_s": [0.0, 0.5, 1.0]},
+        "coarse": {"coarse_duration_s": 3.0},
+        "axes": {"phi_u0_deg": [0.0, 3.0], "reset_times_s": [[], [1.0]]},
+    }
+    return study_from_dict(sections | changes)
+
+
+@pytest.fixture(scope="module")
+def tape() -> Tape:
+    time_s = np.arange(0, 6.01, 0.01)
+    angles = [1.8 * np.sin(2 * np.pi * time_s / 6), 2.4 * np.sin(2 * np.pi * time_s / 8)]
+    yaw = 10 + 2.8 * np.sin(2 * np.pi * time_s / 10)
+    reference = Reference(time_s, np.column_stack([*angles, yaw]), "true.csv")
+    return Tape(build.simulated_record(small_study()), reference)
+
+
+@pytest.mark.parametrize("judged", [True, False])
+def test_a_run_of_a_record(tape: Tape, judged: bool) -> None:
+    given = tape if judged else tape._replace(reference=None)
+    assert_alone_as_among_others(recorded_study(), given, curves=True, runs=[0, 6, 11])
+
+
+def test_a_run_of_a_record_with_drawn_errors(tape: Tape) -> None:
+    study = recorded_study(
+        alignment={"phi_e0_deg": 1.0},
+        axes={"reset_times_s": [[], [1.0]]},
+        drawn={"phi_u0_deg": {"uniform": [-3, 3]}},
+    )
+    assert_alone_as_among_others(study, tape, curves=True, runs=[0, 3, 5])
+
+
+# --- directories --------------------------------------------------------------------------------
+
+STUDY = study_of("worlds")
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    directory = tmp_path_factory.mktemp("reruns") / "out"
+    study_run.run_into(STUDY, directory, curves=False)
+    return directory
+
+
+def rerun_into(directory: Path, run_id: int, **options: Any) -> str:
+    file = io.StringIO()
+    rerun.rerun_into(directory, run_id, Console(file=file, width=40), **options)
+    return file.getvalue()
+
+
+def test_a_run_of_a_directory_is_told_and_kept(out: Path, tmp_path: Path) -> None:
+    before = everything(out)
+    told = rerun_into(out, 77, out=tmp_path / "one")
+    stored = tables.read_summary(out, run_ids=[77])
+    assert f"The row is identical to the stored one, in all {stored.num_columns} columns." in told
+    assert f"phi_u_arcmin  {stored['phi_u_arcmin'][0].as_py()}\n" in told
+    assert pq.read_table(tmp_path / "one" / "summary.parquet").to_pylist() == stored.to_pylist()
+    curve = pq.read_table(tmp_path / "one" / "curve.parquet")
+    assert curve["time_s"].to_pylist() == [1.0, 2.0]
+    assert set(curve["run_id"].to_pylist()) == {77}
+    assert (tmp_path / "one" / "curve.png").exists()
+    assert everything(out) == before
+    rerun_into(out, 78)
+    assert {p.name for p in (out / "reruns" / "78").iterdir()} == {
+        "summary.parquet",
+        "curve.parquet",
+        "curve.png",
+    }
+    assert tables.count_runs(out) == STUDY.n_draws * STUDY.n_variants
+    study_run.run_into(STUDY, out, resume=True)
+    assert (out / "reruns" / "78" / "curve.parquet").exists()
+
+
+def test_a_row_that_differs_is_told_with_what_differs(out: Path, tmp_path: Path) -> None:
+    (part, *_) = sorted(out.glob("summary/*.parquet"))
+    content, manifest = part.read_bytes(), (out / "manifest.json").read_text()
+    table = pq.read_table(part)
+    column = table.column_names.index("yaw_deg")
+    yaw = pa.compute.add(table["yaw_deg"], 1e-13)
+    pq.write_table(table.set_column(column, table.schema.field(column), yaw), part)
+    was, now = (hashlib.sha256(given).hexdigest() for given in (content, part.read_bytes()))
+    (out / "manifest.json").write_text(manifest.replace(was, now))
+    try:
+        told = rerun_into(out, 0, out=tmp_path / "one")
+    finally:
+        part.write_bytes(content)
+        (out / "manifest.json").write_text(manifest)
+    columns = table.num_columns
+    assert f"1 of {columns} columns differ from the stored row: yaw_deg " in told
+    assert "identical" not in told
+
+
+def test_what_cannot_be_done_again_is_one_clear_line(out: Path, tmp_path: Path, tape: Tape) -> None:
+    runs = STUDY.n_draws * STUDY.n_variants
+    with pytest.raises(InputError, match=f"has no run {runs} .runs are 0 to {runs - 1}"):
+        rerun_into(out, runs)
+    with pytest.raises(InputError, match="nothing"):
+        rerun_into(tmp_path / "nothing", 0)
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(InputError, match="file: cannot be written"):
+        rerun_into(out, 0, out=tmp_path / "file")
+    write_psins(tape.record, tmp_path / "swing.imu")
+    with pytest.raises(InputError, match=r"has no \[record\] section"):
+        rerun_into(out, 0, files=(tmp_path / "swing.imu", None))
+
+
+def test_a_run_that_is_not_there_yet_is_one_clear_line(out: Path, tmp_path: Path) -> None:
+    study_run.run_into(stopping_study(), tmp_path / "out")
+    with pytest.raises(InputError, match="holds no row of run 384"):
+        rerun_into(tmp_path / "out", 384)
+
+
+def test_a_recorded_run_needs_its_record(tmp_path: Path, tape: Tape) -> None:
+    path, other = tmp_path / "swing.imu", tmp_path / "other.imu"
+    write_psins(tape.record, path)
+    write_psins(tape.record._replace(dv=tape.record.dv * 1.01), other)
+    study = recorded_study(earth={"latitude_deg": 32.0})
+    read = Tape(read_psins(path, PSINS_LAYOUT), None)
+    study_run.run_into(study, tmp_path / "out", read, curves=True)
+    with pytest.raises(InputError, match="reads a record: give it with --record"):
+        rerun_into(tmp_path / "out", 3)
+    with pytest.raises(InputError, match="was made from another record or reference"):
+        rerun_into(tmp_path / "out", 3, files=(other, None))
+    told = rerun_into(tmp_path / "out", 3, files=(path, None))
+    assert "The row is identical to the stored one" in told

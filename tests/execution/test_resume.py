@@ -1,0 +1,104 @@
+"""What keeps a directory of results from being gone on with: other keys, versions, instructions."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.studies import small_study
+
+from sinsjax.errors import InputError
+from sinsjax.execution import resume, run, tasks
+from sinsjax.execution.tables import read_manifest
+from sinsjax.platform import runtime, xla
+from sinsjax.study.load import study_to_toml
+
+ZIP = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 1.0, 2.0]}
+
+
+@pytest.mark.parametrize(
+    ("there", "here", "told"),
+    [
+        (
+            {"axes": {"sched": ZIP}},
+            {"axes": {"sched": ZIP | {"reset_cycle_s": [1.0, 1.0, 2.5]}}},
+            ["[axes.sched] reset_cycle_s: [1.0, 1.0, 2.0] there, [1.0, 1.0, 2.5] here"],
+        ),
+        (
+            {"drawn": {"vn0_m_per_s": {"normal": [0.0, 1.0]}}},
+            {"drawn": {"vn0_m_per_s": {"normal": [0.0, 2.0]}}},
+            ["[drawn] vn0_m_per_s: {'normal': (0.0, 1.0)} there, {'normal': (0.0, 2.0)} here"],
+        ),
+        (
+            {"cases": [{"p0_yaw_deg": 40.0}, {"p0_yaw_deg": 50.0}]},
+            {"cases": [{"p0_yaw_deg": 40.0}, {"p0_yaw_deg": 60.0}]},
+            ["[cases 1] p0_yaw_deg: 50.0 there, 60.0 here"],
+        ),
+        ({}, {"axes": {"p0_yaw_deg": [1.0]}}, ["[axes] p0_yaw_deg: none there, [1.0] here"]),
+        (
+            {"axes": {"p0_yaw_deg": [1.0], "phi_u0_deg": [2.0]}},
+            {"axes": {"phi_u0_deg": [2.0], "p0_yaw_deg": [1.0]}},
+            ["its keys stand in another order"],
+        ),
+    ],
+)
+def test_the_keys_that_differ_are_named(
+    there: dict[str, Any], here: dict[str, Any], told: list[str]
+) -> None:
+    assert resume.differences(small_study(**there), small_study(**here)) == told
+
+
+@pytest.mark.parametrize("name", ["jaxlib", "scipy"])
+def test_rows_of_other_versions_are_not_added(
+    name: str, tmp_path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study, out = small_study(), tmp_path / "out"
+    run.run_into(study, out)
+    before = (out / "manifest.json").read_bytes()
+    other = runtime.versions() | {name: "0.0"}
+    monkeypatch.setattr(runtime, "versions", lambda: other)
+    with pytest.raises(InputError, match=f"out: was made with {name} .*, here is 0.0"):
+        run.run_into(study, out, resume=True)
+    assert (out / "manifest.json").read_bytes() == before
+
+
+def test_rows_of_another_instruction_set_are_not_added(tmp_path: Path) -> None:
+    """Made by another process, which XLA holds to a smaller set than this one has."""
+    study, out = small_study(), tmp_path / "out"
+    (tmp_path / "study.toml").write_text(study_to_toml(study))
+    command = [sys.executable, "-m", "sinsjax", "sweep", tmp_path / "study.toml", "-o", out]
+
+    def sweep(*words: str, **flags: str) -> tuple[int, str]:
+        done = subprocess.run(
+            [*command, *words], env=os.environ | flags, capture_output=True, text=True
+        )
+        return done.returncode, done.stderr
+
+    smaller = {"XLA_FLAGS": xla.merge_options("--xla_cpu_max_isa=SSE4_2")}
+    assert sweep(**smaller) == (0, "")
+    manifest = read_manifest(out)
+    assert manifest["instructions"] == manifest["sessions"][0]["instructions"] == "SSE4_2"
+    before = (out / "manifest.json").read_bytes()
+    here = xla.instructions()
+    told = f"out: was made with instruction set SSE4_2, here is {here}: .*max_isa=SSE4_2"
+    with pytest.raises(InputError, match=told):
+        run.run_into(study, out, resume=True)
+    # Workers are asked, not the process that hands their rows on.
+    theirs = tasks.on_this_machine()._replace(facts={"workers": 1, "instructions": "SSE4_2"})
+    assert (out / "manifest.json").read_bytes() == before
+    run.run_into(study, out, resume=True, executor=theirs)
+    assert [s["instructions"] for s in read_manifest(out)["sessions"]] == ["SSE4_2"] * 2
+
+
+def test_a_manifest_that_names_no_instruction_set_is_gone_on_with(tmp_path: Path) -> None:
+    """As one that names no version: it is older."""
+    study, out = small_study(), tmp_path / "out"
+    run.run_into(study, out)
+    manifest = read_manifest(out)
+    del manifest["instructions"], manifest["sessions"][0]["instructions"]
+    (out / "manifest.json").write_text(json.dumps(manifest))
+    run.run_into(study, out, resume=True)
+    assert read_manifest(out)["sessions"][1]["instructions"] == xla.instructions()

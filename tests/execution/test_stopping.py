@@ -1,0 +1,186 @@
+"""Where [stop_when] looks, what it sees there, and that it stops at the same place every time."""
+
+import math
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+from support.kept import Recorder, manifest, parts
+from support.studies import STILL, small_study
+
+from sinsjax.engine.batch import spread
+from sinsjax.errors import StudyInterrupted
+from sinsjax.execution import run as study_run
+from sinsjax.execution import stopping, tables
+from sinsjax.execution.tasks import Executor, Job, Workshop
+from sinsjax.study.load import Study
+
+COLUMNS = ["run_id", "draw_id", "variant_id"]
+
+
+def study_of(
+    statistic: str = "success_rate", half_width: float = 0.1, draws: int = 1000, **changes: Any
+) -> Study:
+    study = {"draws": draws, "duration_s": 2.0, "record_interval_s": 0.1, "window_s": [0, 2]}
+    study |= {"judged_from": "limit", "dwell_s": 0.0, "level_band_arcmin": 600.0}
+    study |= changes.pop("study", {})
+    changes["motion"] = STILL
+    stop_when = {"statistic": statistic, "half_width": half_width}
+    axes = changes.pop("axes", {"phi_u0_deg": [0.0, 1.0]})
+    return small_study(study=study, stop_when=stop_when, axes=axes, **changes)
+
+
+@given(st.integers(1, 10**6))
+def test_it_looks_at_doubled_numbers_of_draws_and_at_the_cap(cap: int) -> None:
+    looks = stopping.looks(study_of(draws=cap))
+    doubled = [64 * 2**i for i in range(20)]
+    assert looks == [n for n in doubled if n < cap] + [cap]
+
+
+def test_without_the_section_there_is_one_look() -> None:
+    assert stopping.looks(small_study(study={"draws": 1000})) == [1000]
+
+
+def wilson(k: int, n: int) -> float:
+    low, high = stats.binomtest(k, n).proportion_ci(0.95, "wilson")
+    return (high - low) / 2
+
+
+def student(values: list[float]) -> float:
+    if len(values) < 2:
+        return math.inf
+    error = np.std(values, ddof=1) / math.sqrt(len(values))
+    return float(stats.t.ppf(0.975, len(values) - 1) * error)
+
+
+@given(
+    st.lists(st.floats(0, 900) | st.none(), min_size=6, max_size=120),
+    st.integers(1, 3),
+    st.integers(0, 3),
+    st.floats(0.01, 0.99),
+    st.randoms(use_true_random=False),
+    st.sampled_from(["limit", "truth"]),
+)
+def test_a_look_is_a_naive_count(
+    settle: list[float | None], variants: int, later: int, wanted: float, random: Any, judged: str
+) -> None:
+    """Of all runs of the first draws, in any order, and of no later one; as the study judges."""
+    name = {"limit": "settle_10_s", "truth": "settle_10_truth_s"}[judged]
+    draws = len(settle) // variants
+    runs = list(range(draws * variants)) + [draws * variants + i for i in range(later * variants)]
+    settle = settle[: draws * variants] + [1e6] * (later * variants)
+    random.shuffle(runs)
+    table = pa.table(
+        {
+            "run_id": runs,
+            "draw_id": [run // variants for run in runs],
+            "variant_id": [run % variants for run in runs],
+            "status": ["diverged" if settle[run] is None else "ok" for run in runs],
+            name: pa.array([settle[run] for run in runs], pa.float64()),
+        }
+    )
+    own = [[settle[d * variants + v] for d in range(draws)] for v in range(variants)]
+    shares = [wilson(sum(s is not None for s in values), draws) for values in own]
+    means = [student([s for s in values if s is not None]) for values in own]
+    axes = {"phi_u0_deg": [float(v) for v in range(variants)]}
+    for statistic, widths, half_width in (
+        ("success_rate", shares, wanted),
+        ("settle_10_s_mean", means, 400 * wanted),
+    ):
+        study = study_of(statistic, half_width, axes=axes, study={"judged_from": judged})
+        assert set(stopping.columns(study)) - set(COLUMNS) <= set(table.column_names)
+        found = stopping.look(study, table.select(stopping.columns(study)), draws)
+        assert found.draws == draws
+        assert found.half_width == pytest.approx(max(widths), rel=1e-9, abs=1e-9)
+        if not math.isclose(max(widths), half_width, rel_tol=1e-6):
+            assert found.enough == (max(widths) <= half_width)
+
+
+# --- in a sweep ---------------------------------------------------------------------------------
+
+CASES = {
+    "share": ("success_rate", 0.03, 1000, 256),
+    "share, first look": ("success_rate", 0.4, 1000, 64),
+    "share, cap": ("success_rate", 0.0001, 150, 150),
+    "settling time": ("settle_60_s_mean", 0.16, 1000, 256),
+}
+"""Statistic, half-width, cap, and the draws that it takes."""
+
+
+def sweep_of(name: str) -> Study:
+    statistic, half_width, cap, _ = CASES[name]
+    return study_of(
+        statistic,
+        half_width,
+        cap,
+        sensors={"gyro_noise_deg_per_h": 200.0, "accel_noise_ug": 200000.0},
+        alignment={"phi_e0_deg": 1.0, "phi_n0_deg": 1.0},
+        axes={"phi_u0_deg": [0.2, 1.0]},
+    )
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_it_stops_at_the_same_place_for_any_chunk_order_and_kill(name: str, tmp_path: Path) -> None:
+    study = sweep_of(name)
+    whole = study_run.run(study, chunk_runs=128)
+    draws = CASES[name][3]
+    assert whole.summary.num_rows == 2 * draws
+    assert study_run.run(study).summary.equals(whole.summary)
+    before = [n for n in stopping.looks(study) if n < draws]
+    assert not any(stopping.look(study, whole.summary, n).enough for n in before)
+    backwards = Executor(lambda shop, tasks: spread(shop.pack, list(tasks)[::-1], 2), {})
+    study_run.run_into(study, tmp_path / "back", chunk_runs=128, executor=backwards)
+    interrupted(study, tmp_path / "out")
+    assert parts(tmp_path / "out") == parts(tmp_path / "back")
+    assert tables.read_summary(tmp_path / "out").equals(whole.summary)
+    told = manifest(tmp_path / "out")
+    assert (told["state"], told["draws"], told["runs"]) == ("complete", draws, 2 * draws)
+    assert {chunk["state"] for chunk in told["chunks"]} == {"done"}
+    again = Recorder()
+    study_run.run_into(study, tmp_path / "out", resume=True, executor=again.executor)
+    assert again.done == []
+
+
+def interrupted(study: Study, out: Path) -> None:
+    """A sweep that is stopped after every chunk and begun again."""
+    for _ in range(50):
+        try:
+            study_run.run_into(
+                study,
+                out,
+                chunk_runs=128,
+                resume=True,
+                stop=Once(),
+                executor=Executor(lambda shop, tasks: map(shop.pack, tasks), {}),
+            )
+            return
+        except StudyInterrupted:
+            assert manifest(out)["state"] == "interrupted"
+    raise AssertionError("never complete")
+
+
+class Once(threading.Event):
+    """Lets one task pass."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.asked = 0
+
+    def is_set(self) -> bool:
+        self.asked += 1
+        return self.asked > 1
+
+
+def test_stages_cover_every_draw_once() -> None:
+    study = sweep_of("share, cap")
+    workshop = Workshop(Job(study))
+    assert workshop.stages == [range(0, 64), range(64, 128), range(128, 150)]
+    names = [task.name for tasks in workshop.tasks() for task in tasks]
+    assert len(set(names)) == len(names)
+    assert [sum(t.runs for t in tasks) for tasks in workshop.tasks()] == [128, 128, 44]

@@ -1,0 +1,435 @@
+"""Result tables: the columns that others read by name, and what is null when."""
+
+import hashlib
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from support.chunks import chunk
+from support.kept import everything, parts
+from support.studies import BASE, STILL, small_study
+
+from sinsjax import columns
+from sinsjax.engine import build
+from sinsjax.errors import InputError
+from sinsjax.execution import run, tables
+from sinsjax.study import sampling
+from sinsjax.study.load import study_from_dict
+from sinsjax.study.study import SECTIONS, SWEEPABLE, meaning
+from sinsjax.units import ARCMIN, DEG, split_unit
+
+CONTRACT = """
+run_id draw_id variant_id method reset_count reset_cycle_s reset_times_s start_s
+phi_e0_deg phi_n0_deg phi_u0_deg phi_e_arcmin phi_n_arcmin phi_u_arcmin pitch_deg roll_deg yaw_deg
+sigma_e_arcmin sigma_n_arcmin sigma_u_arcmin phi_u_mean_arcmin phi_u_std_arcmin phi_e_mean_arcmin
+phi_e_std_arcmin phi_n_mean_arcmin phi_n_std_arcmin pitch_mean_deg pitch_std_deg roll_mean_deg
+roll_std_deg yaw_mean_deg yaw_std_deg floor_arcmin settle_60_s settle_10_s settle_3_s nees nis_u
+status settle_60_truth_s settle_10_truth_s settle_3_truth_s has_limit ok_limit ok_truth
+""".split()
+
+
+LIMIT = {"judged_from": "limit", "dwell_s": 0.0}
+"""A study that judges from the limit."""
+
+
+def test_the_contract_columns_are_there_with_every_axis() -> None:
+    study = small_study(
+        axes={"q_reading": ["psd", "per_step"], "p0_yaw_deg": [40.0, 80.0], "reset_count": [0, 2]},
+        resets={"reset_cycle_s": 2.0},
+    )
+    made = tables.Tables(study)
+    names = [c.name for c in made.summary_columns]
+    assert len(set(names)) == len(names)
+    assert set(CONTRACT) | {"q_reading", "p0_yaw_deg"} <= set(names)
+    table = made.summary(chunk([0.0] * 8, [[0.0] * 3] * 8), np.arange(8))
+    assert table["q_reading"].to_pylist() == ["psd"] * 4 + ["per_step"] * 4
+    assert table["reset_count"].to_pylist() == [0, 2] * 4
+    assert table["reset_times_s"].to_pylist() == [[], [2.0, 4.0]] * 4
+    assert table.schema.field("phi_u_arcmin").metadata[b"unit"] == b"arcmin"
+
+
+@pytest.mark.parametrize("values", [[1, 2], [1.5, 2], ["a", "b"], [(), (1.0, 2.0)]])
+def test_axis_columns_take_the_type_of_their_values(values: list) -> None:
+    column = columns.axis_column("key", values, "")
+    array = pa.array([list(v) if isinstance(v, tuple) else v for v in values], column.dtype)
+    assert array.null_count == 0
+
+
+def test_a_vector_key_may_be_swept_by_numbers_and_lists() -> None:
+    study = small_study(axes={"gyro_bias_deg_per_h": [0.1, [0.1, 0.0, 0.0]]})
+    table = tables.Tables(study).summary(chunk([0.0] * 2, [[0.0] * 3] * 2), np.arange(2))
+    assert table["gyro_bias_deg_per_h"].to_pylist() == [[0.1], [0.1, 0.0, 0.0]]
+
+
+SAID = {
+    "case": ("", "swept by the study: label of the case"),
+    "gyro_bias_deg_per_h": ("deg/h", "drawn by the study: gyro bias, deg/h"),
+    "gyro_scale_ppm": ("ppm", "drawn by the study: gyro scale factor error, ppm"),
+    "gyro_misalignment_arcsec": (
+        "arcsec",
+        "drawn by the study: gyro cross-axis angles xy, xz, yx, yz, zx, zy, arcsec",
+    ),
+    "accel_bias_ug": ("ug", "drawn by the study: accelerometer bias, ug"),
+    "latitude_deg": (
+        "deg",
+        "drawn by the study: latitude, deg; a recorded study may take it from the record",
+    ),
+    "ve0_m_per_s": ("m/s", "drawn by the study: initial east velocity, m/s"),
+    "accel_vrw_ug_per_sqrt_hz": (
+        "ug/sqrt(Hz)",
+        "swept by the study: accelerometer velocity random walk, ug/sqrt(Hz)",
+    ),
+    "feedback_interval_s": (
+        "s",
+        "swept by the study: time between feedbacks, s; default 1",
+    ),
+    "gravity_m_per_s2": (
+        "m/s^2",
+        "swept by the study: gravity, m/s^2; constants only, default 9.8",
+    ),
+    "radius_m": ("m", "swept by the study: radius, m; constants only, default 6378137"),
+    "q_reading": ("", "swept by the study: Q of a step: as is, times dt, times dt^2"),
+}
+"""Unit and meaning of columns of keys."""
+
+
+def test_columns_of_keys_have_their_unit_and_meaning() -> None:
+    normal = ("gyro_bias_deg_per_h", "gyro_scale_ppm", "gyro_misalignment_arcsec", "accel_bias_ug")
+    drawn = {key: {"normal": [0, 1]} for key in (*normal, "ve0_m_per_s")}
+    sweep = {
+        "drawn": drawn | {"latitude_deg": {"uniform": [30, 60]}},
+        "cases": [{"case": k, "feedback_interval_s": t} for k, t in (("a", 1.0), ("b", 2.0))],
+        "axes": {
+            "accel_vrw_ug_per_sqrt_hz": [1.0, 2.0],
+            "gravity_m_per_s2": [9.8, 9.81],
+            "radius_m": [6e6, 7e6],
+            "q_reading": ["psd", "per_step"],
+        },
+    }
+    study = study_from_dict(BASE | {"sensors": {}, "earth": {}} | sweep)
+    told = columns.schema(tables.Tables(study).summary_columns)
+    for key, (unit, text) in SAID.items():
+        assert told.field(key).metadata == {b"unit": unit.encode(), b"meaning": text.encode()}
+
+
+@pytest.mark.parametrize("key", [k for name in SWEEPABLE for k in SECTIONS[name].model_fields])
+def test_a_description_names_the_unit_of_its_key(key: str) -> None:
+    """Every key that may be a column has a meaning, and a unit in its name stands in it."""
+    _, unit = split_unit(key)
+    assert unit in meaning(key) != ""
+
+
+def test_settling_status_and_floor() -> None:
+    study = small_study(
+        study=LIMIT, motion=STILL, axes={"phi_u0_deg": [float(i) for i in range(4)]}
+    )
+    # Bands 60, 10, 3 arcmin; the run ends at 6 s.
+    outside = [[0.0, 1.0, 6.0], [2.0, 6.0, 6.0], [6.0, 6.0, 6.0], [6.0, 6.0, 6.0]]
+    rows = chunk([-21.0, -5.0, 700.0, np.nan], outside)
+    made = tables.Tables(study)
+    table = made.summary(rows, np.arange(4))
+    assert table["settle_60_s"].to_pylist() == [0.0, 2.0, None, None]
+    assert table["settle_10_s"].to_pylist() == [1.0, None, None, None]
+    assert table["status"].to_pylist() == ["ok", "not_settled", "diverged", "not_settled"]
+    assert table["phi_u_arcmin"].null_count == 1
+    assert table["phi_n_arcmin"].to_pylist() == pytest.approx([2.0] * 4)
+    assert table["yaw_deg"].to_pylist() == pytest.approx([1 / DEG] * 4)
+    broken = made.summary(chunk([0.0], [[6.0, 6.0, 6.0]], yaw=np.nan), np.arange(1))
+    assert broken["status"].to_pylist() == ["nonfinite"]
+
+
+def test_settling_is_told_in_update_time_and_in_data() -> None:
+    """The data that was there: what had been recorded by then, and no more than the tape."""
+    axes = {"passes": [1, 3], "phi_u0_deg": [0.0, 1.0]}
+    study = small_study(study=LIMIT, motion=STILL, passes={"tape_s": 2.0}, axes=axes)
+    # The first two runs end after 2 s, the others after 6 s.
+    outside = [[0.0, 1.0, 2.0], [2.0, 2.0, 2.0], [1.0, 2.0, 5.0], [3.0, 4.0, 6.0]]
+    table = tables.Tables(study).summary(chunk([-21.0] * 4, outside), np.arange(4))
+    for band, settled, data in (
+        (60, [0.0, None, 1.0, 3.0], [0.0, None, 1.0, 2.0]),
+        (10, [1.0, None, 2.0, 4.0], [1.0, None, 2.0, 2.0]),
+        (3, [None, None, 5.0, None], [None, None, 2.0, None]),
+    ):
+        assert table[f"settle_{band}_s"].to_pylist() == settled
+        assert table[f"settle_{band}_data_s"].to_pylist() == data
+    assert table["status"].to_pylist() == ["ok", "not_settled", "ok", "ok"]
+    made = tables.Tables(small_study(passes={"tape_s": 2.0}), has_truth=False)
+    table = made.summary(chunk([0.0], [[0.0] * 3]), np.arange(1))
+    assert table["settle_10_data_s"].null_count == 1
+
+
+def test_compass_loops_believe_nothing() -> None:
+    """No sigma and no consistency; the keys that filters read are there, and null."""
+    schedules = [([1.0], []), ([2.0, 1.0], [3.0])]
+    study = small_study(
+        alignment={"method": "compass"},
+        compass={"level_sigma_per_s": 0.5, "level_time_s": 2.0},
+        passes={"tape_s": 3.0},
+        cases=[{"sigma_factors": f, "sigma_times_s": t} for f, t in schedules],
+        axes={"turn": ["reflect", "keep"], "allow_unstable": [False, True]},
+    )
+    table = run.run(study).summary
+    for name in ("sigma_u_arcmin", "nees", "nis_u", "p_above_error_share", "reset_cycle_s"):
+        assert table[name].null_count == table.num_rows == 24
+    assert table["reset_count"].to_pylist() == [0] * 24
+    assert table["sigma_factors"].to_pylist()[:8] == [[1.0]] * 4 + [[2.0, 1.0]] * 4
+    assert table["sigma_times_s"].to_pylist()[:8] == [[]] * 4 + [[3.0]] * 4
+    assert table["turn"].to_pylist()[:4] == ["reflect"] * 2 + ["keep"] * 2
+    assert table["allow_unstable"].to_pylist()[:2] == [False, True]
+    assert table["phi_u_arcmin"].null_count == table["status"].null_count == 0
+
+
+def test_without_truth_attitude_and_sigma_are_what_is_left() -> None:
+    made = tables.Tables(small_study(), has_truth=False)
+    table = made.summary(chunk([0.0], [[0.0, 0.0, 0.0]]), np.arange(1))
+    left = {name for name in CONTRACT if table[name].null_count == 0}
+    assert {"pitch_deg", "yaw_mean_deg", "yaw_std_deg", "sigma_u_arcmin"} <= left
+    needing = ("phi_u_arcmin", "phi_u_mean_arcmin", "settle_10_s", "floor_arcmin", "nees", "status")
+    assert not left & set(needing)
+
+
+def test_bands_always_hold_the_one_that_decides_the_status() -> None:
+    study = small_study(study={"settle_bands_arcmin": [30.0]})
+    names = [c.name for c in tables.Tables(study).summary_columns]
+    assert {"settle_30_s", "settle_10_s"} <= set(names)
+    (part,) = build.parts(study)
+    np.testing.assert_allclose(part.group.world.criteria.bands, np.array([30, 10]) * ARCMIN)
+
+
+def test_drawn_keys_are_columns() -> None:
+    """A number, or one for each axis of a vector key, of the draw that a run belongs to."""
+    drawn = {
+        "yaw_period_s": {"values": [9.0, 10.0]},
+        "gyro_scale_ppm": {"values": [[1.0, 2.0, 3.0], 4.0]},
+        "phi_u0_deg": {"uniform": [-5, 5]},
+    }
+    data = {name: dict(section) for name, section in BASE.items()}
+    del data["motion"]["yaw_period_s"], data["alignment"]["phi_u0_deg"]
+    study = study_from_dict(data | {"drawn": drawn, "axes": {"p0_yaw_deg": [40.0, 80.0]}})
+    rows = chunk([0.0] * 4, [[0.0] * 3] * 4)
+    rows = rows._replace(draw=np.array([1, 1, 2, 2]), variant=np.array([0, 1, 0, 1]))
+    table = tables.Tables(study).summary(rows, np.arange(2))
+    assert table["run_id"].to_pylist() == [2, 3, 4, 5]
+    assert table["yaw_period_s"].to_pylist() == [10.0, 10.0, 9.0, 9.0]
+    assert table["gyro_scale_ppm"].to_pylist() == [[4.0] * 3] * 2 + [[1.0, 2.0, 3.0]] * 2
+    phi = sampling.values(study, 3)["phi_u0_deg"]
+    assert table["phi_u0_deg"].to_pylist() == [phi[1], phi[1], phi[2], phi[2]]
+    names = table.column_names
+    assert len(set(names)) == len(names)
+
+
+def test_single_precision_is_refused_before_earlier_results_go(tmp_path: Path) -> None:
+    study = small_study()
+    run.run_into(study, tmp_path / "out")
+    before = everything(tmp_path / "out")
+    with jax.enable_x64(False):
+        for call in (
+            lambda: run.run_into(study, tmp_path / "out", overwrite=True),
+            lambda: run.run_into(study, tmp_path / "out", resume=True),
+            lambda: run.run(study),
+            lambda: build.simulated_record(study),
+        ):
+            with pytest.raises(RuntimeError, match="double precision"):
+                call()
+    assert everything(tmp_path / "out") == before
+
+
+# --- reading ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def stored(tmp_path: Path) -> Path:
+    """Two parts of two runs, the later ones first."""
+    for dataset in ("summary", "curves"):
+        (tmp_path / dataset).mkdir()
+    for part, runs in enumerate(([2, 3], [0, 1])):
+        rows = {"run_id": runs, "status": ["ok", None], "nees": [float(runs[0]), None]}
+        curves = {"run_id": [*runs, *runs], "time_s": [2.0, 2.0, 1.0, 1.0]}
+        for dataset, values in (("summary", rows), ("curves", curves)):
+            path = tmp_path / dataset / f"part-0000-00000{part}.parquet"
+            marks = {"sinsjax.chunk": f"of part {part} alone"}
+            table = pa.table(values).replace_schema_metadata(marks)
+            pq.write_table(table, path, compression="none", write_page_checksum=True)
+    return tmp_path
+
+
+def test_rows_come_by_run_and_time(stored: Path) -> None:
+    assert tables.read_summary(stored)["run_id"].to_pylist() == [0, 1, 2, 3]
+    curves = tables.read_curves(stored)
+    assert curves["run_id"].to_pylist() == [0, 0, 1, 1, 2, 2, 3, 3]
+    assert curves["time_s"].to_pylist() == [1.0, 2.0] * 4
+    assert tables.read_curves(stored, [1, 2])["run_id"].to_pylist() == [1, 1, 2, 2]
+    assert tables.read_curves(stored, []).num_rows == 0
+    assert tables.count_runs(stored) == 4
+    # What a part says of itself does not hold for all rows.
+    assert tables.read_summary(stored).schema.metadata == {
+        b"sinsjax.schema": columns.SCHEMA_VERSION.encode()
+    }
+
+
+def test_some_columns_and_runs(stored: Path) -> None:
+    table = tables.read_summary(stored, ["status", "nees"])
+    assert table.column_names == ["status", "nees"]
+    assert table["nees"].to_pylist() == [0.0, None, 2.0, None]
+    table = tables.read_summary(stored, ["nees", "run_id"], run_ids=[2, 0, 9])
+    assert table.to_pylist() == [{"nees": 0.0, "run_id": 0}, {"nees": 2.0, "run_id": 2}]
+    with pytest.raises(InputError, match="summary: column nees_u is missing"):
+        tables.read_summary(stored, ["nees", "nees_u"])
+
+
+def test_only_parts_are_read(stored: Path) -> None:
+    """Not what a killed process left half written, nor what a person put there."""
+    (stored / "summary" / ".part-0000-000002.parquet.77.tmp").write_bytes(b"PAR1")
+    (stored / "summary" / "notes.txt").write_text("mine")
+    assert tables.count_runs(stored) == 4
+    assert tables.read_summary(stored).num_rows == 4
+
+
+@pytest.mark.parametrize("left", ["no directory", "an empty one", "one that holds no part"])
+def test_what_holds_no_part_yet_is_one_clear_line(tmp_path: Path, left: str) -> None:
+    out = tmp_path / "out"
+    if left != "no directory":
+        for dataset in ("summary", "curves"):
+            (out / dataset).mkdir(parents=True)
+    if left == "one that holds no part":
+        (out / "summary" / ".part-0000-000000.parquet.77.tmp").write_bytes(b"PAR1")
+    for read in (
+        lambda: tables.read_summary(out),
+        lambda: tables.read_summary(out, ["status"]),
+        lambda: tables.read_summary(out, run_ids=[1]),
+        lambda: tables.count_runs(out),
+    ):
+        with pytest.raises(InputError, match="out: holds no results"):
+            read()
+    for run_ids in (None, [1]):
+        assert tables.read_curves(out, run_ids).num_rows == 0
+
+
+@pytest.mark.parametrize("damage", ["a page", "the end"])
+def test_a_broken_part_is_one_clear_line(stored: Path, damage: str) -> None:
+    """A bit in a page is seen by its checksum: no row comes out wrong."""
+    path = stored / "summary" / "part-0000-000001.parquet"
+    content = bytearray(path.read_bytes())
+    if damage == "a page":
+        content[content.index(np.float64(0.0).tobytes())] ^= 1
+    path.write_bytes(content if damage == "a page" else content[:-9])
+    with pytest.raises(InputError, match="summary: cannot be read: .*--resume") as told:
+        tables.read_summary(stored)
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize("content", [None, b"", b"{", b"\x80", b"[]", b"null", b"3"])
+def test_a_manifest_that_is_none_is_one_clear_line(tmp_path: Path, content: bytes | None) -> None:
+    if content is not None:
+        (tmp_path / "manifest.json").write_bytes(content)
+    with pytest.raises(InputError, match="holds no readable manifest.json"):
+        tables.read_manifest(tmp_path)
+
+
+# --- what is read is what was written -------------------------------------------------------------
+
+
+def manifest_of(directory: Path) -> None:
+    """Writes what a manifest says of the parts that are there."""
+    files = [
+        {"file": name, "rows": 0, "sha256": hashlib.sha256(content).hexdigest()}
+        for name, content in parts(directory).items()
+    ]
+    chunks = [{"name": "all", "state": "done", "files": files}]
+    (directory / "manifest.json").write_text(json.dumps({"chunks": chunks}))
+
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "summary": tables.read_summary,
+    "curves": tables.read_curves,
+}
+
+
+@pytest.mark.parametrize("dataset", READERS)
+def test_no_bit_of_a_part_turns_unseen(stored: Path, dataset: str) -> None:
+    """Checksums of pages leave footers and page headers out: a flip there can read as nulls."""
+    manifest_of(stored)
+    path = stored / dataset / "part-0000-000001.parquet"
+    content = path.read_bytes()
+    assert READERS[dataset](stored)
+    for bit in np.random.default_rng(14).integers(0, 8 * len(content), size=300):
+        flipped = bytearray(content)
+        flipped[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(flipped)
+        with pytest.raises(InputError) as told:
+            READERS[dataset](stored)
+        line = str(told.value)
+        assert f"{dataset}/{path.name}: is not what was written" in line and "--resume" in line
+        assert "\n" not in line
+    path.write_bytes(content)
+    assert READERS[dataset](stored)
+
+
+def test_reading_may_be_trusting(stored: Path) -> None:
+    manifest_of(stored)
+    path = stored / "summary" / "part-0000-000001.parquet"
+    table = pq.read_table(path)
+    pq.write_table(table, path)
+    with pytest.raises(InputError, match="is not what was written"):
+        tables.count_runs(stored)
+    assert tables.read_summary(stored, verify=False)["run_id"].to_pylist() == [0, 1, 2, 3]
+    (stored / "curves" / path.name).unlink()
+    with pytest.raises(InputError, match=r"part-0000-000001.parquet: is missing, by the manifest"):
+        tables.read_curves(stored)
+    assert tables.read_curves(stored, verify=False).num_rows == 4
+
+
+def test_a_part_that_the_manifest_does_not_know_yet_is_read(stored: Path) -> None:
+    """A sweep writes its manifest less often than its parts."""
+    manifest_of(stored)
+    told = json.loads((stored / "manifest.json").read_text())
+    told["chunks"][0]["files"] = told["chunks"][0]["files"][:1]
+    (stored / "manifest.json").write_text(json.dumps(told))
+    assert tables.read_summary(stored).num_rows == 4
+    assert tables.read_curves(stored).num_rows == 8
+
+
+@pytest.mark.parametrize("name", ["summary", "curves"])
+def test_parts_that_are_all_lost_are_named(stored: Path, name: str) -> None:
+    manifest_of(stored)
+    read = tables.read_summary if name == "summary" else tables.read_curves
+    lost = sorted((stored / name).glob("*.parquet"))
+    for path in lost:
+        path.unlink()
+    with pytest.raises(InputError, match=f"{name}/{lost[0].name}: is missing, by the manifest"):
+        read(stored)
+    if name == "curves":
+        assert read(stored, verify=False).num_rows == 0
+
+
+def test_a_part_that_comes_while_it_is_looked_for_is_not_missing(
+    stored: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Parts are listed before the manifest is read, which may know of one more by then."""
+    manifest_of(stored)
+    first, *_ = sorted((stored / "summary").glob("*.parquet"))
+    monkeypatch.setattr("sinsjax.execution.parts.find", lambda directory, name: iter([first]))
+    assert 0 < tables.read_summary(stored).num_rows < 4
+
+
+def test_a_part_is_hashed_once_a_process(stored: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    manifest_of(stored)
+    for path in stored.rglob("*.*"):
+        os.utime(path, (1e9, 1e9))
+    assert tables.read_summary(stored)
+    monkeypatch.setattr("hashlib.file_digest", lambda *_: pytest.fail("read again"))
+    assert tables.read_summary(stored) and tables.count_runs(stored) == 4
+
+
+@pytest.mark.parametrize("chunks", ["3", "[3]", '[{"files": [{}]}]', '[{"files": 3}]'])
+def test_a_manifest_of_another_shape_is_one_clear_line(stored: Path, chunks: str) -> None:
+    (stored / "manifest.json").write_text(f'{{"chunks": {chunks}}}')
+    with pytest.raises(InputError, match="manifest.json: its chunks cannot be read"):
+        tables.read_summary(stored)
+    assert tables.read_summary(stored, verify=False).num_rows == 4

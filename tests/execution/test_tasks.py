@@ -1,0 +1,176 @@
+"""A study cut into tasks: the same rows however it is cut, the same bytes wherever it is done."""
+
+import random
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.kept import STUDIES, parts, study_of
+from support.studies import small_study
+
+from sinsjax.engine import build
+from sinsjax.engine.tile import LANES
+from sinsjax.errors import InputError
+from sinsjax.execution import run as study_run
+from sinsjax.execution import tables
+from sinsjax.execution import tasks as study_tasks
+from sinsjax.execution.tasks import Executor, Job, Workshop
+from sinsjax.records import Reference
+from sinsjax.records.reference import Tape
+from sinsjax.study.load import study_from_dict
+
+
+@pytest.fixture(scope="module", params=STUDIES)
+def name(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def reference(name: str) -> study_run.Results:
+    return study_run.run(study_of(name))
+
+
+def assert_same(one: study_run.Results, other: study_run.Results) -> None:
+    """To the last bit; `equals` takes every nan for another."""
+    for a, b in zip(one, other, strict=True):
+        assert a.schema.equals(b.schema)
+        assert a.equals(b)
+
+
+def test_rows_are_the_same_for_any_chunk(name: str, reference: study_run.Results) -> None:
+    """The smallest, and one that holds all runs."""
+    assert_same(study_run.run(study_of(name), chunk_runs=2), reference)
+    if name == "worlds":
+        assert_same(study_run.run(study_of(name), chunk_runs=10**6), reference)
+
+
+def test_bytes_are_the_same_in_any_order_and_place(
+    name: str, reference: study_run.Results, tmp_path: Path
+) -> None:
+    """Every task is done by a workshop of its own, which knows of no other."""
+    study, chunk_runs = study_of(name), 128
+    study_run.run_into(study, tmp_path / "there", chunk_runs=chunk_runs)
+
+    def elsewhere(_: Workshop, tasks: Any) -> Any:
+        todo = list(tasks)
+        random.Random(3).shuffle(todo)
+        for task in todo:
+            yield Workshop(Job(study, None, None, chunk_runs)).pack(task)
+
+    executor = Executor(elsewhere, {})
+    study_run.run_into(study, tmp_path / "here", chunk_runs=chunk_runs, executor=executor)
+    assert parts(tmp_path / "here") == parts(tmp_path / "there")
+    read = study_run.Results(
+        tables.read_summary(tmp_path / "here"), tables.read_curves(tmp_path / "here")
+    )
+    for a, b in zip(read, reference, strict=True):
+        assert a.cast(b.schema).equals(b)
+
+
+def test_draws_added_later_leave_earlier_rows_alone(
+    name: str, reference: study_run.Results
+) -> None:
+    study = study_of(name)
+    fewer = study_of(name, study.n_draws - 17)
+    count = fewer.n_draws * fewer.n_variants
+    got = study_run.run(fewer)
+    assert got.summary.equals(reference.summary.slice(0, count))
+    assert got.curves.equals(
+        reference.curves.filter(pa.compute.less(reference.curves["run_id"], count))
+    )
+
+
+def test_every_run_is_there_once(name: str, reference: study_run.Results) -> None:
+    study = study_of(name)
+    runs = np.arange(study.n_draws * study.n_variants)
+    np.testing.assert_array_equal(reference.summary["run_id"], runs)
+    np.testing.assert_array_equal(reference.summary["draw_id"], runs // study.n_variants)
+    np.testing.assert_array_equal(reference.summary["variant_id"], runs % study.n_variants)
+    records = [study.spans[run % study.n_variants].records for run in runs]
+    np.testing.assert_array_equal(reference.curves["run_id"], np.repeat(runs, records))
+
+
+# --- tasks --------------------------------------------------------------------------------------
+
+
+@settings(max_examples=15)
+@given(st.integers(1, 3000), st.integers(1, 30), st.none() | st.integers(1, 5000))
+def test_tasks_depend_on_the_study_alone_and_hold_every_run(
+    draws: int, variants: int, chunk_runs: int | None
+) -> None:
+    study = small_study(
+        study={"draws": draws}, axes={"p0_yaw_deg": [float(i + 1) for i in range(variants)]}
+    )
+    (tasks,) = Workshop(Job(study, None, None, chunk_runs)).tasks()
+    assert (tasks,) == tuple(Workshop(Job(study, None, None, chunk_runs)).tasks())
+    assert sum(task.runs for task in tasks) == draws * variants
+    assert [task.call for task in tasks] == list(range(len(tasks)))
+    assert sorted({task.name for task in tasks}) == [task.name for task in tasks]
+    if chunk_runs is not None:
+        assert all(task.runs <= max(2 * LANES, chunk_runs + LANES) for task in tasks)
+
+
+def test_a_job_knows_study_record_and_reference() -> None:
+    study = study_from_dict(
+        {
+            "study": {"duration_s": 2.0, "rate_hz": 100.0, "window_s": [0, 2]},
+            "record": {"format": "psins", "start_s": [0.0, 1.0]},
+            "coarse": {"coarse_duration_s": 3.0},
+        }
+    )
+    record = build.simulated_record(small_study())
+    time_s = np.arange(0, 6.01, 0.01)
+    level = Reference(time_s, np.zeros((len(time_s), 3)), "true.csv")
+    tilted = level._replace(attitude_deg=level.attitude_deg + 1e-12)
+    late = level._replace(time_s=time_s + 1e-9)
+    turned = record._replace(dtheta=record.dtheta * (1 + 1e-15))
+    tapes = [
+        Tape(record, None),
+        Tape(turned, None),
+        Tape(record._replace(rate_hz=100.0000001), None),
+        Tape(record, level),
+        Tape(record, tilted),
+        Tape(record, late),
+    ]
+    known = [Job(study, tape).identity for tape in tapes]
+    known.append(Job(small_study()).identity)
+    known.append(Job(small_study(study={"seed": 2})).identity)
+    assert len(set(known)) == len(known)
+    moved = Tape(record._replace(source="elsewhere"), level._replace(source="elsewhere"))
+    assert Job(study, moved).identity == Job(study, tapes[3]).identity
+    assert Job(small_study(study={"name": "other"}), None, True, 64).identity == known[-2]
+
+
+def test_many_threads_compile_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever comes first compiles a part; the others wait for it."""
+    made: list[int] = []
+    compile_part = Workshop._compile
+
+    def counted(self: Workshop, part: int, draws: range) -> Any:
+        made.append(part)
+        return compile_part(self, part, draws)
+
+    monkeypatch.setattr(Workshop, "_compile", counted)
+    workshop = Workshop(Job(study_of("worlds"), None, None, 128))
+    (tasks,) = workshop.tasks()
+    threads = [threading.Thread(target=workshop.do, args=(task,)) for task in tasks]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(made) == [0, 1]
+
+
+def test_failures_are_counted_as_they_are_called() -> None:
+    status = ["ok", "diverged", "not_settled", "nonfinite", None, "diverged"]
+    assert study_tasks.failures(pa.table({"status": status})) == 3
+
+
+def test_a_study_and_a_record_must_go_together() -> None:
+    with pytest.raises(InputError, match="reads no record"):
+        Workshop(Job(small_study(), Tape(build.simulated_record(small_study()), None)))

@@ -1,0 +1,172 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from oracles.naive import euler_matrix, exp, of_quaternion
+from scipy.spatial.transform import Rotation
+
+from sinsjax.maths import rotations
+from sinsjax.types import Quat, Vec3
+
+unit = st.floats(-1, 1)
+seeds = st.integers(0, 2**32 - 1)
+lengths = st.sampled_from(
+    [0.0, 1e-300, 1e-20, 1e-12, 1e-8, 1e-4, np.pi - 1e-9, np.pi, np.pi + 1e-9, 2 * np.pi]
+) | st.floats(0, 2 * np.pi)
+
+
+def direction(seed):
+    v = np.random.default_rng(seed).normal(size=3)
+    return v / np.linalg.norm(v)
+
+
+def random_quat(seed):
+    return Quat(*Rotation.random(rng=np.random.default_rng(seed)).as_quat(scalar_first=True))
+
+
+def vec(v):
+    return Vec3(*(jnp.asarray(x) for x in v))
+
+
+def rows(q):
+    return np.array(rotations.matrix(q))
+
+
+@given(lengths, seeds)
+def test_exp_as_scipy_up_to_a_full_turn(length, seed):
+    v = length * direction(seed)
+    q = np.array(rotations.exp(vec(v)))
+    np.testing.assert_allclose(np.linalg.norm(q), 1, atol=1e-14)
+    # Up to the full turn the scalar part keeps its sign: cos(|phi|/2).
+    np.testing.assert_allclose(q[0], np.cos(length / 2), atol=2e-15)
+    np.testing.assert_allclose(q[1:], np.sin(length / 2) * direction(seed), atol=2e-15)
+
+
+@given(st.floats(0, np.pi) | lengths.filter(lambda a: a <= np.pi), seeds, st.booleans())
+def test_log_inverts_exp_and_does_not_mind_the_sign(length, seed, negative):
+    v = length * direction(seed)
+    q = rotations.exp(vec(v))
+    back = np.array(rotations.log(Quat(*(-c for c in q)) if negative else q))
+    if length > np.pi - 1e-12:  # v and -v are the same rotation
+        back = back * np.sign(back @ v)
+    np.testing.assert_allclose(back, v, rtol=1e-13, atol=1e-15)
+    assert np.linalg.norm(back) <= np.pi * (1 + 1e-15)
+
+
+@given(seeds)
+def test_log_takes_the_short_way_beyond_half_a_turn(seed):
+    v = 1.2 * np.pi * direction(seed)
+    np.testing.assert_allclose(
+        rotations.log(rotations.exp(vec(v))), -0.8 * np.pi * direction(seed), rtol=1e-13
+    )
+
+
+def test_exp_and_log_are_smooth_at_zero():
+    def both(v):
+        q = rotations.exp(Vec3(*v))
+        return jnp.concatenate([2 * jnp.stack(q[1:]), jnp.stack(rotations.log(q))])
+
+    for derivative in (jax.jacfwd, jax.jacrev):
+        jacobian = jax.jit(derivative(both))(jnp.zeros(3))
+        np.testing.assert_allclose(jacobian, [*np.eye(3), *np.eye(3)], atol=1e-15)
+
+
+@jax.jit
+@jax.jacfwd
+def there_and_back_derivative(v):
+    return jnp.stack(rotations.log(rotations.exp(Vec3(*v))))
+
+
+@pytest.mark.parametrize("length", [1e-9, 0.99e-8, 2.01e-8, 1e-3, 3.0])
+def test_log_has_the_right_derivative_on_both_sides_of_its_small_branch(length):
+    jacobian = there_and_back_derivative(length * direction(3))
+    np.testing.assert_allclose(jacobian, np.eye(3), atol=1e-7)
+
+
+@given(seeds, seeds)
+def test_products_rotate_as_matrices(one, two):
+    a, b = random_quat(one), random_quat(two)
+    ca, cb = of_quaternion(a), of_quaternion(b)
+    np.testing.assert_allclose(rows(a), ca, atol=1e-15)
+    np.testing.assert_allclose(rows(rotations.multiply(a, b)), ca @ cb, atol=4e-15)
+    np.testing.assert_allclose(rows(rotations.conjugate(a)), ca.T, atol=1e-15)
+    v = 10 * direction(two)
+    np.testing.assert_allclose(rotations.rotate(a, Vec3(*v)), ca @ v, atol=2e-14)
+
+
+@given(seeds, st.floats(1e-3, 1e3))
+def test_normalise(seed, length):
+    q = random_quat(seed)
+    np.testing.assert_allclose(rotations.normalise(Quat(*(length * c for c in q))), q, atol=1e-15)
+
+
+@given(seeds, seeds)
+def test_rotate_small_is_a_rotation_to_the_third_order(one, two):
+    h, q = 1e-4 * direction(one), random_quat(two)
+    turned = rotations.rotate_small(Vec3(*h), q)
+    np.testing.assert_allclose(np.linalg.norm(turned), 1, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(rows(turned), exp(2 * h) @ of_quaternion(q), atol=2e-12)
+    still = rotations.rotate_small(Vec3(*(1e-4 * h)), q)
+    np.testing.assert_allclose(rows(still), exp(2e-4 * h) @ of_quaternion(q), atol=4e-15)
+
+
+angle = st.floats(-np.pi, np.pi)
+pitches = st.floats(-1.57, 1.57)
+
+
+@given(pitches, angle, angle)
+@example(0.3, np.pi, -np.pi)
+@example(-0.3, 0.0, np.pi)
+def test_euler_angles_both_ways(pitch, roll, yaw):
+    q = rotations.from_euler(pitch, roll, yaw)
+    c = Rotation.from_euler("ZXY", [yaw, pitch, roll]).as_matrix()
+    np.testing.assert_allclose(rows(q), c, atol=2e-15)
+    np.testing.assert_allclose(euler_matrix(pitch, roll, yaw), c, atol=2e-15)
+    back = np.array(rotations.to_euler(q))
+    off = np.array([pitch, roll, yaw]) - back
+    off = np.arctan2(np.sin(off), np.cos(off))
+    np.testing.assert_allclose(off, 0, atol=1e-14 / np.cos(pitch) ** 2)
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_to_euler_stays_finite_when_it_points_straight_up(sign):
+    pitch, roll, yaw = rotations.to_euler(rotations.from_euler(sign * np.pi / 2, 0.2, 0.5))
+    np.testing.assert_allclose(pitch, sign * np.pi / 2, atol=1e-7)
+    assert np.isfinite(roll) and np.isfinite(yaw)
+
+
+def test_positive_yaw_turns_the_nose_from_north_to_west():
+    nose = rotations.rotate(rotations.from_euler(0.0, 0.0, np.pi / 2), Vec3(0.0, 1.0, 0.0))
+    np.testing.assert_allclose(nose, [-1, 0, 0], atol=1e-15)
+
+
+def test_positive_pitch_lifts_the_nose_and_positive_roll_lowers_the_right_side():
+    nose = rotations.rotate(rotations.from_euler(0.1, 0.0, 0.0), Vec3(0.0, 1.0, 0.0))
+    right = rotations.rotate(rotations.from_euler(0.0, 0.1, 0.0), Vec3(1.0, 0.0, 0.0))
+    np.testing.assert_allclose((nose.z, right.z), [np.sin(0.1), -np.sin(0.1)], atol=1e-15)
+
+
+@given(lengths.filter(lambda a: a < 3.14), seeds, seeds)
+def test_misalignment_convention(length, one, two):
+    phi, q = length * direction(one), random_quat(two)
+    off = rotations.misalign(vec(phi), q)
+    np.testing.assert_allclose(rows(off), exp(-phi) @ of_quaternion(q), atol=5e-15)
+    np.testing.assert_allclose(rotations.misalignment(q, off), phi, rtol=1e-12, atol=2e-15)
+    np.testing.assert_allclose(rows(rotations.correct(vec(phi), off)), rows(q), atol=5e-15)
+
+
+@given(seeds, seeds)
+def test_misalignment_is_the_rotation_vector_of_true_times_computed_transposed(one, two):
+    a, b = random_quat(one), random_quat(two)
+    expected = Rotation.from_matrix(of_quaternion(a) @ of_quaternion(b).T).as_rotvec()
+    np.testing.assert_allclose(rotations.misalignment(a, b), expected, atol=1e-7)
+
+
+@pytest.mark.parametrize(("most", "error"), [(np.pi / 4, 2.3e-16), (1.0, 1e-12)])
+def test_sines_near_zero(most, error):
+    x = np.linspace(-most, most, 2001)
+    sin, cos = jax.jit(jax.vmap(rotations.sin_cos_near_zero))(x)
+    np.testing.assert_allclose(sin, np.sin(x), rtol=0, atol=error)
+    np.testing.assert_allclose(cos, np.cos(x), rtol=0, atol=error)

@@ -1,0 +1,1 @@
+"""The same computations written naively, to hold the engine against."""

@@ -1,0 +1,195 @@
+"""The naive module's descriptions in the engine's words."""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from oracles.naive import DEG, STATES, WGS84, Filter, Loops, Planet, Swing, quaternion
+from sinsjax.alignment.base import Site
+from sinsjax.alignment.compass import method as compass
+from sinsjax.alignment.compass.design import AzimuthGains, LevelGains
+from sinsjax.alignment.limits import NO_BIASES
+from sinsjax.alignment.schedules import Feedback, Pieces, Renewal, Resets
+from sinsjax.alignment.zero_velocity import method as zero_velocity
+from sinsjax.engine.metrics import Criteria
+from sinsjax.engine.realisations import Draw, Static, World
+from sinsjax.engine.simulate import ONE, Params, Progress, begin, over_a_record, shared_by
+from sinsjax.strapdown import base_motion, earth, sensors
+from sinsjax.strapdown.error_model import MODELS
+from sinsjax.types import Increments, Navigation, Quat, Vec3
+
+ARCMIN = DEG / 60
+DEG_PER_H = DEG / 3600
+UG = 9.8e-6
+
+PAPER1 = Swing(
+    np.zeros(3), np.array([1.8, 2.4, 2.8]) * DEG, np.array([6.0, 8.0, 10.0]), np.zeros(3)
+)
+"""Base motion of [P1]."""
+
+PAPER2 = Swing(
+    np.zeros(3), np.array([8.0, 6.0, 5.0]) * DEG, 1 / np.array([0.15, 0.2, 0.125]), np.zeros(3)
+)
+"""Base motion of [P2]."""
+
+RESETS = 4
+"""Places in a reset schedule; a schedule of fewer is filled with never."""
+
+_KINDS = {"full": (0.0, 0.0, 1.0, 1.0), "yaw": (1.0, 0.0, 0.0, 1.0)}
+
+
+def motion(swing: Swing) -> base_motion.Motion:
+    angles = zip(*swing, strict=True)
+    return base_motion.Motion(*(base_motion.Sway(*map(np.float64, angle)) for angle in angles))
+
+
+def model(planet: Planet) -> earth.Earth:
+    if planet is WGS84:
+        return earth.wgs84()
+    return earth.sphere(planet.rate, planet.a, planet.gravity)
+
+
+def place(planet: Planet, latitude: float) -> earth.Place:
+    return jax.tree.map(np.float64, earth.place(model(planet), latitude))
+
+
+def site(planet: Planet, latitude: float) -> Site:
+    return jax.tree.map(np.float64, Site(model(planet), place(planet, latitude), latitude))
+
+
+PAPER_P0 = {
+    **dict.fromkeys(("dve", "dvn"), 0.1),
+    **dict.fromkeys(("phi_e", "phi_n"), 15 * DEG),
+    "phi_u": 80 * DEG,
+    **dict.fromkeys(("nabla_x", "nabla_y"), 500 * UG),
+    **dict.fromkeys(("eps_x", "eps_y", "eps_z"), 0.1 * DEG_PER_H),
+}
+"""Initial standard deviations of [P1]; those of the biases are ours."""
+
+PAPER_Q = {
+    **dict.fromkeys(("dve", "dvn"), 500 * UG),
+    **dict.fromkeys(("phi_e", "phi_n", "phi_u"), 0.1 * DEG_PER_H),
+    **dict.fromkeys(("nabla_x", "nabla_y", "eps_x", "eps_y", "eps_z"), 0.0),
+}
+"""Process noise of a step, as standard deviations."""
+
+_MODEL_OF = {len(model.states): model for model in MODELS.values()}
+
+
+def paper_filter(n: int, **changes) -> Filter:
+    """[P1]'s filter of n = 5 or 10 states, Q per step."""
+    p0, q = (np.array([of[name] for name in STATES[:n]]) ** 2 for of in (PAPER_P0, PAPER_Q))
+    return Filter(p0, q, 0.1**2)._replace(**changes)
+
+
+def by_state(values: np.ndarray) -> tuple[Any, ...]:
+    """One value a state, from the naive module's order to that of the engine's model."""
+    of = dict(zip(STATES, values, strict=False))
+    return tuple(of[name] for name in _MODEL_OF[len(of)].states)
+
+
+def params(filt: Filter) -> zero_velocity.Params:
+    scale = (filt.factor, filt.factor, 0.0, 0.0)
+    when = [*filt.resets] + [np.inf] * (RESETS - len(filt.resets))
+    return zero_velocity.Params(
+        p0=by_state(filt.p0),
+        q=by_state(filt.q),
+        r=np.float64(filt.r),
+        feedback=Feedback(np.float64(filt.every), np.float64(filt.gain)),
+        resets=Resets(
+            np.array(when, dtype=float), Renewal(*map(np.float64, _KINDS.get(filt.kind, scale)))
+        ),
+        reset_to=by_state(filt.p0),
+        turn=Renewal(*map(np.float64, _turn(filt))),
+    )
+
+
+def _turn(filt: Filter) -> tuple[float, ...]:
+    factor = filt.turn_factor
+    return {
+        "carried": (1.0, 1.0, 0.0, 0.0),
+        "inflated": (factor, factor, 0.0, 0.0),
+        "reset": (0.0, 0.0, 1.0, 1.0),
+    }[filt.turn]
+
+
+def navigation(c: np.ndarray, v: np.ndarray, latitude: float) -> Navigation:
+    numbers = (jnp.asarray(float(x)) for x in (*v, latitude, 0.0))
+    return Navigation(Quat(*map(jnp.asarray, quaternion(c))), *numbers)
+
+
+def swing_increments(swing: Swing, planet: Planet, latitude: float, *, rate, samples, **errors):
+    """Ideal increments, or with constant biases and noise: (bias, noise) of gyro and accel."""
+    here = place(planet, latitude)
+    rows = np.array(_increments(motion(swing), here, float(rate), samples))
+    rng = np.random.default_rng(0)
+    for columns, name in ((slice(3), "gyro"), (slice(3, 6), "accel")):
+        bias, noise = errors.get(name, (0.0, 0.0))
+        rows[:, columns] += (np.asarray(bias) + noise * rng.normal(size=(samples, 3))) / rate
+    return rows
+
+
+_increments = jax.jit(base_motion.increments, static_argnums=3)
+
+
+def loops(given: Loops, turn: compass.Turn) -> compass.Params:
+    """Compass loops whose azimuth gains do not change, with a turn rule in numbers."""
+    ((begin, gains),) = given.azimuth
+    return compass.Params(
+        level=LevelGains(*map(np.float64, given.level)),
+        azimuth=AzimuthGains(*map(np.float64, gains)),
+        pace=Pieces(np.array([]), np.array([1.0])),
+        azimuth_from=np.float64(begin),
+        smoothing=np.float64(given.smoothing),
+        turn=compass.Turn(*map(np.float64, turn)),
+    )
+
+
+def tape_world(
+    rows: np.ndarray, here: Site, *, pass_records: int, errors: sensors.SensorErrors | None = None
+) -> World:
+    """A world whose truth is not known: a tape and a site."""
+    never = Criteria(np.zeros(1), *(np.float64(0.0),) * 4)
+    return World(
+        site=here,
+        tape=rows,
+        truth=np.full((1, 1, 4), np.nan),
+        errors=sensors.perfect() if errors is None else errors,
+        seed=np.asarray(11),
+        criteria=never,
+        biases=NO_BIASES,
+        pass_records=np.asarray(pass_records),
+    )
+
+
+def one_run(c: np.ndarray, phi: Any, v: Any, method: Any) -> Params:
+    """A run that starts from the attitude c, off by phi (rad), with the velocity v (m/s)."""
+    q = Quat(*map(np.float64, quaternion(c)))
+    return Params(q, Vec3(*map(np.float64, phi)), *map(np.float64, v), method)
+
+
+@partial(jax.jit, static_argnums=0)
+def trail(static: Static, world: World, params: Params) -> Any:
+    """The state of the method at every record of one run of the engine, leaves (records, ...)."""
+    draw = Draw(jnp.asarray(0), jnp.asarray(0), jnp.asarray(0))
+    zero = jnp.zeros(())
+    nothing = Increments(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
+    shared = shared_by(static, world, draw, params, ONE)
+    step = over_a_record(static, world, shared, draw, params, ONE)
+    unknown = Quat(*(zero + jnp.nan for _ in range(4)))
+
+    def record(progress: Progress, number: Any) -> tuple[Progress, Any]:
+        progress, _ = step(progress, (number, unknown))
+        return progress, progress.run.state
+
+    start = Progress(begin(static, world, world.site, params), nothing)
+    return jax.lax.scan(record, start, jnp.arange(static.records))[1]
+
+
+def step_and_close(method, params, site, state, sample, n):
+    """A sample of a run taken alone."""
+    state = method.step(params, site, state, sample, n)
+    return method.close(params, state, n) if method.close else state

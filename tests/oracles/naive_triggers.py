@@ -1,0 +1,168 @@
+"""The triggers once more, naively: a list of all that was seen, and sums over its ends.
+
+Written from what the triggers are said to do. Vectors and matrices are arrays, times in samples.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from oracles.naive import Unwatched, error_matrix, error_matrix_10
+
+
+class Numbers(NamedTuple):
+    """Numbers of a trigger, those of the study."""
+
+    threshold: float
+    window: int = 1
+    refractory: int = 0
+    most: int = 10**9
+    until: float = np.inf
+
+
+class Seen(NamedTuple):
+    """One sample: innovation r of covariance s, correction since the last reset, omega_N.
+
+    phi is what of that is not yet fed back, ``p`` its believed covariance, ``honest`` that of a
+    base at rest.
+    """
+
+    r: np.ndarray
+    s: np.ndarray
+    correction: np.ndarray
+    omega_n: float
+    phi: np.ndarray
+    p: np.ndarray
+    honest: np.ndarray | None = None
+
+
+def normalised(r, s):
+    """R' S^-1 r."""
+    return r @ np.linalg.solve(s, r)
+
+
+def innovation(seen, window, dt):
+    """(sum r)' (sum S)^-1 (sum r)."""
+    recent = seen[-window:]
+    return normalised(sum(one.r for one in recent), sum(one.s for one in recent))
+
+
+def nis(seen, window, dt):
+    """R' S^-1 r of a sample."""
+    return normalised(seen[-1].r, seen[-1].s)
+
+
+def whiteness(seen, window, dt):
+    """Correlation of each innovation with the one before it, zero before the first."""
+    r = [np.zeros(2), *(one.r for one in seen)][-window - 1 :]
+    lagged = sum(now @ before for now, before in zip(r[1:], r[:-1], strict=True))
+    return np.sqrt(window) * abs(lagged / sum(now @ now for now in r[1:]))
+
+
+def drift(seen, window, dt):
+    """Rates at which the attitude was corrected over the window."""
+    corrections = [np.zeros(3), *(one.correction for one in seen)]
+    return (corrections[-1] - corrections[-window - 1]) / (window * dt)
+
+
+def tilt_drift(seen, window, dt):
+    """The drift about east over that which the believed heading error would make."""
+    return drift(seen, window, dt)[0] ** 2 / (seen[-1].omega_n ** 2 * seen[-1].p[2, 2])
+
+
+def levelled(seen, window, dt):
+    """The Earth's horizontal rate over the drift of the level, while velocity is still."""
+    still = normalised(seen[-1].r, seen[-1].s) < round(chi2.ppf(0.99, 2), 2)
+    return still * abs(seen[-1].omega_n) / np.linalg.norm(drift(seen, window, dt)[:2])
+
+
+def linearisation(seen, window, dt):
+    """Root of 1 and three shares of variance: known already, soon to be known, and left out."""
+    now = seen[-1]
+    e, n, u = np.diag(now.honest)
+    weights = [
+        min(1.0, (np.hypot(*level[:2]) / np.radians(0.1)) ** 2)
+        for level in (now.correction, now.phi)
+    ]
+    already = u / now.p[2, 2] - 1
+    soon = u * ((now.phi[0] / 2) ** 2 / e + (now.phi[1] / 2) ** 2 / n)
+    left_out = now.correction[2] - np.sin(now.correction[2])
+    left_out = left_out**2 / (now.p[2, 2] + np.radians(4) ** 2)
+    return np.sqrt(1 + weights[0] * already + weights[1] * soon + left_out)
+
+
+SCORES = {f.__name__: f for f in (innovation, nis, whiteness, tilt_drift, levelled, linearisation)}
+AT_ONCE = {"nis", "linearisation"}
+"""Triggers that look at every sample and not at the end of a window."""
+
+
+class Watcher(Unwatched):
+    """A trigger that watches a filter with process noise q and measurement noise r."""
+
+    def __init__(self, name, numbers, *, q, r, p0, dt):
+        """Begin with the covariance of the start."""
+        self.name, self.numbers, self.dt = name, numbers, dt
+        self.q, self.r = np.diag(q), r * np.eye(2)
+        self.fired, self.scores = [], []
+        self.begin(0, p0 if np.ndim(p0) == 2 else np.diag(p0))
+
+    def begin(self, k, p):
+        """Forget all, after a reset of any kind that leaves P."""
+        self.reset_at, self.honest, self.fed = k, p, np.zeros(3)
+        self.seen, self.powers = [], []
+
+    def turn(self, x, p):
+        """Forget all but when it was reset: what was estimated before is no correction of now."""
+        self.begin(self.reset_at, p)
+        self.fed = -x[2:5]
+
+    def factor(self, p, r):
+        """Of strong tracking, its V folded anew from all innovations since the last reset."""
+        if self.name == "fading":
+            return self.numbers.threshold
+        if self.name != "strong_tracking":
+            return 1.0
+        self.powers.append(np.outer(r, r))
+        v = self.powers[0]
+        for power in self.powers[1:]:
+            v = (0.95 * v + power) / 1.95
+        n = v - self.q[:2, :2] - self.numbers.threshold * self.r
+        return max(1.0, np.trace(n) / np.trace(p[:2, :2]))
+
+    def look(self, seen, x, p):
+        """Whether P is to be reset."""
+        if self.name not in SCORES:
+            return False
+        level = np.array([0.0, 0.0, seen.earth.g(seen.latitude)])
+        a = error_matrix(np.zeros(2), level, seen.earth, seen.latitude)
+        if len(x) == 10:
+            a = error_matrix_10(np.zeros(2), level, seen.earth, seen.latitude, seen.c)
+        omega_n = seen.earth.rate * np.cos(seen.latitude)
+        now = Seen(seen.r, seen.s, self.fed + x[2:5], omega_n, x[2:5], p[2:5, 2:5])
+        return self.judge(seen.k, now, np.eye(len(x)) + a * self.dt)
+
+    def judge(self, k, now, phi):
+        """The same, with the transition of a base at rest."""
+        h = np.eye(len(phi))[:2]
+        predicted = phi @ self.honest @ phi.T + self.q
+        gain = predicted @ h.T @ np.linalg.inv(h @ predicted @ h.T + self.r)
+        self.honest = predicted - gain @ h @ predicted
+        self.seen.append(now._replace(honest=self.honest[2:5, 2:5]))
+        window = self.numbers.window
+        full = self.name in AT_ONCE or len(self.seen) % window == 0
+        score = SCORES[self.name](self.seen, window, self.dt) if full else 0.0
+        self.scores.append(score)
+        fires = (
+            score > self.numbers.threshold
+            and k - self.reset_at >= self.numbers.refractory
+            and len(self.fired) < self.numbers.most
+            and k <= self.numbers.until
+        )
+        if fires:
+            self.fired.append(k)
+        return fires
+
+    def feed(self, phi):
+        """Take an attitude correction in that was fed back."""
+        self.fed = self.fed + phi

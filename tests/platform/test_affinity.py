@@ -1,0 +1,101 @@
+"""One process, one core: real processes, which hold real locks."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+import sinsjax
+from sinsjax.platform import affinity
+
+pytestmark = pytest.mark.skipif(
+    not hasattr(os, "sched_setaffinity"), reason="this system keeps no process to a core"
+)
+
+START = """
+import os, sys, threading, types
+os.sched_setaffinity(0, {cores})
+threading.Thread(target=sys.stdin.readline).start()  # one that is there before
+if {bare}:  # the module alone, without jax: quicker
+    package = types.ModuleType("sinsjax")
+    package.__path__ = [{path!r}]
+    sys.modules["sinsjax"] = package
+    from sinsjax.platform import affinity
+    affinity.apply()
+else:
+    import sinsjax
+cores = {{frozenset(os.sched_getaffinity(int(t))) for t in os.listdir("/proc/self/task")}}
+print(*sorted(map(sorted, cores)), flush=True)
+"""
+
+CORES = sorted(os.sched_getaffinity(0))[:2] if hasattr(os, "sched_getaffinity") else []
+
+Start = Callable[..., tuple[str, subprocess.Popen]]
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Starts a process that tells the cores of its threads, and stays; they end with the test."""
+    started: list[subprocess.Popen] = []
+
+    def begin(asked: str = "1", bare: bool = True) -> tuple[str, subprocess.Popen]:
+        package = Path(sinsjax.__file__).parent
+        process = subprocess.Popen(
+            [sys.executable, "-c", START.format(bare=bare, cores=CORES, path=str(package))],
+            env={
+                **os.environ,
+                "PYTHONPATH": str(package.parent),
+                "TMPDIR": str(tmp_path),
+                affinity.VARIABLE: asked,
+            },
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        assert process.stdout is not None
+        return process.stdout.readline().strip(), process
+
+    yield begin
+    for process in started:
+        process.communicate("\n", timeout=60)
+
+
+def test_every_process_has_a_core_of_its_own_until_it_ends(start: Start) -> None:
+    first, process = start()
+    assert first == f"[{CORES[0]}]"
+    others = [start()[0] for _ in CORES[1:]]
+    assert others == [f"[{core}]" for core in CORES[1:]]
+    # There is none left: a process more may run on all.
+    assert start()[0] == str(CORES)
+    process.kill()
+    process.wait()
+    assert start()[0] == first
+
+
+def test_import_takes_a_core_before_jax_has_threads(start: Start) -> None:
+    assert start(bare=False)[0] == f"[{CORES[0]}]"
+
+
+def test_without_being_asked_a_process_is_left_alone(start: Start) -> None:
+    assert start(asked="0")[0] == str(CORES)
+
+
+def test_a_folder_that_others_can_write_to_is_not_used(start: Start, tmp_path: Path) -> None:
+    folder = tmp_path / f"sinsjax-{os.getuid()}"
+    folder.mkdir()
+    folder.chmod(0o777)
+    assert start()[0] == str(CORES)
+    assert not list(folder.iterdir())
+
+
+def test_threads_that_start_meanwhile_are_kept_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By one that has not its core yet, they have not theirs."""
+    seen, kept = iter([{1, 2}, {1, 2, 3}, {1, 3, 4}, {1, 3, 4}]), list[int]()
+    monkeypatch.setattr(affinity, "_threads", lambda: next(seen))
+    monkeypatch.setattr(os, "sched_setaffinity", lambda thread, cores: kept.append(thread))
+    affinity._keep_to(0)
+    assert sorted(kept) == [1, 2, 3, 4]

@@ -1,0 +1,265 @@
+import importlib.metadata
+import json
+import os
+import shutil
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+
+import filelock
+import jax
+import pytest
+
+import sinsjax
+from sinsjax.errors import InputError
+from sinsjax.platform import compile_cache, machine
+
+KEYS = (
+    "jax_compilation_cache_dir",
+    "jax_compilation_cache_max_size",
+    "jax_persistent_cache_min_compile_time_secs",
+)
+
+
+@pytest.fixture
+def unchanged(monkeypatch, tmp_path):
+    """What a test sets is undone; the user's cache folder is its own."""
+    before = {key: jax.config.values[key] for key in KEYS}
+    jax.config.update("jax_compilation_cache_dir", None)
+    monkeypatch.setattr(machine, "cache_folder", lambda: tmp_path / "sinsjax")
+    monkeypatch.delenv(compile_cache.VARIABLE, raising=False)
+    yield monkeypatch
+    for key, value in before.items():
+        jax.config.update(key, value)
+
+
+def test_nothing_is_kept_where_it_is_not_wanted(unchanged, tmp_path):
+    unchanged.setenv(compile_cache.VARIABLE, "0")
+    assert compile_cache.enable() is None
+    assert compile_cache.why_off() == "SINSJAX_COMPILE_CACHE=0"
+    assert jax.config.values["jax_compilation_cache_dir"] is None
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("asked", ["", " "])
+def test_it_is_on_by_default_and_bounded(unchanged, tmp_path, asked):
+    unchanged.setenv(compile_cache.VARIABLE, asked)
+    unchanged.setattr(compile_cache, "SAFE_JAXLIB", {importlib.metadata.version("jaxlib")})
+    here = compile_cache.enable()
+    assert here.parent == tmp_path / "sinsjax" / "compiled"
+    assert jax.config.values["jax_compilation_cache_max_size"] == compile_cache.MOST_BYTES
+
+
+def test_by_default_it_is_off_with_a_jaxlib_that_was_not_tried(unchanged, tmp_path):
+    unchanged.setattr(compile_cache, "SAFE_JAXLIB", frozenset())
+    assert compile_cache.enable() is None
+    assert compile_cache.why_off().startswith("not tried with jaxlib")
+    unchanged.setenv(compile_cache.VARIABLE, "1")
+    assert compile_cache.enable().is_relative_to(tmp_path)
+
+
+def test_by_default_a_folder_of_jaxs_own_stays(unchanged, tmp_path):
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path / "users"))
+    assert compile_cache.enable() is None
+    assert compile_cache.why_off() == "JAX keeps programs already"
+    assert jax.config.values["jax_compilation_cache_dir"] == str(tmp_path / "users")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (lambda home: home.chmod(0o777), "others can write there, and what the cache holds is run"),
+        (lambda home: (home / "sinsjax").write_text(""), "Not a directory"),
+    ],
+)
+def test_by_default_a_folder_that_cannot_be_had_stops_nothing(unchanged, tmp_path, spoil, told):
+    unchanged.setattr(compile_cache, "SAFE_JAXLIB", {importlib.metadata.version("jaxlib")})
+    spoil(tmp_path)
+    assert compile_cache.enable() is None
+    assert compile_cache.why_off().endswith(told)
+    assert jax.config.values["jax_compilation_cache_dir"] is None
+
+
+def test_the_folder_is_this_users_alone_and_has_one_for_each_jaxlib_and_cpu(unchanged, tmp_path):
+    unchanged.setenv(compile_cache.VARIABLE, "1")
+    here = compile_cache.enable()
+    assert str(here) == jax.config.values["jax_compilation_cache_dir"]
+    assert here.parent == tmp_path / "sinsjax" / "compiled"
+    assert all(place.stat().st_mode & 0o077 == 0 for place in (here, here.parent))
+    unchanged.setattr(machine, "cpu", lambda: {"model name": "another", "flags": "avx2"})
+    other_cpu = compile_cache.enable()
+    unchanged.setattr(compile_cache.importlib.metadata, "version", lambda _: "99.0")
+    other_jaxlib = compile_cache.enable()
+    assert len({here, other_cpu, other_jaxlib}) == 3
+    assert here.parent == other_cpu.parent == other_jaxlib.parent
+
+
+def test_a_folder_that_others_can_write_to_is_refused(unchanged, tmp_path):
+    unchanged.setenv(compile_cache.VARIABLE, str(tmp_path / "mine"))
+    folder = compile_cache.enable()
+    folder.chmod(0o707)
+    with pytest.raises(InputError, match="others can write there"):
+        compile_cache.enable()
+
+
+def test_a_folder_above_that_others_can_write_to_is_refused(unchanged, tmp_path):
+    """They rename the leaf as soon as it is there, and put their own in its place."""
+    (tmp_path / "theirs").mkdir()
+    (tmp_path / "theirs").chmod(0o777)
+    unchanged.setenv(compile_cache.VARIABLE, str(tmp_path / "theirs" / "leaf"))
+    told = "^SINSJAX_COMPILE_CACHE: .*/theirs: others can write there, and what the cache holds is"
+    with pytest.raises(InputError, match=told):
+        compile_cache.enable()
+    assert not list((tmp_path / "theirs").iterdir())
+    assert jax.config.values["jax_compilation_cache_dir"] is None
+
+
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        ("{}/file", ".*/file/jaxlib.*: Not a directory"),
+        ("{}/loop/x", ".*/loop.*: .*[Ss]ymbolic link"),
+        ("{}/" + 300 * "x", ".*: File name too long"),
+        ("~nosuchuser/x", "~nosuchuser/x: there is no such user"),
+    ],
+)
+def test_a_folder_that_cannot_be_made_is_named(unchanged, tmp_path, asked, told):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "loop").symlink_to("loop")
+    unchanged.setenv(compile_cache.VARIABLE, asked.format(tmp_path))
+    with pytest.raises(InputError, match=f"^SINSJAX_COMPILE_CACHE: {told}"):
+        compile_cache.enable()
+
+
+SCRIPT = """
+import jax, jax.numpy as jnp, sinsjax
+from sinsjax.platform import compile_cache
+compile_cache._WORTH_KEEPING_S = 0
+sinsjax.configure(devices=1)
+hits = []
+jax.monitoring.register_event_listener(lambda name, **_: hits.append(name))
+x = jax.jit(lambda x: jax.lax.scan(lambda c, t: (jnp.sin(c) + t, c), x, jnp.arange(9.0))[0])(0.3)
+print(float(x).hex(), "/jax/compilation_cache/cache_hits" in hits)
+"""
+
+
+def start(folder: Path) -> subprocess.Popen:
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(("XLA_", "JAX_", "SINSJAX_"))}
+    environment = kept | {
+        compile_cache.VARIABLE: str(folder),
+        "PYTHONPATH": str(Path(sinsjax.__file__).parents[1]),
+    }
+    command, pipe = [sys.executable, "-c", SCRIPT], subprocess.PIPE
+    return subprocess.Popen(command, env=environment, stdout=pipe, stderr=pipe, text=True)
+
+
+def told(process: subprocess.Popen) -> tuple[str, bool]:
+    """The bits of its result, and whether it found what it would have compiled."""
+    out, errors = process.communicate(timeout=120)
+    assert (process.returncode, errors) == (0, "")
+    bits, found = out.split()
+    return bits, found == "True"
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory):
+    """A cache that a process has filled, a copy of it, and the bits of its result."""
+    folder = tmp_path_factory.mktemp("first")
+    bits, found = told(start(folder / "cache"))
+    assert not found
+    shutil.copytree(folder / "cache", folder / "copy")
+    return folder, bits
+
+
+@pytest.fixture
+def filled(first):
+    """That cache as it was, where it was, for JAX takes none that was moved; with the bits."""
+    folder, bits = first
+    shutil.rmtree(folder / "cache")
+    shutil.copytree(folder / "copy", folder / "cache")
+    (inner,) = (folder / "cache").glob("jaxlib-*")
+    return folder / "cache", inner, bits
+
+
+def test_a_second_process_finds_what_the_first_compiled(filled):
+    """And gives the same bits."""
+    folder, _, bits = filled
+    assert told(start(folder)) == (bits, True)
+
+
+def cut(inner: Path) -> None:
+    """Its digest is that of an entry that took another time to compile."""
+    sums = json.loads((inner / "sums.json").read_text())
+    (inner / "sums.json").write_text(json.dumps(dict.fromkeys(sums, "0")))
+    for entry in inner.glob("*-cache"):
+        entry.write_bytes(entry.read_bytes()[:100])
+
+
+def flip(inner: Path) -> None:
+    for entry in inner.glob("*-cache"):
+        data = bytearray(entry.read_bytes())
+        data[len(data) // 2] ^= 16
+        entry.write_bytes(data)
+
+
+def orphan(inner: Path) -> None:
+    for used in inner.glob("*-atime"):
+        used.unlink()
+
+
+def forget(inner: Path) -> None:
+    (inner / "sums.json").write_text("{")
+
+
+def replace(inner: Path) -> None:
+    """A whole entry put there from elsewhere."""
+    for entry in inner.glob("*-cache"):
+        entry.write_bytes(zlib.compress(b"another's"))
+
+
+@pytest.mark.parametrize("spoil", [cut, flip, orphan, forget, replace])
+def test_a_spoiled_cache_changes_no_bit_and_is_whole_again(filled, spoil):
+    folder, inner, bits = filled
+    spoil(inner)
+    assert told(start(folder)) == (bits, False)
+    assert told(start(folder)) == (bits, True)
+
+
+def test_first_starts_at_once(tmp_path, first):
+    processes = [start(tmp_path / "new") for _ in range(3)]
+    assert [told(process)[0] for process in processes] == 3 * [first[1]]
+    assert told(start(tmp_path / "new")) == (first[1], True)
+
+
+def test_an_entry_that_is_cut_short_is_not_vouched_for(filled):
+    _, inner, _ = filled
+    (entry,) = inner.glob("*-cache")
+    short = entry.with_name(f"short{entry.name}")
+    short.write_bytes(entry.read_bytes()[:-9])
+    (inner / "sums.json").unlink()
+    compile_cache.vouch(inner)
+    assert list(json.loads((inner / "sums.json").read_text())) == [entry.name]
+
+
+def test_a_lock_that_another_process_keeps_turns_it_off(unchanged, filled):
+    folder, _, _ = filled
+    unchanged.setenv(compile_cache.VARIABLE, str(folder))
+    unchanged.setattr(compile_cache, "_PATIENCE_S", 0.05)
+    inner = compile_cache.enable()
+    jax.config.update("jax_compilation_cache_dir", None)
+    with filelock.FileLock(inner / ".lockfile"):
+        assert compile_cache.enable() is None
+    assert compile_cache.why_off().startswith("another process keeps the lock")
+
+
+def test_folders_of_other_machines_are_not_kept_for_ever(unchanged, tmp_path):
+    unchanged.setenv(compile_cache.VARIABLE, "1")
+    here = compile_cache.enable()
+    for age in range(compile_cache.MOST_FOLDERS + 3):
+        other = here.with_name(f"jaxlib-0.1-{age:02d}")
+        other.mkdir()
+        os.utime(other, (1e9 - age, 1e9 - age))
+    assert compile_cache.enable() == here
+    left = sorted(other.name for other in here.parent.iterdir() if other != here)
+    assert left == [f"jaxlib-0.1-{age:02d}" for age in range(compile_cache.MOST_FOLDERS)]

@@ -1,0 +1,194 @@
+"""The instruction set; and a folder that nobody else can write in or put another in place of."""
+
+import os
+import stat
+from pathlib import Path
+from types import SimpleNamespace
+
+import platformdirs
+import pytest
+
+from sinsjax.platform import machine
+
+SOMEBODY = 54321
+
+
+X86 = "fpu sse4_2 avx f16c"
+
+
+@pytest.mark.parametrize(
+    ("told", "limit", "expected"),
+    [
+        ({"flags": X86}, "", "AVX"),
+        ({"flags": f"{X86} avx2 avx512f avx512_bf16 amx_tile"}, "", "AVX512"),
+        ({"flags": f"{X86} avx2 avx512f avx512_bf16 amx_tile"}, "AVX512_VNNI", "AVX512"),
+        ({"flags": f"{X86} avx2 avx512f"}, "avx2", "AVX2"),
+        ({"flags": X86}, "AVX2", "AVX"),
+        ({"flags": f"{X86} avx2"}, "AVX9000", "AVX2"),
+        ({"flags": "fpu sse2"}, "", "x86_64"),
+        ({"Features": "fp asimd sve2 sve"}, "", "SVE"),
+        ({"Features": "fp asimd"}, "", "NEON"),
+        ({}, "", "x86_64"),
+        ({}, "AVX2", "x86_64 to AVX2"),
+    ],
+)
+def test_the_instruction_set_is_the_machines_as_far_as_xla_may_use_it(
+    monkeypatch: pytest.MonkeyPatch, told: dict[str, str], limit: str, expected: str
+) -> None:
+    monkeypatch.setattr(machine, "cpu", lambda: told)
+    monkeypatch.setattr(machine.platform, "machine", lambda: "x86_64")
+    assert machine.instructions(limit) == expected
+
+
+modes = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="this system has no such modes")
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+def refused(folder: Path) -> tuple[str, str]:
+    """Where and why a folder is not safe; nothing is made."""
+    root = next(place for place in folder.parents if place.exists())
+    before = sorted(root.rglob("*"))
+    with pytest.raises(machine.Unsafe) as told:
+        machine.private_folder(folder)
+    assert sorted(root.rglob("*")) == before
+    return told.value.filename, told.value.strerror
+
+
+@modes
+def test_what_is_missing_is_made_for_this_user_alone(tmp_path: Path) -> None:
+    before = os.umask(0)
+    try:
+        assert machine.private_folder(tmp_path / "a" / "b") == (tmp_path / "a" / "b").resolve()
+    finally:
+        os.umask(before)
+    assert mode(tmp_path / "a") == mode(tmp_path / "a" / "b") == 0o700
+    machine.private_folder(tmp_path / "a" / "b")
+
+
+@modes
+@pytest.mark.parametrize("between", ["", "deep/"])
+def test_a_folder_above_that_others_can_write_to_is_refused(tmp_path: Path, between: str) -> None:
+    (tmp_path / "open").mkdir()
+    (tmp_path / "open").chmod(0o777)
+    leaf = tmp_path / "open" / f"{between}leaf"
+    assert refused(leaf) == (str(tmp_path / "open"), "others can write there")
+    # Also where it was there already, as safe as can be.
+    leaf.mkdir(mode=0o700, parents=True)
+    assert refused(leaf) == (str(tmp_path / "open"), "others can write there")
+
+
+@modes
+def test_a_sticky_folder_is_one_to_be_safe_in_only_if_the_superusers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sticky = tmp_path / "sticky"
+    sticky.mkdir()
+    sticky.chmod(0o1777)
+    if os.geteuid() == 0:
+        machine.private_folder(sticky / "leaf")
+        os.chown(sticky, SOMEBODY, SOMEBODY)
+        assert refused(sticky / "new") == (str(sticky), "belongs to somebody else")
+    else:
+        assert refused(sticky / "leaf") == (str(sticky), "others can write there")
+    assert refused(sticky)[0] == str(sticky)
+
+
+@modes
+def test_the_folder_itself_has_to_be_this_users(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mine").mkdir()
+    monkeypatch.setattr(machine.os, "geteuid", lambda: os.getuid() + 1)
+    assert refused(tmp_path / "mine")[1] == "belongs to somebody else"
+
+
+@modes
+@pytest.mark.skipif(not hasattr(os, "chown") or os.geteuid() != 0, reason="needs a second user")
+def test_a_folder_above_that_is_somebody_elses_is_refused(tmp_path: Path) -> None:
+    """As closed as it is: its owner opens it when it pays."""
+    theirs = tmp_path / "theirs"
+    theirs.mkdir(mode=0o700)
+    os.chown(theirs, SOMEBODY, SOMEBODY)
+    assert refused(theirs / "leaf") == (str(theirs), "belongs to somebody else")
+
+
+@modes
+def test_a_link_is_followed_once_and_what_it_led_to_is_checked(tmp_path: Path) -> None:
+    (tmp_path / "open").mkdir()
+    (tmp_path / "open").chmod(0o777)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "open" / "link").symlink_to(tmp_path / "mine")
+    found = machine.private_folder(tmp_path / "open" / "link" / "leaf")
+    assert found == (tmp_path / "mine" / "leaf").resolve()
+    (tmp_path / "mine" / "link").symlink_to(tmp_path / "open")
+    assert refused(tmp_path / "mine" / "link" / "leaf")[0] == str(tmp_path / "open")
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    with pytest.raises(OSError, match="loop"):
+        machine.private_folder(tmp_path / "loop" / "leaf")
+
+
+@modes
+def test_whoever_makes_it_first_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make = Path.mkdir
+
+    def late(place: Path, mode: int = 0o777) -> None:
+        (tmp_path / "theirs").symlink_to(tmp_path)
+        make(place, mode)
+
+    monkeypatch.setattr(Path, "mkdir", late)
+    with pytest.raises(NotADirectoryError, match="theirs"):
+        machine.private_folder(tmp_path / "theirs")
+
+
+GROUPS = [
+    ("private", ["me", "other"], [], True),
+    ("private", ["me"], ["me", "root"], True),
+    ("private", ["me"], ["me", "other"], False),
+    ("users", ["me", "other"], [], True),
+    ("users", ["me", "primary"], [], False),
+    ("users", [], [], False),
+    ("me", [], [], True),
+    ("me", [], ["other"], False),
+]
+"""Name of the group, accounts that are listed (``primary`` has it as its own), members, alone?"""
+
+
+@modes
+@pytest.mark.parametrize(("group", "accounts", "members", "alone"), GROUPS)
+def test_a_group_without_other_members_is_not_others(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    group: str,
+    accounts: list[str],
+    members: list[str],
+    alone: bool,
+) -> None:
+    import grp
+    import pwd
+
+    (tmp_path / "shared").mkdir()
+    (tmp_path / "shared").chmod(0o770)
+    own = (tmp_path / "shared").stat().st_gid
+    listed = [
+        SimpleNamespace(pw_name=name, pw_gid=own if name in ("me", "primary") else own + 1)
+        for name in accounts
+    ]
+    monkeypatch.setattr(pwd, "getpwuid", lambda user: SimpleNamespace(pw_name="me"))
+    monkeypatch.setattr(pwd, "getpwall", lambda: listed)
+    about = SimpleNamespace(gr_name=group, gr_mem=members)
+    monkeypatch.setattr(grp, "getgrgid", lambda number: about)
+    if alone:
+        machine.private_folder(tmp_path / "shared" / "leaf")
+        # Those whom an access control list names are in no group.
+        monkeypatch.setattr(machine.os, "listxattr", lambda *_, **__: [machine._ACL], raising=False)
+    assert refused(tmp_path / "shared" / "new")[0] == str(tmp_path / "shared")
+
+
+@modes
+def test_without_a_home_there_is_no_cache_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(platformdirs, "user_cache_path", lambda *_, **__: Path("~/.cache/sinsjax"))
+    with pytest.raises(OSError, match="this user has no cache folder"):
+        machine.cache_folder()

@@ -1,0 +1,670 @@
+"""Records: the three formats there and back, and every mistake told with its file and row."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from sinsjax import records
+from sinsjax.errors import InputError
+from sinsjax.records import Layout, Record, files, tables
+
+DATA = Path(os.environ.get("SINSJAX_DATA", Path(__file__).parents[2] / ".." / "shared" / "data"))
+REAL = DATA / "lasergyro_0_900.imu"
+needs_data = pytest.mark.skipif(
+    not REAL.exists(), reason=f"{REAL.name} is absent (SINSJAX_DATA, ../shared/data)"
+)
+
+GYRO, ACCEL = ("gx", "gy", "gz"), ("ax", "ay", "az")
+CSV = Layout("csv", time_column="time_s", gyro_columns=GYRO, accel_columns=ACCEL, rate_hz=100.0)
+NO_TIME = CSV._replace(time_column="")
+ARCSEC = np.pi / 180 / 3600
+AXES = ["xyz", "y-xz", "-yxz", "-x-yz", "zxy", "yzx", "-zy+x", "x-zy"]
+HEADER = "% comment\n1 2 -90.6 0 0 0\n34.2 108.9 380 5 10 9.780327\n0.1 0.2 0.3 125 100 50\n"
+SAMPLE = "-3 0 4 0 2 83\n"
+
+quick = settings(deadline=None, max_examples=40)
+finite = st.floats(-1e6, 1e6, allow_subnormal=True)
+triples = hnp.arrays(np.float64, st.tuples(st.integers(1, 20), st.just(3)), elements=finite)
+
+
+@st.composite
+def some_records(draw: st.DrawFn) -> Record:
+    dtheta = draw(triples)
+    dv = draw(hnp.arrays(np.float64, dtheta.shape, elements=finite))
+    return Record(dtheta, dv, draw(st.sampled_from([50.0, 100.0, 300.0, 1e3 / 7])))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("records")
+
+
+def same_bits(a: np.ndarray, b: np.ndarray) -> bool:
+    return a.shape == b.shape and a.tobytes() == b.tobytes()
+
+
+def refused(call, *args) -> str:
+    """The one line of the InputError."""
+    with pytest.raises(InputError) as caught:
+        call(*args)
+    line = str(caught.value)
+    assert "\n" not in line and len(line) < 400
+    return line
+
+
+def read_whole(path: Path, layout: Layout) -> Record:
+    """A record all of which is used: what is missing in it is refused."""
+    record = records.read_record(path, layout)
+    records.require_span(record, 0.0, len(record.dtheta) / record.rate_hz)
+    return record
+
+
+# --- there and back
+
+
+@quick
+@given(
+    record=some_records(),
+    kind=st.sampled_from(["csv", "parquet"]),
+    order=st.sampled_from(AXES),
+    timed=st.booleans(),
+)
+def test_increments_come_back_bit_for_bit(folder, record, kind, order, timed):
+    layout = CSV._replace(format=kind, axes_order=order, rate_hz=record.rate_hz)
+    if not timed:
+        layout = layout._replace(time_column="")
+    path = folder / f"record.{kind}"
+    write = {"csv": records.write_csv, "parquet": records.write_parquet}[kind]
+    write(record, path, layout)
+    back = records.read_record(path, layout)
+    assert same_bits(back.dtheta, record.dtheta) and same_bits(back.dv, record.dv)
+    assert back.rate_hz == record.rate_hz
+    assert back.t0_s == pytest.approx(0.0, abs=1e-12)
+    assert back.latitude_deg is back.attitude_deg is back.gravity_m_per_s2 is None
+
+
+@quick
+@given(
+    record=some_records(),
+    quantity=st.sampled_from(["increments", "rates"]),
+    pick=st.tuples(st.integers(0, 2), st.integers(0, 2)),
+)
+def test_every_unit_comes_back(folder, record, quantity, pick):
+    gyro_unit = list(records.GYRO_UNITS[quantity])[pick[0]]
+    accel_unit = list(records.ACCEL_UNITS[quantity])[pick[1]]
+    layout = NO_TIME._replace(
+        quantity=quantity, gyro_unit=gyro_unit, accel_unit=accel_unit, rate_hz=record.rate_hz
+    )
+    records.write_csv(record, folder / "units.csv", layout)
+    back = records.read_csv(folder / "units.csv", layout)
+    np.testing.assert_allclose(back.dtheta, record.dtheta, rtol=1e-9, atol=1e-300)
+    np.testing.assert_allclose(back.dv, record.dv, rtol=1e-9, atol=1e-300)
+
+
+@quick
+@given(
+    dtheta=hnp.arrays(np.float64, (200, 3), elements=st.floats(-0.02, 0.02)),
+    dv=hnp.arrays(np.float64, (200, 3), elements=st.floats(-0.5, 0.5)),
+    scale=st.tuples(st.floats(1e-3, 10.0), st.floats(1.0, 1e4)),
+)
+def test_psins_sums_stay_within_half_a_count(folder, dtheta, dv, scale):
+    record = Record(dtheta, dv, 200.0, 3.25, 34.2, 380.0, (1.0, 2.0, -90.6), 9.8)
+    path = folder / "sums.imu"
+    records.write_psins(record, path, *scale)
+    back = records.read_psins(path)
+    for sums, quantum in ((dtheta - back.dtheta, ARCSEC), (dv - back.dv, 9.8e-6)):
+        quantum = quantum * scale[0 if quantum == ARCSEC else 1]
+        assert np.abs(np.cumsum(sums, axis=0)).max() <= 0.5 * quantum * (1 + 1e-9) + 1e-12
+    assert back._replace(dtheta=None, dv=None, source="") == record._replace(
+        dtheta=None, dv=None, source=""
+    )
+
+
+def test_psins_keeps_what_is_not_known(tmp_path):
+    record = Record(np.zeros((3, 3)), np.full((3, 3), 0.098), 100.0)
+    records.write_psins(record, tmp_path / "a.imu")
+    back = records.read_psins(tmp_path / "a.imu")
+    assert (back.latitude_deg, back.height_m, back.attitude_deg) == (None, None, None)
+    assert back.gravity_m_per_s2 == 9.80665
+
+
+# --- what the numbers mean
+
+
+def test_psins_counts_scale_and_header(tmp_path):
+    path = tmp_path / "a.imu"
+    path.write_text(HEADER + "\n" + SAMPLE + "% late comment\r\n" + "+1 -1  1\t10 20 30 \n")
+    record = records.read_psins(path)
+    scale = np.array([0.1, 0.2, 0.3]) * ARCSEC
+    ug_s = np.array([125, 100, 50]) * 1e-6 * 9.780327
+    np.testing.assert_allclose(record.dtheta, np.array([[-3, 0, 4], [1, -1, 1]]) * scale, 1e-14)
+    np.testing.assert_allclose(record.dv, np.array([[0, 2, 83], [10, 20, 30]]) * ug_s, 1e-14)
+    assert record[2:8] == (100.0, 5.0, 34.2, 380.0, (1.0, 2.0, -90.6), 9.780327)
+    turned = records.read_psins(path, Layout("psins", axes_order="y-xz", rate_hz=100.0))
+    right, front, up = turned.dv.T
+    assert same_bits(right, record.dv[:, 1].copy()) and same_bits(up, record.dv[:, 2].copy())
+    assert same_bits(front, -record.dv[:, 0])
+
+
+@pytest.mark.parametrize(
+    ("quantity", "gyro_unit", "accel_unit", "dtheta", "dv"),
+    [
+        ("increments", "arcsec", "ug_s", ARCSEC, 9.80665e-6),
+        ("increments", "deg", "g_s", np.pi / 180, 9.80665),
+        ("rates", "deg_per_h", "mg", ARCSEC / 100, 9.80665e-5),
+        ("rates", "rad_per_s", "m_per_s2", 0.01, 0.01),
+    ],
+)
+def test_units(tmp_path, quantity, gyro_unit, accel_unit, dtheta, dv):
+    layout = NO_TIME._replace(quantity=quantity, gyro_unit=gyro_unit, accel_unit=accel_unit)
+    (tmp_path / "a.csv").write_text("az,extra, ay,ax,gz,gy,gx\n3,text,2,+1,3,2,1\n")
+    record = records.read_csv(tmp_path / "a.csv", layout)
+    np.testing.assert_allclose(record.dtheta, dtheta * np.array([[1, 2, 3]]), 1e-12)
+    np.testing.assert_allclose(record.dv, dv * np.array([[1, 2, 3]]), 1e-12)
+
+
+@pytest.mark.parametrize("rate_hz", [None, 100.0])
+def test_time_column_gives_rate_and_beginning(tmp_path, rate_hz):
+    jitter = 0.002 * np.random.default_rng(1).uniform(-1, 1, 500)
+    jitter[[0, -1]] = 0
+    time_s = 20 + 0.01 * np.arange(500) + jitter
+    path = table_csv(tmp_path, time_s)
+    record = records.read_csv(path, CSV._replace(rate_hz=rate_hz))
+    assert record.rate_hz == pytest.approx(100.0, rel=1e-9)
+    assert record.t0_s == pytest.approx(19.99)
+
+
+def table_csv(folder: Path, time_s) -> Path:
+    rows = [f"{float(t)!r},1,2,3,4,5,6" for t in time_s]
+    path = folder / "timed.csv"
+    path.write_text("\n".join(["time_s,gx,gy,gz,ax,ay,az", *rows]))
+    return path
+
+
+# --- mistakes
+
+
+@pytest.fixture(params=[None, 50], ids=["in one batch", "in many batches"])
+def batches(request, monkeypatch) -> None:
+    """Bytes of text that are looked at together."""
+    if request.param:
+        monkeypatch.setattr(files, "BATCH", request.param)
+
+
+@pytest.mark.usefixtures("batches")
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "empty"),
+        ("% only\n", "0 of its 3 lines"),
+        (HEADER, "no samples"),
+        (SAMPLE * 9, r"row 2: header line 2: g = 83 .* \(a header of 3 lines comes before"),
+        (HEADER + SAMPLE + "1 2 3\n" + SAMPLE, r"row 6: a sample has 6 counts, not 3$"),
+        (HEADER + SAMPLE + "1 2 3", r"row 6: .* not 3 \(the last row: is the file cut off\?\)"),
+        (HEADER + "1 2 3 4 5 6 7\n" * 3, "row 5: .* not 7"),
+        (HEADER + SAMPLE + "1 2 3 4 5 6.5\n", r"row 6: accelerometer z: '6.5' is not an integer"),
+        (HEADER + "1 l 3 4 5 6\n", "row 5: gyro y: 'l' is not a number"),
+        (HEADER + "1 2 3 NaN 5 6\n", "row 5: accelerometer x: 'NaN' is not finite"),
+        (HEADER + "1 2 3 4 5 99999999999999999999\n", "row 5: accelerometer z: .* too large"),
+        (HEADER.replace("0 0 0", "0 0") + SAMPLE, "row 2: a header line has 6 values, this one 5"),
+        (HEADER.replace("108.9", "1O8.9") + SAMPLE, "row 3: header: '1O8.9' is not a number"),
+        (HEADER.replace(" 10 ", " 0 ") + SAMPLE, "row 3: .*interval must be positive, not 0 ms"),
+        (HEADER.replace("34.2", "134.2") + SAMPLE, "row 3: .*latitude 134.2 deg is not between"),
+        (HEADER.replace("34.2", "90") + SAMPLE, "row 3: .*latitude 90 deg is not between"),
+        (HEADER.replace("34.2", "-90") + SAMPLE, "row 3: .*latitude -90 deg is not between"),
+        (HEADER.replace("9.78", "0.78") + SAMPLE, "row 3: .*g = 0.78"),
+        (HEADER.replace("0.2", "-0.2") + SAMPLE, "row 4: .*scale factor of gyro y .* not -0.2"),
+        ("a,b\n1,2\n", "row 1: a header line has 6 values, this one 1"),
+        ("PK\x03\x04\n\0\0", "row 2: not a text file"),
+    ],
+)
+def test_bad_psins(tmp_path, text, says):
+    path = tmp_path / "bad.imu"
+    path.write_bytes(text.encode())
+    line = refused(records.read_psins, path)
+    assert line.startswith(f"{path}: ") and re.search(says, line), line
+
+
+HEAD = "time_s,gx,gy,gz,ax,ay,az\n"
+ROWS = "".join(f"{k / 100},1,2,3,4,5,6\n" for k in range(1, 5))
+
+
+@pytest.mark.usefixtures("batches")
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "empty"),
+        ("\n\n", "only empty lines"),
+        (HEAD, "no samples"),
+        (HEAD.replace("gz", "gz_") + ROWS, "no column 'gz'; did you mean 'gz_'"),
+        ("a;b\n1;2\n", "no column 'gx'; the file has 'a', 'b'"),
+        ('a;b\n1;2\n3;"4\n', "no column 'gx'"),
+        (HEAD.replace("gz", "gx") + ROWS, "column 'gx' is there more than once"),
+        (HEAD + ROWS + "0.05,1,2,3\n", r"row 6: the header has 7 columns, this row 4 \(the last"),
+        (HEAD + "0.01,1,2,3,4,5,6,7\n" + ROWS, r"row 2: the header has 7 columns, this row 8$"),
+        (HEAD + ROWS + "\n0.05,1,2,x,4,5,6\n", "row 7: column 'gz': 'x' is not a number"),
+        (HEAD + ROWS + "0.05,1,2,,4,5,6\n", "row 6: column 'gz': empty or not finite"),
+        (HEAD + ROWS + "0.05,1,2,nan,4,5,6\n", "row 6: column 'gz': empty or not finite"),
+        (HEAD + ROWS + "0.05,1,2,1e300,4,5,6\n", "row 6: column 'gz': '1e300' is beyond"),
+        (HEAD + ROWS + ",1,2,3,4,5,6\n0.06,1,2,3,4,5,6\n", "row 7: a gap at 100 Hz, from 0.04"),
+        (HEAD + ROWS + "0.05,1,2,3,4,1_0,6\n", "row 6: column 'ay': '1_0' is not a number"),
+        (HEAD + ROWS + '0.05,1,2,3,4,"5,6\n', "row 6: not comma-separated text"),
+        (HEAD + ROWS + "0.07,1,2,3,4,5,6\n", "row 6: a gap at 100 Hz, from 0.04 to 0.07 s"),
+        (HEAD + ROWS + "0.044,1,2,3,4,5,6\n", "row 6: a short step at 100 Hz"),
+        (HEAD + ROWS + "0.04,1,2,3,4,5,6\n", "row 6: time repeats, from 0.04 to 0.04 s"),
+        (HEAD + ROWS + "0.02,1,2,3,4,5,6\n", "row 6: time runs backward, from 0.04 to 0.02 s"),
+        ("\x89PNG\r\n\x1a\n\0\0", "row 3: not a text file"),
+    ],
+)
+def test_bad_csv(tmp_path, text, says):
+    path = tmp_path / "bad.csv"
+    path.write_text(text, newline="")
+    line = refused(read_whole, path, CSV)
+    assert line.startswith(f"{path}: ") and re.search(says, line), line
+
+
+@quick
+@given(steps=st.lists(st.floats(0.001, 0.02), min_size=1, max_size=5))
+def test_steps_may_differ_by_half_a_sample(folder, steps):
+    step_s = np.array([0.01] * 300 + steps)
+    # The rate is the record's own mean, so a step this near to the limit may fall either way.
+    assume(np.abs(np.abs(step_s - 0.01) - 0.005).min() > 1e-4)
+    path = table_csv(folder, np.cumsum([1.0, *step_s]))
+    bad = np.flatnonzero(np.abs(step_s - 0.01) > 0.005)
+    # The first late stamp is no fault where one after it is in time again, by its number.
+    late = np.cumsum(step_s[bad[0] :] - 0.01) if len(bad) else np.zeros(1)
+    assume(np.abs(np.abs(late) - 0.005).min() > 2e-4)
+    layout = CSV._replace(rate_hz=None)
+    if not len(bad):
+        assert len(read_whole(path, layout).dtheta) == 301 + len(steps)
+    elif np.abs(late).min() > 0.005:
+        # A gap may be filled, or lie outside what is used; a short step after it is refused first.
+        named = [k for k in bad if k == bad[0] or (step_s[bad[0]] > 0.01 and step_s[k] < 0.01)]
+        line = refused(read_whole, path, layout)
+        assert any(f"row {k + 3}: " in line for k in named), line
+
+
+def test_a_short_step_is_refused_before_the_gap_that_it_follows(tmp_path):
+    steps = [0.01] * 300 + [0.02, 0.0117, 0.0039]
+    path = table_csv(tmp_path, np.cumsum([1.0, *steps]))
+    assert "row 305: a short step" in refused(read_whole, path, CSV._replace(rate_hz=None))
+
+
+@quick
+@given(
+    kind=st.sampled_from(["imu", "csv", "parquet"]),
+    place=st.floats(0, 1, exclude_max=True),
+    new=st.binary(max_size=4)
+    | st.sampled_from([b"nan", b"1e999", b'"', b"\xff", b"\r", b"9" * 30]),
+    removed=st.integers(0, 40),
+)
+def test_a_damaged_file_is_read_or_refused(folder, kind, place, new, removed):
+    path, layout = folder / f"damaged.{kind}", CSV._replace(format=kind)
+    if kind == "imu":
+        layout = records.PSINS_LAYOUT
+        path.write_text(HEADER + SAMPLE * 4)
+    elif kind == "csv":
+        path.write_text(HEAD + ROWS)
+    else:
+        record = Record(np.ones((4, 3)), np.ones((4, 3)), 100.0)
+        records.write_parquet(record, path, layout)
+    data = path.read_bytes()
+    at = int(place * len(data))
+    path.write_bytes(data[:at] + new + data[at + removed :])
+    try:
+        record = records.read_record(path, layout)
+    except InputError as error:
+        assert "\n" not in str(error)
+    else:
+        missing = ~np.isfinite(np.hstack([record.dtheta, record.dv])).all(axis=1)
+        told = np.zeros(len(missing), bool)
+        for flaw in record.flaws:
+            told[flaw.begin : flaw.end] = True
+        np.testing.assert_array_equal(missing, told)
+
+
+def test_rate_disagrees(tmp_path):
+    path = table_csv(tmp_path, np.arange(1, 100) / 50)
+    assert "says 50 Hz, but rate_hz is 100" in refused(records.read_csv, path, CSV)
+    (tmp_path / "a.imu").write_text(HEADER + SAMPLE)
+    line = refused(records.read_psins, tmp_path / "a.imu", Layout("psins", rate_hz=50.0))
+    assert "row 3: the header says 100 Hz, but rate_hz is 50" in line
+
+
+def test_bad_parquet(tmp_path):
+    path, layout = tmp_path / "bad.parquet", NO_TIME._replace(format="parquet")
+    columns = {name: pa.array([1.0, 2.0, 3.0]) for name in GYRO + ACCEL}
+    for change, says in (
+        ({"gz": pa.array([1.0, None, 3.0])}, "row 2: column 'gz': empty or not finite"),
+        ({"ay": pa.array([1.0, 2.0, np.inf])}, "row 3: column 'ay': empty or not finite"),
+        ({"ay": pa.array([1.0, 2.0, -1e31])}, "row 3: column 'ay': beyond 1e+30, which nothing"),
+        ({"ay": pa.array(["a", "b", "c"])}, "column 'ay' holds string, not numbers"),
+    ):
+        pq.write_table(pa.table(columns | change), path)
+        assert says in refused(read_whole, path, layout)
+    whole = path.read_bytes()
+    for cut in (whole[:-20], whole[:3], b"time_s,gx\n"):
+        path.write_bytes(cut)
+        assert "not a Parquet file, or cut off" in refused(records.read_record, path, layout)
+    pq.write_table(pa.table(columns).slice(0, 0), path)
+    assert "no rows" in refused(records.read_record, path, layout)
+    pq.write_table(pa.table(columns).drop_columns("gx"), path)
+    assert "no column 'gx'; the file has 'gy'" in refused(records.read_record, path, layout)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"format": "cvs"}, "format: 'cvs' is not one of psins, csv, parquet"),
+        ({"quantity": "rate"}, "quantity: 'rate' is not one of increments, rates"),
+        ({"gyro_unit": "deg_per_h"}, "gyro_unit: 'deg_per_h' is not one of rad, deg, arcsec for"),
+        ({"quantity": "rates"}, "gyro_unit: 'rad' is not one of rad_per_s"),
+        ({"accel_unit": "g"}, "accel_unit: 'g' is not one of m_per_s, g_s, ug_s for increments"),
+        ({"gyro_columns": ("a", "b")}, "gyro_columns: must name three columns, not 2"),
+        ({"accel_columns": ("ax", "ay", "gx")}, "accel_columns: column 'gx' is already used in"),
+        ({"time_column": "", "rate_hz": None}, "rate_hz: needed, since there is no time_column"),
+        ({"rate_hz": 0.0}, "rate_hz: must be positive"),
+        ({"axes_order": "xxz"}, "axes_order: 'xxz' is not a signed permutation"),
+        ({"axes_order": "xy"}, "axes_order: 'xy' is not a signed permutation"),
+        ({"axes_order": "x y z"}, "axes_order: 'x y z' is not a signed permutation"),
+        ({"axes_order": "yxz"}, "axes_order: 'yxz' is left-handed"),
+        ({"format": "psins", "quantity": "rates"}, "quantity: PSINS text holds increments"),
+    ],
+)
+def test_bad_layout(change, says):
+    line = refused(records.check_layout, CSV._replace(**change), "study.toml")
+    assert line.startswith(f"study.toml: {says}")
+
+
+@pytest.mark.parametrize("layout", [records.PSINS_LAYOUT, CSV, CSV._replace(format="parquet")])
+def test_unreadable_and_unwritable(tmp_path, layout):
+    record = Record(np.zeros((3, 3)), np.zeros((3, 3)), 100.0)
+    for path in (tmp_path, tmp_path / "absent"):
+        assert refused(records.read_record, path, layout).startswith(f"{path}: cannot be read")
+
+    def write(path: Path, record: Record = record) -> None:
+        if layout.format == "psins":
+            records.write_psins(record, path)
+        else:
+            {"csv": records.write_csv, "parquet": records.write_parquet}[layout.format](
+                record, path, layout
+            )
+
+    (tmp_path / "file").touch()
+    for path in (tmp_path, tmp_path / "absent" / "a", tmp_path / "file" / "a", Path(".")):
+        assert refused(write, path).startswith(f"{path}: cannot be written: ")
+    broken = record._replace(dv=np.full((3, 3), np.nan))
+    assert "an increment is not finite" in refused(write, tmp_path / "file", broken)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_psins_writer_refuses_a_bad_header(tmp_path):
+    record = Record(np.zeros((3, 3)), np.zeros((3, 3)), 100.0)
+    line = refused(records.write_psins, record, tmp_path / "a.imu", 0.0)
+    assert "scale factor of gyro x must be positive" in line
+
+
+def test_require_span():
+    record = Record(np.zeros((900, 3)), np.zeros((900, 3)), 100.0, source="drive.csv")
+    records.require_span(record, 0.1 + 0.2, 8.7)
+    line = refused(records.require_span, record, 0.3, 8.71)
+    assert line == "drive.csv: has 9 s, but start_s = 0.3 and 8.71 s from there need 9.01 s"
+    assert "before the record" in refused(records.require_span, record, -1.0, 1.0)
+
+
+# --- stamps and gaps
+
+
+@pytest.mark.parametrize("late", [[0.007], [0.007, 0.004], [0.012, 0.006], [0.016]])
+def test_late_stamps_are_no_gap_where_the_next_ones_are_in_time(tmp_path, late):
+    time_s = np.arange(1, 401) / 100
+    time_s[200 : 200 + len(late)] += late
+    record = read_whole(table_csv(tmp_path, time_s), CSV)
+    assert len(record.dtheta) == 400 and not record.flaws
+    assert record.rate_hz == 100.0
+
+
+def lacking(folder: Path, missing: list[int], kind: str) -> tuple[Path, np.ndarray]:
+    """A table whose values are times, without some samples: as a gap, or as empty cells."""
+    time_s = np.arange(1, 401) / 100
+    rows = [HEAD.strip()]
+    for k, t in enumerate(time_s):
+        cells = [f"{t:.2f}"] * 7
+        if k in missing and kind == "gap":
+            continue
+        if k in missing:
+            cells[3] = "" if kind == "empty" else kind
+        rows.append(",".join(cells))
+    path = folder / "lacking.csv"
+    path.write_text("\n".join(rows))
+    return path, time_s
+
+
+@pytest.mark.usefixtures("batches")
+@pytest.mark.parametrize("kind", ["gap", "empty", "nan", "-inf"])
+def test_what_is_missing_refuses_the_spans_it_lies_in(tmp_path, kind):
+    path, time_s = lacking(tmp_path, [200, 201, 202], kind)
+    record = records.read_csv(path, CSV)
+    whole = np.delete(np.arange(400), [200, 201, 202])
+    np.testing.assert_allclose(record.dtheta[whole, 2], time_s[whole])
+    assert np.isnan(record.dtheta[200:203]).all()
+    records.require_span(record, 0.0, 2.0)
+    records.require_span(record, 2.03, 1.97)
+    for begin, needed in ((0.0, 2.01), (2.02, 1.0), (2.01, 0.01)):
+        line = refused(records.require_span, record, begin, needed)
+        assert "row 202: " in line and ("a gap" in line) == (kind == "gap")
+
+
+@pytest.mark.usefixtures("batches")
+@pytest.mark.parametrize("kind", ["gap", "empty"])
+def test_short_gaps_are_interpolated_and_counted(tmp_path, kind):
+    path, time_s = lacking(tmp_path, [100, 200, 201, 202], kind)
+    record = read_whole(path, CSV._replace(max_gap_s=0.04))
+    assert record.filled == 4
+    np.testing.assert_allclose(record.dtheta, time_s[:, None] * np.ones(3), rtol=1e-12)
+    record = records.read_csv(path, CSV._replace(max_gap_s=0.03))
+    assert record.filled == 1 and [flaw[:2] for flaw in record.flaws] == [(200, 203)]
+
+
+def test_missing_ends_are_not_interpolated(tmp_path):
+    path, _ = lacking(tmp_path, [0, 399], "empty")
+    record = records.read_csv(path, CSV._replace(max_gap_s=1.0))
+    assert [flaw[:2] for flaw in record.flaws] == [(0, 1), (399, 400)] and not record.filled
+
+
+def test_a_clock_that_was_set_makes_no_record_of_years(tmp_path):
+    path = table_csv(tmp_path, np.r_[np.arange(1, 401) / 100, 1e9])
+    assert "row 402: a gap at 100 Hz, from 4.0 to 1000000000.0 s" in refused(
+        records.read_csv, path, CSV
+    )
+
+
+STAMPS = {
+    "s": lambda k: f"{1000 + k / 100:.2f}",
+    "ms": lambda k: f"{10 * k + 1_000_000}",
+    "us": lambda k: f"{10_000 * k + 10**9}",
+    "ns": lambda k: f"{10_000_000 * k + 10**12}",
+    "iso": lambda k: f"1970-01-01T00:16:{40 + k // 100:02d}.{k % 100:02d}0Z",
+}
+
+
+@pytest.mark.usefixtures("batches")
+@pytest.mark.parametrize("unit", STAMPS)
+def test_units_of_time_with_semicolons_and_comments(tmp_path, unit):
+    rows = [f"{STAMPS[unit](k)};1;2;3;4;5;6" for k in range(1, 301)]
+    rows.insert(100, "# 2;a;comment")
+    text = "\n".join(["% made by hand", "time_s;gx;gy;gz;ax;ay;az", "#", *rows])
+    (tmp_path / "a.csv").write_text(text)
+    layout = CSV._replace(rate_hz=None, time_unit=unit)
+    record = read_whole(tmp_path / "a.csv", layout)
+    assert record.rate_hz == pytest.approx(100, rel=1e-6) and len(record.dv) == 300
+    assert record.t0_s == pytest.approx(1000, abs=1e-6)
+    np.testing.assert_array_equal(record.dv[99:101], [[4, 5, 6]] * 2)
+
+
+def test_dates_in_parquet(tmp_path):
+    stamps = np.datetime64("1970-01-01T00:16:40") + np.arange(1, 301) * np.timedelta64(10, "ms")
+    columns = {name: np.ones(300) for name in GYRO + ACCEL}
+    layout = CSV._replace(format="parquet", time_unit="iso", rate_hz=None)
+    for dates in (pa.array(stamps), pa.array([f"{stamp}" for stamp in stamps])):
+        pq.write_table(pa.table({"time_s": dates} | columns), tmp_path / "a.parquet")
+        record = read_whole(tmp_path / "a.parquet", layout)
+        assert (record.rate_hz, record.t0_s) == (pytest.approx(100), pytest.approx(1000))
+    line = refused(records.read_record, tmp_path / "a.parquet", layout._replace(time_unit="s"))
+    assert "column 'time_s' holds string, not numbers" in line
+
+
+def test_a_date_that_is_none(tmp_path):
+    (tmp_path / "a.csv").write_text(HEAD + "2024-13-01T00:00:00,1,2,3,4,5,6\n")
+    line = refused(records.read_csv, tmp_path / "a.csv", CSV._replace(time_unit="iso"))
+    assert "row 2: column 'time_s': '2024-13-01T00:00:00' is no date and time" in line
+
+
+# --- long records
+
+
+lines_of_text = st.lists(st.sampled_from([b"1,2", b"\n", b"\r", b"\r\n", b"", b"#", b" "]))
+
+
+@quick
+@given(pieces=lines_of_text.filter(any), size=st.integers(1, 9))
+def test_lines_in_batches_are_those_of_the_whole(folder, pieces, size):
+    text, path = b"".join(pieces), folder / "lines.txt"
+    path.write_bytes(b"\xef\xbb\xbf" * (size > 3) + text)
+    batches = list(files.line_batches(path, size + 2))
+    assert [line for batch in batches for line in batch.lines] == text.splitlines()
+    assert [b.first for b in batches] == list(
+        np.cumsum([1, *(len(b.lines) for b in batches)])[: len(batches)]
+    )
+    assert [batch.ends for batch in batches] == [False] * (len(batches) - 1) + [True]
+
+
+@pytest.mark.parametrize("kind", ["csv", "iso", "psins", "parquet"])
+def test_a_record_in_batches_is_the_whole_to_the_last_bit(tmp_path, monkeypatch, kind):
+    random, path = np.random.default_rng(3), tmp_path / "long"
+    record = Record(random.normal(size=(999, 3)), random.normal(size=(999, 3)), 100.0)
+    layout = CSV._replace(max_gap_s=0.1, axes_order="y-xz")
+    if kind == "psins":
+        layout = Layout("psins", axes_order="y-xz")
+        records.write_psins(record, path)
+    elif kind == "parquet":
+        layout = layout._replace(format="parquet")
+        records.write_parquet(record, path, layout)
+    else:
+        records.write_csv(record, path, layout)
+        head, *rows = path.read_text().splitlines()
+        if kind == "iso":  # milliseconds, of which 999 fit behind a point
+            rows = [
+                f"2024-05-01T00:00:{float(r.partition(',')[0]):06.3f},{r.partition(',')[2]}"
+                for r in rows
+            ]
+            layout = layout._replace(time_unit="iso")
+        del rows[500:503]
+        rows[700] = ",".join([*rows[700].split(",")[:-1], ""])
+        rows.insert(50, "# a comment")
+        rows.insert(300, "")
+        path.write_text("\r\n".join([head, *rows]))
+    whole = records.read_record(path, layout)
+    monkeypatch.setattr(files, "BATCH", 1000)
+    monkeypatch.setattr(tables, "_BATCH_ROWS", 10)
+    again = records.read_record(path, layout)
+    assert same_bits(whole.dtheta, again.dtheta) and same_bits(whole.dv, again.dv)
+    assert whole[2:] == again[2:] and whole.filled == (4 if kind in ("csv", "iso") else 0)
+
+
+_PEAK = """
+import re, sys
+from sinsjax.records import Layout, read_record
+def peak():
+    return int(re.search(r"VmHWM:\\s*(\\d+) kB", open("/proc/self/status").read())[1]) * 1024
+names = dict(gyro_columns=("gx", "gy", "gz"), accel_columns=("ax", "ay", "az"))
+before = peak()
+record = read_record(sys.argv[1], Layout("csv", time_column="time_s", **names))
+print((peak() - before) / len(record.dv))
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no /proc to read a peak from")
+def test_a_long_record_is_read_in_little_memory(tmp_path):
+    """Bytes a sample, of which 48 are the result; the text and its lines at once took 670."""
+    random, path = np.random.default_rng(3), tmp_path / "long.csv"
+    record = Record(random.normal(size=(500_000, 3)), random.normal(size=(500_000, 3)), 200.0)
+    records.write_csv(record, path, CSV._replace(rate_hz=None))
+    ended = subprocess.run(
+        [sys.executable, "-c", _PEAK, str(path)], capture_output=True, text=True, check=True
+    )
+    assert float(ended.stdout) < 400
+
+
+# --- reference
+
+
+def test_a_reference_may_have_headings_and_the_record_s_own_time(tmp_path):
+    rows = "".join(f"{1000 * k};1;2;{350 + k}\n" for k in range(3))
+    (tmp_path / "r.csv").write_text("stamp;pitch_deg;roll_deg;heading_deg\n" + rows)
+    layout = CSV._replace(time_column="stamp", time_unit="ms")
+    reference = records.read_reference(tmp_path / "r.csv", layout)
+    np.testing.assert_array_equal(reference.time_s, [0, 1, 2])
+    np.testing.assert_array_equal(reference.attitude_deg[:, 2], [-350, -351, -352])
+    assert "no column 'time_s'" in refused(records.read_reference, tmp_path / "r.csv")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("time_s,pitch_deg,roll_deg\n0,1,2\n", "no column 'yaw_deg'; the file has 'time_s'"),
+        ("time_s,pitch_deg,roll_deg,yaw_deg,yaw_ccw_deg\n0,1,2,3,3\n", "are both there"),
+        ("time_s,pitch_deg,roll_deg,yaw_deg\n0,1,2,3\n\n0,1,2,3\n", "row 4: time_s does not"),
+        ("time_s,pitch_deg,roll_deg,yaw_deg\n0,91,2,3\n", "row 2: pitch_deg is beyond 90"),
+        ("time_s,pitch_deg,roll_deg,yaw_deg,sigma_e_deg\n0,1,2,3,4\n", "no column 'sigma_n_deg'"),
+        (
+            "time_s,pitch_deg,roll_deg,yaw_deg,sigma_e_deg,sigma_n_deg,sigma_u_deg\n"
+            "0,1,2,3,1,-1,1\n",
+            "row 2: a sigma is negative",
+        ),
+    ],
+)
+def test_bad_reference(tmp_path, text, says):
+    (tmp_path / "r.csv").write_text(text)
+    assert says in refused(records.read_reference, tmp_path / "r.csv")
+
+
+def test_reference_parquet(tmp_path):
+    columns = {"time_s": [0, 1], "yaw_deg": [5.0, 6.0], "pitch_deg": [1.0, 2.0]}
+    pq.write_table(pa.table(columns | {"roll_deg": [3.0, 4.0]}), tmp_path / "r.parquet")
+    reference = records.read_reference(tmp_path / "r.parquet")
+    np.testing.assert_array_equal(reference.time_s, [0.0, 1.0])
+    np.testing.assert_array_equal(reference.attitude_deg, [[1, 3, 5], [2, 4, 6]])
+    assert reference.sigma_deg is None
+
+
+# --- the real record
+
+
+@needs_data
+def test_real_record(tmp_path):
+    record = records.read_record(REAL, records.PSINS_LAYOUT)
+    assert record.dtheta.shape == record.dv.shape == (90_000, 3)
+    assert (record.rate_hz, record.latitude_deg) == (100.0, 34.246048)
+    assert np.linalg.norm(record.dv.mean(0)) * 100 == pytest.approx(9.79548, abs=2e-5)
+    records.write_psins(record, tmp_path / "again.imu")
+    again = records.read_psins(tmp_path / "again.imu")
+    assert same_bits(again.dtheta, record.dtheta) and same_bits(again.dv, record.dv)
+
+
+@needs_data
+def test_real_reference():
+    reference = records.read_reference(DATA / "lasergyro_0_900_reference.csv")
+    np.testing.assert_array_equal(reference.time_s, np.arange(901.0))
+    np.testing.assert_array_equal(reference.attitude_deg[0], [0.897249, 0.166239, -90.588884])
+    assert reference.sigma_deg is not None and reference.sigma_deg[0, 2] == 0.047809

@@ -1,0 +1,179 @@
+"""Names from a study are text in every medium, and no report takes finished results with it."""
+
+import io
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import tomli_w
+from markdown_it import MarkdownIt
+from matplotlib.figure import Figure
+from rich.console import Console
+from support.stored import store, told
+from support.studies import BASE, small_study
+
+from sinsjax import cli, columns, report
+from sinsjax import console as screen
+from sinsjax.errors import InputError
+from sinsjax.execution import progress, run
+from sinsjax.execution.run import Progress
+from sinsjax.plots import png
+from sinsjax.plots.style import styled
+from sinsjax.report.names import NO_NAMES, Names, escaped, file_stem
+from sinsjax.study.load import load_study
+
+NASTY = (
+    "[/b]",
+    "reset [fast]",
+    "$x^$",
+    "<script>alert(1)</script>",
+    "a|b",
+    "`tick",
+    "*star* _under_ a_b",
+    "[link](http://x) ![image](y)",
+    ":smile: &amp; ~~gone~~",
+    "\\back\\",
+    "# heading",
+    "- item",
+)
+NAME = "[/b] <script>x</script> $x^$ ../../a"
+
+
+def stored(directory: Path) -> Path:
+    """Results of a study whose names are as bad as can be."""
+    cases = [{"case": label, "phi_u0_deg": float(i)} for i, label in enumerate(NASTY)]
+    study = small_study(study={"name": NAME, "draws": 2}, cases=cases)
+    count = 2 * len(NASTY)
+    names = [c.name for c in (*columns.IDENTITY, *columns.OBSERVED, *columns.JUDGED)]
+    rows: dict[str, Any] = dict.fromkeys([*names, "settle_10_s", "settle_10_truth_s"])
+    rows |= {name: np.linspace(1.0, 2.0, count) for name in rows}
+    rows |= {name: [True] * count for name in ("has_limit", "ok_limit", "ok_truth")}
+    rows |= {"run_id": np.arange(count), "draw_id": np.repeat([0, 1], len(NASTY))}
+    rows |= {"status": ["ok"] * count, "case": [*NASTY] * 2, "reset_times_s": [[]] * count}
+    return store(directory, study, pa.table(rows))
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return stored(tmp_path_factory.mktemp("names") / "results")
+
+
+@pytest.mark.parametrize("name", NASTY)
+def test_a_name_is_read_letter_by_letter_from_markdown(name: str) -> None:
+    read = MarkdownIt("commonmark").enable(["table", "strikethrough"])
+    shown = read.renderInline(escaped(name)).replace("&lt;", "<").replace("&gt;", ">")
+    assert shown.replace("&amp;", "&") == name
+    cell = escaped(name).replace("|", "\\|")
+    assert "<td>" + read.renderInline(escaped(name)) + "</td>" in read.render(
+        f"| a |\n| --- |\n| {cell} |\n"
+    )
+
+
+def test_only_names_are_escaped() -> None:
+    names = Names.of(small_study(study={"name": "*a* `b`"}))
+    assert names.markdown("*never* `c` *a* `b`") == r"*never* `c` \*a\* \`b\`"
+    assert names.plain("*never* `c` *a* `b`") == "never c *a* `b`"
+    assert NO_NAMES.markdown("*never* 1 < 2, <b>") == "*never* 1 < 2, &lt;b>"
+
+
+def test_pages_of_shipped_studies_are_as_they_were() -> None:
+    """Nothing that stands on a committed page is changed on its way there."""
+    root = Path(__file__).parents[2]
+    configs = sorted(root.glob("configs/*.toml"))
+    names = [Names.of(load_study(path), f"configs/{path.name}") for path in configs]
+    assert names and not any(each.texts for each in names)
+    assert all(file_stem(path.stem) == path.stem for path in configs)
+    for page in root.glob("docs/*.md"):
+        text = re.sub(r"<!--.*?-->|</?(details|summary)>", "", page.read_text(encoding="utf-8"))
+        assert NO_NAMES.markdown(text) == text, page.name
+
+
+@pytest.mark.usefixtures("drawn_on_request")
+def test_a_report_shows_names_as_they_are(results: Path, tmp_path: Path) -> None:
+    page, html = tmp_path / "docs" / "page.md", tmp_path / "page.html"
+    page.parent.mkdir()
+    said = told(results, page=page, html=html)
+    assert NAME in said and all(f" {name} " in said for name in NASTY if name != "[/b]")
+    written = page.read_text()
+    assert "<script" not in written and "<script" not in html.read_text()
+    body = MarkdownIt("commonmark").enable("table").render(written)
+    for name in NASTY:
+        shown = name.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+        assert f"<td>{shown}</td>" in body and f"<td>{shown}</td>" in html.read_text(), name
+    links = re.findall(r'src="(figures/[^"]+)"', body)
+    assert links and all((page.parent / link).is_file() for link in links)
+    assert {path.parent for path in tmp_path.rglob("*.png")} == {page.parent / "figures"}
+
+
+def test_a_figure_shows_names_as_they_are_and_its_decades_without_mathematics() -> None:
+    @styled
+    def draw() -> Figure:
+        figure = Figure(figsize=(3, 3))
+        axes = figure.subplots()
+        axes.plot([1e-3, 1e3], [2.0, 7.0], label="$x^$")
+        axes.set_title("$x^$")
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.legend()
+        return figure
+
+    figure = draw()
+    assert png(figure, "$x^$").startswith(b"\x89PNG")
+    (axes,) = figure.axes
+    across, up = axes.get_xticklabels(), axes.get_yticklabels(which="both")
+    assert "10⁻³" in {label.get_text() for label in across}
+    assert not any("$" in label.get_text() for label in (*across, *up))
+    assert "3×10⁰" in {label.get_text() for label in up}
+
+
+def test_a_terminal_that_reads_markup_is_told_text() -> None:
+    file = io.StringIO()
+    shown = Console(file=file, width=40)
+    screen.say(shown, "[/b] reset [fast] :smile:")
+    with progress.progress(shown, "[/b] :smile:") as tell:
+        tell(Progress(5, 5, 0, 0))
+    assert file.getvalue().splitlines() == [
+        "[/b] reset [fast] :smile:",
+        "[/b] :smile:: 5 of 5 runs, 0 failed",
+    ]
+
+
+@pytest.mark.parametrize("letter", ["\x1b", "\n", "\x00", "\x85", "\u2028", "\u202e"])
+def test_letters_that_nobody_sees_are_refused(letter: str) -> None:
+    for place, changes in {
+        "[study] name": {"study": {"name": f"a{letter}b"}},
+        "[cases] case[1]": {"cases": [{"case": "a"}, {"case": f"b{letter}"}]},
+    }.items():
+        with pytest.raises(InputError) as error:
+            small_study(**changes)
+        line = str(error.value)
+        assert line.startswith(f"study: {place}: must not hold control characters")
+        assert letter not in line and line.isprintable()
+
+
+def test_a_report_that_fails_leaves_finished_results_finished(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def finished(study: Any, directory: Path, *_: Any, **options: Any) -> None:
+        stored(directory)
+        manifest = {"state": "complete", "config": str(options["source"])}
+        (directory / "manifest.json").write_text(json.dumps(manifest))
+
+    def broken(*_: Any) -> None:
+        raise ValueError("\nx^\n  ^\nParseSyntaxException")
+
+    config, out = tmp_path / "swing.toml", tmp_path / "out"
+    config.write_text(tomli_w.dumps(BASE))
+    monkeypatch.setattr(run, "run_into", finished)
+    monkeypatch.setitem(report.LAYOUTS, "auto", broken)
+    monkeypatch.setattr("sys.argv", ["sinsjax", "sweep", str(config), "-o", str(out)])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    said = capsys.readouterr().err
+    assert stop.value.code == 2 and "Traceback" not in said
+    assert said.count("\n") == 1 and f"error: {out}: the report failed, the results are" in said
+    assert json.loads((out / "manifest.json").read_text())["state"] == "complete"

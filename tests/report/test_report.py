@@ -1,0 +1,712 @@
+import json
+import math
+import re
+from html import unescape
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from matplotlib.figure import Figure
+from scipy.spatial.transform import Rotation
+from support.stored import store, told
+from support.studies import STILL, small_study
+
+from sinsjax import analysis, columns, report
+from sinsjax.analysis import Estimate
+from sinsjax.errors import InputError
+from sinsjax.execution import run as study_run
+from sinsjax.execution import tables as result_tables
+from sinsjax.plots import Ensemble
+from sinsjax.report import base, car_test, limits, over_axes, readings, spreads, statements
+from sinsjax.report import paper1 as paper1_page
+from sinsjax.report.readings import CONCLUSIONS, Judged
+from sinsjax.report.statements import STATEMENTS, Verdict
+from sinsjax.study.load import study_from_dict
+
+FLOOR = -25.9
+TIMES = np.arange(1.0, 7.0)
+CASES = [
+    {"case": f"condition {name}", "phi_u0_deg": float(yaw), "reset_times_s": times}
+    for name, yaw, times in (
+        ("1", 0, []),
+        ("2", 5, []),
+        ("3", 10, []),
+        ("4", 20, []),
+        ("5", 30, []),
+        ("5 with resets", 40, [1.0, 2.0]),
+    )
+]
+
+
+pytestmark = pytest.mark.usefixtures("drawn_on_request")
+
+
+def summary_of(study, *, truth=True, **given):
+    """A summary that no engine made: ``given`` columns, the rest plain numbers."""
+    v, d = study.n_variants, study.n_draws
+    draw, variant = np.repeat(np.arange(d), v), np.tile(np.arange(v), d)
+    noise = np.random.default_rng(5).normal(size=v * d)
+    swept = study.variant_values()
+    extra = [columns.axis_column(k, values, "") for k, values in swept.items()]
+    known = {c.name for c in columns.IDENTITY}
+    layout = [
+        *columns.IDENTITY,
+        *(c for c in extra if c.name not in known),
+        *columns.OBSERVED,
+        columns.settle_column(10.0),
+        columns.settle_column(10.0, truth=True),
+        *columns.JUDGED,
+    ]
+    starts = study.record.start_s if study.record else [0.0] * d
+    values = {
+        "run_id": np.arange(v * d),
+        "draw_id": draw,
+        "variant_id": variant,
+        "method": ["kalman5"] * (v * d),
+        "start_s": np.asarray(starts)[draw],
+        "reset_count": [len(t or ()) for t in study.values("reset_times_s")] * d,
+        "reset_times_s": [list(t or ()) for t in study.values("reset_times_s")] * d,
+        "floor_arcmin": np.full(v * d, FLOOR),
+        "phi_u_arcmin": FLOOR + noise,
+        "phi_u_mean_arcmin": FLOOR + noise,
+        "settle_10_s": 50.0 + noise,
+        "status": ["ok"] * (v * d),
+        **{k: [values[i] for i in variant] for k, values in swept.items()},
+        **given,
+    }
+    values = {"settle_10_truth_s": values["settle_10_s"], "has_limit": [True] * (v * d)} | values
+    ok = [status == "ok" for status in values["status"]]
+    values = {"ok_limit": ok, "ok_truth": ok} | values
+    if not truth:
+        lost = ("phi_", "settle", "ok_", "has_", "floor", "status", "nis", "nees", "p_above")
+        values = {k: x for k, x in values.items() if not k.startswith(lost) or k in swept}
+    arrays = []
+    for column in layout:
+        default = noise if column.dtype == pa.float64() and truth else None
+        default = noise if column.name.startswith(("pitch", "roll", "yaw", "sigma")) else default
+        cells = values.get(column.name, [None] * (v * d) if default is None else default)
+        arrays.append(pa.array(cells, column.dtype, from_pandas=True))
+    return pa.Table.from_arrays(arrays, schema=columns.schema(layout))
+
+
+def curves_of(study, *, truth=True):
+    runs = study.n_variants * study.n_draws
+    run, time = np.repeat(np.arange(runs), TIMES.size), np.tile(TIMES, runs)
+    noise = np.random.default_rng(6).normal(size=run.size)
+    values = {c.name: noise for c in columns.OBSERVED}
+    if not truth:
+        values |= {f"phi_{a}_arcmin": np.full(run.size, np.nan) for a in "enu"}
+    values |= {"run_id": run, "time_s": time}
+    arrays = [pa.array(values[c.name], c.dtype, from_pandas=True) for c in columns.CURVES]
+    return pa.Table.from_arrays(arrays, schema=columns.schema(columns.CURVES))
+
+
+def recorded_study(**changes):
+    data = {
+        "study": {"duration_s": 6.0, "rate_hz": 100.0, "window_s": [2, 6], "name": "car"},
+        "earth": {"latitude_deg": 34.0},
+        "record": {"format": "psins", "start_s": [0.0, 10.0, 20.0]},
+        **changes,
+    }
+    return study_from_dict(data)
+
+
+def paper1(layout: str, *cases: int, **changes):
+    chosen = [CASES[i] for i in cases or range(len(CASES))]
+    changes = {"report": {"layout": layout}, "cases": chosen, **changes}
+    settings = {"name": layout, "steady_after_s": 3.0, "consistency_after_s": 10.0, "draws": 8}
+    motion = {"yaw_center_deg": 0.0}
+    return small_study(study=settings, motion=motion, **changes)
+
+
+# --- any study ----------------------------------------------------------------------------------
+
+
+def test_every_layout_of_a_study_has_a_report():
+    allowed = base.Study.model_fields["report"].annotation.model_fields["layout"].annotation
+    assert set(report.LAYOUTS) == set(allowed.__args__)
+
+
+def test_the_table_holds_the_statistics(tmp_path):
+    study = small_study(study={"draws": 40}, axes={"phi_u0_deg": [0.0, 30.0]})
+    settle = np.where(np.arange(80) % 4 == 1, np.nan, 20.0 + np.arange(80))
+    ok = np.where(np.isnan(settle), "not_settled", "ok")
+    summary = summary_of(study, settle_10_s=settle, status=list(ok))
+    text = told(store(tmp_path, study, summary))
+    rows = summary.filter(summary["phi_u0_deg"].combine_chunks().cast(pa.int64()).to_numpy() == 30)
+    share = analysis.proportion(rows["status"].to_pylist().count("ok"), 40)
+    median = analysis.quantile(rows["settle_10_s"].to_numpy())
+    mean = analysis.mean(rows["phi_u_mean_arcmin"].to_numpy())
+    for cell in (
+        f"{100 * share.value:.0f} [{100 * share.low:.0f}, {100 * share.high:.0f}]",
+        analysis.format_estimate(median, digits=0),
+        analysis.format_estimate(mean),
+    ):
+        assert cell in text
+    assert f"Of these {list(ok).count('ok')} within" in text
+
+
+def test_lines_are_whole_where_the_console_is_no_terminal(tmp_path):
+    study = small_study(axes={"phi_u0_deg": [0.0, 30.0]})
+    lines = told(store(tmp_path, study, summary_of(study))).splitlines()
+    assert any("phi_u0_deg" in line and "from its limit" in line for line in lines)
+
+
+def test_many_variants_are_pooled_and_their_intervals_count_draws(tmp_path):
+    axes = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 2.0], "phi_u0_deg": [0, 5, 10, 20]}
+    study = small_study(axes=axes, resets={})
+    text = told(store(tmp_path, study, summary_of(study)))
+    assert "24 variants: each table takes one key" in text
+    table = text.partition("By reset_count")[2].partition("By reset_cycle_s")[0]
+    assert [line.split()[:2] for line in table.splitlines()[4:7]] == [
+        [str(count), "24"] for count in (0, 1, 2)
+    ]
+    # 3 draws of 8 variants a row, all of which end well: as 3 runs, with Student's t for z.
+    assert analysis.share([True] * 24, np.repeat(np.arange(3), 8)).low < 0.15
+    assert table.count("100 [14, 100]") == 6  # from the truth and from the limit
+    assert {path.stem for path in (tmp_path / "figures").iterdir()} == {
+        "settling_time",
+        "settling_time_limit",
+        "success_rate",
+        "success_rate_limit",
+        "distribution",
+        "consistency",
+    }
+
+
+def test_the_best_schedule_settles_most_runs_and_first(tmp_path):
+    study = small_study(axes={"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]})
+    settle = np.tile([5.0, 4.0, 3.0, 2.0], 3)
+    settle[3] = np.nan  # the fastest one fails once
+    status = list(np.where(np.isnan(settle), "diverged", "ok"))
+    summary = summary_of(study, settle_10_s=settle, status=status)
+    text = told(store(tmp_path, study, summary))
+    row = text.partition("Where most runs are ok")[2].splitlines()[4].split()
+    assert row[:3] == ["1", "1", "100"]
+    assert row[5] == "3"  # three draws do not bound their median
+
+
+def test_variants_are_compared_with_the_first_on_the_same_noise(tmp_path):
+    study = small_study(study={"draws": 40}, axes={"phi_u0_deg": [0.0, 30.0]})
+    settle = 50.0 + np.repeat(np.arange(40.0), 2) + np.tile([0.0, 7.0], 40)
+    status = ["ok"] * 79 + ["diverged"]
+    summary = summary_of(study, settle_10_s=settle, status=status)
+    text = told(store(tmp_path, study, summary)).partition("Against phi_u0 0 deg, on the same")[2]
+    row = next(line for line in text.splitlines() if line.startswith(" 30"))
+    share = analysis.proportion_difference(np.arange(40) < 39, np.full(40, True))
+    yaw = np.abs(summary["phi_u_mean_arcmin"].to_numpy() - FLOOR)
+    error = analysis.format_estimate(analysis.difference(yaw[1::2], yaw[::2]))
+    assert "7 [7, 7]" in row and base.percent(share) in row and error in row
+
+
+@pytest.mark.parametrize("changes", [{"study": {"draws": 1}}, {}])
+def test_one_draw_or_one_variant_is_compared_with_nothing(tmp_path, changes):
+    study = small_study(axes={"phi_u0_deg": [0.0, 30.0]} if changes else {}, **changes)
+    assert "Against" not in told(store(tmp_path, study, summary_of(study)))
+
+
+def test_axes_that_go_together_are_one(tmp_path):
+    level = {"phi_e0_deg": [0.0, 5.0, 10.0], "phi_n0_deg": [0.0, 5.0, 5.0]}
+    study = small_study(axes={"level": level, "phi_u0_deg": [0.0, 30.0]})
+    assert base.swept(study) == {("phi_e0_deg",): (0.0, 5.0, 10.0), ("phi_u0_deg",): (0.0, 30.0)}
+    settle = np.tile([10.0, 20.0, 30.0, 40.0, 50.0, 60.0], 3)
+    source = base.Source(tmp_path, study, "x.toml", summary_of(study, settle_10_s=settle))
+    blocks = {block.name: block for block in over_axes.over_axes(source)}
+    axes = blocks["settling_time"].figure.axes[0]
+    assert (axes.get_ylabel(), axes.get_xlabel()) == ("phi_e0 (deg)", "phi_u0 (deg)")
+    np.testing.assert_allclose(axes.get_images()[0].get_array(), settle[:6].reshape(3, 2))
+
+
+def test_an_axis_whose_first_key_repeats_is_told_by_all_of_its_keys():
+    both = {"phi_e0_deg": [0.0, 0.0], "phi_n0_deg": [0.0, 5.0]}
+    study = small_study(axes={"level": both})
+    assert base.swept(study) == {("phi_e0_deg", "phi_n0_deg"): ((0.0, 0.0), (0.0, 5.0))}
+    assert base.shown_keys(study) == ("phi_e0_deg", "phi_n0_deg")
+
+
+def test_a_study_that_stopped_early_has_the_draws_that_it_has(tmp_path):
+    stop = {"statistic": "success_rate", "half_width": 0.2}
+    axes = {"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]}
+    study = small_study(study={"draws": 100}, stop_when=stop, axes=axes)
+    summary = summary_of(study).slice(0, 4 * 64)
+    text = told(store(tmp_path, study, summary))
+    assert "256 runs: 4 variants, 64 draws." in text
+
+
+def test_no_column_is_read_that_is_not_told(tmp_path, monkeypatch):
+    study = small_study(axes={"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]})
+    directory = store(tmp_path, study, summary_of(study), curves_of(study))
+    seen = []
+
+    def read(directory, names=None):
+        assert names is not None, "the whole summary was read"
+        seen.append(names)
+        return read_summary(directory, names)
+
+    read_summary = result_tables.read_summary
+    monkeypatch.setattr(result_tables, "read_summary", read)
+    told(directory)
+    assert seen and max(map(len, seen)) < 14
+
+
+def test_rows_are_some_columns_by_run(tmp_path):
+    study = small_study(axes={"phi_u0_deg": [0.0, 30.0]})
+    whole = summary_of(study)
+    source = base.Source.read(store(tmp_path, study, whole.take([5, 1, 3, 0, 2, 4])))
+    names = ["nees", "phi_u0_deg", "nees"]
+    assert source.rows(names).equals(whole.select(["nees", "phi_u0_deg"]))
+    assert source.runs == 6 and source.draws == 3
+    held = base.Source(tmp_path, study, "x.toml", whole)
+    assert held.rows(names).equals(source.rows(names))
+    for one in (source, held):
+        with pytest.raises(InputError, match="summary: column nothing is missing"):
+            one.rows(["nothing"])
+
+
+@pytest.mark.parametrize(
+    ("axes", "draws", "text"),
+    [
+        ({"phi_u0_deg": [0.0, 30.0]}, 3, "swing: 2 variants × 3 draws = 6 runs"),
+        ({}, 1200, "swing: 1,200 draws"),
+        ({}, 1, "swing: 1 draw"),
+    ],
+)
+def test_figures_say_what_they_rest_on(tmp_path, axes, draws, text):
+    study = small_study(study={"name": "swing", "draws": draws}, axes=axes)
+    source = base.Source(tmp_path, study, "x.toml", summary_of(study))
+    assert report.output.counted(source) == text
+
+
+def test_figures_of_a_record_count_its_start_times(tmp_path):
+    study = recorded_study()
+    source = base.Source(tmp_path, study, "x.toml", summary_of(study))
+    assert report.output.counted(source) == "car: 3 start times"
+
+
+def test_incomplete_results_are_told(tmp_path):
+    study = small_study(axes={"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]})
+    summary = summary_of(study).slice(0, 11)
+    with pytest.raises(InputError, match="11 runs where the study has 12"):
+        told(store(tmp_path, study, summary))
+
+
+def test_curves_are_drawn_where_they_were_stored(tmp_path):
+    study = small_study()
+    told(store(tmp_path, study, summary_of(study), curves_of(study)))
+    names = {path.name for path in (tmp_path / "figures").iterdir()}
+    assert names == {"misalignment.png", "distribution.png", "consistency.png"}
+
+
+def test_a_record_without_reference_tells_attitude_and_sigma(tmp_path):
+    study = recorded_study()
+    summary = summary_of(study, truth=False, yaw_deg=[-90.1234, 1.0, 2.0])
+    text = told(store(tmp_path, study, summary, curves_of(study, truth=False)))
+    assert "-90.1234" in text and "sigma_u_arcmin" in text and " within 10' of " not in text
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"attitude.png"}
+
+
+def test_results_that_are_missing(tmp_path):
+    with pytest.raises(InputError, match="holds no results"):
+        told(tmp_path / "nothing")
+
+
+# --- pages --------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("drawn")
+def test_a_page(tmp_path):
+    study = small_study(study={"name": "swing"}, axes={"phi_u0_deg": [0.0, 30.0]})
+    results_at = store(tmp_path / "results", study, summary_of(study))
+    page = tmp_path / "docs" / "swing.md"
+    told(results_at, page=page)
+    text = page.read_text()
+    first, blank, title, *_ = text.splitlines()
+    assert first.startswith("<!-- Written by: sinsjax report") and first.endswith("-->")
+    assert "(swing.toml; sinsjax " in first and "do not edit" in first
+    assert (blank, title) == ("", "# swing")
+    assert str(tmp_path) not in text
+    links = re.findall(r"!\[.*?\]\((.*?)\)", text)
+    names = ("along_axis", "distribution", "consistency")
+    assert links == [f"figures/swing_{name}.png" for name in names]
+    for link in links:
+        assert 0 < (page.parent / link).stat().st_size < 300_000
+    tables = [
+        [line.count("|") for line in part.splitlines() if line.startswith("|")]
+        for part in text.split("**Against")
+    ]
+    assert tables == [[9, 9, 9, 9], [7, 7, 7]]
+
+
+@pytest.mark.usefixtures("drawn")
+def test_a_page_is_written_the_same_again(tmp_path):
+    study = small_study(axes={"phi_u0_deg": [0.0, 30.0]})
+    directory = store(tmp_path / "results", study, summary_of(study))
+    content = []
+    for name in ("a", "b"):
+        page = tmp_path / name / "page.md"
+        told(directory, page=page)
+        content.append([p.read_bytes() for p in sorted(page.parent.rglob("*.*"))])
+    assert content[0] == content[1]
+
+
+def test_a_page_that_cannot_be_written(tmp_path):
+    study = small_study()
+    directory = store(tmp_path / "results", study, summary_of(study))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        told(directory, page=tmp_path / "file" / "page.md")
+
+
+def test_cells_and_folds():
+    table = base.Table("T", ["a|b"], [["|x|"]], "note", folded=True)
+    text = report.output.markdown(table)
+    assert text.startswith("<details>") and "\\|x\\|" in text and "note" in text
+    picture = base.Picture("fig", "what is seen", Figure())
+    assert "](figures/p_fig.png)" in report.output.markdown(picture, "p_")
+
+
+# --- paper 1 ------------------------------------------------------------------------------------
+
+
+def test_limit_accuracy_is_the_closed_form():
+    study = paper1("paper1_conditions")
+    found = limits.limit_accuracy(study)
+    arcmin = math.pi / 180 / 60
+    nabla, eps = 500e-6, math.radians(0.1) / 3600
+    omega_n = math.radians(15.041067) / 3600 * math.cos(math.radians(32))
+    assert found["e"] == pytest.approx(-nabla / arcmin) == pytest.approx(-1.71887, abs=1e-5)
+    assert found["n"] == pytest.approx(nabla / arcmin)
+    expected = (-eps / omega_n + nabla * math.tan(math.radians(32))) / arcmin
+    assert found["u"] == pytest.approx(expected) == pytest.approx(-25.8769, abs=1e-4)
+    assert limits.ingredients(study, 15.0).gyro == pytest.approx(-27.02478, abs=1e-5)
+
+
+def test_limit_accuracy_turns_the_biases_to_n():
+    study = small_study(
+        motion={"yaw_center_deg": 90.0},
+        sensors={"gyro_bias_deg_per_h": [0.0, 0.1, 0.0], "accel_bias_ug": [300.0, 0.0, 0.0]},
+    )
+    found = limits.ingredients(study)
+    assert found.phi_e == pytest.approx(-300e-6 / (math.pi / 10800))  # the right axis looks north
+    assert found.phi_n == pytest.approx(0.0, abs=1e-9)
+    assert found.gyro > 0  # and the front axis west
+
+
+def test_a_study_whose_file_is_not_known_is_named_by_its_results(tmp_path):
+    study = small_study(study={"name": "swing"})
+    directory = store(tmp_path, study, summary_of(study))
+    manifest = json.loads((directory / "manifest.json").read_text())
+    (directory / "manifest.json").write_text(json.dumps(manifest | {"config": None}))
+    assert base.Source.read(directory).config == "study.toml of swing"
+
+
+def test_conditions_page(tmp_path):
+    study = paper1("paper1_conditions")
+    summary = summary_of(study, phi_n_mean_arcmin=np.full(48, 1.2345))
+    directory = store(tmp_path / "r", study, summary, curves_of(study))
+    page = tmp_path / "docs" / "paper1.md"
+    text = told(directory, page=page) + page.read_text()
+    for number in ("-1.7189", "-27.0248", "-25.9507", "-26.9510", "-25.8769", "+1.0741"):
+        assert number in text
+    assert "1.234 [1.234, 1.234]" in text
+    assert "`configs/paper1_resets.toml`, `configs/paper1_readings.toml`" in text
+    assert {path.name for path in (directory / "figures").iterdir()} == {"fig2.png", "fig3.png"}
+
+
+def test_resets_page_tells_the_paired_difference(tmp_path):
+    study = paper1("paper1_resets", 0, 4, 5)
+    yaw = FLOOR + np.random.default_rng(2).normal(size=24)
+    directory = store(tmp_path, study, summary_of(study, phi_u_mean_arcmin=yaw), curves_of(study))
+    text = told(directory)
+    apart = analysis.difference(yaw[2::3], yaw[0::3])
+    assert analysis.format_estimate(apart, "arcmin", 2) in text
+    assert "Resets at 1, 2 s" in text
+    assert "prints no number" in text and "at 4 s, and" in text  # S14
+    assert "the filter's yaw variance" in text  # S13
+    assert {path.name for path in (directory / "figures").iterdir()} == {"fig5.png", "fig6.png"}
+
+
+def test_a_layout_needs_curves(tmp_path):
+    study = paper1("paper1_resets")
+    with pytest.raises(InputError, match="needs curves"):
+        told(store(tmp_path, study, summary_of(study)))
+
+
+def test_paper1_needs_one_reading(tmp_path):
+    study = paper1("paper1_conditions", earth={"earth": "wgs84"})
+    with pytest.raises(InputError, match="needs? earth = 'constants'"):
+        told(store(tmp_path / "a", study, summary_of(study), curves_of(study)))
+
+
+# --- the readings -------------------------------------------------------------------------------
+
+READINGS = {"q_reading": ["per_step", "psd"], "feedback_interval_s": [0.01, 1.0]}
+
+
+def test_readings_page(tmp_path):
+    study = paper1("paper1_readings", axes=READINGS)
+    settle = np.random.default_rng(3).uniform(20, 80, 24 * 8)
+    directory = store(tmp_path / "r", study, summary_of(study, settle_10_s=settle))
+    page = tmp_path / "docs" / "p.md"
+    told(directory, page=page)
+    text = page.read_text()
+    judged = {}
+    for key, rows in analysis.groups(result_tables.read_summary(directory), list(READINGS)):
+        groups = analysis.groups(rows, ["case"])
+        runs = {k["case"].removeprefix("condition "): table for k, table in groups}
+        judged[tuple(key.values())] = statements.judge(runs, readings.meaning_of(study))
+    marks = [
+        line.strip("| ").split(" | ")
+        for line in text.partition("**Verdicts**")[2].partition("<details>")[0].splitlines()
+        if line.startswith("|")
+    ][2:]
+    assert len(marks) == len(judged) == 4
+    for cells, ((q, feedback), verdicts) in zip(marks, judged.items(), strict=True):
+        assert cells[:3] == [q, f"{feedback:g}", str(sum(v.holds for v in verdicts))]
+        assert [c[0] == "+" for c in cells[3:]] == [v.holds for v in verdicts]
+        assert [c[1:] == "~" for c in cells[3:]] == [v.straddles for v in verdicts]
+    most = max(sum(v.holds for v in verdicts) for verdicts in judged.values())
+    assert f"the most that hold is {most}" in text and "inferred" in text
+    first = next(iter(judged.values()))[3]
+    assert analysis.format_estimate(first.number, "s", 0) in text.partition("<details>")[2]
+    for text_of, _ in STATEMENTS.values():
+        assert text_of in text
+    whole = sum(
+        all(v.holds for v in verdicts if v.statement_id in readings.TOGETHER)
+        for verdicts in judged.values()
+    )
+    found = f"{whole} of 4 readings make these hold" if whole else "No reading makes these hold"
+    assert found in text
+
+
+def test_when_the_variance_lies_below_the_truth_and_how_long_a_run_hides_it():
+    time = np.arange(1.0, 101.0)
+    phi = np.where((time > 20) & (time <= 24), 3.0, 1.0) * np.ones((4, 1))
+    columns_ = {"phi_u_arcmin": phi, "sigma_u_arcmin": np.full((4, 100), 2.0)}
+    one = Ensemble("with", time, columns_)
+    study = small_study(study={"consistency_after_s": 10.0, "duration_s": 100.0})
+    said = paper1_page._below(base.Source(Path("r"), study, "r.toml"), one)
+    assert "at 4 records from 21 to 24 s" in said
+    # 4 of the records after 10 s are below: 95 % of n are above from n = 80 on, at 90 s.
+    assert "if it ended before 90 s it would not be" in said
+    other = Ensemble("without", time, columns_ | {"sigma_u_arcmin": np.full((4, 100), 1.6)})
+    ratio = paper1_page._sigma_ratio(one, other)
+    assert "1.25 times that of condition 1 at 67 s" in ratio
+
+
+def test_the_yardstick_is_said_once_a_page_and_names_what_is_judged_against(tmp_path):
+    study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
+    page = tmp_path / "page.md"
+    told(store(tmp_path / "out", study, summary_of(study)), page=page)
+    said = base.yardstick(study)
+    assert said in "\n".join(page.read_text().splitlines()[:10])
+    # A tenth of 6 s.
+    assert "of true north" in said and "ok: it has been there for 0.6 s at the end" in said
+    limit = small_study(study={"judged_from": "limit", "dwell_s": 0.0}, motion=STILL)
+    assert "not of true north" in base.yardstick(limit) and "it ends there" in base.yardstick(limit)
+    assert "of the reference's heading" in base.yardstick(recorded_study())
+
+
+def test_both_yardsticks_stand_in_words_in_table_figure_and_page(tmp_path):
+    study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
+    flags = {"ok_truth": [True, False] * 8, "ok_limit": [True] * 16}
+    summary = summary_of(study, **flags, phi_u_arcmin=np.tile([9.0, 11.0], 8))
+    source = base.Source(tmp_path, study, "x.toml", summary)
+    html = tmp_path / "page.html"
+    text = told(store(tmp_path / "out", study, summary), html=html)
+    truth, limit = "within 10' of true north", "within 10' of what its gyro bias allows"
+    assert f"Of these 8 {truth} and 16 {limit} are ok." in text
+    assert "Within 10' of true north at the end: 50 [" in text
+    figures = {block.name: block.figure for block in over_axes.over_axes(source)}
+    pictures = [block for block in spreads.spreads(source) if isinstance(block, base.Picture)]
+    figures |= {picture.name: picture.figure for picture in pictures}
+    titles = [axes.get_title(loc="left") for axes in figures["along_axis"].axes]
+    labels = [axes.get_xlabel() for axes in figures["distribution"].axes]
+    page = unescape(html.read_text())
+    for words in (truth, limit):
+        assert f"ok: {words} (%)" in text and f"time to {words}, median (s)" in text
+        assert f"share of runs that are ok, {words}" in titles and any(
+            words in label for label in labels
+        )
+        assert f"ok: {words} (%)" in page
+
+
+def test_words_are_explained_once_under_every_report(tmp_path):
+    study = small_study()
+    page, html = tmp_path / "page.md", tmp_path / "page.html"
+    text = told(store(tmp_path / "out", study, summary_of(study)), page=page, html=html)
+    for word in ("ok", "settled", "limit", "truth", "NEES"):
+        assert text.count(f"\n{word}: ") == 1
+        assert page.read_text().count(f"\n- *{word}*: ") == 1
+        assert html.read_text().count(f"<em>{word}</em>: ") == 1
+
+
+def test_biases_that_a_filter_does_not_know_explain_its_nees(tmp_path):
+    axes = {"phi_u0_deg": [0.0, 30.0]}
+    biased = small_study(study={"draws": 8}, axes=axes, sensors={"accel_bias_ug": 500.0})
+    text = told(store(tmp_path / "a", biased, summary_of(biased, nees=np.full(16, 9.0))))
+    assert "A NEES of 3 is not to be expected here" in text and "up to 1.72 arcmin" in text
+    unbiased = {"accel_bias_ug": 0.0, "gyro_bias_deg_per_h": 0.0}
+    clean = small_study(study={"draws": 8}, axes=axes, sensors=unbiased)
+    text = told(store(tmp_path / "b", clean, summary_of(clean, nees=np.full(16, 9.0))))
+    assert "is not to be expected" not in text
+
+
+def verdicts(held, clear=()):
+    number = Estimate(0.5, 0.4, 0.6, 8)
+    return [
+        Verdict(s, *STATEMENTS[s], s in held, s not in clear, number, "", "measure")
+        for s in STATEMENTS
+    ]
+
+
+def test_ties_go_to_the_conclusions_then_to_clear_intervals_then_to_the_first():
+    plain = Judged({"n": 0}, verdicts(["S1a", "S1b"]))
+    concluding = Judged({"n": 1}, verdicts(["S1a", CONCLUSIONS[0]]))
+    clear = Judged({"n": 2}, verdicts(["S2a", CONCLUSIONS[1]], clear=["S3"]))
+    again = Judged({"n": 3}, verdicts(["S2a", CONCLUSIONS[1]], clear=["S4a"]))
+    most = Judged({"n": 4}, verdicts(["S1a", "S1b", "S3"]))
+    assert readings.best_of([plain, concluding]) is concluding
+    assert readings.best_of([plain, concluding, clear, again]) is clear
+    assert readings.best_of([plain, concluding, clear, most]) is most
+
+
+def test_the_words_are_about_what_was_counted():
+    study = small_study(study={"consistency_after_s": 20.0, "steady_after_s": 30.0})
+    meaning = readings.meaning_of(study)
+    assert (meaning.covariance_after_s, meaning.steady_after_s) == (20.0, 30.0)
+
+
+def test_paper1s_page_takes_its_parts_in_any_order(tmp_path):
+    parts = {
+        "paper1_readings": paper1("paper1_readings", axes={"q_reading": ["per_step"]}),
+        "paper1_resets": paper1("paper1_resets", 0, 4, 5),
+        "paper1_conditions": paper1("paper1_conditions"),
+    }
+    made = [
+        store(tmp_path / name, study, summary_of(study), curves_of(study))
+        for name, study in parts.items()
+    ]
+    page = tmp_path / "docs" / "paper1.md"
+    told(*made, page=page)
+    text = page.read_text()
+    assert text.splitlines()[2] == "# Paper 1, reproduced"
+    places = [text.index(f"(Fig. {n})") for n in (2, 3, 5, 6)]
+    assert places == sorted(places) and places[-1] < text.index("Every statement under every")
+    assert "Not on this page" not in text
+    assert len(list((page.parent / "figures").iterdir())) == 5
+
+
+# --- the car test -------------------------------------------------------------------------------
+
+
+def test_the_reference_comes_back_from_attitude_and_misalignment():
+    angles = np.array([[0.9, 0.2, -90.6], [-3.0, 4.0, 170.0]])  # pitch, roll, yaw, deg
+    true = Rotation.from_euler("ZXY", angles[:, [2, 0, 1]], degrees=True)
+    phi = np.array([[5.0, -8.0, 300.0], [0.0, 2.0, -90.0]])
+    guess = Rotation.from_rotvec(np.deg2rad(phi / 60)).inv() * true  # C_true = exp(phi x) C_hat
+    yaw, pitch, roll = guess.as_euler("ZXY", degrees=True).T
+    curves = pa.table(
+        {"pitch_deg": pitch, "roll_deg": roll, "yaw_deg": yaw}
+        | {f"phi_{a}_arcmin": phi[:, i] for i, a in enumerate("enu")}
+    )
+    np.testing.assert_allclose(car_test.reference_attitude(curves), angles, atol=1e-10)
+
+
+def car_study(**changes):
+    cases = [
+        {"case": f"scheme {n}, tuning {t}", "phi_u0_deg": 30.0 * n, "q_accel_ug": q}
+        for t, q in (("a", 50.0), ("b", 500.0))
+        for n in (1, 2)
+    ]
+    return recorded_study(report={"layout": "car_test"}, cases=cases, **changes)
+
+
+def test_car_test_tables(tmp_path):
+    study = car_study()
+    yaw = np.arange(12.0) - 20.0
+    summary = summary_of(study, phi_u_arcmin=yaw, yaw_mean_deg=np.full(12, -90.5))
+    curves = curves_of(study)
+    text = told(store(tmp_path, study, summary, curves))
+    run = curves.slice(0, TIMES.size)
+    window = car_test.reference_attitude(run)[(TIMES > 2) & (TIMES <= 6)]
+    mean, std = window[:, 2].mean(), window[:, 2].std(ddof=1)
+    assert f"{mean:.4f}" in text and f"{std:.4f}" in text
+    away = (-90.5 - mean + 180) % 360 - 180
+    assert f"{away:+.4f}" in text
+    here = yaw[1::4] / 60  # scheme 2, tuning a
+    row = next(
+        line
+        for line in text.partition("Yaw error phi_u")[2].splitlines()
+        if line.startswith(" scheme 2   tuning a")
+    )
+    assert row.split()[4:6] == [f"{np.median(here):+.4f}", f"{np.abs(here).max():.4f}"]
+    assert "smoother on the same record" in text
+    printed = next(
+        line
+        for line in text.partition("The paper's Table 3")[2].splitlines()
+        if line.startswith(" scheme 3")
+    )
+    assert printed.split()[6:8] == ["85.0917", "0.1906"] and printed.split()[-1] == "-0.4986"
+    worst = np.abs(yaw.reshape(3, 2, 2)[:, :, 0]).max() / 60
+    assert f"scheme 1 {worst:.4f} deg" in text
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"yaw_error.png"}
+
+
+def test_car_test_without_reference(tmp_path):
+    study = car_study(axes={"feedback_interval_s": [0.01, 1.0]})
+    summary = summary_of(study, truth=False)
+    text = told(store(tmp_path, study, summary, curves_of(study, truth=False)))
+    assert "Without a reference" in text and "Yaw error phi_u" not in text
+    assert "tuning a, feedback_interval 0.01 s" in text
+
+
+def test_paper1_configs_load_and_fit_their_layouts():
+    folder = Path(__file__).parents[2] / "configs"
+    studies = {}
+    for name in report.PAPER1:
+        study = base.load_study(folder / f"{name}.toml")
+        assert (study.study.name, study.report.layout) == (name, name)
+        studies[name] = study
+    labels = [case["case"] for case in studies["paper1_readings"].cases]
+    assert labels == [f"condition {name}" for name in statements.CONDITIONS]
+    assert readings.meaning_of(studies["paper1_readings"]).covariance_after_s == 10.0
+    assert studies["paper1_readings"].n_variants == 252
+    for key in ("q_reading", "r_reading", "feedback_interval_s"):
+        one, other = (studies[name].values(key)[0] for name in report.PAPER1[:2])
+        assert one == other and one in studies["paper1_readings"].axes[key]
+    sweep = base.load_study(folder / "reset_sweep.toml")
+    assert sweep.n_variants % 64 == 0
+    assert sweep.values("r_reading")[0] == studies["paper1_conditions"].values("r_reading")[0]
+
+
+def test_a_study_that_stops_by_itself_tells_why(tmp_path):
+    """From the rows alone, and with the numbers of the rule."""
+    study = small_study(
+        study={"draws": 100},
+        stop_when={"statistic": "success_rate", "half_width": 0.9},
+    )
+    study_run.run_into(study, tmp_path / "out")
+    source = base.Source.read(tmp_path / "out")
+    assert source.draws == 64
+    (_, why) = report.LAYOUTS["auto"](source).headline
+    assert "after 64 draws" in why and ", narrow enough" in why and "0.9" in why
+
+
+def test_a_stopped_study_that_lacks_a_part_is_told(tmp_path):
+    """Variants that are not there must not pass for fewer draws."""
+    study = small_study(
+        study={"draws": 65},
+        stop_when={"statistic": "success_rate", "half_width": 0.9},
+        axes={"specific_force": ["measured", "gravity"]},
+    )
+    study_run.run_into(study, tmp_path / "out")
+    assert base.Source.read(tmp_path / "out").draws == 64
+    for path in (tmp_path / "out" / "summary").glob("part-0001-*"):
+        path.unlink()
+    with pytest.raises(InputError, match=r"part-0001-.*: is missing, by the manifest"):
+        base.Source.read(tmp_path / "out")
+    (tmp_path / "out" / "manifest.json").write_text("{}")  # which knows of no part
+    with pytest.raises(InputError, match="64 runs where the study has 128"):
+        report.LAYOUTS["auto"](base.Source.read(tmp_path / "out"))

@@ -1,0 +1,138 @@
+import base64
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from matplotlib.figure import Figure
+from support.stored import store, told
+from support.studies import small_study
+
+from sinsjax import columns
+from sinsjax.errors import InputError
+from sinsjax.report import base, html
+from sinsjax.report.output import Made
+
+VOID = {"meta", "img", "br", "hr", "link", "input"}
+PNG = b"\x89PNG\r\n\x1a\n-the picture"
+
+
+class Reader(HTMLParser):
+    """The elements of a page, each closed where it should be."""
+
+    def __init__(self, text):
+        super().__init__(convert_charrefs=True)
+        self.open, self.seen, self.attributes, self.text = [], [], [], []
+        self.feed(text)
+        self.close()
+        assert not self.open, f"left open: {self.open}"
+
+    def handle_starttag(self, tag, attrs):
+        self.seen.append((*self.open, tag))
+        self.attributes += [(tag, name, value) for name, value in attrs]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open and self.open[-1] == tag, f"</{tag}> closes {self.open}"
+        self.open.pop()
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def made(*blocks, headline=("Found: *much*.",), name="swing"):
+    study = small_study(study={"name": name})
+    table = pa.table({"run_id": np.arange(3)})
+    report = base.Report(list(headline), [base.Section("A `part`", blocks)])
+    images = {block.name: PNG for block in blocks if isinstance(block, base.Picture)}
+    return Made(base.Source(Path("results"), study, f"{name}.toml", table), report, images)
+
+
+def page(tmp_path, *parts, title="Title", notes=()):
+    path = tmp_path / "page.html"
+    html.write_html(path, title, parts, notes)
+    return path.read_text(encoding="utf-8")
+
+
+def test_a_page_holds_all_of_a_report(tmp_path):
+    table = base.Table("A *table*", ["a", "b"], [["1", "`2`"], ["3", "4"]], "a note")
+    picture = base.Picture("fig", 'what is "seen"', Figure())
+    text = page(
+        tmp_path, made(base.Text("Some *words*.\n\nMore."), table, picture), notes=["Not `all`."]
+    )
+    assert text.startswith('<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">')
+    read = Reader(text)
+    seen = [path[-1] for path in read.seen]
+    assert seen.count("table") == 1 and seen.count("td") == 4 and seen.count("th") == 2
+    assert seen.count("h1") == 1 and "<h2>A <code>part</code></h2>" in text
+    assert "<li>Found: <em>much</em>.</li>" in text and "<p>Not <code>all</code>.</p>" in text
+    assert "<p>Some <em>words</em>.</p>\n<p>More.</p>" in text
+    assert "<caption>A <em>table</em></caption>" in text and "<td><code>2</code></td>" in text
+    assert '<p class="note">a note</p>' in text
+    source = next(value for tag, name, value in read.attributes if (tag, name) == ("img", "src"))
+    assert base64.b64decode(source.removeprefix("data:image/png;base64,")) == PNG
+    assert ("img", "alt", 'what is "seen"') in read.attributes
+
+
+def test_a_page_needs_nothing_else(tmp_path):
+    text = page(tmp_path, made(base.Picture("fig", "c", Figure()), base.Text("http://a.b/c")))
+    places = [value for _, name, value in Reader(text).attributes if name in ("src", "href")]
+    assert len(places) == 1 and places[0].startswith("data:")
+    assert "<script" not in text and "<link" not in text
+    assert not re.search(r"url\(|@import", text)
+
+
+def test_what_is_said_is_text_and_not_markup(tmp_path):
+    nasty = "<b>&amp;</b> 1 < 2 [a](http://x) ![b](http://y) <http://z> phi_u0_deg a_b_c"
+    table = base.Table(nasty, [nasty], [[nasty]], nasty)
+    picture = base.Picture("fig", nasty, Figure())
+    made_of = made(base.Text(nasty), table, picture, headline=[nasty], name="a<b")
+    text = page(tmp_path, made_of, title="<i>& so")
+    read = Reader(text)
+    assert not {"b", "a", "i"} & {path[-1] for path in read.seen}
+    assert sum(path[-1] == "img" for path in read.seen) == 1
+    said = "".join(read.text)
+    # Markdown reads an entity as what it stands for, on the Markdown page too.
+    assert said.count(nasty.replace("&amp;", "&")) == 7 and "<i>& so" in said
+    assert "a<b.toml; sinsjax " in said and "configs/" not in said
+
+
+def test_a_folded_table_is_folded(tmp_path):
+    table = base.Table("All of it", ["a"], [["1"]], "note", folded=True)
+    text = page(tmp_path, made(table))
+    paths = Reader(text).seen
+    assert all("details" in path for path in paths if path[-1] in ("summary", "table"))
+    assert "<summary>All of it</summary>" in text and "<caption>" not in text
+
+
+def test_a_page_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        html.write_html(tmp_path / "file" / "page.html", "T", [made()])
+
+
+def test_both_pages_of_a_study_say_the_same(tmp_path):
+    study = small_study(study={"name": "swing"}, axes={"phi_u0_deg": [0.0, 30.0]})
+    names = [c.name for c in (*columns.IDENTITY, *columns.OBSERVED, *columns.JUDGED)]
+    names += ["settle_10_s", "settle_10_truth_s"]
+    rows = {name: np.linspace(1.0, 2.0, 6) for name in names}
+    rows |= dict.fromkeys(
+        ("has_limit", "ok_limit", "ok_truth"), [True, True, True, False] + [True] * 2
+    )
+    rows |= {"run_id": np.arange(6), "draw_id": np.repeat(np.arange(3), 2)}
+    rows |= {"status": ["ok"] * 6, "phi_u0_deg": [0.0, 30.0] * 3, "reset_times_s": [[]] * 6}
+    directory = store(tmp_path / "results", study, pa.table(rows))
+    markdown, one = tmp_path / "page.md", tmp_path / "page.html"
+    told(directory, page=markdown, html=one)
+    text = Reader(one.read_text()).text
+    for line in markdown.read_text().splitlines():
+        if line.startswith("| ") and "---" not in line:
+            cells = [cell.strip().replace("*", "") for cell in line.strip("|").split(" | ")]
+            assert all(cell.strip() in text for cell in cells), line
+    assert one.read_text().count("data:image/png;base64,") == markdown.read_text().count("![")
+    first = one.read_bytes()
+    told(directory, html=one)
+    assert one.read_bytes() == first

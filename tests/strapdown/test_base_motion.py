@@ -1,0 +1,115 @@
+from functools import partial
+
+import jax
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles.in_engine import PAPER1, PAPER2, motion, place
+from oracles.naive import DEG, PAPER, WGS84, Swing, of_quaternion
+from scipy.integrate import quad_vec
+from scipy.spatial.transform import Rotation
+
+from sinsjax.strapdown import base_motion
+
+attitude = jax.jit(base_motion.attitude)
+rate_and_force = jax.jit(base_motion.rate_and_force)
+increments = jax.jit(base_motion.increments, static_argnums=3)
+
+STATIC = Swing(np.array([3.0, -5.0, 200.0]) * DEG, np.zeros(3), np.ones(3), np.ones(3))
+ODD = Swing(
+    np.array([-20.0, 35.0, 137.0]) * DEG,
+    np.array([4.0, 9.0, 25.0]) * DEG,
+    np.array([1.5, 0.9, 4.0]),
+    np.array([0.3, -2.0, 5.0]),
+)
+
+
+angles = st.floats(-1.4, 1.4)
+
+
+@st.composite
+def swings(draw):
+    three = lambda strategy: np.array([draw(strategy) for _ in range(3)])  # noqa: E731
+    center = np.array([draw(angles), draw(angles), draw(st.floats(-7, 7))])
+    return Swing(
+        center, three(st.floats(0, 0.5)), three(st.floats(0.5, 20)), three(st.floats(-7, 7))
+    )
+
+
+@given(swings(), st.floats(-85, 85), st.floats(0, 1000))
+@settings(max_examples=100)
+def test_attitude_rate_and_force_as_differentiated_matrices(swing, latitude_deg, t):
+    latitude = latitude_deg * DEG
+    q = attitude(motion(swing), t)
+    pitch, roll, yaw = swing.center + swing.amplitude * np.sin(
+        2 * np.pi * t / swing.period + swing.phase
+    )
+    expected = Rotation.from_euler("ZXY", [yaw, pitch, roll]).as_matrix()
+    np.testing.assert_allclose(of_quaternion(q), expected, rtol=0, atol=2e-15)
+    rate, force = rate_and_force(motion(swing), place(WGS84, latitude), t)
+    w, f = swing.rate_and_force(t, WGS84, latitude)
+    # The argument 2 pi t / period is good to 1e-16 of itself.
+    slack = 1e-16 * (1 + 2 * np.pi * t / swing.period.min())
+    np.testing.assert_allclose(rate, w, rtol=0, atol=2e-14 + 100 * slack)
+    np.testing.assert_allclose(force, f, rtol=0, atol=5e-11 + 10 * slack)
+
+
+@pytest.mark.parametrize(
+    ("swing", "planet", "latitude_deg", "rate_hz"),
+    [
+        (PAPER1, PAPER, 32.0, 100.0),
+        (PAPER2, WGS84, 32.057313, 200.0),
+        (STATIC, WGS84, -41.3, 100.0),
+        (ODD, WGS84, -63.0, 100.0),
+        (ODD, PAPER, 5.0, 20.0),
+    ],
+)
+def test_increments_are_integrals_over_each_sample(swing, planet, latitude_deg, rate_hz):
+    latitude = latitude_deg * DEG
+    # More than one batch of the map, and a last partial one.
+    n = 2003
+    rows = np.array(increments(motion(swing), place(planet, latitude), rate_hz, n))
+    assert rows.shape == (n, 6)
+    for k in (0, 1, 7, 500, 999, 1000, 1234, 1999, 2000, 2002):
+        exact, _ = quad_vec(
+            lambda t: np.concatenate(swing.rate_and_force(t, planet, latitude)),
+            k / rate_hz,
+            (k + 1) / rate_hz,
+            epsabs=1e-17,
+            epsrel=1e-14,
+            quadrature="gk21",
+        )
+        np.testing.assert_allclose(rows[k, :3], exact[:3], rtol=0, atol=2e-14)
+        np.testing.assert_allclose(rows[k, 3:], exact[3:], rtol=0, atol=1e-13)
+
+
+@given(angles, angles, st.floats(-7, 7), st.floats(-85, 85))
+def test_a_static_base_in_closed_form(pitch, roll, yaw, latitude_deg):
+    swing = Swing(np.array([pitch, roll, yaw]), np.zeros(3), np.ones(3), np.zeros(3))
+    latitude = latitude_deg * DEG
+    rows = np.array(increments(motion(swing), place(WGS84, latitude), 100.0, 3))
+    c = Rotation.from_euler("ZXY", [yaw, pitch, roll]).as_matrix()
+    w_ie = 7.292115e-5 * np.array([0, np.cos(latitude), np.sin(latitude)])
+    np.testing.assert_allclose(rows[:, :3], [c.T @ w_ie / 100] * 3, rtol=0, atol=1e-20)
+    up = np.array([0, 0, WGS84.g(latitude)])
+    np.testing.assert_allclose(rows[:, 3:], [c.T @ up / 100] * 3, rtol=0, atol=1e-12)
+
+
+def test_a_longer_run_begins_with_the_shorter_one():
+    args = motion(ODD), place(PAPER, 0.5), 100.0
+    np.testing.assert_array_equal(increments(*args, 2003)[:700], increments(*args, 700))
+
+
+def test_increments_differentiate_with_respect_to_the_motion():
+    here = place(PAPER, 0.5)
+
+    def total(amplitude):
+        swing = motion(PAPER1)
+        swing = swing._replace(pitch=swing.pitch._replace(amplitude=amplitude))
+        return base_motion.increments(swing, here, 100.0, 50).sum()
+
+    derivative = jax.jit(partial(jax.jvp, total))((0.1,), (1.0,))[1]
+    step = 1e-5
+    secant = (jax.jit(total)(0.1 + step) - jax.jit(total)(0.1 - step)) / (2 * step)
+    np.testing.assert_allclose(derivative, secant, rtol=1e-8)

@@ -1,0 +1,94 @@
+"""Q by its true units, and the heading as a compass shows it."""
+
+import numpy as np
+import pytest
+from support.studies import small_study
+
+from sinsjax.engine import build
+from sinsjax.errors import InputError
+from sinsjax.execution import run
+from sinsjax.study.load import fingerprint, study_from_dict, tables_of
+
+OLD = {"q_reading": "psd", "q_gyro_deg_per_h": 0.18, "q_accel_ug": 60.0}
+GYRO = {"q_gyro_deg_per_h_per_sqrt_hz": 0.18, "q_gyro_arw_deg_per_sqrt_h": 0.003}
+
+
+def q_of(**filter_: float | str) -> np.ndarray:
+    (part,) = build.parts(small_study(filter=filter_))
+    return np.array(part.group.variants.method.q)[:, 0]
+
+
+@pytest.mark.parametrize("key", GYRO)
+def test_densities_are_the_old_numbers_by_their_true_units(key: str) -> None:
+    """An angle random walk of N deg/sqrt(h) adds N^2 t/3600 deg^2 in t seconds."""
+    new = q_of(q_reading="psd", q_accel_ug_per_sqrt_hz=60.0, **{key: GYRO[key]})
+    np.testing.assert_allclose(new, q_of(**OLD), rtol=1e-12)
+    np.testing.assert_allclose(new[2:], np.deg2rad(0.003) ** 2 / 3600 * 0.01, rtol=1e-12)
+    np.testing.assert_allclose(new[:2], (60e-6 * 9.8) ** 2 * 0.01, rtol=1e-12)
+
+
+def test_densities_are_swept_as_other_keys() -> None:
+    values = [0.001, 0.003]
+    study = small_study(filter={"q_reading": "psd"}, axes={"q_gyro_arw_deg_per_sqrt_h": values})
+    (part,) = build.parts(study)
+    np.testing.assert_allclose(
+        part.group.variants.method.q[4], (np.deg2rad(values) / 60) ** 2 * 0.01, rtol=1e-12
+    )
+
+
+def test_a_study_with_densities_is_read_again_as_it_is_told() -> None:
+    study = small_study(filter={"q_reading": "psd", "q_gyro_arw_deg_per_sqrt_h": 0.003})
+    assert study.filter is not None and study.filter.q_gyro_deg_per_h is None
+    assert fingerprint(study_from_dict(tables_of(study))) == fingerprint(study)
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        (
+            {"filter": {"q_reading": "psd", "q_gyro_deg_per_h": 1.0, **GYRO}},
+            "study: [filter] q_gyro_deg_per_h: cannot go with q_gyro_deg_per_h_per_sqrt_hz in"
+            " [filter] (give one of them)",
+        ),
+        (
+            {"filter": {"q_accel_ug_per_sqrt_hz": 1.0}},
+            "study: [filter] q_accel_ug_per_sqrt_hz: has no place without q_reading = 'psd' (it is"
+            " 'per_step')",
+        ),
+        (
+            {
+                "filter": {"q_gyro_arw_deg_per_sqrt_h": 0.1},
+                "axes": {"q_reading": ["psd", "per_sample"]},
+            },
+            "study: [filter] q_gyro_arw_deg_per_sqrt_h: has no place without q_reading = 'psd' (it"
+            " is 'per_sample')",
+        ),
+    ],
+)
+def test_densities_out_of_place(changes: dict, line: str) -> None:
+    with pytest.raises(InputError) as caught:
+        small_study(**changes)
+    assert str(caught.value) == line
+
+
+def test_heading_is_clockwise_from_north() -> None:
+    study = small_study(axes={"yaw_center_deg": [10.0, -100.0]}, alignment={"phi_u0_deg": 0.0})
+    made = run.run(study, curves=True)
+    for table in made:
+        yaw, heading = (np.array(table[f"{name}_deg"]) for name in ("yaw", "heading"))
+        assert ((heading >= 0) & (heading < 360)).all()
+        np.testing.assert_allclose(np.cos(np.deg2rad(heading + yaw)), 1, atol=1e-12)
+    assert set(np.round(np.array(made.summary["heading_deg"]), -1)) == {350.0, 100.0}
+
+
+def test_a_heading_just_left_of_north_is_not_360() -> None:
+    from sinsjax.engine.metrics import Observation
+    from sinsjax.execution import tables
+    from sinsjax.types import Vec3
+
+    zero = np.zeros(2)
+    seen = Observation(
+        Vec3(zero, zero, zero), Vec3(zero, zero, zero), zero, zero, np.r_[1e-30, 0.0]
+    )
+    told = tables.Tables(small_study())._observed(seen)["heading_deg"]
+    assert told.to_pylist() == [0.0, 0.0]

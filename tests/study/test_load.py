@@ -1,0 +1,1623 @@
+import copy
+import itertools
+import json
+import math
+import re
+import tomllib
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sinsjax.errors import InputError
+from sinsjax.messages import is_control
+from sinsjax.study.load import (
+    Study,
+    fingerprint,
+    load_study,
+    study_from_dict,
+    study_to_toml,
+    with_rate,
+)
+from sinsjax.study.study import SECTION_OF, SECTIONS, SWEEPABLE
+from sinsjax.value_types import Section
+
+SIMULATED: dict[str, Any] = {
+    "study": {"duration_s": 900, "rate_hz": 100},
+    "earth": {"latitude_deg": 32.0},
+    "motion": {"yaw_center_deg": 0},
+}
+RECORDED: dict[str, Any] = {
+    "study": {"duration_s": 300.0, "rate_hz": 100.0},
+    "record": {"format": "psins"},
+}
+COMPASS = SIMULATED | {"alignment": {"method": "compass"}}
+TABULAR: dict[str, Any] = {
+    "format": "csv",
+    "quantity": "rates",
+    "gyro_columns": ["gx", "gy", "gz"],
+    "accel_columns": ["ax", "ay", "az"],
+    "gyro_unit": "deg_per_h",
+    "accel_unit": "m_per_s2",
+}
+FULL = """
+[study]
+name = "example"
+duration_s = 900.0
+rate_hz = 100.0
+record_interval_s = 1.0
+draws = 8
+seed = 1
+settle_bands_arcmin = [60, 10, 3]
+window_s = [600, 900]
+consistency_after_s = 10.0
+curves = false
+[earth]
+earth = "constants"
+gravity_m_per_s2 = 9.8
+radius_m = 6378137.0
+earth_rate_deg_per_h = 15.041067
+latitude_deg = 32.0
+height_m = 0.0
+[motion]
+pitch_amplitude_deg = 1.8
+pitch_period_s = 6.0
+yaw_center_deg = 20
+[sensors]
+gyro_bias_deg_per_h = [0.1, 0, -0.1]
+gyro_arw_deg_per_sqrt_h = 0.01
+gyro_misalignment_arcsec = [1, 2, 3, 4, 5, 6]
+accel_bias_ug = 500
+accel_noise_ug = 500.0
+[alignment]
+method = "kalman10"
+phi_e0_deg = 5
+[filter]
+q_reading = "psd"
+[resets]
+reset_count = 3
+reset_cycle_s = 50.0
+[axes]
+reset_count = [0, 1, 2]
+misalignment = ["vector", "euler"]
+[[cases]]
+phi_u0_deg = 0
+case = "small"
+[[cases]]
+case = "large"
+phi_u0_deg = 30
+[report]
+layout = "auto"
+[statements]
+short_time_s = 100.0
+"""
+
+
+STOP = {"statistic": "success_rate", "half_width": 0.02}
+ZIPPED: dict[str, Any] = {
+    "reset_kind": ["full", "yaw"],
+    "z level": {"phi_n0_deg": [0, 5], "phi_e0_deg": [0, 5]},
+    "errors": {"gyro_scale_ppm": [0, [1, 2, 3]], "accel_scale_ppm": [1, 1]},
+}
+DRAWN: dict[str, Any] = {
+    "sampling": "sobol",
+    "vn0_m_per_s": {"uniform": [0, 1]},
+    "accel_bias_ug": {"normal": [0, 1]},
+    "gyro_arw_deg_per_sqrt_h": {"values": [0, [1, 2, 3], 0]},
+    "phi_u0_deg": {"grid": [3, 2, 1]},
+}
+
+
+def built(base: dict[str, Any] = SIMULATED, **tables: Any) -> Study:
+    return study_from_dict(merged(base, **tables), "s.toml")
+
+
+def merged(base: dict[str, Any], **tables: Any) -> dict[str, Any]:
+    data = copy.deepcopy(base)
+    for name, table in tables.items():
+        old = data.get(name)
+        data[name] = old | table if isinstance(old, dict) and isinstance(table, dict) else table
+    return data
+
+
+def refusal(base: dict[str, Any] = SIMULATED, **tables: Any) -> str:
+    """The line of the error, less the file's name that it must begin with."""
+    with pytest.raises(InputError) as caught:
+        built(base, **tables)
+    line = str(caught.value)
+    assert len(line.splitlines()) == 1
+    assert line.startswith("s.toml: ")
+    return line.removeprefix("s.toml: ")
+
+
+# What a study gives
+
+
+def test_defaults_are_filled_in():
+    study = study_from_dict(SIMULATED, "folder/swing.toml")
+    assert study.study.name == "swing"
+    assert study.study.window_s == (600.0, 900.0)
+    assert (study.n_draws, study.n_variants, study.axis_keys) == (64, 1, ())
+    assert (study.earth.gravity_m_per_s2, study.earth.height_m) == (9.8, 0.0)
+    assert study.sensors is not None and study.sensors.gyro_noise_deg_per_h == 0.0
+    assert study.resets.reset_count == 0
+    assert (study.record, study.coarse, study.is_recorded) == (None, None, False)
+
+
+def test_a_value_has_the_type_of_its_key():
+    study = built(sensors={"gyro_bias_deg_per_h": [1, 2, 3]})
+    assert type(study.study.duration_s) is float
+    assert study.sensors is not None and study.sensors.gyro_bias_deg_per_h == (1.0, 2.0, 3.0)
+
+
+def test_recorded_study():
+    study = built(RECORDED)
+    assert study.is_recorded and study.n_draws == 1
+    assert study.record is not None and study.record.start_s == (0.0,)
+    assert (study.motion, study.sensors, study.study.draws) == (None, None, None)
+    assert study.coarse is not None and study.coarse.coarse_duration_s == 60.0
+    assert (study.earth.latitude_deg, study.earth.height_m) == (None, None)
+    several = built(RECORDED, record={"start_s": [0, 30, 60]})
+    assert several.n_draws == 3 and several.n_variants == 1
+    assert built(RECORDED, record={"start_s": 30}).n_draws == 1
+
+
+@pytest.mark.parametrize("order", ["xyz", "y-xz", "-x-yz", "zxy", "+yx-z"])
+def test_right_handed_axes_orders(order: str):
+    study = built(RECORDED, record={"axes_order": order})
+    assert study.record is not None and study.record.axes_order == order
+
+
+def test_input_is_left_as_it_is():
+    data = copy.deepcopy(SIMULATED)
+    study_from_dict(data)
+    assert data == SIMULATED
+
+
+def test_a_study_is_frozen():
+    study = built()
+    with pytest.raises(ValueError, match="frozen"):
+        study.study.seed = 2
+    with pytest.raises(ValueError, match="frozen"):
+        study.earth = study.earth
+
+
+def test_leaf_keys_are_unique_and_described():
+    keys = Counter(key for model in SECTIONS.values() for key in model.model_fields)
+    # What [record] takes for plausible is no axis, and has the names that it has in [sensors].
+    assert [key for key in keys if keys[key] > 1] == ["gyro_bias_deg_per_h", "accel_bias_ug"]
+    assert SECTION_OF["gyro_bias_deg_per_h"] == SECTION_OF["accel_bias_ug"] == "sensors"
+    for model in SECTIONS.values():
+        assert issubclass(model, Section)
+        assert all(field.description for field in model.model_fields.values())
+
+
+# Variants
+
+
+def test_variant_order_is_cases_then_axes_last_fastest():
+    study = study_from_dict(tomllib.loads(FULL))
+    assert study.axis_keys == ("case", "phi_u0_deg", "reset_count", "misalignment")
+    assert study.n_variants == 12
+    values = study.variant_values()
+    assert list(values) == list(study.axis_keys)
+    cases = [("small", 0.0), ("large", 30.0)]
+    expected = [
+        (*case, *point) for case, *point in itertools.product(cases, (0, 1, 2), ("vector", "euler"))
+    ]
+    assert list(zip(*values.values(), strict=True)) == expected
+
+
+def test_values_are_swept_or_constant():
+    study = study_from_dict(tomllib.loads(FULL))
+    assert study.values("phi_u0_deg") == [0.0] * 6 + [30.0] * 6
+    assert study.values("phi_e0_deg") == [5.0] * 12
+    assert study.values("reset_count") == [0, 0, 1, 1, 2, 2] * 2
+    for key in ("start_s", "seed", "nonsense"):
+        with pytest.raises(KeyError):
+            study.values(key)
+    with pytest.raises(KeyError):
+        built(RECORDED).values("gyro_bias_deg_per_h")
+
+
+def test_unlabelled_cases_and_an_axis_of_vectors():
+    study = built(
+        cases=[{"phi_e0_deg": 1, "phi_n0_deg": 2}, {"phi_n0_deg": 2, "phi_e0_deg": 3}],
+        axes={"gyro_bias_deg_per_h": [0, [1, 2, 3]], "reset_times_s": [[], [10, 20]]},
+    )
+    assert study.axis_keys == ("phi_e0_deg", "phi_n0_deg", "gyro_bias_deg_per_h", "reset_times_s")
+    assert study.values("phi_e0_deg") == [1.0] * 4 + [3.0] * 4
+    assert study.values("gyro_bias_deg_per_h") == [0.0, 0.0, (1.0, 2.0, 3.0), (1.0, 2.0, 3.0)] * 2
+    assert study.values("reset_times_s") == [(), (10.0, 20.0)] * 4
+
+
+def test_combinations_are_those_of_the_variants():
+    study = built(
+        cases=[{"phi_e0_deg": e, "reset_cycle_s": c} for e, c in ((1, 50), (2, 50), (3, 60))],
+        axes={"phi_u0_deg": [0, 10], "reset_count": [0, 1]},
+    )
+    keys = ("reset_count", "reset_cycle_s", "phi_n0_deg")
+    met = {tuple(point[key] for key in keys) for point in study.combinations(*keys)}
+    assert met == set(zip(*(study.values(key) for key in keys), strict=True))
+    assert len(list(study.combinations(*keys))) == len(met) == 4
+
+
+def test_zips_go_together_between_cases_and_axes():
+    study = built(
+        axes={
+            "reset_kind": ["full", "yaw"],
+            "level": {"phi_e0_deg": [0, 5], "phi_n0_deg": [1, 5]},
+            "method": {"phi_u0_deg": [0, 10, 20]},  # any name will do
+        },
+        cases=[{"ve0_m_per_s": 0.0}, {"ve0_m_per_s": 1.0}],
+    )
+    level = {"phi_e0_deg": (0.0, 5.0), "phi_n0_deg": (1.0, 5.0)}
+    assert study.zips == {"level": level, "method": {"phi_u0_deg": (0.0, 10.0, 20.0)}}
+    assert study.axes == {"reset_kind": ("full", "yaw")}
+    keys = ("ve0_m_per_s", "phi_e0_deg", "phi_n0_deg", "phi_u0_deg", "reset_kind")
+    assert study.axis_keys == keys and study.n_variants == 24
+    product = itertools.product((0, 1), ((0, 1), (5, 5)), (0, 10, 20), ("full", "yaw"))
+    expected = [(ve, *pair, u, kind) for ve, pair, u, kind in product]
+    assert list(zip(*study.variant_values().values(), strict=True)) == expected
+    assert list(study.combinations("phi_n0_deg", "phi_e0_deg")) == [
+        {"phi_n0_deg": 1.0, "phi_e0_deg": 0.0},
+        {"phi_n0_deg": 5.0, "phi_e0_deg": 5.0},
+    ]
+
+
+SWEPT = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg", "ve0_m_per_s", "vn0_m_per_s", "height_m")
+
+
+@st.composite
+def sweeps(draw: st.DrawFn) -> tuple[list[dict], list[dict], dict]:
+    """Cases, zips and axes over some of the keys, with values that repeat within a zip or case."""
+    keys = draw(st.permutations(SWEPT))
+    sizes = draw(st.lists(st.integers(0, 2), min_size=3, max_size=3))
+    cuts = list(itertools.accumulate([0, *sizes]))
+    joint = [keys[a:b] for a, b in itertools.pairwise(cuts)]
+    rows = [
+        draw(st.lists(st.tuples(*[st.integers(0, 2)] * len(some)), min_size=1, unique=True))
+        for some in joint
+    ]
+    cases, *zips = (
+        [dict(zip(some, row, strict=True)) for row in table] if some else []
+        for some, table in zip(joint, rows, strict=True)
+    )
+    alone = draw(st.lists(st.sampled_from(keys[cuts[-1] :] or ["roll_phase_deg"]), unique=True))
+    axes = {
+        key: draw(st.lists(st.integers(0, 9), min_size=1, max_size=3, unique=True)) for key in alone
+    }
+    return cases, [table for table in zips if table], axes
+
+
+@given(sweep=sweeps(), data=st.data())
+def test_variants_are_numbered_as_a_product_is(sweep: tuple, data: st.DataObject):
+    cases, zips, axes = sweep
+    tables = {
+        f"zip {i}": {k: [row[k] for row in rows] for k in rows[0]} for i, rows in enumerate(zips)
+    }
+    # A zip may stand before an axis in a dictionary.
+    study = built(axes=tables | axes, **({"cases": cases} if cases else {}))
+    grids = [[{key: value} for value in values] for key, values in axes.items()]
+    points = [
+        {key: value for part in parts for key, value in part.items()}
+        for parts in itertools.product(cases or [{}], *zips, *grids)
+    ]
+    assert study.n_variants == len(points)
+    values = study.variant_values()
+    assert list(values) == list(study.axis_keys) == list(points[0])
+    assert [dict(zip(values, row, strict=True)) for row in zip(*values.values(), strict=True)] == (
+        points if values else []
+    )
+    keys = data.draw(st.lists(st.sampled_from([*SWEPT, "method"]), unique=True))
+    met = {tuple(row) for row in zip(*(study.values(key) for key in keys), strict=True)} or {()}
+    found = [tuple(point[key] for key in keys) for point in study.combinations(*keys)]
+    assert set(found) == met and len(found) == len(met)
+
+
+def test_required_keys_may_be_swept():
+    data = merged(SIMULATED, axes={"latitude_deg": [0, 80], "yaw_center_deg": [0, 90]})
+    del data["earth"], data["motion"]
+    study = study_from_dict(data)
+    assert study.values("latitude_deg") == [0.0, 0.0, 80.0, 80.0]
+    assert study_from_dict(tomllib.loads(study_to_toml(study))) == study
+
+
+def test_a_hundred_thousand_variants_are_cheap():
+    study = built(
+        axes={
+            "phi_u0_deg": [i / 10 for i in range(1000)],
+            "phi_e0_deg": [i / 10 for i in range(100)],
+            "feedback_interval_s": [1, 2],
+        }
+    )
+    assert len(study.values("phi_e0_deg")) == study.n_variants == 200_000
+
+
+# Files
+
+
+def test_load_reads_a_file(tmp_path: Path):
+    path = tmp_path / "swing.toml"
+    path.write_text(FULL.replace('name = "example"\n', ""))
+    assert load_study(path).study.name == "swing"
+    path.write_text("\ufeff" + FULL, encoding="utf-8")
+    assert load_study(path).study.name == "example"
+
+
+def assert_load_refused(path: Path, text: str) -> None:
+    with pytest.raises(InputError, match=text) as caught:
+        load_study(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_files_that_cannot_be_read(tmp_path: Path):
+    assert_load_refused(tmp_path / "missing.toml", "cannot be read: No such file")
+    assert_load_refused(tmp_path, "cannot be read: Is a directory")
+    path = tmp_path / "s.toml"
+    path.write_bytes(b"\xff\xfe")
+    assert_load_refused(path, "no UTF-8 text")
+
+
+@pytest.mark.parametrize(
+    "text", ["[study]\nname = \nseed = 1", "[study]\nseed = 1\nseed = 2\n[earth]"]
+)
+def test_syntax_errors_name_the_line(tmp_path: Path, text: str):
+    path = tmp_path / "s.toml"
+    path.write_text(text)
+    assert_load_refused(path, r"no TOML: .*line \d")
+
+
+def test_a_file_of_any_value_is_refused_with_its_name(tmp_path: Path):
+    path = tmp_path / "s.toml"
+    path.write_text("[study]\nduration_s = nan\nrate_hz = 100")
+    assert_load_refused(path, r"\[study\] duration_s: must be finite, not nan")
+    path.write_text('[study]\n"a\\nb" = 1')
+    assert_load_refused(path, r"\[study\] a b: unknown key")
+    path.write_text("[study]\nseed = " + "9" * 5000)
+    assert_load_refused(path, "no TOML")
+
+
+# Round trip
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        SIMULATED,
+        RECORDED,
+        tomllib.loads(FULL),
+        merged(SIMULATED, earth={"earth": "wgs84"}),
+        merged(SIMULATED, axes={"earth": ["wgs84", "constants"], "radius_m": [6.3e6, 6.4e6]}),
+        merged(SIMULATED, resets={"reset_times_s": [50, 100]}),
+        merged(SIMULATED, resets={"reset_times_s": []}),
+        merged(SIMULATED, study={"name": '[b] $x$ "quotes" \\ <i>', "settle_bands_arcmin": []}),
+        merged(RECORDED, record=TABULAR | {"time_column": "t", "start_s": [0, 2.5]}),
+        merged(SIMULATED, resets={"reset_count": 1, "reset_first_s": 25}),
+        merged(SIMULATED, stop_when={"statistic": "success_rate", "half_width": 0.02}),
+        merged(SIMULATED, axes=ZIPPED, cases=[{"case": "a"}]),
+        merged(SIMULATED, drawn=DRAWN),
+        merged(
+            SIMULATED,
+            drawn=dict(reversed(DRAWN.items())),
+            axes={"phi_n0_deg": [0, 5], "phi_e0_deg": [0, 5]},
+        ),
+        merged(RECORDED, drawn={"phi_u0_deg": {"normal": [0, 10]}}),
+        COMPASS,
+        merged(COMPASS, filter={}, resets={}),
+        merged(SIMULATED, compass={}, passes={}),
+        merged(SIMULATED, passes={"tape_s": 80}),
+        merged(SIMULATED, passes={"tape_s": 80}, axes={"method": ["kalman5", "compass"]}),
+        merged(
+            RECORDED,
+            alignment={"method": "compass"},
+            passes={"tape_s": 80, "ending": "forward", "turn": "velocity"},
+            compass={
+                "level_gains": [0.06, 1040.0, 1.6e-6],
+                "level_passes": 1,
+                "azimuth_adjustment_s": 450,
+                "sigma_factors": [2, 1],
+                "sigma_passes": [2],
+            },
+        ),
+    ],
+)
+def test_resolved_study_loads_equal(data: dict[str, Any], tmp_path: Path):
+    study = study_from_dict(data)
+    text = study_to_toml(study)
+    path = tmp_path / "study.toml"
+    path.write_text(text, encoding="utf-8")
+    again = load_study(path)
+    assert again == study
+    assert again.axis_keys == study.axis_keys and list(again.axes) == list(study.axes)
+    assert list(again.zips) == list(study.zips) and again.drawn_keys == study.drawn_keys
+    assert study_to_toml(again) == text
+    assert fingerprint(again) == fingerprint(study)
+
+
+angles = st.floats(-180, 180)
+sizes = st.floats(1e-300, 1e12) | st.integers(1, 10**6)
+letters = st.characters(codec="utf-8").filter(lambda letter: not is_control(letter))
+
+
+@given(
+    duration=st.floats(10, 1e6),
+    phi=st.lists(angles, min_size=1, max_size=4, unique=True),
+    bias=st.floats(-1e12, 1e12) | st.tuples(angles, angles, angles),
+    p0=sizes,
+    name=st.text(letters, min_size=1),
+    methods=st.permutations(["kalman5", "kalman10", "compass"]),
+)
+def test_any_resolved_study_loads_equal(duration, phi, bias, p0, name, methods):
+    study = built(
+        study={"duration_s": duration, "name": name, "unchecked": True},
+        sensors={"gyro_bias_deg_per_h": bias},
+        filter={"p0_yaw_deg": p0},
+        axes={"phi_u0_deg": phi, "method": methods},
+    )
+    again = study_from_dict(tomllib.loads(study_to_toml(study)))
+    assert again == study
+    assert fingerprint(again) == fingerprint(study)
+
+
+# Fingerprint
+
+
+def reversed_keys(data: Any) -> Any:
+    if isinstance(data, dict):
+        return {key: reversed_keys(value) for key, value in reversed(data.items())}
+    return data
+
+
+def test_fingerprint_forgets_what_does_not_compute():
+    data = tomllib.loads(FULL)
+    print_ = fingerprint(study_from_dict(data))
+    assert re.fullmatch("[0-9a-f]{16}", print_)
+    shuffled = reversed_keys(data) | {"axes": data["axes"]}
+    assert fingerprint(study_from_dict(shuffled)) == print_
+    for other in (
+        {"study": {"name": "other"}},
+        {"statements": {"short_time_s": 1.0}},
+    ):
+        assert fingerprint(study_from_dict(merged(data, **other))) == print_
+    assert fingerprint(built(filter={"p0_yaw_deg": 80})) == fingerprint(built())
+    assert fingerprint(built(RECORDED, report={"layout": "car_test"})) == fingerprint(
+        built(RECORDED)
+    )
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"study": {"seed": 2}},
+        {"study": {"draws": 9}},
+        {"study": {"window_s": [600, 899]}},
+        {"earth": {"latitude_deg": 32.000001}},
+        {"motion": {"yaw_center_deg": 21}},
+        {"sensors": {"gyro_bias_deg_per_h": [0.1, 0, -0.2]}},
+        {"alignment": {"method": "kalman5"}},
+        {"filter": {"q_reading": "per_step"}},
+        {"resets": {"reset_kind": "yaw"}},
+        {"axes": {"reset_count": [0, 2, 1]}},
+        {"cases": [{"case": "small", "phi_u0_deg": 0}, {"case": "large", "phi_u0_deg": 31}]},
+    ],
+    ids=json.dumps,
+)
+def test_fingerprint_changes_with_any_value(change: dict[str, Any]):
+    data = tomllib.loads(FULL)
+    assert fingerprint(study_from_dict(merged(data, **change))) != fingerprint(
+        study_from_dict(data)
+    )
+
+
+def test_fingerprint_changes_with_the_order_of_the_axes():
+    # It numbers the variants.
+    data = tomllib.loads(FULL)
+    other = data | {"axes": reversed_keys(data["axes"])}
+    assert fingerprint(study_from_dict(other)) != fingerprint(study_from_dict(data))
+
+
+OLD = {
+    "paper1_conditions": "9967e7214256c2ad",
+    "compass_80s_search": "d1cad6779ee56132",
+    "car_batch": "ef17d00f4cb90346",
+    "kalman_passes": "a4334b310c7fb4bf",
+}
+
+
+@pytest.mark.parametrize("name", OLD)
+def test_fingerprints_of_stored_results_stay(name: str):
+    """What a version adds changes none that does not use it: results of 0.3.0 remain readable."""
+    path = Path(__file__).parents[2] / "configs" / f"{name}.toml"
+    data = tomllib.loads(path.read_text())
+    for key in ("judged_from", "dwell_s"):  # they came with 0.6.0
+        del data["study"][key]
+    assert fingerprint(study_from_dict(data)) == OLD[name]
+
+
+def test_fingerprint_changes_with_what_is_zipped_drawn_or_stopped():
+    drawn = [
+        DRAWN,
+        DRAWN | {"sampling": "random"},
+        DRAWN | {"vn0_m_per_s": {"uniform": [0, 2]}},
+        DRAWN | {"vn0_m_per_s": {"normal": [0, 1]}},
+        DRAWN | {"phi_u0_deg": {"values": [3, 2, 1]}},
+        dict(reversed(DRAWN.items())),
+        {"phi_u0_deg": {"values": [0]}},
+    ]
+    other: list[dict[str, Any]] = [
+        {},
+        *({"drawn": table} for table in drawn),
+        {"axes": {"a": {"phi_u0_deg": [0, 1], "phi_e0_deg": [0, 1]}}},
+        {"axes": {"a": {"phi_u0_deg": [0, 1]}, "b": {"phi_e0_deg": [0, 1]}}},
+        {"axes": {"b": {"phi_e0_deg": [0, 1]}, "a": {"phi_u0_deg": [0, 1]}}},
+        {"axes": {"phi_u0_deg": [0, 1], "phi_e0_deg": [0, 1]}},
+        {"resets": {"reset_first_s": 25}},
+        {"resets": {"reset_first_s": 26}},
+        {"stop_when": {"statistic": "success_rate", "half_width": 0.02}},
+        {"stop_when": {"statistic": "success_rate", "half_width": 0.03}},
+        {"stop_when": {"statistic": "settle_60_s_mean", "half_width": 0.03}},
+    ]
+    assert len({fingerprint(built(**tables)) for tables in other}) == len(other)
+    named = {"other": {"phi_e0_deg": [0, 1], "phi_u0_deg": [0, 1]}}
+    assert fingerprint(built(axes=named)) == fingerprint(built(**other[len(drawn) + 1]))
+
+
+# Unknown names
+
+
+@pytest.mark.parametrize(
+    ("tables", "line"),
+    [
+        ({"sensor": {}}, "[sensor]: unknown section (did you mean [sensors]?)"),
+        ({"zzz": {}}, "[zzz]: unknown section"),
+        ({"duration_s": 1.0}, "duration_s: belongs in [study]"),
+        ({"sensors": 3}, "[sensors]: must be a table of keys"),
+        ({"axes": [1]}, "[axes]: must be a table of keys"),
+        (
+            {"study": {"duratoin_s": 1}},
+            "[study] duratoin_s: unknown key (did you mean duration_s?)",
+        ),
+        ({"alignment": {"seed": 1}}, "[alignment] seed: unknown key (it belongs in [study])"),
+        (
+            {"alignment": {"reset_cuont": 1}},
+            "[alignment] reset_cuont: unknown key (did you mean reset_count in [resets]?)",
+        ),
+        ({"filter": {"zzz": 1}}, "[filter] zzz: unknown key"),
+        (
+            {"filter": {"p0_yaw_deg": None}},
+            "[filter] p0_yaw_deg: None is no value (leave the key out)",
+        ),
+        (
+            {"axes": {"phi_u_deg": [1]}},
+            "[axes] phi_u_deg: unknown key (did you mean phi_u0_deg?)",
+        ),
+        (
+            {"axes": {"level": {"phi_u_deg": [1]}}},
+            "[axes.level] phi_u_deg: unknown key (did you mean phi_u0_deg?)",
+        ),
+        ({"draw": {}}, "[draw]: unknown section (did you mean [drawn]?)"),
+        (
+            {"axes": {"half_width": [1]}},
+            "[axes] half_width: cannot be swept (it is a key of [stop_when])",
+        ),
+        ({"axes": {"case": ["a"]}}, "[axes] case: unknown key (did you mean passes?)"),
+        (
+            {"cases": [{"phi_u_deg": 1}]},
+            "[cases] phi_u_deg: unknown key (did you mean phi_u0_deg?)",
+        ),
+        (
+            {"axes": {"duration_s": [1, 2]}},
+            "[axes] duration_s: cannot be swept (all runs of a study share [study])",
+        ),
+        (
+            {"cases": [{"rate_hz": 1}]},
+            "[cases] rate_hz: cannot be swept (all runs of a study share [study])",
+        ),
+        (
+            {"axes": {"start_s": [0, 30]}},
+            "[axes] start_s: is no axis (list the start times in [record]: one draw each)",
+        ),
+        (
+            {"cases": [{"start_s": 0}]},
+            "[cases] start_s: is no axis (list the start times in [record]: one draw each)",
+        ),
+        (
+            {"axes": {"layout": ["auto"]}},
+            "[axes] layout: cannot be swept (it is a key of [report])",
+        ),
+    ],
+)
+def test_unknown_names(tables: dict[str, Any], line: str):
+    assert refusal(**tables) == line
+
+
+# Values of single keys
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value", "text"),
+    [
+        ("study", "duration_s", True, "must be a number, not True"),
+        ("study", "duration_s", "900", "must be a number, not '900'"),
+        ("study", "duration_s", [1.0], "must be a number, not [1.0]"),
+        ("study", "duration_s", {}, "must be a number, not {}"),
+        ("study", "duration_s", 10**400, "must be a number, not 1000"),
+        ("study", "duration_s", 0, "must be greater than 0, not 0"),
+        ("study", "duration_s", -1.0, "must be greater than 0, not -1.0"),
+        ("study", "duration_s", math.inf, "must be finite, not inf"),
+        ("study", "rate_hz", 0.0, "must be greater than 0"),
+        ("study", "rate_hz", 1e300, "must be less than or equal to 1"),
+        ("study", "name", 3, "must be text, not 3"),
+        ("study", "name", "", "must not be empty"),
+        ("study", "draws", 0, "must be greater than or equal to 1, not 0"),
+        ("study", "draws", 2.0, "must be a whole number, not 2.0"),
+        ("study", "draws", True, "must be a whole number, not True"),
+        ("study", "seed", -1, "must be greater than or equal to 0"),
+        ("study", "seed", 2**63, "must be less than"),
+        ("study", "curves", 1, "must be true or false, not 1"),
+        ("study", "consistency_after_s", -1, "must be greater than or equal to 0"),
+        ("study", "settle_bands_arcmin", 10, "must be a list, not 10"),
+        ("study", "settle_bands_arcmin", [10, 10.0], "names a value twice"),
+        ("study", "settle_bands_arcmin", [3, 3.0000001], "names a value twice, to the 6 digits"),
+        # 10 arcmin is always a column.
+        ("study", "settle_bands_arcmin", [10.0000001], "gives another of the bands the same name"),
+        ("study", "judged_from", "reference", "'truth' or 'limit'"),
+        ("study", "success_band_arcmin", 10.0000001, "gives another of the bands the same name"),
+        ("study", "level_band_arcmin", 0, "greater than 0"),
+        ("study", "dwell_s", 1e9, "is not less than the run"),
+        ("study", "diverged_deg", -1, "greater than 0"),
+        ("study", "window_s", [1], "required"),
+        ("study", "window_s", [1, 2, 3], "must have 2 values, not 3"),
+        ("study", "window_s", [900, 600], "must be [a, b] with 0 <= a < b <= duration_s = 900"),
+        ("study", "window_s", [600, 600], "must be [a, b] with"),
+        ("study", "window_s", [600, 901], "must be [a, b] with"),
+        ("earth", "earth", "flat", "must be 'constants' or 'wgs84', not 'flat'"),
+        ("earth", "latitude_deg", 90, "must be less than 90, not 90"),
+        ("earth", "latitude_deg", -90.0, "must be greater than -90"),
+        ("earth", "latitude_deg", math.nan, "must be finite, not nan"),
+        ("earth", "height_m", True, "must be a number"),
+        ("motion", "pitch_center_deg", 90, "must be less than 90"),
+        ("motion", "roll_amplitude_deg", -1, "must be greater than or equal to 0"),
+        ("motion", "yaw_period_s", 0, "must be greater than 0"),
+        ("sensors", "gyro_bias_deg_per_h", "0.1", "must be a number, not '0.1'"),
+        ("sensors", "gyro_bias_deg_per_h", False, "must be a number, not False"),
+        ("sensors", "gyro_noise_deg_per_h", -1, "must be greater than or equal to 0"),
+        ("sensors", "gyro_misalignment_arcsec", [1] * 7, "must have 6 values, not 7"),
+        (
+            "alignment",
+            "method",
+            "kalman6",
+            "must be 'kalman5', 'kalman10' or 'compass', not 'kalman6'",
+        ),
+        ("alignment", "phi_u0_deg", 181, "must be less than or equal to 180"),
+        ("alignment", "feedback_interval_s", 0, "must be greater than 0"),
+        ("alignment", "feedback_time_constant_s", -0.5, "must be greater than or equal to 0"),
+        ("filter", "p0_yaw_deg", 0, "must be greater than 0"),
+        ("filter", "q_accel_ug", -1, "must be greater than or equal to 0"),
+        ("filter", "r_velocity_m_per_s", 0, "must be greater than 0"),
+        ("resets", "reset_count", -1, "must be greater than or equal to 0"),
+        ("resets", "reset_count", 1.0, "must be a whole number, not 1.0"),
+        ("resets", "reset_cycle_s", 0, "must be greater than 0"),
+        ("resets", "reset_times_s", [50, 50], "must increase"),
+        ("resets", "reset_times_s", [50, 40], "must increase"),
+        ("resets", "reset_scale", 0, "must be greater than 0"),
+        ("report", "layout", "nice", "must be 'auto', 'paper1_conditions'"),
+        ("statements", "converges_share", 1.5, "must be less than or equal to 1"),
+    ],
+)
+def test_values_of_single_keys(section: str, key: str, value: Any, text: str):
+    line = refusal(**{section: {key: value}})
+    assert re.match(rf"\[{section}\] {key}(\[\d\])?: ", line)
+    assert text in line
+
+
+def test_entries_of_lists_are_named_by_place():
+    line = refusal(study={"settle_bands_arcmin": [60, 10, 0]})
+    assert line.startswith("[study] settle_bands_arcmin[2]: must be greater than 0, not 0")
+    assert refusal(sensors={"accel_bias_ug": [1, 2, "3"]}).startswith(
+        "[sensors] accel_bias_ug[2]: "
+    )
+    assert refusal(sensors={"accel_bias_ug": [1, 2]}) == "[sensors] accel_bias_ug[2]: required"
+
+
+def test_long_values_are_cut():
+    assert len(refusal(study={"duration_s": "x" * 1000})) < 120
+
+
+NUMBERS = [
+    (section, key)
+    for section, model in SECTIONS.items()
+    if section not in ("record", "coarse")
+    for key, field in model.model_fields.items()
+    if "float" in str(field.annotation) and "tuple" not in str(field.annotation)
+]
+
+
+@pytest.mark.parametrize(("section", "key"), NUMBERS, ids=".".join)
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, True, "1"], ids=str)
+def test_no_number_takes_nan_inf_bool_or_text(section: str, key: str, value: Any):
+    given = STOP if section == "stop_when" else {}
+    assert refusal(**{section: given | {key: value}}).startswith(f"[{section}] {key}: must be ")
+    if section in SWEEPABLE:
+        zipped = refusal(axes={"name": {key: [value]}})
+        assert zipped.startswith(f"[axes.name] {key}[0]: must be ")
+        assert refusal(axes={key: [value]}).startswith(f"[axes] {key}[0]: must be ")
+
+
+@pytest.mark.parametrize("key", ["duration_s", "rate_hz"])
+def test_missing_study_keys(key: str):
+    data = copy.deepcopy(SIMULATED)
+    del data["study"][key]
+    assert refusal(data).startswith(f"[study] {key}: required (")
+    assert refusal({}).startswith("[study] duration_s: required (length")
+
+
+def test_missing_latitude_and_heading():
+    assert refusal(SIMULATED, earth={}, motion=3).startswith("[motion]")
+    data = copy.deepcopy(SIMULATED)
+    del data["motion"]
+    assert refusal(data).startswith("[motion] yaw_center_deg: required (heading, deg")
+    del data["earth"]
+    assert refusal(data).startswith("[earth] latitude_deg: required (latitude, deg")
+
+
+# Axes and cases
+
+
+@pytest.mark.parametrize(
+    ("axes", "start"),
+    [
+        ({"phi_u0_deg": 30}, "[axes] phi_u0_deg: must be a list of values, not 30"),
+        ({"phi_u0_deg": []}, "[axes] phi_u0_deg: must not be empty"),
+        ({"phi_u0_deg": [0, 1, 2, "3"]}, "[axes] phi_u0_deg[3]: must be a number, not '3'"),
+        ({"phi_u0_deg": [0, None]}, "[axes] phi_u0_deg[1]: None is no value"),
+        ({"reset_cycle_s": [None]}, "[axes] reset_cycle_s[0]: None is no value"),
+        ({"phi_u0_deg": [0, 200]}, "[axes] phi_u0_deg[1]: must be less than or equal to 180"),
+        ({"phi_u0_deg": [30, 1, 30.0]}, "[axes] phi_u0_deg[2]: repeats what [0] says"),
+        (
+            {"method": ["kalman5", "x"]},
+            "[axes] method[1]: must be 'kalman5', 'kalman10' or 'compass', not 'x'",
+        ),
+        ({"reset_times_s": [[50], [60, 50]]}, "[axes] reset_times_s[1]: must increase"),
+        ({"accel_bias_ug": [1, [1, 2, "3"]]}, "[axes] accel_bias_ug[1][2]: must be a number"),
+        (
+            {"phi_u0_deg": {"uniform": [0, 1]}},
+            "[axes.phi_u0_deg] uniform: unknown key",
+        ),
+        ({"level": {}}, "[axes.level]: must not be empty"),
+        ({"level": [1]}, "[axes] level: unknown key"),
+        ({"level": {"phi_u0_deg": 3}}, "[axes.level] phi_u0_deg: must be a list of values, not 3"),
+        ({"level": {"phi_u0_deg": None}}, "[axes.level] phi_u0_deg: must be a list of values"),
+        ({"level": {"phi_u0_deg": []}}, "[axes.level] phi_u0_deg: must not be empty"),
+        ({"level": {"phi_u0_deg": [1, 181]}}, "[axes.level] phi_u0_deg[1]: must be less than"),
+        ({"level": {"rate_hz": [1]}}, "[axes.level] rate_hz: cannot be swept (all runs of a"),
+        (
+            {"level": {"phi_u0_deg": [1, 2], "phi_e0_deg": [1]}},
+            "[axes.level] phi_e0_deg: has 1 values, phi_u0_deg has 2 (the axes of a table",
+        ),
+        (
+            {"level": {"phi_u0_deg": [1, 1, 1], "phi_e0_deg": [1, 2, 1.0]}},
+            "[axes.level] phi_u0_deg, phi_e0_deg[2]: repeats what [0] says",
+        ),
+        (
+            {"phi_u0_deg": [1], "level": {"phi_u0_deg": [1]}},
+            "[axes.level] phi_u0_deg: is an axis already (drop one of them)",
+        ),
+        (
+            {"level": {"phi_u0_deg": [1]}, "heading": {"phi_u0_deg": [1]}},
+            "[axes.heading] phi_u0_deg: is an axis already (drop one of them)",
+        ),
+    ],
+)
+def test_axis_values(axes: dict[str, Any], start: str):
+    assert refusal(axes=axes).startswith(start)
+
+
+@pytest.mark.parametrize(
+    ("cases", "start"),
+    [
+        (3, "[cases]: must be tables"),
+        ({"phi_u0_deg": 1}, "[cases]: must be tables"),
+        ([1], "[cases]: must be tables"),
+        ([], "[cases]: must not be empty"),
+        ([{}], "[cases]: must not be empty"),
+        ([{"phi_u0_deg": 1}, {"phi_u0_deg": "x"}], "[cases] phi_u0_deg[1]: must be a number"),
+        ([{"phi_u0_deg": None}], "[cases] phi_u0_deg[0]: None is no value"),
+        ([{"phi_u0_deg": 1}, {"phi_e0_deg": 1}], "[cases] phi_u0_deg[1]: all cases must set the"),
+        ([{"phi_u0_deg": 1}, {"phi_u0_deg": 2, "case": "b"}], "[cases] case[1]: all cases must"),
+        ([{"case": "a", "phi_u0_deg": 1}, {"phi_u0_deg": 2}], "[cases] case[1]: all cases must"),
+        ([{"case": "", "phi_u0_deg": 1}], "[cases] case[0]: must not be empty"),
+        ([{"case": 1, "phi_u0_deg": 1}], "[cases] case[0]: must be text, not 1"),
+        (
+            [{"case": "a", "phi_u0_deg": 1}, {"case": "a", "phi_u0_deg": 2}],
+            "[cases] case[1]: repeats what [0] says",
+        ),
+        (
+            [{"case": "a", "phi_u0_deg": 1}, {"case": "b", "phi_u0_deg": 1.0}],
+            "[cases] phi_u0_deg[1]: repeats what [0] says",
+        ),
+        ([{"reset_kind": "full"}], "[cases] reset_kind: is an axis already"),
+    ],
+)
+def test_case_values(cases: Any, start: str):
+    assert refusal(cases=cases, axes={"reset_kind": ["full"]}).startswith(start)
+    assert refusal(cases=cases, axes={"zip": {"reset_kind": ["full"]}}).startswith(start)
+
+
+# Rules between keys
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("gyro_noise_deg_per_h", "gyro_arw_deg_per_sqrt_h"),
+        ("accel_noise_ug", "accel_vrw_ug_per_sqrt_hz"),
+    ],
+)
+def test_noise_is_given_in_one_way(one: str, other: str):
+    expected = f"{one}: cannot go with {other} in [sensors] (give one of them)"
+    assert refusal(sensors={one: 1, other: 1}) == f"[sensors] {expected}"
+    assert refusal(sensors={other: 1}, axes={one: [1]}) == f"[axes] {expected}"
+    study = built(sensors={other: 1})
+    assert study.sensors is not None and getattr(study.sensors, one) is None
+
+
+@pytest.mark.parametrize(
+    ("resets", "axes", "line"),
+    [
+        (
+            {"reset_times_s": [1], "reset_count": 0},
+            {},
+            "[resets] reset_times_s: cannot go with reset_count in [resets] (give one of them)",
+        ),
+        (
+            {"reset_times_s": [1], "reset_cycle_s": 50},
+            {},
+            "[resets] reset_times_s: cannot go with reset_cycle_s in [resets] (give one of them)",
+        ),
+        (
+            {"reset_count": 1, "reset_cycle_s": 50},
+            {"reset_times_s": [[1], [2]]},
+            "[axes] reset_times_s: cannot go with reset_count in [resets] (give one of them)",
+        ),
+        (
+            {"reset_times_s": [1]},
+            {"reset_count": [0, 1]},
+            "[resets] reset_times_s: cannot go with reset_count in [axes] (give one of them)",
+        ),
+        (
+            {"reset_count": 1},
+            {},
+            "[resets] reset_cycle_s: required where reset_count > 0 (it is 1)",
+        ),
+        (
+            {},
+            {"reset_count": [0, 2]},
+            "[resets] reset_cycle_s: required where reset_count > 0 (it is 2)",
+        ),
+        (
+            {"reset_count": 3, "reset_cycle_s": 301},
+            {},
+            "[resets] reset_cycle_s: 3 resets every 301 s last 903 s,"
+            " longer than the study (duration_s = 900)",
+        ),
+        (
+            {"reset_cycle_s": 50},
+            {"reset_count": [0, 19]},
+            "[axes] reset_count: 19 resets every 50 s last 950 s,"
+            " longer than the study (duration_s = 900)",
+        ),
+        (
+            {"reset_count": 2},
+            {"reset_cycle_s": [50, 451]},
+            "[axes] reset_cycle_s: 2 resets every 451 s last 902 s,"
+            " longer than the study (duration_s = 900)",
+        ),
+        (
+            {"reset_count": 2, "reset_cycle_s": 0.006},
+            {},
+            "[resets] reset_cycle_s: 0.006 s is shorter than a sample of 0.01 s",
+        ),
+        (
+            {"reset_times_s": [50, 901]},
+            {},
+            "[resets] reset_times_s: 901 s is after the study's end (duration_s = 900)",
+        ),
+        (
+            {"reset_times_s": [0.004]},
+            {},
+            "[resets] reset_times_s: 0.004 s falls on the sample of the start (0.01 s a sample)",
+        ),
+        (
+            {},
+            {"reset_times_s": [[], [50.0, 50.004]]},
+            "[axes] reset_times_s: 50.004 s falls on the sample of the reset at 50 s"
+            " (0.01 s a sample)",
+        ),
+        (
+            {"reset_times_s": [1], "reset_first_s": 50},
+            {},
+            "[resets] reset_times_s: cannot go with reset_first_s in [resets] (give one of them)",
+        ),
+        (
+            {"reset_first_s": 25},
+            {"reset_count": [0, 1, 2]},
+            "[resets] reset_cycle_s: required where reset_count > 1 (it is 2)",
+        ),
+        (
+            {"reset_count": 1},
+            {"reset_first_s": [25, 901]},
+            "[axes] reset_first_s: 901 s is after the study's end (duration_s = 900)",
+        ),
+        (
+            {"reset_count": 2, "reset_first_s": 0.004, "reset_cycle_s": 50},
+            {},
+            "[resets] reset_first_s: 0.004 s falls on the sample of the start (0.01 s a sample)",
+        ),
+        (
+            {"reset_count": 3, "reset_first_s": 101, "reset_cycle_s": 400},
+            {},
+            "[resets] reset_cycle_s: 3 resets from 101 s every 400 s last 901 s,"
+            " longer than the study (duration_s = 900)",
+        ),
+        (
+            {"reset_count": 2, "reset_first_s": 25, "reset_cycle_s": 0.006},
+            {},
+            "[resets] reset_cycle_s: 0.006 s is shorter than a sample of 0.01 s",
+        ),
+        (
+            {"reset_count": 2, "reset_first_s": 0.015, "reset_cycle_s": 0.01},
+            {},
+            "[resets] reset_first_s: 0.015 s and a cycle of 0.01 s put two resets on one sample"
+            " (0.01 s a sample)",
+        ),
+    ],
+)
+def test_resets(resets: dict[str, Any], axes: dict[str, Any], line: str):
+    assert refusal(resets=resets, axes=axes) == line
+
+
+def test_resets_that_are_fine():
+    built(resets={"reset_count": 3, "reset_cycle_s": 300})  # the last one exactly at the end
+    built(resets={"reset_times_s": [0.01, 0.02, 900]})
+    built(resets={"reset_count": 0, "reset_cycle_s": 1e6})
+    built(resets={"reset_count": 0, "reset_first_s": 1e6})
+    built(resets={"reset_count": 1, "reset_first_s": 900, "reset_cycle_s": 1e6})
+    built(resets={"reset_count": 3, "reset_first_s": 100, "reset_cycle_s": 400})
+    # 3 x 0.1 is a rounding error more than 0.3.
+    built(
+        study={"duration_s": 0.3, "record_interval_s": 0.1},
+        resets={"reset_count": 3, "reset_cycle_s": 0.1},
+    )
+    # Each case with its own cycle: only what happens together is checked.
+    pairs = [{"reset_count": 2, "reset_cycle_s": 400}, {"reset_count": 8, "reset_cycle_s": 100}]
+    built(cases=pairs)
+
+
+def test_times_of_counted_resets():
+    """A first one of its own; without it the cycle's multiples, as exactly as ever."""
+    cycle = {"reset_cycle_s": 0.1}
+    study = built(resets=cycle, axes={"reset_count": [0, 1, 3], "reset_first_s": [25, 7.5]})
+    assert study.reset_times() == [
+        (),
+        (),
+        (25.0,),
+        (7.5,),
+        (25.0, 25.0 + 0.1, 25.0 + 2 * 0.1),
+        (7.5, 7.5 + 0.1, 7.5 + 2 * 0.1),
+    ]
+    (times,) = built(resets=cycle | {"reset_count": 3}).reset_times()
+    assert times == (0.1, 0.2, 3 * 0.1)
+    alone = built(resets={"reset_first_s": 25}, axes={"reset_count": [0, 1]})
+    assert alone.reset_times() == [(), (25.0,)]
+
+
+# A rule for stopping
+
+
+@pytest.mark.parametrize("statistic", ["success_rate", "settle_60_s_mean", "settle_10_s_mean"])
+def test_statistics_that_stop_a_study(statistic: str):
+    stop = built(
+        study={"settle_bands_arcmin": [60]}, stop_when=STOP | {"statistic": statistic}
+    ).stop_when
+    assert stop is not None and (stop.statistic, stop.half_width) == (statistic, 0.02)
+    assert built().stop_when is None
+
+
+@pytest.mark.parametrize(
+    ("stop", "line"),
+    [
+        (
+            STOP | {"statistic": "settle_3_s_mean"},
+            "[stop_when] statistic: 'settle_3_s_mean' is none of success_rate, settle_60_s_mean,"
+            " settle_10_s_mean",
+        ),
+        (STOP | {"statistic": 3}, "[stop_when] statistic: must be text, not 3"),
+        ({"half_width": 1}, "[stop_when] statistic: required ("),
+        ({"statistic": "success_rate"}, "[stop_when] half_width: required ("),
+        ({}, "[stop_when] statistic: required ("),
+        (STOP | {"half_width": 0}, "[stop_when] half_width: must be greater than 0, not 0"),
+        (STOP | {"half_width": 1}, "[stop_when] half_width: must be less than 1, a share, not 1"),
+        (STOP | {"until": 3}, "[stop_when] until: unknown key"),
+    ],
+)
+def test_rules_for_stopping(stop: dict[str, Any], line: str):
+    assert refusal(study={"settle_bands_arcmin": [60]}, stop_when=stop).startswith(line)
+
+
+def test_a_mean_time_may_be_known_to_more_than_a_second():
+    built(stop_when={"statistic": "settle_10_s_mean", "half_width": 5})
+
+
+@pytest.mark.parametrize(
+    ("tables", "line"),
+    [
+        (
+            {"study": {"record_interval_s": 0.015}},
+            "[study] record_interval_s: 0.015 s is no whole number of samples of 0.01 s"
+            " (nearest: 0.01 or 0.02)",
+        ),
+        (
+            {"alignment": {"feedback_interval_s": 0.001}},
+            "[alignment] feedback_interval_s: 0.001 s is no whole number of samples of 0.01 s"
+            " (nearest: 0.01)",
+        ),
+        (
+            {"axes": {"feedback_interval_s": [1, 1.005]}},
+            "[axes] feedback_interval_s: 1.005 s is no whole number of samples of 0.01 s"
+            " (nearest: 1 or 1.01)",
+        ),
+        (
+            {"cases": [{"feedback_interval_s": 1e-300}]},
+            "[cases] feedback_interval_s: 1e-300 s is no whole number of samples of 0.01 s"
+            " (nearest: 0.01)",
+        ),
+        (
+            {"study": {"record_interval_s": 901, "window_s": [0, 900]}},
+            "[study] record_interval_s: 901 s is longer than the study, duration_s = 900",
+        ),
+    ],
+)
+def test_intervals(tables: dict[str, Any], line: str):
+    assert refusal(**tables) == line
+
+
+@pytest.mark.parametrize(
+    ("record", "coarse", "line"),
+    [
+        (
+            {"start_s": [30, 30.000000001]},
+            {},
+            "[record] start_s: 30.000000001 s falls on the sample of another start time",
+        ),
+        (
+            {"from_s": 30, "start_s": [20, 40]},
+            {},
+            "[record] start_s: 20 s lies before from_s = 30",
+        ),
+        ({"from_s": 30, "to_s": 30}, {}, "[record] to_s: must be after from_s = 30, not 30"),
+        ({"time_unit": "ms"}, {}, "[record] time_unit: has no place without a time_column"),
+        (
+            {"max_gap_s": 1},
+            {},
+            "[record] max_gap_s: has no place with format 'psins', which fixes it",
+        ),
+        (
+            {},
+            {"coarse_duration_s": 0.01},
+            "[coarse] coarse_duration_s: 0.01 s is no whole number of samples of 0.01 s,"
+            " 2 or more (nearest: 0.02)",
+        ),
+    ],
+)
+def test_times_in_a_record(record: dict[str, Any], coarse: dict[str, Any], line: str):
+    assert refusal(RECORDED, record=record, coarse=coarse) == line
+    built(RECORDED, record={"start_s": [0, 0.01]}, coarse={"coarse_duration_s": 0.02})
+    assert built(RECORDED, record={"from_s": 30}).record.start_s == (30.0,)
+
+
+def test_a_record_s_intervals_are_its_nearest_samples():
+    """A simulation has the rate that it is given: there it is a mistake."""
+    study = built(RECORDED, study={"rate_hz": 199.8}, record={"start_s": [0, 0.004]})
+    assert study.record_every == 200
+    line = "[study] record_interval_s: 1 s is no whole number of samples of 0.005005005005"
+    assert refusal(study={"rate_hz": 199.8}).startswith(line)
+
+
+def test_a_record_may_tell_the_rate():
+    study = study_from_dict({"study": {"duration_s": 300.0}, "record": {"format": "psins"}})
+    assert not study.study.rate_hz
+    for rate in (100.0, 199.8):
+        assert with_rate(study, rate).study.rate_hz == rate
+    whole = built(RECORDED)
+    assert fingerprint(with_rate(study, whole.study.rate_hz)) == fingerprint(whole)
+    with pytest.raises(InputError, match="is longer than the study"):
+        with_rate(
+            study.model_copy(
+                update={"study": study.study.model_copy(update={"record_interval_s": 301.0})}
+            ),
+            1.0,
+        )
+    csv = {"format": "csv", "quantity": "rates", "gyro_unit": "deg_per_s", "accel_unit": "g"}
+    csv |= {"gyro_columns": ["a", "b", "c"], "accel_columns": ["d", "e", "f"]}
+    with pytest.raises(
+        InputError, match=r"\[study\] rate_hz: required \(\[record\] has no time_col"
+    ):
+        study_from_dict({"study": {"duration_s": 300.0}, "record": csv})
+    study_from_dict({"study": {"duration_s": 300.0}, "record": csv | {"time_column": "t"}})
+
+
+# Compass loops and passes
+
+
+@pytest.mark.parametrize(
+    ("tables", "key", "method"),
+    [
+        ({"compass": {"level_time_s": 1}}, "[compass] level_time_s", "kalman5"),
+        ({"axes": {"sigma_factors": [[1.0]]}}, "[axes] sigma_factors", "kalman5"),
+        ({"passes": {"tape_s": 80, "turn": "keep"}}, "[passes] turn", "kalman5"),
+        (
+            {"axes": {"turn_smoothing_s": [1], "method": ["kalman5", "kalman10"]}},
+            "[axes] turn_smoothing_s",
+            "kalman10 or kalman5",
+        ),
+        (
+            {"alignment": {"method": "compass"}, "filter": {"p0_yaw_deg": 1}},
+            "[filter] p0_yaw_deg",
+            "compass",
+        ),
+        (
+            {"alignment": {"method": "compass"}, "resets": {"reset_count": 0}},
+            "[resets] reset_count",
+            "compass",
+        ),
+        (
+            {"alignment": {"method": "compass", "feedback_interval_s": 1}},
+            "[alignment] feedback_interval_s",
+            "compass",
+        ),
+        (
+            {"axes": {"method": ["compass"], "specific_force": ["measured"]}},
+            "[axes] specific_force",
+            "compass",
+        ),
+        (
+            {"alignment": {"method": "compass"}, "passes": {"turn_covariance": "reset"}},
+            "[passes] turn_covariance",
+            "compass",
+        ),
+        (
+            {"alignment": {"method": "compass"}, "cases": [{"turn_inflation": 3.0}]},
+            "[cases] turn_inflation",
+            "compass",
+        ),
+    ],
+)
+def test_a_key_that_no_method_reads(tables: dict[str, Any], key: str, method: str):
+    assert refusal(**tables) == f"{key}: has no place with method {method}"
+    built(merged(SIMULATED, **tables), axes={"method": ["kalman5", "compass"]})
+
+
+def test_sections_and_defaults_are_those_of_the_methods():
+    filters, loops, both = built(), built(COMPASS), built(axes={"method": ["kalman5", "compass"]})
+    assert filters.compass is None and filters.filter and filters.resets
+    assert loops.filter is None and loops.resets is None
+    assert loops.alignment.feedback_interval_s is None
+    assert both.compass and both.filter and both.resets
+    for study in (filters, loops, both):
+        assert study.passes is None
+    assert filters.alignment.feedback_interval_s == both.alignment.feedback_interval_s == 1.0
+    compass = loops.compass
+    assert compass is not None
+    assert (compass.level_sigma_per_s, compass.azimuth_sigma_per_s) == (0.02, 0.01)
+    assert (compass.level_time_s, compass.sigma_factors) == (150.0, (1.0,))
+    over = built(COMPASS, passes={"tape_s": 80}).passes
+    assert over is not None
+    assert (over.turn, over.turn_smoothing_s, over.turn_covariance) == ("reflect", 5.0, None)
+    over = built(passes={"tape_s": 80}).passes
+    assert over is not None
+    assert (over.turn, over.turn_covariance, over.turn_inflation) == (None, "carried", 10.0)
+
+
+@pytest.mark.parametrize(
+    ("one", "others"),
+    [
+        ("level_gains", ("level_sigma_per_s", "level_adjustment_s")),
+        ("level_adjustment_s", ("level_sigma_per_s",)),
+        ("level_passes", ("level_time_s",)),
+        ("azimuth_gains", ("azimuth_sigma_per_s", "azimuth_adjustment_s")),
+        ("azimuth_adjustment_s", ("azimuth_sigma_per_s",)),
+        ("sigma_passes", ("sigma_times_s",)),
+    ],
+)
+def test_loops_are_given_in_one_way(one: str, others: tuple[str, ...]):
+    values = {"level_gains": [1.0, 2.0, 3.0], "azimuth_gains": [1.0, 2.0, 3.0, 4.0]}
+    values |= {"level_passes": 1, "sigma_passes": [1], "sigma_times_s": [80.0]}
+    values["sigma_factors"] = [2.0, 1.0]
+    given = {key: values.get(key, 1.0) for key in (one, *others)}
+    extra = {"passes": {"tape_s": 80.0}}
+    for other in others:
+        pair = {key: given[key] for key in (one, other)}
+        line = refusal(COMPASS, compass=pair, **extra)
+        assert line == f"[compass] {one}: cannot go with {other} in [compass] (give one of them)"
+    more = {"sigma_factors": [2.0, 1.0]} if one == "sigma_passes" else {}
+    alone = built(COMPASS, compass={one: given[one]} | more, **extra).compass
+    assert alone is not None and all(getattr(alone, other) is None for other in others)
+
+
+@pytest.mark.parametrize(
+    ("passes", "line"),
+    [
+        ({"tape_s": 901}, "tape_s: 901 s is longer than the study, duration_s = 900"),
+        (
+            {"tape_s": 80.5},
+            "tape_s: 80.5 s is no whole number of record intervals, record_interval_s = 1"
+            " (nearest: 80 or 81)",
+        ),
+        (
+            {"tape_s": 0.4},
+            "tape_s: 0.4 s is no whole number of record intervals, record_interval_s = 1"
+            " (nearest: 1)",
+        ),
+        ({"tape_s": 0}, "tape_s: must be greater than 0, not 0"),
+        ({"tape_s": 80, "passes": 0}, "passes: must be greater than or equal to 1, not 0"),
+        (
+            {"tape_s": 80, "passes": 12},
+            "passes: 12 over a tape of 80 s last 960 s, longer than the study (duration_s = 900)",
+        ),
+        (
+            {"tape_s": 80, "passes": 4, "ending": "forward"},
+            "passes: 4 end backward, not as ending = 'forward' says",
+        ),
+        ({"passes": 2}, "passes: 2 need a tape to go over (give tape_s)"),
+        (
+            {"tape_s": 80, "turn": "flip"},
+            "turn: must be 'reflect', 'velocity', 'velocity_and_rate', 'velocity_drop_rate',"
+            " 'restart' or 'keep', not 'flip'",
+        ),
+    ],
+)
+def test_passes_that_do_not_fit(passes: dict[str, Any], line: str):
+    assert refusal(COMPASS, passes=passes) == f"[passes] {line}"
+
+
+def test_passes_are_checked_as_they_meet():
+    axes = {"tape_s": [80, 100], "passes": [3, 10]}
+    line = "[axes] passes: 10 over a tape of 100 s last 1000 s, longer than the study"
+    assert refusal(axes=axes).startswith(line)
+    built(cases=[{"tape_s": 80, "passes": 10}, {"tape_s": 100, "passes": 3}])
+
+
+@pytest.mark.parametrize(
+    ("passes", "spans"),
+    [
+        # Record intervals in the run and in a pass, of 900.
+        ({}, (900, 900)),
+        ({"passes": 1}, (900, 900)),
+        ({"ending": "forward"}, (900, 900)),
+        ({"tape_s": 80}, (900, 80)),
+        ({"tape_s": 80, "passes": 3}, (240, 80)),
+        ({"tape_s": 80, "passes": 11}, (880, 80)),
+        ({"tape_s": 80, "ending": "forward"}, (880, 80)),
+        ({"tape_s": 100, "ending": "forward"}, (900, 100)),
+        ({"tape_s": 90, "ending": "forward"}, (810, 90)),
+        ({"tape_s": 450, "ending": "forward"}, (450, 450)),
+        ({"tape_s": 900}, (900, 900)),
+    ],
+)
+def test_how_long_passes_last(passes: dict[str, Any], spans: tuple[int, int]):
+    (span,) = built(study={"window_s": [0, 200]}, passes=passes).spans
+    assert span == spans
+
+
+@pytest.mark.parametrize(
+    ("compass", "line"),
+    [
+        (
+            {"sigma_factors": [2, 1]},
+            "sigma_times_s: needs 1 entries for 2 sigma_factors, not 0",
+        ),
+        (
+            {"sigma_factors": [2, 1], "sigma_times_s": [1, 2]},
+            "sigma_times_s: needs 1 entries for 2 sigma_factors, not 2",
+        ),
+        ({"sigma_times_s": [3]}, "sigma_times_s: needs 0 entries for 1 sigma_factors, not 1"),
+        ({"sigma_factors": [3, 2, 1], "sigma_times_s": [3, 2]}, "sigma_times_s: must increase"),
+        (
+            {"sigma_factors": [2, 1], "sigma_passes": [2]},
+            "sigma_passes: counts passes over a tape (give [passes] tape_s)",
+        ),
+        ({"level_passes": 1}, "level_passes: counts passes over a tape (give [passes] tape_s)"),
+        ({"level_passes": 0}, "level_passes: must be greater than or equal to 1, not 0"),
+        ({"sigma_factors": []}, "sigma_factors: must not be empty, not []"),
+        ({"sigma_factors": [2, 0]}, "sigma_factors[1]: must be greater than 0, not 0"),
+        ({"level_gains": [1, 2]}, "level_gains[2]: required"),
+        (
+            {"azimuth_gains": [1, 2, 3, 4, 5]},
+            "azimuth_gains: must have 4 values, not 5",
+        ),
+        ({"level_damping": 1.0}, "level_damping: must be less than 1, not 1.0"),
+        ({"azimuth_damping": 0}, "azimuth_damping: must be greater than or equal to 0.01, not 0"),
+        ({"adjustment_remainder": 1.0}, "adjustment_remainder: must be less than 1, not 1.0"),
+        ({"azimuth_sigma_per_s": 0}, "azimuth_sigma_per_s: must be greater than 0, not 0"),
+        ({"allow_unstable": 1}, "allow_unstable: must be true or false, not 1"),
+    ],
+)
+def test_loops_that_do_not_fit(compass: dict[str, Any], line: str):
+    assert refusal(COMPASS, compass=compass) == f"[compass] {line}"
+
+
+def test_every_piece_of_sigma_has_its_beginning_in_every_variant():
+    factors, times = [[1.0], [2.0, 1.0]], [[], [100.0]]
+    line = "[axes] sigma_times_s: needs 0 entries for 1 sigma_factors, not 1"
+    assert refusal(COMPASS, axes={"sigma_factors": factors, "sigma_times_s": times}) == line
+    pairs = zip(factors, times, strict=True)
+    built(COMPASS, cases=[{"sigma_factors": f, "sigma_times_s": t} for f, t in pairs])
+    counted = [{"sigma_factors": [2.0, 1.0], "sigma_passes": [2]}]
+    assert refusal(COMPASS, cases=counted).startswith("[cases] sigma_passes: counts passes")
+    built(COMPASS, cases=counted, passes={"tape_s": 80})
+
+
+PARTIAL = {"duration_s": 900.5, "window_s": [600, 900]}
+
+
+@pytest.mark.parametrize(
+    ("tables", "start"),
+    [
+        (
+            {"resets": {"reset_times_s": [900.2]}},
+            "[resets] reset_times_s: 900.2 s is after the study's end (",
+        ),
+        (
+            {"resets": {"reset_count": 1, "reset_cycle_s": 900.2}},
+            "[resets] reset_cycle_s: 1 resets every 900.2 s last 900.2 s, longer than the study (",
+        ),
+        (
+            {"study": {"window_s": [899, 900.5]}},
+            "[study] window_s: fewer than 2 records are after 899 s and up to 900.5 s (",
+        ),
+    ],
+)
+def test_a_last_partial_record_interval_is_not_run(tables: dict[str, Any], start: str):
+    end = "duration_s = 900.5; the last partial record interval, after 900 s, is not run)"
+    assert refusal(merged(SIMULATED, study=PARTIAL), **tables) == start + end
+
+
+def test_the_end_of_what_is_run():
+    study = built(study=PARTIAL, resets={"reset_times_s": [900]})
+    assert (study.run_s, study.dropped_s) == (900.0, 0.5)
+    built(study=PARTIAL | {"window_s": [898, 900.5]})
+    line = "[study] window_s: fewer than 2 records are after 10 s and up to 11.9 s"
+    assert refusal(study={"window_s": [10, 11.9]}) == f"{line} (duration_s = 900)"
+    assert refusal(study={"window_s": [0, 0.5]}).startswith("[study] window_s: fewer than 2")
+
+
+@given(
+    every=st.integers(1, 50),
+    rate=st.sampled_from([3.0, 7.0, 100.0, 333.3]),
+    ends=st.tuples(st.integers(0, 400), st.integers(1, 400)).filter(lambda ab: ab[0] < ab[1]),
+)
+def test_a_window_holds_two_record_times(every: int, rate: float, ends: tuple[int, int]):
+    start, end = (n / rate for n in ends)
+    study = {"rate_hz": rate, "duration_s": 400 / rate, "record_interval_s": every / rate}
+    times = [k * every / rate for k in range(1, 400 // every + 1)]
+    tables = {"study": study | {"window_s": [start, end]}}
+    tables["alignment"] = {"feedback_interval_s": 1 / rate}
+    if sum(start < time <= end for time in times) < 2:
+        assert refusal(**tables).startswith("[study] window_s: fewer than 2")
+    else:
+        built(**tables)
+
+
+def test_sizes_that_no_machine_could_run():
+    line = "[study] duration_s: 1000010 s at rate_hz = 100 is more than 100000000 samples a run"
+    assert refusal(study={"duration_s": 1000010}) == line
+    built(study={"duration_s": 1000000})
+    axes = {key: [i / 100 for i in range(1000)] for key in ("phi_e0_deg", "phi_n0_deg")}
+    line = "draws x 1000000 variants of [axes] and [[cases]] are more than 1000000000 runs"
+    assert refusal(study={"draws": 1001}, axes=axes) == f"[study] draws: 1001 {line}"
+    built(study={"draws": 1000}, axes=axes)
+    starts = [float(i) for i in range(1001)]
+    assert refusal(RECORDED, record={"start_s": starts}, axes=axes) == (
+        f"[record] start_s: 1001 {line}"
+    )
+
+
+# Layouts
+
+
+CONDITIONS = [
+    {"case": f"condition {name}", "phi_u0_deg": i}
+    for i, name in enumerate(("1", "2", "3", "4", "5", "5 with resets"))
+]
+
+
+@pytest.mark.parametrize(
+    ("base", "layout", "tables", "text"),
+    [
+        (SIMULATED, "car_test", {}, "needs a recorded study"),
+        (RECORDED, "paper1_conditions", {"cases": CONDITIONS}, "needs a simulated study"),
+        (RECORDED, "paper1_resets", {"cases": CONDITIONS}, "needs a simulated study"),
+        (RECORDED, "paper1_readings", {"cases": CONDITIONS}, "needs a simulated study"),
+        (
+            SIMULATED,
+            "paper1_conditions",
+            {},
+            "needs [[cases]] with case = 'condition 1'",
+        ),
+        (
+            SIMULATED,
+            "paper1_conditions",
+            {"cases": [{"phi_u0_deg": 0}]},
+            "needs [[cases]] with case = 'condition 1'",
+        ),
+        (
+            SIMULATED,
+            "paper1_resets",
+            {"cases": CONDITIONS[:-1]},
+            "needs [[cases]] with case = 'condition 5 with resets'",
+        ),
+        (
+            SIMULATED,
+            "paper1_readings",
+            {"cases": CONDITIONS[:2] + CONDITIONS[3:]},
+            "needs [[cases]] with case = 'condition 3'",
+        ),
+        (
+            SIMULATED,
+            "paper1_resets",
+            {"cases": CONDITIONS, "axes": {"phi_e0_deg": [0, 1]}},
+            "takes no [axes] (phi_e0_deg)",
+        ),
+        (
+            SIMULATED,
+            "paper1_readings",
+            {"cases": CONDITIONS},
+            "needs [axes] among q_reading, r_reading, feedback_interval_s",
+        ),
+        (
+            SIMULATED,
+            "paper1_readings",
+            {"cases": CONDITIONS, "axes": {"q_reading": ["psd"], "phi_e0_deg": [0]}},
+            "needs [axes] among q_reading, r_reading, feedback_interval_s",
+        ),
+    ],
+)
+def test_a_layout_that_does_not_fit(
+    base: dict[str, Any], layout: str, tables: dict[str, Any], text: str
+):
+    line = refusal(base, report={"layout": layout}, **tables)
+    assert line == f"[report] layout: '{layout}' {text}"
+
+
+def test_layouts_that_fit():
+    built(RECORDED, report={"layout": "car_test"})
+    built(report={"layout": "paper1_conditions"}, cases=CONDITIONS[:-1])
+    built(report={"layout": "paper1_resets"}, cases=[CONDITIONS[i] for i in (0, 4, 5)])
+    axes = {"r_reading": ["per_update", "psd"]}
+    built(report={"layout": "paper1_readings"}, cases=CONDITIONS, axes=axes)
+
+
+@given(samples=st.integers(1, 100_000), rate=st.floats(1, 1e4))
+def test_whole_numbers_of_samples_pass(samples: int, rate: float):
+    study = {"rate_hz": rate, "duration_s": 1e3, "record_interval_s": 1 / rate, "unchecked": True}
+    built(study=study, alignment={"feedback_interval_s": samples / rate})
+
+
+@given(samples=st.floats(0.01, 1e5).filter(lambda x: 0.01 < x % 1 < 0.99), rate=st.floats(1, 1e4))
+def test_the_nearest_intervals_that_are_named_pass(samples: float, rate: float):
+    study = {"rate_hz": rate, "duration_s": 1e3, "record_interval_s": 1 / rate, "unchecked": True}
+    line = refusal(study=study, alignment={"feedback_interval_s": samples / rate})
+    for near in line.rsplit("nearest: ")[1].rstrip(")").split(" or "):
+        built(study=study, alignment={"feedback_interval_s": float(near)})
+
+
+@pytest.mark.parametrize("key", ["gravity_m_per_s2", "radius_m", "earth_rate_deg_per_h"])
+def test_constants_have_no_place_with_wgs84(key: str):
+    text = f"{key}: has no place without earth = 'constants'"
+    assert refusal(earth={"earth": "wgs84", key: 1}) == f"[earth] {text}"
+    assert refusal(earth={"earth": "wgs84"}, axes={key: [1, 2]}) == f"[axes] {text}"
+    assert refusal(earth={key: 1}, cases=[{"earth": "wgs84"}]) == f"[earth] {text}"
+    assert getattr(built(earth={"earth": "wgs84"}).earth, key) is None
+    study = {"unchecked": True}
+    both = built(study=study, earth={key: 1}, axes={"earth": ["wgs84", "constants"]})
+    assert both.values(key) == [1.0, 1.0]
+
+
+def test_an_amplitude_needs_its_period():
+    line = "[motion] roll_period_s: required where roll_amplitude_deg > 0"
+    assert refusal(motion={"roll_amplitude_deg": 1}) == line
+    assert refusal(axes={"roll_amplitude_deg": [0, 1]}) == line
+    built(motion={"roll_amplitude_deg": 0})
+    built(motion={"roll_amplitude_deg": 1}, axes={"roll_period_s": [5, 6]})
+
+
+# Recorded studies
+
+
+@pytest.mark.parametrize(
+    ("tables", "line"),
+    [
+        ({"motion": {}}, "[motion]: has no place in a recorded study (drop it or [record])"),
+        ({"sensors": {}}, "[sensors]: has no place in a recorded study (drop it or [record])"),
+        (
+            {"study": {"draws": 1}},
+            "[study] draws: has no place in a recorded study (one draw a start time)",
+        ),
+        (
+            {"axes": {"accel_bias_ug": [1]}},
+            "[axes] accel_bias_ug: has no place in a recorded study"
+            " ([sensors] is the simulation's)",
+        ),
+        (
+            {"axes": {"coarse_duration_s": [1]}},
+            "[axes] coarse_duration_s: cannot be swept (it is a key of [coarse])",
+        ),
+        ({"record": {"start_s": [0, -1]}}, "[record] start_s[1]: must be greater than or equal to"),
+        ({"record": {"start_s": [0, 30, 0.0]}}, "[record] start_s: names a value twice"),
+        ({"record": {"start_s": []}}, "[record] start_s: must not be empty"),
+        ({"record": {"start_s": "0"}}, "[record] start_s[0]: must be a number, not '0'"),
+        ({"record": {"axes_order": "xyy"}}, "[record] axes_order: must order x, y and z"),
+        ({"record": {"axes_order": "x-yz-"}}, "[record] axes_order: must order x, y and z"),
+        ({"record": {"axes_order": "yxz"}}, "[record] axes_order: must be right-handed"),
+        ({"record": {"axes_order": "xy-z"}}, "[record] axes_order: must be right-handed"),
+        ({"record": {"axes_order": 3}}, "[record] axes_order: must be text, not 3"),
+        ({"record": {"format": "mat"}}, "[record] format: must be 'psins', 'csv' or 'parquet'"),
+        (
+            {"coarse": {"coarse_duration_s": 0}},
+            "[coarse] coarse_duration_s: must be greater than 0",
+        ),
+        ({"coarse": {"coarse_method": "x"}}, "[coarse] coarse_method: must be 'inertial' or"),
+    ],
+)
+def test_recorded_refusals(tables: dict[str, Any], line: str):
+    assert refusal(RECORDED, **tables).startswith(line)
+
+
+def test_record_keys_by_format():
+    for key in (*TABULAR, "time_column"):
+        if key != "format":
+            value = TABULAR.get(key, "t")
+            expected = f"[record] {key}: has no place with format 'psins', which fixes it"
+            assert refusal(RECORDED, record={key: value}) == expected
+    for format_ in ("csv", "parquet"):
+        for key in TABULAR:
+            if key != "format":
+                table = {k: v for k, v in TABULAR.items() if k != key} | {"format": format_}
+                expected = f"[record] {key}: required with format '{format_}'"
+                assert refusal(RECORDED, record=table) == expected
+    data = merged(RECORDED, record={"start_s": 0})
+    del data["record"]["format"]
+    assert refusal(data) == "[record] format: required (file format)"
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        ({"gyro_unit": "rad"}, "gyro_unit: 'rad' is no unit of rates"),
+        ({"quantity": "increments"}, "gyro_unit: 'deg_per_h' is no unit of increments"),
+        ({"accel_unit": "g_s"}, "accel_unit: 'g_s' is no unit of rates"),
+        ({"accel_unit": "ft"}, "accel_unit: must be 'm_per_s', "),
+        ({"gyro_columns": ["a", "b"]}, "gyro_columns[2]: required"),
+        ({"gyro_columns": ["a", "b", ""]}, "gyro_columns[2]: must not be empty"),
+        ({"accel_columns": ["ax", "ay", "gx"]}, "accel_columns: names a column twice"),
+        ({"time_column": "gx"}, "accel_columns: names a column twice"),
+    ],
+)
+def test_tabular_records(change: dict[str, Any], line: str):
+    assert refusal(RECORDED, record=TABULAR | change).startswith(f"[record] {line}")
+
+
+def test_a_recorded_study_draws_what_it_has():
+    line = "[stop_when]: has no place in a recorded study (drop it or [record])"
+    assert refusal(RECORDED, stop_when=STOP) == line
+
+
+def test_coarse_needs_a_record():
+    line = "[coarse]: only a recorded study has one ([record] is missing)"
+    assert refusal(coarse={"coarse_duration_s": 60}) == line

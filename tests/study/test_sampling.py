@@ -1,0 +1,458 @@
+"""Values of drawn keys: distributions, streams, Sobol points, lists and grids."""
+
+import itertools
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+from support.studies import BASE
+
+from sinsjax.errors import InputError
+from sinsjax.study import sampling
+from sinsjax.study.distributions import NUMBERS, STARTS
+from sinsjax.study.load import Study, study_from_dict
+from sinsjax.study.schema import Motion, Sensors
+from sinsjax.study.study import SECTION_OF
+
+MANY = 1 << 14
+LAWS: dict[str, Any] = {
+    "phi_e0_deg": {"uniform": [-5, 5]},
+    "phi_n0_deg": {"uniform": [-5, 5]},
+    "phi_u0_deg": {"normal": [2, 10]},
+    "gyro_bias_deg_per_h": {"normal": [0, 0.01]},
+    "accel_misalignment_arcsec": {"uniform": [0, 1]},
+    "yaw_center_deg": {"values": [0, 90, 180]},
+}
+
+
+def study_of(laws: dict[str, Any] | None, *, seed: int = 1, **changes: Any) -> Study:
+    """A small study that gives no key but the required ones and draws some."""
+    data: dict[str, Any] = {name: dict(BASE[name]) for name in ("study", "earth")}
+    data["motion"] = {"yaw_center_deg": 10.0}
+    data["study"]["seed"] = seed
+    for key in laws if isinstance(laws, dict) else ():
+        data.get(SECTION_OF.get(key, ""), {}).pop(key, None)
+    if laws is not None:
+        data["drawn"] = laws
+    for name, change in changes.items():
+        data[name] = data.get(name, {}) | change
+    return study_from_dict(data, "s.toml")
+
+
+def drawn(laws: dict[str, Any], count: int = MANY, **more: Any) -> dict[str, np.ndarray]:
+    return sampling.values(study_of(laws, **more), count)
+
+
+def sobol(laws: dict[str, Any]) -> dict[str, Any]:
+    return {"sampling": "sobol"} | laws
+
+
+BOTH = pytest.mark.parametrize("laws", [LAWS, sobol(LAWS)], ids=["random", "sobol"])
+
+
+def test_nothing_drawn():
+    assert sampling.values(study_of(None), 5) == {}
+
+
+@BOTH
+@pytest.mark.parametrize("count", [0, 1, 3, 64])
+def test_shapes(laws: dict[str, Any], count: int):
+    values = drawn(laws, count)
+    assert list(values) == list(LAWS)
+    assert all(v.dtype == np.float64 for v in values.values())
+    shapes = [v.shape for v in values.values()]
+    assert shapes == [(count,), (count,), (count,), (count, 3), (count, 6), (count,)]
+
+
+def test_a_key_has_as_many_numbers_as_its_section_takes():
+    for key, numbers in NUMBERS.items():
+        one = study_of({key: {"values": [[1.0] * numbers if numbers > 1 else 1.0]}}, **periods(key))
+        assert sampling.values(one, 2)[key].shape == ((2, numbers) if numbers > 1 else (2,))
+        with pytest.raises(InputError, match="must be a number|required"):
+            study_of({key: {"values": [[1.0, 2.0]]}}, **periods(key))
+    assert NUMBERS.keys() == {"latitude_deg", *Motion.model_fields, *Sensors.model_fields, *STARTS}
+
+
+def periods(key: str) -> dict[str, Any]:
+    """The period that a drawn amplitude needs."""
+    swung = key.endswith("_amplitude_deg")
+    return {"motion": {f"{key.partition('_')[0]}_period_s": 5.0}} if swung else {}
+
+
+# Distributions
+
+
+@BOTH
+def test_distributions(laws: dict[str, Any]):
+    values = drawn(laws)
+    for key in ("phi_e0_deg", "phi_n0_deg"):
+        assert stats.kstest(values[key], stats.uniform(-5, 10).cdf).pvalue > 1e-3
+    assert stats.kstest(values["phi_u0_deg"], stats.norm(2, 10).cdf).pvalue > 1e-3
+    for axis in values["gyro_bias_deg_per_h"].T:
+        assert stats.kstest(axis, stats.norm(0, 0.01).cdf).pvalue > 1e-3
+    for axis in values["accel_misalignment_arcsec"].T:
+        assert stats.kstest(axis, stats.uniform(0, 1).cdf).pvalue > 1e-3
+        assert 0 < axis.min() < 10 / MANY and 1 - 10 / MANY < axis.max() < 1
+
+
+@BOTH
+def test_numbers_are_independent(laws: dict[str, Any]):
+    """Of other keys, of the other axes of a vector, and of the draw before."""
+    values = drawn(laws)
+    columns = np.column_stack([rows for key, rows in values.items() if key != "yaw_center_deg"])
+    n = columns.shape[1]
+    found = np.corrcoef(columns[:-1], columns[1:], rowvar=False)[:n] - np.eye(n, 2 * n)
+    if "sampling" in laws:
+        found = found[:, :n]  # a Sobol point avoids the one before it
+    assert np.abs(found).max() < 4.5 / np.sqrt(MANY)
+
+
+def test_constant_laws():
+    values = drawn({"phi_e0_deg": {"uniform": [3, 3]}, "phi_n0_deg": {"normal": [2, 0]}}, 50)
+    np.testing.assert_array_equal(values["phi_e0_deg"], 3.0)
+    np.testing.assert_array_equal(values["phi_n0_deg"], 2.0)
+
+
+def test_sobol_points_fill_the_square_more_evenly_than_random_ones():
+    keys = ("phi_e0_deg", "phi_n0_deg")
+    laws = {key: {"uniform": [0, 1]} for key in keys}
+
+    def discrepancy(laws: dict[str, Any], seed: int) -> float:
+        values = drawn(laws, 256, seed=seed)
+        return stats.qmc.discrepancy(np.column_stack([values[key] for key in keys]))
+
+    for seed in range(1, 6):
+        assert discrepancy(sobol(laws), seed) < discrepancy(laws, seed) / 10
+
+
+def test_every_dyadic_interval_holds_one_sobol_point():
+    """The defining property of the sequence, which the scrambling keeps, in every dimension."""
+    laws = sobol({"gyro_scale_ppm": {"uniform": [0, 1]}, "phi_u0_deg": {"uniform": [0, 1]}})
+    values = drawn(laws, 64)
+    for column in (*values["gyro_scale_ppm"].T, values["phi_u0_deg"]):
+        np.testing.assert_array_equal(np.sort(np.floor(column * 64)), np.arange(64))
+
+
+@pytest.mark.parametrize("end", [0.0, 1 - 2.0**-30])
+def test_points_on_the_ends_give_finite_numbers(end: float, monkeypatch: pytest.MonkeyPatch):
+    """The lowest and the highest point that the sequence has."""
+    monkeypatch.setattr(stats.qmc.Sobol, "random", lambda self, n: np.full((n, self.d), end))
+    values = drawn(sobol(LAWS), 4)
+    assert np.abs(values["phi_u0_deg"] - 2) == pytest.approx(10 * stats.norm.isf(2.0**-31))
+    assert np.all(np.abs(values["phi_e0_deg"]) < 5)
+
+
+# Streams
+
+
+@BOTH
+@given(first=st.integers(0, 70), count=st.integers(0, 70))
+def test_a_draw_is_the_same_in_any_block(laws: dict[str, Any], first: int, count: int):
+    study = study_of(
+        laws | {"pitch_center_deg": {"grid": [0, 1]}, "roll_center_deg": {"grid": [0, 10, 20]}},
+        study={"draws": 6},
+    )
+    whole = sampling.values(study, 140)
+    for key, rows in sampling.values(study, count, first=first).items():
+        np.testing.assert_array_equal(rows, whole[key][first : first + count])
+
+
+def test_a_key_keeps_its_values_when_others_come():
+    alone = drawn({"phi_e0_deg": LAWS["phi_e0_deg"]}, 100)["phi_e0_deg"]
+    later = dict(reversed(LAWS.items()))
+    np.testing.assert_array_equal(drawn(later, 100)["phi_e0_deg"], alone)
+
+
+@BOTH
+def test_the_seed_decides(laws: dict[str, Any]):
+    one, same, other = (drawn(laws, 100, seed=seed) for seed in (1, 1, 2**63 - 1))
+    for key in LAWS:
+        np.testing.assert_array_equal(one[key], same[key])
+        assert np.array_equal(one[key], other[key]) == (key == "yaw_center_deg")
+
+
+@pytest.mark.parametrize(
+    ("laws", "level", "heading"),
+    [
+        (
+            LAWS,
+            [-3.034434542285841, -3.3844064925443593, 4.990089562075395],
+            [5.91668242042428, 5.098483037369475, 2.98800778190141],
+        ),
+        (
+            sobol(LAWS),
+            [-2.1383083751425147, 4.9912525760009885, 0.2523040445521474],
+            [4.233272388687993, 1.438813417016906, 20.259318624579052],
+        ),
+    ],
+    ids=["random", "sobol"],
+)
+def test_values_are_as_they_always_were(
+    laws: dict[str, Any], level: list[float], heading: list[float]
+):
+    """Stored results rest on them."""
+    values = drawn(laws, 3)
+    np.testing.assert_allclose(values["phi_e0_deg"], level, rtol=1e-14)
+    np.testing.assert_allclose(values["phi_u0_deg"], heading, rtol=1e-12)
+
+
+# Lists and grids
+
+
+def test_a_list_is_gone_through_again_and_again():
+    values = drawn({"yaw_center_deg": {"values": [0, 90, 180]}}, 8)
+    np.testing.assert_array_equal(values["yaw_center_deg"], [0, 90, 180, 0, 90, 180, 0, 90])
+    laws = {"gyro_bias_deg_per_h": {"values": [0.5, [1, 2, 3]]}}
+    rows = [[0.5, 0.5, 0.5], [1, 2, 3], [0.5, 0.5, 0.5]]
+    np.testing.assert_array_equal(drawn(laws, 3)["gyro_bias_deg_per_h"], rows)
+
+
+@given(lengths=st.lists(st.integers(1, 4), min_size=1, max_size=4), count=st.integers(1, 300))
+def test_grids_run_through_their_product(lengths: list[int], count: int):
+    keys = ("latitude_deg", "roll_center_deg", "phi_u0_deg", "accel_bias_ug")
+    grids = {key: [float(i) for i in range(n)] for key, n in zip(keys, lengths, strict=False)}
+    laws: dict[str, Any] = {key: {"grid": grid} for key, grid in grids.items()}
+    laws["ve0_m_per_s"] = {"uniform": [0, 1]}
+    values = drawn(laws, count, study={"draws": 256})
+    points = itertools.islice(itertools.cycle(itertools.product(*grids.values())), count)
+    rows = [values[key].reshape(count, -1)[:, -1] for key in grids]
+    assert list(zip(*rows, strict=True)) == list(points)
+
+
+@given(lengths=st.lists(st.integers(1, 4), min_size=1, max_size=3), count=st.integers(1, 40))
+def test_fewer_draws_have_the_same_values(lengths: list[int], count: int):
+    keys = ("roll_center_deg", "phi_u0_deg", "accel_bias_ug")
+    laws: dict[str, Any] = {
+        key: {"grid": [float(i) for i in range(n)]} for key, n in zip(keys, lengths, strict=False)
+    }
+    laws |= LAWS | {k: laws[k] for k in keys[: len(lengths)]}
+    whole = study_of(laws, study={"draws": 64})
+    assert whole.drawn
+    fewer = study_of(sampling.of_fewer(whole.drawn, count), study={"draws": count})
+    for key, rows in sampling.values(fewer, count).items():
+        np.testing.assert_array_equal(rows, sampling.values(whole, count)[key])
+
+
+# What a study refuses to draw
+
+
+def refusal(laws: Any, **changes: Any) -> str:
+    with pytest.raises(InputError) as caught:
+        study_of(laws, **changes)
+    line = str(caught.value)
+    assert len(line.splitlines()) == 1 and line.startswith("s.toml: ")
+    return line.removeprefix("s.toml: ")
+
+
+def test_drawn_is_given_nowhere_else():
+    law = {"phi_e0_deg": {"uniform": [0, 1]}}
+    again = "already (drop one of them)"
+    assert (
+        refusal(law, alignment={"phi_e0_deg": 1.0})
+        == f"[drawn] phi_e0_deg: is in [alignment] {again}"
+    )
+    assert refusal(law, axes={"phi_e0_deg": [1.0]}) == f"[drawn] phi_e0_deg: is in [axes] {again}"
+    zipped = {"level": {"phi_e0_deg": [1.0], "phi_n0_deg": [1.0]}}
+    assert refusal(law, axes=zipped) == f"[drawn] phi_e0_deg: is in [axes.level] {again}"
+    data = {**BASE, "alignment": {}, "drawn": law, "cases": [{"phi_e0_deg": 1.0}]}
+    with pytest.raises(InputError, match=r"\[drawn\] phi_e0_deg: is in \[cases\] already"):
+        study_from_dict(data)
+
+
+@pytest.mark.parametrize(
+    ("laws", "line"),
+    [
+        (3, "[drawn]: must be a table of keys"),
+        ({}, "[drawn]: names no key to draw"),
+        ({"sampling": "sobol"}, "[drawn]: names no key to draw"),
+        (
+            {"sampling": "halton", "phi_e0_deg": {"uniform": [0, 1]}},
+            "[drawn] sampling: must be 'random' or 'sobol', not 'halton'",
+        ),
+        (
+            {"phi_e_deg": {"uniform": [0, 1]}},
+            "[drawn] phi_e_deg: unknown key (did you mean phi_e0_deg?)",
+        ),
+        ({"case": {"values": ["a"]}}, "[drawn] case: unknown key"),
+        (
+            {"height_m": {"uniform": [0, 1]}},
+            "[drawn] height_m: cannot be drawn (what can: latitude_deg, keys of [motion] and"
+            " [sensors], phi_e0_deg, phi_n0_deg, phi_u0_deg, ve0_m_per_s, vn0_m_per_s)",
+        ),
+        ({"seed": {"values": [1]}}, "[drawn] seed: cannot be drawn (what can: "),
+        ({"method": {"values": ["kalman5"]}}, "[drawn] method: cannot be drawn (what can: "),
+        ({"phi_e0_deg": None}, "[drawn] phi_e0_deg: None is no value"),
+        (
+            {"phi_e0_deg": 3},
+            "[drawn] phi_e0_deg: must be a table such as phi_e0_deg = { uniform = [0, 1] }, not 3",
+        ),
+        (
+            {"phi_e0_deg": {"unifrom": [0, 1]}},
+            "[drawn] phi_e0_deg.unifrom: unknown key (did you mean uniform?)",
+        ),
+        (
+            {"phi_e0_deg": {}},
+            "[drawn] phi_e0_deg: needs one of uniform, normal, values, grid, not none",
+        ),
+        (
+            {"phi_e0_deg": {"uniform": [0, 1], "grid": [1]}},
+            "[drawn] phi_e0_deg: needs one of uniform, normal, values, grid, not uniform and grid",
+        ),
+        ({"phi_e0_deg": {"uniform": None}}, "[drawn] phi_e0_deg.uniform: None is no value"),
+        ({"phi_e0_deg": {"uniform": 3}}, "[drawn] phi_e0_deg.uniform: must be a list, not 3"),
+        ({"phi_e0_deg": {"uniform": []}}, "[drawn] phi_e0_deg.uniform[0]: required"),
+        ({"phi_e0_deg": {"uniform": [1]}}, "[drawn] phi_e0_deg.uniform[1]: required"),
+        (
+            {"phi_e0_deg": {"uniform": [1, 2, 3]}},
+            "[drawn] phi_e0_deg.uniform: must have 2 values, not 3",
+        ),
+        (
+            {"phi_e0_deg": {"uniform": [0, True]}},
+            "[drawn] phi_e0_deg.uniform[1]: must be a number, not True",
+        ),
+        (
+            {"gyro_bias_deg_per_h": {"uniform": [[0, 1], [0, 1]]}},
+            "[drawn] gyro_bias_deg_per_h.uniform[0]: must be a number, not [0, 1]",
+        ),
+        (
+            {"phi_e0_deg": {"uniform": [0, float("inf")]}},
+            "[drawn] phi_e0_deg.uniform[1]: must be finite, not inf",
+        ),
+        (
+            {"phi_e0_deg": {"uniform": [2, 1]}},
+            "[drawn] phi_e0_deg.uniform: must be [low, high] with low <= high, not [2, 1]",
+        ),
+        (
+            {"phi_e0_deg": {"normal": [0, -1]}},
+            "[drawn] phi_e0_deg.normal[1]: must be greater than or equal to 0, not -1",
+        ),
+        (
+            {"phi_e0_deg": {"normal": ["0", 1]}},
+            "[drawn] phi_e0_deg.normal[0]: must be a number, not '0'",
+        ),
+        ({"phi_e0_deg": {"values": []}}, "[drawn] phi_e0_deg.values: must not be empty, not []"),
+        ({"phi_e0_deg": {"grid": []}}, "[drawn] phi_e0_deg.grid: must not be empty, not []"),
+        ({"phi_e0_deg": {"grid": 3}}, "[drawn] phi_e0_deg.grid: must be a list, not 3"),
+        (
+            {"phi_e0_deg": {"values": [0, False]}},
+            "[drawn] phi_e0_deg.values[1]: must be a number, not False",
+        ),
+        (
+            {"phi_e0_deg": {"grid": [0, 200]}},
+            "[drawn] phi_e0_deg.grid[1]: must be less than or equal to 180, not 200",
+        ),
+        (
+            {"accel_bias_ug": {"values": [0, [1, 2, "3"]]}},
+            "[drawn] accel_bias_ug.values[1][2]: must be a number, not '3'",
+        ),
+        (
+            {"gyro_noise_deg_per_h": {"values": [1]}, "gyro_arw_deg_per_sqrt_h": {"values": [1]}},
+            "[drawn] gyro_noise_deg_per_h: cannot go with gyro_arw_deg_per_sqrt_h in [drawn]",
+        ),
+    ],
+)
+def test_tables_of_drawn_keys(laws: Any, line: str):
+    assert refusal(laws).startswith(line)
+
+
+def test_rivals_of_a_drawn_key():
+    line = "[drawn] accel_noise_ug: cannot go with accel_vrw_ug_per_sqrt_hz in [sensors]"
+    sensors = {"accel_vrw_ug_per_sqrt_hz": 1.0}
+    assert refusal({"accel_noise_ug": {"values": [1]}}, sensors=sensors).startswith(line)
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("key", "law", "text"),
+    [
+        ("latitude_deg", {"uniform": [80, 100]}, "must be less than 90"),
+        ("pitch_center_deg", {"normal": [0, 60]}, "must be (less than 90|greater than -90)"),
+        ("pitch_period_s", {"normal": [6, 4]}, "must be greater than 0"),
+        ("phi_u0_deg", {"uniform": [170, 190]}, "must be less than or equal to 180"),
+        ("gyro_arw_deg_per_sqrt_h", {"normal": [1, 1]}, "must be greater than or equal to 0"),
+        ("accel_scale_ppm", {"normal": [1e12, 1]}, "must be less than or equal to 1000000000000"),
+    ],
+)
+def test_a_draw_out_of_bounds(laws: dict[str, Any], key: str, law: dict[str, Any], text: str):
+    table = {"sampling": laws.get("sampling", "random"), key: law}
+    line = refusal(table, study={"draws": 1000, "unchecked": True})
+    assert re.fullmatch(rf"\[drawn\] {key}: draw \d+ gives \S+: {text}", line)
+
+
+def test_the_worst_draw_is_named_in_whatever_block_it_lies(monkeypatch: pytest.MonkeyPatch):
+    law = {"yaw_phase_deg": {"normal": [0, 95]}}
+    values = drawn({"yaw_phase_deg": {"normal": [0, 1]}}, 40_000)["yaw_phase_deg"] * 95
+    out = int(np.argmax(np.abs(values) > 360))
+    assert out > 1000
+    study_of(law, study={"draws": out})
+    monkeypatch.setattr("sinsjax.study.axes._BLOCK", 1000)
+    line = f"[drawn] yaw_phase_deg: draw {out} gives {float(values[out])!r}: must be "
+    assert refusal(law, study={"draws": out + 1}).startswith(line)
+
+
+def test_the_worst_draw_of_a_vector_is_named():
+    key = "gyro_noise_deg_per_h"
+    worst = drawn({key: {"uniform": [0, 2]}}, 100, seed=2)[key].min(axis=1).argmin()
+    assert worst > 0
+    line = refusal({key: {"uniform": [-1, 1]}}, study={"draws": 100, "seed": 2})
+    assert line.startswith(f"[drawn] {key}: draw {worst} gives -0.9")
+
+
+def test_a_million_draws_are_cheap():
+    study = study_of(sobol(LAWS), study={"draws": 1_000_000})
+    assert len(sampling.values(study, study.n_draws)["phi_u0_deg"]) == 1_000_000
+
+
+# What a drawn key is to the rest of the study
+
+
+def test_a_drawn_key_counts_as_given():
+    data: dict[str, Any] = {"study": dict(BASE["study"])}
+    laws: dict[str, Any] = {
+        "latitude_deg": {"uniform": [20, 60]},
+        "yaw_center_deg": {"values": [0, 90]},
+        "gyro_noise_deg_per_h": {"values": [1]},
+        "accel_vrw_ug_per_sqrt_hz": {"values": [1]},
+        "roll_amplitude_deg": {"uniform": [0, 0]},
+    }
+    with pytest.raises(InputError, match=r"roll_period_s: required where roll_amplitude_deg > 0"):
+        study_from_dict(data | {"drawn": laws})
+    laws["roll_period_s"] = {"uniform": [5, 6]}
+    study = study_from_dict(data | {"drawn": laws})
+    assert study.drawn_keys == tuple(laws)
+    assert study.sensors is not None and study.sensors.gyro_noise_deg_per_h is None
+    assert study.sensors.accel_noise_ug is None
+    for key in laws:
+        assert study.values(key) == [None]
+        assert list(study.combinations(key, "method")) == [{key: None, "method": "kalman5"}]
+
+
+RECORDED = {"study": {"duration_s": 300.0, "rate_hz": 100.0}, "record": {"format": "psins"}}
+
+
+def test_what_a_recorded_study_may_draw():
+    laws = {key: {"normal": [0, 1]} for key in STARTS}
+    record = {"format": "psins", "start_s": [0, 10, 20]}
+    study = study_from_dict(RECORDED | {"record": record, "drawn": laws})
+    assert study.n_draws == 3 and study.drawn_keys == STARTS
+    for key, reason in (
+        ("yaw_center_deg", "has no place in a recorded study ([motion] is the simulation's)"),
+        ("gyro_bias_deg_per_h", "has no place in a recorded study ([sensors] is the simulation's)"),
+        ("latitude_deg", f"cannot be drawn in a recorded study (what can: {', '.join(STARTS)})"),
+    ):
+        with pytest.raises(InputError) as caught:
+            study_from_dict(RECORDED | {"drawn": {key: {"values": [1]}}}, "s.toml")
+        assert str(caught.value) == f"s.toml: [drawn] {key}: {reason}"
+
+
+@pytest.mark.parametrize("layout", ["auto", "consistency", "reset_cycle", "paper2", "compass_map"])
+def test_layouts_that_show_drawn_keys(layout: str):
+    laws, report = {"phi_e0_deg": {"uniform": [0, 1]}}, {"layout": layout}
+    if layout in ("paper2", "compass_map"):
+        assert refusal(laws, report=report) == f"[report] layout: '{layout}' takes no [drawn]"
+    else:
+        assert study_of(laws, report=report).report.layout == layout

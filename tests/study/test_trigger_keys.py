@@ -1,0 +1,214 @@
+"""The keys of triggers, of what P is reset to, and of scales: read, refused, filled in, told."""
+
+import copy
+import hashlib
+import json
+import tomllib
+from typing import Any
+
+import pytest
+
+from sinsjax.errors import InputError
+from sinsjax.study.load import Study, fingerprint, study_from_dict, study_to_toml
+
+BASE: dict[str, Any] = {
+    "study": {"duration_s": 900, "rate_hz": 100},
+    "earth": {"latitude_deg": 32.0},
+    "motion": {"yaw_center_deg": 0},
+}
+NIS = {"reset_trigger": "nis", "trigger_threshold": 9.0}
+OF_TRIGGERS: dict[str, float] = {
+    "trigger_threshold": 2.0,
+    "trigger_window_s": 3.0,
+    "trigger_refractory_s": 4.0,
+    "trigger_most": 5,
+    "trigger_until_s": 600.0,
+}
+NEW: dict[str, dict[str, Any]] = {
+    "filter": {"q_scale": 2.0, "r_scale": 3.0},
+    "resets": {
+        "reset_velocity_m_per_s": 0.2,
+        "reset_level_deg": 1.0,
+        "reset_yaw_deg": 10.0,
+        "reset_gyro_bias_deg_per_h": 0.05,
+        "reset_accel_bias_ug": 50.0,
+        "reset_trigger": "nis",
+        **OF_TRIGGERS,
+    },
+}
+"""Every key that came with triggers, and a value."""
+
+OF_SUCCESS = ("judged_from", "success_band_arcmin", "level_band_arcmin", "dwell_s", "diverged_deg")
+"""Keys of [study] that came later still."""
+
+
+def built(**tables: Any) -> Study:
+    data = copy.deepcopy(BASE)
+    for name, table in tables.items():
+        data[name] = data.get(name, {}) | table if isinstance(table, dict) else table
+    return study_from_dict(data, "s.toml")
+
+
+def refusal(**tables: Any) -> str:
+    """The line of the error, less the file's name that it must begin with."""
+    with pytest.raises(InputError) as caught:
+        built(**tables)
+    line = str(caught.value)
+    assert len(line.splitlines()) == 1 and line.startswith("s.toml: ")
+    return line.removeprefix("s.toml: ")
+
+
+# What is refused
+
+
+@pytest.mark.parametrize(
+    "tables",
+    [
+        {"resets": {"reset_trigger": "nis"}},
+        {"resets": {"reset_trigger": "nis", "trigger_window_s": 3.0}},
+        {"axes": {"reset_trigger": ["none", "nis"]}},
+        {"cases": [{"reset_trigger": "none"}, {"reset_trigger": "nis"}]},
+    ],
+)
+def test_a_trigger_needs_a_threshold(tables: dict[str, Any]) -> None:
+    line = "[resets] trigger_threshold: required with reset_trigger = 'nis'"
+    assert refusal(**tables) == line
+
+
+@pytest.mark.parametrize("key", OF_TRIGGERS)
+@pytest.mark.parametrize("trigger", [{}, {"reset_trigger": "none"}])
+def test_numbers_of_a_trigger_need_one(key: str, trigger: dict[str, str]) -> None:
+    value = OF_TRIGGERS[key]
+    told = f"{key}: has no place without a reset_trigger"
+    assert refusal(resets=trigger | {key: value}) == f"[resets] {told}"
+    assert refusal(resets=trigger, axes={key: [value, 2 * value]}) == f"[axes] {told}"
+    assert built(resets=trigger) and built(resets=NIS | {key: value})
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("reset_trigger", "cusum"),
+        ("trigger_threshold", -1.0),
+        ("trigger_window_s", 0.0),
+        ("trigger_refractory_s", -0.1),
+        ("trigger_most", 0),
+        ("trigger_most", 1.5),
+        ("trigger_until_s", 0.0),
+        *((key, 0.0) for key in NEW["resets"] if key.startswith("reset_") and "_trig" not in key),
+    ],
+)
+def test_values_that_are_refused(key: str, value: Any) -> None:
+    assert refusal(resets=NIS | {key: value}).startswith(f"[resets] {key}: must be ")
+
+
+@pytest.mark.parametrize("key", ["q_scale", "r_scale"])
+def test_scales_are_positive(key: str) -> None:
+    assert refusal(filter={key: 0.0}).startswith(f"[filter] {key}: must be ")
+
+
+@pytest.mark.parametrize("section", NEW)
+def test_compass_loops_have_none_of_this(section: str) -> None:
+    for key, value in NEW[section].items():
+        line = refusal(alignment={"method": "compass"}, **{section: {key: value}})
+        assert line == f"[{section}] {key}: has no place with method compass"
+    # Beside a filter they are the filter's.
+    assert built(axes={"method": ["kalman5", "compass"]}, **NEW)
+
+
+# What is filled in
+
+
+def test_a_trigger_has_defaults() -> None:
+    resets = built(resets=NIS).resets
+    assert resets is not None
+    assert (resets.trigger_window_s, resets.trigger_refractory_s) == (10.0, 5.0)
+    assert (resets.trigger_most, resets.trigger_until_s) == (10, None)
+    for tables in ({}, {"resets": {"reset_trigger": "none"}}):
+        alone = built(**tables).resets
+        assert alone is not None
+        assert {getattr(alone, key) for key in OF_TRIGGERS} == {None}
+
+
+def test_what_is_given_stays() -> None:
+    resets = built(resets=NEW["resets"]).resets
+    assert resets is not None
+    assert {key: getattr(resets, key) for key in NEW["resets"]} == NEW["resets"]
+    swept = built(resets=NIS, axes={"trigger_window_s": [1.0, 2.0]})
+    assert swept.resets is not None
+    assert (swept.resets.trigger_window_s, swept.resets.trigger_most) == (None, 10)
+
+
+def test_a_trigger_may_be_swept_beside_none() -> None:
+    for tables in (
+        {"resets": {"trigger_threshold": 9.0}, "axes": {"reset_trigger": ["none", "nis"]}},
+        {"axes": {"reset_trigger": ["none", "nis"], "trigger_threshold": [1.0, 9.0]}},
+        {"axes": {"a": {"reset_trigger": ["none", "nis"], "trigger_threshold": [0.0, 9.0]}}},
+    ):
+        study = built(**tables)
+        assert study.has_trigger and set(study.values("reset_trigger")) == {"none", "nis"}
+        assert study.values("trigger_most") == [10] * study.n_variants
+    assert not built(axes={"reset_trigger": ["none"]}).has_trigger
+    assert not built().has_trigger and built(resets=NIS).has_trigger
+
+
+@pytest.mark.parametrize(
+    "tables",
+    [
+        {},
+        NEW,
+        {"resets": NIS},
+        {"resets": NIS | {"trigger_until_s": 50.0, "reset_count": 2, "reset_cycle_s": 3.0}},
+        {"resets": {"trigger_threshold": 9.0}, "axes": {"reset_trigger": ["none", "nis"]}},
+        {"axes": {"reset_yaw_deg": [10.0, 20.0], "q_scale": [1.0, 2.0]}},
+        {"cases": [NIS, NIS | {"reset_trigger": "none"}]},
+    ],
+)
+def test_a_resolved_study_loads_equal(tables: dict[str, Any]) -> None:
+    study = built(**tables)
+    text = study_to_toml(study)
+    again = study_from_dict(tomllib.loads(text))
+    assert again == study and study_to_toml(again) == text
+    assert fingerprint(again) == fingerprint(study)
+
+
+# Fingerprint
+
+
+@pytest.mark.parametrize(
+    "tables",
+    [
+        {},
+        {"resets": {"reset_count": 2, "reset_cycle_s": 30.0}},
+        {"filter": {"p0_yaw_deg": 10.0}, "axes": {"reset_count": [0, 1], "reset_cycle_s": [30.0]}},
+        {"alignment": {"method": "compass"}},
+    ],
+)
+def test_a_study_without_these_keys_is_told_as_before(tables: dict[str, Any]) -> None:
+    """Its fingerprint is that of a study that has never heard of them."""
+    study = built(**tables)
+    unused = {"report": True, "statements": True, "study": {"name", "unchecked"}}
+    content = study.model_dump(exclude=unused)
+    content["axes"] = [[key, list(values)] for key, values in study.axes.items()]
+    for name in ("zips", "drawn", "stop_when", "tune"):
+        assert not content.pop(name, None)
+    if study.resets:
+        assert content["resets"].pop("reset_first_s") is None
+    densities = [key for key in content["filter"] or () if key.startswith("q_") and "sqrt" in key]
+    later = {name: tuple(keys) for name, keys in NEW.items()} | {"study": OF_SUCCESS}
+    later["filter"] += tuple(densities)
+    for section, keys in later.items():
+        for key in keys if content[section] else ():
+            assert content[section].pop(key) is None
+    text = json.dumps(content, sort_keys=True)
+    assert fingerprint(study) == hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def test_each_of_these_keys_tells_studies_apart() -> None:
+    studies = [built(), built(resets=NIS)]
+    for section, keys in NEW.items():
+        for key, value in keys.items():
+            other = {"reset_trigger": "innovation"} if key == "reset_trigger" else {key: value}
+            base = NIS if "trigger" in key else {}
+            studies.append(built(**{section: base | other}))
+    assert len({fingerprint(study) for study in studies}) == len(studies)

@@ -1,0 +1,175 @@
+"""Nonsense is asked about, wherever a value is given: what is usual stands beside every key."""
+
+import copy
+import time
+import tomllib
+from typing import Any
+
+import pytest
+from support.studies import BASE, refusal, small_study
+
+from sinsjax import columns
+from sinsjax.errors import InputError
+from sinsjax.study import usual
+from sinsjax.study.load import fingerprint, study_from_dict, study_to_toml
+from sinsjax.study.study import SECTIONS, Study
+
+BOUNDED = {
+    f"{angle}_{what}_deg" for angle in ("pitch", "roll", "yaw") for what in ("center", "phase")
+}
+BOUNDED |= {"latitude_deg", "phi_e0_deg", "phi_n0_deg", "phi_u0_deg"}
+"""Angles whose bounds say it all."""
+
+
+def insisted(**tables: Any) -> Study:
+    return small_study(**tables | {"study": tables.get("study", {}) | {"unchecked": True}})
+
+
+def test_the_place_of_a_value_is_that_in_the_file():
+    """Also where others before it are given twice."""
+    heights = {"z": {"height_m": [0, 0, 1e12], "ve0_m_per_s": [1, 2, 3]}}
+    assert refusal(axes=heights).startswith("[axes.z] height_m[2]: 1e+12 is outside")
+    gains = {"alignment": {"method": "compass"}, "compass": {"level_gains": [1.0, 9e11, 0.0]}}
+    assert "level_gains[1]: 900000000000 is outside" in refusal(**gains)
+
+
+@pytest.mark.parametrize("draws", [4_100_000, 4_300_000, 40_000_000])
+def test_many_draws_are_taken_as_long_as_none_is_likely_to_be_refused(draws):
+    def of(deviation: float) -> Study:
+        data = copy.deepcopy(BASE) | {"drawn": {"phi_u0_deg": {"normal": [0, deviation]}}}
+        del data["alignment"]["phi_u0_deg"]
+        data["study"]["draws"] = draws
+        return study_from_dict(data)
+
+    assert of(25).n_draws == draws
+    with pytest.raises(InputError, match=r"phi_u0_deg: .*(draw \d+ gives|may give)"):
+        of(60)
+
+
+def test_every_quantity_with_a_unit_says_what_is_usual():
+    for section, model in SECTIONS.items():
+        for key in model.model_fields:
+            if columns.split_unit(key)[1] and key not in BOUNDED:
+                assert usual.range_of(section, key), f"[{section}] {key}"
+
+
+def test_defaults_are_usual():
+    for section, model in SECTIONS.items():
+        for key, field in model.model_fields.items():
+            if usual.range_of(section, key):
+                assert usual.doubt(key, field.default, section) is None
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value"),
+    [
+        ("earth", "radius_m", 1.0),
+        ("earth", "gravity_m_per_s2", 980.0),
+        ("earth", "height_m", -6e6),
+        ("earth", "height_m", 1e12),
+        ("sensors", "gyro_bias_deg_per_h", 1e12),
+        ("sensors", "accel_bias_ug", -1e12),
+        ("motion", "roll_period_s", 1e-6),
+        ("alignment", "ve0_m_per_s", 1e6),
+        ("filter", "p0_yaw_deg", 1e6),
+        ("study", "success_band_arcmin", 1e6),
+    ],
+)
+def test_nonsense_is_asked_about_and_can_be_insisted_on(section: str, key: str, value: float):
+    low, high = usual.range_of(section, key)
+    line = f"[{section}] {key}: {value:.12g} is outside the usual {low:g} to {high:g}"
+    line += " ([study] unchecked = true insists on it)"
+    assert refusal(**{section: {key: value}}) == line
+    if section != "study":
+        assert getattr(getattr(insisted(**{section: {key: value}}), section), key) == value
+
+
+@pytest.mark.parametrize(
+    ("tables", "place"),
+    [
+        ({"sensors": {"gyro_bias_deg_per_h": [0, 1e9, 0]}}, "[sensors] gyro_bias_deg_per_h[1]"),
+        ({"axes": {"radius_m": [6.4e6, 1.0]}}, "[axes] radius_m[1]"),
+        ({"axes": {"z": {"radius_m": [6.4e6, 1.0], "phi_u0_deg": [1, 2]}}}, "[axes.z] radius_m[1]"),
+        ({"cases": [{"radius_m": 6.4e6}, {"radius_m": 1.0}]}, "[cases] radius_m[1]"),
+        ({"axes": {"accel_noise_ug": [1.0, [0, 0, 1e9]]}}, "[axes] accel_noise_ug[1][2]"),
+        ({"resets": {"reset_times_s": [1e-12, 1.0]}}, "[resets] reset_times_s"),
+    ],
+)  # fmt: skip
+def test_it_is_asked_wherever_a_value_is_given(tables: dict[str, Any], place: str):
+    assert refusal(**tables).startswith(place)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        {"uniform": [0, 1e9]},
+        {"normal": [1e9, 1]},
+        {"normal": [0, 1e9]},
+        {"values": [0, 1e9]},
+        {"grid": [0, 1e9]},
+        {"values": [0, [0, 1e9, 0]]},
+    ],
+)
+def test_drawn_values_are_asked_about(law: dict[str, Any]):
+    tables = {"drawn": {"accel_bias_ug": law}, "sensors": {}}
+    data = {name: dict(table) for name, table in BASE.items()} | {"drawn": tables["drawn"]}
+    del data["sensors"]["accel_bias_ug"]
+    with pytest.raises(InputError, match=r"\[drawn\] accel_bias_ug: draw \d gives .* outside"):
+        study_from_dict(data)
+    data["study"]["unchecked"] = True
+    assert study_from_dict(data).drawn
+
+
+@pytest.mark.parametrize(
+    ("law", "text"), [({"normal": [0, 1.0]}, None), ({"normal": [0, 2e4]}, "so many draws")]
+)
+def test_a_law_stands_for_draws_without_number(law: dict[str, Any], text: str | None):
+    """No list of all draws is made, and none is gone through."""
+    since = time.monotonic()
+    tables = {"study": {"draws": 896_000_000}, "drawn": {"vn0_m_per_s": law}}
+    if text is None:
+        small_study(**tables)
+    else:
+        assert text in refusal(**tables)
+    assert time.monotonic() - since < 5
+
+
+@pytest.mark.parametrize(
+    ("kind", "place"),
+    [
+        ({"low": 1.0, "high": 1e6}, "with every range at its high end: "),
+        ({"fixed": 1e6}, "with these values: "),
+        ({"candidates": [1.0, 1e6]}, "with these values: "),
+    ],
+)
+def test_what_is_tuned_is_asked_about(kind: dict[str, Any], place: str):
+    tune = {"variables": {"p0_yaw_deg": kind}, "searches": ["grid"]}
+    line = refusal(tune=tune)
+    assert line.startswith(f"[tune.variables] {place}") and "p0_yaw_deg: 1000000 is" in line
+    insisted(tune=tune)
+
+
+def test_a_feedback_that_never_comes_is_asked_about():
+    line = refusal(alignment={"feedback_interval_s": 7.0})
+    assert line == (
+        "[alignment] feedback_interval_s: 7 s is longer than a run of 6 s: nothing would be fed"
+        " back ([study] unchecked = true insists on it)"
+    )
+    insisted(alignment={"feedback_interval_s": 7.0})
+    small_study(alignment={"feedback_interval_s": 6.0})
+
+
+@pytest.mark.parametrize("earth", ["constants", "wgs84"])
+def test_nobody_stands_below_the_centre_of_the_earth(earth: str):
+    line = refusal(earth={"height_m": -6378137.0, "earth": earth}, study={"unchecked": True})
+    assert line == "[earth] height_m: -6378137 m is at the centre of the Earth or below it"
+
+
+def test_the_default_feedback_stands_in_a_shorter_study():
+    study = small_study(study={"duration_s": 0.5, "record_interval_s": 0.1, "window_s": [0, 0.5]})
+    assert study_from_dict(tomllib.loads(study_to_toml(study))) == study
+
+
+def test_insisting_leaves_the_fingerprint():
+    assert insisted() != small_study() and fingerprint(insisted()) == fingerprint(small_study())
+    assert "unchecked" not in study_to_toml(small_study())

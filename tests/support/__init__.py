@@ -1,0 +1,1 @@
+"""Small studies and directories of results that several tests share."""

@@ -1,0 +1,135 @@
+"""Studies of many runs, and directories of their results: parts, checksums, what must not be."""
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from sinsjax.engine.batch import spread
+from sinsjax.execution.tasks import Executor, Packed, Task, Workshop
+from sinsjax.study.load import Study, study_from_dict
+from support.studies import BASE, small_study
+
+CHUNK_RUNS = 128
+CHUNKS = 12
+
+
+def sweep_study(**changes: Any) -> Study:
+    """Two worlds of 16 variants: 12 chunks of `CHUNK_RUNS` runs, 2 s each, with curves."""
+    sections: dict[str, Any] = {
+        "study": {"draws": 48, "duration_s": 2.0, "window_s": [0, 2], "curves": True},
+        "axes": {
+            "yaw_amplitude_deg": [2.8, 0.0],
+            "p0_yaw_deg": [10.0 * i for i in range(1, 17)],
+        },
+    }
+    for name, change in changes.items():
+        sections[name] = sections.get(name, {}) | change
+    return small_study(**sections)
+
+
+SHORT: dict[str, Any] = {"duration_s": 2.0, "window_s": [0, 2], "curves": True}
+
+STUDIES: dict[str, dict[str, Any]] = {
+    "worlds": {
+        "study": SHORT | {"draws": 50},
+        "axes": {
+            "yaw_center_deg": [10.0, 100.0],
+            "phi_u0_deg": [0.0, 10.0, 30.0],
+            "reset_times_s": [[], [1.37]],
+        },
+    },
+    "shared covariance": {
+        "study": SHORT | {"draws": 200},
+        "alignment": {"specific_force": "gravity"},
+        "axes": {"phi_u0_deg": [0.0, 10.0, 30.0]},
+    },
+    "passes": {
+        "study": SHORT | {"draws": 60},
+        "passes": {"tape_s": 1.0},
+        "axes": {"method": ["kalman10", "compass"], "phi_u0_deg": [0.0, 3.0]},
+    },
+    "drawn": {
+        "study": SHORT | {"draws": 150},
+        "alignment": {"phi_e0_deg": 1.0},
+        "drawn": {
+            "sampling": "sobol",
+            "phi_u0_deg": {"uniform": [-10, 10]},
+            "gyro_bias_deg_per_h": {"normal": [0, 0.01]},
+            "yaw_center_deg": {"values": [0, 90, 180]},
+            "phi_n0_deg": {"grid": [0.0, 1.0]},
+        },
+        "axes": {"reset_count": [0, 1]},
+        "resets": {"reset_cycle_s": 1.0},
+    },
+}
+
+
+def study_of(name: str, draws: int | None = None) -> Study:
+    """One of `STUDIES`, perhaps with another number of draws; a drawn key stands nowhere else."""
+    data: dict[str, Any] = {section: dict(table) for section, table in BASE.items()}
+    for section, table in STUDIES[name].items():
+        data[section] = data.get(section, {}) | table
+    for section in ("motion", "sensors", "alignment"):
+        data[section] = {k: v for k, v in data[section].items() if k not in data.get("drawn", {})}
+    if draws is not None:
+        data["study"]["draws"] = draws
+    return study_from_dict(data)
+
+
+def parts(directory: Path) -> dict[str, bytes]:
+    """The bytes of every part, by its place in the directory."""
+    found = (p for name in ("summary", "curves") for p in directory.glob(f"{name}/*.parquet"))
+    return {path.relative_to(directory).as_posix(): path.read_bytes() for path in found}
+
+
+def times(directory: Path) -> dict[str, int]:
+    """When every part was written, by its place in the directory."""
+    return {name: (directory / name).stat().st_mtime_ns for name in parts(directory)}
+
+
+def everything(directory: Path) -> dict[str, tuple[bytes, int]]:
+    """Bytes and time of every file but the lock."""
+    return {
+        str(path.relative_to(directory)): (path.read_bytes(), path.stat().st_mtime_ns)
+        for path in sorted(directory.rglob("*"))
+        if path.is_file() and path.name != ".lock"
+    }
+
+
+def manifest(directory: Path) -> dict[str, Any]:
+    return json.loads((directory / "manifest.json").read_text())
+
+
+def assert_checksums(directory: Path) -> None:
+    """Every part is in the manifest, with its checksum, and nothing else is."""
+    told = {f["file"]: f["sha256"] for c in manifest(directory)["chunks"] for f in c["files"]}
+    assert told == {name: hashlib.sha256(b).hexdigest() for name, b in parts(directory).items()}
+
+
+def assert_complete(directory: Path, whole: Path) -> None:
+    """A directory holds what an uninterrupted run left, to the last bit, and nothing else."""
+    assert parts(directory) == parts(whole)
+    assert_checksums(directory)
+    told = manifest(directory)
+    assert told["state"] == "complete"
+    assert {chunk["state"] for chunk in told["chunks"]} == {"done"}
+    assert told["runs_done"] == told["runs"] == sum(chunk["runs"] for chunk in told["chunks"])
+    assert not list(directory.rglob("*.tmp"))
+
+
+class Recorder:
+    """Does tasks on this machine, and remembers which."""
+
+    def __init__(self) -> None:
+        self.done: list[str] = []
+
+    @property
+    def executor(self) -> Executor:
+        return Executor(self._do, {})
+
+    def _do(self, workshop: Workshop, tasks: Iterable[Task]) -> Iterator[Packed]:
+        for packed in spread(workshop.pack, tasks, 2):
+            self.done.append(packed.task.name)
+            yield packed

@@ -1,0 +1,52 @@
+"""Small studies for the tests: a swinging base with the papers' sensors."""
+
+from typing import Any
+
+import pytest
+
+from sinsjax.errors import InputError
+from sinsjax.study.load import Study, study_from_dict
+
+BASE: dict[str, dict[str, Any]] = {
+    "study": {"duration_s": 6.0, "rate_hz": 100.0, "draws": 3, "window_s": [2, 6]},
+    "earth": {"latitude_deg": 32.0},
+    "motion": {
+        "yaw_center_deg": 10.0,
+        "pitch_amplitude_deg": 1.8,
+        "pitch_period_s": 6.0,
+        "roll_amplitude_deg": 2.4,
+        "roll_period_s": 8.0,
+        "yaw_amplitude_deg": 2.8,
+        "yaw_period_s": 10.0,
+    },
+    "sensors": {
+        "gyro_bias_deg_per_h": 0.1,
+        "gyro_noise_deg_per_h": 0.1,
+        "accel_bias_ug": 500.0,
+        "accel_noise_ug": 500.0,
+    },
+    "alignment": {"phi_e0_deg": 5.0, "phi_n0_deg": 5.0, "phi_u0_deg": 30.0},
+}
+
+STILL = {f"{angle}_amplitude_deg": 0.0 for angle in ("pitch", "roll", "yaw")}
+"""A base whose runs have a limit, however short they are."""
+
+
+def small_study(**changes: Any) -> Study:
+    """`BASE` with sections changed key by key; lists and new sections are taken as given."""
+    data: dict[str, Any] = {name: dict(section) for name, section in BASE.items()}
+    for name, change in changes.items():
+        if isinstance(change, dict) and name in data:
+            data[name] |= change
+        else:
+            data[name] = change
+    return study_from_dict(data)
+
+
+def refusal(**tables: Any) -> str:
+    """The one line with which a small study with these changes is refused."""
+    with pytest.raises(InputError) as caught:
+        small_study(**tables)
+    line = str(caught.value)
+    assert len(line.splitlines()) == 1
+    return line.removeprefix("study: ")

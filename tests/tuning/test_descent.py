@@ -1,0 +1,465 @@
+"""Descents: gradients against differences, what variables do to the engine's numbers, cost."""
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import mstats
+from support.studies import small_study
+
+from sinsjax.engine.build import Scenario
+from sinsjax.errors import InputError
+from sinsjax.execution import run
+from sinsjax.study.load import Study
+from sinsjax.study.search_space import Space
+from sinsjax.tuning import carry_out, descent, history, objective, search
+from sinsjax.tuning.descent import TANGENT_STEPS, Slope, Softness
+from sinsjax.tuning.relaxation import CHANGES, Relaxation
+
+
+def log(low: float, high: float) -> dict[str, Any]:
+    return {"low": low, "high": high, "scale": "log"}
+
+
+def linear(low: float, high: float) -> dict[str, Any]:
+    return {"low": low, "high": high}
+
+
+def tuned(variables: dict[str, Any], sections: dict[str, Any], **tune: Any) -> Study:
+    tune = {"searches": ["gradient"], "tune_draws": 2, "variables": variables} | tune
+    return small_study(**sections, tune=tune)
+
+
+SHORT = {"duration_s": 60.0, "rate_hz": 10.0, "window_s": [20, 60], "settle_bands_arcmin": [300.0]}
+
+STUDIES = {
+    "kalman10": tuned(
+        {
+            "reset_times_s": [linear(10.0, 18.0), linear(22.0, 30.0)],
+            "reset_velocity_m_per_s": log(0.01, 1.0),
+            "reset_level_deg": log(0.1, 20.0),
+            "reset_yaw_deg": log(1.0, 90.0),
+            "reset_accel_bias_ug": log(100.0, 3000.0),
+            "reset_gyro_bias_deg_per_h": log(0.5, 50.0),
+            "p0_velocity_m_per_s": log(0.01, 1.0),
+            "p0_level_deg": log(0.5, 20.0),
+            "p0_yaw_deg": log(5.0, 90.0),
+            "p0_accel_bias_ug": log(100.0, 3000.0),
+            "p0_gyro_bias_deg_per_h": log(0.5, 50.0),
+            "q_scale": log(0.2, 5.0),
+            "q_accel_ug": log(50.0, 5000.0),
+            "q_gyro_deg_per_h": log(0.1, 10.0),
+            "r_scale": log(0.2, 5.0),
+            "r_velocity_m_per_s": log(0.02, 1.0),
+            "feedback_time_constant_s": log(0.5, 20.0),
+        },
+        {
+            "study": SHORT,
+            "alignment": {"method": "kalman10", "phi_e0_deg": 2.0, "phi_n0_deg": 2.0},
+            "filter": {"q_reading": "psd", "r_reading": "psd"},
+            "axes": {"phi_u0_deg": [5.0, 30.0]},
+        },
+        objective="settle_quantile",
+        objective_across="worst",
+        objective_band_arcmin=300.0,
+    ),
+    "counted": tuned(
+        {
+            "reset_first_s": linear(8.0, 12.0),
+            "reset_cycle_s": linear(10.0, 20.0),
+            "q_accel_ug_per_sqrt_hz": log(50.0, 5000.0),
+            "q_gyro_deg_per_h_per_sqrt_hz": log(0.1, 10.0),
+        },
+        {
+            "study": SHORT,
+            "filter": {
+                "q_reading": "psd",
+                "q_accel_ug_per_sqrt_hz": 500.0,
+                "q_gyro_deg_per_h_per_sqrt_hz": 0.1,
+            },
+            "resets": {
+                "reset_count": 2,
+                "reset_first_s": 8.0,
+                "reset_cycle_s": 10.0,
+                "reset_kind": "yaw",
+            },
+        },
+        objective="final_error",
+    ),
+    "random walk": tuned(
+        {"q_gyro_arw_deg_per_sqrt_h": log(0.002, 0.2)},
+        {"study": SHORT, "filter": {"q_reading": "psd", "q_gyro_arw_deg_per_sqrt_h": 0.0017}},
+        objective="final_error",
+    ),
+    "compass": tuned(
+        {
+            "sigma_factors": [linear(1.0, 2.0), linear(0.5, 2.0), {"fixed": 0.7}],
+            "azimuth_sigma_per_s": log(0.02, 0.05),
+            "level_sigma_per_s": log(0.05, 0.2),
+            "turn_smoothing_s": log(1.0, 8.0),
+        },
+        {
+            "study": SHORT | {"duration_s": 120.0, "window_s": [60, 120]},
+            "alignment": {
+                "method": "compass",
+                "phi_e0_deg": 0.1,
+                "phi_n0_deg": -0.1,
+                "phi_u0_deg": 2.0,
+            },
+            "compass": {
+                "level_time_s": 10.0,
+                "sigma_times_s": [40.0, 80.0],
+                "sigma_factors": [1.0, 1.0, 1.0],
+            },
+            "passes": {"tape_s": 40.0},
+        },
+        objective="failure_rate",
+        objective_band_arcmin=300.0,
+    ),
+}
+VARIABLES = [(name, v.name) for name, study in STUDIES.items() for v in Space.of(study).variables]
+
+
+def test_every_variable_with_a_gradient_is_tried() -> None:
+    tried = {variable.partition("[")[0] for _, variable in VARIABLES}
+    assert tried == {*CHANGES, "reset_times_s"}
+
+
+AROUND = np.array([-2.0, -1.0, 1.0, 2.0])
+
+
+@cache
+def gradients(name: str) -> dict[str, tuple[float, float]]:
+    """The derivative by each variable, and that of differences: every point has a lane.
+
+    Central ones, with an error of the fourth power of the step. So small for times that no sample
+    comes to the edge of a window, where the slope has a bend.
+    """
+    study = STUDIES[name]
+    variables = Space.of(study).variables
+    count = len(variables)
+    box = np.tile(0.457 + 0.013 * np.arange(count), (1 + 4 * count, 1))
+    times = [v.key in ("reset_times_s", "reset_first_s", "reset_cycle_s") for v in variables]
+    step = np.where(times, 1e-4, 2e-3)
+    for i in range(count):
+        box[1 + 4 * i : 5 + 4 * i, i] += step[i] * AROUND
+    slope = Slope(study, None, 0, starts=len(box), draws=2)
+    score, by_box = slope(box, np.arange(2), Softness(5.0, 3.0))
+    ends = score[1:].reshape(count, 4)
+    difference = ends @ np.array([1.0, -8.0, 8.0, -1.0]) / (12 * step)
+    rows = zip(variables, by_box[0], difference, strict=True)
+    return {v.name: (float(ours), float(theirs)) for v, ours, theirs in rows}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "variable"), VARIABLES)
+def test_gradients_agree_with_differences(name: str, variable: str) -> None:
+    ours, theirs = gradients(name)[variable]
+    assert theirs != 0 and ours == pytest.approx(theirs, rel=1e-4)
+
+
+WAYS = [
+    ("settle_mean", "mean"),
+    ("settle_quantile", "mean"),
+    ("settle_quantile", "worst"),
+    ("final_error", "mean"),
+    ("final_error", "worst"),
+    ("failure_rate", "worst"),
+]
+
+
+@pytest.mark.parametrize(("what", "across"), WAYS)
+def test_the_relaxed_objective_and_its_slope(what: str, across: str) -> None:
+    """Beside the hard one of the same numbers, and beside differences."""
+    study = tuned({"p0_yaw_deg": log(5.0, 80.0)}, {}, objective=what, objective_across=across)
+    tune = study.tune
+    assert tune is not None
+    runs = np.random.default_rng(7).random((2, 3, 5)) + 0.5
+    score, slope = objective.relaxed_score(tune, runs)
+    if what != "settle_quantile":
+        ratio = np.divide(score, [objective.score(tune, own) for own in runs])
+        if across == "mean":
+            np.testing.assert_allclose(ratio, 1.0, rtol=1e-12)
+        else:  # a power mean of three is below the largest
+            assert np.all((ratio < 1) & (ratio > 3 ** (-1 / 16)))
+    elif across == "mean":
+        own = [mstats.hdquantiles(row, [0.9])[0] for row in runs.reshape(-1, 5)]
+        np.testing.assert_allclose(score, np.reshape(own, (2, 3)).mean(axis=1), rtol=1e-9)
+    for place in np.ndindex(runs.shape):
+        moved = np.zeros_like(runs)
+        moved[place] = 1e-6
+        ahead, behind = (objective.relaxed_score(tune, runs + m)[0] for m in (moved, -moved))
+        expected = np.subtract(ahead, behind) / 2e-6
+        got = np.where(np.arange(2) == place[0], slope[place], 0.0)
+        np.testing.assert_allclose(got, expected, atol=2e-9)
+
+
+# What variables do to the engine's numbers
+
+
+def numbers(study: Study, point: dict[str, Any]) -> list[Any]:
+    """The method's numbers of every variant of a study at a point."""
+    derived = search.derive(study, {"one": point}, name="one")
+    params = Scenario(derived, curves=False).part(0).group.variants.method
+    count = derived.n_variants
+    return [jax.tree.map(lambda a, i=i: jnp.asarray(a)[i], params) for i in range(count)]
+
+
+def assert_moved(study: Study, places: dict[str, float], combination: int = 0) -> None:
+    """Relaxed numbers are those of the study with the keys set to these places' values."""
+    space = Space.of(study)
+    chosen = space.combinations[combination]
+    box = np.array([places.get(v.name, 0.5) for v in space.variables])
+    relaxation = Relaxation(study, space, chosen)
+    expected = numbers(study, space.point(space.values(box), chosen))
+    for base, there in zip(numbers(study, relaxation.point), expected, strict=True):
+        got = relaxation(base, box[space.used(chosen)], np.float64(50.0))
+        if hasattr(got, "resets"):
+            assert got.resets.width == 50.0
+            samples = np.where(got.resets.samples < 1e14, got.resets.samples, np.inf)
+            got = got._replace(resets=there.resets._replace(samples=samples))
+        for one, other in zip(jax.tree.leaves(got), jax.tree.leaves(there), strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("name", "variable"), VARIABLES)
+def test_a_variable_does_what_its_key_does(name: str, variable: str) -> None:
+    assert_moved(STUDIES[name], {variable: 0.75})
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_variables_do_all_that_their_keys_do(name: str) -> None:
+    assert_moved(STUDIES[name], {v.name: 0.75 for v in Space.of(STUDIES[name]).variables})
+
+
+COUNTED = {"study": SHORT, "resets": {"reset_count": 3, "reset_cycle_s": 10.0}}
+P0 = [key for key in CHANGES if key.startswith("p0_")]
+
+
+@pytest.mark.parametrize("key", P0)
+def test_what_p_is_reset_to_follows_what_it_is_at_the_start(key: str) -> None:
+    """Unless it is given, be it as an axis."""
+    sections = COUNTED | {"alignment": {"method": "kalman10"}}
+    assert_moved(tuned({key: log(1.0, 100.0)}, sections), {key: 0.75})
+    sections["axes"] = {key.replace("p0_", "reset_"): [2.0, 3.0]}
+    assert_moved(tuned({key: log(1.0, 100.0)}, sections), {key: 0.75})
+
+
+def test_the_first_of_counted_resets_follows_the_cycle() -> None:
+    """Unless it is given. Where there are no resets, none is moved."""
+    cycle = {"reset_cycle_s": linear(8.0, 16.0), "reset_count": {"candidates": [0, 1, 3]}}
+    for combination in range(3):
+        assert_moved(tuned(cycle, COUNTED), {"reset_cycle_s": 0.75}, combination)
+    given = {"reset_count": 3, "reset_cycle_s": 10.0, "reset_first_s": 3.0}
+    assert_moved(tuned(cycle, COUNTED | {"resets": given}), {"reset_cycle_s": 0.75}, 2)
+
+
+def test_times_are_as_many_as_the_candidate_says() -> None:
+    ranges = [linear(4.0, 12.0), {"fixed": 20.0}, linear(24.0, 32.0)]
+    variables = {"reset_times_s": ranges, "reset_count": {"candidates": [0, 1, 2, 3]}}
+    study = tuned(variables, {"study": SHORT, "resets": {"reset_times_s": [5.0]}})
+    for combination in range(4):
+        assert_moved(study, {"reset_times_s[0]": 0.75, "reset_times_s[2]": 0.25}, combination)
+
+
+# The relaxed objective and the hard one
+
+
+@pytest.mark.slow
+def test_the_relaxed_objective_tends_to_the_hard_one() -> None:
+    """Of three descents and two variants; with gravity the draws share a covariance."""
+    study = tuned(
+        {"reset_times_s": [linear(6.0, 18.0)], "q_scale": log(0.1, 10.0)},
+        {
+            "study": SHORT
+            | {"rate_hz": 50.0, "duration_s": 40.0, "window_s": [20, 40], "judged_from": "limit"},
+            "sensors": {"gyro_bias_deg_per_h": 0.0, "accel_bias_ug": 0.0},
+            "alignment": {"specific_force": "gravity", "phi_e0_deg": 2.0, "phi_n0_deg": 2.0},
+            "axes": {"phi_u0_deg": [10.0, 30.0]},
+        },
+        objective_band_arcmin=300.0,
+        tune_draws=3,
+    )
+    space = Space.of(study)
+    box = np.array([[0.1, 0.5], [0.6, 0.2], [0.35, 0.9]])
+    points = {str(i): space.point(space.values(own), {}) for i, own in enumerate(box)}
+    derived = search.derive(study, points, name="hard")
+    table = run.run(derived, curves=False).summary
+    assert study.tune is not None
+    runs = search.run_values(study, derived, table)
+    hard = [objective.score(study.tune, own) for own in runs]
+    slope = Slope(study, None, 0, starts=3, draws=3)
+    softening = (Softness(4.0, 4.0), Softness(2.0, 16.0), Softness(1.0, 64.0))
+    off = [np.abs(slope(box, np.arange(3), one)[0] - hard) for one in softening]
+    assert np.all(off[1].max() < 0.7 * off[0].max()) and off[2].max() < 0.35
+    with_other_draws = slope(box, np.array([1, 2, 0]), softening[-1])[0]
+    np.testing.assert_allclose(with_other_draws, slope(box, np.arange(3), softening[-1])[0])
+
+
+@pytest.mark.slow
+def test_memory_does_not_grow_with_the_length_of_runs() -> None:
+    """But by the true attitudes at the record times, which a draw's runs share."""
+    needed = []
+    for duration_s in (20.0, 80.0):
+        study = tuned(
+            {"reset_times_s": [linear(5.0, 15.0)], "r_scale": log(0.1, 10.0)},
+            {"study": SHORT | {"duration_s": duration_s, "window_s": [10, 20]}},
+        )
+        slope = Slope(study, None, 0, starts=32, draws=2)
+        box, softness = np.full((32, 2), 0.4), Softness(5.0, 2.0)
+        (program,) = slope.programs(box, np.arange(2), softness)
+        needed.append(program.memory_analysis().temp_size_in_bytes)
+    assert needed[0] < needed[1] < 1.1 * needed[0]
+
+
+# Descents
+
+
+def descend(study: Study) -> history.Found:
+    """Optax mixes integers and floats freely."""
+    with jax.numpy_dtype_promotion("standard"):
+        return descent.descend(study)
+
+
+@pytest.fixture(scope="module")
+def down() -> tuple[Study, history.Found]:
+    """A compass whose loop may be too slow, or too nervous; two draws, looked at in every step."""
+    study = tuned(
+        {"azimuth_sigma_per_s": log(0.02, 0.08)},
+        {
+            "study": SHORT | {"duration_s": 120.0, "window_s": [60, 120], "judged_from": "limit"},
+            "alignment": {"method": "compass", "phi_e0_deg": 0.0, "phi_n0_deg": 0.0},
+            "compass": {"level_time_s": 10.0},
+            "axes": {"phi_u0_deg": [1.0, 2.0]},
+        },
+        objective="final_error",
+        descent_screen=4,
+        descent_starts=2,
+        descent_steps=8,
+        descent_draws=2,
+    )
+    return study, descend(study)
+
+
+@pytest.mark.slow
+def test_descents_go_down_and_stay_in_the_box(down: tuple[Study, history.Found]) -> None:
+    """One ends in the least objective of all, one at the edge, which is a least one of its own."""
+    study, found = down
+    space = Space.of(study)
+    values = np.array([look.values for look in found.looks])
+    assert values.min() >= 0.02 and values.max() <= 0.08
+    for start in range(2):
+        way = [look.objective for look in found.looks if look.start == start]
+        assert len(way) == 9 and way[-2] < way[0]
+    points = {str(i): space.point(space.values([i / 40]), {}) for i in range(41)}
+    derived = search.derive(study, points, name="scan")
+    table = run.run(derived, curves=False).summary
+    assert study.tune is not None
+    scan = [objective.score(study.tune, own) for own in search.run_values(study, derived, table)]
+    assert found.best.objective < min(scan)
+
+
+@pytest.mark.slow
+def test_descents_are_told_as_they_were_made(down: tuple[Study, history.Found]) -> None:
+    """Softness by step; cost: the screening, 1 + 2 p runs a start, draw and variant, the ends."""
+    study, found = down
+    assert TANGENT_STEPS == 2 and study.tune is not None
+    one = 2 * 1200  # steps of both variants of a draw
+    screen, step = 4 * 2 * one, 2 * 2 * one * (1 + 2 * 1)
+    expected = [screen + (i + 1) * step for i in range(8) for _ in range(2)]
+    assert [look.cost for look in found.looks] == [*expected, *[expected[-1] + 2 * 2 * one] * 2]
+    assert [look.step for look in found.looks] == [i for i in range(9) for _ in range(2)]
+    assert [look.start for look in found.looks] == [0, 1] * 9
+    for key, (first, last) in {"window_s": (4.0, 1.0), "sharpness": (6.0, 16.0)}.items():
+        told = [getattr(look, key) for look in found.looks[::2]]
+        assert told[-1] is None
+        np.testing.assert_allclose(told[:-1], np.geomspace(first, last, 8))
+
+
+@pytest.mark.slow
+def test_descents_are_the_same_again(down: tuple[Study, history.Found]) -> None:
+    study, found = down
+    assert descend(study) == found
+
+
+@pytest.mark.slow
+def test_candidates_are_tried_one_by_one() -> None:
+    """What a candidate does not use has no value; one that uses nothing is scored, once."""
+    variables = {
+        "reset_times_s": [linear(5.0, 15.0), linear(18.0, 30.0)],
+        "reset_count": {"candidates": [0, 1]},
+    }
+    study = tuned(
+        variables,
+        {"study": SHORT, "resets": {"reset_times_s": [5.0]}},
+        objective="final_error",
+        tune_draws=3,
+        descent_screen=1,
+        descent_starts=1,
+        descent_steps=2,
+        descent_draws=2,
+    )
+    seen: list[tuple[int, int]] = []
+    with jax.numpy_dtype_promotion("standard"):
+        found = descent.descend(study, tell=lambda p: seen.append((p.done, p.total)))
+    assert seen == [(2, 4), (4, 4)]
+    assert [look.candidate for look in found.looks] == [0, 1, 1, 1]
+    np.testing.assert_array_equal(
+        [np.isnan(look.values) for look in found.looks], [[True, True], *[[False, True]] * 3]
+    )
+    one = 600
+    costs = [3 * one, 2 * one * 3, 2 * one * 3, 3 * one]
+    assert [look.cost for look in found.looks] == list(np.cumsum(costs))
+    space, hard = Space.of(study), [look for look in found.looks if look.window_s is None]
+    assert [look.step for look in hard] == [2, 2]
+    assert study.tune is not None
+    for look in hard:
+        point = space.point(list(np.nan_to_num(look.values)), space.combinations[look.candidate])
+        derived = search.derive(study, {"end": point}, name="end")
+        table = run.run(derived, curves=False).summary
+        (runs,) = search.run_values(study, derived, table)
+        assert look.objective == objective.score(study.tune, runs)
+
+
+YAW = {"p0_yaw_deg": log(5.0, 80.0)}
+TIMES = {"reset_times_s": [linear(1.0, 3.0)]}
+TWO = {"reset_times_s": [2.0]}
+
+REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
+    "a key without": (
+        {"feedback_interval_s": linear(0.5, 2.0)},
+        {},
+        "[tune.variables] feedback_interval_s",
+    ),
+    "scale": (TIMES, {"resets": TWO | {"reset_kind": "scale"}}, "[resets] reset_kind = 'scale'"),
+    "scale as an axis": (
+        YAW,
+        {"resets": TWO, "axes": {"reset_kind": ["full", "scale"]}},
+        "[resets] reset_kind = 'scale'",
+    ),
+    "scale as the last candidate": (
+        YAW | {"reset_kind": {"candidates": ["full", "yaw", "scale"]}},
+        {"resets": TWO},
+        "[resets] reset_kind = 'scale'",
+    ),
+    "a trigger": (
+        YAW,
+        {"resets": {"reset_trigger": "nis", "trigger_threshold": 9.0}},
+        "[resets] reset_trigger",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_has_no_gradient_is_refused_before_anything_runs(name: str, tmp_path: Path) -> None:
+    variables, sections, what = REFUSED[name]
+    study = tuned(variables, sections, searches=["sobol", "gradient"])
+    with pytest.raises(InputError) as refused:
+        carry_out.tune(study, tmp_path / "out")
+    text = f"study: {what}: has no gradient (use 'sobol' instead of 'gradient')"
+    assert str(refused.value) == text
+    assert not (tmp_path / "out").exists()

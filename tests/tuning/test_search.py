@@ -1,0 +1,267 @@
+"""Searches: which points they look at, the studies that these make, what is made of the rows."""
+
+import threading
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pytest
+from support.studies import STILL, small_study
+
+import sinsjax
+from sinsjax.errors import InputError
+from sinsjax.execution import tables
+from sinsjax.study.load import Study, study_from_dict, tables_of
+from sinsjax.study.search_space import Space
+from sinsjax.tuning import history, objective, search
+from sinsjax.tuning.history import Found, Look
+from sinsjax.tuning.search import Session
+
+TIMES = [{"low": 1.0, "high": 3.0}, {"low": 1.0, "high": 3.0}]
+YAW = {"low": 10.0, "high": 90.0}
+
+
+def tuned(
+    variables: dict[str, Any], *, changes: dict[str, Any] | None = None, **tune: Any
+) -> Study:
+    tune = {"searches": ["sobol"], "variables": variables, "tune_draws": 2} | tune
+    return small_study(tune=tune, **(changes or {}))
+
+
+COUNTED = tuned({"reset_times_s": TIMES, "reset_count": {"candidates": [0, 1, 2]}})
+
+
+def seed(study: Study, name: str = "sobol") -> np.random.SeedSequence:
+    return search.seed_of(study, name)
+
+
+def test_a_grid_has_every_point_of_every_combination() -> None:
+    candidate, box = search.grid(Space.of(COUNTED), 3)
+    assert candidate.tolist() == [0, *[1] * 3, *[2] * 9]
+    np.testing.assert_array_equal(box[0], [np.nan, np.nan])
+    np.testing.assert_array_equal(box[1:4], [[0, np.nan], [0.5, np.nan], [1, np.nan]])
+    places = [0.0, 0.5, 1.0]
+    np.testing.assert_array_equal(box[4:], [[a, b] for a in places for b in places])
+
+
+@pytest.mark.parametrize("draw", [search.sobol, search.random])
+def test_drawn_points_are_those_of_the_seed(draw: Any) -> None:
+    space = Space.of(COUNTED)
+    candidate, box = draw(space, [4, 3, 5], seed(COUNTED))
+    assert candidate.tolist() == [0, *[1] * 3, *[2] * 5]
+    inside = box[np.isfinite(box)]
+    assert inside.size == 3 + 2 * 5 and (inside >= 0).all() and (inside <= 1).all()
+    again = draw(space, [4, 3, 5], seed(COUNTED)).box
+    np.testing.assert_array_equal(box, again)
+    more = draw(space, [4, 3, 9], seed(COUNTED)).box
+    np.testing.assert_array_equal(box, more[: len(box)])
+    other = draw(space, [4, 3, 5], seed(COUNTED, "equal_cost")).box
+    assert not np.isin(other[np.isfinite(other)], inside).any()
+
+
+def test_sobol_points_are_spread_evenly() -> None:
+    space = Space.of(tuned({"reset_times_s": TIMES}))
+    box = search.sobol(space, [64], seed(COUNTED)).box
+    cells = np.floor(box * 8).astype(int)
+    assert len({tuple(cell) for cell in cells}) == 64
+
+
+def test_a_search_is_a_study_of_its_points() -> None:
+    study = tuned(
+        {"reset_times_s": TIMES},
+        changes={
+            "cases": [
+                {"case": "near", "phi_e0_deg": 0.0, "phi_u0_deg": 5.0},
+                {"case": "far", "phi_e0_deg": 3.0, "phi_u0_deg": 50.0},
+            ],
+            "axes": {"p0_yaw_deg": [40.0, 80.0], "cases": {"q_accel_ug": [1.0, 2.0]}},
+            "study": {"curves": True},
+        },
+        evaluation_draws=5,
+    )
+    points = {"grid 0": {"reset_times_s": (1.0,)}, "grid 4": {"reset_times_s": (1.0, 2.0)}}
+    derived = search.derive(study, points, name="own")
+    assert (derived.tune, derived.study.name, derived.study.curves) == (None, "own", False)
+    assert (derived.n_draws, derived.study.seed) == (2, study.study.seed)
+    assert derived.n_variants == 2 * study.n_variants == 16
+    assert derived.values("case") == ["grid 0"] * 8 + ["grid 4"] * 8
+    assert derived.reset_times() == [(1.0,)] * 8 + [(1.0, 2.0)] * 8
+    pairs = {*zip(derived.values("phi_e0_deg"), derived.values("phi_u0_deg"), strict=True)}
+    assert pairs == {(0.0, 5.0), (3.0, 50.0)}
+    judging = search.derive(study, points, name="own", judging=True)
+    assert (judging.n_draws, judging.study.seed) == (5, study.study.seed + 1)
+
+
+def test_labels_alone_leave_nothing_to_sweep() -> None:
+    changes = {"cases": [{"case": "only"}]}
+    study = tuned({"reset_times_s": TIMES}, changes=changes)
+    derived = search.derive(study, {"a": {"reset_times_s": ()}}, name="own")
+    assert (derived.cases, derived.zips) == (({"case": "a", "reset_times_s": ()},), {})
+
+
+def test_a_record_is_tuned_and_judged_from_other_start_times() -> None:
+    study = study_from_dict(
+        {
+            "study": {"duration_s": 6.0, "rate_hz": 100.0},
+            "record": {"format": "psins", "start_s": [0.0, 10.0, 20.0, 30.0, 40.0]},
+            "tune": {"variables": {"p0_yaw_deg": YAW}, "searches": ["grid"]},
+        }
+    )
+    for judging, starts in ((False, (0.0, 20.0, 40.0)), (True, (10.0, 30.0))):
+        derived = search.derive(study, {"a": {"p0_yaw_deg": 1.0}}, name="x", judging=judging)
+        assert derived.record is not None and derived.record.start_s == starts
+
+
+def test_the_last_seed_has_one_after_it() -> None:
+    study = tuned({"p0_yaw_deg": YAW}, changes={"study": {"seed": 2**63 - 1}})
+    assert search.derive(study, {"a": {"p0_yaw_deg": 1.0}}, name="x", judging=True).study.seed == 0
+
+
+def test_cost_is_steps_of_all_runs() -> None:
+    changes = {"axes": {"phi_u0_deg": [0.0, 5.0]}}
+    assert search.cost(small_study(**changes)) == 2 * 3 * 600
+    repeated = {"passes": {"tape_s": 4.0, "passes": 1}}
+    assert search.cost(small_study(**changes, **repeated)) == 2 * 3 * 400
+
+
+ROWS = pa.table(
+    {
+        "run_id": [5, 4, 3, 2, 1, 0],
+        "settle_10_s": [6.0, None, 4.0, 3.0, None, 1.0],
+        "settle_60_s": [None, 5.0, 4.0, 3.0, 2.0, 1.0],
+        "phi_u_arcmin": [6.0, 5.0, None, 3.0, 2.0, 1.0],
+        "floor_arcmin": [2.0, 2.0, 2.0, 2.0, 2.0, 2.0],
+    }
+)
+
+
+@pytest.mark.parametrize("judged", ["limit", "truth"])
+@pytest.mark.parametrize(
+    ("tune", "values", "score"),
+    [
+        ({}, [[1, 3, 6], [6, 4, 6]], (10 / 3 + 16 / 3) / 2),
+        ({"objective_across": "worst"}, [[1, 3, 6], [6, 4, 6]], 16 / 3),
+        (
+            {"objective": "settle_quantile", "objective_quantile": 0.6},
+            [[1, 3, 6], [6, 4, 6]],
+            (3 + 6) / 2,
+        ),
+        ({"objective_band_arcmin": 60.0}, [[1, 3, 5], [2, 4, 6]], 3.5),
+        ({"objective": "failure_rate"}, [[0, 0, 1], [1, 0, 0]], 1 / 3),
+        (
+            {"objective": "final_error", "objective_across": "worst"},
+            [[1, 1, 3], [0, np.inf, 4]],
+            np.inf,
+        ),
+    ],
+)
+def test_the_objective_of_rows(
+    tune: dict[str, Any], values: list[Any], score: float, judged: str
+) -> None:
+    """Two variants, three draws of a study of 6 s; the rows in no order, judged as it says."""
+    changes = {"axes": {"phi_u0_deg": [0.0, 5.0]}, "study": {"judged_from": judged}}
+    study = tuned({"p0_yaw_deg": YAW}, changes=changes, **tune)
+    assert study.tune is not None
+    rows = ROWS
+    if judged == "truth":
+        rows = ROWS.rename_columns([n.replace("0_s", "0_truth_s") for n in ROWS.column_names])
+        from_truth = pc.subtract(ROWS["phi_u_arcmin"], ROWS["floor_arcmin"])
+        rows = rows.drop_columns(["phi_u_arcmin", "floor_arcmin"])
+        rows = rows.append_column("phi_u_arcmin", from_truth)
+    table = rows.select(objective.columns_of(study.tune, study))
+    found = objective.values(study.tune, study, table)
+    np.testing.assert_array_equal(found, values)
+    assert objective.score(study.tune, found) == pytest.approx(score)
+    finite = np.array([[3.0, 4.0]])
+    if study.tune.objective == "final_error":
+        assert objective.score(study.tune, finite) == pytest.approx(12.5**0.5)
+
+
+FOUND = [
+    Found("grid", [Look(0, 0, [np.nan, np.nan], 3.0, 7), Look(1, 2, [1.5, 2.5], np.inf, 14)]),
+    Found(
+        "gradient",
+        [
+            Look(0, 2, [2.5, 1.5], 1.0, 20, 0, 20.0, 2.0),
+            Look(1, 2, [2.0, 1.0], 4.0, 30, 0),
+            Look(1, 2, [2.5, 1.0], 3.5, 30, 1),
+        ],
+    ),
+]
+
+
+def test_a_history_is_read_as_it_was_written(tmp_path: Path) -> None:
+    space = Space.of(COUNTED)
+    history.write(tmp_path, space, FOUND)
+    again = history.read(tmp_path, space)
+    for one, other in zip(FOUND, again, strict=True):
+        assert one.search == other.search
+        for a, b in zip(one.looks, other.looks, strict=True):
+            np.testing.assert_array_equal(a.values, b.values)
+            assert a._replace(values=[]) == b._replace(values=[])
+    assert [path.name for path in tmp_path.iterdir()] == ["history.parquet"]
+    table = sinsjax.read_history(tmp_path)
+    assert table.column_names == [column.name for column in history.columns_of(space)]
+    assert table["reset_times_s[0]"].to_pylist() == [None, 1.5, 2.5, 2.0, 2.5]
+    assert table["window_s"].to_pylist() == [None, None, 20.0, None, None]
+    assert table.schema.field("window_s").metadata[b"unit"] == b"s"
+    assert table.schema.field("reset_times_s[0]").metadata == {
+        b"unit": b"s",
+        b"meaning": b"explicit reset times, s; null where not used",
+    }
+    other_space = Space.of(tuned({"p0_yaw_deg": YAW}))
+    with pytest.raises(InputError, match=r"history\.parquet: column p0_yaw_deg is missing"):
+        history.read(tmp_path, other_space)
+    (tmp_path / "history.parquet").write_text("no table")
+    with pytest.raises(InputError, match=r"history\.parquet: cannot be read: "):
+        history.read(tmp_path, space)
+
+
+def test_only_what_is_not_relaxed_can_be_best() -> None:
+    space = Space.of(COUNTED)
+    grid, gradient = FOUND
+    assert (grid.best.step, grid.cost, grid.point(space)) == (0, 14, {"reset_times_s": ()})
+    assert (gradient.best.start, gradient.cost) == (1, 30)
+    assert gradient.point(space) == {"reset_times_s": (1.0, 2.5)}
+
+
+def test_a_search_looks_at_every_point_once(tmp_path: Path) -> None:
+    """A grid over two reset times with the same range: pairs and their mirror images are one."""
+    study = tuned(
+        {"reset_times_s": TIMES},
+        changes={
+            "study": {"rate_hz": 20.0, "settle_bands_arcmin": [600], "judged_from": "limit"},
+            "motion": STILL,
+            "axes": {"phi_u0_deg": [5.0, 30.0]},
+        },
+        objective="final_error",
+    )
+    session = Session(
+        tmp_path, None, False, False, lambda name: nullcontext(), threading.Event(), None
+    )
+    design = search.grid(Space.of(study), 3)
+    found = search.look(study, "grid", design, session)
+    places = [1.0, 2.0, 3.0]
+    pairs = [(a, b) for a in places for b in places]
+    assert [tuple(look.values) for look in found.looks] == pairs
+    assert [look.cost // (2 * 2 * 120) for look in found.looks] == [1, 2, 3, 3, 4, 5, 5, 5, 6]
+    table = tables.read_summary(tmp_path / "grid")
+    assert sorted(set(table["case"].to_pylist())) == [f"grid {n}" for n in (0, 1, 2, 4, 5, 8)]
+    for look in found.looks:
+        times = sorted({*look.values})
+        rows = [row for row in table.to_pylist() if row["reset_times_s"] == times]
+        assert len(rows) == 4
+        squares: dict[float, list[float]] = {5.0: [], 30.0: []}
+        for row in rows:
+            squares[row["phi_u0_deg"]].append((row["phi_u_arcmin"] - row["floor_arcmin"]) ** 2)
+        told = np.mean([np.mean(own) ** 0.5 for own in squares.values()])
+        assert look.objective == pytest.approx(told)
+    assert found.best.objective == min(look.objective for look in found.looks)
+    assert len({look.objective for look in found.looks}) == 6
+
+
+def test_tables_of_a_study_make_it_again() -> None:
+    assert study_from_dict(tables_of(COUNTED)) == COUNTED
