@@ -14,7 +14,7 @@ from pathlib import Path
 
 import common
 
-from sinsjax.bench.timing import Row, Spread
+from sinsjax.bench.timing import Row, TimingSpread
 from sinsjax.errors import InputError
 from sinsjax.platform import compile_cache, runtime
 
@@ -51,7 +51,7 @@ phi_u0_deg = [0, 10, 20, 30]
 RUNS, RATE_HZ = 64, 100
 
 PHASES = ("import", "prepare", "trace", "compile", "run_and_write", "report", "exit")
-"""Python and the imports; the study's world and its small programs; tracing and lowering the
+"""Python and the imports; the study's environment and its small programs; tracing and lowering the
 engine; compiling it; running it and writing Parquet; tables and figures; the end of Python."""
 
 _NOTED = """
@@ -123,7 +123,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
 
 def row(name: str, seconds: list[float]) -> Row:
     """Median and half the range of some times."""
-    found = Spread.of(seconds)
+    found = TimingSpread.of(seconds)
     return {
         "name": f"cold_start_{name}",
         "median_s": round(found.median, 3),

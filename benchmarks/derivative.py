@@ -22,14 +22,14 @@ import numpy as np
 
 from sinsjax.bench.assets import asset
 from sinsjax.bench.cases import TILES, default_group, engine, shortened, without_noise
-from sinsjax.bench.timing import Case, Row, measure_against
+from sinsjax.bench.timing import Row, Workload, measure_against
 from sinsjax.engine.batch import compiled, plan
 from sinsjax.engine.build import parts
 from sinsjax.engine.realisations import piece
-from sinsjax.engine.simulate import Params
+from sinsjax.engine.simulate import RunParams
 from sinsjax.engine.tile import LANES, Group, Tiles, run_tile, tiles_of
 from sinsjax.study.load import study_from_dict
-from sinsjax.study.search_space import Space
+from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.tuning import search
 from sinsjax.tuning.descent import TANGENT_STEPS, Slope, Softness, sensitivities
@@ -54,7 +54,7 @@ _CALLED = re.compile(r"\b(calls|to_apply|body|branch_computations)=(?:\{([^}]*)\
 _TRIPS = re.compile(r'"known_trip_count":\{"n":"(\d+)"')
 
 
-def scaled(params: Params, scales: Array) -> Params:
+def scaled(params: RunParams, scales: Array) -> RunParams:
     """Runs whose filter believes in scaled variances: of yaw and level in P0, of Q, of R."""
     yaw, level, q, r = (*scales, *(1.0,) * (MOST - len(scales)))
     method = params.method
@@ -137,13 +137,13 @@ def program_of(group: Group, p: int) -> tuple[jax.stages.Compiled, tuple, float]
         return jax.lax.map(one_tile, tiles)
 
     tiles = tiles_of(group, plan(group, tiles_a_chunk=TILES)[0])
-    arguments = (group.world, tiles, np.ones(max(p, 1)))
+    arguments = (group.environment, tiles, np.ones(max(p, 1)))
     since = time.perf_counter()
     program = jax.jit(whole).lower(*arguments).compile()
     return program, jax.device_put(arguments), time.perf_counter() - since
 
 
-def case(name: str, group: Group, p: int) -> tuple[Case, jax.stages.Compiled]:
+def case(name: str, group: Group, p: int) -> tuple[Workload, jax.stages.Compiled]:
     """What is timed, and its program."""
     program, arguments, compile_s = program_of(group, p)
 
@@ -154,7 +154,7 @@ def case(name: str, group: Group, p: int) -> tuple[Case, jax.stages.Compiled]:
 
     call()
     steps = group.static.records * group.static.record_every
-    return Case(name, TILES * LANES, steps, compile_s, call), program
+    return Workload(name, TILES * LANES, steps, compile_s, call), program
 
 
 def temporary(program: jax.stages.Compiled) -> int:
@@ -182,7 +182,7 @@ def tuned_study(seconds: float) -> Study:
 def tuning(seconds: float, repeats: int) -> list[Row]:
     """Time a gradient of `sinsjax tune` in pairs with the plain runs of the same lanes."""
     study = tuned_study(seconds)
-    space = Space.of(study)
+    space = SearchSpace.of(study)
     box = np.linspace(0.3, 0.7, 2 * STARTS).reshape(STARTS, 2)
     points = {f"start {i}": space.point(space.values(own), {}) for i, own in enumerate(box)}
     (part,) = parts(search.derive(study, points, name="plain"), curves=False)
@@ -199,10 +199,10 @@ def tuning(seconds: float, repeats: int) -> list[Row]:
         return time.process_time() - since
 
     call()
-    gradient = Case(f"tune_gradient_p{len(box[0])}", base.runs, base.steps, compile_s, call)
+    gradient = Workload(f"tune_gradient_p{len(box[0])}", base.runs, base.steps, compile_s, call)
     first, row = measure_against(base, [gradient], repeats)
     tiles = tiles_of(part.group, plan(part.group, tiles_a_chunk=TILES)[0])
-    plain = compiled(part.group.static, part.group.world, tiles)
+    plain = compiled(part.group.static, part.group.environment, tiles)
     row |= {
         "operations_ratio": round(
             operations(program) / operations(plain, loops_of(part.group, tiles)), 3

@@ -10,7 +10,7 @@ import jax
 
 from sinsjax.bench.assets import asset
 from sinsjax.bench.cases import default_group, engine, shortened, without_noise
-from sinsjax.bench.timing import Case, Row, ratios, row, spread, turns
+from sinsjax.bench.timing import Row, Workload, ratios, row, spread, turns
 from sinsjax.engine.build import parts
 from sinsjax.engine.tile import LANES
 from sinsjax.execution import run
@@ -76,7 +76,7 @@ def sweep_study(duration_s: float, draws: int) -> Study:
     return study_from_dict(data)
 
 
-def sweep_case(name: str, study: Study, devices: int) -> Case:
+def sweep_case(name: str, study: Study, devices: int) -> Workload:
     """`run.run_into` as a case, called once before so that everything is compiled."""
 
     def call() -> float:
@@ -87,7 +87,7 @@ def sweep_case(name: str, study: Study, devices: int) -> Case:
 
     first = call()
     steps = study.records * study.record_every
-    return Case(
+    return Workload(
         name, study.n_draws * study.n_variants, steps, first - call(), call, "float64", devices
     )
 

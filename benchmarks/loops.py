@@ -14,7 +14,7 @@ import numpy as np
 from sinsjax.bench import baseline
 from sinsjax.bench.baseline import Setting
 from sinsjax.bench.cases import default_group, first_run, numpy_baseline, without_noise
-from sinsjax.bench.timing import Case, Row, measure
+from sinsjax.bench.timing import Row, Workload, measure
 from sinsjax.engine.tile import Group
 
 CHECKED = 2000
@@ -42,7 +42,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     return measure(cases, repeats)
 
 
-def numba_case(loop: Loop, group: Group, samples: int | None) -> Case:
+def numba_case(loop: Loop, group: Group, samples: int | None) -> Workload:
     """The loop over a group's first run, compared with the NumPy one.
 
     Args:
@@ -67,7 +67,7 @@ def numba_case(loop: Loop, group: Group, samples: int | None) -> Case:
         loop(taken, start, setting)
         return time.process_time() - since
 
-    return Case("numba_loop", 1, len(taken), compile_s, call)
+    return Workload("numba_loop", 1, len(taken), compile_s, call)
 
 
 if __name__ == "__main__":

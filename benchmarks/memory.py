@@ -66,7 +66,7 @@ def of_call(tiles: int, records: int, *, curves: bool) -> Row:
     group = shortened(default_group(), records)
     static = group.static._replace(curves=curves)
     places = plan(group, tiles_a_chunk=tiles)[0]
-    arguments = (group.world, tiles_of(group, places))
+    arguments = (group.environment, tiles_of(group, places))
     found = compiled(static, *arguments).memory_analysis()
     runs = places.draw.size
     total = found.argument_size_in_bytes + found.output_size_in_bytes + found.temp_size_in_bytes

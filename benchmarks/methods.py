@@ -58,7 +58,7 @@ def arithmetic(group: Group) -> float:
 
     What is done once a run drops out; what is done once a record is spread over its steps.
     """
-    arguments = group.world, tiles_of(group, plan(group, tiles_a_chunk=TILES)[0])
+    arguments = group.environment, tiles_of(group, plan(group, tiles_a_chunk=TILES)[0])
     loops = loops_of(group, arguments[1])
     few, many = (
         operations(compiled(shortened(group, records).static, *arguments), loops)

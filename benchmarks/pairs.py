@@ -14,7 +14,7 @@ from sinsjax.bench.cases import (
     without_noise,
 )
 from sinsjax.bench.limit import compiler, limit_kernel
-from sinsjax.bench.timing import Case, Row, ratios, row, row_against, turns
+from sinsjax.bench.timing import Row, Workload, ratios, row, row_against, turns
 from sinsjax.engine.tile import Group
 
 MADE: dict[str, Callable[[Group], Group]] = {
@@ -51,7 +51,7 @@ def rows(quick: bool, repeats: int, names: Sequence[str] = tuple(MADE)) -> list[
     return [row(kernel, its), *(told(*pair, kernel, its) for pair in zip(ours, taken, strict=True))]
 
 
-def told(case: Case, taken: list[float], kernel: Case, its: list[float]) -> Row:
+def told(case: Workload, taken: list[float], kernel: Workload, its: list[float]) -> Row:
     """The row of a case, with its ratios to the kernel."""
     found = ratios(case, kernel, taken, its)
     return row_against(case, taken, found) | {"ratios": [round(ratio, 3) for ratio in found]}

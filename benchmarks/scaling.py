@@ -11,10 +11,10 @@ import common
 import devices
 import jax
 
-from sinsjax.bench.timing import Case, Row, ratios, row, spread, turns
-from sinsjax.engine.batch import spread as calls_on
+from sinsjax.bench.timing import Row, Workload, ratios, row, spread, turns
+from sinsjax.engine.batch import in_threads as calls_on
 from sinsjax.execution import dask_pool, run
-from sinsjax.execution.tasks import Executor, Packed, Task, Workshop
+from sinsjax.execution.tasks import EncodedResult, Executor, Task, TaskRunner
 from sinsjax.study.study import Study
 
 DURATION_S, DRAWS = 90.0, 384
@@ -56,20 +56,20 @@ def started(workers: int) -> Iterator[tuple[Executor, float]]:
 def on_devices(count: int) -> Executor:
     """Some of this process's devices."""
 
-    def do(workshop: Workshop, tasks: Iterable[Task]) -> Iterator[Packed]:
-        return calls_on(workshop.pack, tasks, count)
+    def do(runner: TaskRunner, tasks: Iterable[Task]) -> Iterator[EncodedResult]:
+        return calls_on(runner.pack, tasks, count)
 
     return Executor(do, {"devices": count})
 
 
-def sweep_case(name: str, study: Study, executor: Executor, cores: int) -> Case:
+def sweep_case(name: str, study: Study, executor: Executor, cores: int) -> Workload:
     """`run.run_into` as a case, called once before, so that everything is compiled.
 
     Its ``compile_s`` is all that the first call took.
     """
     call = partial(timed, study, executor)
     steps, runs = study.records * study.record_every, study.n_draws * study.n_variants
-    return Case(name, runs, steps, call(), call, "float64", cores)
+    return Workload(name, runs, steps, call(), call, "float64", cores)
 
 
 def timed(study: Study, executor: Executor) -> float:

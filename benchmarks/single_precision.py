@@ -46,17 +46,17 @@ def build(model: ErrorModel, options: Options) -> Method:
     """`zero_velocity` with its belief in single precision; the 5-state model, f measured."""
     whole = zero_velocity.build(model, options)
 
-    def init(params: zero_velocity.Params, nav: Navigation) -> zero_velocity.State:
+    def init(params: zero_velocity.FilterParams, nav: Navigation) -> zero_velocity.FilterState:
         state = whole.init(params, nav)
         return state._replace(belief=single(state.belief))
 
     def step(
-        params: zero_velocity.Params,
+        params: zero_velocity.FilterParams,
         site: Site,
-        state: zero_velocity.State,
+        state: zero_velocity.FilterState,
         sample: Sample,
         n: Scalar,
-    ) -> zero_velocity.State:
+    ) -> zero_velocity.FilterState:
         nav, f_dt = mechanisation.step(state.nav, sample, site.place, options.dt)
         entries = numbers_of(model.transition(state.nav, site.place, f_dt, options.dt))
         transition = single(entries)
@@ -65,15 +65,15 @@ def build(model: ErrorModel, options: Options) -> Method:
         return state._replace(nav=nav, belief=belief)
 
     def close(
-        params: zero_velocity.Params, state: zero_velocity.State, n: Scalar
-    ) -> zero_velocity.State:
+        params: zero_velocity.FilterParams, state: zero_velocity.FilterState, n: Scalar
+    ) -> zero_velocity.FilterState:
         assert whole.close is not None
         closed = whole.close(params, state._replace(belief=double(state.belief)), n)
         return closed._replace(belief=single(closed.belief))
 
     def turn(
-        params: zero_velocity.Params, site: Site, state: zero_velocity.State
-    ) -> zero_velocity.State:
+        params: zero_velocity.FilterParams, site: Site, state: zero_velocity.FilterState
+    ) -> zero_velocity.FilterState:
         turned = whole.turn(params, site, state._replace(belief=double(state.belief)))
         return turned._replace(belief=single(turned.belief))
 

@@ -72,7 +72,7 @@ SWEEP: dict[str, dict[str, Any]] = _BASE | {
         "p0_yaw_deg": [10.0 * k for k in range(1, 17)],
     },
 }
-"""Two worlds of 16 variants: 100 chunks of `CHUNK_RUNS` runs."""
+"""Two environments of 16 variants: 100 chunks of `CHUNK_RUNS` runs."""
 
 TUNE: dict[str, dict[str, Any]] = _BASE | {
     "study": {"name": "soaked", "duration_s": 20.0, "rate_hz": 20.0, "window_s": [10, 20]},

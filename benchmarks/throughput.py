@@ -10,7 +10,7 @@ from sinsjax.bench.cases import (
     some_variants,
     without_noise,
 )
-from sinsjax.bench.timing import Case, Row, measure
+from sinsjax.bench.timing import Row, Workload, measure
 from sinsjax.engine.tile import LANES, Group
 
 LANE_COUNTS = (16, 32, 48, 64, 80, 96, 128, 192, 256)
@@ -30,7 +30,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     silent = without_noise(noisy)
     every = silent.sizes[1]
     storing = silent._replace(static=silent.static._replace(curves=True))
-    cases: list[Case] = []
+    cases: list[Workload] = []
     sizes: list[Row] = []
 
     def add(

@@ -182,7 +182,7 @@ def tune(
             tape,
             overwrite=overwrite,
             resume=resume,
-            watch=lambda name: progress.progress(terminal, f"{study.study.name}: {name}"),
+            watch=lambda name: progress.progress(terminal, f"{study.name}: {name}"),
             stop=stop,
             source=config,
         )
@@ -333,7 +333,7 @@ def _run_study(
         say(terminal, f"Runs that end by {study.study.window_s[0]:g} s have no window statistics.")
     with (
         _executor(*cluster) as executor,
-        progress.progress(terminal, study.study.name) as tell,
+        progress.progress(terminal, study.name) as tell,
         progress.interruptible(terminal) as stop,
     ):
         study_run.run_into(

@@ -56,7 +56,7 @@ def _euler(meaning: str, suffix: str = "") -> tuple[Column, ...]:
     return tuple(Column(f"{a}{suffix}_deg", _F, "deg", f"{meaning} {a}") for a in _ANGLES)
 
 
-FIRED = (
+TRIGGER_COUNTS = (
     Column("triggered_count", _I, "", "resets that the trigger called for"),
     Column("triggered_first_s", _F, "s", "time of the first of them; null for none"),
     Column("triggered_last_s", _F, "s", "time of the last of them; null for none"),

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from pydantic_core import ErrorDetails
 
-_MISFITS = {
+_IN_PLAIN_WORDS = {
     "float_type": "must be a number",
     "int_type": "must be a whole number",
     "bool_type": "must be true or false",
@@ -57,18 +57,18 @@ def index(error: ErrorDetails) -> str:
 def rule(error: ErrorDetails) -> str:
     """The rule that a value breaks."""
     kind = error["type"]
-    if kind == "misfit":
+    if kind == "invalid":
         return error["msg"]
     if kind == "missing":
         return "required"
     if kind == "too_long":
         return f"must have {error['ctx']['max_length']} values, not {error['ctx']['actual_length']}"
-    return _MISFITS.get(kind, error["msg"].replace("Input should be", "must be"))
+    return _IN_PLAIN_WORDS.get(kind, error["msg"].replace("Input should be", "must be"))
 
 
 def explained(error: ErrorDetails) -> str:
     """The rule that a value breaks, and the value where the rule does not show it."""
-    if error["type"] in ("misfit", "missing", "too_long"):
+    if error["type"] in ("invalid", "missing", "too_long"):
         return rule(error)
     given = error["input"]
     value = repr(list(given) if isinstance(given, tuple) else given)

@@ -1,6 +1,6 @@
 """The kinds of values that a study's keys take: types with their bounds and rules.
 
-Values stay in the file's units. A rule that is broken raises `misfit`, whose text says what is
+Values stay in the file's units. A rule that is broken raises `invalid`, whose text says what is
 wrong in the words of a user.
 """
 
@@ -23,14 +23,14 @@ from sinsjax import columns
 from sinsjax.messages import is_control
 
 
-def misfit(text: str, key: str | None = None) -> PydanticCustomError:
+def invalid(text: str, key: str | None = None) -> PydanticCustomError:
     """The error of a rule inside a section.
 
     Args:
         text: what is wrong.
         key: the key to name, where the rule concerns the whole section.
     """
-    return PydanticCustomError("misfit", text, {"key": key} if key else None)
+    return PydanticCustomError("invalid", text, {"key": key} if key else None)
 
 
 class Usual(NamedTuple):
@@ -52,34 +52,34 @@ def _shape(value: Any) -> str:
 def unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
     """Refuses a list that names a value twice."""
     if len(set(values)) < len(values):
-        raise misfit("names a value twice")
+        raise invalid("names a value twice")
     return values
 
 
 def _own_columns(bands: tuple[float, ...]) -> tuple[float, ...]:
     """Refuses bands whose result columns would have one name."""
     if len({columns.settle_column(band).name for band in bands}) < len(bands):
-        raise misfit("names a value twice, to the 6 digits that its column shows")
+        raise invalid("names a value twice, to the 6 digits that its column shows")
     return bands
 
 
 def _increasing(times: tuple[Any, ...]) -> tuple[Any, ...]:
     if any(late <= early for early, late in pairwise(times)):
-        raise misfit("must increase")
+        raise invalid("must increase")
     return times
 
 
 def _ordered(ends: tuple[float, float]) -> tuple[float, float]:
     low, high = ends
     if low > high:
-        raise misfit(f"must be [low, high] with low <= high, not [{low:g}, {high:g}]")
+        raise invalid(f"must be [low, high] with low <= high, not [{low:g}, {high:g}]")
     return ends
 
 
 def _legible(name: str) -> str:
     """Refuses letters that a terminal or an editor obeys and nobody sees."""
     if found := next(filter(is_control, name), None):
-        raise misfit(f"must not hold control characters (\\u{ord(found):04x})")
+        raise invalid(f"must not hold control characters (\\u{ord(found):04x})")
     return name
 
 
@@ -87,10 +87,10 @@ def _signed_permutation(order: str) -> str:
     """Refuses what is no permutation, and a mirror image, which no turn of the box can undo."""
     letters = re.sub("[+-]", "", order)
     if not re.fullmatch("([+-]?[xyz]){3}", order) or len(set(letters)) < 3:
-        raise misfit("must order x, y and z, each with an optional sign, such as 'y-xz'")
+        raise invalid("must order x, y and z, each with an optional sign, such as 'y-xz'")
     mirrors = order.count("-") + (letters not in "xyzxy")
     if mirrors % 2:
-        raise misfit("must be right-handed, but it is a mirror image")
+        raise invalid("must be right-handed, but it is a mirror image")
     return order
 
 
@@ -119,7 +119,7 @@ AccelNoise = Annotated[NonNegative, Usual(0, 1e7)]
 GyroWalk = Annotated[NonNegative, Usual(0, 1e4)]
 Bandwidth = Annotated[Positive, Usual(1e-6, 1e4)]
 Factor = Annotated[Positive, Usual(1e-9, 1e9)]
-Interval = Annotated[tuple[Finite, Finite], AfterValidator(_ordered)]
+IncreasingPair = Annotated[tuple[Finite, Finite], AfterValidator(_ordered)]
 Normal = tuple[Finite, NonNegative]
 Name = Annotated[str, Field(min_length=1), AfterValidator(_legible)]
 Triad = tuple[Name, Name, Name]
@@ -136,7 +136,7 @@ Vector = Annotated[
     Annotated[Finite, Tag("number")] | Annotated[tuple[Finite, Finite, Finite], Tag("list")],
     Discriminator(_shape),
 ]
-Spread = Annotated[
+NoisePerAxis = Annotated[
     Annotated[NonNegative, Tag("number")]
     | Annotated[tuple[NonNegative, NonNegative, NonNegative], Tag("list")],
     Discriminator(_shape),

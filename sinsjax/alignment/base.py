@@ -45,7 +45,7 @@ class Options(NamedTuple):
     innovations: bool = False
 
 
-class Fired(NamedTuple):
+class TriggerCounts(NamedTuple):
     """What a trigger did in a run.
 
     Attributes:
@@ -103,7 +103,7 @@ class Method(NamedTuple):
         normalise: state -> state with its quaternion scaled to unit length.
         limit: (params, place, biases, `Ending`) -> `Limit` that constant biases leave; the place is
             that of a forward pass.
-        fired: state -> `Fired`; None of a method without a trigger.
+        trigger_counts: state -> `TriggerCounts`; None of a method without a trigger.
         innovations: state -> `Innovations`; None of a method that sums up none.
         close: (params, state, n) -> state after what is due after the n-th sample: feedback and
             reset. Where nothing is due it is the state as it stands, to the bit. None of a method
@@ -123,7 +123,7 @@ class Method(NamedTuple):
     covariance: Callable[[Any], AttitudeCovariance]
     normalise: Callable[[Any], Any]
     limit: Callable[[Any, Place, Biases, Ending], Limit]
-    fired: Callable[[Any], Fired] | None = None
+    trigger_counts: Callable[[Any], TriggerCounts] | None = None
     innovations: Callable[[Any], Innovations] | None = None
     close: Callable[[Any, Any, Scalar], Any] | None = None
     next_event: Callable[[Any, Any, Scalar], Scalar | None] | None = None

@@ -1,9 +1,9 @@
 """Passes over a tape, forward and backward in turn, [P2] section 2.3: with any method.
 
-A backward pass is navigation in a world where time is reversed: the samples come last to first and
-reversed (`sensors.reverse`), the Earth turns the other way, velocity has the opposite sign. Method
-and mechanisation are the same in both directions; what happens to a method's state at a turn is its
-own affair (`Method.turn`).
+A backward pass is navigation in an environment where time is reversed: the samples come last to
+first and reversed (`sensors.reverse`), the Earth turns the other way, velocity has the opposite
+sign. Method and mechanisation are the same in both directions; what happens to a method's state at
+a turn is its own affair (`Method.turn`).
 """
 
 from typing import Any, NamedTuple
@@ -16,7 +16,7 @@ from sinsjax.strapdown import earth, sensors
 from sinsjax.types import Array, Count, Flag, Increments, Sample
 
 
-class Reading(NamedTuple):
+class PassReading(NamedTuple):
     """How one record interval reads the tape.
 
     Attributes:
@@ -32,7 +32,7 @@ class Reading(NamedTuple):
     samples: Array
 
 
-def reading(record: Count, pass_records: Count, every: int) -> Reading:
+def reading(record: Count, pass_records: Count, every: int) -> PassReading:
     """How the tape is read in a record interval.
 
     Args:
@@ -45,7 +45,7 @@ def reading(record: Count, pass_records: Count, every: int) -> Reading:
     ahead = jnp.arange(every)
     first = jnp.where(backward, (pass_records - place) * every - 2, place * every)
     samples = first + jnp.where(backward, -ahead, ahead)
-    return Reading(backward, (place == 0) & (number > 0), samples)
+    return PassReading(backward, (place == 0) & (number > 0), samples)
 
 
 def site_of_pass(site: Site, backward: Flag) -> Site:

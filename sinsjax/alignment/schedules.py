@@ -24,29 +24,29 @@ class Feedback(NamedTuple):
     gain: Scalar
 
 
-class Renewal(NamedTuple):
+class CovarianceReset(NamedTuple):
     """What becomes of P when it is reset.
 
     Entries that touch the yaw state are multiplied by ``keep_yaw``, all others by ``keep``; then
-    ``renew`` times the variance that is reset to is added to each diagonal entry, ``renew_yaw``
+    ``added`` times the variance that is reset to is added to each diagonal entry, ``added_yaw``
     times for yaw. So (0, 0, 1, 1) is the full reset, (1, 0, 0, 1) resets yaw and clears its cross
     terms, (a, a, 0, 0) multiplies P by a, and (1, 1, 0, 0) leaves it.
 
     Attributes:
         keep: see above.
         keep_yaw: see above.
-        renew: see above.
-        renew_yaw: see above.
+        added: see above.
+        added_yaw: see above.
     """
 
     keep: Scalar
     keep_yaw: Scalar
-    renew: Scalar
-    renew_yaw: Scalar
+    added: Scalar
+    added_yaw: Scalar
 
 
-UNCHANGED = Renewal(1.0, 1.0, 0.0, 0.0)
-"""The renewal that leaves P as it is."""
+UNCHANGED = CovarianceReset(1.0, 1.0, 0.0, 0.0)
+"""The covariance reset that leaves P as it is."""
 
 
 class Resets(NamedTuple):
@@ -54,11 +54,11 @@ class Resets(NamedTuple):
 
     Attributes:
         samples: (M,) counts of the samples after which P is reset, in any order; inf for none.
-        renewal: what a reset does.
+        covariance_reset: what a reset does.
     """
 
     samples: Array
-    renewal: Renewal
+    covariance_reset: CovarianceReset
 
 
 class Windows(NamedTuple):
@@ -67,19 +67,19 @@ class Windows(NamedTuple):
     What comes of a run can then be differentiated by the times. The narrower the windows, the
     nearer to `Resets`.
 
-    Only for renewals whose ``keep`` and ``keep_yaw`` are 0 or 1, such as 'full' and 'yaw': of these
-    the parts, one after the other, make what a hard reset makes at once.
+    Only for covariance resets whose ``keep`` and ``keep_yaw`` are 0 or 1, such as 'full' and 'yaw':
+    of these the parts, one after the other, make what a hard reset makes at once.
 
     Attributes:
         samples: (M,) counts of the samples about which P is reset, in any order.
         width: half the width of a window, some tens of samples or more: of fewer, a window leaves
             more than it should, as 1/(1 + h) is not exp(-h).
-        renewal: what a reset does, all windows of one put together.
+        covariance_reset: what a reset does, all windows of one put together.
     """
 
     samples: Array
     width: Scalar
-    renewal: Renewal
+    covariance_reset: CovarianceReset
 
 
 WINDOW_STRENGTH = 8.0
@@ -137,16 +137,18 @@ def mix(share: Array, one: Array | float, other: Array | float) -> Array:
     return other + share * (one - other)
 
 
-def renew(renewal: Renewal, p: Triangle, to: tuple[Scalar, ...], *, yaw: int) -> Triangle:
+def reset_covariance(
+    covariance_reset: CovarianceReset, p: Triangle, to: tuple[Scalar, ...], *, yaw: int
+) -> Triangle:
     """P after a reset.
 
     Args:
-        renewal: what a reset does.
+        covariance_reset: what a reset does.
         p: covariance of n states.
         to: n variances that a full reset sets.
         yaw: number of the yaw state.
     """
-    keep, keep_yaw, new, new_yaw = renewal
+    keep, keep_yaw, new, new_yaw = covariance_reset
     out = list(p)
     for (i, j), k in triangle_index(len(to)).items():
         if i <= j:
@@ -156,9 +158,11 @@ def renew(renewal: Renewal, p: Triangle, to: tuple[Scalar, ...], *, yaw: int) ->
     return tuple(out)
 
 
-def where_due(due: Flag | Scalar, renewal: Renewal) -> Renewal:
-    """The renewal where it is due, elsewhere the one that leaves P as it is; or between them."""
-    return Renewal(*(mix(due, a, b) for a, b in zip(renewal, UNCHANGED, strict=True)))
+def where_due(due: Flag | Scalar, covariance_reset: CovarianceReset) -> CovarianceReset:
+    """The reset where it is due, elsewhere the one that leaves P as it is; or between them."""
+    return CovarianceReset(
+        *(mix(due, a, b) for a, b in zip(covariance_reset, UNCHANGED, strict=True))
+    )
 
 
 def value_at(pieces: Pieces, n: Scalar) -> Scalar:

@@ -7,7 +7,7 @@ from pydantic import Field
 from sinsjax.value_types import Count, Factor, HalfTurn, Seconds, SecondsOrZero, Section, Speed
 
 
-class Alignment(Section):
+class AlignmentSection(Section):
     """[alignment]: the method, where it starts, and how its estimate is fed back."""
 
     method: Literal["kalman5", "kalman10", "compass"] = Field(
@@ -36,7 +36,7 @@ class Alignment(Section):
     )
 
 
-class Passes(Section):
+class PassesSection(Section):
     """[passes]: how often a stored tape is gone over, forward and backward in turn."""
 
     tape_s: Seconds | None = Field(
@@ -63,7 +63,7 @@ class Passes(Section):
     )
 
 
-class Coarse(Section):
+class CoarseSection(Section):
     """[coarse]: the coarse alignment before a record's fine alignment, whose t = 0 is its end."""
 
     coarse_method: Literal["inertial", "analytic"] = Field("inertial", description="method")

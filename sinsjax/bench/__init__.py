@@ -17,11 +17,11 @@ from sinsjax import console as screen
 from sinsjax.bench.assets import asset
 from sinsjax.bench.cases import SHORT
 from sinsjax.bench.limit import compiler, limit_kernel
-from sinsjax.bench.timing import Case, Row, conditions, measure, use_one_core
+from sinsjax.bench.timing import Row, Workload, conditions, measure, use_one_core
 from sinsjax.errors import InputError
 from sinsjax.platform import runtime
 
-__all__ = ["SHORT", "Case", "Row", "asset", "conditions", "measure", "run", "short_set"]
+__all__ = ["SHORT", "Workload", "Row", "asset", "conditions", "measure", "run", "short_set"]
 
 
 def run(console: Console, *, as_json: bool, limit: bool, repeats: int) -> None:
@@ -52,7 +52,7 @@ def run(console: Console, *, as_json: bool, limit: bool, repeats: int) -> None:
     screen.say(console, about, wrap=True)
 
 
-def short_set(*, limit_folder: str | None) -> list[Case]:
+def short_set(*, limit_folder: str | None) -> list[Workload]:
     """The rows of the short set, compiled and ready to time.
 
     Args:

@@ -13,12 +13,12 @@ import numpy as np
 
 from sinsjax.bench.assets import asset
 from sinsjax.bench.baseline import Setting, align
-from sinsjax.bench.timing import Case
-from sinsjax.engine.batch import compiled, plan, spread
+from sinsjax.bench.timing import Workload
+from sinsjax.engine.batch import compiled, in_threads, plan
 from sinsjax.engine.build import parts
-from sinsjax.engine.realisations import Draw, World
-from sinsjax.engine.simulate import Params, simulate
-from sinsjax.engine.tile import LANES, SETS, Group, Tiles, tiles_of
+from sinsjax.engine.realisations import Draw, Environment
+from sinsjax.engine.simulate import RunParams, simulate
+from sinsjax.engine.tile import LANES, STACKED_TILES, Group, Tiles, tiles_of
 from sinsjax.maths.rotations import matrix, misalign
 from sinsjax.study.load import load_study, study_from_dict
 from sinsjax.types import Quat
@@ -104,10 +104,11 @@ def compass_group(tape_s: float | None = None) -> Group:
 
 def without_noise(group: Group) -> Group:
     """What `sweep` runs where the sensors have no noise."""
-    errors = group.world.errors
+    errors = group.environment.errors
     quiet = errors._replace(gyro_noise=np.zeros(3), accel_noise=np.zeros(3))
     return group._replace(
-        static=group.static._replace(noisy=False), world=group.world._replace(errors=quiet)
+        static=group.static._replace(noisy=False),
+        environment=group.environment._replace(errors=quiet),
     )
 
 
@@ -152,11 +153,11 @@ def drawn_base_group(count: int) -> Group:
 
 
 def _draws(count: int, runs: int = 0) -> int:
-    return max(runs, TILES * SETS * max(LANES, count)) // count + 1
+    return max(runs, TILES * STACKED_TILES * max(LANES, count)) // count + 1
 
 
-def _last(group: Group, count: int) -> Params:
-    variants: Params = jax.tree.map(lambda a: a[-count:], group.variants)
+def _last(group: Group, count: int) -> RunParams:
+    variants: RunParams = jax.tree.map(lambda a: a[-count:], group.variants)
     return variants
 
 
@@ -167,7 +168,7 @@ def shortened(group: Group, records: int) -> Group:
 
 def engine(
     name: str, group: Group, *, tiles: int = TILES, lanes: int = LANES, devices: int = 1
-) -> Case:
+) -> Workload:
     """The compiled function of `sweep` on its first call for a group.
 
     Args:
@@ -181,13 +182,13 @@ def engine(
     calls = plan(group, tiles_a_chunk=tiles, lanes=lanes)
     places = [calls[i % len(calls)] for i in range(devices)]
     runs = sum(int(np.sum((p.draw < draws) & (p.variant < variants))) for p in places)
-    arguments = [(group.world, tiles_of(group, p)) for p in places]
+    arguments = [(group.environment, tiles_of(group, p)) for p in places]
     since = time.perf_counter()
     program = compiled(group.static, *arguments[0])
     compile_s = time.perf_counter() - since
     placed = jax.device_put(arguments)
 
-    def one(arguments: tuple[World, Tiles]) -> None:
+    def one(arguments: tuple[Environment, Tiles]) -> None:
         jax.block_until_ready(program(*arguments))
 
     # One device's work is told in CPU time, which others on the machine take no part of.
@@ -195,15 +196,15 @@ def engine(
 
     def call() -> float:
         since = clock()
-        list(spread(one, placed, devices))
+        list(in_threads(one, placed, devices))
         return clock() - since
 
     call()
     steps = group.static.records * group.static.record_every
-    return Case(name, runs, steps, compile_s, call, devices=devices)
+    return Workload(name, runs, steps, compile_s, call, devices=devices)
 
 
-def numpy_baseline(group: Group) -> Case:
+def numpy_baseline(group: Group) -> Workload:
     """The first run of a noise-free group as a plain NumPy loop, checked against the engine."""
     increments, start, setting = first_run(group)
     increments = increments[:_BASELINE_SAMPLES]
@@ -214,12 +215,12 @@ def numpy_baseline(group: Group) -> Case:
         align(increments, start, setting)
         return time.process_time() - since
 
-    return Case("numpy_baseline", 1, _BASELINE_SAMPLES, 0.0, call)
+    return Workload("numpy_baseline", 1, _BASELINE_SAMPLES, 0.0, call)
 
 
 def first_run(group: Group) -> tuple[np.ndarray, np.ndarray, Setting]:
     """The first run of a noise-free group, as the arguments of `sinsjax.bench.baseline.align`."""
-    errors, place = group.world.errors, group.world.site.place
+    errors, place = group.environment.errors, group.environment.site.place
     dt = group.static.options.dt
     bias = np.concatenate([errors.gyro_bias, errors.accel_bias])
     params = _first_params(group)
@@ -237,10 +238,10 @@ def first_run(group: Group) -> tuple[np.ndarray, np.ndarray, Setting]:
         resets=tuple(int(n) for n in method.resets.samples if np.isfinite(n)),
     )
     start: np.ndarray = np.array(matrix(misalign(params.phi, params.q)))
-    return np.asarray(group.world.tape) + bias * dt, start, setting
+    return np.asarray(group.environment.tape) + bias * dt, start, setting
 
 
-def _first_params(group: Group) -> Params:
+def _first_params(group: Group) -> RunParams:
     first = jax.tree.map(lambda a: np.asarray(a)[0], group.variants)
     return first._replace(q=Quat(*group.q[0]))
 
@@ -249,7 +250,7 @@ def _check(group: Group, c: np.ndarray) -> None:
     """The baseline must give the engine's attitude, or its time means nothing."""
     static = group.static._replace(records=_BASELINE_SAMPLES // group.static.record_every)
     draw = jax.tree.map(lambda a: np.asarray(a).ravel()[0], group.draws)
-    outcome, _ = jax.jit(partial(simulate, static))(group.world, draw, _first_params(group))
+    outcome, _ = jax.jit(partial(simulate, static))(group.environment, draw, _first_params(group))
     ours = np.array([outcome.last.pitch, outcome.last.roll, outcome.last.yaw])
     theirs = np.array(
         [np.arcsin(c[2, 1]), np.arctan2(-c[2, 0], c[2, 2]), np.arctan2(-c[0, 1], c[1, 1])]
@@ -262,15 +263,15 @@ def _silent() -> Group:
     return without_noise(default_group())
 
 
-def _compass(name: str, tape_s: float | None = None) -> Case:
+def _compass(name: str, tape_s: float | None = None) -> Workload:
     return engine(name, without_noise(compass_group(tape_s)))
 
 
-def _noisy(variants: int) -> Case:
+def _noisy(variants: int) -> Workload:
     return engine(f"kalman_noise_{variants}", some_variants(default_group(), variants))
 
 
-SHORT: dict[str, Callable[[], Case]] = {
+SHORT: dict[str, Callable[[], Workload]] = {
     "kalman_shared_record": lambda: engine("kalman_shared_record", _silent()),
     "kalman_noise_64": lambda: _noisy(64),
     "kalman_noise_6": lambda: _noisy(6),

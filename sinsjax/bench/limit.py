@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from sinsjax.bench.assets import asset
-from sinsjax.bench.timing import Case
+from sinsjax.bench.timing import Workload
 from sinsjax.errors import InputError
 from sinsjax.platform import machine, xla
 
@@ -41,7 +41,7 @@ def _architecture() -> str:
     return f"-march={_LEVELS.get(instructions, 'native')}"
 
 
-def limit_kernel(compiler: str, folder: str, *, steps: int = 20000, vectors: int = 32) -> Case:
+def limit_kernel(compiler: str, folder: str, *, steps: int = 20000, vectors: int = 32) -> Workload:
     """The hand-written kernel of ``benchmarks/limit_kernel.c``, in CPU time.
 
     Args:
@@ -65,7 +65,7 @@ def limit_kernel(compiler: str, folder: str, *, steps: int = 20000, vectors: int
         told = _told([program, str(steps), str(vectors)], "the limit kernel")
         return float(told.split()[0]) * 1e-9 * steps * runs
 
-    return Case("limit_kernel", runs, steps, compile_s, call)
+    return Workload("limit_kernel", runs, steps, compile_s, call)
 
 
 def _told(command: list[str], name: str) -> str:

@@ -15,7 +15,7 @@ Row = dict[str, Any]
 """A measurement: ``name``, its numbers, and the conditions."""
 
 
-class Case(NamedTuple):
+class Workload(NamedTuple):
     """Something to time.
 
     Attributes:
@@ -41,19 +41,19 @@ class Case(NamedTuple):
         return seconds / (self.runs * self.steps) * 1e9
 
 
-class Spread(NamedTuple):
+class TimingSpread(NamedTuple):
     """A median and half the range around it."""
 
     median: float
     half_range: float
 
     @classmethod
-    def of(cls, values: Sequence[float]) -> "Spread":
+    def of(cls, values: Sequence[float]) -> "TimingSpread":
         """Of at least one value."""
         return cls(statistics.median(values), (max(values) - min(values)) / 2)
 
 
-def turns(timed: Sequence[Case], repeats: int) -> list[list[float]]:
+def turns(timed: Sequence[Workload], repeats: int) -> list[list[float]]:
     """Time cases in turns: the seconds of each case's calls."""
     seconds: list[list[float]] = [[] for _ in timed]
     for _ in range(repeats):
@@ -62,9 +62,9 @@ def turns(timed: Sequence[Case], repeats: int) -> list[list[float]]:
     return seconds
 
 
-def row(case: Case, taken: Sequence[float]) -> Row:
+def row(case: Workload, taken: Sequence[float]) -> Row:
     """The row of a case, from the seconds of its calls."""
-    found = Spread.of(taken)
+    found = TimingSpread.of(taken)
     return {
         "name": case.name,
         "ns_per_step_run": round(case.ns(found.median), 2),
@@ -78,13 +78,15 @@ def row(case: Case, taken: Sequence[float]) -> Row:
     }
 
 
-def measure(timed: Sequence[Case], repeats: int) -> list[Row]:
+def measure(timed: Sequence[Workload], repeats: int) -> list[Row]:
     """Time cases in turns; one row each."""
     seconds = turns(timed, repeats)
     return [row(case, taken) for case, taken in zip(timed, seconds, strict=True)]
 
 
-def ratios(case: Case, base: Case, taken: Sequence[float], its: Sequence[float]) -> list[float]:
+def ratios(
+    case: Workload, base: Workload, taken: Sequence[float], its: Sequence[float]
+) -> list[float]:
     """How many times the base's ns a step and run a case takes, turn by turn.
 
     Args:
@@ -96,7 +98,7 @@ def ratios(case: Case, base: Case, taken: Sequence[float], its: Sequence[float])
     return [case.ns(ours) / base.ns(theirs) for ours, theirs in zip(taken, its, strict=True)]
 
 
-def measure_against(base: Case, timed: Sequence[Case], repeats: int) -> list[Row]:
+def measure_against(base: Workload, timed: Sequence[Workload], repeats: int) -> list[Row]:
     """Time cases and a base in turns, and tell how many times the base's time they take.
 
     Args:
@@ -115,14 +117,14 @@ def measure_against(base: Case, timed: Sequence[Case], repeats: int) -> list[Row
     return rows
 
 
-def row_against(case: Case, taken: Sequence[float], found: Sequence[float]) -> Row:
+def row_against(case: Workload, taken: Sequence[float], found: Sequence[float]) -> Row:
     """The row of a case with ``ratio`` and ``ratio_spread``, from its ratios to a base."""
     return row(case, taken) | spread("ratio", found)
 
 
 def spread(name: str, values: Sequence[float]) -> Row:
     """Two keys of a row: the median of some values, and half their range."""
-    found = Spread.of(values)
+    found = TimingSpread.of(values)
     return {name: round(found.median, 3), f"{name}_spread": round(found.half_range, 3)}
 
 

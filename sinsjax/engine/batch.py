@@ -23,14 +23,14 @@ import jax
 import numpy as np
 
 from sinsjax.engine.metrics import Observation, Outcome
-from sinsjax.engine.realisations import Static, World
+from sinsjax.engine.realisations import Environment, Static
 from sinsjax.engine.tile import (
     LANES,
     Group,
     Lanes,
     Tiles,
     layout,
-    over_sets,
+    over_stacked_tiles,
     run_tile,
     shown,
     tiles_of,
@@ -138,7 +138,7 @@ def plan(group: Group, *, tiles_a_chunk: int | None = None, lanes: int = LANES) 
     return Plan(group.static, *group.sizes, tiles_a_chunk=tiles_a_chunk, lanes=lanes)
 
 
-def homes() -> list[jax.Device | None]:
+def targets() -> list[jax.Device | None]:
     """The devices that programs are compiled for.
 
     On a CPU one program serves all threads, at the same speed and with the same bits as one each;
@@ -168,17 +168,17 @@ class Program:
 
 
 def program(
-    static: Static, world: World, tiles: Tiles, device: jax.Device | None = None
+    static: Static, environment: Environment, tiles: Tiles, device: jax.Device | None = None
 ) -> Program:
     """The program for arguments of these shapes, whatever their values.
 
     Args:
         static: what decides it.
-        world: of these shapes.
+        environment: of these shapes.
         tiles: of these shapes.
         device: that it runs on; None for the default one.
     """
-    leaves, structure = jax.tree.flatten((world, tiles))
+    leaves, structure = jax.tree.flatten((environment, tiles))
     home = None if device is None else jax.sharding.SingleDeviceSharding(device)
     shapes = tuple(
         jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype, sharding=home) for a in leaves
@@ -187,23 +187,23 @@ def program(
 
 
 def compiled(
-    static: Static, world: World, tiles: Tiles, device: jax.Device | None = None
+    static: Static, environment: Environment, tiles: Tiles, device: jax.Device | None = None
 ) -> jax.stages.Compiled:
     """`program`, compiled."""
-    return program(static, world, tiles, device).compiled()
+    return program(static, environment, tiles, device).compiled()
 
 
 @cache
 def _trace(static: Static, structure: Any, shapes: tuple) -> Program:
-    def run_tiles(world: World, tiles: Tiles) -> Any:
-        one = partial(run_tile, static, world)
-        return jax.lax.map(over_sets(static, one, tiles), tiles)
+    def run_tiles(environment: Environment, tiles: Tiles) -> Any:
+        one = partial(run_tile, static, environment)
+        return jax.lax.map(over_stacked_tiles(static, one, tiles), tiles)
 
     return Program(jax.jit(run_tiles).lower(*jax.tree.unflatten(structure, shapes)))
 
 
 class _Thread(threading.local):
-    """The number of a thread of `spread`; 0 of any other."""
+    """The number of a thread of `in_threads`; 0 of any other."""
 
     number = 0
 
@@ -211,7 +211,7 @@ class _Thread(threading.local):
 _thread = _Thread()
 
 
-def spread(call: Callable[[Any], Any], arguments: Iterable, devices: int) -> Iterator[Any]:
+def in_threads(call: Callable[[Any], Any], arguments: Iterable, devices: int) -> Iterator[Any]:
     """Results of calls in their order, with ``devices`` of them under way, a thread each."""
     numbers = count()
 
@@ -242,9 +242,9 @@ class Calls:
         self.plan = plan(group, tiles_a_chunk=tiles_a_chunk)
         static = group.static._replace(shown=shown(group))
         tiles = tiles_of(group, self.plan[0])
-        self._programs = [program(static, group.world, tiles, device) for device in homes()]
+        self._programs = [program(static, group.environment, tiles, device) for device in targets()]
         # Once, and not with every call.
-        self._worlds = [jax.device_put(group.world, device) for device in homes()]
+        self._worlds = [jax.device_put(group.environment, device) for device in targets()]
 
     def compile(self) -> None:
         """Compile what the first chunk would else compile; Python is idle meanwhile."""
@@ -288,4 +288,4 @@ def chunks(group: Group, *, devices: int = 1, tiles_a_chunk: int | None = None) 
     """
     calls = Calls(group, tiles_a_chunk=tiles_a_chunk)
     calls.compile()
-    yield from spread(calls.chunk, range(len(calls.plan)), devices)
+    yield from in_threads(calls.chunk, range(len(calls.plan)), devices)

@@ -1,8 +1,8 @@
 """From a study to arrays: the one place where units are left behind and programs part from numbers.
 
-A `Part` holds the variants that share a compiled program and a world (Earth, base motion, sensors);
-within a part everything that differs is a number. Parts are cut from the study's variants by the
-values of `PROGRAM_KEYS`, `WORLD_KEYS` and `PASS_KEYS`, wherever these are swept.
+A `Part` holds the variants that share a compiled program and an environment (Earth, base motion,
+sensors); within a part everything that differs is a number. Parts are cut from the study's variants
+by the values of `PROGRAM_KEYS`, `ENVIRONMENT_KEYS` and `PASS_KEYS`, wherever these are swept.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,8 +15,8 @@ import numpy as np
 from sinsjax.alignment.base import Options, Site
 from sinsjax.engine import method_parameters
 from sinsjax.engine.metrics import Criteria
-from sinsjax.engine.realisations import Draw, Static, World, made, noise, sense
-from sinsjax.engine.simulate import Params
+from sinsjax.engine.realisations import Draw, Environment, Static, derived, measured, noise
+from sinsjax.engine.simulate import RunParams
 from sinsjax.engine.study_limits import require_limit
 from sinsjax.engine.tile import Group
 from sinsjax.engine.truth import recorded, simulated, site_of
@@ -24,10 +24,10 @@ from sinsjax.errors import InputError
 from sinsjax.maths.rotations import euler_vector
 from sinsjax.platform import runtime
 from sinsjax.records import Record
-from sinsjax.records.reference import Tape
+from sinsjax.records.reference import StoredRecord
 from sinsjax.strapdown import base_motion
 from sinsjax.study.resolved import Variants
-from sinsjax.study.schema import Earth, Motion, Sensors
+from sinsjax.study.schema import EarthSection, MotionSection, SensorsSection
 from sinsjax.study.study import PASS_KEYS, Span, Study
 from sinsjax.study.success import bands
 from sinsjax.types import Array, Increments, Quat, Vec3
@@ -36,11 +36,15 @@ from sinsjax.units import ARCMIN, DEG
 PROGRAM_KEYS = ("method", "specific_force", "position", "reset_trigger")
 """Keys whose values decide the compiled program."""
 
-WORLD_KEYS = tuple(key for model in (Earth, Motion, Sensors) for key in model.model_fields)
+ENVIRONMENT_KEYS = tuple(
+    key for model in (EarthSection, MotionSection, SensorsSection) for key in model.model_fields
+)
 """Keys whose values decide the truth that runs share."""
 
-_NOISES = tuple(key for key in Sensors.model_fields if key.split("_")[1] in ("noise", "arw", "vrw"))
-_AMPLITUDES = tuple(key for key in Motion.model_fields if "amplitude" in key)
+_NOISES = tuple(
+    key for key in SensorsSection.model_fields if key.split("_")[1] in ("noise", "arw", "vrw")
+)
+_AMPLITUDES = tuple(key for key in MotionSection.model_fields if "amplitude" in key)
 
 
 class Part(NamedTuple):
@@ -66,7 +70,7 @@ class Scenario:
     """
 
     def __init__(
-        self, study: Study, tape: Tape | None = None, *, curves: bool | None = None
+        self, study: Study, tape: StoredRecord | None = None, *, curves: bool | None = None
     ) -> None:
         """Check what can be checked before anything runs.
 
@@ -83,7 +87,7 @@ class Scenario:
         runtime.require_x64()
         if study.is_recorded != (tape is not None):
             what = "reads a record, none is given" if study.is_recorded else "reads no record"
-            raise InputError(f"{study.study.name}: the study {what}: see [record]")
+            raise InputError(f"{study.name}: the study {what}: see [record]")
         require_limit(study)
         self.study, self.tape = study, tape
         self.curves = study.study.curves if curves is None else curves
@@ -127,14 +131,16 @@ class Scenario:
         span = _span(study, variants)
         if self.tape is None:
             draws = range(study.n_draws) if draws is None else draws
-            world, drawn, q = simulated(study, variants, span, criteria, draws, blank=blank)
+            environment, drawn, q = simulated(study, variants, span, criteria, draws, blank=blank)
         else:
-            world, drawn, q = recorded(study, variants, span, criteria, self.tape)
+            environment, drawn, q = recorded(study, variants, span, criteria, self.tape)
         params = _params(study, variants, site, ug)
-        return Part(Group(self.programs[number], world, drawn, q, params), ids)
+        return Part(Group(self.programs[number], environment, drawn, q, params), ids)
 
 
-def parts(study: Study, tape: Tape | None = None, *, curves: bool | None = None) -> Iterator[Part]:
+def parts(
+    study: Study, tape: StoredRecord | None = None, *, curves: bool | None = None
+) -> Iterator[Part]:
     """What the engine runs for a study, part by part: see `Scenario`."""
     scenario = Scenario(study, tape, curves=curves)
     return (scenario.part(number) for number in range(len(scenario.variant_ids)))
@@ -152,41 +158,41 @@ def simulated_record(study: Study, draw_id: int = 0, variant_id: int = 0) -> Rec
         InputError: the study has no such variant, or reads a record itself.
     """
     if study.is_recorded or not 0 <= variant_id < study.n_variants:
-        raise InputError(f"{study.study.name}: has no simulated variant {variant_id}")
+        raise InputError(f"{study.name}: has no simulated variant {variant_id}")
     scenario = Scenario(study, curves=False)
     number = next(i for i, ids in enumerate(scenario.variant_ids) if variant_id in ids)
     part = scenario.part(number, range(draw_id, draw_id + 1))
-    static, world = part.group.static, part.group.world
+    static, environment = part.group.static, part.group.environment
     draw = jax.tree.map(lambda a: a[0] if np.ndim(a) else a, part.group.draws)
-    draw = draw._replace(made=made(static, world, draw))
-    site = world.site if draw.made.site is None else draw.made.site
+    draw = draw._replace(made=derived(static, environment, draw))
+    site = environment.site if draw.made.site is None else draw.made.site
 
     @jax.jit
-    def rows(world: World, draw: Draw, numbers: Array) -> Increments:
-        normal = noise(static, world, draw, numbers)
-        if world.tape is None and world.motion is not None:
+    def rows(environment: Environment, draw: Draw, numbers: Array) -> Increments:
+        normal = noise(static, environment, draw, numbers)
+        if environment.tape is None and environment.motion is not None:
             whole = base_motion.increments(
-                world.motion, site.place, study.study.rate_hz, len(numbers)
+                environment.motion, site.place, study.rate_hz, len(numbers)
             )
-            world = world._replace(tape=whole)
-        return jax.vmap(partial(sense, static, world, draw))(numbers, normal)
+            environment = environment._replace(tape=whole)
+        return jax.vmap(partial(measured, static, environment, draw))(numbers, normal)
 
-    records = min(static.records, int(world.pass_records))
-    out = rows(world, draw, np.arange(records * static.record_every))
+    records = min(static.records, int(environment.pass_records))
+    out = rows(environment, draw, np.arange(records * static.record_every))
     return Record(
         dtheta=np.stack(out.dtheta, axis=1),
         dv=np.stack(out.dv, axis=1),
-        rate_hz=study.study.rate_hz,
+        rate_hz=study.rate_hz,
         latitude_deg=float(site.latitude / DEG),
         height_m=float(site.earth.height),
         gravity_m_per_s2=float(site.place.gravity),
-        source=study.study.name,
+        source=study.name,
     )
 
 
 def _split(study: Study) -> Iterator[np.ndarray]:
-    """Numbers of the variants that share program and world, in order of first appearance."""
-    keys = {*PROGRAM_KEYS, *WORLD_KEYS, *PASS_KEYS}
+    """Numbers of the variants that share program and environment, in order of first appearance."""
+    keys = {*PROGRAM_KEYS, *ENVIRONMENT_KEYS, *PASS_KEYS}
     swept = [key for key in study.axis_keys if key in keys]
     columns = [study.values(key) for key in swept]
     groups: dict[tuple[Any, ...], list[int]] = {}
@@ -204,7 +210,7 @@ def _program(study: Study, variants: Variants, curves: bool) -> Static:
     return Static(
         variants.common("method"),
         Options(
-            dt=1 / study.study.rate_hz,
+            dt=1 / study.rate_hz,
             specific_force=variants.common("specific_force") or "measured",
             position=variants.common("position"),
             trigger=(study.resets and variants.common("reset_trigger")) or "none",
@@ -226,7 +232,7 @@ def _takes(study: Study, variants: Variants, keys: Sequence[str]) -> bool:
     return any(key in study.drawn_keys or np.any(variants.common(key) or 0) for key in keys)
 
 
-def _params(study: Study, variants: Variants, site: Site, ug: float) -> Params:
+def _params(study: Study, variants: Variants, site: Site, ug: float) -> RunParams:
     """Numbers of the part's variants, leaves (variants, ...)."""
     zero = np.zeros(len(variants.ids))
     phi = Vec3(*(variants.column(f"phi_{axis}0_deg", DEG) for axis in "enu"))
@@ -235,7 +241,7 @@ def _params(study: Study, variants: Variants, site: Site, ug: float) -> Params:
     if euler.any() and not drawn:
         vector = _euler_vectors(*phi)
         phi = Vec3(*(np.where(euler, v, a) for v, a in zip(vector, phi, strict=True)))
-    return Params(
+    return RunParams(
         q=Quat(zero, zero, zero, zero),
         phi=phi,
         ve=variants.column("ve0_m_per_s"),

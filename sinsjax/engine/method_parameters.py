@@ -13,7 +13,7 @@ from sinsjax.alignment.base import Site
 from sinsjax.alignment.compass import design as loops
 from sinsjax.alignment.compass import method as compass
 from sinsjax.alignment.compass.design import AzimuthGains, LevelGains
-from sinsjax.alignment.schedules import UNCHANGED, Feedback, Pieces, Renewal, Resets
+from sinsjax.alignment.schedules import UNCHANGED, CovarianceReset, Feedback, Pieces, Resets
 from sinsjax.alignment.triggers import base as triggers
 from sinsjax.alignment.zero_velocity import method as zero_velocity
 from sinsjax.errors import InputError
@@ -22,7 +22,7 @@ from sinsjax.study.resolved import Variants
 from sinsjax.study.study import Q_DENSITIES, Study
 from sinsjax.units import DEG, DEG_PER_H
 
-_RENEWALS: dict[str, tuple[float | None, ...]] = {
+_COVARIANCE_RESETS: dict[str, tuple[float | None, ...]] = {
     # keep, keep_yaw, renew, renew_yaw; None for the study's factor
     "full": (0.0, 0.0, 1.0, 1.0),
     "yaw": (1.0, 0.0, 0.0, 1.0),
@@ -33,14 +33,14 @@ _RENEWALS: dict[str, tuple[float | None, ...]] = {
 }
 """What becomes of P, by the names of ``reset_kind`` and ``turn_covariance``."""
 
-TURNS = {
+REVERSALS = {
     # velocity, integral, rate, reflection
-    "reflect": compass.Turn(-1.0, -1.0, 1.0, 1.0),
-    "velocity": compass.Turn(-1.0, -1.0, 1.0, 0.0),
-    "velocity_and_rate": compass.Turn(-1.0, -1.0, -1.0, 0.0),
-    "velocity_drop_rate": compass.Turn(-1.0, -1.0, 0.0, 0.0),
-    "restart": compass.Turn(0.0, 0.0, 0.0, 0.0),
-    "keep": compass.Turn(1.0, -1.0, 1.0, 0.0),
+    "reflect": compass.Reversal(-1.0, -1.0, 1.0, 1.0),
+    "velocity": compass.Reversal(-1.0, -1.0, 1.0, 0.0),
+    "velocity_and_rate": compass.Reversal(-1.0, -1.0, -1.0, 0.0),
+    "velocity_drop_rate": compass.Reversal(-1.0, -1.0, 0.0, 0.0),
+    "restart": compass.Reversal(0.0, 0.0, 0.0, 0.0),
+    "keep": compass.Reversal(1.0, -1.0, 1.0, 0.0),
 }
 """What compass loops do at a turn of the tape, by the names of ``turn``.
 
@@ -67,9 +67,9 @@ def of_method(study: Study, variants: Variants, site: Site, ug: float) -> Any:
     return _filter(study, variants, ug)
 
 
-def _filter(study: Study, variants: Variants, ug: float) -> zero_velocity.Params:
+def _filter(study: Study, variants: Variants, ug: float) -> zero_velocity.FilterParams:
     states = MODELS[variants.common("method")].states
-    dt = 1 / study.study.rate_hz
+    dt = 1 / study.rate_hz
     velocity = variants.column("p0_velocity_m_per_s") ** 2
     level = variants.column("p0_level_deg", DEG) ** 2
     yaw = variants.column("p0_yaw_deg", DEG) ** 2
@@ -86,19 +86,19 @@ def _filter(study: Study, variants: Variants, ug: float) -> zero_velocity.Params
     p0 |= {f"nabla_{axis}": nabla for axis in "xyz"} | {f"eps_{axis}": eps for axis in "xyz"}
     q = {"dve": q_v, "dvn": q_v, "phi_e": q_phi, "phi_n": q_phi, "phi_u": q_phi}
     start = tuple(p0[state] for state in states)
-    return zero_velocity.Params(
+    return zero_velocity.FilterParams(
         p0=start,
         q=tuple(q.get(state, zero) for state in states),  # biases are constant
         r=variants.column("r_velocity_m_per_s") ** 2 / spread * r_scale,
-        feedback=_feedback(variants, study.study.rate_hz),
+        feedback=_feedback(variants, study.rate_hz),
         resets=_resets(study, variants),
         reset_to=tuple(
             _reset_to(variants, state, p, ug) for state, p in zip(states, start, strict=True)
         ),
-        turn=_renewal(variants, "turn_covariance", "turn_inflation")
+        turn=_covariance_reset(variants, "turn_covariance", "turn_inflation")
         if study.passes
-        else Renewal(*(zero + k for k in UNCHANGED)),
-        trigger=_trigger(variants, study.study.rate_hz),
+        else CovarianceReset(*(zero + k for k in UNCHANGED)),
+        trigger=_trigger(variants, study.rate_hz),
     )
 
 
@@ -124,10 +124,10 @@ def _reset_to(variants: Variants, state: str, p0: np.ndarray, ug: float) -> np.n
     return np.asarray([p if value is None else (value * unit) ** 2 for value, p in own])
 
 
-def _trigger(variants: Variants, rate_hz: float) -> triggers.Numbers | None:
+def _trigger(variants: Variants, rate_hz: float) -> triggers.TriggerParams | None:
     if variants.common("reset_trigger") in (None, "none"):
         return None
-    return triggers.Numbers(
+    return triggers.TriggerParams(
         threshold=variants.column("trigger_threshold"),
         window=np.round(variants.column("trigger_window_s") * rate_hz),
         refractory=np.round(variants.column("trigger_refractory_s") * rate_hz),
@@ -152,14 +152,14 @@ def _feedback(variants: Variants, rate_hz: float) -> Feedback:
 
 def _resets(study: Study, variants: Variants) -> Resets:
     times = study.reset_times()
-    samples = _in_samples([times[i] for i in variants.ids], study.study.rate_hz)
-    return Resets(samples, _renewal(variants, "reset_kind", "reset_scale"))
+    samples = _in_samples([times[i] for i in variants.ids], study.rate_hz)
+    return Resets(samples, _covariance_reset(variants, "reset_kind", "reset_scale"))
 
 
-def _renewal(variants: Variants, kind: str, factor: str) -> Renewal:
+def _covariance_reset(variants: Variants, kind: str, factor: str) -> CovarianceReset:
     kinds = zip(variants.raw(kind), variants.raw(factor), strict=True)
-    numbers = [[f if v is None else v for v in _RENEWALS[name]] for name, f in kinds]
-    return Renewal(*np.asarray(numbers, dtype=float).T)
+    numbers = [[f if v is None else v for v in _COVARIANCE_RESETS[name]] for name, f in kinds]
+    return CovarianceReset(*np.asarray(numbers, dtype=float).T)
 
 
 def _in_samples(times: list[tuple[float, ...]], rate_hz: float) -> np.ndarray:
@@ -170,8 +170,8 @@ def _in_samples(times: list[tuple[float, ...]], rate_hz: float) -> np.ndarray:
     return samples
 
 
-def _compass(study: Study, variants: Variants, site: Site) -> compass.Params:
-    rate = study.study.rate_hz
+def _compass(study: Study, variants: Variants, site: Site) -> compass.LoopParams:
+    rate = study.rate_hz
     level_gains, azimuth_gains = gains(variants, site)
     factors = variants.raw("sigma_factors")
     values = np.ones((len(factors), max(map(len, factors))))
@@ -189,13 +189,13 @@ def _compass(study: Study, variants: Variants, site: Site) -> compass.Params:
     passes = study.passes is not None
     turns = variants.raw("turn") if passes else ["keep"] * count
     smoothing = variants.column("turn_smoothing_s") if passes else np.ones(count)
-    return compass.Params(
+    return compass.LoopParams(
         level=level_gains,
         azimuth=azimuth_gains,
         pace=Pieces(_in_samples(pieces_s, rate), values),
         azimuth_from=np.round(np.asarray(level_s, dtype=float) * rate),
         smoothing=-np.expm1(-2 / (rate * smoothing)),  # two stages share the delay
-        turn=compass.Turn(*np.asarray([TURNS[name] for name in turns]).T),
+        turn=compass.Reversal(*np.asarray([REVERSALS[name] for name in turns]).T),
     )
 
 
@@ -233,7 +233,7 @@ def check_loops(study: Study, variants: Variants, site: Site) -> None:
     for loop, found in (("level", level), ("azimuth", azimuth)):
         for row in np.flatnonzero(~np.isfinite(np.stack(found)).all(axis=0)):
             raise _refusal(study, variants, loop, int(row), "gives a gain that is no finite number")
-    dt = 1 / study.study.rate_hz
+    dt = 1 / study.rate_hz
     rate_n = float(site.place.rate_n)
     for loop, polynomial, matrix in (
         (
@@ -273,7 +273,7 @@ def _refusal(study: Study, variants: Variants, loop: str, row: int, text: str) -
     where = next(zipped, "[axes]" if key in study.axes else "[compass]")
     if study.cases and key in study.cases[0]:
         where = "[cases]"
-    return InputError(f"{study.study.name}: {where} {key}: {shown} {text}")
+    return InputError(f"{study.name}: {where} {key}: {shown} {text}")
 
 
 def earth_numbers(site: Site) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sinsjax.alignment.base import AttitudeCovariance, Fired, Innovations
+from sinsjax.alignment.base import AttitudeCovariance, Innovations, TriggerCounts
 from sinsjax.alignment.limits import Limit
 from sinsjax.alignment.schedules import mix
 from sinsjax.maths.algebra import dot, solve3
@@ -97,7 +97,7 @@ class Outcome(NamedTuple):
         nees: phi' P^-1 phi over the attitude states.
         nis_u: (phi_u - limit)^2 / P_UU.
         limit: what the run's own sensor biases leave of phi, from which the heading was judged.
-        fired: what the method's trigger did, None without one.
+        trigger_counts: what the method's trigger did, None without one.
         innovations: of the method's filter, None where they are not summed up.
     """
 
@@ -109,7 +109,7 @@ class Outcome(NamedTuple):
     nees: Scalar
     nis_u: Scalar
     limit: Limit
-    fired: Fired | None = None
+    trigger_counts: TriggerCounts | None = None
     innovations: Innovations | None = None
 
 
@@ -198,7 +198,10 @@ def _wrap(angle: Array) -> Array:
 
 
 def finish(
-    metrics: Metrics, covariance: AttitudeCovariance, limit: Limit, fired: Fired | None = None
+    metrics: Metrics,
+    covariance: AttitudeCovariance,
+    limit: Limit,
+    trigger_counts: TriggerCounts | None = None,
 ) -> Outcome:
     """What a run is reported with.
 
@@ -218,5 +221,5 @@ def finish(
         nees=dot(phi, solve3(tuple(covariance), phi)),
         nis_u=(phi.z - limit.phi.z) ** 2 / covariance.uu,
         limit=limit,
-        fired=fired,
+        trigger_counts=trigger_counts,
     )

@@ -1,4 +1,4 @@
-"""What runs share, what a draw has for itself, and what the sensors of a draw put out."""
+"""What runs share, what a draw has for itself, and its measured increments."""
 
 from functools import partial
 from typing import NamedTuple
@@ -41,7 +41,7 @@ class Static(NamedTuple):
     shown: int | None = None
 
 
-class World(NamedTuple):
+class Environment(NamedTuple):
     """What all runs of a batch share.
 
     Attributes:
@@ -53,7 +53,7 @@ class World(NamedTuple):
         seed: of the noise.
         criteria: what runs are judged against.
         biases: of the sensors, mean in n.
-        pass_records: record intervals a pass over the tape; of no effect without repeats.
+        pass_records: record intervals a pass over the tape; ignored without repeats.
         times: (records,) record times on the tape, s; None where `truth` has all that is needed.
         motion: of the base, where draws have something for themselves or there is no tape.
     """
@@ -75,7 +75,7 @@ class World(NamedTuple):
         return jnp.result_type(self.truth if self.tape is None else self.tape)
 
 
-def empty_tape(samples: int) -> np.ndarray:
+def aligned_record(samples: int) -> np.ndarray:
     """Room for a tape (samples, 6) where XLA takes it as it is: others it copies, in every call."""
     size, line = 8 * 6 * samples, 64
     room = np.empty(size + line, np.uint8)
@@ -83,7 +83,7 @@ def empty_tape(samples: int) -> np.ndarray:
     return room[begin : begin + size].view(float).reshape(samples, 6)
 
 
-class Start(NamedTuple):
+class InitialErrors(NamedTuple):
     """What a draw begins with instead of its runs' `Params`; None for what is theirs.
 
     Attributes:
@@ -97,8 +97,8 @@ class Start(NamedTuple):
     vn: Scalar | None = None
 
 
-class Made(NamedTuple):
-    """What follows from what a draw has for itself; None for what is the world's.
+class Derived(NamedTuple):
+    """What follows from what a draw has for itself; None for what is the environment's.
 
     Attributes:
         site: at its latitude.
@@ -116,12 +116,12 @@ class Made(NamedTuple):
 class Draw(NamedTuple):
     """One realisation of what is random: noise, and whatever else a study draws.
 
-    What is None is that of the world, or of the run.
+    What is None is that of the environment, or of the run.
 
     Attributes:
         draw_id: decides its noise.
         start: first sample on the tape; of many draws, one number if it is the same for all.
-        row: of `World.truth`.
+        row: of `Environment.truth`.
         begins: what its runs begin with.
         errors: of its sensors.
         motion: of its base; its increments are made sample by sample, in place of the tape's.
@@ -132,19 +132,21 @@ class Draw(NamedTuple):
     draw_id: Count
     start: Count
     row: Count
-    begins: Start = Start()
+    begins: InitialErrors = InitialErrors()
     errors: sensors.SensorErrors | None = None
     motion: base_motion.Motion | None = None
     latitude: Scalar | None = None
-    made: Made = Made()
+    made: Derived = Derived()
 
 
-def noise(static: Static, world: World, draws: Draw, numbers: Array) -> Increments | None:
+def noise(
+    static: Static, environment: Environment, draws: Draw, numbers: Array
+) -> Increments | None:
     """Standard normal numbers, leaves (n, *draws), for n samples; None if no sensor has noise."""
-    return sensors.noise(world.seed, draws.draw_id, numbers) if static.noisy else None
+    return sensors.noise(environment.seed, draws.draw_id, numbers) if static.noisy else None
 
 
-AT_A_TIME = 64
+SAMPLES_A_PIECE = 64
 """Samples times draws that are made at a time: fewer leave the vector units idle, more leave the
 first-level cache."""
 
@@ -152,29 +154,35 @@ first-level cache."""
 def piece(static: Static, draws: Draw) -> int:
     """Samples that are made at a time; a record interval is cut into equal pieces."""
     every = static.record_every
-    most = AT_A_TIME // draws.draw_id.size
+    most = SAMPLES_A_PIECE // draws.draw_id.size
     return max(n for n in range(1, max(1, min(most, every)) + 1) if every % n == 0)
 
 
-AT_ONCE = 1000
+SAMPLES_A_CALL = 1000
 """Samples whose ideal increments are made at a time where there is no tape."""
 
 
-def ideal(static: Static, world: World, draws: Draw, numbers: Array) -> Increments | None:
+def ideal(
+    static: Static, environment: Environment, draws: Draw, numbers: Array
+) -> Increments | None:
     """What ideal sensors put out over n samples, leaves (n,), where no tape has it; else None.
 
     None also where draws have a motion of their own.
     """
-    if world.tape is not None or draws.motion is not None:
+    if environment.tape is not None or draws.motion is not None:
         return None
-    assert world.motion is not None
-    motion, place, rate = world.motion, world.site.place, 1 / static.options.dt
+    assert environment.motion is not None
+    motion, place, rate = environment.motion, environment.site.place, 1 / static.options.dt
     at = partial(base_motion.increment, motion, base_motion.nodes(motion, rate), place, rate)
-    k = jnp.asarray(numbers, world.dtype)
-    return jax.vmap(at)(k) if k.size <= AT_ONCE else jax.lax.map(at, k, batch_size=AT_ONCE)
+    k = jnp.asarray(numbers, environment.dtype)
+    return (
+        jax.vmap(at)(k)
+        if k.size <= SAMPLES_A_CALL
+        else jax.lax.map(at, k, batch_size=SAMPLES_A_CALL)
+    )
 
 
-def own(static: Static, world: World, draws: Draw, numbers: Array) -> Increments | None:
+def own(static: Static, environment: Environment, draws: Draw, numbers: Array) -> Increments | None:
     """What ideal sensors put out on the swaying bases of draws over n samples, leaves (n, *draws).
 
     None where draws have no such base. Samples of all draws are made in one row, which fills the
@@ -182,7 +190,7 @@ def own(static: Static, world: World, draws: Draw, numbers: Array) -> Increments
     """
     if draws.made.ahead is None:
         return None
-    at = partial(_swayed, static, world)
+    at = partial(_swayed, static, environment)
     if draws.draw_id.ndim == 0:
         return jax.vmap(partial(at, draws))(numbers)
     shape = (numbers.size, draws.draw_id.size)
@@ -197,23 +205,23 @@ def own(static: Static, world: World, draws: Draw, numbers: Array) -> Increments
     return jax.tree.map(lambda a: a.reshape(shape), row)
 
 
-def _swayed(static: Static, world: World, draw: Draw, n: Count) -> Increments:
+def _swayed(static: Static, environment: Environment, draw: Draw, n: Count) -> Increments:
     """What ideal sensors put out over sample ``n`` on a swaying base that the draw has."""
     assert draw.motion is not None and draw.made.ahead is not None
-    place = (world.site if draw.made.site is None else draw.made.site).place
-    k = jnp.asarray(n, world.dtype)
+    place = (environment.site if draw.made.site is None else draw.made.site).place
+    k = jnp.asarray(n, environment.dtype)
     return base_motion.increment(draw.motion, draw.made.ahead, place, 1 / static.options.dt, k)
 
 
-def sense(
+def measured(
     static: Static,
-    world: World,
+    environment: Environment,
     draw: Draw,
     n: Count,
     normal: Increments | None,
     exact: Increments | None = None,
 ) -> Increments:
-    """What the sensors of one draw put out over its sample number ``n`` (from 0): rad, m/s.
+    """Measured increments of sample ``n`` (from 0) of one draw: rad, m/s.
 
     Zeros for a negative number, before the tape: with them nothing is compensated. ``exact`` is
     what ideal sensors put out, if it was made already.
@@ -223,25 +231,25 @@ def sense(
     elif draw.made.rest is not None:
         exact = draw.made.rest
     elif draw.motion is not None:
-        exact = _swayed(static, world, draw, n)
+        exact = _swayed(static, environment, draw, n)
     else:
-        exact = sensors.split(jnp.asarray(world.tape)[draw.start + n])
-    errors = world.errors if draw.errors is None else draw.errors
+        exact = sensors.split(jnp.asarray(environment.tape)[draw.start + n])
+    errors = environment.errors if draw.errors is None else draw.errors
     put_out = sensors.measure(exact, errors, normal, static.options.dt)
     if not static.repeats:
         return put_out
     return passes.where(n < 0, jax.tree.map(jnp.zeros_like, put_out), put_out)
 
 
-def made(static: Static, world: World, draw: Draw) -> Made:
+def derived(static: Static, environment: Environment, draw: Draw) -> Derived:
     """What follows from what a draw has for itself."""
     if draw.errors is None and draw.motion is None and draw.latitude is None:
-        return Made()
-    site = world.site
+        return Derived()
+    site = environment.site
     if draw.latitude is not None:
         site = Site(site.earth, earth.place(site.earth, draw.latitude), draw.latitude)
-    errors = world.errors if draw.errors is None else draw.errors
-    motion = world.motion if draw.motion is None else draw.motion
+    errors = environment.errors if draw.errors is None else draw.errors
+    motion = environment.motion if draw.motion is None else draw.motion
     assert motion is not None
     rest = ahead = None
     if draw.motion is not None:
@@ -250,10 +258,10 @@ def made(static: Static, world: World, draw: Draw) -> Made:
             rest = base_motion.increment(motion, ahead, site.place, 1 / static.options.dt, 0.0)
             ahead = None
     own = None if draw.latitude is None else site
-    return Made(own, mean_biases(errors, motion), rest, ahead)
+    return Derived(own, mean_biases(errors, motion), rest, ahead)
 
 
-def attitudes(static: Static, world: World, draws: Draw) -> Quat | None:
+def attitudes(static: Static, environment: Environment, draws: Draw) -> Quat | None:
     """True attitudes at record times where draws have a motion of their own, else None.
 
     Returns:
@@ -261,15 +269,15 @@ def attitudes(static: Static, world: World, draws: Draw) -> Quat | None:
     """
     if draws.motion is None:
         return None
-    times = jnp.asarray(world.times)[: static.records]
+    times = jnp.asarray(environment.times)[: static.records]
     at = jax.vmap(base_motion.attitude, in_axes=(None, 0))
     many = at if draws.draw_id.ndim == 0 else jax.vmap(at, in_axes=(0, None), out_axes=1)
     return many(draws.motion, times)
 
 
-def attitude(world: World, draws: Draw, number: Count) -> Quat:
-    """True attitude at the end of a record by `World.truth`, leaves (*draws); NaN if unknown.
+def attitude(environment: Environment, draws: Draw, number: Count) -> Quat:
+    """True attitude at the end of a record by `Environment.truth`, leaves (*draws); NaN if unknown.
 
     Looked up record by record: those of all records, draw by draw, would fill the memory.
     """
-    return Quat(*jnp.moveaxis(jnp.asarray(world.truth)[draws.row, number], -1, 0))
+    return Quat(*jnp.moveaxis(jnp.asarray(environment.truth)[draws.row, number], -1, 0))

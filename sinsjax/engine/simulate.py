@@ -20,17 +20,17 @@ from sinsjax.engine import metrics
 from sinsjax.engine.metrics import Metrics, Observation, Outcome
 from sinsjax.engine.realisations import (
     Draw,
-    Start,
+    Environment,
+    InitialErrors,
     Static,
-    World,
     attitude,
     attitudes,
+    derived,
     ideal,
-    made,
+    measured,
     noise,
     own,
     piece,
-    sense,
 )
 from sinsjax.engine.stepping import event_by_event, sample_by_sample
 from sinsjax.maths import rotations
@@ -38,7 +38,7 @@ from sinsjax.strapdown import base_motion, sensors
 from sinsjax.types import Array, Count, Flag, Increments, Navigation, Quat, Sample, Scalar, Vec3
 
 
-class Params(NamedTuple):
+class RunParams(NamedTuple):
     """Numbers of one run: all of it can be swept, mapped or differentiated.
 
     Attributes:
@@ -70,7 +70,7 @@ def method_of(static: Static) -> Method:
     return METHODS[static.method](static.options)
 
 
-def begin(static: Static, world: World, site: Site, params: Params) -> Run:
+def begin(static: Static, environment: Environment, site: Site, params: RunParams) -> Run:
     """The run before its first sample."""
     method = method_of(static)
     zero = jnp.zeros_like(params.ve)
@@ -82,10 +82,10 @@ def begin(static: Static, world: World, site: Site, params: Params) -> Run:
         longitude=zero,
     )
     state = method.init(params.method, nav)
-    return Run(state, metrics.start(world.criteria, zero))
+    return Run(state, metrics.start(environment.criteria, zero))
 
 
-def started(params: Params, own: Start, q: Quat | None) -> Params:
+def started(params: RunParams, own: InitialErrors, q: Quat | None) -> RunParams:
     """A run's numbers with what its draw begins with, its true attitude included if it has one."""
     angles = Vec3(*(a if b is None else b for a, b in zip(params.phi, own.phi, strict=True)))
     if params.euler is not None:
@@ -100,7 +100,7 @@ def started(params: Params, own: Start, q: Quat | None) -> Params:
     )
 
 
-def limit(static: Static, pass_records: Count, params: Params, site: Site, own: Biases) -> Limit:
+def limit(static: Static, pass_records: Count, params: RunParams, site: Site, own: Biases) -> Limit:
     """What the sensor biases of a run leave of its misalignment."""
     backward = static.repeats & ((static.records - 1) // pass_records % 2 == 1)
     ending = Ending(float(static.records * static.record_every), backward)
@@ -110,21 +110,21 @@ def limit(static: Static, pass_records: Count, params: Params, site: Site, own: 
 def end(static: Static, run: Run, limit: Limit) -> Outcome:
     """The outcome of a run after its last record."""
     method = method_of(static)
-    fired = method.fired(run.state) if method.fired else None
-    outcome = metrics.finish(run.metrics, method.covariance(run.state), limit, fired)
+    trigger_counts = method.trigger_counts(run.state) if method.trigger_counts else None
+    outcome = metrics.finish(run.metrics, method.covariance(run.state), limit, trigger_counts)
     if method.innovations is None:
         return outcome
     return outcome._replace(innovations=method.innovations(run.state))
 
 
-class Fan(NamedTuple):
-    """How functions of one draw and of one run are applied to many; `ONE` applies them as they are.
+class BatchMap(NamedTuple):
+    """Maps functions of one draw and of one run over many; `ONE_RUN` applies them as they are.
 
     Attributes:
         over_draws: maps a function of draws, or of what belongs to them.
         over_runs: maps a function of runs, given the axis of each argument that counts them.
-        hand_out: gives each run what belongs to its draw: leaves (draws,) to (runs,), or to ()
-            where all runs share one draw.
+        broadcast_to_runs: gives each run what belongs to its draw: leaves (draws,) to (runs,), or
+            to () where all runs share one draw.
         shared: axis of what was handed out, for ``over_runs``: 0, or None where all share it.
         earliest: the first of the runs' next events; None to close the loop at every sample, which
             a run taken alone does, so that it can be differentiated in reverse too.
@@ -132,12 +132,12 @@ class Fan(NamedTuple):
 
     over_draws: Callable[..., Callable]
     over_runs: Callable[..., Callable]
-    hand_out: Callable[[Any], Any]
+    broadcast_to_runs: Callable[[Any], Any]
     shared: int | None
     earliest: Callable[[Array], Scalar] | None = None
 
 
-ONE = Fan(lambda f, *axes: f, lambda f, *axes: f, lambda tree: tree, None)
+ONE_RUN = BatchMap(lambda f, *axes: f, lambda f, *axes: f, lambda tree: tree, None)
 
 
 class Shared(NamedTuple):
@@ -154,25 +154,29 @@ class Shared(NamedTuple):
     limit: Limit
 
 
-def shared_by(static: Static, world: World, draws: Draw, params: Params, fan: Fan) -> Shared:
-    """Site and biases of the world, or of the draws that have their own; what limit they set."""
-    made_of = fan.hand_out(draws.made)
-    site = world.site if made_of.site is None else made_of.site
-    site_axis = None if made_of.site is None else fan.shared
-    biases = world.biases if made_of.biases is None else made_of.biases
-    biases_axis = None if made_of.biases is None else fan.shared
-    limits = fan.over_runs(partial(limit, static, world.pass_records), 0, site_axis, biases_axis)
+def shared_by(
+    static: Static, environment: Environment, draws: Draw, params: RunParams, batch_map: BatchMap
+) -> Shared:
+    """Site and biases, shared or of draws that have their own; what limit they set."""
+    made_of = batch_map.broadcast_to_runs(draws.made)
+    site = environment.site if made_of.site is None else made_of.site
+    site_axis = None if made_of.site is None else batch_map.shared
+    biases = environment.biases if made_of.biases is None else made_of.biases
+    biases_axis = None if made_of.biases is None else batch_map.shared
+    limits = batch_map.over_runs(
+        partial(limit, static, environment.pass_records), 0, site_axis, biases_axis
+    )
     return Shared(site, site_axis, limits(params, site, biases))
 
 
-class Progress(NamedTuple):
+class RunsUnderWay(NamedTuple):
     """Runs under way, and the last increments of their draws, which compensation looks back at."""
 
     run: Run
     before: Increments
 
 
-class Interval(NamedTuple):
+class RecordInterval(NamedTuple):
     """How one record interval is gone over.
 
     Attributes:
@@ -189,36 +193,36 @@ class Interval(NamedTuple):
 
 
 def reader(
-    static: Static, world: World, shared: Shared, params: Params, fan: Fan
-) -> Callable[[Count, Any], Interval]:
+    static: Static, environment: Environment, shared: Shared, params: RunParams, batch_map: BatchMap
+) -> Callable[[Count, Any], RecordInterval]:
     """The function that opens a record interval, and turns the tape where a pass begins.
 
     Args:
         static: program.
-        world: shared by all.
+        environment: shared by all.
         shared: site and limits.
         params: as in `simulate`.
-        fan: as in `simulate`.
+        batch_map: as in `simulate`.
 
     Returns:
-        (number of the record, state) -> `Interval`.
+        (number of the record, state) -> `RecordInterval`.
     """
     every = static.record_every
-    forward = fan.over_draws(sensors.compensate, 0, 0)
-    either_way = fan.over_draws(passes.compensate, 0, 0, None)
+    forward = batch_map.over_draws(sensors.compensate, 0, 0)
+    either_way = batch_map.over_draws(passes.compensate, 0, 0, None)
 
-    def one_turn(params: Params, state: Any, site: Site) -> Any:
+    def one_turn(params: RunParams, state: Any, site: Site) -> Any:
         return method_of(static).turn(params.method, site, state)
 
-    turn = fan.over_runs(one_turn, 0, 0, shared.site_axis)
+    turn = batch_map.over_runs(one_turn, 0, 0, shared.site_axis)
 
-    def once_forward(number: Count, state: Any) -> Interval:
-        return Interval(state, number * every + jnp.arange(every), shared.site, forward)
+    def once_forward(number: Count, state: Any) -> RecordInterval:
+        return RecordInterval(state, number * every + jnp.arange(every), shared.site, forward)
 
-    def in_passes(number: Count, state: Any) -> Interval:
-        read = passes.reading(number, world.pass_records, every)
+    def in_passes(number: Count, state: Any) -> RecordInterval:
+        read = passes.reading(number, environment.pass_records, every)
         turned = turn(params, state, passes.site_of_pass(shared.site, ~read.backward))
-        return Interval(
+        return RecordInterval(
             passes.where(read.opens_pass, turned, state),
             read.samples,
             passes.site_of_pass(shared.site, read.backward),
@@ -229,38 +233,45 @@ def reader(
 
 
 def over_a_record(
-    static: Static, world: World, shared: Shared, draws: Draw, params: Params, fan: Fan
-) -> Callable[[Progress, tuple[Count, Quat | None]], tuple[Progress, Array | None]]:
+    static: Static,
+    environment: Environment,
+    shared: Shared,
+    draws: Draw,
+    params: RunParams,
+    batch_map: BatchMap,
+) -> Callable[[RunsUnderWay, tuple[Count, Quat | None]], tuple[RunsUnderWay, Array | None]]:
     """The function that takes runs over one record interval.
 
     Args:
         static: program.
-        world: shared by all.
+        environment: shared by all.
         shared: site and limits.
         draws: as in `simulate`.
         params: as in `simulate`.
-        fan: as in `simulate`.
+        batch_map: as in `simulate`.
 
     Returns:
         (progress, (number of the record, true attitudes of the draws at its end, or None for those
-        of the world)) -> progress, and observations (fields, *runs) if ``static.curves``.
+        of the environment)) -> progress, and observations (fields, *runs) if ``static.curves``.
     """
-    every, dt, kind = static.record_every, static.options.dt, world.dtype
+    every, dt, kind = static.record_every, static.options.dt, environment.dtype
     method = method_of(static)
 
-    def one_step(params: Params, state: Any, site: Site, sample: Sample, n: Scalar) -> Any:
+    def one_step(params: RunParams, state: Any, site: Site, sample: Sample, n: Scalar) -> Any:
         return method.step(params.method, site, state, sample, n)
 
     def one_record(run: Run, q_true: Quat, n: Scalar, floor: Scalar) -> Run:
         state = method.normalise(run.state)
         now = metrics.observe(q_true, method.attitude(state), method.covariance(state))
-        so_far = metrics.accumulate(run.metrics, world.criteria, now, floor=floor, time=n * dt)
+        so_far = metrics.accumulate(
+            run.metrics, environment.criteria, now, floor=floor, time=n * dt
+        )
         return Run(state, so_far)
 
-    def one_close(params: Params, state: Any, n: Scalar) -> Any:
+    def one_close(params: RunParams, state: Any, n: Scalar) -> Any:
         return state if method.close is None else method.close(params.method, state, n)
 
-    def one_next_event(params: Params, state: Any, n: Scalar) -> Scalar | None:
+    def one_next_event(params: RunParams, state: Any, n: Scalar) -> Scalar | None:
         return method.next_event(params.method, state, n) if method.next_event else None
 
     def one_called(state: Any, n: Scalar) -> Flag:
@@ -269,28 +280,28 @@ def over_a_record(
 
     axes = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
     theirs = None if draws.made.ahead is None else 0  # the axis of increments of their own
-    sensed = fan.over_draws(partial(sense, static, world), axes, None, 0, theirs)
-    step = fan.over_runs(one_step, 0, 0, shared.site_axis, fan.shared, None)
-    close = fan.over_runs(one_close, 0, 0, None)
-    next_event = fan.over_runs(one_next_event, 0, 0, None)
-    calls = fan.over_runs(one_called, 0, None)
-    record = fan.over_runs(one_record, 0, fan.shared, None, 0)
-    opened = reader(static, world, shared, params, fan)
+    sensed = batch_map.over_draws(partial(measured, static, environment), axes, None, 0, theirs)
+    step = batch_map.over_runs(one_step, 0, 0, shared.site_axis, batch_map.shared, None)
+    close = batch_map.over_runs(one_close, 0, 0, None)
+    next_event = batch_map.over_runs(one_next_event, 0, 0, None)
+    calls = batch_map.over_runs(one_called, 0, None)
+    record = batch_map.over_runs(one_record, 0, batch_map.shared, None, 0)
+    opened = reader(static, environment, shared, params, batch_map)
     size = piece(static, draws)
 
     def record_step(
-        progress: Progress, xs: tuple[Count, Quat | None]
-    ) -> tuple[Progress, Array | None]:
+        progress: RunsUnderWay, xs: tuple[Count, Quat | None]
+    ) -> tuple[RunsUnderWay, Array | None]:
         (run, before), (number, q_true) = progress, xs
         state, samples, site, compensated = opened(number, run.state)
-        shared_rows = ideal(static, world, draws, samples)
+        shared_rows = ideal(static, environment, draws, samples)
         done = number * every  # samples before this interval
 
         def make(before: Increments, piece: Count) -> tuple[Sample, Increments]:
             places = piece * size + jnp.arange(size)
             numbers = samples[places]
-            normal = noise(static, world, draws, numbers)
-            exact = own(static, world, draws, numbers)
+            normal = noise(static, environment, draws, numbers)
+            exact = own(static, environment, draws, numbers)
             if shared_rows is not None:
                 exact = jax.tree.map(lambda a: a[places], shared_rows)
             now = jax.vmap(partial(sensed, draws))(numbers, normal, exact)
@@ -299,16 +310,16 @@ def over_a_record(
 
         def step_over(state: Any, place: Count, sample: Sample) -> Any:
             n = (done + place + 1).astype(kind)
-            return step(params, state, site, fan.hand_out(sample), n)
+            return step(params, state, site, batch_map.broadcast_to_runs(sample), n)
 
         def closed(state: Any, place: Count) -> Any:
             return close(params, state, (done + place).astype(kind))
 
         def following(state: Any, place: Count) -> Scalar | None:
             ahead = next_event(params, state, (done + place).astype(kind))
-            if ahead is None or fan.earliest is None:
+            if ahead is None or batch_map.earliest is None:
                 return None
-            return fan.earliest(ahead) - done.astype(kind)
+            return batch_map.earliest(ahead) - done.astype(kind)
 
         def called(state: Any, place: Count) -> Flag:
             return jnp.any(calls(state, (done + place).astype(kind)))
@@ -320,50 +331,60 @@ def over_a_record(
             over = partial(event_by_event, next_event=following, called=asked)
         state, before = over(state, before, every, step_over, closed, make, size)
         n = ((number + 1) * every).astype(kind)
-        q_true = attitude(world, draws, number) if q_true is None else q_true
-        run = record(Run(state, run.metrics), fan.hand_out(q_true), n, shared.limit.phi.z)
+        q_true = attitude(environment, draws, number) if q_true is None else q_true
+        run = record(
+            Run(state, run.metrics), batch_map.broadcast_to_runs(q_true), n, shared.limit.phi.z
+        )
         # One array: XLA:CPU updates several side by side by copying them whole, every record.
         out = jnp.stack(jax.tree.leaves(run.metrics.last)) if static.curves else None
         if out is not None and static.shown is not None:
             out = out[:, : static.shown]
-        return Progress(run, before), out
+        return RunsUnderWay(run, before), out
 
     return record_step
 
 
 def simulate(
-    static: Static, world: World, draws: Draw, params: Params, fan: Fan = ONE
+    static: Static,
+    environment: Environment,
+    draws: Draw,
+    params: RunParams,
+    batch_map: BatchMap = ONE_RUN,
 ) -> tuple[Outcome, Observation | None]:
     """Whole runs, from first sample to outcome.
 
     Args:
         static: program.
-        world: shared.
+        environment: shared.
         draws: one draw, or many with a leading axis.
         params: of one run, or of many with a leading axis.
-        fan: one run or many.
+        batch_map: one run or many.
 
     Returns:
         Outcomes, and, if ``static.curves``, observations with leaves (records,) in front.
     """
     axes = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
-    draws = draws._replace(made=fan.over_draws(partial(made, static, world), axes)(draws))
-    shared = shared_by(static, world, draws, params, fan)
+    draws = draws._replace(
+        made=batch_map.over_draws(partial(derived, static, environment), axes)(draws)
+    )
+    shared = shared_by(static, environment, draws, params, batch_map)
     q = None
     if draws.motion is not None:
-        q = fan.hand_out(fan.over_draws(lambda m: base_motion.attitude(m, 0.0), 0)(draws.motion))
-    own = fan.hand_out(draws.begins)
-    params = fan.over_runs(started, 0, fan.shared, fan.shared)(params, own, q)
-    run = fan.over_runs(lambda p, site: begin(static, world, site, p), 0, shared.site_axis)(
-        params, shared.site
-    )
+        q = batch_map.broadcast_to_runs(
+            batch_map.over_draws(lambda m: base_motion.attitude(m, 0.0), 0)(draws.motion)
+        )
+    own = batch_map.broadcast_to_runs(draws.begins)
+    params = batch_map.over_runs(started, 0, batch_map.shared, batch_map.shared)(params, own, q)
+    run = batch_map.over_runs(
+        lambda p, site: begin(static, environment, site, p), 0, shared.site_axis
+    )(params, shared.site)
     # A run's first sample has none before it: with zeros nothing is compensated, as with itself.
-    zero = jnp.zeros(draws.draw_id.shape, world.dtype)
+    zero = jnp.zeros(draws.draw_id.shape, environment.dtype)
     before = Increments(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
-    record_step = over_a_record(static, world, shared, draws, params, fan)
-    records = (jnp.arange(static.records), attitudes(static, world, draws))
-    (run, _), curves = jax.lax.scan(record_step, Progress(run, before), records)
-    outcome = fan.over_runs(partial(end, static), 0, 0)(run, shared.limit)
+    record_step = over_a_record(static, environment, shared, draws, params, batch_map)
+    records = (jnp.arange(static.records), attitudes(static, environment, draws))
+    (run, _), curves = jax.lax.scan(record_step, RunsUnderWay(run, before), records)
+    outcome = batch_map.over_runs(partial(end, static), 0, 0)(run, shared.limit)
     if curves is None:
         return outcome, None
     fields = [curves[:, i] for i in range(curves.shape[1])]

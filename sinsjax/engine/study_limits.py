@@ -12,7 +12,7 @@ from sinsjax.engine.truth import errors_of, motion_of
 from sinsjax.errors import InputError
 from sinsjax.strapdown import earth
 from sinsjax.study import sampling
-from sinsjax.study.schema import Motion
+from sinsjax.study.schema import MotionSection
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_of
 from sinsjax.study.times import spans_s
@@ -123,7 +123,7 @@ def require_limit(study: Study) -> None:
             " reset"
         )
     raise InputError(
-        f"{study.study.name}: [study] judged_from: 'limit' cannot be judged: method '{method}'"
+        f"{study.name}: [study] judged_from: 'limit' cannot be judged: method '{method}'"
         f" {why} (variant {variant}; use 'truth')"
     )
 
@@ -196,7 +196,7 @@ def hidden_north(study: Study) -> HiddenNorth | None:
     """
     if study.is_recorded:
         return None
-    keys = ("gyro_bias_deg_per_h", *Motion.model_fields, *_EARTH)
+    keys = ("gyro_bias_deg_per_h", *MotionSection.model_fields, *_EARTH)
     drawn = sampling.values(study, min(study.n_draws, _LOOKED_AT))
     drawn = {key: values for key, values in drawn.items() if key in keys}
     draws = min(study.n_draws, _LOOKED_AT)

@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from sinsjax.engine.metrics import Observation, Outcome
-from sinsjax.engine.realisations import Draw, Static, World
-from sinsjax.engine.simulate import Fan, Params, method_of, simulate
+from sinsjax.engine.realisations import Draw, Environment, Static
+from sinsjax.engine.simulate import BatchMap, RunParams, method_of, simulate
 
 LANES = 64
 """Runs a tile. Results are bit-equal for any chunk and device count only at one lane count."""
 
 
-SETS = 8
+STACKED_TILES = 8
 """Tiles that share one covariance; as `LANES`, it decides the last bits."""
 
 
@@ -28,21 +28,21 @@ VECTOR = 16
 
 
 class Group(NamedTuple):
-    """Runs that share one compiled program and one world.
+    """Runs that share one compiled program and one environment.
 
     Attributes:
         static: program.
-        world: shared by all.
+        environment: shared by all.
         draws: `Draw` with leaves (draws,), or () for what is the same for all.
         q: (draws, 4) attitude of each draw before the misalignment.
-        variants: `Params` with leaves (variants, ...); its ``q`` is ignored.
+        variants: `RunParams` with leaves (variants, ...); its ``q`` is ignored.
     """
 
     static: Static
-    world: World
+    environment: Environment
     draws: Draw
     q: np.ndarray
-    variants: Params
+    variants: RunParams
 
     @property
     def sizes(self) -> tuple[int, int]:
@@ -68,12 +68,12 @@ class Tiles(NamedTuple):
     Attributes:
         draws: `Draw` with leaves (tiles, [sets,] distinct).
         row: (tiles, lanes) which of its tile's draws each lane takes.
-        params: `Params` with leaves (tiles, lanes, ...), ``q`` (tiles, [sets,] lanes).
+        params: `RunParams` with leaves (tiles, lanes, ...), ``q`` (tiles, [sets,] lanes).
     """
 
     draws: Draw
     row: np.ndarray
-    params: Params
+    params: RunParams
 
 
 def layout(static: Static, variants: int, lanes: int = LANES) -> tuple[int, int]:
@@ -88,8 +88,8 @@ def layout(static: Static, variants: int, lanes: int = LANES) -> tuple[int, int]
         few = variants > lanes and whole - variants <= MOST_IDLE * variants
         return 1, whole if few else variants
     if variants > lanes:
-        return SETS, whole
-    return SETS, next(n for n in range(variants, lanes + 1) if lanes % n == 0)
+        return STACKED_TILES, whole
+    return STACKED_TILES, next(n for n in range(variants, lanes + 1) if lanes % n == 0)
 
 
 def distinct_draws(width: int, lanes: int = LANES) -> int:
@@ -128,11 +128,13 @@ def tiles_of(group: Group, places: Lanes) -> Tiles:
     )
 
 
-def run_tile(static: Static, world: World, tile: Tiles) -> tuple[Outcome, Observation | None]:
+def run_tile(
+    static: Static, environment: Environment, tile: Tiles
+) -> tuple[Outcome, Observation | None]:
     """All runs of one tile; outcomes with leaves (lanes, ...), curves (records, lanes)."""
     distinct = tile.draws.draw_id.shape[0]
 
-    def hand_out(tree: Any) -> Any:
+    def broadcast_to_runs(tree: Any) -> Any:
         if distinct == 1:
             return jax.tree.map(lambda a: a[0], tree)
         if distinct == tile.row.size:
@@ -143,17 +145,19 @@ def run_tile(static: Static, world: World, tile: Tiles) -> tuple[Outcome, Observ
     def over(f: Callable, *axes: Any) -> Callable:
         return jax.vmap(f, in_axes=axes)
 
-    fan = Fan(
+    batch_map = BatchMap(
         over_draws=over,
         over_runs=over,
-        hand_out=hand_out,
+        broadcast_to_runs=broadcast_to_runs,
         shared=None if distinct == 1 else 0,
         earliest=jnp.min,
     )
-    return simulate(static, world, tile.draws, tile.params, fan)
+    return simulate(static, environment, tile.draws, tile.params, batch_map)
 
 
-def over_sets(static: Static, one: Callable[[Tiles], Any], tiles: Tiles) -> Callable[[Tiles], Any]:
+def over_stacked_tiles(
+    static: Static, one: Callable[[Tiles], Any], tiles: Tiles
+) -> Callable[[Tiles], Any]:
     """A function of one tile, mapped over the sets of stacked ones where the method has such.
 
     Args:

@@ -1,4 +1,4 @@
-"""The world of a study's runs: Earth, base motion and sensors, or a record in their place.
+"""The environment of a study's runs: Earth, base motion and sensors, or a record in their place.
 
 Everything that runs of a part share is made here, in SI units, from the study's own.
 """
@@ -16,21 +16,21 @@ from sinsjax.alignment.base import Site
 from sinsjax.alignment.coarse import COARSE
 from sinsjax.alignment.limits import NO_BIASES, mean_biases
 from sinsjax.engine.metrics import Criteria
-from sinsjax.engine.realisations import Draw, Start, World, empty_tape
+from sinsjax.engine.realisations import Draw, Environment, InitialErrors, aligned_record
 from sinsjax.errors import InputError
 from sinsjax.records import require_span
-from sinsjax.records.reference import Tape
+from sinsjax.records.reference import StoredRecord
 from sinsjax.strapdown import base_motion, earth, sensors
 from sinsjax.study import sampling
 from sinsjax.study.resolved import Lookup, Variants
-from sinsjax.study.schema import Earth, Motion, Sensors
+from sinsjax.study.schema import EarthSection, MotionSection, SensorsSection
 from sinsjax.study.study import EARTH_CONSTANTS, Span, Study
 from sinsjax.study.times import tape_times
 from sinsjax.types import Array, Scalar
 from sinsjax.units import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, PPM
 from sinsjax.value_types import Section
 
-LONGEST_TAPE = 2**22
+MOST_STORED_SAMPLES = 2**22
 """Samples of the longest simulated tape that is kept, 200 MB; more are made as runs go."""
 
 _LONGEST_GAP_S = 5.0  # in a reference; a swinging base turns within seconds
@@ -41,7 +41,7 @@ NOMINAL_LATITUDE_DEG = 45.0
 loops, which know of it by gravity and radius alone, 0.3 % on an ellipsoid."""
 
 
-def site_of(study: Study, variants: Variants, tape: Tape | None) -> tuple[Site, float]:
+def site_of(study: Study, variants: Variants, tape: StoredRecord | None) -> tuple[Site, float]:
     """The Earth and place of a part, and its ug in m/s^2."""
     height = variants.common("height_m")
     if height is None:
@@ -60,7 +60,7 @@ def site_of(study: Study, variants: Variants, tape: Tape | None) -> tuple[Site, 
     if latitude is None and "latitude_deg" in study.drawn_keys:
         latitude = NOMINAL_LATITUDE_DEG
     if latitude is None:
-        source = tape.record.source if tape else study.study.name
+        source = tape.record.source if tape else study.name
         raise InputError(f"{source}: no latitude in the record: give [earth] latitude_deg")
     place = earth.place(model, latitude * DEG)
     site = Site(model, place, latitude * DEG)
@@ -93,42 +93,46 @@ def simulated(
     draws: range,
     *,
     blank: bool = False,
-) -> tuple[World, Draw, np.ndarray]:
-    """World, draws and their true starting attitudes of a simulated part.
+) -> tuple[Environment, Draw, np.ndarray]:
+    """Environment, draws and their true starting attitudes of a simulated part.
 
-    A key that is drawn has a nominal value in the world: zero, or its default. A blank one has
-    zeros for the truth, which takes XLA a while: shapes are all that a program is compiled for.
+    A key that is drawn has a nominal value in the environment: zero, or its default. A blank one
+    has zeros for the truth, which takes XLA a while: shapes are all that a program is compiled for.
     """
     site, ug = site_of(study, variants, None)
-    errors, motion = errors_of(variants.common, ug, study.study.rate_hz), motion_of(variants.common)
+    errors, motion = errors_of(variants.common, ug, study.rate_hz), motion_of(variants.common)
     times = np.concatenate([[0.0], tape_times(study, span)])
     tape: np.ndarray | None
-    if draws_own(study, Earth, Motion):
+    if draws_own(study, EarthSection, MotionSection):
         # Each draw makes its own as it goes.
         tape, attitudes = np.zeros((1, 6)), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
     else:
         # Of one length for all parts, so that they share a program.
         samples = max(s.read for s in study.distinct_spans) * study.record_every
-        kept = samples if samples <= LONGEST_TAPE else 0
+        kept = samples if samples <= MOST_STORED_SAMPLES else 0
         make = _blank if blank else _truth
-        truth = make(motion, site.place, times, study.study.rate_hz, samples=kept)
+        truth = make(motion, site.place, times, study.rate_hz, samples=kept)
         tape, attitudes = np.asarray(truth[0]) if kept else None, np.asarray(truth[1])
     n = len(draws)
-    world = World(
+    environment = Environment(
         site=site,
         tape=tape,
         truth=attitudes[None, 1:],
         errors=errors,
-        seed=np.asarray(study.study.seed),
+        seed=np.asarray(study.seed),
         criteria=criteria,
         biases=mean_biases(errors, motion),
         pass_records=np.asarray(span.tape),
-        times=times[1:] if draws_own(study, Earth, Motion) else None,
+        times=times[1:] if draws_own(study, EarthSection, MotionSection) else None,
         motion=motion if study.drawn_keys or tape is None else None,
     )
     ids = np.arange(draws.start, draws.stop)
     own = _own(study, variants.ids, draws, ug, (errors, motion)) if study.drawn_keys else {}
-    return world, Draw(ids, np.asarray(0), np.zeros(n, int), **own), np.tile(attitudes[0], (n, 1))
+    return (
+        environment,
+        Draw(ids, np.asarray(0), np.zeros(n, int), **own),
+        np.tile(attitudes[0], (n, 1)),
+    )
 
 
 def draws_own(study: Study, *sections: type[Section]) -> bool:
@@ -146,24 +150,24 @@ def _own(
     """What the draws of a simulated study have for themselves, as fields of `Draw`."""
     values = sampling.values(study, len(draws), first=draws.start)
     variants = Variants(study, ids, values)
-    drawn = errors_of(variants.common, ug, study.study.rate_hz), motion_of(variants.common)
+    drawn = errors_of(variants.common, ug, study.rate_hz), motion_of(variants.common)
     errors, motion = jax.tree.map(
         lambda a, like: np.broadcast_to(a, (len(draws), *np.shape(like))), drawn, nominal
     )
     own: dict[str, Any] = {"begins": _begins(values)}
-    if draws_own(study, Sensors):
+    if draws_own(study, SensorsSection):
         own["errors"] = errors
-    if draws_own(study, Motion, Earth):
+    if draws_own(study, MotionSection, EarthSection):
         own["motion"] = motion
-    if draws_own(study, Earth):
+    if draws_own(study, EarthSection):
         own["latitude"] = values["latitude_deg"] * DEG
     return own
 
 
-def _begins(values: Mapping[str, np.ndarray]) -> Start:
+def _begins(values: Mapping[str, np.ndarray]) -> InitialErrors:
     """What draws begin with, where that is drawn."""
     e, n, u = (values.get(f"phi_{axis}0_deg") for axis in "enu")
-    return Start(
+    return InitialErrors(
         phi=(_angle(e), _angle(n), _angle(u)),
         ve=values.get("ve0_m_per_s"),
         vn=values.get("vn0_m_per_s"),
@@ -179,7 +183,7 @@ def motion_of(common: Lookup) -> base_motion.Motion:
 
     def number(key: str, factor: float = 1.0) -> np.ndarray:
         value = common(key)
-        default = Motion.model_fields[key].default  # stands for a drawn value
+        default = MotionSection.model_fields[key].default  # stands for a drawn value
         given = np.asarray((default or 0.0) if value is None else value, dtype=float)
         return np.asarray(given * factor)
 
@@ -237,12 +241,12 @@ def starts_of(study: Study, rate_hz: float) -> tuple[int, np.ndarray]:
 
 
 def recorded(
-    study: Study, variants: Variants, span: Span, criteria: Criteria, tape: Tape
-) -> tuple[World, Draw, np.ndarray]:
-    """World, draws (one a start time) and coarsely aligned attitudes of a recorded part."""
+    study: Study, variants: Variants, span: Span, criteria: Criteria, tape: StoredRecord
+) -> tuple[Environment, Draw, np.ndarray]:
+    """Environment, draws (one a start time) and coarsely aligned attitudes of a recorded part."""
     assert study.coarse is not None
     site, _ = site_of(study, variants, tape)
-    record, rate = tape.record, study.study.rate_hz
+    record, rate = tape.record, study.rate_hz
     if abs(record.rate_hz - rate) > 1e-6 * rate:
         raise InputError(
             f"{record.source}: the record has {record.rate_hz:g} Hz, [study] rate_hz is {rate:g}"
@@ -252,7 +256,7 @@ def recorded(
         require_span(record, start, (coarse_n + span.read * study.record_every) / rate)
     # No more of the record than is read.
     first, end = starts.min(), starts.max() + coarse_n + span.read * study.record_every
-    increments = empty_tape(int(end - first))
+    increments = aligned_record(int(end - first))
     np.concatenate([a[first:end] for a in (record.dtheta, record.dv)], axis=1, out=increments)
     align = jax.jit(COARSE[study.coarse.coarse_method])
     pieces = np.stack([increments[s - first :][:coarse_n] for s in starts])
@@ -260,12 +264,12 @@ def recorded(
     q = jax.vmap(lambda s: jnp.stack(align(s, site.place, 1 / rate)))(samples)
     fine = starts + coarse_n
     truth = np.stack([_reference_at(tape, s / rate + tape_times(study, span)) for s in fine])
-    world = World(
+    environment = Environment(
         site=site,
         tape=increments,
         truth=truth,
         errors=sensors.perfect(),
-        seed=np.asarray(study.study.seed),
+        seed=np.asarray(study.seed),
         criteria=criteria,
         biases=NO_BIASES,
         pass_records=np.asarray(span.tape),
@@ -273,10 +277,10 @@ def recorded(
     n = len(starts)
     begins = _begins(sampling.values(study, n))
     draws = Draw(np.arange(n), fine - first, np.arange(n), begins=begins)
-    return world, draws, np.asarray(q)
+    return environment, draws, np.asarray(q)
 
 
-def _reference_at(tape: Tape, times: np.ndarray) -> np.ndarray:
+def _reference_at(tape: StoredRecord, times: np.ndarray) -> np.ndarray:
     """(n, 4) reference attitude at times from the record's start; NaN without a reference."""
     reference = tape.reference
     if reference is None:

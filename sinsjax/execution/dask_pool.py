@@ -17,8 +17,8 @@ from typing import Any
 
 from sinsjax.errors import InputError
 from sinsjax.execution import dask_client
-from sinsjax.execution.dask_worker import Answer, Machine, Wanting, answer, versions
-from sinsjax.execution.tasks import Executor, Job, Packed, Task, Workshop
+from sinsjax.execution.dask_worker import Wanting, WorkerAnswer, WorkerMachine, answer, versions
+from sinsjax.execution.tasks import EncodedResult, Executor, Job, Task, TaskRunner
 from sinsjax.messages import first_line
 from sinsjax.platform import runtime, xla
 
@@ -54,12 +54,12 @@ def executor(*, workers: int | None = None, scheduler: str | None = None) -> Ite
             client = stack.enter_context(dask_client.local(workers or runtime.usable_cores()))
         else:
             client = stack.enter_context(dask_client.connected(scheduler))
-        crew = Crew(client, scheduler or "--workers")
-        facts = {"workers": crew.ready(), "scheduler": scheduler or "local"}
-        yield Executor(crew.do, facts | crew.facts())
+        pool = DaskPool(client, scheduler or "--workers")
+        facts = {"workers": pool.ready(), "scheduler": scheduler or "local"}
+        yield Executor(pool.do, facts | pool.facts())
 
 
-class _Errands:
+class _SubmittedTasks:
     """Tasks that workers have, and how a job reaches every worker once.
 
     A record may be long, so a task goes without its job. A worker that wants the job says so, and
@@ -117,12 +117,12 @@ class _Errands:
             self._client.cancel([future for _, future, _ in self._under_way.values()])
 
 
-class Crew:
+class DaskPool:
     """The workers of a scheduler, seen from the process that asks."""
 
     def __init__(self, client: Any, name: str) -> None:
         self._client, self._name = client, name
-        self._machine: Machine | None = None
+        self._machine: WorkerMachine | None = None
         self._instructions = ("", "")  # of all workers, and the one that told it first
         self._told = self._waiting = False
 
@@ -147,29 +147,29 @@ class Crew:
         instructions, _ = self._instructions
         return {"instructions": instructions} if instructions else {}
 
-    def do(self, workshop: Workshop, tasks: Iterable[Task]) -> Iterator[Packed]:
+    def do(self, runner: TaskRunner, tasks: Iterable[Task]) -> Iterator[EncodedResult]:
         """See `Executor`."""
-        errands = _Errands(self._client, workshop.job)
+        submitted = _SubmittedTasks(self._client, runner.job)
         left = iter(tasks)
         try:
             while True:
-                room = AHEAD * max(1, sum(self._threads().values())) - len(errands)
+                room = AHEAD * max(1, sum(self._threads().values())) - len(submitted)
                 for task in islice(left, max(0, room)):
-                    errands.send(task)
-                if not errands:
+                    submitted.send(task)
+                if not submitted:
                     return
-                task, future, to = errands.take(self._next(errands.finished))
+                task, future, to = submitted.take(self._next(submitted.finished))
                 got = self._result(task, future)
                 future.release()
                 if isinstance(got, Wanting):
-                    errands.bring(got.worker, task)
+                    submitted.bring(got.worker, task)
                     continue
-                errands.brought(to)
+                submitted.brought(to)
                 self.check(got)
-                yield got.packed
+                yield got.encoded
         finally:
             if self._client.status == "running":
-                errands.cancel()
+                submitted.cancel()
 
     def _next(self, finished: queue.SimpleQueue) -> Any:
         """The next task that is done or failed."""
@@ -183,7 +183,7 @@ class Crew:
                 else:
                     self._alone(seen)
 
-    def _result(self, task: Task, future: Any) -> Answer | Wanting:
+    def _result(self, task: Task, future: Any) -> WorkerAnswer | Wanting:
         from distributed import KilledWorker
 
         if future.status != "error":
@@ -200,7 +200,7 @@ class Crew:
             text = f"failed on a worker: {type(error).__name__}: {first_line(error)}"
         raise InputError(f"{task.name}: {text}") from error
 
-    def check(self, answer: Answer) -> None:
+    def check(self, answer: WorkerAnswer) -> None:
         """Refuse rows of other versions or instructions; say once that machines differ."""
         _check_versions(answer.worker, answer.versions, versions())
         self._check_instructions(answer.worker, answer.machine.instructions)
@@ -254,7 +254,7 @@ def _check_versions(worker: str, theirs: dict[str, Any], ours: dict[str, Any]) -
             )
 
 
-def _said(about: Machine) -> str:
+def _said(about: WorkerMachine) -> str:
     options = ", ".join("=".join(option) for option in about.options) or "no XLA options"
     return f"{about.cpu} ({about.platform}; {options})"
 

@@ -11,11 +11,11 @@ import threading
 from functools import cache
 from typing import Any, NamedTuple
 
-from sinsjax.execution.tasks import Job, Packed, Task, Workshop
+from sinsjax.execution.tasks import EncodedResult, Job, Task, TaskRunner
 from sinsjax.platform import affinity, runtime, xla
 
 
-class Machine(NamedTuple):
+class WorkerMachine(NamedTuple):
     """What decides the last bits of a worker's rows, beside the versions.
 
     Attributes:
@@ -31,20 +31,20 @@ class Machine(NamedTuple):
     platform: str
 
 
-class Answer(NamedTuple):
+class WorkerAnswer(NamedTuple):
     """What a worker hands back.
 
     Attributes:
-        packed: files of the task.
+        encoded: files of the task.
         worker: its address.
         versions: of the packages that decide the rows and the files.
-        machine: see `Machine`.
+        machine: see `WorkerMachine`.
     """
 
-    packed: Packed
+    encoded: EncodedResult
     worker: str
     versions: dict[str, str]
-    machine: Machine
+    machine: WorkerMachine
 
 
 class Wanting(NamedTuple):
@@ -66,7 +66,7 @@ def dask_setup(worker: Any) -> None:
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
 
 
-def answer(key: str, sent: bytes | None, task: Task) -> Answer | Wanting:
+def answer(key: str, sent: bytes | None, task: Task) -> WorkerAnswer | Wanting:
     """Do a task; to be called by a Dask worker.
 
     Args:
@@ -80,18 +80,18 @@ def answer(key: str, sent: bytes | None, task: Task) -> Answer | Wanting:
     from distributed import get_worker
 
     worker = get_worker()
-    workshop = _workshop(key, sent, worker.state.nthreads)
-    if workshop is None:
+    runner = _runner(key, sent, worker.state.nthreads)
+    if runner is None:
         return Wanting(worker.address)
-    return Answer(workshop.pack(task), worker.address, versions(), machine_here())
+    return WorkerAnswer(runner.pack(task), worker.address, versions(), machine_here())
 
 
-_held: dict[str, Workshop] = {}
+_held: dict[str, TaskRunner] = {}
 _building = threading.Lock()
 
 
-def _workshop(key: str, sent: bytes | None, threads: int) -> Workshop | None:
-    """The workshop of a job, made once in a worker and kept until another job comes."""
+def _runner(key: str, sent: bytes | None, threads: int) -> TaskRunner | None:
+    """The task runner of a job, made once in a worker and kept until another job comes."""
     with _building:
         if key not in _held:
             if sent is None:
@@ -101,7 +101,7 @@ def _workshop(key: str, sent: bytes | None, threads: int) -> Workshop | None:
             runtime.configure(devices=1)
             _held.clear()
             job: Job = pickle.loads(sent)
-            _held[key] = Workshop(job)
+            _held[key] = TaskRunner(job)
         return _held[key]
 
 
@@ -112,12 +112,12 @@ def versions() -> dict[str, str]:
 
 
 @cache
-def machine_here() -> Machine:
+def machine_here() -> WorkerMachine:
     """Of this process; starts JAX's backend."""
     import jax
 
     given = xla.given()
-    return Machine(
+    return WorkerMachine(
         cpu=runtime.session()["cpu"],
         instructions=xla.instructions(),
         options=tuple((o.name, given[o.name]) for o in xla.wanted() if o.name in given),

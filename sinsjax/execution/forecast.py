@@ -13,13 +13,13 @@ import pyarrow as pa
 
 from sinsjax.columns import Column
 from sinsjax.engine.batch import CHUNK_RECORDS
-from sinsjax.engine.truth import LONGEST_TAPE
+from sinsjax.engine.truth import MOST_STORED_SAMPLES
 from sinsjax.errors import InputError
 from sinsjax.execution import layouts, stopping
 from sinsjax.execution.parts import read_manifest
 from sinsjax.platform import machine
-from sinsjax.study.distributions import NUMBERS
-from sinsjax.study.search_space import Space
+from sinsjax.study.distributions import NUMBERS_DRAWN
+from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 
 _FILTER_S, _COMPASS_S = 20e-9, 5e-9
@@ -95,7 +95,7 @@ def of(study: Study, *, curves: bool | None = None) -> Forecast:
         study: checked study, whose rate is known.
         curves: whether curves are kept; None takes the study's word.
     """
-    sure = min(study.n_draws, stopping.FIRST_LOOK) if study.stop_when else study.n_draws
+    sure = min(study.n_draws, stopping.FIRST_INTERIM) if study.stop_when else study.n_draws
     variants = study.n_variants
     batch = Batch("", study.n_draws * variants, sure * variants, variants)
     return _forecast(study, [batch], study.study.curves if curves is None else curves)
@@ -109,7 +109,7 @@ def of_tuning(study: Study) -> Forecast:
         draws, judging = (study.n_draws + 1) // 2, study.n_draws // 2
     else:
         draws, judging = tune.tune_draws or 1, tune.evaluation_draws or 1
-    space, variants = Space.of(study), study.n_variants
+    space, variants = SearchSpace.of(study), study.n_variants
     free = [len(space.used(combination)) for combination in space.combinations]
     points = {
         "grid": sum(tune.grid_points**count for count in free),
@@ -158,7 +158,7 @@ def require_room(
     there = machine.memory_bytes()
     if forecast.memory > there:
         raise InputError(
-            f"{study.study.name}: {forecast.runs:,} runs need some {_size(forecast.memory)} of"
+            f"{study.name}: {forecast.runs:,} runs need some {_size(forecast.memory)} of"
             f" memory, this machine has {_size(there)}"
         )
 
@@ -170,7 +170,7 @@ def _forecast(study: Study, batches: Sequence[Batch], curves: bool) -> Forecast:
     step_s = _COMPASS_S if of_compass == {True} else _FILTER_S
     run_bytes = _row_bytes(study, layouts.summary(study))
     # Of a longer simulation no tape is kept.
-    kept = samples if study.is_recorded else min(samples, LONGEST_TAPE)
+    kept = samples if study.is_recorded else min(samples, MOST_STORED_SAMPLES)
     memory = _BASE + _A_SAMPLE * kept
     counts = study.combinations("reset_count") if study.resets else ()
     resets = [point["reset_count"] or 0 for point in counts]
@@ -180,7 +180,7 @@ def _forecast(study: Study, batches: Sequence[Batch], curves: bool) -> Forecast:
         run_bytes += records * _row_bytes(study, layouts.curves(study))
         most = max(batch.runs for batch in batches) * records
         memory += _A_RECORD * min(most, max(CHUNK_RECORDS, 2 * records))
-    length_s = samples / study.study.rate_hz
+    length_s = samples / study.rate_hz
     at_most = study.stop_when is not None
     return Forecast(tuple(batches), run_bytes, samples * step_s, memory, at_most, length_s)
 
@@ -190,7 +190,7 @@ def _row_bytes(study: Study, columns: Iterable[Column]) -> float:
     numbers = 0
     for column in columns:
         if column.name in study.drawn_keys:
-            numbers += NUMBERS[column.name]
+            numbers += NUMBERS_DRAWN[column.name]
         elif pa.types.is_floating(column.dtype) and column.name not in study.axis_keys:
             numbers += 1
     return 8 * _PACKED * numbers

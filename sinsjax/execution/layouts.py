@@ -2,7 +2,7 @@
 
 from sinsjax import columns
 from sinsjax.columns import Column
-from sinsjax.study.distributions import NUMBERS
+from sinsjax.study.distributions import NUMBERS_DRAWN
 from sinsjax.study.study import Study, meaning
 from sinsjax.study.success import bands
 
@@ -14,7 +14,7 @@ def summary(study: Study) -> tuple[Column, ...]:
     extra = [
         *(columns.axis_column(k, v, meaning(k)) for k, v in swept.items() if k not in known),
         *(
-            columns.drawn_column(k, 1 if NUMBERS[k] == 1 else 2, meaning(k))
+            columns.drawn_column(k, 1 if NUMBERS_DRAWN[k] == 1 else 2, meaning(k))
             for k in study.drawn_keys
             if k not in known
         ),
@@ -25,7 +25,7 @@ def summary(study: Study) -> tuple[Column, ...]:
         *columns.OBSERVED,
         *_settling(study),
         *columns.JUDGED,
-        *(columns.FIRED if study.has_trigger else ()),
+        *(columns.TRIGGER_COUNTS if study.has_trigger else ()),
         *(columns.INNOVATIONS if study.is_recorded else ()),
     )
 

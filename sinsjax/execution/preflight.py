@@ -9,7 +9,7 @@ from sinsjax.engine.truth import site_of, starts_of
 from sinsjax.errors import InputError
 from sinsjax.records import Layout, Record, require_span
 from sinsjax.records.plausible import Expected, findings
-from sinsjax.records.reference import Tape
+from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
 from sinsjax.study.resolved import Variants
 from sinsjax.study.study import Study
@@ -19,7 +19,7 @@ _BIASES = {"gyro_bias_deg_per_h": 10.0, "accel_bias_ug": 5000.0}
 _DRAWS = 1024  # that a drawn period is looked at in
 
 
-def doubts(study: Study, tape: Tape | None = None) -> list[str]:
+def warnings_of(study: Study, tape: StoredRecord | None = None) -> list[str]:
     """One line for everything that a user should know before a study runs.
 
     Args:
@@ -44,7 +44,7 @@ def layout_of(study: Study) -> Layout:
     return Layout(**{key: value for key, value in given.items() if value is not None})
 
 
-def _of_record(study: Study, tape: Tape) -> Iterator[str]:
+def _of_record(study: Study, tape: StoredRecord) -> Iterator[str]:
     section, record = study.record, tape.record
     assert section is not None
     if record.filled:
@@ -96,7 +96,7 @@ def _used(study: Study, record: Record) -> list[tuple[int, int]]:
 
 def _fast_sways(study: Study) -> Iterator[str]:
     """Sways that the sample rate cannot show."""
-    half = study.study.rate_hz / 2
+    half = study.rate_hz / 2
     for angle in ("pitch", "roll", "yaw"):
         amplitude, period = f"{angle}_amplitude_deg", f"{angle}_period_s"
         points = list(study.combinations(amplitude, period))
@@ -106,5 +106,5 @@ def _fast_sways(study: Study) -> Iterator[str]:
         if periods and 1 / min(periods) > half:
             yield (
                 f"[motion] {period}: a sway of {1 / min(periods):.4g} Hz is above half of rate_hz ="
-                f" {study.study.rate_hz:g}: samples of it look like a slower one"
+                f" {study.rate_hz:g}: samples of it look like a slower one"
             )

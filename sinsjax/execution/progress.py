@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 from rich.progress import Progress as Bar
 
 from sinsjax import console as screen
-from sinsjax.execution.run import Progress, Tell
+from sinsjax.execution.run import RunProgress, Tell
 
 _PLAIN_EVERY_S = 10.0
 _STOPPING = "Stopping: the chunks under way are finished first (again: drop them)."
@@ -40,7 +40,7 @@ def progress(console: Console, name: str) -> Iterator[Tell]:
         shown = bar.add_task(f"{name} (compiling)", total=None, pace="")
         pace = _Pace()
 
-        def tell(now: Progress) -> None:
+        def tell(now: RunProgress) -> None:
             text = pace.text(now)
             called = name if text else f"{name} (compiling)"
             bar.update(shown, description=called, completed=now.done, total=now.total, pace=text)
@@ -51,7 +51,7 @@ def progress(console: Console, name: str) -> Iterator[Tell]:
 def _plainly(console: Console, name: str, pace: "_Pace") -> Tell:
     told, last = -1, time.monotonic()
 
-    def tell(now: Progress) -> None:
+    def tell(now: RunProgress) -> None:
         nonlocal told, last
         text = pace.text(now)
         tenth, clock = now.done * 10 // now.total, time.monotonic()
@@ -72,7 +72,7 @@ class _Pace:
     def __init__(self) -> None:
         self._first: tuple[float, int] | None = None
 
-    def text(self, now: Progress) -> str:
+    def text(self, now: RunProgress) -> str:
         """The pace in words; empty before there is a chunk."""
         if now.done == now.before:
             return ""

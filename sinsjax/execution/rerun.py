@@ -19,7 +19,7 @@ from sinsjax.execution.run import load_tape
 from sinsjax.execution.tables import Tables
 from sinsjax.execution.tasks import Job
 from sinsjax.platform.files import replacing, unwritable
-from sinsjax.records.reference import Tape
+from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
 
@@ -36,14 +36,14 @@ class Rerun(NamedTuple):
     curve: pa.Table
 
 
-def rerun(study: Study, run_id: int, tape: Tape | None = None) -> Rerun:
+def rerun(study: Study, run_id: int, tape: StoredRecord | None = None) -> Rerun:
     """Do one run of a study, with its curve: its row is that of the whole study, to the last bit.
 
     Raises:
         InputError: the study has no such run, or a record that does not fit.
         RuntimeError: double precision is off.
     """
-    _check_number(study, run_id, study.study.name)
+    _check_number(study, run_id, study.name)
     draw, variant = divmod(run_id, study.n_variants)
     scenario = Scenario(study, tape, curves=True)
     number = next(i for i, ids in enumerate(scenario.variant_ids) if variant in ids)
@@ -132,7 +132,7 @@ def _write(target: Path, made: Rerun, study: Study) -> None:
 
 def _figure(made: Rerun, study: Study) -> Any:
     run_id = made.row["run_id"][0].as_py()
-    title = f"{study.study.name}, run {run_id}"
+    title = f"{study.name}, run {run_id}"
     shown = plots.ensembles(made.curve, {f"run {run_id}": [run_id]})
     if made.curve["phi_u_arcmin"].null_count == made.curve.num_rows:
         return plots.attitude(shown, title)

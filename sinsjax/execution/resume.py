@@ -47,7 +47,7 @@ class _Checked(BaseModel):
     model_config = ConfigDict(extra="allow", allow_inf_nan=False)
 
 
-class Session(_Checked):
+class RunSession(_Checked):
     """What a manifest says of a process that wrote.
 
     Attributes:
@@ -94,7 +94,7 @@ class Manifest(_Checked):
     identity: str
     curves: bool | None
     chunk_runs: Annotated[int, Field(ge=1)] | None
-    sessions: list[Session] = []
+    sessions: list[RunSession] = []
     chunks: list[Done] = []
 
 

@@ -10,16 +10,16 @@ import jax
 import pyarrow as pa
 
 from sinsjax import columns
-from sinsjax.engine.batch import spread
+from sinsjax.engine.batch import in_threads
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import forecast, stopping, store
 from sinsjax.execution import resume as resuming
 from sinsjax.execution import tasks as study_tasks
-from sinsjax.execution.preflight import doubts, layout_of
-from sinsjax.execution.tasks import Executor, Job, Task, Workshop
+from sinsjax.execution.preflight import layout_of, warnings_of
+from sinsjax.execution.tasks import Executor, Job, Task, TaskRunner
 from sinsjax.platform import runtime
 from sinsjax.records import read_record, read_reference
-from sinsjax.records.reference import Tape
+from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import with_rate
 from sinsjax.study.study import Study
 
@@ -36,7 +36,7 @@ class Results(NamedTuple):
     curves: pa.Table
 
 
-class Progress(NamedTuple):
+class RunProgress(NamedTuple):
     """How far a study has come.
 
     Attributes:
@@ -52,27 +52,29 @@ class Progress(NamedTuple):
     before: int
 
 
-Tell = Callable[[Progress], None]
+Tell = Callable[[RunProgress], None]
 """Called before the first chunk and after every one."""
 
 
-def load_tape(study: Study, record: str | Path, reference: str | Path | None = None) -> Tape:
+def load_tape(
+    study: Study, record: str | Path, reference: str | Path | None = None
+) -> StoredRecord:
     """Read the record of a recorded study, and a reference attitude if there is one.
 
     Raises:
         InputError: a file that cannot be used, or a study without [record].
     """
     if study.record is None:
-        raise InputError(f"{study.study.name}: has no [record] section")
+        raise InputError(f"{study.name}: has no [record] section")
     layout = layout_of(study)
     read = read_record(record, layout)
     if reference is None:
-        return Tape(read, None)
+        return StoredRecord(read, None)
     judge = read_reference(reference, layout)
-    return Tape(read, judge._replace(time_s=judge.time_s - read.t0_s))
+    return StoredRecord(read, judge._replace(time_s=judge.time_s - read.t0_s))
 
 
-def at_rate(study: Study, tape: Tape | None) -> Study:
+def at_rate(study: Study, tape: StoredRecord | None) -> Study:
     """A study at the rate of its record.
 
     Raises:
@@ -83,7 +85,7 @@ def at_rate(study: Study, tape: Tape | None) -> Study:
     return study
 
 
-def made_ready(study: Study, tape: Tape | None) -> tuple[Study, list[str]]:
+def made_ready(study: Study, tape: StoredRecord | None) -> tuple[Study, list[str]]:
     """A study as it runs, at the rate of its record, and one line for everything doubtful about it.
 
     Raises:
@@ -92,12 +94,12 @@ def made_ready(study: Study, tape: Tape | None) -> tuple[Study, list[str]]:
     study = at_rate(study, tape)
     if study.is_recorded != (tape is not None):  # refused where it is run
         return study, []
-    return study, doubts(study, tape)
+    return study, warnings_of(study, tape)
 
 
 def run(
     study: Study,
-    tape: Tape | None = None,
+    tape: StoredRecord | None = None,
     *,
     curves: bool | None = None,
     chunk_runs: int | None = None,
@@ -120,13 +122,13 @@ def run(
         RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
     study, _ = made_ready(study, tape)
-    workshop = Workshop(Job(study, tape, curves, chunk_runs))
-    count = _Count(study, tell)
+    runner = TaskRunner(Job(study, tape, curves, chunk_runs))
+    count = _ProgressCounter(study, tell)
     count.begin([])
     summaries: list[pa.Table] = []
     kept = [columns.schema(columns.curves(passes=study.passes is not None)).empty_table()]
-    for draws, tasks in zip(workshop.stages, workshop.tasks(), strict=True):
-        for piece in spread(workshop.do, tasks, len(jax.devices())):
+    for draws, tasks in zip(runner.stages, runner.tasks(), strict=True):
+        for piece in in_threads(runner.do, tasks, len(jax.devices())):
             summaries.append(piece.summary)
             kept += [] if piece.curves is None else [piece.curves]
             count.add(piece.task, study_tasks.failures(piece.summary))
@@ -140,7 +142,7 @@ def run(
 def run_into(
     study: Study,
     directory: str | Path,
-    tape: Tape | None = None,
+    tape: StoredRecord | None = None,
     *,
     curves: bool | None = None,
     chunk_runs: int | None = None,
@@ -186,36 +188,36 @@ def run_into(
     session = runtime.session() | executor.facts
     if resume:
         job = resuming.resumed(directory, job, session["instructions"])
-    workshop = Workshop(job)
+    runner = TaskRunner(job)
     facts = {
         "config": source and (source.name if source.is_absolute() else source.as_posix()),
         "record": None if tape is None else Path(tape.record.source).name,
         "warnings": warnings,
         "session": session,
     }
-    held = store.Store(directory, workshop, resume=resume, overwrite=overwrite, facts=facts)
+    held = store.Store(directory, runner, resume=resume, overwrite=overwrite, facts=facts)
     try:
-        _carry_out(workshop, held, executor, _Count(study, tell), stop or threading.Event())
+        _carry_out(runner, held, executor, _ProgressCounter(study, tell), stop or threading.Event())
     finally:
         held.release()
 
 
 def _carry_out(
-    workshop: Workshop,
+    runner: TaskRunner,
     held: store.Store,
     executor: Executor,
-    count: "_Count",
+    count: "_ProgressCounter",
     stop: threading.Event,
 ) -> None:
-    study, staged = workshop.job.study, workshop.tasks()
+    study, staged = runner.job.study, runner.tasks()
     missing = set(held.missing(task for tasks in staged for task in tasks))
     count.begin(task for tasks in staged for task in tasks if task not in missing)
-    for draws, tasks in zip(workshop.stages, staged, strict=True):
+    for draws, tasks in zip(runner.stages, staged, strict=True):
         todo = [task for task in tasks if task in missing]
-        for packed in executor.do(workshop, takewhile(lambda _: not stop.is_set(), todo)):
-            held.write(packed)
-            missing.remove(packed.task)
-            count.add(packed.task, packed.failures)
+        for encoded in executor.do(runner, takewhile(lambda _: not stop.is_set(), todo)):
+            held.write(encoded)
+            missing.remove(encoded.task)
+            count.add(encoded.task, encoded.failures)
         if not missing.isdisjoint(todo):
             held.finish("interrupted")
             done, total = count.progress.done, count.progress.total
@@ -228,14 +230,14 @@ def _carry_out(
 def _enough(study: Study, select: Callable[[list[str]], pa.Table], draws: range) -> bool:
     if study.stop_when is None:
         return False
-    return stopping.look(study, select(stopping.columns(study)), draws.stop).enough
+    return stopping.analyse_interim(study, select(stopping.columns(study)), draws.stop).enough
 
 
-class _Count:
-    """Counts runs, and tells."""
+class _ProgressCounter:
+    """Track progress."""
 
     def __init__(self, study: Study, tell: Tell | None) -> None:
-        self.progress = Progress(0, study.n_draws * study.n_variants, 0, 0)
+        self.progress = RunProgress(0, study.n_draws * study.n_variants, 0, 0)
         self._tell = tell or (lambda progress: None)
 
     def begin(self, there: Iterable[Task]) -> None:

@@ -16,11 +16,11 @@ from sinsjax.study.study import Study
 if TYPE_CHECKING:
     from sinsjax.analysis import Estimate
 
-FIRST_LOOK = 64
+FIRST_INTERIM = 64
 """Draws at the first look; each further one is at twice as many."""
 
 
-class Look(NamedTuple):
+class InterimAnalysis(NamedTuple):
     """What a look at the rows found.
 
     Attributes:
@@ -35,11 +35,11 @@ class Look(NamedTuple):
     enough: bool
 
 
-def looks(study: Study) -> list[int]:
+def interim_draws(study: Study) -> list[int]:
     """Numbers of draws after which is looked, the last one being the most."""
     if study.stop_when is None:
         return [study.n_draws]
-    ends = [FIRST_LOOK]
+    ends = [FIRST_INTERIM]
     while ends[-1] < study.n_draws:
         ends.append(2 * ends[-1])
     return [*ends[:-1], study.n_draws]
@@ -65,7 +65,7 @@ def _needed(study: Study) -> str:
     )
 
 
-def look(study: Study, table: pa.Table, draws: int) -> Look:
+def analyse_interim(study: Study, table: pa.Table, draws: int) -> InterimAnalysis:
     """Judge the rows of the first draws.
 
     Args:
@@ -86,7 +86,7 @@ def look(study: Study, table: pa.Table, draws: int) -> Look:
             found = analysis.mean(analysis.numbers(own, _needed(study)))
         widths.append(_half_width(found))
     widest = max(widths)
-    return Look(draws, widest, widest <= study.stop_when.half_width)
+    return InterimAnalysis(draws, widest, widest <= study.stop_when.half_width)
 
 
 def _half_width(estimate: "Estimate") -> float:

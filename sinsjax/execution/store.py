@@ -21,7 +21,7 @@ from sinsjax.execution import belongings
 from sinsjax.execution import resume as resuming
 from sinsjax.execution.belongings import DATASETS
 from sinsjax.execution.parts import MANIFEST
-from sinsjax.execution.tasks import Job, Packed, Task, Workshop
+from sinsjax.execution.tasks import EncodedResult, Job, Task, TaskRunner
 from sinsjax.platform.files import replacing, unwritable
 from sinsjax.study.load import fingerprint, study_to_toml
 
@@ -41,7 +41,7 @@ class Store:
     def __init__(
         self,
         directory: Path,
-        workshop: Workshop,
+        runner: TaskRunner,
         *,
         resume: bool = False,
         overwrite: bool = False,
@@ -51,7 +51,7 @@ class Store:
 
         Args:
             directory: where; made if missing.
-            workshop: of the job whose results are stored.
+            runner: of the job whose results are stored.
             resume: whether results of the same job are kept and added to.
             overwrite: whether earlier results are removed.
             facts: for the manifest: of the job, and under ``session`` of this process.
@@ -60,7 +60,7 @@ class Store:
             InputError: the directory holds results, cannot be written, or has a writer.
         """
         self.directory = directory
-        self._workshop, self._facts = workshop, dict(facts or {})
+        self._workshop, self._facts = runner, dict(facts or {})
         self._session = self._facts.pop("session", {}) | {"started_unix_s": round(time.time(), 3)}
         self._since = time.monotonic()
         self._chunks: dict[str, dict[str, Any]] = {}
@@ -125,7 +125,7 @@ class Store:
         self._write_manifest("running")
         return missing
 
-    def write(self, packed: Packed) -> None:
+    def write(self, encoded: EncodedResult) -> None:
         """Write the parts of one task.
 
         Raises:
@@ -134,21 +134,21 @@ class Store:
         files = []
         # The summary last: where it is, the curves are.
         for dataset in reversed(DATASETS):
-            if (content := packed.files.get(dataset)) is None:
+            if (content := encoded.files.get(dataset)) is None:
                 continue
-            path = self._path(dataset, packed.task)
+            path = self._path(dataset, encoded.task)
             try:
                 path.parent.mkdir(exist_ok=True)
             except OSError as error:
                 raise InputError(unwritable(path, error)) from error
             _write(path, content)
-            rows = packed.task.runs * (packed.task.records if dataset == "curves" else 1)
+            rows = encoded.task.runs * (encoded.task.records if dataset == "curves" else 1)
             files.append(self._entry(path, rows, content))
-        self._chunks[packed.task.name] = {
-            "name": packed.task.name,
+        self._chunks[encoded.task.name] = {
+            "name": encoded.task.name,
             "state": "done",
-            "runs": packed.task.runs,
-            "seconds": round(packed.seconds, 4),
+            "runs": encoded.task.runs,
+            "seconds": round(encoded.seconds, 4),
             "files": files,
         }
         if time.monotonic() >= self._next_manifest:
@@ -231,7 +231,7 @@ class Store:
             "state": state,
             "fingerprint": fingerprint(study),
             "identity": self._workshop.identity,
-            "seed": study.study.seed,
+            "seed": study.seed,
             "runs": study.n_draws * study.n_variants,
             "runs_done": sum(chunk["runs"] for chunk in self._chunks.values()),
             "curves": self._workshop.scenario.curves,

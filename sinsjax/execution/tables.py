@@ -17,7 +17,7 @@ import pyarrow.compute as pc
 import pyarrow.dataset as ds
 
 from sinsjax import columns
-from sinsjax.alignment.base import Fired, Innovations
+from sinsjax.alignment.base import Innovations, TriggerCounts
 from sinsjax.columns import Column
 from sinsjax.engine.batch import Chunk
 from sinsjax.engine.metrics import Observation
@@ -71,7 +71,7 @@ class Tables:
         }
         self._start_s = np.zeros(study.n_draws)
         if study.is_recorded:
-            self._start_s = starts_of(study, study.study.rate_hz)[1] / study.study.rate_hz
+            self._start_s = starts_of(study, study.rate_hz)[1] / study.rate_hz
 
     def summary(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
         """One row a run.
@@ -118,7 +118,7 @@ class Tables:
         values["nees"] = self._known(out.nees)
         values["status"] = verdict.status
         if self._study.has_trigger:
-            values |= self._fired(out.fired, len(variant))
+            values |= self._fired(out.trigger_counts, len(variant))
         if self._study.is_recorded:
             values |= _innovations(out.innovations, len(variant))
         return _table(self.summary_columns, values)
@@ -145,10 +145,12 @@ class Tables:
         heading = np.mod(np.mod(-np.asarray(seen.yaw) / DEG, 360.0), 360.0)
         return values | {"heading_deg": _nullable(heading)}
 
-    def _fired(self, fired: Fired | None, runs: int) -> dict[str, pa.Array]:
+    def _fired(self, trigger_counts: TriggerCounts | None, runs: int) -> dict[str, pa.Array]:
         """What the trigger did; nothing, of runs without one."""
-        count, first, last = Fired(*np.zeros((3, runs))) if fired is None else fired
-        rate = self._study.study.rate_hz
+        count, first, last = (
+            TriggerCounts(*np.zeros((3, runs))) if trigger_counts is None else trigger_counts
+        )
+        rate = self._study.rate_hz
         first_s, last_s = (
             np.where(t > 0, t / rate, np.nan) for t in map(np.asarray, (first, last))
         )
@@ -186,8 +188,8 @@ class Tables:
         if self._limit_by_variant is not None:
             return self._limit_by_variant[variant]
         last_s = self._last_reset_s[variant]
-        if chunk.outcome.fired is not None:
-            fired_s = np.asarray(chunk.outcome.fired.last) / self._study.study.rate_hz
+        if chunk.outcome.trigger_counts is not None:
+            fired_s = np.asarray(chunk.outcome.trigger_counts.last) / self._study.rate_hz
             last_s = np.maximum(last_s, fired_s)
         return has_limit(self._study, chunk.draw, variant, last_s)
 

@@ -20,12 +20,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from sinsjax import columns
-from sinsjax.engine.batch import Calls, Plan, homes, spread
+from sinsjax.engine.batch import Calls, Plan, in_threads, targets
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.tile import LANES
 from sinsjax.execution import stopping
 from sinsjax.execution.tables import Tables
-from sinsjax.records.reference import Tape
+from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import fingerprint
 from sinsjax.study.study import Study
 
@@ -44,7 +44,7 @@ class Job(NamedTuple):
     """
 
     study: Study
-    tape: Tape | None = None
+    tape: StoredRecord | None = None
     curves: bool | None = None
     chunk_runs: int | None = None
 
@@ -81,7 +81,7 @@ class Task(NamedTuple):
     records: int
 
 
-class Piece(NamedTuple):
+class TaskResult(NamedTuple):
     """Tables of one task.
 
     Attributes:
@@ -97,7 +97,7 @@ class Piece(NamedTuple):
     seconds: float
 
 
-class Packed(NamedTuple):
+class EncodedResult(NamedTuple):
     """A task's tables as Parquet files.
 
     Attributes:
@@ -113,7 +113,7 @@ class Packed(NamedTuple):
     seconds: float
 
 
-class Workshop:
+class TaskRunner:
     """Does the tasks of a job; every thread may ask it to.
 
     Attributes:
@@ -147,7 +147,7 @@ class Workshop:
     @property
     def stages(self) -> list[range]:
         """Draws that are run one after another, with a look at the results between them."""
-        ends = stopping.looks(self.job.study)
+        ends = stopping.interim_draws(self.job.study)
         return [range(a, b) for a, b in zip([0, *ends], ends, strict=False)]
 
     def tasks(self) -> list[list[Task]]:
@@ -178,7 +178,7 @@ class Workshop:
         firsts = range(stage.start, stage.stop, _DRAWS_READY)
         return [range(first, min(first + _DRAWS_READY, stage.stop)) for first in firsts]
 
-    def do(self, task: Task) -> Piece:
+    def do(self, task: Task) -> TaskResult:
         """The tables of one task."""
         with self._lock:  # or every thread would compile
             ids, calls = self._calls(task.part, range(*task.draws))
@@ -186,16 +186,16 @@ class Workshop:
         chunk = calls.chunk(task.call)
         seconds = time.perf_counter() - since
         curves = None if chunk.curves is None else self.tables.curves(chunk, ids)
-        return Piece(task, self.tables.summary(chunk, ids), curves, seconds)
+        return TaskResult(task, self.tables.summary(chunk, ids), curves, seconds)
 
-    def pack(self, task: Task) -> Packed:
+    def pack(self, task: Task) -> EncodedResult:
         """The Parquet files of one task: the same bytes wherever it is done."""
-        piece = self.do(task)
-        tables = {"summary": piece.summary}
-        if piece.curves is not None:
-            tables["curves"] = piece.curves
+        result = self.do(task)
+        tables = {"summary": result.summary}
+        if result.curves is not None:
+            tables["curves"] = result.curves
         files = {name: self.parquet(name, table, task) for name, table in tables.items()}
-        return Packed(task, files, failures(piece.summary), piece.seconds)
+        return EncodedResult(task, files, failures(result.summary), result.seconds)
 
     def parquet(self, dataset: str, table: pa.Table, task: Task) -> bytes:
         """A table of a task as a Parquet file: the same rows give the same bytes.
@@ -209,8 +209,8 @@ class Workshop:
         marked = table.cast(schema.with_metadata(schema.metadata | self._marks(task)))
         sink = pa.BufferOutputStream()
         # Numbers seldom repeat: coded by a dictionary they are larger, and take thrice as long.
-        packed = {"compression": "zstd", "use_dictionary": False, "write_page_checksum": True}
-        pq.write_table(marked, sink, **packed)
+        encoded = {"compression": "zstd", "use_dictionary": False, "write_page_checksum": True}
+        pq.write_table(marked, sink, **encoded)
         return sink.getvalue().to_pybytes()
 
     def _marks(self, task: Task) -> dict[bytes, bytes]:
@@ -250,15 +250,15 @@ class Executor(NamedTuple):
         facts: what the manifest says of this session's machines.
     """
 
-    do: Callable[[Workshop, Iterable[Task]], Iterator[Packed]]
+    do: Callable[[TaskRunner, Iterable[Task]], Iterator[EncodedResult]]
     facts: dict[str, Any]
 
 
 def on_this_machine() -> Executor:
     """All devices of this process: on a CPU threads over one program, else a program each."""
     devices = len(jax.devices())
-    are = "threads over one program" if len(homes()) == 1 else "devices with a program each"
+    are = "threads over one program" if len(targets()) == 1 else "devices with a program each"
     return Executor(
-        lambda workshop, tasks: spread(workshop.pack, tasks, devices),
+        lambda runner, tasks: in_threads(runner.pack, tasks, devices),
         {"devices": devices, "devices_are": are},
     )

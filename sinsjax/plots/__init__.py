@@ -4,7 +4,7 @@ Every function returns a matplotlib `Figure` of its own; `png` turns it into byt
 the figure alone. Nothing here touches matplotlib's global state.
 """
 
-from sinsjax.plots.beliefs import Belief, beliefs
+from sinsjax.plots.beliefs import BeliefPanel, beliefs
 from sinsjax.plots.curves import (
     Ensemble,
     Line,
@@ -17,20 +17,20 @@ from sinsjax.plots.curves import (
 )
 from sinsjax.plots.errors import Mark, attitude_errors, over_time
 from sinsjax.plots.grids import Contours, Scale, Shown, Verdicts, heat_maps, spread, verdict_matrix
-from sinsjax.plots.spreads import Spread, along_axis, distributions
+from sinsjax.plots.spreads import DistributionPanel, along_axis, distributions
 from sinsjax.plots.style import COLOURS, colour, label, png, setting
 from sinsjax.plots.tapes import by_tape, prediction, survival
 
 __all__ = [
     "COLOURS",
-    "Belief",
+    "BeliefPanel",
     "Contours",
     "Ensemble",
     "Line",
     "Mark",
     "Scale",
     "Shown",
-    "Spread",
+    "DistributionPanel",
     "Verdicts",
     "along_axis",
     "attitude",

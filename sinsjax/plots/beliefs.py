@@ -19,7 +19,7 @@ _FAR = (1e-2, 1e4)  # of the NEES axis, which may be narrower
 _MARKS = ("o", "s", "^")
 
 
-class Belief(NamedTuple):
+class BeliefPanel(NamedTuple):
     """A line's runs.
 
     Attributes:
@@ -34,7 +34,7 @@ class Belief(NamedTuple):
 
 
 @styled
-def beliefs(shown: Sequence[Belief], title: str) -> Figure:
+def beliefs(shown: Sequence[BeliefPanel], title: str) -> Figure:
     """The distribution of NEES against chi-square, and how often P lies above the error.
 
     Args:
@@ -50,7 +50,7 @@ def beliefs(shown: Sequence[Belief], title: str) -> Figure:
     return figure
 
 
-def _nees(axes: Axes, shown: Sequence[Belief]) -> None:
+def _nees(axes: Axes, shown: Sequence[BeliefPanel]) -> None:
     for i, belief in enumerate(shown):
         x, share = steps(belief.nees)
         axes.plot(x, share[: x.size], drawstyle="steps-post", color=colour(i), label=belief.label)
@@ -70,7 +70,7 @@ def _nees(axes: Axes, shown: Sequence[Belief]) -> None:
     axes.set_ylabel("share of runs")
 
 
-def _shares(axes: Axes, shown: Sequence[Belief]) -> None:
+def _shares(axes: Axes, shown: Sequence[BeliefPanel]) -> None:
     for i, belief in enumerate(shown):
         for j, (value, low, high, _) in enumerate(belief.shares.values()):
             spread = [[np.nan_to_num(value - low)], [np.nan_to_num(high - value)]]

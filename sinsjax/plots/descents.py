@@ -79,7 +79,7 @@ class Spot(NamedTuple):
     look: int
 
 
-class Progress(NamedTuple):
+class CostCurve(NamedTuple):
     """How a search went on.
 
     Attributes:
@@ -257,7 +257,7 @@ def _spot_style(number: int) -> dict[str, Any]:
 
 
 @styled
-def best_by_cost(searches: Sequence[Progress], name: str, title: str) -> Figure:
+def best_by_cost(searches: Sequence[CostCurve], name: str, title: str) -> Figure:
     """The best objective of each search against what it had cost by then.
 
     Args:

@@ -62,7 +62,7 @@ def along_axis(
     return figure
 
 
-class Spread(NamedTuple):
+class DistributionPanel(NamedTuple):
     """A panel of distributions.
 
     Attributes:
@@ -79,7 +79,7 @@ class Spread(NamedTuple):
 
 
 @styled
-def distributions(panels: Sequence[Spread], title: str) -> Figure:
+def distributions(panels: Sequence[DistributionPanel], title: str) -> Figure:
     """Cumulative distributions over the runs: the share of runs at or below a value.
 
     A line with values that are not finite ends below 1 and goes on dotted; beside it stands the

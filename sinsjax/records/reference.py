@@ -72,7 +72,7 @@ def read_reference(path: str | Path, layout: Layout | None = None) -> Reference:
     return Reference(time_s, attitude, sigma if sigmas else None, str(path))
 
 
-class Tape(NamedTuple):
+class StoredRecord(NamedTuple):
     """A record made ready for the engine.
 
     Attributes:

@@ -27,7 +27,7 @@ from sinsjax.records.stamps import from_iso
 MISSING = "empty or not finite"
 
 
-class Table(NamedTuple):
+class ColumnTable(NamedTuple):
     """A file with named columns, not read yet.
 
     Attributes:
@@ -93,7 +93,7 @@ class _Text(NamedTuple):
             ) from None
 
 
-def open_csv(path: str | Path) -> Table:
+def open_csv(path: str | Path) -> ColumnTable:
     """Opens text with commas or semicolons between its columns.
 
     The first line that is not empty names the columns, and shows which of the two it is. Lines that
@@ -132,7 +132,7 @@ def open_csv(path: str | Path) -> Table:
         rows[:] = [np.concatenate(rows)]
         return whole
 
-    return Table(names, read, lambda k: int(rows[0][k]))
+    return ColumnTable(names, read, lambda k: int(rows[0][k]))
 
 
 def _names_columns(line: bytes) -> bool:
@@ -234,7 +234,7 @@ def _read_with_care(text: _Text, columns: _Columns) -> list[NDArray[Any]]:
     return list(np.array(values).reshape(len(text.rows), len(columns.places)).T)
 
 
-def open_parquet(path: str | Path) -> Table:
+def open_parquet(path: str | Path) -> ColumnTable:
     """Opens a Parquet file."""
     # What is no file, such as a pipe, cannot be looked at here and there.
     data = None if Path(path).is_file() else load(path)
@@ -275,7 +275,7 @@ def open_parquet(path: str | Path) -> Table:
         except (pa.ArrowException, OSError):
             raise InputError(f"{path}: damaged: its columns cannot be read") from None
 
-    return Table(schema.names, read, lambda k: k + 1)
+    return ColumnTable(schema.names, read, lambda k: k + 1)
 
 
 def _numbers(

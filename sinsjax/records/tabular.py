@@ -26,7 +26,7 @@ from sinsjax.records.layout import (
     from_body,
 )
 from sinsjax.records.stamps import Sampling, between, sampling
-from sinsjax.records.tables import MISSING, Table, open_csv, open_parquet
+from sinsjax.records.tables import MISSING, ColumnTable, open_csv, open_parquet
 
 
 def read_csv(path: str | Path, layout: Layout) -> Record:
@@ -57,7 +57,7 @@ def read_parquet(path: str | Path, layout: Layout) -> Record:
     return _record(path, layout, open_parquet(path))
 
 
-def _record(path: str | Path, layout: Layout, table: Table) -> Record:
+def _record(path: str | Path, layout: Layout, table: ColumnTable) -> Record:
     names = [*layout.gyro_columns, *layout.accel_columns]
     dates: list[str] = []
     if layout.time_column:
@@ -116,7 +116,7 @@ class _Read(NamedTuple):
 
     path: str | Path
     layout: Layout
-    table: Table
+    table: ColumnTable
     time_s: FloatArray | None
     taken: Sampling
 

@@ -126,7 +126,7 @@ def _summarise(
             made.append(_tell(report(here), here[0], console))
     places = list(LAYOUTS)
     made.sort(key=lambda one: places.index(one.source.study.report.layout))
-    names = list(dict.fromkeys(one.source.study.study.name for one in made))
+    names = list(dict.fromkeys(one.source.study.name for one in made))
     glossary.print_words(console)
     *_, last = made
     made[-1] = last._replace(report=last.report.followed_by(glossary.section()))

@@ -31,7 +31,7 @@ leave after coarse levelling, and sin of the yaw error by 5e-5 of it.
 
 _LOOK_BACK = ("innovation", "whiteness", "tilt_drift", "levelled")
 _SETTLED = f"settle_{BAND_ARCMIN}_s"
-_FIRED = tuple(column.name for column in columns.FIRED)
+_FIRED = tuple(column.name for column in columns.TRIGGER_COUNTS)
 
 
 class Tuning(NamedTuple):
@@ -267,7 +267,7 @@ def _policies(study: Study) -> list[Policy]:
 
 
 def _unfit(study: Study, needs: str) -> InputError:
-    return InputError(f"{study.study.name}: its layout needs {needs}")
+    return InputError(f"{study.name}: its layout needs {needs}")
 
 
 def _require(

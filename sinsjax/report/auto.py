@@ -175,7 +175,7 @@ def _stopped(source: Source) -> Iterator[str]:
     if study.stop_when is None:
         return
     rule = study.stop_when
-    found = stopping.look(study, source.rows(stopping.columns(study)), source.draws)
+    found = stopping.analyse_interim(study, source.rows(stopping.columns(study)), source.draws)
     why = "narrow enough" if found.enough else "not narrow enough, but there are no more draws"
     yield (
         f"Drawing ended after {found.draws:,} draws: the widest interval of {rule.statistic} over"

@@ -52,7 +52,7 @@ class Source:
         schema = str(manifest.get("schema"))
         if schema == "1":
             study = as_of_schema_1(study)
-        name = manifest.get("config") or f"study.toml of {study.study.name}"
+        name = manifest.get("config") or f"study.toml of {study.name}"
         told = manifest.get("warnings")
         warnings = tuple(map(str, told if isinstance(told, list) else ()))
         return cls(directory, study, str(name), schema=schema, warnings=warnings)

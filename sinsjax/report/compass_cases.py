@@ -81,7 +81,7 @@ def cases_of(source: Source) -> list[Case]:
 def _data(study: Study, variant: int) -> tuple[float, int]:
     """Length of a variant's data, s, and how many passes over them begin."""
     span = study.spans[variant]
-    return span.tape * study.record_every / study.study.rate_hz, -(-span.records // span.tape)
+    return span.tape * study.record_every / study.rate_hz, -(-span.records // span.tape)
 
 
 def partner(cases: Sequence[Case], case: Case) -> Case | None:

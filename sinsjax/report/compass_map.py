@@ -78,7 +78,7 @@ def _at_the_papers(source: Source) -> str:
     parts = []
     for turn in _turns(source):
         text = f"{turn} {float(radius_of(source.study, turn, *_PAPER)):.3f}"
-        velocity, _, rate, reflection = method_parameters.TURNS[turn]
+        velocity, _, rate, reflection = method_parameters.REVERSALS[turn]
         if reflection:
             exact = loops.turn_matrix(velocity, 1 - 2 * reflection, rate)
             damping = only(source.study, "azimuth_damping")

@@ -22,7 +22,7 @@ def require_loops(study: Study) -> None:
     Raises:
         InputError: names what does not fit.
     """
-    name, layout = study.study.name, study.report.layout
+    name, layout = study.name, study.report.layout
     if study.is_recorded or study.passes is None or set(study.values("method")) != {"compass"}:
         raise InputError(
             f"{name}: layout {layout} needs simulated runs of method 'compass' with [passes]"
@@ -49,7 +49,7 @@ def bound_arcmin(study: Study, tape_s: Number) -> NDArray:
     """
     first = Variants(study, np.array([0]))
     site, ug = site_of(study, first, None)
-    rate_hz = study.study.rate_hz
+    rate_hz = study.rate_hz
     errors = errors_of(first.common, ug, rate_hz)
     angles = [only(study, f"{angle}_center_deg") for angle in ("yaw", "pitch", "roll")]
     from scipy.spatial.transform import Rotation  # late, as in `truth`

@@ -37,7 +37,7 @@ def report(source: Source) -> Report:
     wide, narrow = bands_of(source)
     if wide == narrow:
         raise InputError(
-            f"{source.study.study.name}: layout compass_schedules needs two settle_bands_arcmin"
+            f"{source.study.name}: layout compass_schedules needs two settle_bands_arcmin"
         )
     scored = scored_of(source)
     if source.study.axes:
@@ -128,7 +128,7 @@ def _survival(source: Source, shown: Sequence[Scored]) -> Picture:
         plots.survival(
             panels,
             "Who has not settled yet?",
-            end_s=source.study.study.duration_s,
+            end_s=source.study.duration_s,
             levels={f"within {narrow:g} arcmin": {s.name: s.outside for s in shown}},
         ),
     )
@@ -136,7 +136,7 @@ def _survival(source: Source, shown: Sequence[Scored]) -> Picture:
 
 def _comparison(source: Source, scored: Sequence[Scored]) -> Report:
     linear = _run_on(source, scored)
-    title = f"Every case over {source.study.study.duration_s:g} s of updates"
+    title = f"Every case over {source.study.duration_s:g} s of updates"
     blocks = [_table(source, scored, title), _times_table(source, scored, linear)]
     return Report(
         list(_headlines(source, scored, linear)),
@@ -155,7 +155,7 @@ def _run_on(source: Source, scored: Sequence[Scored]) -> list[tuple[float, float
     A tape that the duration goes over once is one that goes on.
     """
     study = source.study
-    duration, step = study.study.duration_s, study.study.record_interval_s
+    duration, step = study.duration_s, study.study.record_interval_s
     times = np.arange(1, round(_HORIZON * duration / step) + 1) * step
     start = start_of(study)
     found = []
@@ -203,7 +203,7 @@ def _times_table(
         "*Data*: how much of the tape had been recorded when the heading settled. *From the"
         " first's*: difference of the medians on the same noise. *Run on*: when the linear loops"
         f" without noise are within the band for good, if the runs went on to"
-        f" {_HORIZON * source.study.study.duration_s:g} s: a loop that crosses its floor just"
+        f" {_HORIZON * source.study.duration_s:g} s: a loop that crosses its floor just"
         " before the end counts as settled in the runs, and leaves the band again after it.",
     )
 
@@ -216,7 +216,7 @@ def _headlines(
     source: Source, scored: Sequence[Scored], linear: Sequence[tuple[float, float]]
 ) -> Iterator[str]:
     """A line a case: who settles, when, how that compares with the first case, and how long."""
-    bands, duration = bands_of(source), source.study.study.duration_s
+    bands, duration = bands_of(source), source.study.duration_s
     for s, ends in zip(scored, linear, strict=True):
         found = [
             f"to {band:g}' settle {percent(_settled(times))} % of the draws, median"

@@ -27,7 +27,7 @@ from sinsjax.report.base import (
     shown_keys,
 )
 from sinsjax.report.spreads import belief, consistency
-from sinsjax.study.schema import Sensors
+from sinsjax.study.schema import SensorsSection
 from sinsjax.study.study import Study
 
 _STARTS = {  # an initial error, and the 1 sigma that the filter believes of it
@@ -76,7 +76,7 @@ def report(source: Source) -> Report:
     """Mean NEES and NIS of every variant in their bands or out, and the distribution of NEES."""
     checked = list(checked_of(source))
     if not any(one.expected for one in checked):
-        name = source.study.study.name
+        name = source.study.name
         raise InputError(f"{name}: its layout needs a variant whose filter believes what is true")
     blocks: list[Block] = [
         _table(checked),
@@ -116,13 +116,21 @@ def belief_is_true(study: Study) -> list[bool]:
     laws = study.drawn.laws if study.drawn else {}
     # The distribution of each start as (mean, standard deviation).
     starts = {key: laws[key].normal if key in laws else None for key in _STARTS}
-    if study.sensors is None or study.filter is None or laws.keys() & Sensors.model_fields.keys():
+    if (
+        study.sensors is None
+        or study.filter is None
+        or laws.keys() & SensorsSection.model_fields.keys()
+    ):
         return [False] * study.n_variants
     if study.drawn and study.drawn.sampling != "random":  # draws that know of one another
         return [False] * study.n_variants
     pairs = [
         *((noise, study.values(believed)) for noise, believed in _NOISES.items()),
-        *((bias, [0.0] * study.n_variants) for bias in Sensors.model_fields if "noise" not in bias),
+        *(
+            (bias, [0.0] * study.n_variants)
+            for bias in SensorsSection.model_fields
+            if "noise" not in bias
+        ),
     ]
     true = np.array([reading == "per_sample" for reading in study.values("q_reading")])
     true &= [method == "kalman5" for method in study.values("method")]

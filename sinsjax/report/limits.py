@@ -49,7 +49,7 @@ def ingredients(study: Study, earth_rate_deg_per_h: float | None = None) -> Ingr
         InputError: a study that has no such limit, or more than one.
     """
     if study.is_recorded or any(p["earth"] != "constants" for p in study.combinations("earth")):
-        raise InputError(f"{study.study.name}: its layout needs earth = 'constants'")
+        raise InputError(f"{study.name}: its layout needs earth = 'constants'")
     angles = [only(study, f"{a}_center_deg") for a in ("yaw", "pitch", "roll")]
     from scipy.spatial.transform import Rotation  # late, as in `truth`
 
@@ -77,7 +77,7 @@ def only(study: Study, key: str) -> Any:
     """The one value of a key; raises InputError where the study sweeps it."""
     first, *rest = study.combinations(key)
     if rest:
-        raise InputError(f"{study.study.name}: its layout needs one {key}, not a sweep of it")
+        raise InputError(f"{study.name}: its layout needs one {key}, not a sweep of it")
     return first[key]
 
 

@@ -58,7 +58,7 @@ class Loops(NamedTuple):
         tape_s: length of a pass, s.
     """
 
-    params: compass.Params
+    params: compass.LoopParams
     earth: dict[str, float]
     rate_n: float
     rate_hz: float
@@ -120,8 +120,8 @@ def all_loops(study: Study) -> list[Loops]:
             params=jax.tree.unflatten(structure, [np.asarray(leaf)[i] for leaf in leaves]),
             earth=method_parameters.earth_numbers(site),
             rate_n=float(site.place.rate_n),
-            rate_hz=study.study.rate_hz,
-            tape_s=study.study.duration_s if tape_s is None else tape_s,
+            rate_hz=study.rate_hz,
+            tape_s=study.duration_s if tape_s is None else tape_s,
         )
         for i, tape_s in enumerate(tapes)
     ]
@@ -185,7 +185,7 @@ def _flows(matrix: bytes, steps: bytes) -> NDArray:
 
 
 def cycle_radius(
-    sigma: Number, tape_s: Number, turn: compass.Turn, *, damping: Number, smoothing_s: Number
+    sigma: Number, tape_s: Number, turn: compass.Reversal, *, damping: Number, smoothing_s: Number
 ) -> NDArray:
     """As `compass.design.cycle_radius`, with the turn as it is made: by a specific force that lags.
 
@@ -214,7 +214,7 @@ def cycle_radius(
     return np.asarray(np.abs(np.linalg.eigvals(cycle)).max(-1))
 
 
-def _turn(turn: compass.Turn) -> NDArray:
+def _turn(turn: compass.Reversal) -> NDArray:
     """What a turn makes of x."""
     velocity, integral, rate, reflection = turn
     left = 1 - 2 * reflection

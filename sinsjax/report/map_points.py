@@ -88,7 +88,7 @@ def points_of(source: Source) -> list[Point]:
     require_loops(study)
     if missing := [key for key in (TURN, TAPE, SIGMA) if key not in study.axes]:
         raise InputError(
-            f"{study.study.name}: layout {study.report.layout} needs {', '.join(missing)} in [axes]"
+            f"{study.name}: layout {study.report.layout} needs {', '.join(missing)} in [axes]"
         )
     shape = (study.n_draws, study.n_variants)
     if source.summary.num_rows != shape[0] * shape[1]:
@@ -147,7 +147,7 @@ def _radii(study: Study, models: Sequence[Loops], ends: NDArray) -> tuple[NDArra
         radii[here] = cycle_radius(
             sigma[here],
             tape[here],
-            method_parameters.TURNS[turn],
+            method_parameters.REVERSALS[turn],
             damping=damping[here, None],
             smoothing_s=smoothing[here],
         )
@@ -161,7 +161,7 @@ def radius_of(study: Study, turn: str, sigma: Number, tape_s: Number) -> NDArray
     return cycle_radius(
         sigma,
         tape_s,
-        method_parameters.TURNS[turn],
+        method_parameters.REVERSALS[turn],
         damping=only(study, "azimuth_damping"),
         smoothing_s=only(study, "turn_smoothing_s"),
     )

@@ -52,15 +52,15 @@ def counted(source: Source) -> str:
     study = source.study
     unit = "start times" if study.is_recorded else "draws"
     if study.n_variants == 1:
-        return f"{study.study.name}: {source.runs:,} {unit if source.runs > 1 else unit[:-1]}"
+        return f"{study.name}: {source.runs:,} {unit if source.runs > 1 else unit[:-1]}"
     each = f"{source.runs / study.n_variants:,g} {unit}"
-    return f"{study.study.name}: {study.n_variants:,} variants × {each} = {source.runs:,} runs"
+    return f"{study.name}: {study.n_variants:,} variants × {each} = {source.runs:,} runs"
 
 
 def print_report(made: Made, console: Console) -> None:
     """Prints what was found and every table that is not folded, and names the figures."""
     source, report, images, names = made
-    screen.say(console, f"\n{source.study.study.name}", style="bold")
+    screen.say(console, f"\n{source.study.name}", style="bold")
     for line in (*report.headline, yardstick(source.study)):
         screen.say(console, names.plain(line), wrap=True)
     for section in report.sections:
@@ -120,7 +120,7 @@ def write_page(page: Path, title: str, made: Sequence[Made], notes: Sequence[str
         *notes,
     ]
     for source, report, images, names in made:
-        prefix = f"{file_stem(source.study.study.name)}_"
+        prefix = f"{file_stem(source.study.name)}_"
         named = {f"{prefix}{name}": image for name, image in images.items()}
         save_figures(named, page.parent / FIGURES)
         for section in report.sections:

@@ -271,7 +271,7 @@ def _reading(study: Study) -> str:
 
 def _steady(study: Study) -> tuple[float, float]:
     """The span that is enlarged: the paper's steady process."""
-    return study.study.steady_after_s, study.study.duration_s
+    return study.study.steady_after_s, study.duration_s
 
 
 def _band(source: Source) -> str:

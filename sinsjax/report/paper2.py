@@ -154,7 +154,7 @@ def cases_of(source: Source, misalignment: str = "vector") -> list[Case]:
             Case(
                 label=only(one, "case"),
                 drift=only(one, "gyro_bias_deg_per_h"),
-                scheme=1 if tape is None or tape >= study.study.duration_s else 2,
+                scheme=1 if tape is None or tape >= study.duration_s else 2,
                 study=one,
                 limits=limits_of(one),
                 rows=rows,

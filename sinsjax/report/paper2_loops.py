@@ -114,7 +114,7 @@ def _radii(case: Case) -> tuple[float, float]:
 def _ends(case: Case) -> NDArray:
     """Ends of the forward passes over a tape, s; between two of them lies a cycle."""
     tape_s = loops_of(case.study).tape_s
-    passes = int(case.study.study.duration_s / tape_s * (1 + 1e-9))
+    passes = int(case.study.duration_s / tape_s * (1 + 1e-9))
     return np.arange(1, passes + 1, 2) * tape_s
 
 
@@ -172,7 +172,7 @@ def divergence(cases: Sequence[Case], curves: Mapping[str, Curves]) -> Told | No
         f"{_growth(bad, curves[bad.label], angle, period, level_s):.2f} in {angle}"
         for angle in _LEVEL_ANGLES
     )
-    times = [level_s / 3, 2 * level_s / 3, level_s, bad.study.study.duration_s]
+    times = [level_s / 3, 2 * level_s / 3, level_s, bad.study.duration_s]
     table = Table(
         "Largest error so far, mean over the draws, deg",
         [

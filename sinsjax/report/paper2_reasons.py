@@ -265,7 +265,7 @@ def _bound(case: Case) -> float:
 def _converges(case: Case) -> bool:
     """Whether linear loops end within the widest settle band."""
     widest = max(case.study.study.settle_bands_arcmin)
-    end = np.array([case.study.study.duration_s])
+    end = np.array([case.study.duration_s])
     return case.is_stable and bool(abs(heading_from_limit(case.study, end)[0]) * 60 < widest)
 
 
@@ -319,7 +319,7 @@ def _bases(sources: Sequence[Source]) -> Told | None:
         rows.append([key[0], *cells])
     if not rows:
         return None
-    names = [source.study.study.name for source in sources[:2]]
+    names = [source.study.name for source in sources[:2]]
     return Told(
         "The paper's Tables 1 and 2 are the same to every digit. On the same noise the two bases"
         f" are {min(sizes):.4f} to {max(sizes):.4f} deg apart in heading here.",

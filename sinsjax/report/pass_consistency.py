@@ -34,7 +34,7 @@ class Point(NamedTuple):
 def report(source: Source) -> Report:
     """Mean NEES, error and believed sigma by number of passes, for each treatment of P."""
     if set(shown_keys(source.study)) != set(_KEYS):
-        name = source.study.study.name
+        name = source.study.name
         raise InputError(f"{name}: its layout needs labelled [[cases]] and [axes] {_KEYS[1:]}")
     found = {case: dict(_treatments(source, case)) for case in _unique(source, "case")}
     sections = []

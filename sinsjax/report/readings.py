@@ -21,7 +21,7 @@ from sinsjax.report.base import (
     value_text,
     yardstick,
 )
-from sinsjax.report.statements import STATEMENTS, Meaning, Verdict, judge
+from sinsjax.report.statements import STATEMENTS, Meaning, StatementVerdict, judge
 from sinsjax.study.study import Study
 
 CONCLUSIONS = ("S8", "S10", "S11", "S12")
@@ -42,7 +42,7 @@ class Judged(NamedTuple):
     """
 
     reading: Mapping[str, Any]
-    verdicts: Sequence[Verdict]
+    verdicts: Sequence[StatementVerdict]
 
     @property
     def held(self) -> int:
@@ -182,7 +182,7 @@ def _best_table(best: Judged) -> Table:
     return Table(f"Every statement: {name_of(best.reading)}", header, rows)
 
 
-def _word(verdict: Verdict) -> str:
+def _word(verdict: StatementVerdict) -> str:
     word = "holds" if verdict.holds else "does not hold"
     return f"{word} ~" if verdict.straddles else word
 

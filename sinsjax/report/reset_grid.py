@@ -235,7 +235,7 @@ def percent_mean(share: Estimate) -> str:
 
 
 def _unfit(study: Study, needs: str) -> InputError:
-    return InputError(f"{study.study.name}: its layout needs {needs}")
+    return InputError(f"{study.name}: its layout needs {needs}")
 
 
 def _require(

@@ -63,7 +63,7 @@ def heading_at_end(model: Loops, turn_s: float, end_s: float) -> float:
     return float(state[2])
 
 
-def kicks(model: Loops, runs: Ensemble) -> NDArray:
+def transients_of(model: Loops, runs: Ensemble) -> NDArray:
     """Tilt east right after each turn, less what an exact reflection would have made of it.
 
     Args:
@@ -83,7 +83,7 @@ def heading_of_kicks(model: Loops, runs: Ensemble) -> NDArray:
     """What the kicks of all turns make of the heading at the end, (runs,) arcmin."""
     end_s = float(runs.time_s[-1])
     gains = [heading_at_end(model, float(turn), end_s) for turn in turn_times(model, end_s)]
-    return kicks(model, runs) @ np.asarray(gains)
+    return transients_of(model, runs) @ np.asarray(gains)
 
 
 class Turned(NamedTuple):
@@ -116,7 +116,7 @@ def turned_cases(source: Source, cases: Sequence[Case]) -> list[Turned]:
         model = loops_of(one_variant(source.study, case.variant))
         (lines,) = plots.ensembles(curves, {case.name: case.runs})
         if turn_times(model, float(lines.time_s[-1])).size:
-            last = kicks(model, lines)[:, -1]
+            last = transients_of(model, lines)[:, -1]
             found.append(Turned(case, last, heading_of_kicks(model, lines)))
     return found
 

@@ -8,7 +8,7 @@ import pyarrow as pa
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate
-from sinsjax.plots import Belief, Spread
+from sinsjax.plots import BeliefPanel, DistributionPanel
 from sinsjax.report.base import Picture, Source, Text, name_of, shown_keys, swept
 from sinsjax.units import ARCMIN, MICRO
 
@@ -29,7 +29,7 @@ def spreads(source: Source) -> Iterator[Picture | Text]:
     shown = {name_of(key): rows for key, rows in analysis.groups(source.rows(needed), keys)}
     errors = {name: _from_limit(rows) for name, rows in shown.items()}
     settling = [
-        Spread(
+        DistributionPanel(
             f"time (s) until the heading stays\n{yard.words}",
             {name: analysis.numbers(rows, yard.settle) for name, rows in shown.items()},
             "never",
@@ -42,7 +42,10 @@ def spreads(source: Source) -> Iterator[Picture | Text]:
         f"Share of runs whose heading stays {either} from a time on, and share whose mean heading"
         f" error towards the end, from its limit, lies below a value.{note}",
         plots.distributions(
-            [*settling, Spread("phi_u from its limit (arcmin)", errors, "no number", far=60.0)],
+            [
+                *settling,
+                DistributionPanel("phi_u from its limit (arcmin)", errors, "no number", far=60.0),
+            ],
             "Settling time and remaining heading error over the runs",
         ),
     )
@@ -100,7 +103,7 @@ def _from_limit(rows: pa.Table) -> Any:
     return mean - floor
 
 
-def belief(name: str, rows: pa.Table) -> Belief:
+def belief(name: str, rows: pa.Table) -> BeliefPanel:
     """NEES of some runs, and how often P_UU lies above the squared error.
 
     Args:
@@ -112,10 +115,10 @@ def belief(name: str, rows: pa.Table) -> Belief:
         found = analysis.mean(analysis.numbers(rows, column), analysis.clusters_of(rows))
         low, high = np.clip(found[1:3], 0.0, 1.0).tolist()
         shares[of] = Estimate(found.value, low, high, found.n)
-    return Belief(name, analysis.numbers(rows, "nees"), shares)
+    return BeliefPanel(name, analysis.numbers(rows, "nees"), shares)
 
 
-def consistency(beliefs: Sequence[Belief], note: str = "") -> Picture:
+def consistency(beliefs: Sequence[BeliefPanel], note: str = "") -> Picture:
     """The figure of what the filter believes of its error."""
     return Picture(
         "consistency",

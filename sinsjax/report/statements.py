@@ -90,7 +90,7 @@ class Meaning(NamedTuple):
     steady_after_s: float
 
 
-class Verdict(NamedTuple):
+class StatementVerdict(NamedTuple):
     """One statement, judged.
 
     Attributes:
@@ -131,7 +131,7 @@ class _Finding(NamedTuple):
     sides: tuple[str, ...] = ()
 
 
-def judge(conditions: Mapping[str, pa.Table], meaning: Meaning) -> list[Verdict]:
+def judge(conditions: Mapping[str, pa.Table], meaning: Meaning) -> list[StatementVerdict]:
     """Judges every statement of :data:`STATEMENTS` on one reading's runs.
 
     Args:
@@ -149,7 +149,7 @@ def judge(conditions: Mapping[str, pa.Table], meaning: Meaning) -> list[Verdict]
             raise InputError(f"paper 1's statements: there are no runs of condition {name}")
     findings = dict(_findings(conditions, meaning))
     return [
-        Verdict(statement_id, text, where, *findings[statement_id])
+        StatementVerdict(statement_id, text, where, *findings[statement_id])
         for statement_id, (text, where) in STATEMENTS.items()
     ]
 

@@ -59,7 +59,7 @@ def report(source: Source) -> Report:
             Section("What was found", [_candidates(tuning)]),
             Section("How it was found", pictures),
         ],
-        f"{tuning.study.study.name}: {_drawn(tuning)}{each} a point",
+        f"{tuning.study.name}: {_drawn(tuning)}{each} a point",
     )
 
 
@@ -78,7 +78,7 @@ def _headline(tuning: Tuning) -> list[str]:
     over = f", {across} over {tuning.runs.shape[1]} variants" if tuning.runs.shape[1] > 1 else ""
     lines = [
         f"Tuned on {_drawn(tuning)}, judged on {tuning.runs.shape[2]} others by the {name}{over}:"
-        f" {tuning.study.study.name}.",
+        f" {tuning.study.name}.",
         f"The best on the tuning {unit}, which is in `tuned.toml`, is that of the search"
         f" '{best}': {_said(tuning, tuning.score(best))} on the others, the baseline"
         f" {_said(tuning, tuning.score('baseline'))}.",

@@ -3,10 +3,10 @@
 import numpy as np
 
 from sinsjax import plots
-from sinsjax.plots.descents import Landscape, Progress, Side, Spot, Way, best_by_cost, descent
+from sinsjax.plots.descents import CostCurve, Landscape, Side, Spot, Way, best_by_cost, descent
 from sinsjax.report.base import Picture, value_text
 from sinsjax.report.tuned_results import Tuning, axis
-from sinsjax.study.search_space import Space, Variable
+from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.tuning.carry_out import GRADIENT
 
 _LOOKS = ("grid", GRADIENT, "baseline", "sobol", "equal cost", "random")  # by marker
@@ -14,7 +14,7 @@ _LOOKS = ("grid", GRADIENT, "baseline", "sobol", "equal cost", "random")  # by m
 
 def landscape(tuning: Tuning) -> list[Picture]:
     """The descents over what a search has seen, for the best combination of candidates."""
-    space = Space.of(tuning.study)
+    space = SearchSpace.of(tuning.study)
     number = tuning.found[tuning.best].best.candidate
     combination = space.combinations[number]
     used = space.used(combination)
@@ -40,7 +40,7 @@ def landscape(tuning: Tuning) -> list[Picture]:
     if len(space.combinations) > 1:
         chosen = ", ".join(f"{key} = {value_text(v)}" for key, v in combination.items())
         told += f". All with {chosen}, as the best candidate has"
-    figure = descent(seen, ways, spots, tuning.study.study.name)
+    figure = descent(seen, ways, spots, tuning.study.name)
     return [Picture("descent", f"{told}.", figure)]
 
 
@@ -81,7 +81,7 @@ def _spots(tuning: Tuning, number: int, used: list[int]) -> list[Spot]:
     ]
 
 
-def _baseline_spot(tuning: Tuning, space: Space, number: int) -> list[Spot]:
+def _baseline_spot(tuning: Tuning, space: SearchSpace, number: int) -> list[Spot]:
     """The baseline, where it is a point of the combination and lies in all ranges."""
     case = tuning.judged.cases[tuning.places["baseline"]]
     combination = space.combinations[number]
@@ -110,15 +110,15 @@ def course(tuning: Tuning) -> Picture:
         if not relaxed:
             cost = np.array([look.cost for look in found.looks])
             best = np.minimum.accumulate([look.objective for look in found.looks])
-            searches.append(Progress(name, cost, best, False, None))
+            searches.append(CostCurve(name, cost, best, False, None))
             continue
         steps = list(dict.fromkeys(look.step for look in relaxed))
         own = [[look for look in relaxed if look.step == step] for step in steps]
         cost = np.array([max(look.cost for look in looks) for looks in own])
         best = np.array([min(look.objective for look in looks) for looks in own])
-        searches.append(Progress(name, cost, best, True, (found.cost, found.best.objective)))
+        searches.append(CostCurve(name, cost, best, True, (found.cost, found.best.objective)))
     told = "Best objective on the tuning draws against cost (steps of simulation)"
     if any(one.relaxed for one in searches):
         told += "; dashed: the best of all descents at each step, relaxed, on the draws of the step"
-    figure = best_by_cost(searches, axis(tuning.study), tuning.study.study.name)
+    figure = best_by_cost(searches, axis(tuning.study), tuning.study.name)
     return Picture("history", f"{told}.", figure)

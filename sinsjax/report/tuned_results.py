@@ -12,8 +12,8 @@ from sinsjax.analysis import Estimate
 from sinsjax.analysis.estimates import bootstrap
 from sinsjax.report.base import Source
 from sinsjax.study.load import load_study
-from sinsjax.study.ranges import Tune
-from sinsjax.study.search_space import Space, Variable
+from sinsjax.study.ranges import TuneSection
+from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
 from sinsjax.study.success import as_of_schema_1, yardsticks
 from sinsjax.tuning import history, objective, search
@@ -42,17 +42,17 @@ class Tuning:
 
     @classmethod
     def of(cls, source: Source) -> "Tuning":
-        """Reads what is told of."""
+        """Read a completed tuning run."""
         study = load_study(source.directory / STUDY)
         if source.schema == "1":
             study = as_of_schema_1(study)
-        found = history.read(source.directory, Space.of(study))
+        found = history.read(source.directory, SearchSpace.of(study))
         return cls(
             study, source.study, source, {one.search.replace("_", " "): one for one in found}
         )
 
     @property
-    def tune(self) -> Tune:
+    def tune(self) -> TuneSection:
         """The section [tune]."""
         return require_tune(self.study)
 
@@ -71,7 +71,7 @@ class Tuning:
     @property
     def on_bounds(self) -> dict[str, list[tuple[Variable, float]]]:
         """By search, what its best point has at an end of its range, and the value there."""
-        space = Space.of(self.study)
+        space = SearchSpace.of(self.study)
         found = {}
         for name, search_ in self.found.items():
             best = search_.best

@@ -17,7 +17,7 @@ from sinsjax.errors import InputError
 from sinsjax.messages import explained, index, near, rule
 from sinsjax.study import sampling as draw_sampling
 from sinsjax.study import usual
-from sinsjax.study.distributions import NUMBERS, STARTS, Drawn, Law
+from sinsjax.study.distributions import INITIAL_KEYS, NUMBERS_DRAWN, Distribution, DrawnSection
 from sinsjax.study.study import (
     SECTION_OF,
     SECTIONS,
@@ -25,12 +25,12 @@ from sinsjax.study.study import (
     SWEEPABLE,
     Dimension,
     Study,
-    Table,
+    TomlTable,
     dimensions_of,
 )
 from sinsjax.value_types import Name
 
-_LAWS = tuple(Law.model_fields)
+_LAWS = tuple(Distribution.model_fields)
 _BLOCK = 2**19  # draws that are looked at together, which bounds the memory
 _MOST_LOOKED_AT = 2**22  # a second; with more of them, what a law could give counts
 _SIGMAS = 8.3  # the furthest of 2^52 points of a normal law
@@ -41,8 +41,8 @@ class Sweep(NamedTuple):
 
     axes: Dimension
     zips: dict[str, Dimension]
-    cases: tuple[Table, ...]
-    drawn: Drawn | None
+    cases: tuple[TomlTable, ...]
+    drawn: DrawnSection | None
 
     @property
     def where(self) -> dict[str, str]:
@@ -60,7 +60,7 @@ class Sweep(NamedTuple):
         return {value for dimension in dimensions for value in dimension.get(key, ())}
 
 
-def read(tables: Table) -> Sweep:
+def read(tables: TomlTable) -> Sweep:
     """The axes, zips, cases and drawn keys of a study.
 
     Args:
@@ -106,11 +106,11 @@ def check_draws(study: Study) -> None:
             for at in map(int, (rows.argmin(), rows.argmax())):
                 value = float(rows.flat[at])
                 if text := _wrong(key, value, unchecked):
-                    draw = first + at // NUMBERS[key]
+                    draw = first + at // NUMBERS_DRAWN[key]
                     raise InputError(f"[drawn] {key}: draw {draw} gives {value!r}: {text}")
 
 
-def _check_lists(study: Study, laws: Mapping[str, Law]) -> None:
+def _check_lists(study: Study, laws: Mapping[str, Distribution]) -> None:
     """Refuses lists of values, and a grid, that are longer than the draws."""
     there = f"{study.n_draws} {'start times' if study.is_recorded else 'draws'}"
     for key, law in laws.items():
@@ -128,7 +128,7 @@ def _reached(draws: int) -> float:
     return min(_SIGMAS, statistics.NormalDist().inv_cdf(1 - 1e-3 / draws))
 
 
-def _ends(law: Law, sigmas: float = _SIGMAS) -> tuple[float, ...]:
+def _ends(law: Distribution, sigmas: float = _SIGMAS) -> tuple[float, ...]:
     """The least and the greatest number that a law can give, a normal one within some sigmas."""
     if law.uniform:
         return law.uniform
@@ -168,7 +168,7 @@ def checked(value: Any, key: str, place: str) -> Any:
         raise InputError(f"{place}{index(first)}: {explained(first)}") from None
 
 
-def _axes(tables: Table) -> tuple[Dimension, dict[str, Dimension]]:
+def _axes(tables: TomlTable) -> tuple[Dimension, dict[str, Dimension]]:
     """The axes that stand alone, and the zips."""
     axes, zips = {}, {}
     for key, values in tables.get("axes", {}).items():
@@ -186,7 +186,7 @@ def _axes(tables: Table) -> tuple[Dimension, dict[str, Dimension]]:
     return axes, zips
 
 
-def _zip(tables: Table, name: str, keys: Mapping[str, Any]) -> Dimension:
+def _zip(tables: TomlTable, name: str, keys: Mapping[str, Any]) -> Dimension:
     """The axes of a table, which go together."""
     table = f"axes.{name}"
     if not keys:
@@ -210,7 +210,7 @@ def _axis(table: str, key: str, values: Any, recorded: bool) -> tuple[Any, ...]:
     return tuple(checked(value, key, f"[{table}] {key}[{i}]") for i, value in enumerate(values))
 
 
-def _cases(tables: Table, axes: set[str]) -> tuple[Table, ...]:
+def _cases(tables: TomlTable, axes: set[str]) -> tuple[TomlTable, ...]:
     """The cases, none of whose keys is an axis."""
     rows = tables.get("cases", ())
     if not isinstance(rows, tuple) or not all(isinstance(row, Mapping) for row in rows):
@@ -239,7 +239,7 @@ def _cases(tables: Table, axes: set[str]) -> tuple[Table, ...]:
     return cases
 
 
-def _drawn(tables: Table, taken: Mapping[str, str]) -> Drawn | None:
+def _drawn(tables: TomlTable, taken: Mapping[str, str]) -> DrawnSection | None:
     """How keys are drawn, none of which is given elsewhere."""
     if "drawn" not in tables:
         return None
@@ -254,12 +254,12 @@ def _drawn(tables: Table, taken: Mapping[str, str]) -> Drawn | None:
             raise InputError(f"[drawn] {key}: is in {taken[key]} already (drop one of them)")
         laws[key] = _law(key, law)
     try:
-        return Drawn.model_validate(sampling | laws)
+        return DrawnSection.model_validate(sampling | laws)
     except ValidationError as error:
         raise InputError(f"[drawn] sampling: {explained(error.errors()[0])}") from None
 
 
-def _law(key: str, table: Any) -> Law:
+def _law(key: str, table: Any) -> Distribution:
     """How a key is drawn, every entry of a list checked as the key."""
     if not isinstance(table, Mapping):
         example = f"{key} = {{ uniform = [0, 1] }}"
@@ -275,14 +275,14 @@ def _law(key: str, table: Any) -> Law:
     if value is None:
         raise InputError(f"{place}: None is no value")
     try:
-        law = Law.model_validate({name: value})
+        law = Distribution.model_validate({name: value})
     except ValidationError as error:
         first = error.errors()[0]
         raise InputError(f"{place}{index(first)}: {explained(first)}") from None
     if name not in ("values", "grid"):
         return law
     entries = tuple(checked(entry, key, f"{place}[{i}]") for i, entry in enumerate(value))
-    return Law.model_validate({name: entries})
+    return Distribution.model_validate({name: entries})
 
 
 def _check_sweepable(table: str, key: str, recorded: bool) -> None:
@@ -306,14 +306,14 @@ def _check_sweepable(table: str, key: str, recorded: bool) -> None:
 def _check_drawable(key: str, recorded: bool) -> None:
     section = SECTION_OF.get(key)
     if section is None:
-        reason = f"unknown key{near(key, NUMBERS)}"
-    elif key not in NUMBERS:
+        reason = f"unknown key{near(key, NUMBERS_DRAWN)}"
+    elif key not in NUMBERS_DRAWN:
         kinds = "latitude_deg, keys of [motion] and [sensors]"
-        reason = f"cannot be drawn (what can: {kinds}, {', '.join(STARTS)})"
+        reason = f"cannot be drawn (what can: {kinds}, {', '.join(INITIAL_KEYS)})"
     elif recorded and section in SIMULATED_ONLY:
         reason = f"has no place in a recorded study ([{section}] is the simulation's)"
-    elif recorded and key not in STARTS:
-        reason = f"cannot be drawn in a recorded study (what can: {', '.join(STARTS)})"
+    elif recorded and key not in INITIAL_KEYS:
+        reason = f"cannot be drawn in a recorded study (what can: {', '.join(INITIAL_KEYS)})"
     else:
         return
     raise InputError(f"[drawn] {key}: {reason}")

@@ -157,7 +157,7 @@ def _check_size(study: Study, where: Where) -> None:
 
 def _check_intervals(study: Study, where: Where) -> None:
     """Refuses times that are no whole number of samples, and a study shorter than a record."""
-    rate, record = study.study.rate_hz, study.study.record_interval_s
+    rate, record = study.rate_hz, study.study.record_interval_s
     _check_whole(study, where, "record_interval_s", record)
     for point in study.combinations("feedback_interval_s"):
         if point["feedback_interval_s"] is not None:
@@ -170,7 +170,7 @@ def _check_intervals(study: Study, where: Where) -> None:
         if taken.setdefault(round(start * rate), start) != start:
             _refuse("start_s", where, f"{start!r} s falls on the sample of another start time")
     if study.study.duration_s < record * (1 - ROUNDING):
-        duration = f"duration_s = {study.study.duration_s:.12g}"
+        duration = f"duration_s = {study.duration_s:.12g}"
         _refuse("record_interval_s", where, f"{record:.12g} s is longer than the study, {duration}")
 
 
@@ -183,7 +183,7 @@ def _check_methods(study: Study, where: Where) -> None:
 
 def _check_passes(study: Study, where: Where) -> None:
     """Refuses a tape that is no whole number of record intervals, or passes that do not fit."""
-    duration = study.study.duration_s * (1 + ROUNDING)
+    duration = study.duration_s * (1 + ROUNDING)
     for point in study.combinations("tape_s", "passes", "ending") if study.passes else ():
         tape, passes = point["tape_s"], point["passes"]
         if tape is None:
@@ -233,7 +233,7 @@ def _check_whole(study: Study, where: Where, key: str, time: float, *, least: in
 
     A record has the rate that it has: there the nearest number of samples is taken.
     """
-    rate, samples = study.study.rate_hz, time * study.study.rate_hz
+    rate, samples = study.rate_hz, time * study.rate_hz
     off = 0.0 if study.is_recorded else abs(samples - round(samples))
     if off > ROUNDING * samples or round(samples) < least:
         whole = {max(least, math.floor(samples)), max(least, math.ceil(samples))}
@@ -248,7 +248,7 @@ def _check_window(study: Study, where: Where) -> None:
 
     Runs that end before it have none; those of other lengths do.
     """
-    (start, end), every, rate = study.study.window_s, study.record_every, study.study.rate_hz
+    (start, end), every, rate = study.study.window_s, study.record_every, study.rate_hz
     longest = max(span.records for span in study.distinct_spans)
     last = min(longest, int(end * rate / every) + 1)
     # Compared as the engine does, rounding and all.
@@ -273,8 +273,8 @@ def _check_success(study: Study, where: Where) -> None:
 
 def _end(study: Study) -> str:
     """Where a study and its shortest run end, in words."""
-    text = f"duration_s = {study.study.duration_s:.12g}"
-    whole_s = study.study.duration_s - study.dropped_s
+    text = f"duration_s = {study.duration_s:.12g}"
+    whole_s = study.duration_s - study.dropped_s
     if study.dropped_s:
         text += f"; the last partial record interval, after {whole_s:.12g} s, is not run"
     if study.run_s < whole_s * (1 - ROUNDING):
@@ -286,7 +286,7 @@ def _check_times(
     study: Study, where: Where, times: tuple[float, ...], key: str = "reset_times_s"
 ) -> None:
     """Refuses resets at given times after the end, on the start, or two on one sample."""
-    rate = study.study.rate_hz
+    rate = study.rate_hz
     earlier, taken = 0.0, 0
     for time in times:
         if time > study.run_s * (1 + ROUNDING):
@@ -342,7 +342,7 @@ def _check_counted(
         _check_times(study, where, (first,), key="reset_first_s")
     if cycle is None or count <= alone:
         return
-    rate = study.study.rate_hz
+    rate = study.rate_hz
     begin, last = ("", count * cycle)
     if first is not None:
         begin, last = f" from {first:.12g} s", first + (count - 1) * cycle

@@ -7,54 +7,54 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field
 
-from sinsjax.study.schema import Motion, Sensors
-from sinsjax.value_types import Interval, Name, Normal, Positive, Section
+from sinsjax.study.schema import MotionSection, SensorsSection
+from sinsjax.value_types import IncreasingPair, Name, Normal, Positive, Section
 
-STARTS = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg", "ve0_m_per_s", "vn0_m_per_s")
+INITIAL_KEYS = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg", "ve0_m_per_s", "vn0_m_per_s")
 """The keys of [alignment] that may be drawn; in a recorded study no others may."""
 
-NUMBERS = {
+NUMBERS_DRAWN = {
     "latitude_deg": 1,
-    **dict.fromkeys(Motion.model_fields, 1),
-    **{key: 6 if "misalignment" in key else 3 for key in Sensors.model_fields},
-    **dict.fromkeys(STARTS, 1),
+    **dict.fromkeys(MotionSection.model_fields, 1),
+    **{key: 6 if "misalignment" in key else 3 for key in SensorsSection.model_fields},
+    **dict.fromkeys(INITIAL_KEYS, 1),
 }
 """Every key that may be drawn and its numbers a draw: one, or one for each axis of a vector."""
 
-Entries = Annotated[tuple[Any, ...], Field(min_length=1)]
+ListEntries = Annotated[tuple[Any, ...], Field(min_length=1)]
 
 
-class Law(Section):
+class Distribution(Section):
     """How the values of a key are drawn; exactly one of the fields is given.
 
     The entries of a list are values of the key: for a vector one number or one for each axis.
     """
 
-    uniform: Interval | None = Field(None, description="evenly between [low, high]")
+    uniform: IncreasingPair | None = Field(None, description="evenly between [low, high]")
     normal: Normal | None = Field(None, description="normally, with [mean, standard deviation]")
-    values: Entries | None = Field(None, description="one entry a draw, from the first again")
-    grid: Entries | None = Field(
+    values: ListEntries | None = Field(None, description="one entry a draw, from the first again")
+    grid: ListEntries | None = Field(
         None, description="one point a draw of the product of all grids, the last key fastest"
     )
 
 
-class Drawn(Section):
+class DrawnSection(Section):
     """[drawn]: one value a draw, common to all variants of the draw."""
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, Law] = Field(init=False)
+    __pydantic_extra__: dict[str, Distribution] = Field(init=False)
 
     sampling: Literal["random", "sobol"] = Field(
         "random", description="uniform and normal numbers: independent, or scrambled Sobol points"
     )
 
     @property
-    def laws(self) -> dict[str, Law]:
+    def laws(self) -> dict[str, Distribution]:
         """How every drawn key is drawn, in the order written."""
         return self.__pydantic_extra__
 
 
-class StopWhen(Section):
+class StopWhenSection(Section):
     """[stop_when]: drawing goes on until a statistic is known well in every variant."""
 
     statistic: Name = Field(

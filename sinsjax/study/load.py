@@ -29,7 +29,7 @@ from sinsjax.study.study import (
     SECTIONS,
     SIMULATED_ONLY,
     Study,
-    Table,
+    TomlTable,
     rivals,
 )
 
@@ -114,7 +114,7 @@ def load_study(path: str | Path) -> Study:
     return study_from_dict(data, str(path))
 
 
-def study_from_dict(data: Table, source: str = "study") -> Study:
+def study_from_dict(data: TomlTable, source: str = "study") -> Study:
     """Checks a study given as nested dictionaries, as a TOML parser returns it.
 
     Args:
@@ -135,7 +135,7 @@ def study_from_dict(data: Table, source: str = "study") -> Study:
     return study
 
 
-def tables_of(study: Study) -> Table:
+def tables_of(study: Study) -> TomlTable:
     """The resolved study as nested dictionaries: `study_from_dict` makes an equal study of them."""
     content = study.model_dump(exclude_none=True)
     for key in study.drawn_keys:
@@ -150,7 +150,7 @@ def study_to_toml(study: Study) -> str:
     return "# The resolved study: every value, defaults filled in.\n" + text
 
 
-def with_point(study: Study, point: Table) -> Study:
+def with_point(study: Study, point: TomlTable) -> Study:
     """A study with the values of some keys put in their places, and without [tune].
 
     Args:
@@ -161,7 +161,7 @@ def with_point(study: Study, point: Table) -> Study:
     Raises:
         InputError: that is no study.
     """
-    return study_from_dict(search_space.put(tables_of(study), point), study.study.name)
+    return study_from_dict(search_space.put(tables_of(study), point), study.name)
 
 
 def with_rate(study: Study, rate_hz: float) -> Study:
@@ -174,7 +174,7 @@ def with_rate(study: Study, rate_hz: float) -> Study:
         return study
     tables = tables_of(study)
     settings = tables["study"] | {"rate_hz": rate_hz}
-    return study_from_dict(tables | {"study": settings}, study.study.name)
+    return study_from_dict(tables | {"study": settings}, study.name)
 
 
 def fingerprint(study: Study) -> str:
@@ -201,7 +201,7 @@ def fingerprint(study: Study) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def _checked(data: Table, name: str) -> Study:
+def _checked(data: TomlTable, name: str) -> Study:
     """The study that tables make, but for what is between [tune] and the rest of it."""
     tables = _tables(_with_tuples(data))
     sweep = axes.read(tables)
@@ -222,9 +222,9 @@ def _check_tuning(study: Study) -> None:
     search_space.check(study)
     tables, baseline = tables_of(study), study.tune.baseline
 
-    def at(place: str, point: Table) -> Study:
+    def at(place: str, point: TomlTable) -> Study:
         try:
-            return _checked(search_space.put(tables, point), study.study.name)
+            return _checked(search_space.put(tables, point), study.name)
         except InputError as error:
             raise InputError(f"{place}: {error}") from None
 
@@ -241,7 +241,7 @@ def _with_tuples(value: Any) -> Any:
     return tuple(map(_with_tuples, value)) if isinstance(value, list | tuple) else value
 
 
-def _tables(data: Table) -> Table:
+def _tables(data: TomlTable) -> TomlTable:
     """The data, once every section and key in it is known."""
     names = (*SECTIONS, *_SWEEPS)
     for name, table in data.items():
@@ -295,7 +295,7 @@ def _check_densities(where: Where, readings: set[Any]) -> None:
             raise InputError(f"{where[key]} {key}: {text}")
 
 
-def _filled(tables: Table, sweep: axes.Sweep, where: Where, name: str) -> Table:
+def _filled(tables: TomlTable, sweep: axes.Sweep, where: Where, name: str) -> TomlTable:
     """The sections that apply, with the defaults that depend on other keys."""
     recorded = "record" in tables
     unused: tuple[str, ...] = SIMULATED_ONLY if recorded else ("record", "coarse")
@@ -330,7 +330,7 @@ def _filled(tables: Table, sweep: axes.Sweep, where: Where, name: str) -> Table:
     return sections | sweep._asdict()
 
 
-def _values_of(key: str, tables: Table, sweep: axes.Sweep) -> set[Any]:
+def _values_of(key: str, tables: TomlTable, sweep: axes.Sweep) -> set[Any]:
     """The values that a key takes over the variants, its section's default where none is given."""
     section = SECTION_OF[key]
     default = SECTIONS[section].model_fields[key].default
@@ -339,7 +339,7 @@ def _values_of(key: str, tables: Table, sweep: axes.Sweep) -> set[Any]:
     return sweep.values(key) or {given if isinstance(given, str) else default}
 
 
-def _validated(sections: Table) -> Study:
+def _validated(sections: TomlTable) -> Study:
     try:
         return Study.model_validate(sections)
     except ValidationError as error:

@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from sinsjax.study.distributions import Entries
-from sinsjax.value_types import Band, Count, Finite, Positive, Seconds, Section, misfit, unique
+from sinsjax.study.distributions import ListEntries
+from sinsjax.value_types import Band, Count, Finite, Positive, Seconds, Section, invalid, unique
 
 Some = Annotated[Count, Field(ge=1)]
 Searches = Annotated[
@@ -21,7 +21,7 @@ Searches = Annotated[
 class Range(Section):
     """What a variable may be: between two ends, or one value, or one of some.
 
-    Exactly one of these is given; ``scale`` goes with the ends.
+    Exactly one of these is given; ``scale`` requires low and high.
     """
 
     low: Finite | None = Field(None, description="least value")
@@ -30,7 +30,7 @@ class Range(Section):
         None, description="how it is gone through from low to high; default 'linear'"
     )
     fixed: Any = Field(None, description="the one value, which is not searched")
-    candidates: Entries | None = Field(None, description="values that are tried one by one")
+    candidates: ListEntries | None = Field(None, description="values that are tried one by one")
 
     @model_validator(mode="after")
     def _one_of_three(self) -> "Range":
@@ -38,15 +38,15 @@ class Range(Section):
         given = [name for name in names if getattr(self, name) is not None]
         if given not in (["low", "high"], ["fixed"], ["candidates"]):
             told = " and ".join(given) or "none"
-            raise misfit(f"needs low and high, or fixed, or candidates, not {told}")
+            raise invalid(f"needs low and high, or fixed, or candidates, not {told}")
         if self.low is None or self.high is None:
             if self.scale is not None:
-                raise misfit("goes with low and high only", key="scale")
+                raise invalid("goes with low and high only", key="scale")
             return self
         if not self.low < self.high:
-            raise misfit(f"must be above low = {self.low:.12g}, not {self.high:.12g}", key="high")
+            raise invalid(f"must be above low = {self.low:.12g}, not {self.high:.12g}", key="high")
         if self.scale == "log" and self.low <= 0:
-            raise misfit(f"'log' needs low > 0, not {self.low:.12g}", key="scale")
+            raise invalid(f"'log' needs low > 0, not {self.low:.12g}", key="scale")
         return self
 
     @property
@@ -55,7 +55,7 @@ class Range(Section):
         return self.low is not None
 
 
-class Tune(Section):
+class TuneSection(Section):
     """[tune]: an objective, the variables that it is tuned by, and how they are searched."""
 
     objective: Literal["settle_mean", "settle_quantile", "final_error", "failure_rate"] = Field(

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sinsjax.study.distributions import NUMBERS, Drawn, Law
+from sinsjax.study.distributions import NUMBERS_DRAWN, Distribution, DrawnSection
 from sinsjax.study.study import Study
 
 _SOBOL_BITS = 30  # 2^30 points, more than a study has draws
@@ -33,7 +33,7 @@ def values(study: Study, count: int, *, first: int = 0) -> dict[str, np.ndarray]
     """
     if study.drawn is None:
         return {}
-    laws, seed = study.drawn.laws, study.study.seed
+    laws, seed = study.drawn.laws, study.seed
     spread = [key for key, law in laws.items() if law.uniform or law.normal]
     points = (_sobol if study.drawn.sampling == "sobol" else _random)(spread, seed, first, count)
     draws = np.arange(first, first + count)
@@ -42,10 +42,10 @@ def values(study: Study, count: int, *, first: int = 0) -> dict[str, np.ndarray]
         key: entries[key] if key in entries else _spread(law, points[key])
         for key, law in laws.items()
     }
-    return {key: rows if NUMBERS[key] > 1 else rows[:, 0] for key, rows in drawn.items()}
+    return {key: rows if NUMBERS_DRAWN[key] > 1 else rows[:, 0] for key, rows in drawn.items()}
 
 
-def of_fewer(drawn: Drawn, count: int) -> dict[str, Any]:
+def of_fewer(drawn: DrawnSection, count: int) -> dict[str, Any]:
     """The table [drawn] of fewer draws, with the same values in each of them.
 
     Args:
@@ -71,9 +71,9 @@ def _random(keys: Iterable[str], seed: int, first: int, count: int) -> dict[str,
     for key in keys:
         # Raw words and not a Generator, whose methods numpy may change.
         bits = np.random.PCG64(np.random.SeedSequence(seed, spawn_key=tuple(key.encode())))
-        bits.advance(first * NUMBERS[key])
-        words = bits.random_raw(count * NUMBERS[key]) >> np.uint64(64 - _RANDOM_BITS)
-        points[key] = (words.reshape(count, NUMBERS[key]) + 0.5) * 2.0**-_RANDOM_BITS
+        bits.advance(first * NUMBERS_DRAWN[key])
+        words = bits.random_raw(count * NUMBERS_DRAWN[key]) >> np.uint64(64 - _RANDOM_BITS)
+        points[key] = (words.reshape(count, NUMBERS_DRAWN[key]) + 0.5) * 2.0**-_RANDOM_BITS
     return points
 
 
@@ -84,7 +84,7 @@ def _sobol(keys: list[str], seed: int, first: int, count: int) -> dict[str, np.n
     # A second or more, and few studies need it.
     from scipy.stats import qmc
 
-    numbers = [NUMBERS[key] for key in keys]
+    numbers = [NUMBERS_DRAWN[key] for key in keys]
     rng = np.random.Generator(np.random.PCG64(seed))
     engine = qmc.Sobol(sum(numbers), bits=_SOBOL_BITS, rng=rng)
     if first:
@@ -95,7 +95,7 @@ def _sobol(keys: list[str], seed: int, first: int, count: int) -> dict[str, np.n
     return dict(zip(keys, np.split(points, np.cumsum(numbers)[:-1], axis=1), strict=True))
 
 
-def _spread(law: Law, points: np.ndarray) -> np.ndarray:
+def _spread(law: Distribution, points: np.ndarray) -> np.ndarray:
     """Points in (0, 1), taken to a law's distribution."""
     if law.uniform:
         low, high = law.uniform
@@ -107,7 +107,7 @@ def _spread(law: Law, points: np.ndarray) -> np.ndarray:
     return mean + deviation * ndtri(points)
 
 
-def _cycled(laws: dict[str, Law], draws: np.ndarray) -> dict[str, np.ndarray]:
+def _cycled(laws: dict[str, Distribution], draws: np.ndarray) -> dict[str, np.ndarray]:
     """The entries of lists and grids in some draws, (draws, numbers) by key."""
     grids = {key: len(law.grid) for key, law in laws.items() if law.grid}
     fastest = math.prod(grids.values())
@@ -115,7 +115,7 @@ def _cycled(laws: dict[str, Law], draws: np.ndarray) -> dict[str, np.ndarray]:
     for key, law in laws.items():
         if not (listed := law.values or law.grid):
             continue
-        rows = np.stack([np.broadcast_to(np.asarray(v, float), NUMBERS[key]) for v in listed])
+        rows = np.stack([np.broadcast_to(np.asarray(v, float), NUMBERS_DRAWN[key]) for v in listed])
         steps = 1
         if law.grid:
             fastest //= len(rows)

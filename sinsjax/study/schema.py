@@ -24,6 +24,7 @@ from sinsjax.value_types import (
     GyroNoise,
     HalfTurn,
     Name,
+    NoisePerAxis,
     NonNegative,
     Period,
     Positive,
@@ -31,19 +32,18 @@ from sinsjax.value_types import (
     SecondsOrZero,
     Section,
     Share,
-    Spread,
     Starts,
     Triad,
     Usual,
     Vector,
-    misfit,
+    invalid,
 )
 
 GYRO_INCREMENTS = ("rad", "deg", "arcsec")
 ACCEL_INCREMENTS = ("m_per_s", "g_s", "ug_s")
 
 
-class Settings(Section):
+class StudySection(Section):
     """[study]: what all runs of a study share; never an axis."""
 
     name: Name = Field(description="the study's name; default: the file's stem")
@@ -103,10 +103,10 @@ class Settings(Section):
     )
 
     @model_validator(mode="after")
-    def _window_inside(self) -> "Settings":
+    def _window_inside(self) -> "StudySection":
         start, end = self.window_s
         if not start < end <= self.duration_s:
-            raise misfit(
+            raise invalid(
                 f"must be [a, b] with 0 <= a < b <= duration_s = {self.duration_s:g},"
                 f" not [{start:g}, {end:g}]",
                 key="window_s",
@@ -114,7 +114,7 @@ class Settings(Section):
         return self
 
 
-class Earth(Section):
+class EarthSection(Section):
     """[earth]: the model of gravity and of the earth's shape and turn."""
 
     earth: Literal["constants", "wgs84"] = Field("constants", description="earth model")
@@ -135,7 +135,7 @@ class Earth(Section):
     )
 
 
-class Motion(Section):
+class MotionSection(Section):
     """[motion]: angle(t) = center + amplitude sin(2 pi t / period + phase), each angle its own."""
 
     pitch_center_deg: Elevation = Field(0.0, description="mean pitch, deg")
@@ -154,16 +154,16 @@ class Motion(Section):
     yaw_phase_deg: Angle = Field(0.0, description="yaw phase, deg")
 
 
-class Sensors(Section):
+class SensorsSection(Section):
     """[sensors]: what the sensors do; a number for all three body axes or one number each."""
 
     gyro_bias_deg_per_h: Annotated[Vector, Usual(-1e5, 1e5)] = Field(
         0.0, description="gyro bias, deg/h"
     )
-    gyro_noise_deg_per_h: Annotated[Spread, Usual(0, 1e6)] | None = Field(
+    gyro_noise_deg_per_h: Annotated[NoisePerAxis, Usual(0, 1e6)] | None = Field(
         None, description="gyro white noise, standard deviation of a sample, deg/h"
     )
-    gyro_arw_deg_per_sqrt_h: Annotated[Spread, Usual(0, 1e4)] | None = Field(
+    gyro_arw_deg_per_sqrt_h: Annotated[NoisePerAxis, Usual(0, 1e4)] | None = Field(
         None, description="gyro angle random walk, deg/sqrt(h)"
     )
     gyro_scale_ppm: Annotated[Vector, Usual(-1e6, 1e6)] = Field(
@@ -175,10 +175,10 @@ class Sensors(Section):
     accel_bias_ug: Annotated[Vector, Usual(-1e6, 1e6)] = Field(
         0.0, description="accelerometer bias, ug"
     )
-    accel_noise_ug: Annotated[Spread, Usual(0, 1e7)] | None = Field(
+    accel_noise_ug: Annotated[NoisePerAxis, Usual(0, 1e7)] | None = Field(
         None, description="accelerometer white noise, standard deviation of a sample, ug"
     )
-    accel_vrw_ug_per_sqrt_hz: Annotated[Spread, Usual(0, 1e7)] | None = Field(
+    accel_vrw_ug_per_sqrt_hz: Annotated[NoisePerAxis, Usual(0, 1e7)] | None = Field(
         None, description="accelerometer velocity random walk, ug/sqrt(Hz)"
     )
     accel_scale_ppm: Annotated[Vector, Usual(-1e6, 1e6)] = Field(
@@ -189,7 +189,7 @@ class Sensors(Section):
     )
 
 
-class Record(Section):
+class RecordSection(Section):
     """[record]: how to read an IMU record, and where in it the draws start."""
 
     format: Literal["psins", "csv", "parquet"] = Field(description="file format")
@@ -237,38 +237,38 @@ class Record(Section):
     )
 
     @model_validator(mode="after")
-    def _columns_fit_format(self) -> "Record":
+    def _columns_fit_format(self) -> "RecordSection":
         self._check_times()
         layout = ("quantity", "gyro_columns", "accel_columns", "gyro_unit", "accel_unit")
         if self.format == "psins":
             for key in (*layout, "time_column", "max_gap_s"):
                 if getattr(self, key) is not None:
-                    raise misfit("has no place with format 'psins', which fixes it", key=key)
+                    raise invalid("has no place with format 'psins', which fixes it", key=key)
             return self
         for key in layout:
             if getattr(self, key) is None:
-                raise misfit(f"required with format '{self.format}'", key=key)
+                raise invalid(f"required with format '{self.format}'", key=key)
         columns = (*(self.gyro_columns or ()), *(self.accel_columns or ()))
         if len({*columns, self.time_column}) < len(columns) + 1:
-            raise misfit("names a column twice, or one of the gyro or time", key="accel_columns")
+            raise invalid("names a column twice, or one of the gyro or time", key="accel_columns")
         for key, increments in (("gyro_unit", GYRO_INCREMENTS), ("accel_unit", ACCEL_INCREMENTS)):
             unit = getattr(self, key)
             if (unit in increments) != (self.quantity == "increments"):
-                raise misfit(f"'{unit}' is no unit of {self.quantity}", key=key)
+                raise invalid(f"'{unit}' is no unit of {self.quantity}", key=key)
         return self
 
     def _check_times(self) -> None:
         if self.time_unit is not None and self.time_column is None:
-            raise misfit("has no place without a time_column", key="time_unit")
+            raise invalid("has no place without a time_column", key="time_unit")
         begin, end = self.from_s or 0.0, self.to_s
         if end is not None and end <= begin:
-            raise misfit(f"must be after from_s = {begin:g}, not {end:g}", key="to_s")
+            raise invalid(f"must be after from_s = {begin:g}, not {end:g}", key="to_s")
         if min(self.start_s) < begin:
             text = f"{min(self.start_s):g} s lies before from_s = {begin:g}"
-            raise misfit(text, key="start_s")
+            raise invalid(text, key="start_s")
 
 
-class Report(Section):
+class ReportSection(Section):
     """[report]: the shape of the report."""
 
     layout: Literal[
@@ -288,7 +288,7 @@ class Report(Section):
     ] = Field("auto", description="page layout")
 
 
-class Statements(Section):
+class StatementsSection(Section):
     """[statements]: the numbers behind the words of a report's statements."""
 
     converges_share: Share = Field(0.95, description="'converges': at least this share of runs")

@@ -15,7 +15,7 @@ from sinsjax.errors import InputError
 from sinsjax.study import success
 from sinsjax.study.ignored import UNREAD_BESIDE
 from sinsjax.study.ranges import Range
-from sinsjax.study.study import SECTION_OF, Study, Table, rivals
+from sinsjax.study.study import SECTION_OF, Study, TomlTable, rivals
 from sinsjax.study.tuned_keys import COUNT, TIMES, TUNABLE, Ranges
 
 GRID_MOST = 2
@@ -71,7 +71,7 @@ class Variable(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Space:
+class SearchSpace:
     """All points that a tuning may look at.
 
     Attributes:
@@ -85,12 +85,12 @@ class Space:
 
     ranges: Ranges
     variables: tuple[Variable, ...]
-    combinations: tuple[Table, ...]
+    combinations: tuple[TomlTable, ...]
     rate_hz: float
     record_interval_s: float
 
     @classmethod
-    def of(cls, study: Study) -> "Space":
+    def of(cls, study: Study) -> "SearchSpace":
         """The space of a study with [tune]."""
         assert study.tune is not None
         ranges = study.tune.variables
@@ -107,7 +107,7 @@ class Space:
             ranges, _free(ranges), combinations, settings.rate_hz, settings.record_interval_s
         )
 
-    def used(self, combination: Table) -> list[int]:
+    def used(self, combination: TomlTable) -> list[int]:
         """Numbers of the variables that a combination leaves something to do."""
         count = combination.get(COUNT, math.inf)
         return [
@@ -124,7 +124,7 @@ class Space:
         """The box point of some values, the inverse of `values`."""
         return [v.place(value) for v, value in zip(self.variables, values, strict=True)]
 
-    def point(self, values: Sequence[float], combination: Table) -> Table:
+    def point(self, values: Sequence[float], combination: TomlTable) -> TomlTable:
         """The keys that values and a combination come to.
 
         Times are whole numbers of samples and ascend. Resets on one sample are one.
@@ -133,7 +133,7 @@ class Space:
             min(max(float(value), v.low), v.high)
             for v, value in zip(self.variables, values, strict=True)
         )
-        out: Table = {}
+        out: TomlTable = {}
         for key, kind in self.ranges.items():
             if isinstance(kind, Range):
                 out[key] = next(numbers) if kind.is_free else combination[key]
@@ -187,7 +187,7 @@ def check(study: Study) -> None:
         _refuse(
             "[tune] objective_band_arcmin", f"{text} (settle_bands_arcmin, and that of success)"
         )
-    space = Space.of(study)
+    space = SearchSpace.of(study)
     most = max(len(space.used(combination)) for combination in space.combinations)
     if "grid" in tune.searches and most > GRID_MOST:
         text = f"'grid' takes up to {GRID_MOST} variables at a time, here are {most}"
@@ -200,9 +200,9 @@ def _refuse(place: str, text: str) -> NoReturn:
     raise InputError(f"{place}: {text}")
 
 
-def corners(study: Study) -> Iterator[tuple[str, Table]]:
+def corners(study: Study) -> Iterator[tuple[str, TomlTable]]:
     """The points at which all ranges are at one of their ends, and what to call them."""
-    space = Space.of(study)
+    space = SearchSpace.of(study)
     ends = {"low": 0.0, "high": 1.0} if space.variables else {}
     for combination in space.combinations:
         for name, place in ends.items():
@@ -212,7 +212,7 @@ def corners(study: Study) -> Iterator[tuple[str, Table]]:
             yield "with these values", space.point([], combination)
 
 
-def told(study: Study, keys: Iterable[str]) -> Table:
+def told(study: Study, keys: Iterable[str]) -> TomlTable:
     """The values that keys have in a study, none of them swept or drawn; None where it has none.
 
     What a key that is left out stands for is told too, and ``reset_times_s`` of counted resets.
@@ -229,7 +229,7 @@ def told(study: Study, keys: Iterable[str]) -> Table:
     return out
 
 
-def comparable(study: Study, based: Study, points: Mapping[str, Table]) -> dict[str, Table]:
+def comparable(study: Study, based: Study, points: Mapping[str, TomlTable]) -> dict[str, TomlTable]:
     """Points and the baseline, each with the same keys, so that they can be cases of one study.
 
     Args:
@@ -254,7 +254,7 @@ def comparable(study: Study, based: Study, points: Mapping[str, Table]) -> dict[
     return out | {name: own | point for name, point in points.items()}
 
 
-def cleared(tables: Table, keys: Sequence[str]) -> Table:
+def cleared(tables: TomlTable, keys: Sequence[str]) -> TomlTable:
     """A study's tables without some keys and what says them in another way, and without [tune]."""
     gone = {*keys, *(other for key in keys for other in rivals(key))}
     gone |= {UNREAD_BESIDE[key] for key in keys if key in UNREAD_BESIDE} - {*keys}
@@ -267,7 +267,7 @@ def cleared(tables: Table, keys: Sequence[str]) -> Table:
     }
 
 
-def put(tables: Table, point: Table) -> Table:
+def put(tables: TomlTable, point: TomlTable) -> TomlTable:
     """A study's tables with the keys of a point in their sections, and without [tune]."""
     out = cleared(tables, list(point))
     for key, value in point.items():

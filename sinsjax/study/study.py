@@ -10,30 +10,38 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict
 
-from sinsjax.alignment.compass.section import Compass
-from sinsjax.alignment.sections import Alignment, Coarse, Passes
-from sinsjax.alignment.zero_velocity.section import Filter, Resets
-from sinsjax.study.distributions import Drawn, StopWhen
-from sinsjax.study.ranges import Tune
-from sinsjax.study.schema import Earth, Motion, Record, Report, Sensors, Settings, Statements
+from sinsjax.alignment.compass.section import CompassSection
+from sinsjax.alignment.sections import AlignmentSection, CoarseSection, PassesSection
+from sinsjax.alignment.zero_velocity.section import FilterSection, ResetsSection
+from sinsjax.study.distributions import DrawnSection, StopWhenSection
+from sinsjax.study.ranges import TuneSection
+from sinsjax.study.schema import (
+    EarthSection,
+    MotionSection,
+    RecordSection,
+    ReportSection,
+    SensorsSection,
+    StatementsSection,
+    StudySection,
+)
 from sinsjax.value_types import Section
 
 SECTIONS: dict[str, type[Section]] = {
-    "study": Settings,
-    "earth": Earth,
-    "motion": Motion,
-    "sensors": Sensors,
-    "alignment": Alignment,
-    "filter": Filter,
-    "resets": Resets,
-    "compass": Compass,
-    "passes": Passes,
-    "record": Record,
-    "coarse": Coarse,
-    "stop_when": StopWhen,
-    "tune": Tune,
-    "report": Report,
-    "statements": Statements,
+    "study": StudySection,
+    "earth": EarthSection,
+    "motion": MotionSection,
+    "sensors": SensorsSection,
+    "alignment": AlignmentSection,
+    "filter": FilterSection,
+    "resets": ResetsSection,
+    "compass": CompassSection,
+    "passes": PassesSection,
+    "record": RecordSection,
+    "coarse": CoarseSection,
+    "stop_when": StopWhenSection,
+    "tune": TuneSection,
+    "report": ReportSection,
+    "statements": StatementsSection,
 }
 """Every section of leaf keys by its name in the file."""
 
@@ -53,7 +61,7 @@ SIMULATED_ONLY = ("motion", "sensors", "stop_when")
 """The sections that have no place in a recorded study."""
 
 SECTION_OF = {key: name for name, model in SECTIONS.items() for key in model.model_fields} | {
-    key: "sensors" for key in Sensors.model_fields
+    key: "sensors" for key in SensorsSection.model_fields
 }
 """The section of every leaf key; two of [record]'s, on what sensors may do, are [sensors]'s too."""
 
@@ -100,7 +108,7 @@ ROUNDING = 1e-9
 """Relative; how far a product of two decimal numbers may be off."""
 
 
-Table = dict[str, Any]
+TomlTable = dict[str, Any]
 Dimension = dict[str, tuple[Any, ...]]
 
 
@@ -117,7 +125,7 @@ def rivals(key: str) -> set[str]:
 
 
 def dimensions_of(
-    cases: Sequence[Table], zips: Iterable[Dimension], axes: Dimension
+    cases: Sequence[TomlTable], zips: Iterable[Dimension], axes: Dimension
 ) -> list[Dimension]:
     """What a sweep is the product of: values by key, those of one dimension going together.
 
@@ -184,25 +192,45 @@ class Study(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
-    study: Settings
-    earth: Earth
-    motion: Motion | None = None
-    sensors: Sensors | None = None
-    alignment: Alignment
-    filter: Filter | None = None
-    resets: Resets | None = None
-    compass: Compass | None = None
-    passes: Passes | None = None
-    record: Record | None = None
-    coarse: Coarse | None = None
-    drawn: Drawn | None = None
-    stop_when: StopWhen | None = None
-    tune: Tune | None = None
-    report: Report
-    statements: Statements
+    study: StudySection
+    earth: EarthSection
+    motion: MotionSection | None = None
+    sensors: SensorsSection | None = None
+    alignment: AlignmentSection
+    filter: FilterSection | None = None
+    resets: ResetsSection | None = None
+    compass: CompassSection | None = None
+    passes: PassesSection | None = None
+    record: RecordSection | None = None
+    coarse: CoarseSection | None = None
+    drawn: DrawnSection | None = None
+    stop_when: StopWhenSection | None = None
+    tune: TuneSection | None = None
+    report: ReportSection
+    statements: StatementsSection
     axes: Dimension
     zips: dict[str, Dimension] = {}
-    cases: tuple[Table, ...]
+    cases: tuple[TomlTable, ...]
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return self.study.name
+
+    @property
+    def rate_hz(self) -> float:
+        """Sample rate, Hz; None until the record of a recorded study is read."""
+        return self.study.rate_hz
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the fine alignment, s."""
+        return self.study.duration_s
+
+    @property
+    def seed(self) -> int:
+        """Of all that is drawn."""
+        return self.study.seed
 
     @property
     def is_recorded(self) -> bool:
@@ -227,12 +255,12 @@ class Study(BaseModel):
     @property
     def record_every(self) -> int:
         """Samples in a record interval."""
-        return round(self.study.record_interval_s * self.study.rate_hz)
+        return round(self.study.record_interval_s * self.rate_hz)
 
     @property
     def records(self) -> int:
         """Whole record intervals in the duration; a last partial one is not run."""
-        samples = self.study.duration_s * self.study.rate_hz
+        samples = self.duration_s * self.rate_hz
         return math.floor(samples * (1 + ROUNDING)) // self.record_every
 
     @property
@@ -254,7 +282,7 @@ class Study(BaseModel):
         """How long a variant with some values of `PASS_KEYS` runs."""
         if tape_s is None:
             return Span(self.records, self.records)
-        tape = max(1, round(tape_s * self.study.rate_hz / self.record_every))
+        tape = max(1, round(tape_s * self.rate_hz / self.record_every))
         if passes is None:
             whole = self.records // tape
             passes = whole - (whole + 1) % 2 if ending == "forward" else None
@@ -268,8 +296,8 @@ class Study(BaseModel):
     @property
     def dropped_s(self) -> float:
         """Length of the last partial record interval, which is not run, s."""
-        left = self.study.duration_s - self.records * self.record_every / self.study.rate_hz
-        return left if left > ROUNDING * self.study.duration_s else 0.0
+        left = self.duration_s - self.records * self.record_every / self.rate_hz
+        return left if left > ROUNDING * self.duration_s else 0.0
 
     @property
     def has_trigger(self) -> bool:

@@ -7,12 +7,12 @@ from sinsjax.study.study import Span, Study
 
 def spans_s(study: Study) -> np.ndarray:
     """(variants, 2) lengths of every variant's run and of a pass over its tape, s."""
-    return np.array(study.spans) * study.record_every / study.study.rate_hz
+    return np.array(study.spans) * study.record_every / study.rate_hz
 
 
 def update_times(study: Study, span: Span) -> np.ndarray:
     """(records,) update times of a run's records from the start of fine alignment, s."""
-    return np.arange(1, span.records + 1) * study.record_every / study.study.rate_hz
+    return np.arange(1, span.records + 1) * study.record_every / study.rate_hz
 
 
 def tape_times(study: Study, span: Span) -> np.ndarray:
@@ -20,7 +20,7 @@ def tape_times(study: Study, span: Span) -> np.ndarray:
     ended = np.arange(span.records)
     place = ended % span.tape + 1
     place = np.where(pass_numbers(span) % 2 == 1, place, span.tape - place)
-    return place * study.record_every / study.study.rate_hz
+    return place * study.record_every / study.rate_hz
 
 
 def pass_numbers(span: Span) -> np.ndarray:

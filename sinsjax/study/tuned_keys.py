@@ -14,7 +14,7 @@ from sinsjax.errors import InputError
 from sinsjax.messages import explained, index, near
 from sinsjax.study.axes import checked
 from sinsjax.study.ranges import Range
-from sinsjax.study.study import SECTION_OF, SECTIONS, Table, rivals
+from sinsjax.study.study import SECTION_OF, SECTIONS, TomlTable, rivals
 
 TUNABLE = ("alignment", "filter", "resets", "compass", "passes")
 """The sections whose keys may be tuned."""
@@ -30,7 +30,7 @@ _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 Ranges = dict[str, Range | tuple[Range, ...]]
 
 
-def read(table: Table, swept: Mapping[str, str], *, recorded: bool) -> Table:
+def read(table: TomlTable, swept: Mapping[str, str], *, recorded: bool) -> TomlTable:
     """The section [tune] with its ranges and values checked, and the draws it leaves out.
 
     Args:
@@ -64,7 +64,7 @@ def read(table: Table, swept: Mapping[str, str], *, recorded: bool) -> Table:
     return table
 
 
-def _ranges(table: Table, swept: Mapping[str, str]) -> Ranges:
+def _ranges(table: TomlTable, swept: Mapping[str, str]) -> Ranges:
     if not table:
         raise InputError(f"{_TABLE}: names no key to tune")
     _check_keys(table, swept, _TABLE)
@@ -82,7 +82,7 @@ def _ranges(table: Table, swept: Mapping[str, str]) -> Ranges:
     return ranges
 
 
-def _check_keys(table: Table, swept: Mapping[str, str], place: str) -> None:
+def _check_keys(table: TomlTable, swept: Mapping[str, str], place: str) -> None:
     """Refuses keys that are none, that cannot be tuned, or that the study varies itself."""
     for key in table:
         section = SECTION_OF.get(key)

@@ -104,7 +104,7 @@ def _first(parts: Iterable[Any]) -> Usual | None:
 def _check_feedback(study: Study, where: Mapping[str, str]) -> None:
     """Asks about a feedback that no run ever comes to."""
     longest = max(span.records for span in study.distinct_spans) * study.record_every
-    run_s = longest / study.study.rate_hz
+    run_s = longest / study.rate_hz
     for point in study.combinations(_FEEDBACK):
         interval = point[_FEEDBACK]
         if interval is not None and interval > max(run_s, _LEAST_S) * (1 + ROUNDING):

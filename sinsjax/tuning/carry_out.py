@@ -14,17 +14,17 @@ from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import belongings, forecast
 from sinsjax.execution import resume as resuming
 from sinsjax.execution.parts import MANIFEST
-from sinsjax.execution.run import Progress, Tell
+from sinsjax.execution.run import RunProgress, Tell
 from sinsjax.platform.files import replacing, unwritable
-from sinsjax.records.reference import Tape
+from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import fingerprint, load_study, study_to_toml, with_point, with_rate
-from sinsjax.study.ranges import Tune
-from sinsjax.study.search_space import Space, comparable
-from sinsjax.study.study import Study, Table
+from sinsjax.study.ranges import TuneSection
+from sinsjax.study.search_space import SearchSpace, comparable
+from sinsjax.study.study import Study, TomlTable
 from sinsjax.tuning import history, search
 from sinsjax.tuning.history import Found
 from sinsjax.tuning.relaxation import Relaxation
-from sinsjax.tuning.search import Session
+from sinsjax.tuning.search import SearchSession
 
 STUDY, TUNED, EVALUATION = "study.toml", "tuned.toml", "evaluation"
 GRADIENT, EQUAL_COST = "gradient", "equal_cost"
@@ -36,7 +36,7 @@ Watch = Callable[[str], AbstractContextManager[Tell | None]]
 def tune(
     study: Study,
     directory: str | Path,
-    tape: Tape | None = None,
+    tape: StoredRecord | None = None,
     *,
     overwrite: bool = False,
     resume: bool = False,
@@ -71,8 +71,8 @@ def tune(
         study = with_rate(study, tape.record.rate_hz)
     if tape is not None and tape.reference is None:
         text = "a record is tuned by a reference (give it with --reference)"
-        raise InputError(f"{study.study.name}: [tune]: {text}")
-    space = Space.of(study)
+        raise InputError(f"{study.name}: [tune]: {text}")
+    space = SearchSpace.of(study)
     check_free(directory, overwrite=overwrite or resume)
     if study.study.rate_hz:
         expected = forecast.of_tuning(study)
@@ -80,7 +80,7 @@ def tune(
     if GRADIENT in settings.searches:
         for combination in space.combinations:
             Relaxation(study, space, combination)  # refuses what has no gradient, before any run
-    session = Session(
+    session = SearchSession(
         directory,
         tape,
         overwrite,
@@ -98,7 +98,7 @@ def tune(
         lock.release()
 
 
-def _carry_out(study: Study, space: Space, session: Session) -> None:
+def _carry_out(study: Study, space: SearchSpace, session: SearchSession) -> None:
     directory = session.directory
     known = _begin(study, space, session)
     found: list[Found] = []
@@ -108,7 +108,7 @@ def _carry_out(study: Study, space: Space, session: Session) -> None:
         if name == GRADIENT:
             counts = _counts(study, space, found[-1].cost)
             design = search.sobol(space, counts, search.seed_of(study, EQUAL_COST))
-            found.append(search.look(study, EQUAL_COST, design, session))
+            found.append(search.evaluate(study, EQUAL_COST, design, session))
             history.write(directory, space, found)
     _judge(study, space, found, session)
     best = min(found, key=lambda one: one.best.objective)
@@ -117,14 +117,14 @@ def _carry_out(study: Study, space: Space, session: Session) -> None:
         file.write(tuned.encode())
 
 
-def require_tune(study: Study) -> Tune:
+def require_tune(study: Study) -> TuneSection:
     """The section [tune] of a study.
 
     Raises:
         InputError: it has none.
     """
     if study.tune is None:
-        raise InputError(f"{study.study.name}: has no [tune] section that says what to tune")
+        raise InputError(f"{study.name}: has no [tune] section that says what to tune")
     return study.tune
 
 
@@ -154,7 +154,7 @@ def is_tuning(directory: Path) -> bool:
         return False
 
 
-def _begin(study: Study, space: Space, session: Session) -> list[Found]:
+def _begin(study: Study, space: SearchSpace, session: SearchSession) -> list[Found]:
     """Makes a directory ready; gives the searches that it is gone on with."""
     directory, known = session.directory, []
     try:
@@ -185,7 +185,7 @@ def _check_same(there: Study, here: Study, directory: Path) -> None:
 
 
 def _search(
-    study: Study, space: Space, name: str, session: Session, known: Sequence[Found]
+    study: Study, space: SearchSpace, name: str, session: SearchSession, known: Sequence[Found]
 ) -> Found:
     """What one search finds."""
     settings = require_tune(study)
@@ -193,20 +193,20 @@ def _search(
         done = [one for one in known if one.search == GRADIENT]
         return done[0] if done else _gradient(study, session)
     if name == "grid":
-        return search.look(study, name, search.grid(space, settings.grid_points), session)
+        return search.evaluate(study, name, search.grid(space, settings.grid_points), session)
     draw = {"sobol": search.sobol, "random": search.random}[name]
     count = {"sobol": settings.sobol_points, "random": settings.random_points}[name]
     design = draw(space, [count] * len(space.combinations), search.seed_of(study, name))
-    return search.look(study, name, design, session)
+    return search.evaluate(study, name, design, session)
 
 
-def _gradient(study: Study, session: Session) -> Found:
+def _gradient(study: Study, session: SearchSession) -> Found:
     # Optax takes a while to import, and only this search needs it.
     from sinsjax.tuning import descent
 
     with session.watch(GRADIENT) as tell:
 
-        def told(progress: Progress) -> None:
+        def told(progress: RunProgress) -> None:
             if session.stop.is_set():
                 raise StudyInterrupted(f"what was complete before is in {session.directory}")
             if tell is not None:
@@ -215,21 +215,23 @@ def _gradient(study: Study, session: Session) -> Found:
         return descent.descend(study, session.tape, tell=told)
 
 
-def _counts(study: Study, space: Space, cost: int) -> list[int]:
+def _counts(study: Study, space: SearchSpace, cost: int) -> list[int]:
     """Points of a search that costs as much as another one, shared out over the combinations."""
     point = space.point(space.values([0.5] * len(space.variables)), space.combinations[0])
-    each = search.cost(search.derive(study, {"one": point}, name=study.study.name))
+    each = search.cost(search.derive(study, {"one": point}, name=study.name))
     count = len(space.combinations)
     points = max(count, round(cost / each))
     return [points // count + (number < points % count) for number in range(count)]
 
 
-def _judge(study: Study, space: Space, found: Sequence[Found], session: Session) -> None:
+def _judge(
+    study: Study, space: SearchSpace, found: Sequence[Found], session: SearchSession
+) -> None:
     """Runs all that was found, and the baseline, on draws that tuned nothing."""
     baseline = with_point(study, require_tune(study).baseline)
     points = {one.search.replace("_", " "): one.point(space) for one in found}
-    cases: dict[tuple[object, ...], tuple[list[str], Table]] = {}
+    cases: dict[tuple[object, ...], tuple[list[str], TomlTable]] = {}
     for name, point in comparable(study, baseline, points).items():
         cases.setdefault(tuple(point.values()), ([], point))[0].append(name)
     judged = {", ".join(names): point for names, point in cases.values()}
-    session.run(search.derive(study, judged, name=study.study.name, judging=True), EVALUATION)
+    session.run(search.derive(study, judged, name=study.name, judging=True), EVALUATION)

@@ -20,17 +20,17 @@ from sinsjax.engine import batch
 from sinsjax.engine import tile as tile_layout
 from sinsjax.engine.batch import Plan
 from sinsjax.engine.build import Scenario
-from sinsjax.engine.realisations import World
+from sinsjax.engine.realisations import Environment
 from sinsjax.engine.tile import Group, Tiles
 from sinsjax.execution import run
-from sinsjax.execution.run import Progress, Tell
-from sinsjax.records.reference import Tape
-from sinsjax.study.ranges import Tune
-from sinsjax.study.search_space import Space
+from sinsjax.execution.run import RunProgress, Tell
+from sinsjax.records.reference import StoredRecord
+from sinsjax.study.ranges import TuneSection
+from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_of
 from sinsjax.tuning import objective, search
-from sinsjax.tuning.history import Found, Look
+from sinsjax.tuning.history import Evaluation, Found
 from sinsjax.tuning.relaxation import Relaxation
 from sinsjax.types import Array, Count
 
@@ -96,7 +96,7 @@ class Slope:
     """
 
     def __init__(
-        self, study: Study, tape: Tape | None, number: int, *, starts: int, draws: int
+        self, study: Study, tape: StoredRecord | None, number: int, *, starts: int, draws: int
     ) -> None:
         """Prepare the runs.
 
@@ -111,11 +111,11 @@ class Slope:
             InputError: a variable without a gradient, or a record that does not fit.
         """
         assert study.tune is not None
-        space = Space.of(study)
+        space = SearchSpace.of(study)
         combination = space.combinations[number]
         self.used = space.used(combination)
         self._relaxation = Relaxation(study, space, combination)
-        derived = search.derive(study, {"base": self._relaxation.point}, name=study.study.name)
+        derived = search.derive(study, {"base": self._relaxation.point}, name=study.name)
         self._tune, self._starts = study.tune, starts
         self._truth = success_of(study).from_truth
         scenario = Scenario(derived, tape, curves=False)
@@ -123,7 +123,7 @@ class Slope:
         self.n_draws = len(groups[0].draws.draw_id)
         self.draws = min(draws, self.n_draws)
         self.run_steps = search.cost(derived) // self.n_draws
-        self._rate_hz = study.study.rate_hz
+        self._rate_hz = study.rate_hz
         self._fans = [self._fanned(group) for group in groups]
 
     @property
@@ -143,7 +143,7 @@ class Slope:
         Returns:
             (starts,) in the unit of the objective, and (starts, p).
         """
-        found = [self._runs(fan, box, draws, softness) for fan in self._fans]
+        found = [self._runs(batch_map, box, draws, softness) for batch_map in self._fans]
         runs, slopes = (np.concatenate(some, axis=1) for some in zip(*found, strict=True))
         score, by_run = map(np.asarray, objective.relaxed_score(self._tune, runs))
         return score, np.einsum("svd,svdp->sp", by_run, slopes)
@@ -152,8 +152,11 @@ class Slope:
         self, box: NDArray, draws: NDArray, softness: Softness
     ) -> list[jax.stages.Compiled]:
         """What a call with these arguments runs, compiled: one a group of runs."""
-        first = [(fan, self._arguments(fan, box, draws, softness)[0]) for fan in self._fans]
-        return [fan.program.lower(*arguments).compile() for fan, arguments in first]
+        first = [
+            (batch_map, self._arguments(batch_map, box, draws, softness)[0])
+            for batch_map in self._fans
+        ]
+        return [batch_map.program.lower(*arguments).compile() for batch_map, arguments in first]
 
     def _fanned(self, group: Group) -> "_Fan":
         """A group with lanes for each descent and variant."""
@@ -170,13 +173,13 @@ class Slope:
         return _Fan(group, plan, jax.jit(partial(self._tiles, group)))
 
     def _runs(
-        self, fan: "_Fan", box: NDArray, draws: NDArray, softness: Softness
+        self, batch_map: "_Fan", box: NDArray, draws: NDArray, softness: Softness
     ) -> tuple[NDArray, NDArray]:
         """Relaxed numbers of runs (starts, variants, draws), and their derivatives (..., p)."""
-        group, plan, program = fan
-        arguments = self._arguments(fan, box, draws, softness)
+        group, plan, program = batch_map
+        arguments = self._arguments(batch_map, box, draws, softness)
         program.lower(*arguments[0]).compile()  # or every thread would
-        calls = batch.spread(
+        calls = batch.in_threads(
             lambda one: jax.device_get(program(*one)), arguments, len(jax.devices())
         )
         _, variants = group.sizes
@@ -192,19 +195,22 @@ class Slope:
         return out[..., 0], out[..., 1:]
 
     def _arguments(
-        self, fan: "_Fan", box: NDArray, draws: NDArray, softness: Softness
+        self, batch_map: "_Fan", box: NDArray, draws: NDArray, softness: Softness
     ) -> list[tuple]:
         """Those of every call of a program."""
-        group = fan.group
+        group = batch_map.group
         some = jax.tree.map(lambda a: a[draws] if np.ndim(a) else a, group.draws)
         group = group._replace(draws=some, q=group.q[draws])
-        soft = group.world.criteria._replace(sharpness=np.float64(softness.sharpness))
-        world = group.world._replace(criteria=soft)
+        soft = group.environment.criteria._replace(sharpness=np.float64(softness.sharpness))
+        environment = group.environment._replace(criteria=soft)
         width = np.float64(softness.window_s * self._rate_hz)
-        return [(world, tile_layout.tiles_of(group, lanes), box, width) for lanes in fan.plan]
+        return [
+            (environment, tile_layout.tiles_of(group, lanes), box, width)
+            for lanes in batch_map.plan
+        ]
 
     def _tiles(
-        self, group: Group, world: World, tiles: Tiles, box: Array, width: Array
+        self, group: Group, environment: Environment, tiles: Tiles, box: Array, width: Array
     ) -> tuple[Array, Array]:
         """Numbers of the runs of some tiles, and their derivatives by the place of their start."""
         p = len(self.used)
@@ -217,14 +223,14 @@ class Slope:
             def of(box: Array) -> Array:
                 method = jax.vmap(one_lane, in_axes=(0, None))(tile.params.method, box)
                 lanes = tile._replace(params=tile.params._replace(method=method))
-                outcome, _ = tile_layout.run_tile(group.static, world, lanes)
+                outcome, _ = tile_layout.run_tile(group.static, environment, lanes)
                 return objective.relaxed_values(
-                    self._tune, world.criteria, outcome, truth=self._truth
+                    self._tune, environment.criteria, outcome, truth=self._truth
                 )
 
             return sensitivities(of, box, directions)
 
-        return jax.lax.map(tile_layout.over_sets(group.static, one_tile, tiles), tiles)
+        return jax.lax.map(tile_layout.over_stacked_tiles(group.static, one_tile, tiles), tiles)
 
 
 class _Fan(NamedTuple):
@@ -235,7 +241,7 @@ class _Fan(NamedTuple):
     program: Any
 
 
-def descend(study: Study, tape: Tape | None = None, *, tell: Tell | None = None) -> Found:
+def descend(study: Study, tape: StoredRecord | None = None, *, tell: Tell | None = None) -> Found:
     """Tune a study by gradient, for every combination of its candidates.
 
     Args:
@@ -250,8 +256,8 @@ def descend(study: Study, tape: Tape | None = None, *, tell: Tell | None = None)
     Raises:
         InputError: a variable without a gradient, or a record that does not fit.
     """
-    looks: list[Look] = []
-    for number in range(len(Space.of(study).combinations)):
+    looks: list[Evaluation] = []
+    for number in range(len(SearchSpace.of(study).combinations)):
         looks += _Descents(study, tape, number, looks[-1].cost if looks else 0).looks(tell)
     return Found(NAME, looks)
 
@@ -259,12 +265,12 @@ def descend(study: Study, tape: Tape | None = None, *, tell: Tell | None = None)
 class _Descents:
     """The descents of one combination of candidates."""
 
-    def __init__(self, study: Study, tape: Tape | None, number: int, cost: int) -> None:
+    def __init__(self, study: Study, tape: StoredRecord | None, number: int, cost: int) -> None:
         assert study.tune is not None
         self._study, self._tape, self._number, self._cost = study, tape, number, cost
-        self._tune, self._space = study.tune, Space.of(study)
+        self._tune, self._space = study.tune, SearchSpace.of(study)
 
-    def looks(self, tell: Tell | None) -> list[Look]:
+    def looks(self, tell: Tell | None) -> list[Evaluation]:
         """All that is looked at, in its order."""
         tune, steps = self._tune, self._tune.descent_steps
         if not self._space.used(self._space.combinations[self._number]):
@@ -279,21 +285,21 @@ class _Descents:
         box = self._begin(slope)
         adam = optax.adam(optax.cosine_decay_schedule(tune.descent_rate, steps, alpha=0.1))
         state = adam.init(box)
-        looks: list[Look] = []
+        looks: list[Evaluation] = []
         for step in range(steps):
             draws = (step * slope.draws + np.arange(slope.draws)) % slope.n_draws
             softness = _softness(tune, step)
             score, gradient = slope(box, draws, softness)
             self._cost += slope.cost
             looks += [
-                Look(step, self._number, values, float(one), self._cost, start, *softness)
+                Evaluation(step, self._number, values, float(one), self._cost, start, *softness)
                 for start, (values, one) in enumerate(
                     zip(self._values(box, slope.used), score, strict=True)
                 )
             ]
             if tell is not None:
                 done, total = ((n * tune.descent_starts * slope.draws) for n in (step + 1, steps))
-                tell(Progress(done, total, 0, 0))
+                tell(RunProgress(done, total, 0, 0))
             moves, state = adam.update(np.nan_to_num(gradient, posinf=0.0, neginf=0.0), state)
             box = np.asarray(optax.projections.projection_box(box + moves, 0.0, 1.0))
         return [*looks, *self._scored(box, slope.used)]
@@ -309,13 +315,13 @@ class _Descents:
         scores = self._hard(self._values(box, slope.used), slope.draws)
         return box[np.argsort(scores, kind="stable")[: self._tune.descent_starts]]
 
-    def _scored(self, box: NDArray, used: Sequence[int]) -> list[Look]:
+    def _scored(self, box: NDArray, used: Sequence[int]) -> list[Evaluation]:
         """The ends of the descents on all tuning draws."""
         values = self._values(box, used)
         scores = self._hard(values, None)
         step = self._tune.descent_steps
         return [
-            Look(step, self._number, own, float(score), self._cost, start)
+            Evaluation(step, self._number, own, float(score), self._cost, start)
             for start, (own, score) in enumerate(zip(values, scores, strict=True))
         ]
 
@@ -341,7 +347,7 @@ class _Descents:
         return np.array(scores)
 
 
-def _softness(tune: Tune, step: int) -> Softness:
+def _softness(tune: TuneSection, step: int) -> Softness:
     """How far a step is relaxed: from the first to the last geometrically."""
     way = step / max(tune.descent_steps - 1, 1)
     ends = (tune.relaxed_window_s, tune.relaxed_sharpness)

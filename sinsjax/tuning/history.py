@@ -12,15 +12,15 @@ from sinsjax.columns import Column, schema
 from sinsjax.errors import InputError
 from sinsjax.messages import first_line
 from sinsjax.platform.files import replacing
-from sinsjax.study.search_space import Space
-from sinsjax.study.study import Table, meaning
+from sinsjax.study.search_space import SearchSpace
+from sinsjax.study.study import TomlTable, meaning
 from sinsjax.units import split_unit
 
 FILE = "history.parquet"
 _F, _I, _S = pa.float64(), pa.int64(), pa.string()
 
 
-class Look(NamedTuple):
+class Evaluation(NamedTuple):
     """A point that a search looked at.
 
     Attributes:
@@ -53,10 +53,10 @@ class Found(NamedTuple):
     """
 
     search: str
-    looks: Sequence[Look]
+    looks: Sequence[Evaluation]
 
     @property
-    def best(self) -> Look:
+    def best(self) -> Evaluation:
         """The best of the looks that are not relaxed, the first of equals."""
         hard = (look for look in self.looks if look.window_s is None)
         return min(hard, key=lambda look: look.objective)
@@ -66,14 +66,14 @@ class Found(NamedTuple):
         """Plain-run steps of all of it."""
         return max(look.cost for look in self.looks)
 
-    def point(self, space: Space) -> Table:
+    def point(self, space: SearchSpace) -> TomlTable:
         """The keys of the best look."""
         # A variable that is not used has no value, and any will do.
         values = np.nan_to_num(self.best.values)
         return space.point(list(values), space.combinations[self.best.candidate])
 
 
-def columns_of(space: Space) -> tuple[Column, ...]:
+def columns_of(space: SearchSpace) -> tuple[Column, ...]:
     """The columns of a history."""
     return (
         Column("search", _S, "", "which search"),
@@ -91,19 +91,21 @@ def columns_of(space: Space) -> tuple[Column, ...]:
     )
 
 
-def write(directory: Path, space: Space, found: Iterable[Found]) -> None:
+def write(directory: Path, space: SearchSpace, found: Iterable[Found]) -> None:
     """Writes the history of some searches, whole or not at all."""
     with replacing(directory / FILE) as file:
         pq.write_table(_table(space, found), file, compression="zstd")
 
 
-def _table(space: Space, found: Iterable[Found]) -> pa.Table:
+def _table(space: SearchSpace, found: Iterable[Found]) -> pa.Table:
     rows = [(one.search, look) for one in found for look in one.looks]
     names = [v.name for v in space.variables]
     columns = {
         "search": [search for search, _ in rows],
         **{
-            key: [getattr(look, key) for _, look in rows] for key in Look._fields if key != "values"
+            key: [getattr(look, key) for _, look in rows]
+            for key in Evaluation._fields
+            if key != "values"
         },
         **{
             name: pa.array([look.values[i] for _, look in rows], _F, from_pandas=True)
@@ -136,7 +138,7 @@ def read_history(directory: str | Path) -> pa.Table:
         raise InputError(f"{path}: cannot be read: {first_line(error)}") from error
 
 
-def read(directory: Path, space: Space) -> list[Found]:
+def read(directory: Path, space: SearchSpace) -> list[Found]:
     """The searches of a history, in the order in which they were made.
 
     Raises:
@@ -149,13 +151,13 @@ def read(directory: Path, space: Space) -> list[Found]:
     return list(_grouped(table.to_pylist(), [v.name for v in space.variables]))
 
 
-def _grouped(rows: list[Table], names: list[str]) -> Iterator[Found]:
+def _grouped(rows: list[TomlTable], names: list[str]) -> Iterator[Found]:
     for search in dict.fromkeys(row["search"] for row in rows):
         yield Found(
             search,
             [
-                Look(
-                    **{key: row[key] for key in Look._fields if key != "values"},
+                Evaluation(
+                    **{key: row[key] for key in Evaluation._fields if key != "values"},
                     values=[np.nan if row[name] is None else row[name] for name in names],
                 )
                 for row in rows

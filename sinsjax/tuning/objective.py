@@ -13,14 +13,14 @@ from scipy import special
 from sinsjax import analysis, columns
 from sinsjax.engine.metrics import Criteria, Outcome, outside
 from sinsjax.engine.verdicts import LIMIT, TRUTH
-from sinsjax.study.ranges import Tune
+from sinsjax.study.ranges import TuneSection
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_of
 from sinsjax.study.times import spans_s
 from sinsjax.types import Array
 from sinsjax.units import ARCMIN
 
-_OVER_DRAWS: dict[str, Callable[[Tune, NDArray], NDArray]] = {
+_OVER_DRAWS: dict[str, Callable[[TuneSection, NDArray], NDArray]] = {
     "settle_mean": lambda tune, values: np.mean(values, axis=-1),
     "settle_quantile": lambda tune, values: np.quantile(
         values, tune.objective_quantile, axis=-1, method="inverted_cdf"
@@ -30,7 +30,7 @@ _OVER_DRAWS: dict[str, Callable[[Tune, NDArray], NDArray]] = {
 }
 
 
-def columns_of(tune: Tune, study: Study) -> list[str]:
+def columns_of(tune: TuneSection, study: Study) -> list[str]:
     """Columns of the summary that the numbers of runs are made of."""
     truth = success_of(study).from_truth
     if tune.objective == "final_error":
@@ -38,7 +38,7 @@ def columns_of(tune: Tune, study: Study) -> list[str]:
     return ["run_id", columns.settle_column(tune.objective_band_arcmin, truth=truth).name]
 
 
-def values(tune: Tune, study: Study, table: pa.Table) -> NDArray:
+def values(tune: TuneSection, study: Study, table: pa.Table) -> NDArray:
     """The number of each run that the objective is made of.
 
     Args:
@@ -66,7 +66,7 @@ def values(tune: Tune, study: Study, table: pa.Table) -> NDArray:
     return np.where(np.isnan(by_variant), end, by_variant)
 
 
-def failing(tune: Tune, study: Study) -> float:
+def failing(tune: TuneSection, study: Study) -> float:
     """The objective where every run fails; infinite for one that has no such end."""
     if tune.objective == "final_error":
         return np.inf
@@ -74,7 +74,7 @@ def failing(tune: Tune, study: Study) -> float:
     return score(tune, end)
 
 
-def score(tune: Tune, values: NDArray) -> float:
+def score(tune: TuneSection, values: NDArray) -> float:
     """The objective of some runs, in the unit of their numbers.
 
     Args:
@@ -85,7 +85,9 @@ def score(tune: Tune, values: NDArray) -> float:
     return float(np.max(each) if tune.objective_across == "worst" else np.mean(each))
 
 
-def relaxed_values(tune: Tune, criteria: Criteria, outcome: Outcome, *, truth: bool) -> Array:
+def relaxed_values(
+    tune: TuneSection, criteria: Criteria, outcome: Outcome, *, truth: bool
+) -> Array:
     """The numbers of relaxed runs, as `values` has them of whole ones.
 
     Args:
@@ -107,7 +109,7 @@ def relaxed_values(tune: Tune, criteria: Criteria, outcome: Outcome, *, truth: b
     return outcome.outside_until[:, TRUTH if truth else LIMIT, band]
 
 
-def relaxed_score(tune: Tune, values: NDArray) -> tuple[Array, Array]:
+def relaxed_score(tune: TuneSection, values: NDArray) -> tuple[Array, Array]:
     """The smooth objective of some points, and its derivatives by the numbers of runs.
 
     A quantile is Harrell and Davis's (1982), a weighted mean of all; the worst variant is a power

@@ -28,8 +28,8 @@ from sinsjax.strapdown.error_model import (
     VN,
 )
 from sinsjax.study.load import with_point
-from sinsjax.study.search_space import Space, Variable
-from sinsjax.study.study import Study, Table
+from sinsjax.study.search_space import SearchSpace, Variable
+from sinsjax.study.study import Study, TomlTable
 from sinsjax.study.tuned_keys import COUNT, TIMES
 from sinsjax.types import Array, Scalar
 
@@ -48,67 +48,67 @@ def _scaled(values: tuple[Scalar, ...], states: Sequence[int], factor: Scalar) -
 
 
 def _p0(states: Sequence[int]) -> Change:
-    def change(params: zero_velocity.Params, _: Variable, value: Scalar, base: Scalar) -> Any:
+    def change(params: zero_velocity.FilterParams, _: Variable, value: Scalar, base: Scalar) -> Any:
         return params._replace(p0=_scaled(params.p0, states, (value / base) ** 2))
 
     return change
 
 
 def _reset_to(states: Sequence[int]) -> Change:
-    def change(params: zero_velocity.Params, _: Variable, value: Scalar, base: Scalar) -> Any:
+    def change(params: zero_velocity.FilterParams, _: Variable, value: Scalar, base: Scalar) -> Any:
         return params._replace(reset_to=_scaled(params.reset_to, states, (value / base) ** 2))
 
     return change
 
 
 def _q(states: Sequence[int], power: int) -> Change:
-    def change(params: zero_velocity.Params, _: Variable, value: Scalar, base: Scalar) -> Any:
+    def change(params: zero_velocity.FilterParams, _: Variable, value: Scalar, base: Scalar) -> Any:
         return params._replace(q=_scaled(params.q, states, (value / base) ** power))
 
     return change
 
 
 def _r(power: int) -> Change:
-    def change(params: zero_velocity.Params, _: Variable, value: Scalar, base: Scalar) -> Any:
+    def change(params: zero_velocity.FilterParams, _: Variable, value: Scalar, base: Scalar) -> Any:
         return params._replace(r=params.r * (value / base) ** power)
 
     return change
 
 
-def _feedback(params: zero_velocity.Params, _: Variable, value: Scalar, base: Scalar) -> Any:
+def _feedback(params: zero_velocity.FilterParams, _: Variable, value: Scalar, base: Scalar) -> Any:
     # 1 - gain = exp(-interval / constant).
     gain = -jnp.expm1(jnp.log1p(-params.feedback.gain) * base / value)
     return params._replace(feedback=params.feedback._replace(gain=gain))
 
 
-def _first(params: zero_velocity.Params, _: Variable, value: Scalar, base: Scalar) -> Any:
+def _first(params: zero_velocity.FilterParams, _: Variable, value: Scalar, base: Scalar) -> Any:
     samples = params.resets.samples
     return _with_samples(params, samples + samples[:1] * (value / base - 1))
 
 
-def _cycle(params: zero_velocity.Params, _: Variable, value: Scalar, base: Scalar) -> Any:
+def _cycle(params: zero_velocity.FilterParams, _: Variable, value: Scalar, base: Scalar) -> Any:
     samples = params.resets.samples
     return _with_samples(params, samples[:1] + (samples - samples[:1]) * (value / base))
 
 
-def _with_samples(params: zero_velocity.Params, samples: Array) -> zero_velocity.Params:
+def _with_samples(params: zero_velocity.FilterParams, samples: Array) -> zero_velocity.FilterParams:
     return params._replace(resets=params.resets._replace(samples=samples))
 
 
-def _pace(params: compass.Params, variable: Variable, value: Scalar, base: Scalar) -> Any:
+def _pace(params: compass.LoopParams, variable: Variable, value: Scalar, base: Scalar) -> Any:
     values = params.pace.values.at[variable.entry].multiply(value / base)
     return params._replace(pace=params.pace._replace(values=values))
 
 
-def _azimuth_sigma(params: compass.Params, _: Variable, value: Scalar, base: Scalar) -> Any:
+def _azimuth_sigma(params: compass.LoopParams, _: Variable, value: Scalar, base: Scalar) -> Any:
     return params._replace(azimuth=loops.at_pace(params.azimuth, value / base))
 
 
-def _level_sigma(params: compass.Params, _: Variable, value: Scalar, base: Scalar) -> Any:
+def _level_sigma(params: compass.LoopParams, _: Variable, value: Scalar, base: Scalar) -> Any:
     return params._replace(level=loops.level_at_pace(params.level, value / base))
 
 
-def _smoothing(params: compass.Params, _: Variable, value: Scalar, base: Scalar) -> Any:
+def _smoothing(params: compass.LoopParams, _: Variable, value: Scalar, base: Scalar) -> Any:
     share = -jnp.expm1(jnp.log1p(-params.smoothing) * base / value)
     return params._replace(smoothing=share)
 
@@ -152,7 +152,7 @@ at the start, the first reset comes after a cycle."""
 class Relaxation:
     """Takes the numbers of runs from a base point to any other, resets spread over windows."""
 
-    def __init__(self, study: Study, space: Space, combination: Table) -> None:
+    def __init__(self, study: Study, space: SearchSpace, combination: TomlTable) -> None:
         """Check that there is a gradient.
 
         Args:
@@ -179,7 +179,7 @@ class Relaxation:
             for key, twin in _FOLLOWS.items()
             if not based.resets or based.values(twin)[0] is None
         }
-        self._rate_hz = study.study.rate_hz
+        self._rate_hz = study.rate_hz
         ranges = space.ranges.get(TIMES, ())
         assert isinstance(ranges, tuple)
         count = combination.get(COUNT, len(ranges))
@@ -202,16 +202,16 @@ class Relaxation:
             params = CHANGES[variable.key](params, variable, value, base)
             if twin := self._follows.get(variable.key):
                 params = CHANGES[twin](params, variable, value, base)
-        if not isinstance(params, zero_velocity.Params):
+        if not isinstance(params, zero_velocity.FilterParams):
             return params
         resets = params.resets
         # An infinity has no slope.
         samples = jnp.where(jnp.isfinite(resets.samples), resets.samples, _NEVER)
         if times:
             samples = jnp.stack([jnp.asarray(time) for time in times]) * self._rate_hz
-        return params._replace(resets=Windows(samples, width, resets.renewal))
+        return params._replace(resets=Windows(samples, width, resets.covariance_reset))
 
 
 def _refuse(study: Study, what: str) -> NoReturn:
     text = "has no gradient (use 'sobol' instead of 'gradient')"
-    raise InputError(f"{study.study.name}: {what}: {text}")
+    raise InputError(f"{study.name}: {what}: {text}")

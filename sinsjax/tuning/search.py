@@ -18,18 +18,18 @@ from numpy.typing import NDArray
 from sinsjax.execution import run as study_run
 from sinsjax.execution import tables as result_tables
 from sinsjax.execution.run import Tell
-from sinsjax.records.reference import Tape
+from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling, search_space
 from sinsjax.study.load import study_from_dict, tables_of
-from sinsjax.study.search_space import Space
-from sinsjax.study.study import Dimension, Study, Table, dimensions_of
+from sinsjax.study.search_space import SearchSpace
+from sinsjax.study.study import Dimension, Study, TomlTable, dimensions_of
 from sinsjax.tuning import objective
-from sinsjax.tuning.history import Found, Look
+from sinsjax.tuning.history import Evaluation, Found
 
 _SEEDS = 2**63
 
 
-class Session(NamedTuple):
+class SearchSession(NamedTuple):
     """How the runs of a tuning are made.
 
     Attributes:
@@ -43,7 +43,7 @@ class Session(NamedTuple):
     """
 
     directory: Path
-    tape: Tape | None
+    tape: StoredRecord | None
     overwrite: bool
     resume: bool
     watch: Callable[[str], AbstractContextManager[Tell | None]]
@@ -79,7 +79,7 @@ class Design(NamedTuple):
     box: NDArray
 
 
-def grid(space: Space, points: int) -> Design:
+def grid(space: SearchSpace, points: int) -> Design:
     """All points of a grid, ends included, the last variable fastest.
 
     Args:
@@ -94,7 +94,7 @@ def grid(space: Space, points: int) -> Design:
     return _design(space, own)
 
 
-def sobol(space: Space, counts: Sequence[int], seed: np.random.SeedSequence) -> Design:
+def sobol(space: SearchSpace, counts: Sequence[int], seed: np.random.SeedSequence) -> Design:
     """Scrambled Sobol points.
 
     Args:
@@ -115,7 +115,7 @@ def sobol(space: Space, counts: Sequence[int], seed: np.random.SeedSequence) -> 
     return _design(space, own)
 
 
-def random(space: Space, counts: Sequence[int], seed: np.random.SeedSequence) -> Design:
+def random(space: SearchSpace, counts: Sequence[int], seed: np.random.SeedSequence) -> Design:
     """Independent points; arguments as those of `sobol`."""
     seeds = seed.spawn(len(counts))
 
@@ -125,7 +125,7 @@ def random(space: Space, counts: Sequence[int], seed: np.random.SeedSequence) ->
     return _design(space, own)
 
 
-def _design(space: Space, own: Callable[[int, int], NDArray]) -> Design:
+def _design(space: SearchSpace, own: Callable[[int, int], NDArray]) -> Design:
     """A design from the points of each combination, by its number and its number of variables."""
     candidates, boxes = [], []
     for number, combination in enumerate(space.combinations):
@@ -140,10 +140,10 @@ def _design(space: Space, own: Callable[[int, int], NDArray]) -> Design:
 
 def seed_of(study: Study, name: str) -> np.random.SeedSequence:
     """The seed of what is drawn for a search: of the study and of its name."""
-    return np.random.SeedSequence(study.study.seed, spawn_key=tuple(name.encode()))
+    return np.random.SeedSequence(study.seed, spawn_key=tuple(name.encode()))
 
 
-def look(study: Study, name: str, design: Design, session: Session) -> Found:
+def evaluate(study: Study, name: str, design: Design, session: SearchSession) -> Found:
     """Runs the points of a design on the tuning draws.
 
     Args:
@@ -157,7 +157,7 @@ def look(study: Study, name: str, design: Design, session: Session) -> Found:
         StudyInterrupted: the session was stopped.
     """
     assert study.tune is not None
-    space = Space.of(study)
+    space = SearchSpace.of(study)
     values = np.array(space.values(design.box.T)).T if space.variables else design.box
     points = [
         space.point(list(np.nan_to_num(row)), space.combinations[candidate])
@@ -174,14 +174,14 @@ def look(study: Study, name: str, design: Design, session: Session) -> Found:
     return Found(
         name,
         [
-            Look(number, int(design.candidate[number]), list(row), score, int(n) * each)
+            Evaluation(number, int(design.candidate[number]), list(row), score, int(n) * each)
             for number, (row, score, n) in enumerate(zip(values, scores, paid, strict=True))
         ],
     )
 
 
 def scored(
-    study: Study, name: str, points: Sequence[Table], run: Callable[[Study], pa.Table]
+    study: Study, name: str, points: Sequence[TomlTable], run: Callable[[Study], pa.Table]
 ) -> tuple[list[float], list[int], int]:
     """The objective at some points, those that come to the same keys being run once.
 
@@ -195,12 +195,12 @@ def scored(
         By point its objective and the number of its case; and the steps of a case.
     """
     assert study.tune is not None
-    cases: dict[str, Table] = {}
+    cases: dict[str, TomlTable] = {}
     case_of: dict[tuple[Any, ...], int] = {}
     for number, point in enumerate(points):
         if case_of.setdefault(tuple(point.values()), len(cases)) == len(cases):
             cases[f"{name} {number}"] = point
-    derived = derive(study, cases, name=f"{study.study.name}_{name}")
+    derived = derive(study, cases, name=f"{study.name}_{name}")
     found = run_values(study, derived, run(derived))
     by_case = [objective.score(study.tune, own) for own in found]
     taken = [case_of[tuple(point.values())] for point in points]
@@ -225,7 +225,9 @@ def cost(study: Study) -> int:
     return sum(span.records for span in study.spans) * study.record_every * study.n_draws
 
 
-def derive(study: Study, points: Mapping[str, Table], *, name: str, judging: bool = False) -> Study:
+def derive(
+    study: Study, points: Mapping[str, TomlTable], *, name: str, judging: bool = False
+) -> Study:
     """The study of some points on the tuning draws, or on those that judge.
 
     Args:
@@ -248,7 +250,7 @@ def derive(study: Study, points: Mapping[str, Table], *, name: str, judging: boo
         starts = study.record.start_s[1 if judging else 0 :: 2]
         tables["record"] = tables["record"] | {"start_s": starts}
     else:
-        seed = (study.study.seed + judging) % _SEEDS
+        seed = (study.seed + judging) % _SEEDS
         draws = tune.evaluation_draws if judging else tune.tune_draws
         tables["study"] |= {"seed": seed, "draws": draws}
     if study.drawn:

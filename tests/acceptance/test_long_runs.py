@@ -10,7 +10,7 @@ from support.studies import small_study
 
 from sinsjax.engine import batch, build, realisations, truth
 from sinsjax.engine import tile as tile_layout
-from sinsjax.engine.realisations import empty_tape
+from sinsjax.engine.realisations import aligned_record
 from sinsjax.execution import run
 
 DAY_S = 86_400.0
@@ -20,8 +20,8 @@ MOST_BYTES = 60e6
 
 @pytest.fixture
 def without_tapes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(truth, "LONGEST_TAPE", 0)
-    monkeypatch.setattr(realisations, "AT_ONCE", 30)
+    monkeypatch.setattr(truth, "MOST_STORED_SAMPLES", 0)
+    monkeypatch.setattr(realisations, "SAMPLES_A_CALL", 30)
 
 
 def arrays(jaxpr: Any) -> Iterator[tuple[int, str]]:
@@ -50,13 +50,13 @@ def test_a_run_of_a_day_holds_no_large_array(specific_force: str) -> None:
     tiles = tile_layout.tiles_of(part.group, batch.plan(part.group)[0])
     assert static.shown == 1 and static.records == DAY_S
 
-    def program(world: Any, tiles: Any) -> Any:
+    def program(environment: Any, tiles: Any) -> Any:
         def one(tile: Any) -> Any:
-            return tile_layout.run_tile(static, world, tile)
+            return tile_layout.run_tile(static, environment, tile)
 
-        return jax.lax.map(tile_layout.over_sets(static, one, tiles), tiles)
+        return jax.lax.map(tile_layout.over_stacked_tiles(static, one, tiles), tiles)
 
-    traced = jax.make_jaxpr(program)(part.group.world, tiles)
+    traced = jax.make_jaxpr(program)(part.group.environment, tiles)
     size, what = max(arrays(traced.jaxpr))
     assert 6e6 < size < MOST_BYTES, what
 
@@ -73,7 +73,7 @@ def test_truth_in_pieces_is_truth_at_once(request: pytest.FixtureRequest) -> Non
     whole = run.run(PASSES).curves
     request.getfixturevalue("without_tapes")
     (part,) = build.parts(PASSES)
-    assert part.group.world.tape is None
+    assert part.group.environment.tape is None
     pieces = run.run(PASSES).curves
     assert pieces.num_rows == whole.num_rows == 4
     for name in ("phi_e_arcmin", "phi_n_arcmin", "phi_u_arcmin", "yaw_deg"):
@@ -99,6 +99,6 @@ def test_curves_of_idle_lanes_are_not_asked_for() -> None:
 
 @pytest.mark.parametrize("samples", [1, 5, 1000, 100_000])
 def test_a_tape_begins_where_xla_takes_it_as_it_is(samples: int) -> None:
-    tape = empty_tape(samples)
+    tape = aligned_record(samples)
     assert tape.shape == (samples, 6) and tape.dtype == float and tape.flags.c_contiguous
     assert tape.ctypes.data % 64 == 0 and tape.flags.writeable

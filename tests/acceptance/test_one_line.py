@@ -164,7 +164,7 @@ def test_a_reader_that_leaves_does_not_end_the_work(
 
     def finished(*_: Any, **options: Any) -> None:
         for runs in range(1, 4):
-            options["tell"](run.Progress(runs, 3, 0, 0))
+            options["tell"](run.RunProgress(runs, 3, 0, 0))
         done.append("runs")
 
     config = tmp_path / "swing.toml"

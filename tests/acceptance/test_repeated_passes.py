@@ -20,7 +20,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
 from sinsjax.execution.tables import Tables
 from sinsjax.records import Reference, write_psins
-from sinsjax.records.reference import Tape
+from sinsjax.records.reference import StoredRecord
 from sinsjax.study import times as study_times
 from sinsjax.study.load import study_from_dict
 from sinsjax.types import Quat
@@ -187,7 +187,7 @@ def test_a_run_among_many_is_itself_alone(tables: dict[str, Any]) -> None:
     group = part.group
     pieces = [(c.outcome, c.curves) for c in batch.chunks(group)]
     many = jax.tree.map(lambda *leaves: np.concatenate(leaves), *pieces)
-    alone = jax.jit(lambda draw, params: simulate(group.static, group.world, draw, params))
+    alone = jax.jit(lambda draw, params: simulate(group.static, group.environment, draw, params))
     for run_id in range(4):
         draw, variant = divmod(run_id, 2)
         params = jax.tree.map(lambda a, v=variant: np.asarray(a)[v], group.variants)
@@ -326,7 +326,7 @@ def recorded(**passes: Any) -> dict[str, Any]:
 def test_a_record_is_gone_over_from_every_start() -> None:
     """The coarse attitude is good to arcseconds here; each start has a tape of its own."""
     study = study_from_dict(recorded(tape_s=6.0))
-    curves = study_run.run(study, Tape(record(), reference(RECORD_S))).curves
+    curves = study_run.run(study, StoredRecord(record(), reference(RECORD_S))).curves
     for draw, start in enumerate((0.0, 4.0)):
         times, pitch, phi_e = columns_of(curves, draw, "tape_time_s", "pitch_deg", "phi_e_arcmin")
         assert times == [1, 2, 3, 4, 5, 6, 5, 4, 3, 2, 1, 0]
@@ -339,20 +339,20 @@ def test_a_tape_longer_than_the_record_is_refused() -> None:
     """The tape, not the duration: passes of 6 s may last 12 s on a record that holds 16."""
     study = study_from_dict(recorded(tape_s=11.0))
     with pytest.raises(InputError) as caught:
-        list(build.parts(study, Tape(record(), None)))
+        list(build.parts(study, StoredRecord(record(), None)))
     line = "has 20 s, but start_s = 4 and 17 s from there need 21 s"
     assert str(caught.value) == f"{record().source}: {line}"
-    (part,) = build.parts(study_from_dict(recorded(tape_s=6.0)), Tape(record(), None))
-    assert len(part.group.world.tape) == 800  # of the 1000 of the record, what is read
+    (part,) = build.parts(study_from_dict(recorded(tape_s=6.0)), StoredRecord(record(), None))
+    assert len(part.group.environment.tape) == 800  # of the 1000 of the record, what is read
 
 
 def test_no_more_of_a_record_is_taken_than_is_read() -> None:
     """Runs that begin at 10 s of the record begin where their fine alignment does on the tape."""
     data = recorded(tape_s=6.0)
     data["record"] = data["record"] | {"start_s": 4.0}
-    (part,) = build.parts(study_from_dict(data), Tape(record(), None))
-    np.testing.assert_array_equal(part.group.world.tape[:, :3], record().dtheta[200:800])
-    np.testing.assert_array_equal(part.group.world.tape[:, 3:], record().dv[200:800])
+    (part,) = build.parts(study_from_dict(data), StoredRecord(record(), None))
+    np.testing.assert_array_equal(part.group.environment.tape[:, :3], record().dtheta[200:800])
+    np.testing.assert_array_equal(part.group.environment.tape[:, 3:], record().dv[200:800])
     np.testing.assert_array_equal(part.group.draws.start, [300])
 
 
@@ -361,7 +361,7 @@ def test_a_reference_must_cover_the_tape_wherever_a_run_ends(passes: int) -> Non
     """With two passes a run ends where its tape begins, which the reference covers."""
     study = study_from_dict(recorded(tape_s=6.0, passes=passes))
     with pytest.raises(InputError, match=r"covers 0 to 13 s, but the study needs 1. to 16 s"):
-        list(build.parts(study, Tape(record(), reference(13.0))))
+        list(build.parts(study, StoredRecord(record(), reference(13.0))))
 
 
 # The command line

@@ -22,15 +22,15 @@ from sinsjax import cli
 from sinsjax.engine.build import simulated_record
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import resume, tables
-from sinsjax.execution.run import Progress
+from sinsjax.execution.run import RunProgress
 from sinsjax.plots import descents
 from sinsjax.records import write_psins
 from sinsjax.report import tuned
 from sinsjax.report.tuned_results import Tuning
 from sinsjax.study.load import Study, load_study, study_from_dict, with_point
-from sinsjax.study.search_space import Space, Variable
+from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.tuning import carry_out, history, objective, search
-from sinsjax.tuning.history import Found, Look
+from sinsjax.tuning.history import Evaluation, Found
 
 Command = Callable[..., tuple[int, str, str]]
 
@@ -80,11 +80,13 @@ def sinsjax_(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 def descend(study: Study, tape: Any, *, tell: Any) -> Found:
     """A descent that needs no engine: of two starts, the second of which ends best."""
     looks = [
-        Look(step, 1, [2.0 + step + start, 9.0 - step], 9.0 - step - start, 4 * COST, start, 9.0, 2)
+        Evaluation(
+            step, 1, [2.0 + step + start, 9.0 - step], 9.0 - step - start, 4 * COST, start, 9.0, 2
+        )
         for step in range(3)
         for start in range(2)
     ]
-    ends = [Look(3, 1, [5.0 + n, 12.0], 1e6 - n, 5 * COST, n) for n in range(2)]
+    ends = [Evaluation(3, 1, [5.0 + n, 12.0], 1e6 - n, 5 * COST, n) for n in range(2)]
     return Found("gradient", [*looks, *ends])
 
 
@@ -113,7 +115,7 @@ def test_what_a_tuning_leaves(made: Path) -> None:
     assert {path.name for path in made.iterdir()} == names | {".lock"}
     study = load_study(made / "study.toml")
     assert study == load_study(made.parent / "swing.toml")
-    grid, gradient, equal = history.read(made, Space.of(study))
+    grid, gradient, equal = history.read(made, SearchSpace.of(study))
     assert [one.search for one in (grid, gradient, equal)] == ["grid", "gradient", "equal_cost"]
     assert [look.candidate for look in grid.looks] == [0] * 3 + [1] * 9
     assert grid.cost == 12 * COST and equal.cost == gradient.cost == 5 * COST
@@ -130,7 +132,7 @@ def test_what_a_tuning_leaves(made: Path) -> None:
 
 def test_the_best_on_the_tuning_draws_is_put_into_the_study(made: Path) -> None:
     study = load_study(made / "study.toml")
-    space = Space.of(study)
+    space = SearchSpace.of(study)
     best = min(history.read(made, space), key=lambda one: one.best.objective)
     tuned_study = load_study(made / "tuned.toml")
     assert best.search != "gradient"
@@ -154,7 +156,7 @@ def test_a_tuning_is_reported_from_its_files(made: Path, tmp_path: Path) -> None
 
 def test_values_on_the_bound_of_their_range_are_flagged(made: Path) -> None:
     tuning = Tuning.of(tuned.read(made))
-    space = Space.of(tuning.study)
+    space = SearchSpace.of(tuning.study)
     bounds = {
         name: {v.name for v, x in there if x in (v.low, v.high)}
         for name, there in tuning.on_bounds.items()
@@ -316,7 +318,7 @@ def test_a_tuning_can_be_interrupted(tmp_path: Path, faked: Any) -> None:
     alone = load_study(write(tmp_path / "swing.toml", tune=TUNE | {"searches": ["gradient"]}))
     with pytest.MonkeyPatch.context() as patch:
         fake = sys.modules["sinsjax.tuning.descent"]
-        patch.setattr(fake, "descend", lambda study, tape, tell: tell(Progress(0, 1, 0, 0)))
+        patch.setattr(fake, "descend", lambda study, tape, tell: tell(RunProgress(0, 1, 0, 0)))
         with pytest.raises(StudyInterrupted, match="what was complete before is in"):
             carry_out.tune(alone, tmp_path / "alone", stop=stop)
 
@@ -482,8 +484,8 @@ def test_a_map_has_the_objective_where_the_grid_had_it() -> None:
 def test_best_by_cost_tells_relaxed_from_hard() -> None:
     cost, best = np.array([1.0, 2.0, 4.0]), np.array([5.0, 4.0, 3.0])
     searches = [
-        descents.Progress("grid", cost, best, False, None),
-        descents.Progress("gradient", cost, best, True, (5.0, 3.5)),
+        descents.CostCurve("grid", cost, best, False, None),
+        descents.CostCurve("gradient", cost, best, True, (5.0, 3.5)),
     ]
     figure = descents.best_by_cost(searches, "time (s)", "swing")
     (axes,) = figure.axes

@@ -36,7 +36,7 @@ from sinsjax.alignment.compass.design import (
     level_matrix,
 )
 from sinsjax.alignment.schedules import Pieces
-from sinsjax.engine.method_parameters import TURNS
+from sinsjax.engine.method_parameters import REVERSALS
 from sinsjax.engine.simulate import Static
 from sinsjax.strapdown import sensors
 
@@ -47,7 +47,7 @@ SLOW = EARTH._replace(rate=EARTH.rate / 10)
 LATITUDE = 32.057313 * DEG
 STILL = Swing(*np.zeros((2, 3)), np.ones(3), np.zeros(3))
 NEVER, SECONDS = np.inf, 1500
-KEEP = TURNS["keep"]
+KEEP = REVERSALS["keep"]
 
 
 LEVEL, AZIMUTH = level_gains(0.02, EARTH), azimuth_gains(0.01, EARTH)
@@ -65,9 +65,9 @@ def fly(params, *, planet, latitude, rate, phi=(0, 0, 0), v=(0, 0), eps=0.0, nab
     errors = sensors.perfect()._replace(
         gyro_bias=np.zeros(3) + eps, accel_bias=np.array([1.0, 1.0, 0.0]) * nabla
     )
-    world = still_world(planet, latitude, rate)._replace(errors=errors)
+    environment = still_world(planet, latitude, rate)._replace(errors=errors)
     static = Static("compass", Options(1 / rate), rate, SECONDS, curves=False, noisy=False)
-    return states(trail(static, world, one_run(np.eye(3), phi, v, params)))
+    return states(trail(static, environment, one_run(np.eye(3), phi, v, params)))
 
 
 def states(state):
@@ -292,11 +292,11 @@ def around_the_switch(begin):
         gyro=((0.2 * DEG_PER_H, -0.1 * DEG_PER_H, 0.3 * DEG_PER_H), 0.2 * DEG_PER_H),
         accel=((1e2 * UG, -5e1 * UG, 0.0), 1e2 * UG),
     )
-    world = tape_world(rows, site(EARTH, LATITUDE), pass_records=900)
+    environment = tape_world(rows, site(EARTH, LATITUDE), pass_records=900)
     static = Static("compass", Options(0.01), 1, 900, curves=False, noisy=False)
     given = loops(Loops(level_gains(0.2, EARTH), ((begin, azimuth_gains(0.1, EARTH)),)), KEEP)
     start = one_run(PAPER2.matrix(0.0), np.array([1, -2, 50]) * ARCMIN, (0.003, -0.002), given)
-    return trail(static, world, start)
+    return trail(static, environment, start)
 
 
 def test_loop_state_is_carried_over_the_switch():
@@ -327,9 +327,9 @@ def test_loop_state_is_carried_over_the_switch():
 def short_run(given, phi):
     """States of a static run of 20 s at 50 Hz after every sample."""
     rows = tape_of(STILL, EARTH, LATITUDE, rate=50, samples=1000)
-    world = tape_world(rows, site(EARTH, LATITUDE), pass_records=1000)
+    environment = tape_world(rows, site(EARTH, LATITUDE), pass_records=1000)
     static = Static("compass", Options(0.02), 1, 1000, curves=False, noisy=False)
-    return trail(static, world, one_run(np.eye(3), phi, (0, 0), given))
+    return trail(static, environment, one_run(np.eye(3), phi, (0, 0), given))
 
 
 def test_a_pace_is_a_factor_on_sigma():
@@ -387,7 +387,7 @@ ERRORS = {
 @pytest.mark.parametrize(
     ("planet", "latitude_deg", "position"), [(EARTH, 32.0, "fixed"), (WGS84, -41.0, "integrated")]
 )
-@pytest.mark.parametrize("rule", TURNS)
+@pytest.mark.parametrize("rule", REVERSALS)
 def test_three_passes_as_the_naive_loop(rule, planet, latitude_deg, position):
     """Forward, backward, forward over 6 s of swing, azimuth taking over within the first pass."""
     latitude, phi, v = (
@@ -404,9 +404,9 @@ def test_three_passes_as_the_naive_loop(rule, planet, latitude_deg, position):
         rows, 1 / RATE, planet, latitude=latitude, c=start, v=v, loops=given, tape=PASS, count=1800
     )
     static = Static("compass", Options(1 / RATE, position=position), 50, 36, False, False, True)
-    world = tape_world(rows, site(planet, latitude), pass_records=PASS // 50)
-    params = one_run(PAPER2.matrix(0.0), phi, v, loops(given, TURNS[rule]))
-    state = trail(static, world, params)
+    environment = tape_world(rows, site(planet, latitude), pass_records=PASS // 50)
+    params = one_run(PAPER2.matrix(0.0), phi, v, loops(given, REVERSALS[rule]))
+    state = trail(static, environment, params)
     at = np.arange(50, 1801, 50) - 1
     np.testing.assert_allclose(
         of_quaternion(np.stack(state.nav.q, axis=1)), naive.c[at], rtol=0, atol=1e-11

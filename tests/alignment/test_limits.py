@@ -60,14 +60,16 @@ def test_the_mean_attitude_is_that_over_many_periods(name: str) -> None:
 def biases_of(**changes: Any) -> tuple[Any, Any]:
     """Group and mean biases of a small study."""
     (part,) = build.parts(small_study(**changes))
-    return part.group, part.group.world.biases
+    return part.group, part.group.environment.biases
 
 
 def limit_of(group: Any) -> Any:
     """Limits of a group's variants."""
-    world = group.world
+    environment = group.environment
     params = jax.tree.map(lambda a: a[0], group.variants)
-    return simulate.limit(group.static, world.pass_records, params, world.site, world.biases)
+    return simulate.limit(
+        group.static, environment.pass_records, params, environment.site, environment.biases
+    )
 
 
 def test_biases_turn_with_the_vehicle() -> None:

@@ -22,7 +22,7 @@ from oracles.naive import DEG, PAPER, Loops, azimuth_gains, exp, level_gains, lo
 from sinsjax.alignment import passes
 from sinsjax.alignment.base import Options
 from sinsjax.alignment.methods import METHODS
-from sinsjax.engine.method_parameters import TURNS
+from sinsjax.engine.method_parameters import REVERSALS
 from sinsjax.maths import rotations
 from sinsjax.strapdown import sensors
 from sinsjax.strapdown.error_model import MODELS
@@ -45,7 +45,7 @@ def method_of(name):
 
 def numbers(name, **changes):
     if name == "compass":
-        return loops(COMPASS, TURNS["reflect"])
+        return loops(COMPASS, REVERSALS["reflect"])
     return params(paper_filter(len(MODELS[name].states), **changes))
 
 

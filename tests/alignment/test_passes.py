@@ -42,8 +42,8 @@ from oracles.naive import (
 
 from sinsjax.alignment import passes
 from sinsjax.alignment.base import Options
-from sinsjax.alignment.compass.method import Turn
-from sinsjax.engine.method_parameters import TURNS
+from sinsjax.alignment.compass.method import Reversal
+from sinsjax.engine.method_parameters import REVERSALS
 from sinsjax.engine.simulate import Static
 from sinsjax.maths.algebra import numbers_of, triangle_index
 from sinsjax.strapdown import earth, mechanisation, sensors
@@ -110,7 +110,7 @@ def test_the_earth_of_a_backward_pass_turns_the_other_way() -> None:
 
 # There and back: pure navigation over 80 s of [P2]'s swing at 200 Hz
 
-FREE = loops(Loops((0.0, 0.0, 0.0), ((NEVER, (0.0, 0.0, 0.0, 0.0)),)), TURNS["velocity"])
+FREE = loops(Loops((0.0, 0.0, 0.0), ((NEVER, (0.0, 0.0, 0.0, 0.0)),)), REVERSALS["velocity"])
 RATE, TAPE_S = 200, 80
 
 
@@ -124,8 +124,8 @@ def there_and_back(phi, v=(0.0, 0.0), *, noise=0.0, position="fixed", rate=RATE)
     """Attitudes off (rad, n), velocities (m/s), positions (rad) every second, over two passes."""
     options = Options(1 / rate, position=position)
     static = Static("compass", options, rate, 2 * TAPE_S, curves=False, noisy=False, repeats=True)
-    world = tape_world(swing_tape(rate, noise), site(EARTH, LATITUDE), pass_records=TAPE_S)
-    nav = trail(static, world, one_run(PAPER2.matrix(0.0), phi, v, FREE)).nav
+    environment = tape_world(swing_tape(rate, noise), site(EARTH, LATITUDE), pass_records=TAPE_S)
+    nav = trail(static, environment, one_run(PAPER2.matrix(0.0), phi, v, FREE)).nav
     start = exp(-np.asarray(phi, dtype=float)) @ PAPER2.matrix(0.0)
     c = np.concatenate([start[None], of_quaternion(np.stack(nav.q, axis=1))])
     v = np.concatenate([[v], np.stack([nav.ve, nav.vn], axis=1)])
@@ -186,15 +186,15 @@ def test_an_earth_that_goes_on_turning_forward_does_not_lead_back():
 LEVEL, AZIMUTH = level_gains(0.02, EARTH), azimuth_gains(0.01, EARTH)
 
 
-def heading_errors(turn: Turn, tape_s, *, smoothing_s, latitude=LATITUDE):
+def heading_errors(turn: Reversal, tape_s, *, smoothing_s, latitude=LATITUDE):
     """phi_U (deg) every 80 s of updates up to 640 s; 80 s of them level."""
     rate, every = 50, 80
     rows = still_tape(latitude, rate)
     static = Static("compass", Options(1 / rate), rate * every, 8, False, False, repeats=True)
-    world = tape_world(rows, site(EARTH, latitude), pass_records=tape_s // every)
+    environment = tape_world(rows, site(EARTH, latitude), pass_records=tape_s // every)
     given = Loops(LEVEL, ((80 * rate, AZIMUTH),), -np.expm1(-2 / (rate * smoothing_s)))
     phi = np.array([0.1, 0.1, 1.5]) * DEG
-    state = trail(static, world, one_run(np.eye(3), phi, (0, 0), loops(given, turn)))
+    state = trail(static, environment, one_run(np.eye(3), phi, (0, 0), loops(given, turn)))
     return -log(of_quaternion(np.stack(state.nav.q, axis=1)))[:, 2] / DEG
 
 
@@ -207,20 +207,20 @@ def test_a_reflected_loop_goes_on_as_if_there_were_no_turn():
     """Exactly so where omega_U does not couple the channels and the low pass does not lag."""
     for latitude, smoothing_s, bound in ((0.0, 1e-3, 0.002), (LATITUDE, 1e-3, 0.02)):
         case = {"smoothing_s": smoothing_s, "latitude": latitude}
-        on = heading_errors(TURNS["keep"], 640, **case)
-        reflected = heading_errors(TURNS["reflect"], 80, **case)
+        on = heading_errors(REVERSALS["keep"], 640, **case)
+        reflected = heading_errors(REVERSALS["reflect"], 80, **case)
         assert np.abs(on).max() > 1.4
         np.testing.assert_allclose(reflected, on, rtol=0, atol=bound)
     # A low pass of 2 s tells what the tilt was 2 s before.
-    lagging = heading_errors(TURNS["reflect"], 80, smoothing_s=2.0)
-    on = heading_errors(TURNS["keep"], 640, smoothing_s=2.0)
+    lagging = heading_errors(REVERSALS["reflect"], 80, smoothing_s=2.0)
+    on = heading_errors(REVERSALS["keep"], 640, smoothing_s=2.0)
     assert 0.1 < np.abs(lagging - on).max() < 0.3
     assert abs(lagging[-1]) < 0.15  # a tenth of what it began with
 
 
 def test_a_reflection_the_other_way_diverges():
     right, wrong = (
-        heading_errors(TURNS["reflect"]._replace(reflection=sign), 80, smoothing_s=2.0)
+        heading_errors(REVERSALS["reflect"]._replace(reflection=sign), 80, smoothing_s=2.0)
         for sign in (1.0, -1.0)
     )
     assert abs(right[-1]) < 0.15  # a tenth of what it began with
@@ -230,7 +230,7 @@ def test_a_reflection_the_other_way_diverges():
 @pytest.mark.parametrize("rule", ["velocity", "velocity_and_rate", "velocity_drop_rate"])
 def test_flips_of_the_velocity_alone_do_not_converge_with_the_papers_numbers(rule):
     """With sigma T_p = 0.8 the spectral radius of a cycle is 0.993 or more."""
-    stuck = heading_errors(TURNS[rule], 80, smoothing_s=2.0)
+    stuck = heading_errors(REVERSALS[rule], 80, smoothing_s=2.0)
     assert np.all(np.abs(stuck[1:]) > 1)
 
 
@@ -289,8 +289,8 @@ def test_three_passes_of_a_filter_as_the_naive_loop(name, planet, position, turn
     case = {"latitude": LATITUDE, "c": start, "v": v, "filt": filt}
     naive = closed_loop(rows, 1 / rate, planet, tape=samples, count=3 * samples, **case)
     static = Static(name, Options(1 / rate, position=position), 50, 36, False, False, repeats=True)
-    world = tape_world(rows, site(planet, LATITUDE), pass_records=samples // 50)
-    state = trail(static, world, one_run(PAPER1.matrix(0.0), phi, v, params(filt)))
+    environment = tape_world(rows, site(planet, LATITUDE), pass_records=samples // 50)
+    state = trail(static, environment, one_run(PAPER1.matrix(0.0), phi, v, params(filt)))
 
     at, close = np.arange(50, 3 * samples + 1, 50) - 1, {"rtol": 0, "atol": 1e-9}
     np.testing.assert_allclose(of_quaternion(np.stack(state.nav.q, axis=1)), naive.c[at], **close)
@@ -319,11 +319,11 @@ def test_gyro_biases_change_their_sign_with_time():
     rows = swing_increments(PAPER1, EARTH, LATITUDE, rate=rate, samples=rate * seconds)
     errors = sensors.perfect()._replace(gyro_bias=bias)
     static = Static("kalman10", Options(1 / rate), rate, 4 * seconds, False, False, repeats=True)
-    world = tape_world(rows, site(EARTH, LATITUDE), pass_records=seconds, errors=errors)
+    environment = tape_world(rows, site(EARTH, LATITUDE), pass_records=seconds, errors=errors)
     filt = paper_filter(10, every=rate, r=1e-10, q=np.array([1e-12] * 2 + [1e-18] * 3 + [0] * 5))
     filt = filt._replace(p0=filt.p0 * np.array([1.0] * 7 + [400.0] * 3))
     start = one_run(PAPER1.matrix(0.0), np.array([5, -5, 20]) * ARCMIN, (0, 0), params(filt))
-    state = trail(static, world, start)
+    state = trail(static, environment, start)
     fed = np.stack(state.bias, axis=1) + np.stack(state.belief.x, axis=1)[:, 5:]
     estimates = fed[:, 3].reshape(4, seconds) / DEG_PER_H
     sigma = np.sqrt(np.array(state.belief.p)[triangle_index(10)[8, 8]]) / DEG_PER_H

@@ -23,22 +23,22 @@ from sinsjax.alignment.base import Options
 from sinsjax.alignment.methods import METHODS
 from sinsjax.alignment.schedules import (
     UNCHANGED,
-    Renewal,
+    CovarianceReset,
     Resets,
     Windows,
     mix,
-    renew,
+    reset_covariance,
     reset_due,
     where_due,
 )
 from sinsjax.strapdown import sensors
 
-FULL = Renewal(0.0, 0.0, 1.0, 1.0)
+FULL = CovarianceReset(0.0, 0.0, 1.0, 1.0)
 KINDS = {
     "full": FULL,
-    "yaw": Renewal(1.0, 0.0, 0.0, 1.0),
-    "scale": Renewal(10.0, 10.0, 0.0, 0.0),
-    "shrunk": Renewal(0.01, 0.01, 0.0, 0.0),
+    "yaw": CovarianceReset(1.0, 0.0, 0.0, 1.0),
+    "scale": CovarianceReset(10.0, 10.0, 0.0, 0.0),
+    "shrunk": CovarianceReset(0.01, 0.01, 0.0, 0.0),
 }
 
 
@@ -113,7 +113,7 @@ def test_p_after_a_reset(kind, seed):
     half = rng.normal(size=(5, 5))
     p, to = half @ half.T, rng.random(5)
     rows, across = np.triu_indices(5)
-    got = renew(KINDS[kind], tuple(p[rows, across]), tuple(to), yaw=4)
+    got = reset_covariance(KINDS[kind], tuple(p[rows, across]), tuple(to), yaw=4)
     expected = {"full": np.diag(to), "scale": 10 * p, "shrunk": 0.01 * p, "yaw": p.copy()}[kind]
     if kind == "yaw":
         expected[4], expected[:, 4] = 0, 0
@@ -122,11 +122,11 @@ def test_p_after_a_reset(kind, seed):
 
 
 @jax.jit
-def renewed(shares, renewal, p, to):
+def renewed(shares, covariance_reset, p, to):
     """P after some shares of a reset, one after the other."""
 
     def one(p, share):
-        return renew(where_due(share, renewal), p, to, yaw=4), None
+        return reset_covariance(where_due(share, covariance_reset), p, to, yaw=4), None
 
     return jax.lax.scan(one, p, shares)[0]
 
@@ -139,8 +139,8 @@ def test_the_renewals_of_a_window_make_one_reset(kind, width):
     before = tuple((half @ half.T)[np.triu_indices(5)])
     to = tuple(np.linspace(1.0, 2.0, 5))
     share = shares(np.array([500.3]), width)
-    p = renewed(share, Renewal(*map(np.float64, KINDS[kind])), before, to)
-    hard = renew(KINDS[kind], before, to, yaw=4)
+    p = renewed(share, CovarianceReset(*map(np.float64, KINDS[kind])), before, to)
+    hard = reset_covariance(KINDS[kind], before, to, yaw=4)
     left = np.prod(1 - np.asarray(share))
     off, at_once = np.subtract(p, hard), np.subtract(before, hard)
     assert left < 6e-4 and np.all(np.abs(off) <= left * np.abs(at_once) * (1 + 1e-9))
@@ -179,7 +179,7 @@ def run(resets, nav, samples):
     return jnp.stack([*p, *method.attitude(state), *state.belief.x])
 
 
-FULL_RESET = Renewal(*map(np.float64, KINDS["full"]))
+FULL_RESET = CovarianceReset(*map(np.float64, KINDS["full"]))
 compiled = jax.jit(run)
 
 

@@ -34,7 +34,7 @@ from sinsjax.alignment.kalman import update as kalman_update
 from sinsjax.alignment.methods import METHODS
 from sinsjax.alignment.triggers import base as triggers
 from sinsjax.alignment.triggers import scores
-from sinsjax.alignment.triggers.base import Noise, Seen
+from sinsjax.alignment.triggers.base import AssumedNoise, FilterSnapshot
 from sinsjax.alignment.triggers.scores import TRIGGERS
 from sinsjax.alignment.triggers.section import TriggerName
 from sinsjax.execution import run as study_run
@@ -116,8 +116,8 @@ def columns_of(rows):
     return tuple(rows[:, i] for i in range(rows.shape[1]))
 
 
-def engine_numbers(numbers):
-    return triggers.Numbers(*map(np.float64, numbers))
+def engine_numbers(trigger_params):
+    return triggers.TriggerParams(*map(np.float64, trigger_params))
 
 
 @cache
@@ -126,37 +126,43 @@ def driven(name):
     trigger = TRIGGERS[name]
 
     @jax.jit
-    def run(numbers, noise, p0, here, after_reset, steps):
-        def one(watch, step):
+    def run(trigger_params, noise, p0, here, after_reset, steps):
+        def one(trigger_state, step):
             n, velocity, innovation, variance, propagated, updated, x, fed, at_rest, due, _ = step
             before = Belief(x, propagated)
-            watch, faded = triggers.fade(trigger, numbers, noise, watch, before, velocity)
+            trigger_state, faded = triggers.fade(
+                trigger, trigger_params, noise, trigger_state, before, velocity
+            )
             factor = faded.p[0] / propagated[0]
-            seen = Seen(
+            snapshot = FilterSnapshot(
                 innovation,
                 variance,
                 Belief(x, updated),
-                Vec3(*(a + b for a, b in zip(watch.fed, x[2:], strict=True))),
+                Vec3(*(a + b for a, b in zip(trigger_state.fed, x[2:], strict=True))),
                 at_rest,
                 here,
                 DT,
             )
             score = jnp.zeros_like(n)
             if trigger.look:
-                score = trigger.look(numbers, noise, watch.memory, seen)[1]
-            watch = triggers.look(trigger, numbers, noise, watch, seen, n)
-            fires = triggers.fires(watch, n)
+                score = trigger.look(trigger_params, noise, trigger_state.memory, snapshot)[1]
+            trigger_state = triggers.take_in(
+                trigger, trigger_params, noise, trigger_state, snapshot, n
+            )
+            fires = triggers.fires(trigger_state, n)
             reset = due | fires
             p = tuple(jnp.where(reset, a, b) for a, b in zip(after_reset, updated, strict=True))
-            watch = triggers.after(trigger, numbers, watch, reset=reset, p=p, fed=Vec3(*fed), n=n)
-            return watch, (score, factor, fires, faded.p[-1] / propagated[-1])
+            trigger_state = triggers.after(
+                trigger, trigger_params, trigger_state, reset=reset, p=p, fed=Vec3(*fed), n=n
+            )
+            return trigger_state, (score, factor, fires, faded.p[-1] / propagated[-1])
 
-        return jax.lax.scan(one, triggers.start(trigger, numbers, p0), steps)
+        return jax.lax.scan(one, triggers.start(trigger, trigger_params, p0), steps)
 
     return run
 
 
-def drive(name, numbers, steps):
+def drive(name, trigger_params, steps):
     """The engine's trigger over a sequence."""
     packed = steps._replace(
         **{k: columns_of(getattr(steps, k)) for k in ("velocity", "innovation", "x", "fed")},
@@ -164,9 +170,9 @@ def drive(name, numbers, steps):
         at_rest=entries(steps.at_rest),
         after_reset=steps.n,
     )
-    noise = Noise(tuple(NOISE[0]), np.float64(NOISE[1]))
-    watch, out = driven(name)(
-        engine_numbers(numbers),
+    noise = AssumedNoise(tuple(NOISE[0]), np.float64(NOISE[1]))
+    trigger_state, out = driven(name)(
+        engine_numbers(trigger_params),
         noise,
         upper(steps.after_reset),
         place(PAPER, LATITUDE),
@@ -175,13 +181,13 @@ def drive(name, numbers, steps):
     )
     score, factor, fires, other = map(np.asarray, out)
     np.testing.assert_allclose(factor, other, rtol=1e-14)
-    return score, factor, [int(n) for n in steps.n[fires]], watch
+    return score, factor, [int(n) for n in steps.n[fires]], trigger_state
 
 
-def drive_naively(name, numbers, steps):
+def drive_naively(name, trigger_params, steps):
     """The naive trigger over a sequence."""
     q, r = NOISE
-    watcher = Watcher(name, numbers, q=q, r=r, p0=steps.after_reset, dt=DT)
+    watcher = Watcher(name, trigger_params, q=q, r=r, p0=steps.after_reset, dt=DT)
     factors = []
     for i in range(len(steps.n)):
         k, x, p = i + 1, steps.x[i], steps.updated[i]
@@ -218,38 +224,41 @@ def test_a_trigger_scores_and_fires_as_the_naive_one(
     name, seed, share, window, refractory, most, until, scheduled
 ):
     steps = sequence(seed, 60, scheduled)
-    numbers = Numbers(np.inf, window, refractory, most, until)
-    quiet, _ = drive_naively(name, numbers, steps)
-    numbers = numbers._replace(threshold=threshold_at(quiet.scores, share))
-    naive, _ = drive_naively(name, numbers, steps)
-    score, factor, fired, watch = drive(name, numbers, steps)
+    trigger_params = Numbers(np.inf, window, refractory, most, until)
+    quiet, _ = drive_naively(name, trigger_params, steps)
+    trigger_params = trigger_params._replace(threshold=threshold_at(quiet.scores, share))
+    naive, _ = drive_naively(name, trigger_params, steps)
+    score, factor, trigger_counts, trigger_state = drive(name, trigger_params, steps)
     np.testing.assert_allclose(score, naive.scores, rtol=1e-9, atol=1e-12)
-    assert fired == naive.fired
-    assert tuple(watch.fired) == (len(fired), *(fired[::-1][-1:] + fired[-1:] if fired else (0, 0)))
+    assert trigger_counts == naive.trigger_counts
+    assert tuple(trigger_state.trigger_counts) == (
+        len(trigger_counts),
+        *(trigger_counts[::-1][-1:] + trigger_counts[-1:] if trigger_counts else (0, 0)),
+    )
     np.testing.assert_array_equal(factor, 1.0)
-    np.testing.assert_allclose(np.stack(watch.fed), naive.fed, rtol=0, atol=1e-12)
-    assert watch.since == naive.reset_at
+    np.testing.assert_allclose(np.stack(trigger_state.fed), naive.fed, rtol=0, atol=1e-12)
+    assert trigger_state.since == naive.reset_at
 
 
 @pytest.mark.parametrize("name", ["strong_tracking", "fading"])
 @given(
     seed=st.integers(0, 2**32 - 1),
-    threshold=st.floats(0, 3),
+    threshold=st.floats(0, 3, allow_subnormal=False),
     scheduled=st.sets(st.integers(1, 60), max_size=4),
 )
 @settings(max_examples=25)
 def test_what_fades_multiplies_p_and_never_resets(name, seed, threshold, scheduled):
     steps = sequence(seed, 60, scheduled)
     naive, factors = drive_naively(name, Numbers(threshold), steps)
-    _, factor, fired, watch = drive(name, Numbers(threshold), steps)
+    _, factor, trigger_counts, trigger_state = drive(name, Numbers(threshold), steps)
     np.testing.assert_allclose(factor, factors, rtol=1e-9)
-    assert fired == [] and tuple(watch.fired) == (0, 0, 0)
+    assert trigger_counts == [] and tuple(trigger_state.trigger_counts) == (0, 0, 0)
     if name == "strong_tracking":
         assert np.all(factor >= 1)
 
 
-def fired_at(steps, name="nis", **numbers):
-    return drive(name, Numbers(0.0, **numbers), steps)[2]
+def fired_at(steps, name="nis", **trigger_params):
+    return drive(name, Numbers(0.0, **trigger_params), steps)[2]
 
 
 def test_refractory_time_cap_and_end():
@@ -281,7 +290,7 @@ def test_a_linearisation_that_holds_scores_one_and_grows_with_corrections(seed, 
 
     def score(turned, e=0.0, n=0.0):
         zero = np.float64(0.0)
-        seen = Seen(
+        snapshot = FilterSnapshot(
             tuple(step.innovation),
             upper(step.variance),
             Belief((zero, zero, np.float64(e), np.float64(n), zero), p),
@@ -291,7 +300,7 @@ def test_a_linearisation_that_holds_scores_one_and_grows_with_corrections(seed, 
             DT,
         )
         look = TRIGGERS["linearisation"].look
-        honest, found = look(engine_numbers(Numbers(1.0)), Noise(q, r), before, seen)
+        honest, found = look(engine_numbers(Numbers(1.0)), AssumedNoise(q, r), before, snapshot)
         np.testing.assert_allclose(honest, p, rtol=1e-13)
         return float(found)
 
@@ -324,7 +333,7 @@ def program(name, trigger, force):
             state = step_and_close(
                 method, filt, passes.site_of_pass(here, backward), state, sample, n
             )
-            return state, (state, method.attitude(state), method.fired(state))
+            return state, (state, method.attitude(state), method.trigger_counts(state))
 
         return jax.lax.scan(step, method.init(filt, nav), read)[1]
 
@@ -345,7 +354,7 @@ def measured(planet):
     )
 
 
-def engine_run(name, trigger, numbers, filt, tape=None):
+def engine_run(name, trigger, trigger_params, filt, tape=None):
     """State, corrected attitude and `Fired` after every update."""
     planet = FILTERS[name][1]
     all_read = list(updates(measured(planet), tape, SAMPLES))
@@ -358,27 +367,31 @@ def engine_run(name, trigger, numbers, filt, tape=None):
         np.array([u.turns for u in all_read]),
     )
     nav = navigation(exp(-PHI0) @ PAPER1.matrix(0.0), V0, LATITUDE)
-    filt_params = params(filt)._replace(trigger=engine_numbers(numbers))
+    filt_params = params(filt)._replace(trigger=engine_numbers(trigger_params))
     return program(name, trigger, filt.force)(filt_params, site(planet, LATITUDE), nav, read)
 
 
-def naive_run(name, trigger, numbers, filt, tape=None):
+def naive_run(name, trigger, trigger_params, filt, tape=None):
     """History, and the watcher."""
     planet = FILTERS[name][1]
-    watcher = Watcher(trigger, numbers, q=filt.q, r=filt.r, p0=filt.p0, dt=DT)
+    watcher = Watcher(trigger, trigger_params, q=filt.q, r=filt.r, p0=filt.p0, dt=DT)
     c = exp(-PHI0) @ PAPER1.matrix(0.0)
     case = {"latitude": LATITUDE, "c": c, "v": V0, "filt": filt, "watcher": watcher}
     return closed_loop(measured(planet), DT, planet, tape=tape, count=SAMPLES, **case), watcher
 
 
-def compare(name, trigger, numbers, filt, tape=None):
+def compare(name, trigger, trigger_params, filt, tape=None):
     """Both runs, update by update; returns the naive watcher."""
-    naive, watcher = naive_run(name, trigger, numbers, filt, tape)
-    state, attitude, fired = engine_run(name, trigger, numbers, filt, tape)
-    at = 1 + np.flatnonzero(np.diff(np.asarray(fired.count), prepend=0.0))
-    assert list(at) == watcher.fired
-    first, last = (watcher.fired[0], watcher.fired[-1]) if watcher.fired else (0, 0)
-    assert (fired.first[-1], fired.last[-1]) == (first, last)
+    naive, watcher = naive_run(name, trigger, trigger_params, filt, tape)
+    state, attitude, trigger_counts = engine_run(name, trigger, trigger_params, filt, tape)
+    at = 1 + np.flatnonzero(np.diff(np.asarray(trigger_counts.count), prepend=0.0))
+    assert list(at) == watcher.trigger_counts
+    first, last = (
+        (watcher.trigger_counts[0], watcher.trigger_counts[-1])
+        if watcher.trigger_counts
+        else (0, 0)
+    )
+    assert (trigger_counts.first[-1], trigger_counts.last[-1]) == (first, last)
     close = {"rtol": 0, "atol": 1e-10}
     np.testing.assert_allclose(of_quaternion(np.stack(state.nav.q, axis=1)), naive.c, **close)
     np.testing.assert_allclose(np.stack([state.nav.ve, state.nav.vn], axis=1), naive.v, **close)
@@ -390,7 +403,7 @@ def compare(name, trigger, numbers, filt, tape=None):
     np.testing.assert_allclose(p / unit, naive.p / unit, rtol=0, atol=1e-7)
     if trigger == "linearisation":
         sigma = np.sqrt(np.diag(watcher.honest))
-        honest, unit = whole(state.watch.memory, len(filt.p0))[-1], np.outer(sigma, sigma)
+        honest, unit = whole(state.trigger_state.memory, len(filt.p0))[-1], np.outer(sigma, sigma)
         np.testing.assert_allclose(honest / unit, watcher.honest / unit, rtol=0, atol=1e-9)
     return watcher
 
@@ -421,27 +434,31 @@ def test_a_filter_with_a_trigger_is_reset_where_the_naive_one_is(name, trigger, 
     filt = paper_filter(n, position=position, **changes)
     _, quiet = naive_run(name, trigger, NEAR, filt, tape)
     for share in (0.0, 0.5, 0.9):
-        numbers = NEAR._replace(threshold=threshold_at(quiet.scores, share))
-        assert compare(name, trigger, numbers, filt, tape).fired
+        trigger_params = NEAR._replace(threshold=threshold_at(quiet.scores, share))
+        assert compare(name, trigger, trigger_params, filt, tape).trigger_counts
 
 
 def test_turns_leave_the_counts_alone():
     """Fired before them, after them, and no more often than it may in all passes together."""
-    filt, numbers = paper_filter(5), NEAR._replace(threshold=0.0, most=9)
-    fired = compare("kalman5", "tilt_drift", numbers, filt, 145).fired
+    filt, trigger_params = paper_filter(5), NEAR._replace(threshold=0.0, most=9)
+    trigger_counts = compare("kalman5", "tilt_drift", trigger_params, filt, 145).trigger_counts
     # Windows of 20 that begin anew after the turns at 145 and 290.
-    assert fired == [*range(20, 145, 20), 165, 185]
-    most = compare("kalman5", "tilt_drift", numbers._replace(most=100, until=np.inf), filt, 145)
-    assert most.fired == [145 * k + 20 * i for k in range(3) for i in range(1, 8) if k < 2 or i < 6]
+    assert trigger_counts == [*range(20, 145, 20), 165, 185]
+    most = compare(
+        "kalman5", "tilt_drift", trigger_params._replace(most=100, until=np.inf), filt, 145
+    )
+    assert most.trigger_counts == [
+        145 * k + 20 * i for k in range(3) for i in range(1, 8) if k < 2 or i < 6
+    ]
 
 
 def test_a_filter_with_gravity_in_its_model_has_nothing_to_be_honest_about():
     """Its own covariance is that of a base at rest: the score is 1 but for corrections."""
     filt = paper_filter(5, force="gravity", **CLOSED)
-    state, _, fired = engine_run("kalman5", "linearisation", Numbers(np.inf), filt, 145)
-    for honest, believed in zip(state.watch.memory, state.belief.p, strict=True):
+    state, _, trigger_counts = engine_run("kalman5", "linearisation", Numbers(np.inf), filt, 145)
+    for honest, believed in zip(state.trigger_state.memory, state.belief.p, strict=True):
         np.testing.assert_allclose(honest, believed, rtol=1e-9, atol=1e-30)
-    assert not np.any(fired.count)
+    assert not np.any(trigger_counts.count)
 
 
 def test_strong_tracking_as_the_naive_one():
@@ -474,7 +491,7 @@ def of_variant(rows, number):
 
 def test_what_a_trigger_did_is_told(rows):
     for row in rows:
-        count, *times = (row[column.name] for column in columns.FIRED)
+        count, *times = (row[column.name] for column in columns.TRIGGER_COUNTS)
         if row["variant_id"] == LOUD:
             assert count >= 2 and 0.3 <= times[0] < times[1] <= 1.2
         else:
@@ -504,7 +521,7 @@ def test_a_trigger_knows_nothing_of_the_runs_beside_it(rows):
 
 
 def test_the_columns_of_a_trigger_come_with_it_alone(rows):
-    told = {column.name for column in columns.FIRED}
+    told = {column.name for column in columns.TRIGGER_COUNTS}
     assert told <= rows[0].keys()
     for tables in ({}, {"axes": {"reset_count": [0, 1]}, "resets": {"reset_cycle_s": 1.0}}):
         names = {

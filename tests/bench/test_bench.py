@@ -12,7 +12,7 @@ from rich.console import Console
 from support.studies import small_study
 
 from sinsjax import bench
-from sinsjax.bench import Case, cases, limit, timing
+from sinsjax.bench import Workload, cases, limit, timing
 from sinsjax.bench.limit import limit_kernel
 from sinsjax.engine import build
 from sinsjax.errors import InputError
@@ -30,7 +30,7 @@ def fake(name, seconds, calls=None, runs=10, steps=100, **more):
             calls.append(name)
         return next(left)
 
-    return Case(name, runs, steps, 0.5, call, **more)
+    return Workload(name, runs, steps, 0.5, call, **more)
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def quiet(monkeypatch, tmp_path):
     """Nothing of this process is changed, no engine is compiled, temporary files go to tmp_path."""
     monkeypatch.setattr(bench, "use_one_core", lambda: None)
     monkeypatch.setattr(bench, "conditions", lambda: HOLDS)
-    faked = {name: partial(Case, name, 1, 1, 0.0, lambda: 1e-6) for name in ROWS}
+    faked = {name: partial(Workload, name, 1, 1, 0.0, lambda: 1e-6) for name in ROWS}
     monkeypatch.setattr(bench, "SHORT", faked)
     monkeypatch.setattr(bench, "limit_kernel", partial(limit_kernel, steps=200, vectors=1))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
@@ -212,12 +212,12 @@ def test_compass_rows_have_the_samples_and_the_shape_of_the_filters():
     kalman, compass, stored = cases.default_group(), *map(cases.compass_group, (None, 80.0))
     for group in (compass, stored):
         assert group.sizes == kalman.sizes
-        tape = group.world.tape
-        np.testing.assert_array_equal(tape, kalman.world.tape[: len(tape)])
+        tape = group.environment.tape
+        np.testing.assert_array_equal(tape, kalman.environment.tape[: len(tape)])
         assert group.static.method == "compass"
         assert group.static.records == kalman.static.records
     assert (compass.static.repeats, stored.static.repeats) == (False, True)
-    assert len(stored.world.tape) == 8000 and int(stored.world.pass_records) == 80
+    assert len(stored.environment.tape) == 8000 and int(stored.environment.pass_records) == 80
     assert len({tuple(row) for row in np.stack(compass.variants.method.azimuth[:3], 1)}) == 8
 
 
@@ -238,9 +238,14 @@ def test_some_variants_are_the_last_with_draws_enough(small_group):
 
 def test_without_noise_only_the_noise_is_gone(small_group):
     quiet = cases.without_noise(small_group)
-    assert not quiet.world.errors.gyro_noise.any() and not quiet.world.errors.accel_noise.any()
+    assert (
+        not quiet.environment.errors.gyro_noise.any()
+        and not quiet.environment.errors.accel_noise.any()
+    )
     assert quiet.static == small_group.static._replace(noisy=False)
-    np.testing.assert_array_equal(quiet.world.errors.gyro_bias, small_group.world.errors.gyro_bias)
+    np.testing.assert_array_equal(
+        quiet.environment.errors.gyro_bias, small_group.environment.errors.gyro_bias
+    )
 
 
 @pytest.mark.parametrize("devices", [1, 2])

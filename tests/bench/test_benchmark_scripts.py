@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from sinsjax.bench import limit
-from sinsjax.bench.timing import Case, Row
+from sinsjax.bench.timing import Row, Workload
 from sinsjax.errors import InputError
 
 FOLDER = Path(__file__).parents[2] / "benchmarks"
@@ -304,10 +304,10 @@ def test_the_sweep_of_another_length_keeps_its_shape(duration_s):
 def test_the_speed_up_is_over_one_device_in_the_same_turn(monkeypatch):
     taken = {1: iter([8.0, 9.0, 8.0]), 2: iter([4.0, 6.0, 5.0])}
 
-    def engine(name: str, group: Any, *, tiles: int, devices: int) -> Case:
+    def engine(name: str, group: Any, *, tiles: int, devices: int) -> Workload:
         assert tiles % (2 * devices) == 0
         runs = 64 * tiles * devices
-        return Case(name, runs, 9000, 0.0, lambda: next(taken[devices]), devices=devices)
+        return Workload(name, runs, 9000, 0.0, lambda: next(taken[devices]), devices=devices)
 
     monkeypatch.setattr(devices, "engine", engine)
     one, two = devices.scaling(False, 3)

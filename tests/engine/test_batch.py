@@ -13,7 +13,7 @@ from support.studies import small_study
 from sinsjax.engine import batch, build
 from sinsjax.engine import tile as tile_layout
 from sinsjax.engine.realisations import Draw
-from sinsjax.engine.simulate import ONE, Params, simulate
+from sinsjax.engine.simulate import ONE_RUN, RunParams, simulate
 from sinsjax.types import Quat
 
 
@@ -65,7 +65,7 @@ def test_a_program_a_device_puts_each_threads_work_on_its_own(
     """As on accelerators: the two virtual devices of the tests have a program each."""
     devices = jax.local_devices()
     assert len(devices) == 2
-    monkeypatch.setattr(batch, "homes", lambda: devices)
+    monkeypatch.setattr(batch, "targets", lambda: devices)
     program, used = batch.program, []
 
     class Watched(NamedTuple):
@@ -91,14 +91,14 @@ def test_a_program_a_device_puts_each_threads_work_on_its_own(
         return calls.chunk(number)
 
     used.clear()
-    list(batch.spread(together, [0, 0], 2))
+    list(batch.in_threads(together, [0, 0], 2))
     assert sorted(used, key=str) == [(device, device) for device in devices]
 
 
 def test_every_run_equals_itself_alone(six_variants: tile_layout.Group, reference: tuple) -> None:
     """The unmapped function of one run gives what the tile gave, to rounding."""
     group = six_variants
-    alone = jax.jit(lambda d, p: simulate(group.static, group.world, d, p, ONE))
+    alone = jax.jit(lambda d, p: simulate(group.static, group.environment, d, p, ONE_RUN))
     for run in (0, 5, 64, 299):
         draw, variant = divmod(run, 6)
         params = jax.tree.map(lambda a, v=variant: np.asarray(a)[v], group.variants)
@@ -171,7 +171,7 @@ def test_every_run_has_one_lane(
     group = some_group(force, draws=1, variants=1)._replace(
         draws=Draw(np.arange(draws), np.zeros(draws, int), np.zeros(draws, int)),
         q=np.zeros((draws, 4)),
-        variants=jax.tree.map(lambda a: np.arange(variants), Params(*range(5))),
+        variants=jax.tree.map(lambda a: np.arange(variants), RunParams(*range(5))),
     )
     group = group._replace(variants=group.variants._replace(q=Quat(*[np.zeros(variants)] * 4)))
     runs, shapes = [], set()
@@ -204,12 +204,12 @@ def test_a_shared_covariance_gives_the_results_of_a_computed_one(variants: int) 
     """To rounding, against tiles of the same program in which every run has its own."""
     group = some_group("gravity", draws=9, variants=variants)
     shared, _ = all_runs(group)
-    own = jax.jit(lambda world, tile: tile_layout.run_tile(group.static, world, tile))
+    own = jax.jit(lambda environment, tile: tile_layout.run_tile(group.static, environment, tile))
     flat = group._replace(static=some_group("measured", draws=1, variants=1).static)
     for places in batch.plan(flat):
         tiles = tile_layout.tiles_of(flat, places)
         for k in range(len(tiles.row)):
-            outcome, _ = own(group.world, jax.tree.map(lambda a, k=k: a[k], tiles))
+            outcome, _ = own(group.environment, jax.tree.map(lambda a, k=k: a[k], tiles))
             runs = places.draw[k, 0] * variants + places.variant[k, 0]
             busy = places.draw[k, 0] < 9
             for a, b in zip(jax.tree.leaves(outcome), jax.tree.leaves(shared), strict=True):
@@ -219,7 +219,7 @@ def test_a_shared_covariance_gives_the_results_of_a_computed_one(variants: int) 
 @pytest.mark.parametrize(
     ("method", "changes", "sets"),
     [
-        ("kalman5", {}, tile_layout.SETS),
+        ("kalman5", {}, tile_layout.STACKED_TILES),
         ("kalman5", {"position": "integrated"}, 1),
         ("kalman5", {"specific_force": "measured"}, 1),
         ("kalman10", {}, 1),

@@ -1,4 +1,4 @@
-"""Studies become arrays: units, readings, schedules, worlds; by hand-computed numbers."""
+"""Studies become arrays: units, readings, schedules, environments; by hand-computed numbers."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from sinsjax.engine.tile import Group
 from sinsjax.engine.truth import _reference_at
 from sinsjax.errors import InputError
 from sinsjax.records import Record, Reference
-from sinsjax.records.reference import Tape
+from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import study_from_dict
 
 DEG = np.pi / 180
@@ -24,12 +24,12 @@ def group_of(**changes: object) -> Group:
 
 def test_papers_numbers_in_si() -> None:
     group = group_of()
-    world, method = group.world, group.variants.method
-    np.testing.assert_allclose(world.errors.gyro_bias, 0.1 * DEG_PER_H)
-    np.testing.assert_allclose(world.errors.accel_bias, 500e-6 * 9.8)
+    environment, method = group.environment, group.variants.method
+    np.testing.assert_allclose(environment.errors.gyro_bias, 0.1 * DEG_PER_H)
+    np.testing.assert_allclose(environment.errors.accel_bias, 500e-6 * 9.8)
     # Standard deviations a sample are of a rate; an increment is dt times it.
-    np.testing.assert_allclose(world.errors.gyro_noise, 0.1 * DEG_PER_H * 0.01)
-    np.testing.assert_allclose(world.errors.accel_noise, 500e-6 * 9.8 * 0.01)
+    np.testing.assert_allclose(environment.errors.gyro_noise, 0.1 * DEG_PER_H * 0.01)
+    np.testing.assert_allclose(environment.errors.accel_noise, 500e-6 * 9.8 * 0.01)
     np.testing.assert_allclose(
         [p[0] for p in method.p0], [0.01, 0.01, *np.square([15 * DEG] * 2), (80 * DEG) ** 2]
     )
@@ -47,7 +47,7 @@ def test_densities_integrate_to_the_square_root_of_time() -> None:
         }
     }
     (part,) = build.parts(study_from_dict(data))
-    errors = part.group.world.errors
+    errors = part.group.environment.errors
     np.testing.assert_allclose(errors.gyro_noise, 0.003 * DEG / 60 * np.sqrt(0.01))
     np.testing.assert_allclose(errors.accel_noise, np.array([10, 20, 30]) * 9.8e-6 * 0.1)
 
@@ -67,8 +67,8 @@ def test_r_as_a_density_is_divided_by_the_sample_time() -> None:
 
 def test_wgs84_counts_micro_g_in_standard_gravity() -> None:
     group = group_of(earth={"earth": "wgs84"})
-    np.testing.assert_allclose(group.world.errors.accel_bias, 500e-6 * 9.80665)
-    assert group.world.site.place.gravity == pytest.approx(9.79484, abs=1e-5)
+    np.testing.assert_allclose(group.environment.errors.accel_bias, 500e-6 * 9.80665)
+    assert group.environment.site.place.gravity == pytest.approx(9.79484, abs=1e-5)
 
 
 def test_euler_misalignment_is_the_rotation_rz_rx_ry() -> None:
@@ -96,7 +96,7 @@ def test_resets_of_every_kind() -> None:
     np.testing.assert_array_equal(resets.samples[0], [np.inf, np.inf])
     np.testing.assert_array_equal(resets.samples[3], [100, np.inf])
     np.testing.assert_array_equal(resets.samples[6], [50, 234])
-    got = np.stack(resets.renewal, axis=1)
+    got = np.stack(resets.covariance_reset, axis=1)
     np.testing.assert_array_equal(got[:3], [[0, 0, 1, 1], [1, 0, 0, 1], [7, 7, 0, 0]])
 
 
@@ -127,16 +127,20 @@ def test_tapes_are_cut_apart_and_their_parts_share_a_program() -> None:
     np.testing.assert_array_equal([p.variant_ids for p in parts], [range(4), range(4, 8)])
     assert parts[0].group.static == parts[1].group.static
     assert parts[0].group.static.repeats and not group_of().static.repeats
-    worlds = [part.group.world for part in parts]
-    assert [int(world.pass_records) for world in worlds] == [2, 3]
-    np.testing.assert_array_equal(worlds[0].tape, worlds[1].tape)
-    assert len(worlds[0].tape) == 300
-    whole = group_of().world
-    np.testing.assert_allclose(worlds[0].tape, whole.tape[:300], rtol=0, atol=1e-18)
+    environments = [part.group.environment for part in parts]
+    assert [int(environment.pass_records) for environment in environments] == [2, 3]
+    np.testing.assert_array_equal(environments[0].tape, environments[1].tape)
+    assert len(environments[0].tape) == 300
+    whole = group_of().environment
+    np.testing.assert_allclose(environments[0].tape, whole.tape[:300], rtol=0, atol=1e-18)
     true = np.concatenate([whole.truth[0, :1] * np.nan, whole.truth[0]])
-    for world, places in zip(worlds, ([1, 2, 1, 0, 1, 2], [1, 2, 3, 2, 1, 0]), strict=True):
+    for environment, places in zip(
+        environments, ([1, 2, 1, 0, 1, 2], [1, 2, 3, 2, 1, 0]), strict=True
+    ):
         known = np.array(places) > 0
-        np.testing.assert_allclose(world.truth[0][known], true[places][known], rtol=0, atol=1e-15)
+        np.testing.assert_allclose(
+            environment.truth[0][known], true[places][known], rtol=0, atol=1e-15
+        )
 
 
 def test_the_program_may_differ_with_the_length_of_the_passes() -> None:
@@ -163,7 +167,7 @@ def attitude_at(times: list[float], *missing: tuple[float, float]) -> np.ndarray
         time_s = time_s[(time_s <= after) | (time_s >= before)]
     heading = np.stack([0 * time_s, 0 * time_s, 6 * time_s], axis=1)
     record = Record(dtheta=np.zeros((1, 3)), dv=np.zeros((1, 3)), rate_hz=100.0)
-    return _reference_at(Tape(record, Reference(time_s, heading, None)), np.asarray(times))
+    return _reference_at(StoredRecord(record, Reference(time_s, heading, None)), np.asarray(times))
 
 
 @pytest.mark.parametrize(

@@ -172,7 +172,9 @@ def test_what_p_is_reset_to(method: str, key: str, value: float, states: str, si
     for state, start, to in zip(STATES, plain.p0, own.reset_to, strict=False):
         expected = [sigma**2] if state in states.split() else start
         np.testing.assert_allclose(to, expected, rtol=1e-14)
-    np.testing.assert_array_equal(all_of(own.resets.renewal), all_of(plain.resets.renewal))
+    np.testing.assert_array_equal(
+        all_of(own.resets.covariance_reset), all_of(plain.resets.covariance_reset)
+    )
 
 
 def test_what_p_is_reset_to_may_differ_from_variant_to_variant() -> None:

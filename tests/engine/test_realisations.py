@@ -14,7 +14,7 @@ from sinsjax.engine.simulate import simulate
 from sinsjax.execution import run
 from sinsjax.study import sampling as draw_sampling
 from sinsjax.study.load import study_from_dict
-from sinsjax.study.schema import Sensors
+from sinsjax.study.schema import SensorsSection
 from sinsjax.study.study import SECTION_OF
 
 DRAWS = 5
@@ -141,7 +141,7 @@ def test_a_study_that_draws_only_noise_runs_the_program_it_always_did() -> None:
     """What is not drawn takes no part in the program: its arguments are not even there."""
     (part,) = build.parts(small_study())
     assert len(jax.tree.leaves(part.group.draws)) == 3
-    assert part.group.world.times is None and part.group.variants.euler is None
+    assert part.group.environment.times is None and part.group.variants.euler is None
 
 
 def test_noise_may_be_drawn() -> None:
@@ -155,7 +155,7 @@ def test_noise_may_be_drawn() -> None:
     last = run.run(study).summary["phi_u_arcmin"].to_pylist()[:: study.n_variants]
     # Draws 0, 2, 4 have none: nothing tells them apart.
     assert last[0] == last[2] == last[4] and len({last[0], last[1], last[3]}) == 3
-    assert set(NOISE) <= set(Sensors.model_fields)
+    assert set(NOISE) <= set(SensorsSection.model_fields)
 
 
 def test_a_run_taken_alone_is_that_of_its_tile() -> None:
@@ -165,11 +165,11 @@ def test_a_run_taken_alone_is_that_of_its_tile() -> None:
     group = part.group
     tiles = tile_layout.tiles_of(group, batch.plan(group)[0])
     tile = jax.tree.map(lambda a: a[0], tiles)
-    many, _ = jax.jit(partial(tile_layout.run_tile, group.static))(group.world, tile)
+    many, _ = jax.jit(partial(tile_layout.run_tile, group.static))(group.environment, tile)
     draw = jax.tree.map(lambda a: a[1] if np.ndim(a) else a, tile.draws)
     lane = int(np.argmax(tile.row == 1))
     params = jax.tree.map(lambda a: a[lane], tile.params)
-    one, _ = jax.jit(partial(simulate, group.static))(group.world, draw, params)
+    one, _ = jax.jit(partial(simulate, group.static))(group.environment, draw, params)
     np.testing.assert_allclose(one.last.yaw, many.last.yaw[lane], rtol=0, atol=1e-11)
 
 

@@ -20,8 +20,16 @@ from scipy.spatial.transform import Rotation
 from sinsjax.alignment.base import Options
 from sinsjax.alignment.limits import Biases
 from sinsjax.engine.metrics import Criteria
-from sinsjax.engine.realisations import AT_A_TIME, Draw, Static, World, noise, piece, sense
-from sinsjax.engine.simulate import Params, simulate
+from sinsjax.engine.realisations import (
+    SAMPLES_A_PIECE,
+    Draw,
+    Environment,
+    Static,
+    measured,
+    noise,
+    piece,
+)
+from sinsjax.engine.simulate import RunParams, simulate
 from sinsjax.strapdown import sensors
 from sinsjax.types import Quat, Vec3
 
@@ -48,7 +56,7 @@ def ideal():
     return np.concatenate([np.full((2, 6), 1e3), rows])
 
 
-def world(every, records, noise=NOISE, tape=None):
+def environment(every, records, noise=NOISE, tape=None):
     times = tape_times(records, tape or records) * every / RATE
     truth = np.array([quaternion(PAPER1.matrix(t)) for t in times])
     errors = sensors.SensorErrors(
@@ -59,7 +67,7 @@ def world(every, records, noise=NOISE, tape=None):
     truth = np.stack([np.full_like(truth, np.nan), truth])
     here = site(PAPER, LATITUDE)
     east, zero = -np.tan(FLOOR) * here.place.rate_n, np.float64(0.0)
-    return World(
+    return Environment(
         here,
         ideal(),
         truth,
@@ -79,7 +87,7 @@ def tape_times(records, tape):
 
 def one_run(filt):
     q = Quat(*map(np.float64, quaternion(PAPER1.matrix(0.0))))
-    return Params(q, Vec3(*PHI0), *map(np.float64, V0), params(filt))
+    return RunParams(q, Vec3(*PHI0), *map(np.float64, V0), params(filt))
 
 
 def draw(number=DRAW):
@@ -100,7 +108,7 @@ def naive_measured():
 def test_one_run_is_the_naive_loop_and_its_metrics(every, records, tape):
     """Forward over the data once, or over a tape of some records forward and backward."""
     filt = paper_filter(5, every=40, resets=(215, 400))
-    here = world(every, records, tape=tape)
+    here = environment(every, records, tape=tape)
     rows = naive_measured()[: every * (tape or records)]
     c, v = exp(-PHI0) @ PAPER1.matrix(0.0), np.array(V0)
     case = {"latitude": LATITUDE, "c": c, "v": v, "filt": filt, "count": every * records}
@@ -142,7 +150,7 @@ def test_one_run_is_the_naive_loop_and_its_metrics(every, records, tape):
 
 def test_measured_increments_do_not_depend_on_how_they_are_asked_for():
     """Any stretch gives the same numbers; another draw or seed gives others."""
-    here = world(100, 9)
+    here = environment(100, 9)
     whole = measure(here, draw(), 0, 900)
     # The last bits of a single-precision normal number are worth 1e-6 of the noise.
     rounding = {"rtol": 0, "atol": 3e-6 * NOISE.max()}
@@ -163,7 +171,7 @@ def measure(here, draw, first, samples):
 def _measure(here, draw, first, samples):
     program, numbers = static(100, 9), first + jnp.arange(samples)
     normal = noise(program, here, draw, numbers)
-    return jax.vmap(partial(sense, program, here, draw))(numbers, normal)
+    return jax.vmap(partial(measured, program, here, draw))(numbers, normal)
 
 
 @pytest.mark.parametrize("draws", [1, 6, 16, 64, 200])
@@ -171,13 +179,13 @@ def _measure(here, draw, first, samples):
 def test_a_record_interval_is_cut_into_equal_pieces(draws, every):
     many = Draw(np.arange(draws), np.asarray(0), np.zeros(draws, int))
     noisy = piece(static(every, 9), many)
-    assert every % noisy == 0 and noisy * draws <= max(AT_A_TIME, draws)
+    assert every % noisy == 0 and noisy * draws <= max(SAMPLES_A_PIECE, draws)
 
 
 def test_sensors_without_noise_draw_none():
-    program, here = static(100, 9)._replace(noisy=False), world(100, 9)
+    program, here = static(100, 9)._replace(noisy=False), environment(100, 9)
     assert noise(program, here, draw(), np.arange(9)) is None
-    now = sense(program, here, draw(), np.asarray(3), None)
+    now = measured(program, here, draw(), np.asarray(3), None)
     expected = ideal()[2 + 3] + BIAS / RATE
     np.testing.assert_allclose([*now.dtheta, *now.dv], expected, rtol=0, atol=1e-17)
 
@@ -185,17 +193,17 @@ def test_sensors_without_noise_draw_none():
 def test_before_a_tape_there_is_nothing():
     """A first sample is compensated with zeros, that is not at all, on every pass."""
     normal = jax.tree.map(
-        lambda a: a[0], noise(static(100, 9), world(100, 9), draw(), np.arange(1))
+        lambda a: a[0], noise(static(100, 9), environment(100, 9), draw(), np.arange(1))
     )
     for repeats in (False, True):
-        now = sense(static(100, 9, repeats), world(100, 9), draw(), np.asarray(-1), normal)
+        now = measured(static(100, 9, repeats), environment(100, 9), draw(), np.asarray(-1), normal)
         assert np.any([*now.dtheta, *now.dv]) != repeats
 
 
 def test_a_single_noisy_axis_is_noisy():
     only = np.zeros(6)
     only[4] = NOISE[4]
-    off = measure(world(100, 9, noise=only), draw(), 0, 900) - ideal()[2:] - BIAS / RATE
+    off = measure(environment(100, 9, noise=only), draw(), 0, 900) - ideal()[2:] - BIAS / RATE
     np.testing.assert_allclose(np.std(off, axis=0), only, rtol=0.1, atol=1e-17)
 
 
@@ -203,7 +211,7 @@ def test_curves_at_common_times_do_not_depend_on_record_interval_and_length():
     """To rounding: records only scale quaternions."""
     filt = paper_filter(5, every=40, resets=(215,))
     fine, coarse = (
-        run(static(every, records), world(every, records), draw(), one_run(filt))[1]
+        run(static(every, records), environment(every, records), draw(), one_run(filt))[1]
         for every, records in ((30, 23), (70, 9))
     )
     # After 210, 420 and 630 samples.
@@ -215,7 +223,7 @@ def test_curves_at_common_times_do_not_depend_on_record_interval_and_length():
 def test_derivatives_by_beliefs_as_secants():
     """Forward mode through the whole closed loop, by P0 of the yaw and by a scale of Q."""
     filt = paper_filter(5, every=40, resets=(215,))
-    here, program = world(50, 12), static(50, 12)
+    here, program = environment(50, 12), static(50, 12)
 
     def smooth(yaw, q):
         start = one_run(filt)
@@ -246,7 +254,7 @@ def test_derivatives_by_beliefs_as_secants():
 def test_a_run_alone_has_derivatives_of_both_modes():
     """By R, through feedback and a reset, against a central difference."""
     filt = paper_filter(5, every=7, resets=(33,))
-    here, program = world(20, 3), static(20, 3)
+    here, program = environment(20, 3), static(20, 3)
     start = one_run(filt)
 
     def yaw(r):

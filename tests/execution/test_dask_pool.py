@@ -135,8 +135,8 @@ class TestTwoWorkers:
     def test_tasks_are_taken_when_there_is_a_place_for_them(
         self, two: study_tasks.Executor, study: Study
     ) -> None:
-        workshop = study_tasks.Workshop(study_tasks.Job(study, chunk_runs=CHUNK))
-        (tasks,) = workshop.tasks()
+        runner = study_tasks.TaskRunner(study_tasks.Job(study, chunk_runs=CHUNK))
+        (tasks,) = runner.tasks()
         taken: list[study_tasks.Task] = []
 
         def offered() -> Iterator[study_tasks.Task]:
@@ -145,8 +145,8 @@ class TestTwoWorkers:
                 yield task
 
         done = []
-        for packed in two.do(workshop, offered()):
-            done.append(packed.task)
+        for encoded in two.do(runner, offered()):
+            done.append(encoded.task)
             assert len(taken) - len(done) < 2 * dask_pool.AHEAD
         assert sorted(done) == taken == tasks[:9]
 
@@ -155,7 +155,7 @@ class TestTwoWorkers:
 def test_a_worker_that_is_killed_costs_no_row(study: Study, here: Parts, tmp_path: Path) -> None:
     killed: list[psutil.Process] = []
 
-    def tell(progress: run.Progress) -> None:
+    def tell(progress: run.RunProgress) -> None:
         if progress.done >= 3 * CHUNK and not killed:
             killed.append(worker_processes()[0])
             # Stopped with tasks in hand, it takes them with it a second later.
@@ -170,7 +170,7 @@ def test_a_worker_that_is_killed_costs_no_row(study: Study, here: Parts, tmp_pat
 
 
 def test_a_task_that_workers_die_of_is_named(study: Study, here: Parts, tmp_path: Path) -> None:
-    def tell(progress: run.Progress) -> None:
+    def tell(progress: run.RunProgress) -> None:
         if progress.done == 2 * CHUNK:
             worker_processes()[0].kill()
 
@@ -241,7 +241,7 @@ def test_a_scheduler_gives_the_same_bytes(
     begin("worker", scheduler, "--nthreads", "1")
     joined = []
 
-    def tell(progress: run.Progress) -> None:
+    def tell(progress: run.RunProgress) -> None:
         if progress.done and not joined:
             joined.append(begin("worker", scheduler, "--nthreads", "1"))
 
@@ -260,7 +260,7 @@ def test_a_scheduler_that_dies_is_told(
         p for p in psutil.Process().children() if p.cmdline()[1:4] == ["-m", "dask", "scheduler"]
     )
 
-    def tell(progress: run.Progress) -> None:
+    def tell(progress: run.RunProgress) -> None:
         if progress.done == 3 * CHUNK:
             process.kill()
 
@@ -423,7 +423,7 @@ class Far:
             self.sent.setdefault(name, []).append((task.name, sent))
         said: Any = dask_worker.Wanting(name)
         if name in self.sent:
-            said = answer(worker=name, packed=study_tasks.Packed(task, {}, 0, 0.0))
+            said = answer(worker=name, encoded=study_tasks.EncodedResult(task, {}, 0, 0.0))
         future = SimpleNamespace(
             key=how["key"], status="finished", result=lambda: said, release=lambda: None
         )
@@ -440,29 +440,29 @@ def test_the_record_goes_to_every_worker_once(
     monkeypatch.setattr(dask_pool, "_LOOK_S", 0.0)
     tasks = [study_tasks.Task(f"part-0000-{i:06d}", 0, (0, 1), i, 1, 0) for i in range(40)]
     far = Far(["tcp://a:1", "tcp://b:1"])
-    workshop = study_tasks.Workshop.__new__(
-        study_tasks.Workshop
+    runner = study_tasks.TaskRunner.__new__(
+        study_tasks.TaskRunner
     )  # of which only its job is asked for
-    workshop.job = study_tasks.Job(study, chunk_runs=CHUNK)
-    crew, done = dask_pool.Crew(far, "far"), []
-    for packed in crew.do(workshop, iter(tasks)):
-        done.append(packed.task)
+    runner.job = study_tasks.Job(study, chunk_runs=CHUNK)
+    pool, done = dask_pool.DaskPool(far, "far"), []
+    for encoded in pool.do(runner, iter(tasks)):
+        done.append(encoded.task)
         if len(done) == 9:  # one comes late
             far.workers.append("tcp://c:1")
     assert sorted(done) == tasks
     assert [len(sent) for sent in far.sent.values()] == [1, 1, 1]
-    assert pickle.loads(far.sent["tcp://c:1"][0][1]) == workshop.job
+    assert pickle.loads(far.sent["tcp://c:1"][0][1]) == runner.job
     far.sent.clear()
     # One goes while the job is on its way there, which costs another a second sending.
     far.workers, far.dying = ["tcp://a:1", "tcp://b:1"], ["tcp://b:1"]
-    assert sorted(packed.task for packed in crew.do(workshop, iter(tasks))) == tasks
+    assert sorted(encoded.task for encoded in pool.do(runner, iter(tasks))) == tasks
     assert list(far.sent) == ["tcp://a:1"] == far.workers and len(far.sent["tcp://a:1"]) <= 2
 
 
-def answer(**changes: Any) -> dask_worker.Answer:
+def answer(**changes: Any) -> dask_worker.WorkerAnswer:
     task = study_tasks.Task("part-0000-000000", 0, (0, 1), 0, 1, 0)
-    this = dask_worker.Answer(
-        study_tasks.Packed(task, {}, 0, 0.0),
+    this = dask_worker.WorkerAnswer(
+        study_tasks.EncodedResult(task, {}, 0, 0.0),
         "tcp://far:1",
         dask_worker.versions(),
         dask_worker.machine_here(),
@@ -473,24 +473,24 @@ def answer(**changes: Any) -> dask_worker.Answer:
 def test_every_answer_is_checked_and_unlike_machines_are_told_once(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    crew = dask_pool.Crew(None, "tcp://there:1")
-    crew.check(answer())
-    crew.check(answer())
+    pool = dask_pool.DaskPool(None, "tcp://there:1")
+    pool.check(answer())
+    pool.check(answer())
     assert capsys.readouterr().err == ""
     other = dask_worker.machine_here()._replace(cpu="Abacus")
-    crew.check(answer(machine=other))
-    crew.check(answer(machine=other))
+    pool.check(answer(machine=other))
+    pool.check(answer(machine=other))
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("tcp://far:1: computes with Abacus")
-    assert crew.facts() == {"instructions": xla.instructions()}
+    assert pool.facts() == {"instructions": xla.instructions()}
     smaller = answer(worker="tcp://old:1", machine=other._replace(instructions="SSE4_2"))
     with pytest.raises(
         InputError, match="^tcp://old:1: the worker has instruction set SSE4_2, tcp"
     ):
-        crew.check(smaller)
+        pool.check(smaller)
     late = dask_worker.versions() | {"jaxlib": "0.1"}
     with pytest.raises(InputError, match="^tcp://far:1: the worker has jaxlib 0.1, this process"):
-        crew.check(answer(versions=late))
+        pool.check(answer(versions=late))
 
 
 Sweep = Callable[..., subprocess.Popen]

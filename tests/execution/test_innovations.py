@@ -10,7 +10,7 @@ from support.studies import small_study
 from sinsjax.engine import build
 from sinsjax.execution import run
 from sinsjax.execution.tables import Tables
-from sinsjax.records.reference import Tape
+from sinsjax.records.reference import StoredRecord
 from sinsjax.report.attitudes import innovations
 from sinsjax.report.base import Source
 from sinsjax.study.load import Study, study_from_dict
@@ -36,8 +36,8 @@ def recorded(cases: list[dict[str, Any]] | None = None, **changes: Any) -> Study
 
 
 @pytest.fixture(scope="module")
-def tape() -> Tape:
-    return Tape(build.simulated_record(small_study()), None)
+def tape() -> StoredRecord:
+    return StoredRecord(build.simulated_record(small_study()), None)
 
 
 KEYS = ("p0_velocity_m_per_s", "p0_level_deg", "p0_yaw_deg", "q_accel_ug", "q_gyro_deg_per_h")
@@ -46,7 +46,7 @@ SMALL = dict(zip(KEYS, (1e-6, 1e-6, 1e-6, 0.0, 0.0), strict=True))
 
 
 @pytest.fixture(scope="module")
-def summary(tape: Tape) -> pa.Table:
+def summary(tape: StoredRecord) -> pa.Table:
     """Of both starts: a filter, two that know next to all but R, and a compass."""
     some = (("kalman5", USUAL, 0.1), ("kalman5", SMALL, 0.1), ("kalman5", SMALL, 1.0))
     every = (*some, ("compass", USUAL, 0.1))

@@ -15,10 +15,10 @@ from support.studies import small_study
 from sinsjax.engine import build
 from sinsjax.errors import InputError
 from sinsjax.execution import run, tables
-from sinsjax.execution.preflight import doubts
+from sinsjax.execution.preflight import warnings_of
 from sinsjax.records import Layout, Record, Reference, plausible, write_csv
 from sinsjax.records.plausible import Expected, Finding, findings
-from sinsjax.records.reference import Tape
+from sinsjax.records.reference import StoredRecord
 from sinsjax.records.turning import attitudes
 from sinsjax.study.load import Study, load_study, study_from_dict
 from sinsjax.units import DEG, DEG_PER_H, micro_g
@@ -172,7 +172,7 @@ def recorded(**changes: Any) -> Study:
 
 def test_hard_findings_are_refused_unless_the_study_trusts_the_record(tmp_path: Path) -> None:
     some = record()
-    tape = Tape(some._replace(dv=-some.dv, source="drive.imu"), None)
+    tape = StoredRecord(some._replace(dv=-some.dv, source="drive.imu"), None)
     with pytest.raises(InputError) as caught:
         run.run_into(recorded(), tmp_path / "out", tape)
     line = str(caught.value)
@@ -181,13 +181,14 @@ def test_hard_findings_are_refused_unless_the_study_trusts_the_record(tmp_path: 
     with pytest.raises(InputError, match="points down"):
         run.run(recorded(), tape)
     assert (
-        "points down" in doubts(run.made_ready(recorded(record={"trust": True}), tape)[0], tape)[0]
+        "points down"
+        in warnings_of(run.made_ready(recorded(record={"trust": True}), tape)[0], tape)[0]
     )
 
 
 def test_doubtful_findings_are_in_manifest_and_report(tmp_path: Path) -> None:
     some = record("still")
-    tape = Tape(some._replace(dv=some.dv * 0.99, source="drive.imu", filled=3), None)
+    tape = StoredRecord(some._replace(dv=some.dv * 0.99, source="drive.imu", filled=3), None)
     study = recorded(
         record={"max_gap_s": 0.1}
         | {"format": "csv", **RATES, "time_column": "t"}
@@ -203,7 +204,7 @@ def test_doubtful_findings_are_in_manifest_and_report(tmp_path: Path) -> None:
 
 
 def test_nothing_beyond_to_s_is_used() -> None:
-    tape = Tape(record(), None)
+    tape = StoredRecord(record(), None)
     study = recorded(record={"from_s": 100.0, "to_s": 190.0})
     assert not run.made_ready(study, tape)[1]
     study = recorded(record={"from_s": 101.0, "to_s": 190.0})
@@ -266,14 +267,14 @@ def test_no_shipped_study_of_the_real_record_warns(name: str, data_dir: Path) ->
 
 def test_a_sway_above_half_the_sample_rate_is_told(tmp_path: Path) -> None:
     study = small_study(motion={"roll_period_s": 0.0125})
-    (line,) = doubts(study)
+    (line,) = warnings_of(study)
     assert line == (
         "[motion] roll_period_s: a sway of 80 Hz is above half of rate_hz = 100: samples of it look"
         " like a slower one"
     )
     run.run_into(study, tmp_path / "out")
     assert tables.read_manifest(tmp_path / "out")["warnings"] == [line]
-    assert not doubts(small_study(motion={"roll_period_s": 0.0125, "roll_amplitude_deg": 0.0}))
-    assert not doubts(small_study()) and not doubts(small_study(motion=STILL))
+    assert not warnings_of(small_study(motion={"roll_period_s": 0.0125, "roll_amplitude_deg": 0.0}))
+    assert not warnings_of(small_study()) and not warnings_of(small_study(motion=STILL))
     swept = small_study(axes={"yaw_period_s": [10.0, 0.015]})
-    assert "66.67 Hz" in doubts(swept)[0]
+    assert "66.67 Hz" in warnings_of(swept)[0]

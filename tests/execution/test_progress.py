@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from sinsjax.execution import progress
-from sinsjax.execution.run import Progress
+from sinsjax.execution.run import RunProgress
 
 
 class Clock:
@@ -37,10 +37,10 @@ def plain() -> tuple[Console, io.StringIO]:
 def test_plain_lines_come_every_tenth_and_tell_pace_and_failures(clock: Clock) -> None:
     screen, file = plain()
     with progress.progress(screen, "swing") as tell:
-        tell(Progress(0, 20_000, 0, 0))
+        tell(RunProgress(0, 20_000, 0, 0))
         for done in range(100, 20_001, 100):
             clock.now += 0.1
-            tell(Progress(done, 20_000, done // 1000, 0))
+            tell(RunProgress(done, 20_000, done // 1000, 0))
     lines = file.getvalue().splitlines()
     assert lines == [
         # The pace is that since the first chunk: what is before it is compiling.
@@ -55,10 +55,10 @@ def test_plain_lines_come_every_tenth_and_tell_pace_and_failures(clock: Clock) -
 def test_plain_lines_come_every_ten_seconds_where_a_tenth_takes_longer(clock: Clock) -> None:
     screen, file = plain()
     with progress.progress(screen, "swing") as tell:
-        tell(Progress(0, 1_000_000, 0, 0))
+        tell(RunProgress(0, 1_000_000, 0, 0))
         for i in range(1, 61):
             clock.now += 1.0
-            tell(Progress(i, 1_000_000, 0, 0))
+            tell(RunProgress(i, 1_000_000, 0, 0))
     lines = file.getvalue().splitlines()
     assert [line.split()[1] for line in lines] == ["1", "11", "21", "31", "41", "51"]
     assert lines[-1] == "swing: 51 of 1,000,000 runs, 1 runs/s, 277:45:49 left, 0 failed"
@@ -67,11 +67,11 @@ def test_plain_lines_come_every_ten_seconds_where_a_tenth_takes_longer(clock: Cl
 def test_what_was_there_before_is_told_and_does_not_make_the_pace(clock: Clock) -> None:
     screen, file = plain()
     with progress.progress(screen, "swing") as tell:
-        tell(Progress(900, 1000, 0, 900))
+        tell(RunProgress(900, 1000, 0, 900))
         clock.now += 5.0
-        tell(Progress(950, 1000, 0, 900))
+        tell(RunProgress(950, 1000, 0, 900))
         clock.now += 5.0
-        tell(Progress(1000, 1000, 2, 900))
+        tell(RunProgress(1000, 1000, 2, 900))
     assert file.getvalue().splitlines() == [
         "swing: 900 of 1,000 runs, there already",
         "swing: 1,000 of 1,000 runs, 10 runs/s, 0:00 left, 2 failed",
@@ -81,7 +81,7 @@ def test_what_was_there_before_is_told_and_does_not_make_the_pace(clock: Clock) 
 def test_what_is_complete_already_says_so(clock: Clock) -> None:
     screen, file = plain()
     with progress.progress(screen, "swing") as tell:
-        tell(Progress(1000, 1000, 0, 1000))
+        tell(RunProgress(1000, 1000, 0, 1000))
     assert file.getvalue() == "swing: 1,000 of 1,000 runs, there already\n"
 
 
@@ -89,11 +89,11 @@ def test_a_terminal_has_a_bar(clock: Clock) -> None:
     file = io.StringIO()
     screen = Console(file=file, force_terminal=True, width=120)
     with progress.progress(screen, "swing [tune]") as tell:
-        tell(Progress(0, 1000, 0, 0))
+        tell(RunProgress(0, 1000, 0, 0))
         clock.now += 4.0
-        tell(Progress(250, 1000, 1, 0))
+        tell(RunProgress(250, 1000, 1, 0))
         clock.now += 2.0
-        tell(Progress(500, 1000, 3, 0))
+        tell(RunProgress(500, 1000, 3, 0))
     told = file.getvalue()
     assert "swing [tune] (compiling)" in told
     assert "500/1000" in told and "125 runs/s, 0:04 left, 3 failed" in told

@@ -18,7 +18,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import rerun, tables
 from sinsjax.execution import run as study_run
 from sinsjax.records import PSINS_LAYOUT, Reference, read_psins, write_psins
-from sinsjax.records.reference import Tape
+from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import Study, study_from_dict
 
 pytestmark = pytest.mark.usefixtures("drawn_on_request")
@@ -29,7 +29,7 @@ def of_run(table: pa.Table, run_id: int) -> pa.Table:
 
 
 def assert_alone_as_among_others(
-    study: Study, tape: Tape | None = None, *, curves: bool, runs: list[int]
+    study: Study, tape: StoredRecord | None = None, *, curves: bool, runs: list[int]
 ) -> None:
     whole = study_run.run(study, tape, curves=curves)
     for run_id in runs:
@@ -87,21 +87,21 @@ def recorded_study(**changes: Any) -> Study:
 
 
 @pytest.fixture(scope="module")
-def tape() -> Tape:
+def tape() -> StoredRecord:
     time_s = np.arange(0, 6.01, 0.01)
     angles = [1.8 * np.sin(2 * np.pi * time_s / 6), 2.4 * np.sin(2 * np.pi * time_s / 8)]
     yaw = 10 + 2.8 * np.sin(2 * np.pi * time_s / 10)
     reference = Reference(time_s, np.column_stack([*angles, yaw]), "true.csv")
-    return Tape(build.simulated_record(small_study()), reference)
+    return StoredRecord(build.simulated_record(small_study()), reference)
 
 
 @pytest.mark.parametrize("judged", [True, False])
-def test_a_run_of_a_record(tape: Tape, judged: bool) -> None:
+def test_a_run_of_a_record(tape: StoredRecord, judged: bool) -> None:
     given = tape if judged else tape._replace(reference=None)
     assert_alone_as_among_others(recorded_study(), given, curves=True, runs=[0, 6, 11])
 
 
-def test_a_run_of_a_record_with_drawn_errors(tape: Tape) -> None:
+def test_a_run_of_a_record_with_drawn_errors(tape: StoredRecord) -> None:
     study = recorded_study(
         alignment={"phi_e0_deg": 1.0},
         axes={"reset_times_s": [[], [1.0]]},
@@ -170,7 +170,9 @@ def test_a_row_that_differs_is_told_with_what_differs(out: Path, tmp_path: Path)
     assert "identical" not in told
 
 
-def test_what_cannot_be_done_again_is_one_clear_line(out: Path, tmp_path: Path, tape: Tape) -> None:
+def test_what_cannot_be_done_again_is_one_clear_line(
+    out: Path, tmp_path: Path, tape: StoredRecord
+) -> None:
     runs = STUDY.n_draws * STUDY.n_variants
     with pytest.raises(InputError, match=f"has no run {runs} .runs are 0 to {runs - 1}"):
         rerun_into(out, runs)
@@ -190,12 +192,12 @@ def test_a_run_that_is_not_there_yet_is_one_clear_line(out: Path, tmp_path: Path
         rerun_into(tmp_path / "out", 384)
 
 
-def test_a_recorded_run_needs_its_record(tmp_path: Path, tape: Tape) -> None:
+def test_a_recorded_run_needs_its_record(tmp_path: Path, tape: StoredRecord) -> None:
     path, other = tmp_path / "swing.imu", tmp_path / "other.imu"
     write_psins(tape.record, path)
     write_psins(tape.record._replace(dv=tape.record.dv * 1.01), other)
     study = recorded_study(earth={"latitude_deg": 32.0})
-    read = Tape(read_psins(path, PSINS_LAYOUT), None)
+    read = StoredRecord(read_psins(path, PSINS_LAYOUT), None)
     study_run.run_into(study, tmp_path / "out", read, curves=True)
     with pytest.raises(InputError, match="reads a record: give it with --record"):
         rerun_into(tmp_path / "out", 3)

@@ -14,11 +14,11 @@ from scipy import stats
 from support.kept import Recorder, manifest, parts
 from support.studies import STILL, small_study
 
-from sinsjax.engine.batch import spread
+from sinsjax.engine.batch import in_threads
 from sinsjax.errors import StudyInterrupted
 from sinsjax.execution import run as study_run
 from sinsjax.execution import stopping, tables
-from sinsjax.execution.tasks import Executor, Job, Workshop
+from sinsjax.execution.tasks import Executor, Job, TaskRunner
 from sinsjax.study.load import Study
 
 COLUMNS = ["run_id", "draw_id", "variant_id"]
@@ -38,13 +38,13 @@ def study_of(
 
 @given(st.integers(1, 10**6))
 def test_it_looks_at_doubled_numbers_of_draws_and_at_the_cap(cap: int) -> None:
-    looks = stopping.looks(study_of(draws=cap))
+    looks = stopping.interim_draws(study_of(draws=cap))
     doubled = [64 * 2**i for i in range(20)]
     assert looks == [n for n in doubled if n < cap] + [cap]
 
 
 def test_without_the_section_there_is_one_look() -> None:
-    assert stopping.looks(small_study(study={"draws": 1000})) == [1000]
+    assert stopping.interim_draws(small_study(study={"draws": 1000})) == [1000]
 
 
 def wilson(k: int, n: int) -> float:
@@ -95,7 +95,7 @@ def test_a_look_is_a_naive_count(
     ):
         study = study_of(statistic, half_width, axes=axes, study={"judged_from": judged})
         assert set(stopping.columns(study)) - set(COLUMNS) <= set(table.column_names)
-        found = stopping.look(study, table.select(stopping.columns(study)), draws)
+        found = stopping.analyse_interim(study, table.select(stopping.columns(study)), draws)
         assert found.draws == draws
         assert found.half_width == pytest.approx(max(widths), rel=1e-9, abs=1e-9)
         if not math.isclose(max(widths), half_width, rel_tol=1e-6):
@@ -132,9 +132,9 @@ def test_it_stops_at_the_same_place_for_any_chunk_order_and_kill(name: str, tmp_
     draws = CASES[name][3]
     assert whole.summary.num_rows == 2 * draws
     assert study_run.run(study).summary.equals(whole.summary)
-    before = [n for n in stopping.looks(study) if n < draws]
-    assert not any(stopping.look(study, whole.summary, n).enough for n in before)
-    backwards = Executor(lambda shop, tasks: spread(shop.pack, list(tasks)[::-1], 2), {})
+    before = [n for n in stopping.interim_draws(study) if n < draws]
+    assert not any(stopping.analyse_interim(study, whole.summary, n).enough for n in before)
+    backwards = Executor(lambda shop, tasks: in_threads(shop.pack, list(tasks)[::-1], 2), {})
     study_run.run_into(study, tmp_path / "back", chunk_runs=128, executor=backwards)
     interrupted(study, tmp_path / "out")
     assert parts(tmp_path / "out") == parts(tmp_path / "back")
@@ -179,8 +179,8 @@ class Once(threading.Event):
 
 def test_stages_cover_every_draw_once() -> None:
     study = sweep_of("share, cap")
-    workshop = Workshop(Job(study))
-    assert workshop.stages == [range(0, 64), range(64, 128), range(128, 150)]
-    names = [task.name for tasks in workshop.tasks() for task in tasks]
+    runner = TaskRunner(Job(study))
+    assert runner.stages == [range(0, 64), range(64, 128), range(128, 150)]
+    names = [task.name for tasks in runner.tasks() for task in tasks]
     assert len(set(names)) == len(names)
-    assert [sum(t.runs for t in tasks) for tasks in workshop.tasks()] == [128, 128, 44]
+    assert [sum(t.runs for t in tasks) for tasks in runner.tasks()] == [128, 128, 44]

@@ -32,10 +32,10 @@ from sinsjax.engine import build
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import belongings, forecast, resume, store, tables
 from sinsjax.execution import run as study_run
-from sinsjax.execution.tasks import Job, Workshop
+from sinsjax.execution.tasks import Job, TaskRunner
 from sinsjax.platform import files
 from sinsjax.records import Reference
-from sinsjax.records.reference import Tape
+from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import Study, study_from_dict
 
 STUDY = sweep_study()
@@ -189,15 +189,15 @@ def test_a_part_that_is_not_whole_is_found_and_made_again(
 
 def test_a_part_that_no_manifest_knows_is_checked_to_the_last_bit(tmp_path: Path) -> None:
     """Pages have checksums in the format, all else in a part has none: statistics, names, units."""
-    workshop = Workshop(Job(STUDY, None, None, CHUNK_RUNS))
-    ((task, *_),) = workshop.tasks()
-    packed = workshop.pack(task)
-    held = store.Store(tmp_path / "out", workshop)
-    held.write(packed)
+    runner = TaskRunner(Job(STUDY, None, None, CHUNK_RUNS))
+    ((task, *_),) = runner.tasks()
+    encoded = runner.pack(task)
+    held = store.Store(tmp_path / "out", runner)
+    held.write(encoded)
     held._chunks.clear()
     assert held._found(task) is not None
     path = tmp_path / "out" / "summary" / f"{task.name}.parquet"
-    content = packed.files["summary"]
+    content = encoded.files["summary"]
     footer = int.from_bytes(content[-8:-4], "little") + 8
     random = np.random.default_rng(1)
     for place in random.integers(len(content) - footer, len(content), 100):
@@ -433,7 +433,7 @@ def test_what_is_not_ours_is_never_touched(
 
 
 @pytest.fixture(scope="module")
-def recorded() -> tuple[Study, Tape]:
+def recorded() -> tuple[Study, StoredRecord]:
     study = study_from_dict(
         {
             "study": {"duration_s": 2.0, "rate_hz": 100.0, "window_s": [0, 2]},
@@ -444,11 +444,11 @@ def recorded() -> tuple[Study, Tape]:
     )
     time_s = np.arange(0, 6.01, 0.01)
     reference = Reference(time_s, np.zeros((len(time_s), 3)), "true.csv")
-    return study, Tape(build.simulated_record(small_study()), reference)
+    return study, StoredRecord(build.simulated_record(small_study()), reference)
 
 
 def test_another_record_or_reference_is_refused(
-    recorded: tuple[Study, Tape], tmp_path: Path
+    recorded: tuple[Study, StoredRecord], tmp_path: Path
 ) -> None:
     study, tape = recorded
     out = tmp_path / "out"
@@ -459,15 +459,15 @@ def test_another_record_or_reference_is_refused(
     late = record.dv.copy()
     late[-1, 2] += 1e-12
     for other in (
-        Tape(record._replace(dv=late), reference),
-        Tape(record, None),
-        Tape(record, reference._replace(attitude_deg=reference.attitude_deg + 1e-9)),
+        StoredRecord(record._replace(dv=late), reference),
+        StoredRecord(record, None),
+        StoredRecord(record, reference._replace(attitude_deg=reference.attitude_deg + 1e-9)),
     ):
         with pytest.raises(InputError, match="holds results of another record or reference"):
             sweep(out, study, tape=other, resume=True)
     assert everything(out) == before
     assert sweep(out, study, tape=tape, resume=True) == []
-    moved = Tape(record._replace(source="copy.imu"), reference._replace(source="copy.csv"))
+    moved = StoredRecord(record._replace(source="copy.imu"), reference._replace(source="copy.csv"))
     assert sweep(out, study, tape=moved, resume=True) == []
 
 
@@ -475,8 +475,8 @@ def test_another_record_or_reference_is_refused(
 
 
 def test_there_is_one_writer(out: Path) -> None:
-    workshop = Workshop(resume.resumed(out, Job(STUDY, None, None, CHUNK_RUNS)))
-    held = store.Store(out, workshop, resume=True)
+    runner = TaskRunner(resume.resumed(out, Job(STUDY, None, None, CHUNK_RUNS)))
+    held = store.Store(out, runner, resume=True)
     before = everything(out)
     for options in ({"resume": True}, {"overwrite": True}):
         with pytest.raises(InputError, match="out: another process is writing there"):
@@ -505,7 +505,7 @@ def test_what_came_before_the_lock_was_taken_is_not_lost(
 ) -> None:
     """Two starts at a time on a new directory, of which one had ended when the other took hold."""
     for study, chunk_runs in ((STUDY, None), (sweep_study(study={"seed": 2}), CHUNK_RUNS)):
-        late = Workshop(resume.resumed(tmp_path / "new", Job(study, None, None, chunk_runs)))
+        late = TaskRunner(resume.resumed(tmp_path / "new", Job(study, None, None, chunk_runs)))
         with pytest.raises(InputError, match="another (process has just written|study)"):
             store.Store(out, late, resume=True)
     assert parts(out) == parts(whole)
@@ -636,7 +636,7 @@ def test_resuming_nothing_begins(whole: Path, tmp_path: Path) -> None:
 def test_a_stop_keeps_what_is_done_and_says_so(whole: Path, tmp_path: Path, chunks: int) -> None:
     stop, seen = threading.Event(), []
 
-    def tell(now: study_run.Progress) -> None:
+    def tell(now: study_run.RunProgress) -> None:
         seen.append(now)
         if now.done >= chunks * CHUNK_RUNS:
             stop.set()
@@ -665,7 +665,7 @@ def test_a_stop_keeps_what_is_done_and_says_so(whole: Path, tmp_path: Path, chun
 def test_a_stop_after_the_last_chunk_is_none(whole: Path, tmp_path: Path) -> None:
     stop = threading.Event()
 
-    def tell(now: study_run.Progress) -> None:
+    def tell(now: study_run.RunProgress) -> None:
         if now.done == now.total:
             stop.set()
 
@@ -714,8 +714,8 @@ def test_a_write_that_fails_is_one_clear_line_and_costs_nothing_else(
 
 
 def test_a_failing_chunk_leaves_the_directory_free(whole: Path, tmp_path: Path) -> None:
-    def do(workshop: Workshop, tasks: Any) -> Any:
-        yield workshop.pack(next(iter(tasks)))
+    def do(runner: TaskRunner, tasks: Any) -> Any:
+        yield runner.pack(next(iter(tasks)))
         raise MemoryError
 
     with pytest.raises(MemoryError):
@@ -753,10 +753,10 @@ def test_writing_manifests_takes_a_small_share_of_the_time(
 ) -> None:
     """However many chunks there are: here each takes no time, and a manifest a second."""
     clock, written = [0.0], []
-    workshop = Workshop(Job(STUDY, None, None, CHUNK_RUNS))
-    (tasks,) = workshop.tasks()
-    packed = workshop.pack(tasks[0])
-    held = store.Store(tmp_path / "out", workshop)
+    runner = TaskRunner(Job(STUDY, None, None, CHUNK_RUNS))
+    (tasks,) = runner.tasks()
+    encoded = runner.pack(tasks[0])
+    held = store.Store(tmp_path / "out", runner)
     held.missing(tasks)
 
     def slow(path: Path, content: bytes) -> None:
@@ -770,7 +770,7 @@ def test_writing_manifests_takes_a_small_share_of_the_time(
     monkeypatch.setattr(store.time, "monotonic", lambda: clock[0])
     held._next_manifest = 0.0
     for _ in range(1000):
-        held.write(packed)
+        held.write(encoded)
     held.release()
     assert len(written) / clock[0] < 0.06
     assert len(written) >= 5

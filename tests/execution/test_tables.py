@@ -199,7 +199,7 @@ def test_bands_always_hold_the_one_that_decides_the_status() -> None:
     names = [c.name for c in tables.Tables(study).summary_columns]
     assert {"settle_30_s", "settle_10_s"} <= set(names)
     (part,) = build.parts(study)
-    np.testing.assert_allclose(part.group.world.criteria.bands, np.array([30, 10]) * ARCMIN)
+    np.testing.assert_allclose(part.group.environment.criteria.bands, np.array([30, 10]) * ARCMIN)
 
 
 def test_drawn_keys_are_columns() -> None:

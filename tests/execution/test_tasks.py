@@ -19,9 +19,9 @@ from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
 from sinsjax.execution import tables
 from sinsjax.execution import tasks as study_tasks
-from sinsjax.execution.tasks import Executor, Job, Workshop
+from sinsjax.execution.tasks import Executor, Job, TaskRunner
 from sinsjax.records import Reference
-from sinsjax.records.reference import Tape
+from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import study_from_dict
 
 
@@ -56,11 +56,11 @@ def test_bytes_are_the_same_in_any_order_and_place(
     study, chunk_runs = study_of(name), 128
     study_run.run_into(study, tmp_path / "there", chunk_runs=chunk_runs)
 
-    def elsewhere(_: Workshop, tasks: Any) -> Any:
+    def elsewhere(_: TaskRunner, tasks: Any) -> Any:
         todo = list(tasks)
         random.Random(3).shuffle(todo)
         for task in todo:
-            yield Workshop(Job(study, None, None, chunk_runs)).pack(task)
+            yield TaskRunner(Job(study, None, None, chunk_runs)).pack(task)
 
     executor = Executor(elsewhere, {})
     study_run.run_into(study, tmp_path / "here", chunk_runs=chunk_runs, executor=executor)
@@ -106,8 +106,8 @@ def test_tasks_depend_on_the_study_alone_and_hold_every_run(
     study = small_study(
         study={"draws": draws}, axes={"p0_yaw_deg": [float(i + 1) for i in range(variants)]}
     )
-    (tasks,) = Workshop(Job(study, None, None, chunk_runs)).tasks()
-    assert (tasks,) == tuple(Workshop(Job(study, None, None, chunk_runs)).tasks())
+    (tasks,) = TaskRunner(Job(study, None, None, chunk_runs)).tasks()
+    assert (tasks,) == tuple(TaskRunner(Job(study, None, None, chunk_runs)).tasks())
     assert sum(task.runs for task in tasks) == draws * variants
     assert [task.call for task in tasks] == list(range(len(tasks)))
     assert sorted({task.name for task in tasks}) == [task.name for task in tasks]
@@ -130,18 +130,18 @@ def test_a_job_knows_study_record_and_reference() -> None:
     late = level._replace(time_s=time_s + 1e-9)
     turned = record._replace(dtheta=record.dtheta * (1 + 1e-15))
     tapes = [
-        Tape(record, None),
-        Tape(turned, None),
-        Tape(record._replace(rate_hz=100.0000001), None),
-        Tape(record, level),
-        Tape(record, tilted),
-        Tape(record, late),
+        StoredRecord(record, None),
+        StoredRecord(turned, None),
+        StoredRecord(record._replace(rate_hz=100.0000001), None),
+        StoredRecord(record, level),
+        StoredRecord(record, tilted),
+        StoredRecord(record, late),
     ]
     known = [Job(study, tape).identity for tape in tapes]
     known.append(Job(small_study()).identity)
     known.append(Job(small_study(study={"seed": 2})).identity)
     assert len(set(known)) == len(known)
-    moved = Tape(record._replace(source="elsewhere"), level._replace(source="elsewhere"))
+    moved = StoredRecord(record._replace(source="elsewhere"), level._replace(source="elsewhere"))
     assert Job(study, moved).identity == Job(study, tapes[3]).identity
     assert Job(small_study(study={"name": "other"}), None, True, 64).identity == known[-2]
 
@@ -149,16 +149,16 @@ def test_a_job_knows_study_record_and_reference() -> None:
 def test_many_threads_compile_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whoever comes first compiles a part; the others wait for it."""
     made: list[int] = []
-    compile_part = Workshop._compile
+    compile_part = TaskRunner._compile
 
-    def counted(self: Workshop, part: int, draws: range) -> Any:
+    def counted(self: TaskRunner, part: int, draws: range) -> Any:
         made.append(part)
         return compile_part(self, part, draws)
 
-    monkeypatch.setattr(Workshop, "_compile", counted)
-    workshop = Workshop(Job(study_of("worlds"), None, None, 128))
-    (tasks,) = workshop.tasks()
-    threads = [threading.Thread(target=workshop.do, args=(task,)) for task in tasks]
+    monkeypatch.setattr(TaskRunner, "_compile", counted)
+    runner = TaskRunner(Job(study_of("worlds"), None, None, 128))
+    (tasks,) = runner.tasks()
+    threads = [threading.Thread(target=runner.do, args=(task,)) for task in tasks]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -173,4 +173,4 @@ def test_failures_are_counted_as_they_are_called() -> None:
 
 def test_a_study_and_a_record_must_go_together() -> None:
     with pytest.raises(InputError, match="reads no record"):
-        Workshop(Job(small_study(), Tape(build.simulated_record(small_study()), None)))
+        TaskRunner(Job(small_study(), StoredRecord(build.simulated_record(small_study()), None)))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from fuzzing.edits import Quiet, edited, mangled
 from fuzzing.values import TEXTS, misfits, of_field, table
-from sinsjax.study.distributions import NUMBERS
+from sinsjax.study.distributions import NUMBERS_DRAWN
 from sinsjax.study.study import EXCLUSIVE, SECTIONS, SWEEPABLE
 from sinsjax.study.tuned_keys import TUNABLE
 
@@ -136,7 +136,7 @@ def _edit(draw: st.DrawFn, data: dict[str, Any]) -> None:
         section = draw(st.sampled_from(list(SECTIONS)))
         data[section] = draw(table(SECTIONS[section].model_fields))
     elif kind == "drawn":
-        place = draw(st.sampled_from([p for p in _SWEPT if p[1] in NUMBERS]))
+        place = draw(st.sampled_from([p for p in _SWEPT if p[1] in NUMBERS_DRAWN]))
         _without(data, place)
         _given(data, "drawn")[place[1]] = _law(draw, place)
     elif kind == "tuned":

@@ -206,7 +206,7 @@ def check_record(folder: Path, case: records.Case) -> None:
         for line in warnings:
             line_of(InputError(line))
     except InputError as error:
-        line_of(error, record, reference, study.study.name)
+        line_of(error, record, reference, study.name)
 
 
 def measured(check: Callable[[Any], None], case: Any) -> None:

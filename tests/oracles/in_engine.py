@@ -12,11 +12,18 @@ from sinsjax.alignment.base import Site
 from sinsjax.alignment.compass import method as compass
 from sinsjax.alignment.compass.design import AzimuthGains, LevelGains
 from sinsjax.alignment.limits import NO_BIASES
-from sinsjax.alignment.schedules import Feedback, Pieces, Renewal, Resets
+from sinsjax.alignment.schedules import CovarianceReset, Feedback, Pieces, Resets
 from sinsjax.alignment.zero_velocity import method as zero_velocity
 from sinsjax.engine.metrics import Criteria
-from sinsjax.engine.realisations import Draw, Static, World
-from sinsjax.engine.simulate import ONE, Params, Progress, begin, over_a_record, shared_by
+from sinsjax.engine.realisations import Draw, Environment, Static
+from sinsjax.engine.simulate import (
+    ONE_RUN,
+    RunParams,
+    RunsUnderWay,
+    begin,
+    over_a_record,
+    shared_by,
+)
 from sinsjax.strapdown import base_motion, earth, sensors
 from sinsjax.strapdown.error_model import MODELS
 from sinsjax.types import Increments, Navigation, Quat, Vec3
@@ -91,19 +98,20 @@ def by_state(values: np.ndarray) -> tuple[Any, ...]:
     return tuple(of[name] for name in _MODEL_OF[len(of)].states)
 
 
-def params(filt: Filter) -> zero_velocity.Params:
+def params(filt: Filter) -> zero_velocity.FilterParams:
     scale = (filt.factor, filt.factor, 0.0, 0.0)
     when = [*filt.resets] + [np.inf] * (RESETS - len(filt.resets))
-    return zero_velocity.Params(
+    return zero_velocity.FilterParams(
         p0=by_state(filt.p0),
         q=by_state(filt.q),
         r=np.float64(filt.r),
         feedback=Feedback(np.float64(filt.every), np.float64(filt.gain)),
         resets=Resets(
-            np.array(when, dtype=float), Renewal(*map(np.float64, _KINDS.get(filt.kind, scale)))
+            np.array(when, dtype=float),
+            CovarianceReset(*map(np.float64, _KINDS.get(filt.kind, scale))),
         ),
         reset_to=by_state(filt.p0),
-        turn=Renewal(*map(np.float64, _turn(filt))),
+        turn=CovarianceReset(*map(np.float64, _turn(filt))),
     )
 
 
@@ -135,25 +143,25 @@ def swing_increments(swing: Swing, planet: Planet, latitude: float, *, rate, sam
 _increments = jax.jit(base_motion.increments, static_argnums=3)
 
 
-def loops(given: Loops, turn: compass.Turn) -> compass.Params:
+def loops(given: Loops, turn: compass.Reversal) -> compass.LoopParams:
     """Compass loops whose azimuth gains do not change, with a turn rule in numbers."""
     ((begin, gains),) = given.azimuth
-    return compass.Params(
+    return compass.LoopParams(
         level=LevelGains(*map(np.float64, given.level)),
         azimuth=AzimuthGains(*map(np.float64, gains)),
         pace=Pieces(np.array([]), np.array([1.0])),
         azimuth_from=np.float64(begin),
         smoothing=np.float64(given.smoothing),
-        turn=compass.Turn(*map(np.float64, turn)),
+        turn=compass.Reversal(*map(np.float64, turn)),
     )
 
 
 def tape_world(
     rows: np.ndarray, here: Site, *, pass_records: int, errors: sensors.SensorErrors | None = None
-) -> World:
-    """A world whose truth is not known: a tape and a site."""
+) -> Environment:
+    """An environment whose truth is not known: a tape and a site."""
     never = Criteria(np.zeros(1), *(np.float64(0.0),) * 4)
-    return World(
+    return Environment(
         site=here,
         tape=rows,
         truth=np.full((1, 1, 4), np.nan),
@@ -165,27 +173,27 @@ def tape_world(
     )
 
 
-def one_run(c: np.ndarray, phi: Any, v: Any, method: Any) -> Params:
+def one_run(c: np.ndarray, phi: Any, v: Any, method: Any) -> RunParams:
     """A run that starts from the attitude c, off by phi (rad), with the velocity v (m/s)."""
     q = Quat(*map(np.float64, quaternion(c)))
-    return Params(q, Vec3(*map(np.float64, phi)), *map(np.float64, v), method)
+    return RunParams(q, Vec3(*map(np.float64, phi)), *map(np.float64, v), method)
 
 
 @partial(jax.jit, static_argnums=0)
-def trail(static: Static, world: World, params: Params) -> Any:
+def trail(static: Static, environment: Environment, params: RunParams) -> Any:
     """The state of the method at every record of one run of the engine, leaves (records, ...)."""
     draw = Draw(jnp.asarray(0), jnp.asarray(0), jnp.asarray(0))
     zero = jnp.zeros(())
     nothing = Increments(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
-    shared = shared_by(static, world, draw, params, ONE)
-    step = over_a_record(static, world, shared, draw, params, ONE)
+    shared = shared_by(static, environment, draw, params, ONE_RUN)
+    step = over_a_record(static, environment, shared, draw, params, ONE_RUN)
     unknown = Quat(*(zero + jnp.nan for _ in range(4)))
 
-    def record(progress: Progress, number: Any) -> tuple[Progress, Any]:
+    def record(progress: RunsUnderWay, number: Any) -> tuple[RunsUnderWay, Any]:
         progress, _ = step(progress, (number, unknown))
         return progress, progress.run.state
 
-    start = Progress(begin(static, world, world.site, params), nothing)
+    start = RunsUnderWay(begin(static, environment, environment.site, params), nothing)
     return jax.lax.scan(record, start, jnp.arange(static.records))[1]
 
 

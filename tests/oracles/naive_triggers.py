@@ -104,7 +104,7 @@ class Watcher(Unwatched):
         """Begin with the covariance of the start."""
         self.name, self.numbers, self.dt = name, numbers, dt
         self.q, self.r = np.diag(q), r * np.eye(2)
-        self.fired, self.scores = [], []
+        self.trigger_counts, self.scores = [], []
         self.begin(0, p0 if np.ndim(p0) == 2 else np.diag(p0))
 
     def begin(self, k, p):
@@ -156,11 +156,11 @@ class Watcher(Unwatched):
         fires = (
             score > self.numbers.threshold
             and k - self.reset_at >= self.numbers.refractory
-            and len(self.fired) < self.numbers.most
+            and len(self.trigger_counts) < self.numbers.most
             and k <= self.numbers.until
         )
         if fires:
-            self.fired.append(k)
+            self.trigger_counts.append(k)
         return fires
 
     def feed(self, phi):

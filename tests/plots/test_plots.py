@@ -11,7 +11,7 @@ from scipy import stats
 
 from sinsjax import plots
 from sinsjax.analysis import Estimate
-from sinsjax.plots import Belief, Ensemble, Line, Scale, Shown, Spread, Verdicts
+from sinsjax.plots import BeliefPanel, DistributionPanel, Ensemble, Line, Scale, Shown, Verdicts
 from sinsjax.plots.spreads import steps
 
 TIME = np.arange(1.0, 11.0)
@@ -253,7 +253,7 @@ def test_an_axis_is_marked_at_its_values_where_they_have_room(values, marks):
 
 def spread(*lines, far=math.inf, missing="never"):
     named = {str(i): np.asarray(values, dtype=float) for i, values in enumerate(lines)}
-    return Spread("time (s)", named, missing, far)
+    return DistributionPanel("time (s)", named, missing, far)
 
 
 def test_distributions_tell_what_is_missing():
@@ -302,7 +302,7 @@ def test_a_staircase_of_many_values_keeps_its_shape():
 def test_beliefs():
     nees = np.array([0.5, 2.0, np.nan, 8.0])
     shares = {"a": Estimate(0.7, 0.6, 0.8, 4), "b": Estimate(0.4, math.nan, math.nan, 4)}
-    shown = [Belief("x", nees, shares), Belief("y", 4 * nees, shares)]
+    shown = [BeliefPanel("x", nees, shares), BeliefPanel("y", 4 * nees, shares)]
     left, right = plots.beliefs(shown, "Title").axes
     first, second, chi2 = left.get_lines()
     assert [line.get_label() for line in (first, second)] == ["x", "y"]
@@ -318,7 +318,7 @@ def test_beliefs():
 
 
 def test_beliefs_where_nothing_is_known():
-    shown = [Belief("x", np.full(3, np.nan), {"a": Estimate(*[math.nan] * 3, 0)})]
+    shown = [BeliefPanel("x", np.full(3, np.nan), {"a": Estimate(*[math.nan] * 3, 0)})]
     assert plots.png(plots.beliefs(shown, "Title"))
 
 

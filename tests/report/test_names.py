@@ -20,7 +20,7 @@ from sinsjax import cli, columns, report
 from sinsjax import console as screen
 from sinsjax.errors import InputError
 from sinsjax.execution import progress, run
-from sinsjax.execution.run import Progress
+from sinsjax.execution.run import RunProgress
 from sinsjax.plots import png
 from sinsjax.plots.style import styled
 from sinsjax.report.names import NO_NAMES, Names, escaped, file_stem
@@ -135,7 +135,7 @@ def test_a_terminal_that_reads_markup_is_told_text() -> None:
     shown = Console(file=file, width=40)
     screen.say(shown, "[/b] reset [fast] :smile:")
     with progress.progress(shown, "[/b] :smile:") as tell:
-        tell(Progress(5, 5, 0, 0))
+        tell(RunProgress(5, 5, 0, 0))
     assert file.getvalue().splitlines() == [
         "[/b] reset [fast] :smile:",
         "[/b] :smile:: 5 of 5 runs, 0 failed",

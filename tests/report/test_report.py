@@ -21,7 +21,7 @@ from sinsjax.plots import Ensemble
 from sinsjax.report import base, car_test, limits, over_axes, readings, spreads, statements
 from sinsjax.report import paper1 as paper1_page
 from sinsjax.report.readings import CONCLUSIONS, Judged
-from sinsjax.report.statements import STATEMENTS, Verdict
+from sinsjax.report.statements import STATEMENTS, StatementVerdict
 from sinsjax.study.load import study_from_dict
 
 FLOOR = -25.9
@@ -556,7 +556,7 @@ def test_biases_that_a_filter_does_not_know_explain_its_nees(tmp_path):
 def verdicts(held, clear=()):
     number = Estimate(0.5, 0.4, 0.6, 8)
     return [
-        Verdict(s, *STATEMENTS[s], s in held, s not in clear, number, "", "measure")
+        StatementVerdict(s, *STATEMENTS[s], s in held, s not in clear, number, "", "measure")
         for s in STATEMENTS
     ]
 
@@ -667,7 +667,7 @@ def test_paper1_configs_load_and_fit_their_layouts():
     studies = {}
     for name in report.PAPER1:
         study = base.load_study(folder / f"{name}.toml")
-        assert (study.study.name, study.report.layout) == (name, name)
+        assert (study.name, study.report.layout) == (name, name)
         studies[name] = study
     labels = [case["case"] for case in studies["paper1_readings"].cases]
     assert labels == [f"condition {name}" for name in statements.CONDITIONS]

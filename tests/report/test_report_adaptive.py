@@ -93,9 +93,9 @@ def table_of(study, settle, count=None):
     shape = (study.n_draws, study.n_variants)
     settle = np.broadcast_to(settle, shape).ravel()
     count = np.broadcast_to(0 if count is None else count, shape).ravel()
-    fired = count > 0
-    first = np.where(fired, 2.0 * count, np.nan)
-    last = np.where(fired, 7.0 * count, np.nan)
+    trigger_counts = count > 0
+    first = np.where(trigger_counts, 2.0 * count, np.nan)
+    last = np.where(trigger_counts, 7.0 * count, np.nan)
     return pa.table(
         {
             "run_id": np.arange(settle.size),
@@ -245,9 +245,13 @@ def test_every_run_is_found_at_its_place(turned):
         )
         np.testing.assert_array_equal(cells.settle_s[at], settle[:, i])
         np.testing.assert_array_equal(cells.count[at], count[:, i])
-        fired = count[:, i] > 0
-        np.testing.assert_array_equal(cells.first_s[at], np.where(fired, 2.0 * count[:, i], np.nan))
-        np.testing.assert_array_equal(cells.last_s[at], np.where(fired, 7.0 * count[:, i], np.nan))
+        trigger_counts = count[:, i] > 0
+        np.testing.assert_array_equal(
+            cells.first_s[at], np.where(trigger_counts, 2.0 * count[:, i], np.nan)
+        )
+        np.testing.assert_array_equal(
+            cells.last_s[at], np.where(trigger_counts, 7.0 * count[:, i], np.nan)
+        )
     assert [t.name for t in cells.tunings] == [
         "per_step, 1 s",
         "per_step, 10 s",

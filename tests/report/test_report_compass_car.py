@@ -229,7 +229,7 @@ def test_kicks_are_what_an_exact_reflection_does_not_explain(data):
     tilt[0, 159:161] = 0.3, -0.3  # reflected
     tilt[1, 479:481] = 0.2, 0.1  # a kick of 0.3 where -0.2 should be
     lines = Ensemble("x", time, {"phi_e_arcmin": tilt})
-    found = reversal_transients.kicks(model, lines)
+    found = reversal_transients.transients_of(model, lines)
     np.testing.assert_allclose(found, [[0] * 6, [0, 0, 0, 0, 0, 0.3]], atol=1e-12)
     heading = reversal_transients.heading_of_kicks(model, lines)
     last = reversal_transients.heading_at_end(model, 480.0, 560.0)

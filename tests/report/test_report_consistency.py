@@ -119,7 +119,7 @@ def test_a_study_without_draws_of_its_starts_has_no_true_belief(tmp_path):
 
 def test_the_shipped_study_has_draws_enough_for_a_narrow_band():
     study = load_study(CONFIG)
-    assert (study.study.name, study.report.layout) == ("consistency", "consistency")
+    assert (study.name, study.report.layout) == ("consistency", "consistency")
     low, high = analysis.chi2_mean_band(3, study.n_draws)
     assert (high - low) / 2 < 0.06 * 3
 

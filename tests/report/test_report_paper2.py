@@ -82,8 +82,8 @@ def variant_of(study, label, drift=0.02):
 def test_the_configs_are_what_the_paper_prints():
     static, swing = (load_study(CONFIGS / f"paper2_{base}.toml") for base in ("static", "swing"))
     for study, name in ((static, "static"), (swing, "swing")):
-        assert (study.study.name, study.report.layout) == (f"paper2_{name}", "paper2")
-        assert (study.study.duration_s, study.study.rate_hz) == (600.0, 200.0)
+        assert (study.name, study.report.layout) == (f"paper2_{name}", "paper2")
+        assert (study.duration_s, study.rate_hz) == (600.0, 200.0)
         assert study.study.window_s == (550.0, 600.0) and study.n_draws >= 256
         assert study.earth.latitude_deg == 32.057313
         assert set(study.values("gyro_bias_deg_per_h")) == {0.02, 0.006}

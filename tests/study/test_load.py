@@ -138,7 +138,7 @@ def refusal(base: dict[str, Any] = SIMULATED, **tables: Any) -> str:
 
 def test_defaults_are_filled_in():
     study = study_from_dict(SIMULATED, "folder/swing.toml")
-    assert study.study.name == "swing"
+    assert study.name == "swing"
     assert study.study.window_s == (600.0, 900.0)
     assert (study.n_draws, study.n_variants, study.axis_keys) == (64, 1, ())
     assert (study.earth.gravity_m_per_s2, study.earth.height_m) == (9.8, 0.0)
@@ -149,7 +149,7 @@ def test_defaults_are_filled_in():
 
 def test_a_value_has_the_type_of_its_key():
     study = built(sensors={"gyro_bias_deg_per_h": [1, 2, 3]})
-    assert type(study.study.duration_s) is float
+    assert type(study.duration_s) is float
     assert study.sensors is not None and study.sensors.gyro_bias_deg_per_h == (1.0, 2.0, 3.0)
 
 
@@ -180,7 +180,7 @@ def test_input_is_left_as_it_is():
 def test_a_study_is_frozen():
     study = built()
     with pytest.raises(ValueError, match="frozen"):
-        study.study.seed = 2
+        study.seed = 2
     with pytest.raises(ValueError, match="frozen"):
         study.earth = study.earth
 

@@ -13,9 +13,9 @@ from support.studies import BASE
 
 from sinsjax.errors import InputError
 from sinsjax.study import sampling
-from sinsjax.study.distributions import NUMBERS, STARTS
+from sinsjax.study.distributions import INITIAL_KEYS, NUMBERS_DRAWN
 from sinsjax.study.load import Study, study_from_dict
-from sinsjax.study.schema import Motion, Sensors
+from sinsjax.study.schema import MotionSection, SensorsSection
 from sinsjax.study.study import SECTION_OF
 
 MANY = 1 << 14
@@ -69,12 +69,17 @@ def test_shapes(laws: dict[str, Any], count: int):
 
 
 def test_a_key_has_as_many_numbers_as_its_section_takes():
-    for key, numbers in NUMBERS.items():
+    for key, numbers in NUMBERS_DRAWN.items():
         one = study_of({key: {"values": [[1.0] * numbers if numbers > 1 else 1.0]}}, **periods(key))
         assert sampling.values(one, 2)[key].shape == ((2, numbers) if numbers > 1 else (2,))
         with pytest.raises(InputError, match="must be a number|required"):
             study_of({key: {"values": [[1.0, 2.0]]}}, **periods(key))
-    assert NUMBERS.keys() == {"latitude_deg", *Motion.model_fields, *Sensors.model_fields, *STARTS}
+    assert NUMBERS_DRAWN.keys() == {
+        "latitude_deg",
+        *MotionSection.model_fields,
+        *SensorsSection.model_fields,
+        *INITIAL_KEYS,
+    }
 
 
 def periods(key: str) -> dict[str, Any]:
@@ -435,14 +440,17 @@ RECORDED = {"study": {"duration_s": 300.0, "rate_hz": 100.0}, "record": {"format
 
 
 def test_what_a_recorded_study_may_draw():
-    laws = {key: {"normal": [0, 1]} for key in STARTS}
+    laws = {key: {"normal": [0, 1]} for key in INITIAL_KEYS}
     record = {"format": "psins", "start_s": [0, 10, 20]}
     study = study_from_dict(RECORDED | {"record": record, "drawn": laws})
-    assert study.n_draws == 3 and study.drawn_keys == STARTS
+    assert study.n_draws == 3 and study.drawn_keys == INITIAL_KEYS
     for key, reason in (
         ("yaw_center_deg", "has no place in a recorded study ([motion] is the simulation's)"),
         ("gyro_bias_deg_per_h", "has no place in a recorded study ([sensors] is the simulation's)"),
-        ("latitude_deg", f"cannot be drawn in a recorded study (what can: {', '.join(STARTS)})"),
+        (
+            "latitude_deg",
+            f"cannot be drawn in a recorded study (what can: {', '.join(INITIAL_KEYS)})",
+        ),
     ):
         with pytest.raises(InputError) as caught:
             study_from_dict(RECORDED | {"drawn": {key: {"values": [1]}}}, "s.toml")

@@ -20,7 +20,7 @@ from sinsjax.study.load import (
     tables_of,
     with_point,
 )
-from sinsjax.study.search_space import Space
+from sinsjax.study.search_space import SearchSpace
 
 TIMES = [{"low": 1.0, "high": 3.0}, {"low": 2.0, "high": 5.0}]
 YAW = {"low": 10.0, "high": 90.0}
@@ -344,7 +344,7 @@ def test_what_a_study_computes_does_not_depend_on_its_tuning() -> None:
 
 
 def test_variables_and_combinations_stand_in_the_order_written() -> None:
-    space = Space.of(tuned(EVERYTHING))
+    space = SearchSpace.of(tuned(EVERYTHING))
     names = ["reset_times_s[0]", "reset_times_s[1]", "feedback_time_constant_s"]
     assert [variable.name for variable in space.variables] == names
     told = [(c["reset_count"], c["reset_kind"], c["p0_yaw_deg"]) for c in space.combinations]
@@ -354,12 +354,12 @@ def test_variables_and_combinations_stand_in_the_order_written() -> None:
 
 
 def test_a_study_without_candidates_has_one_combination() -> None:
-    assert Space.of(tuned({"p0_yaw_deg": YAW})).combinations == ({},)
+    assert SearchSpace.of(tuned({"p0_yaw_deg": YAW})).combinations == ({},)
 
 
 @given(box=st.lists(st.floats(0, 1), min_size=3, max_size=3))
 def test_values_go_there_and_back(box: list[float]) -> None:
-    space = Space.of(tuned(EVERYTHING))
+    space = SearchSpace.of(tuned(EVERYTHING))
     values = space.values(box)
     assert space.box(values) == pytest.approx(box, abs=1e-12)
     for variable, value in zip(space.variables, values, strict=True):
@@ -370,7 +370,7 @@ def test_values_go_there_and_back(box: list[float]) -> None:
 
 
 def test_a_point_has_ascending_times_on_samples() -> None:
-    space = Space.of(tuned(EVERYTHING))
+    space = SearchSpace.of(tuned(EVERYTHING))
     last = space.combinations[-1]
     assert space.point([2.9999, 2.123456, 11.0], last) == {
         "reset_times_s": (2.12, 3.0, 4.0),
@@ -388,7 +388,7 @@ def test_pieces_of_sigma_never_fall_together() -> None:
         "sigma_times_s": [{"low": 1.0, "high": 3.0}] * 2,
         "sigma_factors": {"fixed": [4.0, 2.0, 1.0]},
     }
-    space = Space.of(
+    space = SearchSpace.of(
         tuned(
             given, changes=COMPASS, baseline={"sigma_times_s": [1.0, 2.0], "sigma_factors": [1] * 3}
         )
@@ -402,7 +402,7 @@ def test_lengths_that_must_be_whole_are() -> None:
         {"feedback_interval_s": {"low": 0.1, "high": 1}, "tape_s": {"low": 1, "high": 3}},
         changes=changes,
     )
-    space = Space.of(study)
+    space = SearchSpace.of(study)
     point = space.point([0.3333, 2.4], space.combinations[0])
     assert point == {"feedback_interval_s": 0.33, "tape_s": 2.0}
 

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from sinsjax.engine.batch import spread
-from sinsjax.execution.tasks import Executor, Packed, Task, Workshop
+from sinsjax.engine.batch import in_threads
+from sinsjax.execution.tasks import EncodedResult, Executor, Task, TaskRunner
 from sinsjax.study.load import Study, study_from_dict
 from support.studies import BASE, small_study
 
@@ -16,7 +16,7 @@ CHUNKS = 12
 
 
 def sweep_study(**changes: Any) -> Study:
-    """Two worlds of 16 variants: 12 chunks of `CHUNK_RUNS` runs, 2 s each, with curves."""
+    """Two environments of 16 variants: 12 chunks of `CHUNK_RUNS` runs, 2 s each, with curves."""
     sections: dict[str, Any] = {
         "study": {"draws": 48, "duration_s": 2.0, "window_s": [0, 2], "curves": True},
         "axes": {
@@ -129,7 +129,7 @@ class Recorder:
     def executor(self) -> Executor:
         return Executor(self._do, {})
 
-    def _do(self, workshop: Workshop, tasks: Iterable[Task]) -> Iterator[Packed]:
-        for packed in spread(workshop.pack, tasks, 2):
-            self.done.append(packed.task.name)
-            yield packed
+    def _do(self, runner: TaskRunner, tasks: Iterable[Task]) -> Iterator[EncodedResult]:
+        for encoded in in_threads(runner.pack, tasks, 2):
+            self.done.append(encoded.task.name)
+            yield encoded

@@ -19,7 +19,7 @@ def store(directory: Path, study: Study, summary: pa.Table, curves: pa.Table | N
             (directory / name).mkdir(parents=True)
             pq.write_table(table, directory / name / "part-0000.parquet")
     (directory / "study.toml").write_text(study_to_toml(study))
-    (directory / "manifest.json").write_text(json.dumps({"config": f"{study.study.name}.toml"}))
+    (directory / "manifest.json").write_text(json.dumps({"config": f"{study.name}.toml"}))
     return directory
 
 

@@ -15,7 +15,7 @@ from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.study.load import Study
-from sinsjax.study.search_space import Space
+from sinsjax.study.search_space import SearchSpace
 from sinsjax.tuning import carry_out, descent, history, objective, search
 from sinsjax.tuning.descent import TANGENT_STEPS, Slope, Softness
 from sinsjax.tuning.relaxation import CHANGES, Relaxation
@@ -121,7 +121,9 @@ STUDIES = {
         objective_band_arcmin=300.0,
     ),
 }
-VARIABLES = [(name, v.name) for name, study in STUDIES.items() for v in Space.of(study).variables]
+VARIABLES = [
+    (name, v.name) for name, study in STUDIES.items() for v in SearchSpace.of(study).variables
+]
 
 
 def test_every_variable_with_a_gradient_is_tried() -> None:
@@ -140,7 +142,7 @@ def gradients(name: str) -> dict[str, tuple[float, float]]:
     comes to the edge of a window, where the slope has a bend.
     """
     study = STUDIES[name]
-    variables = Space.of(study).variables
+    variables = SearchSpace.of(study).variables
     count = len(variables)
     box = np.tile(0.457 + 0.013 * np.arange(count), (1 + 4 * count, 1))
     times = [v.key in ("reset_times_s", "reset_first_s", "reset_cycle_s") for v in variables]
@@ -211,7 +213,7 @@ def numbers(study: Study, point: dict[str, Any]) -> list[Any]:
 
 def assert_moved(study: Study, places: dict[str, float], combination: int = 0) -> None:
     """Relaxed numbers are those of the study with the keys set to these places' values."""
-    space = Space.of(study)
+    space = SearchSpace.of(study)
     chosen = space.combinations[combination]
     box = np.array([places.get(v.name, 0.5) for v in space.variables])
     relaxation = Relaxation(study, space, chosen)
@@ -233,7 +235,7 @@ def test_a_variable_does_what_its_key_does(name: str, variable: str) -> None:
 
 @pytest.mark.parametrize("name", STUDIES)
 def test_variables_do_all_that_their_keys_do(name: str) -> None:
-    assert_moved(STUDIES[name], {v.name: 0.75 for v in Space.of(STUDIES[name]).variables})
+    assert_moved(STUDIES[name], {v.name: 0.75 for v in SearchSpace.of(STUDIES[name]).variables})
 
 
 COUNTED = {"study": SHORT, "resets": {"reset_count": 3, "reset_cycle_s": 10.0}}
@@ -284,7 +286,7 @@ def test_the_relaxed_objective_tends_to_the_hard_one() -> None:
         objective_band_arcmin=300.0,
         tune_draws=3,
     )
-    space = Space.of(study)
+    space = SearchSpace.of(study)
     box = np.array([[0.1, 0.5], [0.6, 0.2], [0.35, 0.9]])
     points = {str(i): space.point(space.values(own), {}) for i, own in enumerate(box)}
     derived = search.derive(study, points, name="hard")
@@ -349,7 +351,7 @@ def down() -> tuple[Study, history.Found]:
 def test_descents_go_down_and_stay_in_the_box(down: tuple[Study, history.Found]) -> None:
     """One ends in the least objective of all, one at the edge, which is a least one of its own."""
     study, found = down
-    space = Space.of(study)
+    space = SearchSpace.of(study)
     values = np.array([look.values for look in found.looks])
     assert values.min() >= 0.02 and values.max() <= 0.08
     for start in range(2):
@@ -414,7 +416,7 @@ def test_candidates_are_tried_one_by_one() -> None:
     one = 600
     costs = [3 * one, 2 * one * 3, 2 * one * 3, 3 * one]
     assert [look.cost for look in found.looks] == list(np.cumsum(costs))
-    space, hard = Space.of(study), [look for look in found.looks if look.window_s is None]
+    space, hard = SearchSpace.of(study), [look for look in found.looks if look.window_s is None]
     assert [look.step for look in hard] == [2, 2]
     assert study.tune is not None
     for look in hard:

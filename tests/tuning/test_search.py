@@ -15,10 +15,10 @@ import sinsjax
 from sinsjax.errors import InputError
 from sinsjax.execution import tables
 from sinsjax.study.load import Study, study_from_dict, tables_of
-from sinsjax.study.search_space import Space
+from sinsjax.study.search_space import SearchSpace
 from sinsjax.tuning import history, objective, search
-from sinsjax.tuning.history import Found, Look
-from sinsjax.tuning.search import Session
+from sinsjax.tuning.history import Evaluation, Found
+from sinsjax.tuning.search import SearchSession
 
 TIMES = [{"low": 1.0, "high": 3.0}, {"low": 1.0, "high": 3.0}]
 YAW = {"low": 10.0, "high": 90.0}
@@ -39,7 +39,7 @@ def seed(study: Study, name: str = "sobol") -> np.random.SeedSequence:
 
 
 def test_a_grid_has_every_point_of_every_combination() -> None:
-    candidate, box = search.grid(Space.of(COUNTED), 3)
+    candidate, box = search.grid(SearchSpace.of(COUNTED), 3)
     assert candidate.tolist() == [0, *[1] * 3, *[2] * 9]
     np.testing.assert_array_equal(box[0], [np.nan, np.nan])
     np.testing.assert_array_equal(box[1:4], [[0, np.nan], [0.5, np.nan], [1, np.nan]])
@@ -49,7 +49,7 @@ def test_a_grid_has_every_point_of_every_combination() -> None:
 
 @pytest.mark.parametrize("draw", [search.sobol, search.random])
 def test_drawn_points_are_those_of_the_seed(draw: Any) -> None:
-    space = Space.of(COUNTED)
+    space = SearchSpace.of(COUNTED)
     candidate, box = draw(space, [4, 3, 5], seed(COUNTED))
     assert candidate.tolist() == [0, *[1] * 3, *[2] * 5]
     inside = box[np.isfinite(box)]
@@ -63,7 +63,7 @@ def test_drawn_points_are_those_of_the_seed(draw: Any) -> None:
 
 
 def test_sobol_points_are_spread_evenly() -> None:
-    space = Space.of(tuned({"reset_times_s": TIMES}))
+    space = SearchSpace.of(tuned({"reset_times_s": TIMES}))
     box = search.sobol(space, [64], seed(COUNTED)).box
     cells = np.floor(box * 8).astype(int)
     assert len({tuple(cell) for cell in cells}) == 64
@@ -85,14 +85,14 @@ def test_a_search_is_a_study_of_its_points() -> None:
     points = {"grid 0": {"reset_times_s": (1.0,)}, "grid 4": {"reset_times_s": (1.0, 2.0)}}
     derived = search.derive(study, points, name="own")
     assert (derived.tune, derived.study.name, derived.study.curves) == (None, "own", False)
-    assert (derived.n_draws, derived.study.seed) == (2, study.study.seed)
+    assert (derived.n_draws, derived.study.seed) == (2, study.seed)
     assert derived.n_variants == 2 * study.n_variants == 16
     assert derived.values("case") == ["grid 0"] * 8 + ["grid 4"] * 8
     assert derived.reset_times() == [(1.0,)] * 8 + [(1.0, 2.0)] * 8
     pairs = {*zip(derived.values("phi_e0_deg"), derived.values("phi_u0_deg"), strict=True)}
     assert pairs == {(0.0, 5.0), (3.0, 50.0)}
     judging = search.derive(study, points, name="own", judging=True)
-    assert (judging.n_draws, judging.study.seed) == (5, study.study.seed + 1)
+    assert (judging.n_draws, judging.study.seed) == (5, study.seed + 1)
 
 
 def test_labels_alone_leave_nothing_to_sweep() -> None:
@@ -181,20 +181,23 @@ def test_the_objective_of_rows(
 
 
 FOUND = [
-    Found("grid", [Look(0, 0, [np.nan, np.nan], 3.0, 7), Look(1, 2, [1.5, 2.5], np.inf, 14)]),
+    Found(
+        "grid",
+        [Evaluation(0, 0, [np.nan, np.nan], 3.0, 7), Evaluation(1, 2, [1.5, 2.5], np.inf, 14)],
+    ),
     Found(
         "gradient",
         [
-            Look(0, 2, [2.5, 1.5], 1.0, 20, 0, 20.0, 2.0),
-            Look(1, 2, [2.0, 1.0], 4.0, 30, 0),
-            Look(1, 2, [2.5, 1.0], 3.5, 30, 1),
+            Evaluation(0, 2, [2.5, 1.5], 1.0, 20, 0, 20.0, 2.0),
+            Evaluation(1, 2, [2.0, 1.0], 4.0, 30, 0),
+            Evaluation(1, 2, [2.5, 1.0], 3.5, 30, 1),
         ],
     ),
 ]
 
 
 def test_a_history_is_read_as_it_was_written(tmp_path: Path) -> None:
-    space = Space.of(COUNTED)
+    space = SearchSpace.of(COUNTED)
     history.write(tmp_path, space, FOUND)
     again = history.read(tmp_path, space)
     for one, other in zip(FOUND, again, strict=True):
@@ -212,7 +215,7 @@ def test_a_history_is_read_as_it_was_written(tmp_path: Path) -> None:
         b"unit": b"s",
         b"meaning": b"explicit reset times, s; null where not used",
     }
-    other_space = Space.of(tuned({"p0_yaw_deg": YAW}))
+    other_space = SearchSpace.of(tuned({"p0_yaw_deg": YAW}))
     with pytest.raises(InputError, match=r"history\.parquet: column p0_yaw_deg is missing"):
         history.read(tmp_path, other_space)
     (tmp_path / "history.parquet").write_text("no table")
@@ -221,7 +224,7 @@ def test_a_history_is_read_as_it_was_written(tmp_path: Path) -> None:
 
 
 def test_only_what_is_not_relaxed_can_be_best() -> None:
-    space = Space.of(COUNTED)
+    space = SearchSpace.of(COUNTED)
     grid, gradient = FOUND
     assert (grid.best.step, grid.cost, grid.point(space)) == (0, 14, {"reset_times_s": ()})
     assert (gradient.best.start, gradient.cost) == (1, 30)
@@ -239,11 +242,11 @@ def test_a_search_looks_at_every_point_once(tmp_path: Path) -> None:
         },
         objective="final_error",
     )
-    session = Session(
+    session = SearchSession(
         tmp_path, None, False, False, lambda name: nullcontext(), threading.Event(), None
     )
-    design = search.grid(Space.of(study), 3)
-    found = search.look(study, "grid", design, session)
+    design = search.grid(SearchSpace.of(study), 3)
+    found = search.evaluate(study, "grid", design, session)
     places = [1.0, 2.0, 3.0]
     pairs = [(a, b) for a in places for b in places]
     assert [tuple(look.values) for look in found.looks] == pairs

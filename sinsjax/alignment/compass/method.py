@@ -21,7 +21,7 @@ from sinsjax.strapdown import earth, mechanisation
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
 
 
-class Turn(NamedTuple):
+class Reversal(NamedTuple):
     """What becomes of the loops' state when the tape is turned: factors.
 
     Attributes:
@@ -39,7 +39,7 @@ class Turn(NamedTuple):
     reflection: Scalar
 
 
-class Params(NamedTuple):
+class LoopParams(NamedTuple):
     """Numbers of the loops.
 
     Attributes:
@@ -57,7 +57,7 @@ class Params(NamedTuple):
     pace: Pieces
     azimuth_from: Scalar
     smoothing: Scalar
-    turn: Turn
+    turn: Reversal
 
 
 class LowPassed(NamedTuple):
@@ -70,7 +70,7 @@ class LowPassed(NamedTuple):
     twice: Scalar
 
 
-class State(NamedTuple):
+class LoopState(NamedTuple):
     """One run under way.
 
     Attributes:
@@ -99,11 +99,13 @@ def build(options: Options) -> Method:
     dt = options.dt
     integrated = options.position == "integrated"
 
-    def init(params: Params, nav: Navigation) -> State:
+    def init(params: LoopParams, nav: Navigation) -> LoopState:
         zero = jnp.zeros_like(nav.ve)
-        return State(nav, zero, zero, zero, LowPassed(zero, zero), LowPassed(zero, zero))
+        return LoopState(nav, zero, zero, zero, LowPassed(zero, zero), LowPassed(zero, zero))
 
-    def step(params: Params, site: Site, state: State, sample: Sample, n: Scalar) -> State:
+    def step(
+        params: LoopParams, site: Site, state: LoopState, sample: Sample, n: Scalar
+    ) -> LoopState:
         before = state.nav
         place = earth.place(site.earth, before.latitude) if integrated else site.place
         level, azimuth = params.level, at_pace(params.azimuth, value_at(params.pace, n))
@@ -119,7 +121,7 @@ def build(options: Options) -> Method:
         if integrated:
             nav = mechanisation.travel(nav, place, dt)
         spin = azimuth.k3 / place.rate_n * before.vn - azimuth.k4 * state.rate_u
-        return State(
+        return LoopState(
             nav=mechanisation.correct_velocity(nav, level.k1 * dt * before.ve, k1 * dt * before.vn),
             integral_e=state.integral_e + level.k3 * dt * before.ve,
             integral_n=state.integral_n + jnp.where(levelling, level.k3 * dt * before.vn, 0.0),
@@ -128,7 +130,7 @@ def build(options: Options) -> Method:
             force_n=_follow(state.force_n, f_dt.y / dt, params.smoothing),
         )
 
-    return Method(init, step, _turn, _attitude, _covariance, _normalise, _limit)
+    return Method(init, step, _reverse, _attitude, _covariance, _normalise, _limit)
 
 
 def _follow(low: LowPassed, value: Scalar, share: Scalar) -> LowPassed:
@@ -136,14 +138,14 @@ def _follow(low: LowPassed, value: Scalar, share: Scalar) -> LowPassed:
     return LowPassed(once, low.twice + share * (once - low.twice))
 
 
-def _turn(params: Params, site: Site, state: State) -> State:
+def _reverse(params: LoopParams, site: Site, state: LoopState) -> LoopState:
     turn = params.turn
     # f = (-g phi_N + nabla_E, g phi_E + nabla_N): g times the tilts from their equilibria.
     angle = 2 * turn.reflection / site.place.gravity
     tilt = Vec3(angle * state.force_n.twice, -angle * state.force_e.twice, jnp.zeros_like(angle))
     nav = state.nav
     left = 1 - 2 * turn.reflection
-    return State(
+    return LoopState(
         nav=nav._replace(
             q=rotations.correct(tilt, nav.q),
             ve=turn.velocity * nav.ve,
@@ -157,7 +159,7 @@ def _turn(params: Params, site: Site, state: State) -> State:
     )
 
 
-def _limit(params: Params, place: earth.Place, biases: Biases, ending: Ending) -> Limit:
+def _limit(params: LoopParams, place: earth.Place, biases: Biases, ending: Ending) -> Limit:
     """Biases taken for what the Earth does, and a lag: K(s) leaks.
 
     A platform rate that cancels eps_U has to be kept up by a north velocity, whose transport rate
@@ -172,14 +174,14 @@ def _limit(params: Params, place: earth.Place, biases: Biases, ending: Ending) -
     return unaided(place, biases, jnp.where(ending.backward, lag, -lag))
 
 
-def _attitude(state: State) -> Quat:
+def _attitude(state: LoopState) -> Quat:
     return state.nav.q
 
 
-def _covariance(state: State) -> AttitudeCovariance:
+def _covariance(state: LoopState) -> AttitudeCovariance:
     unknown = jnp.full_like(state.rate_u, jnp.nan)
     return AttitudeCovariance(*(unknown for _ in AttitudeCovariance._fields))
 
 
-def _normalise(state: State) -> State:
+def _normalise(state: LoopState) -> LoopState:
     return state._replace(nav=state.nav._replace(q=rotations.normalise(state.nav.q)))

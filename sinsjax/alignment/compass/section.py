@@ -21,7 +21,7 @@ from sinsjax.value_types import (
 _DAMPING = 0.5**0.5
 
 
-class Compass(Section):
+class CompassSection(Section):
     """[compass]: the loops of method 'compass', and when their gains change."""
 
     level_sigma_per_s: Bandwidth | None = Field(

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sinsjax.alignment.base import Fired
+from sinsjax.alignment.base import TriggerCounts
 from sinsjax.alignment.kalman import Belief
 from sinsjax.maths.algebra import Entries, Triangle
 from sinsjax.strapdown.earth import Place
@@ -22,7 +22,7 @@ Pair = tuple[Scalar, Scalar]
 """Of east and north."""
 
 
-class Numbers(NamedTuple):
+class TriggerParams(NamedTuple):
     """Numbers of a trigger; times in samples.
 
     Attributes:
@@ -40,14 +40,14 @@ class Numbers(NamedTuple):
     until: Scalar
 
 
-class Noise(NamedTuple):
+class AssumedNoise(NamedTuple):
     """What the filter believes: variances added to the states, variance of a measurement."""
 
     q: tuple[Scalar, ...]
     r: Scalar
 
 
-class Seen(NamedTuple):
+class FilterSnapshot(NamedTuple):
     """What a trigger sees after the update of a sample.
 
     Attributes:
@@ -70,20 +70,20 @@ class Seen(NamedTuple):
     dt: float
 
 
-class Watch(NamedTuple):
+class TriggerState(NamedTuple):
     """A trigger at work.
 
     Attributes:
         memory: of the trigger.
         fed: attitude corrections fed back since the last reset or turn, less what was estimated
             before that turn, rad.
-        fired: what it did so far.
+        trigger_counts: what it did so far.
         since: sample of the last reset of any kind.
     """
 
     memory: Any
     fed: Vec3
-    fired: Fired
+    trigger_counts: TriggerCounts
     since: Scalar
 
 
@@ -96,115 +96,140 @@ class Trigger(NamedTuple):
         fade: (numbers, noise, memory, propagated P, innovation) -> memory and factor on P.
     """
 
-    start: Callable[[Numbers, Triangle], Any]
-    look: Callable[[Numbers, Noise, Any, Seen], tuple[Any, Scalar]] | None = None
-    fade: Callable[[Numbers, Noise, Any, Triangle, Pair], tuple[Any, Scalar]] | None = None
+    start: Callable[[TriggerParams, Triangle], Any]
+    look: (
+        Callable[[TriggerParams, AssumedNoise, Any, FilterSnapshot], tuple[Any, Scalar]] | None
+    ) = None
+    fade: (
+        Callable[[TriggerParams, AssumedNoise, Any, Triangle, Pair], tuple[Any, Scalar]] | None
+    ) = None
 
 
-def start(trigger: Trigger, numbers: Numbers, p: Triangle) -> Watch:
+def start(trigger: Trigger, trigger_params: TriggerParams, p: Triangle) -> TriggerState:
     """A trigger before the first sample, and the covariance P of the start."""
-    zero = jnp.zeros_like(numbers.threshold)
-    fired = Fired(zero, zero, zero)
-    return Watch(trigger.start(numbers, p), Vec3(zero, zero, zero), fired, zero)
+    zero = jnp.zeros_like(trigger_params.threshold)
+    trigger_counts = TriggerCounts(zero, zero, zero)
+    return TriggerState(
+        trigger.start(trigger_params, p), Vec3(zero, zero, zero), trigger_counts, zero
+    )
 
 
 def fade(
-    trigger: Trigger, numbers: Numbers, noise: Noise, watch: Watch, belief: Belief, measured: Pair
-) -> tuple[Watch, Belief]:
+    trigger: Trigger,
+    trigger_params: TriggerParams,
+    noise: AssumedNoise,
+    trigger_state: TriggerState,
+    belief: Belief,
+    measured: Pair,
+) -> tuple[TriggerState, Belief]:
     """Multiply P by the trigger's factor, if it has one.
 
     Args:
         trigger: which.
-        numbers: its numbers.
+        trigger_params: its numbers.
         noise: that the filter believes in.
-        watch: so far.
+        trigger_state: so far.
         belief: propagated, its process noise not yet added.
         measured: velocity, m/s.
     """
     if trigger.fade is None:
-        return watch, belief
+        return trigger_state, belief
     r = (measured[0] - belief.x[VE], measured[1] - belief.x[VN])
-    memory, factor = trigger.fade(numbers, noise, watch.memory, belief.p, r)
-    return watch._replace(memory=memory), Belief(belief.x, tuple(factor * v for v in belief.p))
+    memory, factor = trigger.fade(trigger_params, noise, trigger_state.memory, belief.p, r)
+    return trigger_state._replace(memory=memory), Belief(
+        belief.x, tuple(factor * v for v in belief.p)
+    )
 
 
-def look(
-    trigger: Trigger, numbers: Numbers, noise: Noise, watch: Watch, seen: Seen, n: Scalar
-) -> Watch:
+def take_in(
+    trigger: Trigger,
+    trigger_params: TriggerParams,
+    noise: AssumedNoise,
+    trigger_state: TriggerState,
+    snapshot: FilterSnapshot,
+    n: Scalar,
+) -> TriggerState:
     """Take one sample in, and note whether P is to be reset after it, see `fires`.
 
     Args:
         trigger: which.
-        numbers: its numbers.
+        trigger_params: its numbers.
         noise: that the filter believes in.
-        watch: so far.
-        seen: what there is to see.
+        trigger_state: so far.
+        snapshot: what there is to see.
         n: number of the sample.
     """
     if trigger.look is None:
-        return watch
-    memory, score = trigger.look(numbers, noise, watch.memory, seen)
-    fired = watch.fired
+        return trigger_state
+    memory, score = trigger.look(trigger_params, noise, trigger_state.memory, snapshot)
+    trigger_counts = trigger_state.trigger_counts
     calls = (
-        (score > numbers.threshold)
-        & (n - watch.since >= numbers.refractory)
-        & (fired.count < numbers.most)
-        & (n <= numbers.until)
+        (score > trigger_params.threshold)
+        & (n - trigger_state.since >= trigger_params.refractory)
+        & (trigger_counts.count < trigger_params.most)
+        & (n <= trigger_params.until)
     )
-    fired = Fired(
-        count=jnp.where(calls, fired.count + 1, fired.count),
-        first=jnp.where(calls & (fired.count == 0), n, fired.first),
-        last=jnp.where(calls, n, fired.last),
+    trigger_counts = TriggerCounts(
+        count=jnp.where(calls, trigger_counts.count + 1, trigger_counts.count),
+        first=jnp.where(calls & (trigger_counts.count == 0), n, trigger_counts.first),
+        last=jnp.where(calls, n, trigger_counts.last),
     )
-    return watch._replace(memory=memory, fired=fired)
+    return trigger_state._replace(memory=memory, trigger_counts=trigger_counts)
 
 
-def fires(watch: Watch, n: Scalar) -> Flag:
+def fires(trigger_state: TriggerState, n: Scalar) -> Flag:
     """Whether the trigger called for a reset after the n-th sample."""
-    return watch.fired.last == n
+    return trigger_state.trigger_counts.last == n
 
 
 def after(
     trigger: Trigger,
-    numbers: Numbers,
-    watch: Watch,
+    trigger_params: TriggerParams,
+    trigger_state: TriggerState,
     *,
     reset: Flag,
     p: Triangle,
     fed: Vec3,
     n: Scalar,
-) -> Watch:
+) -> TriggerState:
     """The watch after a sample's feedback, and after its reset if there was one.
 
     Args:
         trigger: which.
-        numbers: its numbers.
-        watch: so far.
+        trigger_params: its numbers.
+        trigger_state: so far.
         reset: whether P was reset.
         p: the covariance that is left.
         fed: attitude correction that was fed back, rad.
         n: number of the sample.
     """
-    anew = trigger.start(numbers, p)
-    total = Vec3(*(jnp.where(reset, 0.0, a + b) for a, b in zip(watch.fed, fed, strict=True)))
-    return watch._replace(
-        memory=jax.tree.map(lambda a, b: jnp.where(reset, a, b), anew, watch.memory),
+    anew = trigger.start(trigger_params, p)
+    total = Vec3(
+        *(jnp.where(reset, 0.0, a + b) for a, b in zip(trigger_state.fed, fed, strict=True))
+    )
+    return trigger_state._replace(
+        memory=jax.tree.map(lambda a, b: jnp.where(reset, a, b), anew, trigger_state.memory),
         fed=total,
-        since=jnp.where(reset, n, watch.since),
+        since=jnp.where(reset, n, trigger_state.since),
     )
 
 
-def turned(
-    trigger: Trigger, numbers: Numbers, watch: Watch, *, p: Triangle, misalignment: Vec3
-) -> Watch:
+def reversed_in_time(
+    trigger: Trigger,
+    trigger_params: TriggerParams,
+    trigger_state: TriggerState,
+    *,
+    p: Triangle,
+    misalignment: Vec3,
+) -> TriggerState:
     """The watch after a turn of the tape: its memory begins anew, what it did stays.
 
     Args:
         trigger: which.
-        numbers: its numbers.
-        watch: so far.
+        trigger_params: its numbers.
+        trigger_state: so far.
         p: the covariance that is left.
         misalignment: estimated and not yet fed back, rad: no correction of the pass that begins.
     """
     fed = Vec3(*(-angle for angle in misalignment))
-    return watch._replace(memory=trigger.start(numbers, p), fed=fed)
+    return trigger_state._replace(memory=trigger.start(trigger_params, p), fed=fed)

@@ -9,7 +9,13 @@ import numpy as np
 
 from sinsjax.alignment import kalman
 from sinsjax.alignment.kalman import Belief
-from sinsjax.alignment.triggers.base import Noise, Numbers, Pair, Seen, Trigger
+from sinsjax.alignment.triggers.base import (
+    AssumedNoise,
+    FilterSnapshot,
+    Pair,
+    Trigger,
+    TriggerParams,
+)
 from sinsjax.maths.algebra import Triangle, triangle_index
 from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN
 from sinsjax.types import Flag, Scalar
@@ -23,20 +29,22 @@ class _Block(NamedTuple):
     sums: tuple[Scalar, ...]
 
 
-def _block(terms: int) -> Callable[[Numbers, Triangle], _Block]:
-    def start(numbers: Numbers, p: Triangle) -> _Block:
-        zero = jnp.zeros_like(numbers.threshold)
+def _block(terms: int) -> Callable[[TriggerParams, Triangle], _Block]:
+    def start(trigger_params: TriggerParams, p: Triangle) -> _Block:
+        zero = jnp.zeros_like(trigger_params.threshold)
         return _Block(zero, tuple(zero for _ in range(terms)))
 
     return start
 
 
-def _add(numbers: Numbers, block: _Block, terms: tuple[Scalar, ...]) -> tuple[_Block, Flag]:
+def _add(
+    trigger_params: TriggerParams, block: _Block, terms: tuple[Scalar, ...]
+) -> tuple[_Block, Flag]:
     """Add one sample to the window, which begins anew where it was full; and whether it is now."""
-    again = block.count >= numbers.window
+    again = block.count >= trigger_params.window
     sums = tuple(jnp.where(again, 0.0, s) + t for s, t in zip(block.sums, terms, strict=True))
     count = jnp.where(again, 0.0, block.count) + 1
-    return _Block(count, sums), count >= numbers.window
+    return _Block(count, sums), count >= trigger_params.window
 
 
 def normalised(r: Pair, s: tuple[Scalar, ...]) -> Scalar:
@@ -45,31 +53,37 @@ def normalised(r: Pair, s: tuple[Scalar, ...]) -> Scalar:
     return (nn * e * e - 2 * en * e * n + ee * n * n) / (ee * nn - en * en)
 
 
-def _innovation(numbers: Numbers, noise: Noise, block: _Block, seen: Seen) -> Any:
+def _innovation(
+    trigger_params: TriggerParams, noise: AssumedNoise, block: _Block, snapshot: FilterSnapshot
+) -> Any:
     """Innovation windowed over time: (sum r)' (sum S)^-1 (sum r), chi-square with 2 degrees."""
-    block, full = _add(numbers, block, (*seen.innovation, *seen.variance))
+    block, full = _add(trigger_params, block, (*snapshot.innovation, *snapshot.variance))
     e, n, *s = block.sums
     return block, jnp.where(full, normalised((e, n), tuple(s)), 0.0)
 
 
-def _nis(numbers: Numbers, noise: Noise, memory: Any, seen: Seen) -> Any:
+def _nis(
+    trigger_params: TriggerParams, noise: AssumedNoise, memory: Any, snapshot: FilterSnapshot
+) -> Any:
     """Normalised innovation squared of a sample, r' S^-1 r, chi-square with 2 degrees."""
-    return memory, normalised(seen.innovation, seen.variance)
+    return memory, normalised(snapshot.innovation, snapshot.variance)
 
 
-def _whiteness(numbers: Numbers, noise: Noise, memory: Any, seen: Seen) -> Any:
+def _whiteness(
+    trigger_params: TriggerParams, noise: AssumedNoise, memory: Any, snapshot: FilterSnapshot
+) -> Any:
     """sqrt(N) |rho|, rho the innovations' correlation over one sample in a window of N."""
     block, before = memory
-    e, n = seen.innovation
-    block, full = _add(numbers, block, (e * before[0] + n * before[1], e * e + n * n))
+    e, n = snapshot.innovation
+    block, full = _add(trigger_params, block, (e * before[0] + n * before[1], e * e + n * n))
     lagged, power = block.sums
     rho = jnp.abs(lagged) / jnp.maximum(power, jnp.finfo(power.dtype).tiny)
-    return (block, seen.innovation), jnp.where(full, jnp.sqrt(block.count) * rho, 0.0)
+    return (block, snapshot.innovation), jnp.where(full, jnp.sqrt(block.count) * rho, 0.0)
 
 
-def _whiteness_start(numbers: Numbers, p: Triangle) -> Any:
-    zero = jnp.zeros_like(numbers.threshold)
-    return _block(2)(numbers, p), (zero, zero)
+def _whiteness_start(trigger_params: TriggerParams, p: Triangle) -> Any:
+    zero = jnp.zeros_like(trigger_params.threshold)
+    return _block(2)(trigger_params, p), (zero, zero)
 
 
 class _Levels(NamedTuple):
@@ -80,16 +94,18 @@ class _Levels(NamedTuple):
     north: Scalar
 
 
-def _levels_start(numbers: Numbers, p: Triangle) -> _Levels:
-    zero = jnp.zeros_like(numbers.threshold)
+def _levels_start(trigger_params: TriggerParams, p: Triangle) -> _Levels:
+    zero = jnp.zeros_like(trigger_params.threshold)
     return _Levels(zero, zero, zero)
 
 
-def _drift(numbers: Numbers, levels: _Levels, seen: Seen) -> tuple[_Levels, Flag, Pair]:
+def _drift(
+    trigger_params: TriggerParams, levels: _Levels, snapshot: FilterSnapshot
+) -> tuple[_Levels, Flag, Pair]:
     """Rates at which the level was corrected over a window, rad/s, and whether it is full."""
     count = levels.count + 1
-    full, span = count >= numbers.window, count * seen.dt
-    e, n, _ = seen.correction
+    full, span = count >= trigger_params.window, count * snapshot.dt
+    e, n, _ = snapshot.correction
     begun = _Levels(
         jnp.where(full, 0.0, count),
         jnp.where(full, e, levels.east),
@@ -98,15 +114,17 @@ def _drift(numbers: Numbers, levels: _Levels, seen: Seen) -> tuple[_Levels, Flag
     return begun, full, ((e - levels.east) / span, (n - levels.north) / span)
 
 
-def _tilt_drift(numbers: Numbers, noise: Noise, levels: _Levels, seen: Seen) -> Any:
+def _tilt_drift(
+    trigger_params: TriggerParams, noise: AssumedNoise, levels: _Levels, snapshot: FilterSnapshot
+) -> Any:
     """Measured tilt drift about east over the predicted one: (drift / omega_N)^2 / P_UU.
 
     A heading error phi_U tilts the platform at omega_N phi_U, which the filter corrects; what it
     goes on correcting is more than its belief allows where that is false.
     """
-    levels, full, (east, _) = _drift(numbers, levels, seen)
-    p_uu = seen.belief.p[triangle_index(len(seen.belief.x))[PHI_U, PHI_U]]
-    score = (east / seen.place.rate_n) ** 2 / p_uu
+    levels, full, (east, _) = _drift(trigger_params, levels, snapshot)
+    p_uu = snapshot.belief.p[triangle_index(len(snapshot.belief.x))[PHI_U, PHI_U]]
+    score = (east / snapshot.place.rate_n) ** 2 / p_uu
     return levels, jnp.where(full, score, 0.0)
 
 
@@ -114,15 +132,17 @@ STILL = 9.21
 """r' S^-1 r under which velocity is still: 99 % of chi-square with 2 degrees of freedom."""
 
 
-def _levelled(numbers: Numbers, noise: Noise, levels: _Levels, seen: Seen) -> Any:
+def _levelled(
+    trigger_params: TriggerParams, noise: AssumedNoise, levels: _Levels, snapshot: FilterSnapshot
+) -> Any:
     """Levelled now: omega_N over the rate at which the level is corrected, where velocity is still.
 
     Once it exceeds 1, what is left of the drift can be the work of heading alone.
     """
-    levels, full, (east, north) = _drift(numbers, levels, seen)
-    still = normalised(seen.innovation, seen.variance) < STILL
+    levels, full, (east, north) = _drift(trigger_params, levels, snapshot)
+    still = normalised(snapshot.innovation, snapshot.variance) < STILL
     # The Earth of a backward pass turns the other way.
-    score = jnp.abs(seen.place.rate_n) / jnp.sqrt(east**2 + north**2)
+    score = jnp.abs(snapshot.place.rate_n) / jnp.sqrt(east**2 + north**2)
     return levels, jnp.where(full & still, score, 0.0)
 
 
@@ -130,7 +150,9 @@ _SMALL_LEVEL, _SMALL_HEADING = 0.1 * DEG, 4 * DEG
 """Errors of the linearisation point that do no harm, rad."""
 
 
-def _linearisation(numbers: Numbers, noise: Noise, p: Triangle, seen: Seen) -> Any:
+def _linearisation(
+    trigger_params: TriggerParams, noise: AssumedNoise, p: Triangle, snapshot: FilterSnapshot
+) -> Any:
     """How much more the filter knows of heading, or is about to, than its linear model can tell.
 
     While the level is wrong, the horizontal specific force enters A(t), and heading seems to show
@@ -145,13 +167,13 @@ def _linearisation(numbers: Numbers, noise: Noise, p: Triangle, seen: Seen) -> A
     * (d - sin d)^2 / (P_UU + (4 deg)^2): what a heading correction d since the last reset left
       out, as the tilt it was told by goes with sin d; corrections up to 30 deg count little.
     """
-    zeros = tuple(jnp.zeros_like(v) for v in seen.belief.x)
-    honest = kalman.predict(Belief(zeros, p), seen.at_rest, noise.q)
+    zeros = tuple(jnp.zeros_like(v) for v in snapshot.belief.x)
+    honest = kalman.predict(Belief(zeros, p), snapshot.at_rest, noise.q)
     honest = kalman.update(honest, (VE, VN), (zeros[VE], zeros[VN]), noise.r)
     at = triangle_index(len(zeros))
     p_ee, p_nn, p_uu = (honest.p[at[i, i]] for i in (PHI_E, PHI_N, PHI_U))
-    believed = seen.belief.p[at[PHI_U, PHI_U]]
-    done, left = seen.correction, seen.belief.x
+    believed = snapshot.belief.p[at[PHI_U, PHI_U]]
+    done, left = snapshot.correction, snapshot.belief.x
     known = _counts(done.x, done.y) * (p_uu / believed - 1)
     jump = _counts(left[PHI_E], left[PHI_N])
     jump = jump * p_uu * (left[PHI_E] ** 2 / p_ee + left[PHI_N] ** 2 / p_nn) / 4
@@ -178,16 +200,20 @@ def _counts(east: Scalar, north: Scalar) -> Scalar:
     return jnp.minimum(1.0, (east**2 + north**2) / _SMALL_LEVEL**2)
 
 
-def _as_it_is(numbers: Numbers, p: Triangle) -> Triangle:
+def _as_it_is(trigger_params: TriggerParams, p: Triangle) -> Triangle:
     return p
 
 
-def _fading(numbers: Numbers, noise: Noise, memory: Any, p: Triangle, r: Pair) -> Any:
+def _fading(
+    trigger_params: TriggerParams, noise: AssumedNoise, memory: Any, p: Triangle, r: Pair
+) -> Any:
     """Fading memory: P is multiplied by the threshold at each sample, such as 1.0001."""
-    return memory, numbers.threshold
+    return memory, trigger_params.threshold
 
 
-def _strong(numbers: Numbers, noise: Noise, memory: Any, p: Triangle, r: Pair) -> Any:
+def _strong(
+    trigger_params: TriggerParams, noise: AssumedNoise, memory: Any, p: Triangle, r: Pair
+) -> Any:
     """Strong tracking (Zhou and Frank 1996), one factor; the threshold is its beta, from 0 to 1.
 
     V <- (rho V + r r') / (1 + rho), rho = 0.95; N = V - H Q H' - beta R; M = H Phi P Phi' H';
@@ -197,18 +223,18 @@ def _strong(numbers: Numbers, noise: Noise, memory: Any, p: Triangle, r: Pair) -
     begun, before = memory
     power = r[0] ** 2 + r[1] ** 2
     v = jnp.where(begun, (forgetting * before + power) / (1 + forgetting), power)
-    n = v - noise.q[VE] - noise.q[VN] - 2 * numbers.threshold * noise.r
+    n = v - noise.q[VE] - noise.q[VN] - 2 * trigger_params.threshold * noise.r
     at = triangle_index(len(noise.q))
     factor = jnp.maximum(1.0, n / (p[at[VE, VE]] + p[at[VN, VN]]))
     return (jnp.ones_like(begun), v), factor
 
 
-def _strong_start(numbers: Numbers, p: Triangle) -> Any:
-    zero = jnp.zeros_like(numbers.threshold)
+def _strong_start(trigger_params: TriggerParams, p: Triangle) -> Any:
+    zero = jnp.zeros_like(trigger_params.threshold)
     return zero.astype(bool), zero
 
 
-def _nothing(numbers: Numbers, p: Triangle) -> Any:
+def _nothing(trigger_params: TriggerParams, p: Triangle) -> Any:
     return ()
 
 

@@ -16,18 +16,18 @@ from sinsjax.alignment import kalman
 from sinsjax.alignment.base import AttitudeCovariance, Ending, Innovations, Method, Options, Site
 from sinsjax.alignment.limits import Biases, Limit, unaided
 from sinsjax.alignment.schedules import (
+    CovarianceReset,
     Feedback,
-    Renewal,
     Resets,
     Windows,
     mix,
     next_due,
-    renew,
+    reset_covariance,
     reset_due,
     where_due,
 )
 from sinsjax.alignment.triggers import base as triggers
-from sinsjax.alignment.triggers.base import Noise, Seen, Trigger
+from sinsjax.alignment.triggers.base import AssumedNoise, FilterSnapshot, Trigger
 from sinsjax.alignment.triggers.scores import TRIGGERS, normalised
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, change_signs, triangle_index
@@ -36,7 +36,7 @@ from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN, ErrorMode
 from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar, Vec3
 
 
-class Params(NamedTuple):
+class FilterParams(NamedTuple):
     """Numbers of the filter: what it believes, and its schedules.
 
     Attributes:
@@ -56,11 +56,11 @@ class Params(NamedTuple):
     feedback: Feedback
     resets: Resets | Windows
     reset_to: tuple[Scalar, ...]
-    turn: Renewal
+    turn: CovarianceReset
     trigger: Any = None
 
 
-class State(NamedTuple):
+class FilterState(NamedTuple):
     """One run under way.
 
     Attributes:
@@ -68,7 +68,7 @@ class State(NamedTuple):
         belief: estimated errors of ``nav`` and of the sensors, with covariance.
         bias: sensor biases fed back so far, one for each state beyond the fifth, SI.
         feedback_at: sample count of the next feedback.
-        watch: `triggers.Watch`, None without a trigger.
+        trigger_state: `triggers.Watch`, None without a trigger.
         innovations: `Innovations` so far, None where none are summed up.
     """
 
@@ -76,7 +76,7 @@ class State(NamedTuple):
     belief: kalman.Belief
     bias: tuple[Scalar, ...]
     feedback_at: Scalar
-    watch: Any = None
+    trigger_state: Any = None
     innovations: Innovations | None = None
 
 
@@ -91,14 +91,16 @@ def build(model: ErrorModel, options: Options) -> Method:
     integrated = options.position == "integrated"
     trigger = TRIGGERS.get(options.trigger)
 
-    def init(params: Params, nav: Navigation) -> State:
+    def init(params: FilterParams, nav: Navigation) -> FilterState:
         belief = kalman.start(params.p0)
-        watch = triggers.start(trigger, params.trigger, belief.p) if trigger else None
+        trigger_state = triggers.start(trigger, params.trigger, belief.p) if trigger else None
         biases, zero = belief.x[len(_LEVEL_AND_YAW) :], jnp.zeros_like(params.r)
         summed = Innovations(zero, zero) if options.innovations else None
-        return State(nav, belief, biases, params.feedback.every, watch, summed)
+        return FilterState(nav, belief, biases, params.feedback.every, trigger_state, summed)
 
-    def step(params: Params, site: Site, state: State, sample: Sample, n: Scalar) -> State:
+    def step(
+        params: FilterParams, site: Site, state: FilterState, sample: Sample, n: Scalar
+    ) -> FilterState:
         before = state.nav
         place = earth.place(site.earth, before.latitude) if integrated else site.place
         sample = model.correct_sample(sample, state.bias, options.dt)
@@ -110,10 +112,12 @@ def build(model: ErrorModel, options: Options) -> Method:
             before = before._replace(ve=0.0, vn=0.0)
         transition = model.transition(before, place, f_dt, options.dt)
         measured = nav.ve, nav.vn
-        belief, watch = kalman.propagate(state.belief, transition), state.watch
-        noise = Noise(params.q, params.r)
+        belief, trigger_state = kalman.propagate(state.belief, transition), state.trigger_state
+        noise = AssumedNoise(params.q, params.r)
         if trigger is not None:
-            watch, belief = triggers.fade(trigger, params.trigger, noise, watch, belief, measured)
+            trigger_state, belief = triggers.fade(
+                trigger, params.trigger, noise, trigger_state, belief, measured
+            )
         predicted = kalman.add_noise(belief, params.q)
         belief = kalman.update(predicted, (VE, VN), measured, params.r)
         summed = state.innovations
@@ -125,35 +129,41 @@ def build(model: ErrorModel, options: Options) -> Method:
         if trigger is not None:
             gravity = Vec3(0.0, 0.0, place.gravity * options.dt)
             still = before._replace(ve=0.0, vn=0.0)
-            seen = Seen(
+            snapshot = FilterSnapshot(
                 innovation=innovation,
                 variance=variance,
                 belief=belief,
-                correction=add(watch.fed, _misalignment(belief)),
+                correction=add(trigger_state.fed, _misalignment(belief)),
                 at_rest=model.transition(still, place, gravity, options.dt),
                 place=place,
                 dt=options.dt,
             )
-            watch = triggers.look(trigger, params.trigger, noise, watch, seen, n)
-        return state._replace(nav=nav, belief=belief, watch=watch, innovations=summed)
+            trigger_state = triggers.take_in(
+                trigger, params.trigger, noise, trigger_state, snapshot, n
+            )
+        return state._replace(
+            nav=nav, belief=belief, trigger_state=trigger_state, innovations=summed
+        )
 
-    def turn(params: Params, site: Site, state: State) -> State:
+    def turn(params: FilterParams, site: Site, state: FilterState) -> FilterState:
         # x stays where P is renewed: what it says of the attitude is the filter's best either way.
         signs = model.reversal
         flipped = tuple(s * x for s, x in zip(signs, state.belief.x, strict=True))
         p = change_signs(signs, state.belief.p)
-        p = renew(params.turn, p, params.p0, yaw=PHI_U)
+        p = reset_covariance(params.turn, p, params.p0, yaw=PHI_U)
         belief = kalman.Belief(flipped, p)
         biases = zip(signs[len(_LEVEL_AND_YAW) :], state.bias, strict=True)
-        watch = state.watch
+        trigger_state = state.trigger_state
         if trigger is not None:
             left = _misalignment(belief)
-            watch = triggers.turned(trigger, params.trigger, watch, p=p, misalignment=left)
+            trigger_state = triggers.reversed_in_time(
+                trigger, params.trigger, trigger_state, p=p, misalignment=left
+            )
         return state._replace(
             nav=mechanisation.reverse(state.nav),
             belief=belief,
             bias=tuple(s * b for s, b in biases),
-            watch=watch,
+            trigger_state=trigger_state,
         )
 
     return Method(
@@ -164,7 +174,7 @@ def build(model: ErrorModel, options: Options) -> Method:
         _covariance,
         _normalise,
         _limit,
-        fired=(lambda state: state.watch.fired) if trigger else None,
+        trigger_counts=(lambda state: state.trigger_state.trigger_counts) if trigger else None,
         innovations=(lambda state: state.innovations) if options.innovations else None,
         close=partial(_close, trigger),
         next_event=_next_event,
@@ -179,24 +189,26 @@ def build(model: ErrorModel, options: Options) -> Method:
 _LEVEL_AND_YAW = (VE, VN, PHI_E, PHI_N, PHI_U)
 
 
-def _next_event(params: Params, state: State, n: Scalar) -> Scalar | None:
+def _next_event(params: FilterParams, state: FilterState, n: Scalar) -> Scalar | None:
     if isinstance(params.resets, Windows):
         return None  # a share of a reset is due at every sample
     return next_due(state.feedback_at, params.resets, n)
 
 
-def _called(state: State, n: Scalar) -> Flag:
-    return triggers.fires(state.watch, n)
+def _called(state: FilterState, n: Scalar) -> Flag:
+    return triggers.fires(state.trigger_state, n)
 
 
-def _close(trigger: Trigger | None, params: Params, state: State, n: Scalar) -> State:
+def _close(
+    trigger: Trigger | None, params: FilterParams, state: FilterState, n: Scalar
+) -> FilterState:
     """Feed the estimate back and reset P where due."""
     due = n >= state.feedback_at
     reset = reset_due(params.resets, n)
     if isinstance(params.resets, Windows):
         return _closed(trigger, params, state, due, reset, n)
     if trigger is not None:
-        reset = reset | triggers.fires(state.watch, n)
+        reset = reset | triggers.fires(state.trigger_state, n)
     # Chosen, not computed: nothing times infinity, and zero plus minus zero, would not leave it.
     closed = _closed(trigger, params, state, due, reset, n)
     return jax.tree.map(lambda new, old: jnp.where(due | reset, new, old), closed, state)
@@ -204,23 +216,25 @@ def _close(trigger: Trigger | None, params: Params, state: State, n: Scalar) -> 
 
 def _closed(
     trigger: Trigger | None,
-    params: Params,
-    state: State,
+    params: FilterParams,
+    state: FilterState,
     due: Flag,
     reset: Flag | Scalar,
     n: Scalar,
-) -> State:
+) -> FilterState:
     """The state after a feedback or a reset; a reset first feeds all of x back."""
     gain = mix(reset, 1.0, jnp.where(due, params.feedback.gain, 0.0))
     fed = tuple(gain * x for x in state.belief.x)
     nav = mechanisation.correct_velocity(state.nav, fed[VE], fed[VN])
     phi = Vec3(fed[PHI_E], fed[PHI_N], fed[PHI_U])
-    renewal = where_due(reset, params.resets.renewal)
-    p = renew(renewal, state.belief.p, params.reset_to, yaw=PHI_U)
-    watch = state.watch
+    covariance_reset = where_due(reset, params.resets.covariance_reset)
+    p = reset_covariance(covariance_reset, state.belief.p, params.reset_to, yaw=PHI_U)
+    trigger_state = state.trigger_state
     if trigger is not None:
-        watch = triggers.after(trigger, params.trigger, watch, reset=reset, p=p, fed=phi, n=n)
-    return State(
+        trigger_state = triggers.after(
+            trigger, params.trigger, trigger_state, reset=reset, p=p, fed=phi, n=n
+        )
+    return FilterState(
         nav=nav._replace(q=rotations.correct(phi, nav.q)),
         belief=kalman.Belief(
             x=tuple(x - f for x, f in zip(state.belief.x, fed, strict=True)),
@@ -228,12 +242,12 @@ def _closed(
         ),
         bias=tuple(b + f for b, f in zip(state.bias, fed[len(_LEVEL_AND_YAW) :], strict=True)),
         feedback_at=jnp.where(due, state.feedback_at + params.feedback.every, state.feedback_at),
-        watch=watch,
+        trigger_state=trigger_state,
         innovations=state.innovations,
     )
 
 
-def _limit(params: Params, place: earth.Place, biases: Biases, ending: Ending) -> Limit:
+def _limit(params: FilterParams, place: earth.Place, biases: Biases, ending: Ending) -> Limit:
     return unaided(place, biases)
 
 
@@ -246,15 +260,15 @@ def _misalignment(belief: kalman.Belief) -> Vec3:
     return Vec3(belief.x[PHI_E], belief.x[PHI_N], belief.x[PHI_U])
 
 
-def _attitude(state: State) -> Quat:
+def _attitude(state: FilterState) -> Quat:
     return rotations.correct(_misalignment(state.belief), state.nav.q)
 
 
-def _covariance(state: State) -> AttitudeCovariance:
+def _covariance(state: FilterState) -> AttitudeCovariance:
     at = triangle_index(len(state.belief.x))
     angles = (PHI_E, PHI_N, PHI_U)
     return AttitudeCovariance(*(state.belief.p[at[i, j]] for i in angles for j in angles if i <= j))
 
 
-def _normalise(state: State) -> State:
+def _normalise(state: FilterState) -> FilterState:
     return state._replace(nav=state.nav._replace(q=rotations.normalise(state.nav.q)))

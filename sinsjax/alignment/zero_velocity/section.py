@@ -23,7 +23,7 @@ from sinsjax.value_types import (
 )
 
 
-class Filter(Section):
+class FilterSection(Section):
     """[filter]: what the filter believes; standard deviations."""
 
     p0_velocity_m_per_s: SpeedSigma = Field(0.1, description="initial velocity, m/s")
@@ -57,7 +57,7 @@ class Filter(Section):
     r_scale: Factor | None = Field(None, description="factor on R; default 1")
 
 
-class Resets(Section):
+class ResetsSection(Section):
     """[resets]: covariance resets, by count and cycle, at explicit times, or by a trigger."""
 
     reset_count: Count | None = Field(
