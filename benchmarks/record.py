@@ -27,6 +27,7 @@ SCRIPTS = (
     "devices",
     "scaling",
     "cold_start",
+    "resolve",
     "derivative",
     "memory",
     "loops",

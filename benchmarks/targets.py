@@ -33,6 +33,9 @@ SPEEDUP, SHARE = 1.8, 0.85
 FIRST_S = {"first_result": 4.5, "cached": 2.0}
 """Seconds to the first result, with nothing compiled and with all of it."""
 
+RESOLVED_S = {"resolve": 0.5, "part": 0.05}
+"""Seconds to resolve a study of 600,000 variants, and to make a part's arguments."""
+
 DERIVATIVE = 1.2
 """Times 1 + 2 p, or times the ratio of compiled operations, whichever is larger."""
 
@@ -67,6 +70,7 @@ def judged(machine: Machine) -> list[Judged]:
         *_methods(machine),
         *_devices(machine),
         *_start(machine),
+        *_resolved(machine),
         *_slopes(machine),
         *_tuning(machine),
         *_single(machine),
@@ -188,6 +192,20 @@ def _start(machine: Machine) -> Iterator[Judged]:
                 f"all of a command, {sizes(row)}",
                 row["median_s"] < most,
             )
+
+
+def _resolved(machine: Machine) -> Iterator[Judged]:
+    told = {"resolve": "a study resolved: scenario and tables", "part": "a part's arguments"}
+    for name, row in machine.sets.get("resolve", {}).items():
+        kind, _, variants = name.partition("_")
+        most = RESOLVED_S[kind]
+        yield Judged(
+            f"{told[kind]}, {int(variants):,} variants",
+            f"under {1e3 * most:g} ms",
+            f"{1e3 * row['median_s']:.0f} ± {1e3 * row['spread_s']:.0f} ms",
+            "one core, nothing compiled",
+            row["median_s"] < most,
+        )
 
 
 def _slopes(machine: Machine) -> Iterator[Judged]:

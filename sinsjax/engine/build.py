@@ -7,7 +7,7 @@ by the values of `PROGRAM_KEYS`, `ENVIRONMENT_KEYS` and `PASS_KEYS`, wherever th
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -26,7 +26,7 @@ from sinsjax.platform import runtime
 from sinsjax.records import Record
 from sinsjax.records.reference import StoredRecord
 from sinsjax.strapdown import base_motion
-from sinsjax.study.resolved import Variants
+from sinsjax.study.resolved import Coded, Variants
 from sinsjax.study.schema import EarthSection, MotionSection, SensorsSection
 from sinsjax.study.study import PASS_KEYS, Span, Study
 from sinsjax.study.success import bands
@@ -194,11 +194,11 @@ def _split(study: Study) -> Iterator[np.ndarray]:
     """Numbers of the variants that share program and environment, in order of first appearance."""
     keys = {*PROGRAM_KEYS, *ENVIRONMENT_KEYS, *PASS_KEYS}
     swept = [key for key in study.axis_keys if key in keys]
-    columns = [study.values(key) for key in swept]
-    groups: dict[tuple[Any, ...], list[int]] = {}
-    for i in range(study.n_variants):
-        groups.setdefault(tuple(column[i] for column in columns), []).append(i)
-    yield from (np.asarray(ids) for ids in groups.values())
+    codes = study.resolved.column(*swept).codes if swept else np.zeros(study.n_variants, int)
+    _, first, part = np.unique(codes, return_index=True, return_inverse=True)
+    in_order = np.argsort(part, kind="stable")
+    ids = np.split(in_order, np.cumsum(np.bincount(part))[:-1])
+    yield from (ids[number] for number in np.argsort(first))
 
 
 def _span(study: Study, variants: Variants) -> Span:
@@ -235,12 +235,12 @@ def _takes(study: Study, variants: Variants, keys: Sequence[str]) -> bool:
 def _params(study: Study, variants: Variants, site: Site, ug: float) -> RunParams:
     """Numbers of the part's variants, leaves (variants, ...)."""
     zero = np.zeros(len(variants.ids))
-    phi = Vec3(*(variants.column(f"phi_{axis}0_deg", DEG) for axis in "enu"))
-    euler = np.asarray(variants.raw("misalignment")) == "euler"
-    drawn = any(f"phi_{axis}0_deg" in study.drawn_keys for axis in "enu")
+    start = [f"phi_{axis}0_deg" for axis in "enu"]
+    drawn = any(key in study.drawn_keys for key in start)
+    euler = variants.coded("misalignment").each(lambda meaning: meaning == "euler", bool)
+    phi = Vec3(*(variants.column(key, DEG) for key in start))
     if euler.any() and not drawn:
-        vector = _euler_vectors(*phi)
-        phi = Vec3(*(np.where(euler, v, a) for v, a in zip(vector, phi, strict=True)))
+        phi = _rotation_vectors(variants.coded("misalignment", *start))
     return RunParams(
         q=Quat(zero, zero, zero, zero),
         phi=phi,
@@ -249,6 +249,14 @@ def _params(study: Study, variants: Variants, site: Site, ug: float) -> RunParam
         method=method_parameters.of_method(study, variants, site, ug),
         euler=euler if drawn and euler.any() else None,
     )
+
+
+def _rotation_vectors(starts: Coded) -> Vec3:
+    """Rotation vectors of starts by their meaning and angles in degrees, leaves (variants,)."""
+    angles = np.asarray([values[1:] for values in starts.choices], dtype=float).T * DEG
+    euler = np.asarray([values[0] == "euler" for values in starts.choices])
+    vectors = np.where(euler, np.stack(_euler_vectors(*angles)), angles)
+    return Vec3(*vectors[:, starts.codes])
 
 
 @jax.jit

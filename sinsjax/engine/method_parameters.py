@@ -18,7 +18,7 @@ from sinsjax.alignment.triggers import base as triggers
 from sinsjax.alignment.zero_velocity import method as zero_velocity
 from sinsjax.errors import InputError
 from sinsjax.strapdown.error_model import MODELS
-from sinsjax.study.resolved import Variants
+from sinsjax.study.resolved import Coded, Variants
 from sinsjax.study.study import Q_DENSITIES, Study
 from sinsjax.units import DEG, DEG_PER_H
 
@@ -76,11 +76,11 @@ def _filter(study: Study, variants: Variants, ug: float) -> zero_velocity.Filter
     nabla = variants.column("p0_accel_bias_ug", ug) ** 2
     eps = variants.column("p0_gyro_bias_deg_per_h", DEG_PER_H) ** 2
     readings = {"per_step": 1.0, "psd": dt, "per_sample": dt * dt}
-    reading = np.asarray([readings[name] for name in variants.raw("q_reading")])
+    reading = variants.coded("q_reading").each(readings.__getitem__)
     q_scale, r_scale = (_column_or(variants, key, 1.0) for key in ("q_scale", "r_scale"))
     q_v = (_q(variants, "q_accel_ug") * ug) ** 2 * reading * q_scale
     q_phi = (_q(variants, "q_gyro_deg_per_h") * DEG_PER_H) ** 2 * reading * q_scale
-    spread = np.asarray([1 if r == "per_update" else dt for r in variants.raw("r_reading")])
+    spread = variants.coded("r_reading").each(lambda name: 1.0 if name == "per_update" else dt)
     zero = np.zeros_like(velocity)
     p0 = {"dve": velocity, "dvn": velocity, "phi_e": level, "phi_n": level, "phi_u": yaw}
     p0 |= {f"nabla_{axis}": nabla for axis in "xyz"} | {f"eps_{axis}": eps for axis in "xyz"}
@@ -97,7 +97,7 @@ def _filter(study: Study, variants: Variants, ug: float) -> zero_velocity.Filter
         ),
         turn=_covariance_reset(variants, "turn_covariance", "turn_inflation")
         if study.passes
-        else CovarianceReset(*(zero + k for k in UNCHANGED)),
+        else CovarianceReset(*(np.broadcast_to(k, zero.shape) for k in UNCHANGED)),
         trigger=_trigger(variants, study.rate_hz),
     )
 
@@ -105,7 +105,7 @@ def _filter(study: Study, variants: Variants, ug: float) -> zero_velocity.Filter
 def _q(variants: Variants, key: str) -> np.ndarray:
     """Values of a key of Q, (variants,), from whichever of its forms the study gives."""
     forms = {key: 1.0, **Q_DENSITIES[key]}
-    given = next(form for form in forms if variants.raw(form)[0] is not None)
+    given = next(form for form in forms if variants.common(form) is not None)
     return variants.column(given, forms[given])
 
 
@@ -120,8 +120,11 @@ def _reset_to(variants: Variants, state: str, p0: np.ndarray, ug: float) -> np.n
         "nabla": ("reset_accel_bias_ug", ug),
         "eps": ("reset_gyro_bias_deg_per_h", DEG_PER_H),
     }[state if state.startswith(("d", "phi")) else state.partition("_")[0]]
-    own = zip(variants.raw(key), p0, strict=True)
-    return np.asarray([p if value is None else (value * unit) ** 2 for value, p in own])
+    column = variants.coded(key)
+    if column.choices == (None,):
+        return p0
+    own = column.each(lambda v: math.nan if v is None else (v * unit) ** 2)
+    return np.where(np.isnan(own), p0, own)
 
 
 def _trigger(variants: Variants, rate_hz: float) -> triggers.TriggerParams | None:
@@ -138,7 +141,7 @@ def _trigger(variants: Variants, rate_hz: float) -> triggers.TriggerParams | Non
 
 def _column_or(variants: Variants, key: str, default: float) -> np.ndarray:
     """Values of a numeric key, (variants,); the default where a variant leaves it out."""
-    return np.asarray([default if value is None else value for value in variants.raw(key)])
+    return variants.coded(key).each(lambda value: default if value is None else value)
 
 
 def _feedback(variants: Variants, rate_hz: float) -> Feedback:
@@ -151,51 +154,56 @@ def _feedback(variants: Variants, rate_hz: float) -> Feedback:
 
 
 def _resets(study: Study, variants: Variants) -> Resets:
-    times = study.reset_times()
-    samples = _in_samples([times[i] for i in variants.ids], study.rate_hz)
+    samples = _in_samples(variants.of(study.schedules), study.rate_hz)
     return Resets(samples, _covariance_reset(variants, "reset_kind", "reset_scale"))
 
 
 def _covariance_reset(variants: Variants, kind: str, factor: str) -> CovarianceReset:
-    kinds = zip(variants.raw(kind), variants.raw(factor), strict=True)
-    numbers = [[f if v is None else v for v in _COVARIANCE_RESETS[name]] for name, f in kinds]
-    return CovarianceReset(*np.asarray(numbers, dtype=float).T)
+    def numbers(values: tuple[str, float]) -> list[float]:
+        name, own = values
+        return [own if number is None else number for number in _COVARIANCE_RESETS[name]]
+
+    return CovarianceReset(*variants.coded(kind, factor).each(numbers).T)
 
 
-def _in_samples(times: list[tuple[float, ...]], rate_hz: float) -> np.ndarray:
+def _in_samples(times: Coded, rate_hz: float) -> np.ndarray:
     """(variants, M) times in samples; inf where a variant has fewer."""
-    samples = np.full((len(times), max(map(len, times))), np.inf)
-    for row, own in enumerate(times):
-        samples[row, : len(own)] = np.round(np.asarray(own) * rate_hz)
-    return samples
+    return _padded(times.map(lambda own: np.round(np.asarray(own) * rate_hz).tolist()), np.inf)
+
+
+def _padded(lists: Coded, rest: float) -> np.ndarray:
+    """(variants, M) numbers of which variants have a list each; the rest where one is shorter."""
+    taken = np.flatnonzero(np.bincount(lists.codes, minlength=len(lists.choices)))
+    most = max(len(lists.choices[code]) for code in taken)
+    return lists.each(lambda own: [*own, *([rest] * (most - len(own)))][:most])
 
 
 def _compass(study: Study, variants: Variants, site: Site) -> compass.LoopParams:
     rate = study.rate_hz
     level_gains, azimuth_gains = gains(variants, site)
-    factors = variants.raw("sigma_factors")
-    values = np.ones((len(factors), max(map(len, factors))))
-    for row, own in enumerate(factors):
-        values[row, : len(own)] = own
-    tapes = variants.raw("tape_s") if study.passes else [None] * len(factors)
-    level = zip(*map(variants.raw, ("level_time_s", "level_passes")), tapes, strict=True)
-    level_s = [time if n is None else n * tape for time, n, tape in level]
-    pieces = zip(*map(variants.raw, ("sigma_times_s", "sigma_passes")), tapes, strict=True)
-    pieces_s = [
-        times or () if passes is None else tuple(n * tape for n in passes)
-        for times, passes, tape in pieces
-    ]
-    count = len(variants.ids)
     passes = study.passes is not None
-    turns = variants.raw("turn") if passes else ["keep"] * count
+    tape = ("tape_s",) if passes else ()
+    count = len(variants.ids)
+
+    def level_s(values: tuple[Any, ...]) -> float:
+        time, number, *tape_s = values
+        return time if number is None else number * tape_s[0]
+
+    def pieces_s(values: tuple[Any, ...]) -> tuple[float, ...]:
+        times, numbers, *tape_s = values
+        return times or () if numbers is None else tuple(n * tape_s[0] for n in numbers)
+
+    pieces = variants.coded("sigma_times_s", "sigma_passes", *tape).map(pieces_s)
+    from_s = variants.coded("level_time_s", "level_passes", *tape).each(level_s)
+    turns = variants.coded("turn") if passes else Coded(np.zeros(count, int), ("keep",))
     smoothing = variants.column("turn_smoothing_s") if passes else np.ones(count)
     return compass.LoopParams(
         level=level_gains,
         azimuth=azimuth_gains,
-        pace=Pieces(_in_samples(pieces_s, rate), values),
-        azimuth_from=np.round(np.asarray(level_s, dtype=float) * rate),
+        pace=Pieces(_in_samples(pieces, rate), _padded(variants.coded("sigma_factors"), 1.0)),
+        azimuth_from=np.round(from_s * rate),
         smoothing=-np.expm1(-2 / (rate * smoothing)),  # two stages share the delay
-        turn=compass.Reversal(*np.asarray([REVERSALS[name] for name in turns]).T),
+        turn=compass.Reversal(*turns.each(REVERSALS.__getitem__).T),
     )
 
 
@@ -224,9 +232,9 @@ def check_loops(study: Study, variants: Variants, site: Site) -> None:
     """
     if variants.common("method") != "compass":
         return
-    refused = ~np.asarray(variants.raw("allow_unstable"), dtype=bool)
+    refused = ~variants.coded("allow_unstable").each(bool, bool)
     earth = earth_numbers(site)
-    fastest = np.asarray([max(factors) for factors in variants.raw("sigma_factors")])
+    fastest = variants.coded("sigma_factors").each(max)
     with np.errstate(over="ignore", invalid="ignore"):
         level, azimuth = gains(variants, site)
         azimuth = loops.at_pace(azimuth, fastest)
@@ -288,27 +296,25 @@ def _roots_text(found: np.ndarray) -> str:
 
 def _given(variants: Variants, key: str, designed: Any) -> Any:
     """The gains, replaced where a variant gives its own."""
-    rows = np.stack(designed, axis=-1)
-    for row, own in enumerate(variants.raw(key)):
-        if own is not None:
-            rows[row] = own
-    return type(designed)(*rows.T)
+    rows, count = np.stack(designed, axis=-1), len(designed)
+    own = variants.coded(key).each(lambda v: [math.nan] * count if v is None else v)
+    return type(designed)(*np.where(np.isnan(own), rows, own).T)
 
 
 def _sigma(variants: Variants, loop: str) -> tuple[np.ndarray, np.ndarray]:
     """Sigma (1/s) and damping of a loop; a variant with gains of its own has some sigma."""
-    damping = variants.column(f"{loop}_damping")
-    sigmas = variants.raw(f"{loop}_sigma_per_s")
-    keys = (f"{loop}_adjustment_s", "adjustment_reading", "adjustment_remainder")
-    rows = zip(sigmas, *map(variants.raw, keys), damping, strict=True)
-    values = [
-        sigma
-        if sigma is not None
-        else 1.0
-        if time is None
-        else loops.sigma_of_period(time, xi)
-        if reading == "period"
-        else loops.sigma_of_settling(time, remainder)
-        for sigma, time, reading, remainder, xi in rows
-    ]
-    return np.asarray(values, dtype=float), damping
+    keys = ("sigma_per_s", "adjustment_s", "damping")
+    how = ("adjustment_reading", "adjustment_remainder")
+
+    def sigma(values: tuple[Any, ...]) -> float:
+        own, time, damping, reading, remainder = values
+        if own is not None:
+            return own
+        if time is None:
+            return 1.0
+        if reading == "period":
+            return loops.sigma_of_period(time, damping)
+        return loops.sigma_of_settling(time, remainder)
+
+    sigmas = variants.coded(*(f"{loop}_{key}" for key in keys), *how).each(sigma)
+    return sigmas, variants.column(f"{loop}_damping")

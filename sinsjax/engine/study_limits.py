@@ -95,7 +95,7 @@ def has_limit(
 
 def scheduled_last_s(study: Study) -> np.ndarray:
     """(variants,) time of the last reset of every schedule, s; 0 for none."""
-    return np.array([max(times, default=0.0) for times in study.reset_times()])
+    return study.schedules.each(lambda times: max(times, default=0.0))
 
 
 def require_limit(study: Study) -> None:
@@ -134,8 +134,9 @@ def _shared(study: Study, runs: "_Runs") -> np.ndarray:
     Heading and east bias are seen only as their sum, omega_N phi_U + eps_E, and the least squares
     of that split it by their variances.
     """
-    rates = list(map(_earth_rate, study.values("earth"), study.values("earth_rate_deg_per_h")))
-    rate_n = np.asarray(rates)[runs.variant_ids] * np.cos(runs.numbers("latitude_deg") * DEG)
+    models = study.resolved.column("earth", "earth_rate_deg_per_h")
+    rates = models.each(lambda values: _earth_rate(*values))
+    rate_n = rates[runs.variant_ids] * np.cos(runs.numbers("latitude_deg") * DEG)
     most = np.zeros(len(rate_n))
     start: list[np.ndarray] = []
     for keys in _SHARED[: 1 if study.resets is None else 2]:
@@ -164,10 +165,8 @@ class _Runs:
 
     def raw(self, key: str) -> np.ndarray:
         """Of a key that is not drawn, None being NaN where others are numbers."""
-        if key not in self._study.axis_keys:
-            constant = np.asarray(self._study.values(key)[0])
-            return np.broadcast_to(constant, self.variant_ids.shape)
-        return np.asarray(self._study.values(key))[self.variant_ids]
+        codes, choices = self._study.resolved.column(key)
+        return np.asarray(choices)[codes[self.variant_ids]]
 
     def numbers(self, key: str) -> np.ndarray:
         """Of a key that has one number."""
@@ -179,10 +178,8 @@ class _Runs:
         """Of a key that has a number an axis, or one for all, (runs, 3)."""
         if key in self._drawn:
             return self._drawn[key][self._draws]
-        values = self._study.values(key)
-        if key not in self._study.axis_keys:
-            return np.broadcast_to(np.asarray(values[0], float), (len(self.variant_ids), 3))
-        return np.stack([np.broadcast_to(v, 3) for v in values])[self.variant_ids]
+        column = self._study.resolved.column(key)
+        return column.each(lambda value: np.broadcast_to(value, 3))[self.variant_ids]
 
 
 def hidden_north(study: Study) -> HiddenNorth | None:

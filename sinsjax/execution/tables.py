@@ -29,6 +29,7 @@ from sinsjax.execution import layouts
 from sinsjax.execution.parts import ask, is_there
 from sinsjax.execution.parts import read_manifest as read_manifest
 from sinsjax.study import sampling
+from sinsjax.study.resolved import Coded
 from sinsjax.study.study import Study
 from sinsjax.study.success import bands
 from sinsjax.study.times import pass_numbers, spans_s, tape_times, update_times
@@ -49,24 +50,23 @@ class Tables:
         self._has_truth = has_truth
         self._bands = bands(study)
         self._judge = Judge(study, has_truth=has_truth)
-        self._spans = study.spans
         self._end_s, self._tape_s = spans_s(study).T
-        times = study.reset_times()
         self._last_reset_s = scheduled_last_s(study)
-        swept = study.variant_values()
+        resets, nothing = study.schedules, Coded(np.zeros(study.n_variants, np.int32), (None,))
         fixed = {
-            "method": study.values("method"),
-            "reset_count": [len(t) for t in times],
-            "reset_cycle_s": study.values("reset_cycle_s") if study.resets else [None] * len(times),
-            "reset_times_s": [list(t) for t in times],
-            **{f"phi_{a}0_deg": study.values(f"phi_{a}0_deg") for a in "enu"},
+            "method": study.resolved.column("method"),
+            "reset_count": resets.map(len),
+            "reset_cycle_s": study.resolved.column("reset_cycle_s") if study.resets else nothing,
+            "reset_times_s": resets.map(list),
+            **{(key := f"phi_{a}0_deg"): study.resolved.column(key) for a in "enu"},
         }
+        swept = {key: study.resolved.column(key) for key in study.axis_keys}
         self.summary_columns = layouts.summary(study)
         self.curve_columns = layouts.curves(study)
         kinds = {c.name: c.dtype for c in self.summary_columns}
         self._by_variant = {
-            name: _swept(values, kinds[name])
-            for name, values in (swept | fixed).items()
+            name: _swept(column, kinds[name])
+            for name, column in (swept | fixed).items()
             if name not in study.drawn_keys
         }
         self._start_s = np.zeros(study.n_draws)
@@ -127,7 +127,8 @@ class Tables:
         """One row a run and record time; `Chunk.curves` must be there."""
         assert chunk.curves is not None
         run_id = chunk.draw * self._study.n_variants + variant_ids[chunk.variant]
-        span = self._spans[variant_ids[0]]  # that of all variants of a part
+        codes, spans = self._study.lengths
+        span = spans[codes[variant_ids[0]]]  # that of all variants of a part
         time_s = update_times(self._study, span)
         values = {"run_id": np.repeat(run_id, len(time_s)), "time_s": np.tile(time_s, len(run_id))}
         if self._study.passes:
@@ -209,11 +210,12 @@ def _innovations(summed: Innovations | None, runs: int) -> dict[str, pa.Array]:
     return {"innovation_nis": _nullable(total / count), "innovation_freedom": _nullable(2 * count)}
 
 
-def _swept(values: list[Any], dtype: pa.DataType) -> pa.Array:
+def _swept(column: Coded, dtype: pa.DataType) -> pa.Array:
     """Values of a key, one a variant; a number among lists stands for all its axes."""
+    codes, choices = column
     if pa.types.is_list(dtype):
-        values = [[v] if isinstance(v, int | float) else v for v in values]
-    return pa.array(values, dtype)
+        choices = tuple([v] if isinstance(v, int | float) else v for v in choices)
+    return pa.array(choices, dtype).take(pa.array(codes))
 
 
 def _axes(vector: Any) -> Any:

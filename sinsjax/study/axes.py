@@ -18,12 +18,12 @@ from sinsjax.messages import explained, index, near, rule
 from sinsjax.study import sampling as draw_sampling
 from sinsjax.study import usual
 from sinsjax.study.distributions import INITIAL_KEYS, NUMBERS_DRAWN, Distribution, DrawnSection
+from sinsjax.study.resolved import Dimension
 from sinsjax.study.study import (
     SECTION_OF,
     SECTIONS,
     SIMULATED_ONLY,
     SWEEPABLE,
-    Dimension,
     Study,
     TomlTable,
     dimensions_of,

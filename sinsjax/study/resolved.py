@@ -1,45 +1,152 @@
-"""The values that a study's keys take, variant by variant."""
+"""A study resolved into columns: the values of its keys over all variants, each distinct one once.
 
-from collections.abc import Callable, Mapping
-from typing import Any
+A sweep repeats few values many times. What follows from a value is therefore worked out once for
+each distinct one, or for each distinct combination, and laid out over the variants by NumPy.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sinsjax.study.study import Study
+if TYPE_CHECKING:
+    from sinsjax.study.study import Study
+
+Dimension = dict[str, tuple[Any, ...]]
 
 Lookup = Callable[[str], Any]
 """The one value of a key for all variants of a part, or its draws'."""
 
 
+class Coded(NamedTuple):
+    """A dictionary-coded column.
+
+    Attributes:
+        codes: (variants,) place of each variant's value in ``choices``.
+        choices: the distinct values, in the units of the file.
+    """
+
+    codes: np.ndarray
+    choices: tuple[Any, ...]
+
+    def each(self, function: Callable[[Any], Any], dtype: Any = float) -> np.ndarray:
+        """A function of the values, called once for each distinct one; (variants, ...)."""
+        made = np.asarray([function(value) for value in self.choices], dtype)
+        if len(made) == 1:  # most columns: nothing to lay out
+            return np.broadcast_to(made[0], (len(self.codes), *made.shape[1:]))
+        return made[self.codes]
+
+    def map(self, function: Callable[[Any], Any]) -> "Coded":
+        """A column of what a function makes of the values."""
+        return Coded(self.codes, tuple(map(function, self.choices)))
+
+    def to_list(self) -> list[Any]:
+        """The values, one a variant."""
+        return list(map(self.choices.__getitem__, self.codes.tolist()))
+
+
+class Resolved:
+    """The columns of a study, each made when it is first asked for."""
+
+    def __init__(self, dimensions: Sequence[Dimension], constant: Callable[[str], Any]) -> None:
+        """Take a sweep as the product of its dimensions.
+
+        Args:
+            dimensions: values by key, the slowest first; the keys of one go together.
+            constant: value of a key that is in no dimension.
+        """
+        lengths = [len(next(iter(dimension.values()))) for dimension in dimensions]
+        self._dimensions, self._constant = dimensions, constant
+        self._repeats = [math.prod(lengths[i + 1 :]) for i in range(len(lengths))]
+        self.n_variants = math.prod(lengths)
+        self._made: dict[tuple[str, ...], Coded] = {}
+
+    def column(self, *keys: str) -> Coded:
+        """The column of a key; of several, that of the combinations which they take, as tuples.
+
+        Raises:
+            KeyError: no sweepable section of the study has the key.
+        """
+        if keys not in self._made:
+            self._made[keys] = self._single(*keys) if len(keys) == 1 else self._joint(keys)
+        return self._made[keys]
+
+    def _single(self, key: str) -> Coded:
+        for dimension, repeats in zip(self._dimensions, self._repeats, strict=True):
+            if key in dimension:
+                place = {value: code for code, value in enumerate(dict.fromkeys(dimension[key]))}
+                once = np.array([place[value] for value in dimension[key]], np.int32)
+                turns = self.n_variants // (repeats * len(once))
+                return Coded(np.tile(np.repeat(once, repeats), turns), tuple(place))
+        return Coded(np.zeros(self.n_variants, np.int32), (self._constant(key),))
+
+    def _joint(self, keys: Sequence[str]) -> Coded:
+        columns = [self.column(key) for key in keys]
+        mixed, sizes = np.zeros(self.n_variants, np.int64), [len(c.choices) for c in columns]
+        for column, size in zip(columns, sizes, strict=True):
+            mixed = mixed * size + column.codes
+        present, codes = _distinct(mixed, math.prod(sizes))
+        places = zip(*(p.tolist() for p in np.unravel_index(present, sizes)), strict=True)
+        choices = [tuple(c.choices[i] for c, i in zip(columns, p, strict=True)) for p in places]
+        return Coded(codes, tuple(choices))
+
+
+def _distinct(numbers: np.ndarray, end: int) -> tuple[np.ndarray, np.ndarray]:
+    """The distinct ones of integers from 0 to ``end`` - 1, and the place of each among them."""
+    if end > 8 * len(numbers):
+        return np.unique(numbers, return_inverse=True)
+    present = np.flatnonzero(np.bincount(numbers, minlength=end))  # far quicker than sorting
+    place = np.zeros(end, np.int32)
+    place[present] = np.arange(len(present))
+    return present, place[numbers]
+
+
 class Variants:
-    """Values of a study's sweepable keys, for some of its variants.
+    """Columns of a study for some of its variants.
 
     Attributes:
         ids: (variants,) their numbers in the study.
     """
 
     def __init__(
-        self, study: Study, ids: np.ndarray, drawn: Mapping[str, np.ndarray] | None = None
+        self, study: "Study", ids: np.ndarray, drawn: Mapping[str, np.ndarray] | None = None
     ) -> None:
         """Take the variants ``ids`` of a study, and perhaps the values of its draws."""
         self._study = study
         self._drawn = drawn or {}
         self.ids = ids
 
+    @cached_property
+    def _are_all(self) -> bool:
+        return len(self.ids) == self._study.n_variants and bool(np.all(np.diff(self.ids) == 1))
+
+    def of(self, column: Coded) -> Coded:
+        """These variants' part of a column."""
+        return column if self._are_all else column._replace(codes=column.codes[self.ids])
+
+    def coded(self, *keys: str) -> Coded:
+        """See `Resolved.column`."""
+        return self.of(self._study.resolved.column(*keys))
+
     def raw(self, key: str) -> list[Any]:
         """Values of one key, in the file's units."""
-        values = self._study.values(key)
-        return [values[i] for i in self.ids]
+        return self.coded(key).to_list()
 
     def column(self, key: str, factor: float = 1.0) -> np.ndarray:
         """Values of a numeric key times a factor, (variants,); zero for what is drawn."""
         if key in self._study.drawn_keys:
             return np.zeros(len(self.ids))
-        return np.asarray(self.raw(key), dtype=float) * factor
+        column = self.coded(key)
+        return column.each(lambda value: math.nan if value is None else value * factor)
 
     def common(self, key: str) -> Any:
         """The one value of a key that does not differ between these variants.
 
         Of a drawn key, None or the draws' values, (draws, ...), if they were given.
         """
-        return self._drawn[key] if key in self._drawn else self._study.values(key)[self.ids[0]]
+        if key in self._drawn:
+            return self._drawn[key]
+        codes, choices = self._study.resolved.column(key)
+        return choices[codes[self.ids[0]]]

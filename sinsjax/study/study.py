@@ -5,9 +5,12 @@ The rules between its keys stand in `checks`.
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 from itertools import combinations, product
 from typing import Any, NamedTuple
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from sinsjax.alignment.compass.section import CompassSection
@@ -15,6 +18,7 @@ from sinsjax.alignment.sections import AlignmentSection, CoarseSection, PassesSe
 from sinsjax.alignment.zero_velocity.section import FilterSection, ResetsSection
 from sinsjax.study.distributions import DrawnSection, StopWhenSection
 from sinsjax.study.ranges import TuneSection
+from sinsjax.study.resolved import Coded, Dimension, Resolved
 from sinsjax.study.schema import (
     EarthSection,
     MotionSection,
@@ -104,12 +108,13 @@ EXCLUSIVE = (
 PASS_KEYS = ("tape_s", "passes", "ending")
 """The keys that decide which sample of the tape an update reads, and how many there are."""
 
+_OF_SCHEDULES = ("reset_times_s", "reset_count", "reset_cycle_s", "reset_first_s")
+
 ROUNDING = 1e-9
 """Relative; how far a product of two decimal numbers may be off."""
 
 
 TomlTable = dict[str, Any]
-Dimension = dict[str, tuple[Any, ...]]
 
 
 def meaning(key: str) -> str:
@@ -264,11 +269,21 @@ class Study(BaseModel):
         return math.floor(samples * (1 + ROUNDING)) // self.record_every
 
     @property
+    def resolved(self) -> Resolved:
+        """Its columns, made once."""
+        return _resolved(_Itself(self))
+
+    @property
+    def lengths(self) -> Coded:
+        """How long every variant runs, as a column of `Span`."""
+        if self.passes is None:
+            return Coded(np.zeros(self.n_variants, np.int32), (self.span(),))
+        return self.resolved.column(*PASS_KEYS).map(lambda values: self.span(*values))
+
+    @property
     def spans(self) -> list[Span]:
         """How long every variant runs."""
-        if self.passes is None:
-            return [self.span()] * self.n_variants
-        return [self.span(*values) for values in zip(*map(self.values, PASS_KEYS), strict=True)]
+        return self.lengths.to_list()
 
     @property
     def distinct_spans(self) -> set[Span]:
@@ -305,15 +320,21 @@ class Study(BaseModel):
         points = self.combinations("reset_trigger") if self.resets else ()
         return any(point["reset_trigger"] not in (None, "none") for point in points)
 
+    @property
+    def schedules(self) -> Coded:
+        """The schedule of resets of every variant: their times, s."""
+        if self.resets is None:
+            return Coded(np.zeros(self.n_variants, np.int32), ((),))
+
+        def times_of(values: tuple[Any, ...]) -> tuple[float, ...]:
+            times, count, cycle, first = values
+            return counted_resets(count or 0, cycle, first) if times is None else tuple(times)
+
+        return self.resolved.column(*_OF_SCHEDULES).map(times_of)
+
     def reset_times(self) -> list[tuple[float, ...]]:
         """Reset times of every variant, s."""
-        if self.resets is None:
-            return [()] * self.n_variants
-        keys = ("reset_times_s", "reset_count", "reset_cycle_s", "reset_first_s")
-        return [
-            counted_resets(count or 0, cycle, first) if times is None else tuple(times)
-            for times, count, cycle, first in zip(*map(self.values, keys), strict=True)
-        ]
+        return self.schedules.to_list()
 
     @property
     def axis_keys(self) -> tuple[str, ...]:
@@ -341,13 +362,7 @@ class Study(BaseModel):
         Raises:
             KeyError: no sweepable section of this study has the key.
         """
-        fastest = variants = self.n_variants
-        for dimension in self.dimensions:
-            fastest //= _length(dimension)
-            if key in dimension:
-                once = [value for value in dimension[key] for _ in range(fastest)]
-                return once * (variants // len(once))
-        return [self._constant(key)] * variants
+        return self.resolved.column(key).to_list()
 
     def combinations(self, *keys: str) -> Iterator[dict[str, Any]]:
         """The distinct values that sweepable keys take together over all variants.
@@ -369,6 +384,24 @@ class Study(BaseModel):
         if SECTION_OF[key] not in SWEEPABLE or section is None:
             raise KeyError(key)
         return None if key in self.drawn_keys else getattr(section, key)
+
+
+@dataclass(frozen=True, eq=False)
+class _Itself:
+    """A study as a key, told from others by identity: it never changes, and copies are others."""
+
+    study: Study
+
+    def __hash__(self) -> int:
+        return id(self.study)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Itself) and self.study is other.study
+
+
+@lru_cache(maxsize=4)
+def _resolved(key: _Itself) -> Resolved:
+    return Resolved(key.study.dimensions, key.study._constant)
 
 
 def _length(dimension: Dimension) -> int:

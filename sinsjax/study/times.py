@@ -7,7 +7,7 @@ from sinsjax.study.study import Span, Study
 
 def spans_s(study: Study) -> np.ndarray:
     """(variants, 2) lengths of every variant's run and of a pass over its tape, s."""
-    return np.array(study.spans) * study.record_every / study.rate_hz
+    return study.lengths.each(tuple, int) * study.record_every / study.rate_hz
 
 
 def update_times(study: Study, span: Span) -> np.ndarray:

@@ -21,8 +21,9 @@ from sinsjax.execution.run import Tell
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling, search_space
 from sinsjax.study.load import study_from_dict, tables_of
+from sinsjax.study.resolved import Dimension
 from sinsjax.study.search_space import SearchSpace
-from sinsjax.study.study import Dimension, Study, TomlTable, dimensions_of
+from sinsjax.study.study import Study, TomlTable, dimensions_of
 from sinsjax.tuning import objective
 from sinsjax.tuning.history import Evaluation, Found
 
@@ -222,7 +223,8 @@ def run_values(study: Study, derived: Study, table: pa.Table) -> NDArray:
 
 def cost(study: Study) -> int:
     """Steps of all runs of a study."""
-    return sum(span.records for span in study.spans) * study.record_every * study.n_draws
+    records = study.lengths.each(lambda span: span.records, int)
+    return int(records.sum()) * study.record_every * study.n_draws
 
 
 def derive(

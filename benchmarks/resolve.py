@@ -1,0 +1,67 @@
+"""What a study of very many variants takes before it runs: its columns, and a part's arguments."""
+
+import time
+import tomllib
+
+import common
+
+from sinsjax.bench.assets import asset
+from sinsjax.bench.timing import Row, Spread
+from sinsjax.engine.batch import plan
+from sinsjax.engine.build import Scenario
+from sinsjax.engine.tile import tiles_of
+from sinsjax.execution.tables import Tables
+from sinsjax.study.load import study_from_dict
+from sinsjax.study.study import Study
+
+
+def rows(quick: bool, repeats: int) -> list[Row]:
+    """Time what is done once for a study, and once for a block of draws of a part.
+
+    Returns:
+        ``resolve_N`` with N variants: a scenario and the columns of the tables; ``part_N``: the
+        part's arguments for one draw, and the tiles of its first call. The truth is left out.
+    """
+    first = 10 if quick else 1000
+    size = {"runs": 600 * first, "steps": 0, "dtype": "float64", "devices": 1}
+    scenarios, arguments = [], []
+    for _ in range(repeats + 1):
+        study = many_variants(first)
+        since = time.perf_counter()
+        scenario = Scenario(study)
+        Tables(study)
+        scenarios.append(time.perf_counter() - since)
+        since = time.perf_counter()
+        group = scenario.part(0, range(1), blank=True).group
+        tiles_of(group, plan(group)[0])
+        arguments.append(time.perf_counter() - since)
+    return [
+        row(f"resolve_{600 * first}", scenarios[1:]) | size,  # the first one compiles
+        row(f"part_{600 * first}", arguments[1:]) | size,
+    ]
+
+
+def many_variants(first: int) -> Study:
+    """The default sweep over 100 cycles, 6 counts and some initial heading errors."""
+    data = tomllib.loads(asset("configs/reset_sweep.toml").read_text(encoding="utf-8"))
+    data["study"] |= {"draws": 1, "judged_from": "truth"}
+    data["axes"] |= {
+        "reset_cycle_s": [10.0 + i for i in range(100)],
+        "reset_count": [0, 1, 2, 3, 4, 5],
+        "phi_u0_deg": [90.0 * i / first for i in range(first)],
+    }
+    return study_from_dict(data)
+
+
+def row(name: str, seconds: list[float]) -> Row:
+    """Median and half the range of some times."""
+    found = Spread.of(seconds)
+    return {
+        "name": name,
+        "median_s": round(found.median, 4),
+        "spread_s": round(found.half_range, 4),
+    }
+
+
+if __name__ == "__main__":
+    common.main(rows, one_core=True, repeats=5)
