@@ -6,7 +6,7 @@ import tomllib
 import common
 
 from sinsjax.bench.assets import asset
-from sinsjax.bench.timing import Row, Spread
+from sinsjax.bench.timing import Row, TimingSpread
 from sinsjax.engine.batch import plan
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.tile import tiles_of
@@ -55,7 +55,7 @@ def many_variants(first: int) -> Study:
 
 def row(name: str, seconds: list[float]) -> Row:
     """Median and half the range of some times."""
-    found = Spread.of(seconds)
+    found = TimingSpread.of(seconds)
     return {
         "name": name,
         "median_s": round(found.median, 4),

@@ -145,12 +145,12 @@ def _column_or(variants: Variants, key: str, default: float) -> np.ndarray:
 
 
 def _feedback(variants: Variants, rate_hz: float) -> Feedback:
-    samples = np.round(variants.column("feedback_interval_s") * rate_hz)
-    interval = samples / rate_hz
-    constant = variants.column("feedback_time_constant_s")
-    partial = constant > 0
-    gain = np.where(partial, -np.expm1(-interval / np.where(partial, constant, 1.0)), 1.0)
-    return Feedback(samples, gain)
+    def one(values: tuple[float, float]) -> tuple[float, float]:
+        samples, constant = np.round(values[0] * rate_hz), values[1]
+        return samples, -np.expm1(-samples / rate_hz / constant) if constant > 0 else 1.0
+
+    both = variants.coded("feedback_interval_s", "feedback_time_constant_s").each(one)
+    return Feedback(*both.T)
 
 
 def _resets(study: Study, variants: Variants) -> Resets:

@@ -29,6 +29,7 @@ import noise  # noqa: E402
 import page  # noqa: E402
 import pairs  # noqa: E402
 import record  # noqa: E402
+import resolve  # noqa: E402
 import single_precision  # noqa: E402
 import store  # noqa: E402
 import throughput  # noqa: E402
@@ -332,6 +333,18 @@ def test_a_script_runs_quickly(script):
 
 
 @pytest.mark.slow
+def test_resolving_is_timed_and_judged(tmp_path):
+    rows = resolve.rows(True, 1)
+    assert [row["name"] for row in rows] == ["resolve_6000", "part_6000"]
+    assert all(0 < row["median_s"] < 10 for row in rows)
+    slow = [told("resolve", n, 0.0, median_s=0.3, spread_s=0.0) for n in ("resolve_6", "part_6")]
+    (machine,) = written(tmp_path, slow)
+    assert [(row.target, row.measured, row.reached) for row in judged(machine)] == [
+        ("under 500 ms", "300 ± 0 ms", True),
+        ("under 50 ms", "300 ± 0 ms", False),
+    ]
+
+
 def test_memory_is_asked_for_quickly():
     plain, curves, sweep = memory.rows(True, 1)
     assert 0 < plain["bytes_per_run"] < curves["bytes_per_run"]
