@@ -18,8 +18,9 @@ from sinsjax.alignment.triggers import base as triggers
 from sinsjax.alignment.zero_velocity import method as zero_velocity
 from sinsjax.errors import InputError
 from sinsjax.strapdown.error_model import MODELS
-from sinsjax.study.resolved import Coded, Variants
+from sinsjax.study.resolved import Coded
 from sinsjax.study.study import Q_DENSITIES, Study
+from sinsjax.study.variants import Variants
 from sinsjax.units import DEG, DEG_PER_H
 
 _COVARIANCE_RESETS: dict[str, tuple[float | None, ...]] = {

@@ -22,10 +22,10 @@ from sinsjax.records import require_span
 from sinsjax.records.reference import StoredRecord
 from sinsjax.strapdown import base_motion, earth, sensors
 from sinsjax.study import sampling
-from sinsjax.study.resolved import Lookup, Variants
 from sinsjax.study.schema import EarthSection, MotionSection, SensorsSection
 from sinsjax.study.study import EARTH_CONSTANTS, Span, Study
 from sinsjax.study.times import tape_times
+from sinsjax.study.variants import Lookup, Variants
 from sinsjax.types import Array, Scalar
 from sinsjax.units import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, PPM
 from sinsjax.value_types import Section

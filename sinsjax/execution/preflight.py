@@ -11,8 +11,8 @@ from sinsjax.records import Layout, Record, require_span
 from sinsjax.records.plausible import Expected, findings
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
-from sinsjax.study.resolved import Variants
 from sinsjax.study.study import Study
+from sinsjax.study.variants import Variants
 from sinsjax.units import DEG_PER_H, micro_g
 
 _BIASES = {"gyro_bias_deg_per_h": 10.0, "accel_bias_ug": 5000.0}

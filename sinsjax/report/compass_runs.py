@@ -9,8 +9,8 @@ from sinsjax.alignment.bounds import Number, tape_bound
 from sinsjax.engine.truth import errors_of, site_of
 from sinsjax.errors import InputError
 from sinsjax.report.limits import only
-from sinsjax.study.resolved import Variants
 from sinsjax.study.study import SECTION_OF, Study
+from sinsjax.study.variants import Variants
 from sinsjax.units import ARCMIN
 
 _LOOP_SECTIONS = ("compass", "passes")

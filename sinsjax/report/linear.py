@@ -20,8 +20,8 @@ from sinsjax.alignment.compass.design import Number
 from sinsjax.engine import method_parameters
 from sinsjax.engine.truth import site_of
 from sinsjax.report.limits import ingredients, only
-from sinsjax.study.resolved import Variants
 from sinsjax.study.study import Study
+from sinsjax.study.variants import Variants
 from sinsjax.units import ARCMIN, DEG
 
 _LEVEL = np.ix_((0, 1, 3), (0, 1, 3))  # of x, see `_matrix`

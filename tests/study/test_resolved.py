@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.studies import small_study
 
-from sinsjax.study.resolved import Coded, Dimension, Resolved, Variants
+from sinsjax.study.resolved import Coded, Dimension, Resolved
+from sinsjax.study.variants import Variants
 
 VALUES = st.sampled_from([None, 0.0, 1.5, "full", (1.0, 2.0), ()])
 
