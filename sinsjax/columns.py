@@ -5,7 +5,7 @@ and record time. The keys that a study sweeps are columns of the summary too.
 """
 
 from collections.abc import Iterable
-from functools import cache
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import pyarrow as pa
@@ -176,7 +176,7 @@ def drawn_column(key: str, dimensions: int, meaning: str) -> Column:
     return Column(key, dtype, split_unit(key)[1], f"drawn by the study: {meaning}")
 
 
-@cache  # asked for with every chunk
+@lru_cache(maxsize=8)  # asked for with every chunk
 def schema(columns: tuple[Column, ...]) -> pa.Schema:
     """Arrow schema with units and meanings as field metadata."""
     fields = [

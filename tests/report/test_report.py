@@ -87,7 +87,7 @@ def summary_of(study, *, truth=True, **given):
         default = noise if column.name.startswith(("pitch", "roll", "yaw", "sigma")) else default
         cells = values.get(column.name, [None] * (v * d) if default is None else default)
         arrays.append(pa.array(cells, column.dtype, from_pandas=True))
-    return pa.Table.from_arrays(arrays, schema=columns.schema(layout))
+    return pa.Table.from_arrays(arrays, schema=columns.schema(tuple(layout)))
 
 
 def curves_of(study, *, truth=True):
