@@ -1,7 +1,8 @@
 """The same alignment step as a plain NumPy loop over one run, as one would write it first.
 
 A baseline for `bench` and a check on the engine: dense matrices, rotation matrices and textbook
-formulas, sharing no code with the engine but the sensor increments.
+formulas, sharing no code with the engine but the sensor increments. It stays apart from the naive
+engine of the tests, which knows every option of a study and is no measure of speed.
 """
 
 from typing import NamedTuple

@@ -15,7 +15,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import cache, partial
+from functools import lru_cache, partial
 from itertools import count
 from typing import Any, NamedTuple
 
@@ -40,6 +40,9 @@ CHUNK_TILES = 32
 CHUNK_STEPS = 2**28
 CHUNK_RECORDS = 2**20
 """The most that a chunk has: tiles; steps, some 15 s of a core; rows of curves, some 100 MB."""
+
+MOST_PROGRAMS = 64
+"""Programs that a process keeps, some MB each; the least recently used go first."""
 
 LEAST_CHUNKS = 16
 """Chunks that a group is cut into if it has the tiles for them, so that many cores find work."""
@@ -193,7 +196,7 @@ def compiled(
     return program(static, environment, tiles, device).compiled()
 
 
-@cache
+@lru_cache(maxsize=MOST_PROGRAMS)
 def _trace(static: Static, structure: Any, shapes: tuple) -> Program:
     def run_tiles(environment: Environment, tiles: Tiles) -> Any:
         one = partial(run_tile, static, environment)
