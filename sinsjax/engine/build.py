@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from sinsjax.alignment.base import Options, Site
-from sinsjax.engine import method_parameters
+from sinsjax.alignment.methods import METHODS
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.realisations import Draw, Environment, Static, derived, measured, noise
 from sinsjax.engine.simulate import RunParams
@@ -95,7 +95,7 @@ class Scenario:
         self.variant_ids = list(_split(study))
         for ids in self.variant_ids:
             variants = Variants(study, ids)
-            method_parameters.check_loops(study, variants, site_of(study, variants, tape)[0])
+            METHODS[variants.common("method")].check(variants, site_of(study, variants, tape)[0])
 
     @property
     def has_truth(self) -> bool:
@@ -247,7 +247,7 @@ def _params(study: Study, variants: Variants, site: Site, ug: float) -> RunParam
         phi=phi,
         ve=variants.column("ve0_m_per_s"),
         vn=variants.column("vn0_m_per_s"),
-        method=method_parameters.of_method(study, variants, site, ug),
+        method=METHODS[variants.common("method")].parameters(variants, site, ug),
         euler=euler if drawn and euler.any() else None,
     )
 

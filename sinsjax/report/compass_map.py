@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
 from sinsjax.alignment.compass import design as loops
+from sinsjax.alignment.compass.parameters import REVERSALS
 from sinsjax.analysis import format_estimate
-from sinsjax.engine import method_parameters
 from sinsjax.plots import Contours, Scale, Shown
 from sinsjax.report import base
 from sinsjax.report.base import Picture, Report, Section, Source, Table, Text, percent, value_text
@@ -78,7 +78,7 @@ def _at_the_papers(source: Source) -> str:
     parts = []
     for turn in _turns(source):
         text = f"{turn} {float(radius_of(source.study, turn, *_PAPER)):.3f}"
-        velocity, _, rate, reflection = method_parameters.REVERSALS[turn]
+        velocity, _, rate, reflection = REVERSALS[turn]
         if reflection:
             exact = loops.turn_matrix(velocity, 1 - 2 * reflection, rate)
             damping = only(source.study, "azimuth_damping")

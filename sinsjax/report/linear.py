@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from sinsjax.alignment.compass import design as loops
 from sinsjax.alignment.compass import method as compass
+from sinsjax.alignment.compass import parameters as compass_parameters
 from sinsjax.alignment.compass.design import Number
-from sinsjax.engine import method_parameters
 from sinsjax.engine.truth import site_of
 from sinsjax.report.limits import ingredients, only
 from sinsjax.study.study import Study
@@ -112,13 +112,13 @@ def all_loops(study: Study) -> list[Loops]:
     """The loops of each variant of a compass study that sweeps keys of loops and passes alone."""
     variants = Variants(study, np.arange(study.n_variants))
     site, ug = site_of(study, variants, None)
-    params = method_parameters.of_method(study, variants, site, ug)
+    params = compass_parameters.parameters(variants, site, ug)
     leaves, structure = jax.tree.flatten(params)
     tapes = study.values("tape_s") if study.passes else [None] * study.n_variants
     return [
         Loops(
             params=jax.tree.unflatten(structure, [np.asarray(leaf)[i] for leaf in leaves]),
-            earth=method_parameters.earth_numbers(site),
+            earth=compass_parameters.earth_numbers(site),
             rate_n=float(site.place.rate_n),
             rate_hz=study.rate_hz,
             tape_s=study.duration_s if tape_s is None else tape_s,

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis
 from sinsjax.alignment.compass.design import Number
+from sinsjax.alignment.compass.parameters import REVERSALS
 from sinsjax.analysis import Estimate, rms
-from sinsjax.engine import method_parameters
 from sinsjax.errors import InputError
 from sinsjax.report.base import Source, name_of, shown_keys
 from sinsjax.report.compass_runs import heading_errors, require_loops
@@ -147,7 +147,7 @@ def _radii(study: Study, models: Sequence[Loops], ends: NDArray) -> tuple[NDArra
         radii[here] = cycle_radius(
             sigma[here],
             tape[here],
-            method_parameters.REVERSALS[turn],
+            REVERSALS[turn],
             damping=damping[here, None],
             smoothing_s=smoothing[here],
         )
@@ -161,7 +161,7 @@ def radius_of(study: Study, turn: str, sigma: Number, tape_s: Number) -> NDArray
     return cycle_radius(
         sigma,
         tape_s,
-        method_parameters.REVERSALS[turn],
+        REVERSALS[turn],
         damping=only(study, "azimuth_damping"),
         smoothing_s=only(study, "turn_smoothing_s"),
     )

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from typing import NoReturn
 
 from sinsjax import columns
+from sinsjax.alignment.zero_velocity.section import counted_resets
 from sinsjax.errors import InputError
 from sinsjax.study import ignored, success
 from sinsjax.study.study import (
@@ -17,7 +18,6 @@ from sinsjax.study.study import (
     SECTION_OF,
     SECTIONS,
     Study,
-    counted_resets,
 )
 
 Where = dict[str, str]

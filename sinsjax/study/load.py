@@ -16,6 +16,7 @@ from typing import Any
 import tomli_w
 from pydantic import ValidationError
 
+from sinsjax.alignment.zero_velocity.section import Q_DENSITIES
 from sinsjax.errors import InputError
 from sinsjax.messages import explained, index, near, one_line
 from sinsjax.study import axes, search_space, tuned_keys, usual
@@ -24,7 +25,6 @@ from sinsjax.study.study import (
     EARTH_CONSTANTS,
     EXCLUSIVE,
     NOISES,
-    Q_DENSITIES,
     SECTION_OF,
     SECTIONS,
     SIMULATED_ONLY,

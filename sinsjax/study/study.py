@@ -15,7 +15,13 @@ from pydantic import BaseModel, ConfigDict
 
 from sinsjax.alignment.compass.section import CompassSection
 from sinsjax.alignment.sections import AlignmentSection, CoarseSection, PassesSection
-from sinsjax.alignment.zero_velocity.section import FilterSection, ResetsSection
+from sinsjax.alignment.zero_velocity.section import (
+    OF_SCHEDULES,
+    Q_DENSITIES,
+    FilterSection,
+    ResetsSection,
+    reset_times,
+)
 from sinsjax.study.distributions import DrawnSection, StopWhenSection
 from sinsjax.study.ranges import TuneSection
 from sinsjax.study.resolved import Coded, Dimension, Resolved
@@ -82,12 +88,6 @@ NOISES = (
 )
 """The keys of white noise, each beside the one that gives its density."""
 
-Q_DENSITIES = {
-    "q_accel_ug": {"q_accel_ug_per_sqrt_hz": 1.0},
-    "q_gyro_deg_per_h": {"q_gyro_deg_per_h_per_sqrt_hz": 1.0, "q_gyro_arw_deg_per_sqrt_h": 60.0},
-}
-"""Under ``q_reading = "psd"``, the keys that give Q by its true units: factors to the old keys."""
-
 EXCLUSIVE = (
     *NOISES,
     *(pair for key, by_unit in Q_DENSITIES.items() for pair in combinations((key, *by_unit), 2)),
@@ -107,8 +107,6 @@ EXCLUSIVE = (
 
 PASS_KEYS = ("tape_s", "passes", "ending")
 """The keys that decide which sample of the tape an update reads, and how many there are."""
-
-_OF_SCHEDULES = ("reset_times_s", "reset_count", "reset_cycle_s", "reset_first_s")
 
 ROUNDING = 1e-9
 """Relative; how far a product of two decimal numbers may be off."""
@@ -145,19 +143,6 @@ def dimensions_of(
     keys = sorted(cases[0] if cases else (), key=lambda key: key != "case")
     joint = {key: tuple(case[key] for case in cases) for key in keys}
     return [*([joint] if joint else ()), *zips, *({key: axes[key]} for key in axes)]
-
-
-def counted_resets(count: int, cycle_s: float | None, first_s: float | None) -> tuple[float, ...]:
-    """Times of counted resets, s.
-
-    Args:
-        count: how many.
-        cycle_s: between two of them; not needed for a first one alone.
-        first_s: of the first; without it they come at the cycle and its multiples.
-    """
-    if first_s is None:
-        return tuple((i + 1) * (cycle_s or 0.0) for i in range(count))
-    return tuple(first_s + i * (cycle_s or 0.0) for i in range(count))
 
 
 class Span(NamedTuple):
@@ -325,12 +310,7 @@ class Study(BaseModel):
         """The schedule of resets of every variant: their times, s."""
         if self.resets is None:
             return Coded(np.zeros(self.n_variants, np.int32), ((),))
-
-        def times_of(values: tuple[Any, ...]) -> tuple[float, ...]:
-            times, count, cycle, first = values
-            return counted_resets(count or 0, cycle, first) if times is None else tuple(times)
-
-        return self.resolved.column(*_OF_SCHEDULES).map(times_of)
+        return self.resolved.column(*OF_SCHEDULES).map(lambda values: reset_times(*values))
 
     def reset_times(self) -> list[tuple[float, ...]]:
         """Reset times of every variant, s."""

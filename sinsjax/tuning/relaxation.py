@@ -1,8 +1,8 @@
 """Variables as numbers of the engine, to be differentiated by.
 
 Each variable changes the `Params` of its method by the ratio of its value to that of a base point,
-whose numbers were made as those of any study: no unit and no formula of `method_parameters` is said
-twice. Resets become smooth windows.
+whose numbers were made as those of any study: no unit and no formula of a method's `parameters` is
+said twice. Resets become smooth windows.
 """
 
 from collections.abc import Callable, Sequence

@@ -35,8 +35,8 @@ from sinsjax.alignment.compass.design import (
     carries,
     level_matrix,
 )
+from sinsjax.alignment.compass.parameters import REVERSALS
 from sinsjax.alignment.schedules import Pieces
-from sinsjax.engine.method_parameters import REVERSALS
 from sinsjax.engine.simulate import Static
 from sinsjax.strapdown import sensors
 

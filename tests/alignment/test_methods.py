@@ -21,8 +21,8 @@ from oracles.naive import DEG, PAPER, Loops, azimuth_gains, exp, level_gains, lo
 
 from sinsjax.alignment import passes
 from sinsjax.alignment.base import Options
+from sinsjax.alignment.compass.parameters import REVERSALS
 from sinsjax.alignment.methods import METHODS
-from sinsjax.engine.method_parameters import REVERSALS
 from sinsjax.maths import rotations
 from sinsjax.strapdown import sensors
 from sinsjax.strapdown.error_model import MODELS

@@ -43,7 +43,7 @@ from oracles.naive import (
 from sinsjax.alignment import passes
 from sinsjax.alignment.base import Options
 from sinsjax.alignment.compass.method import Reversal
-from sinsjax.engine.method_parameters import REVERSALS
+from sinsjax.alignment.compass.parameters import REVERSALS
 from sinsjax.engine.simulate import Static
 from sinsjax.maths.algebra import numbers_of, triangle_index
 from sinsjax.strapdown import earth, mechanisation, sensors

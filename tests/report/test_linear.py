@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 from support.studies import small_study
 
 from sinsjax.alignment.compass import design as loops
-from sinsjax.engine import method_parameters
+from sinsjax.alignment.compass.parameters import REVERSALS
 from sinsjax.execution import run as study_run
 from sinsjax.report.linear import (
     all_loops,
@@ -160,7 +160,7 @@ def test_all_loops_of_a_sweep_are_those_of_its_variants():
 
 @pytest.mark.parametrize("turn", ["velocity", "velocity_drop_rate"])
 def test_a_turn_that_reflects_nothing_has_the_radius_of_the_loops(turn):
-    made = method_parameters.REVERSALS[turn]
+    made = REVERSALS[turn]
     sigma, tape_s = np.array([[0.01], [0.03]]), np.array([40.0, 80.0, 200.0])
     expected = loops.cycle_radius(sigma, tape_s, loops.turn_matrix(-1, 1, made.rate))
     numbers = {"damping": math.sqrt(0.5), "smoothing_s": 10.0}
@@ -168,7 +168,7 @@ def test_a_turn_that_reflects_nothing_has_the_radius_of_the_loops(turn):
 
 
 def test_a_reflection_that_lags_is_slower_than_an_exact_one():
-    made, exact = method_parameters.REVERSALS["reflect"], math.exp(-2 * 0.01 * 80)
+    made, exact = REVERSALS["reflect"], math.exp(-2 * 0.01 * 80)
     found = [
         float(cycle_radius(0.01, 80.0, made, damping=math.sqrt(0.5), smoothing_s=delay))
         for delay in (0.01, 5.0, 20.0)

@@ -22,6 +22,15 @@ from sinsjax.value_types import (
     Times,
 )
 
+Q_DENSITIES = {
+    "q_accel_ug": {"q_accel_ug_per_sqrt_hz": 1.0},
+    "q_gyro_deg_per_h": {"q_gyro_deg_per_h_per_sqrt_hz": 1.0, "q_gyro_arw_deg_per_sqrt_h": 60.0},
+}
+"""Under ``q_reading = "psd"``, the keys that give Q by its true units: factors to the old keys."""
+
+OF_SCHEDULES = ("reset_times_s", "reset_count", "reset_cycle_s", "reset_first_s")
+"""The keys that give the times of resets, in the order of `reset_times`."""
+
 
 class FilterSection(Section):
     """[filter]: what the filter believes; standard deviations."""
@@ -104,3 +113,26 @@ class ResetsSection(Section):
     trigger_until_s: Seconds | None = Field(
         None, description="time after which a trigger calls for none, s; default: no limit"
     )
+
+
+def counted_resets(count: int, cycle_s: float | None, first_s: float | None) -> tuple[float, ...]:
+    """Times of counted resets, s.
+
+    Args:
+        count: how many.
+        cycle_s: between two of them; not needed for a first one alone.
+        first_s: of the first; without it they come at the cycle and its multiples.
+    """
+    if first_s is None:
+        return tuple((i + 1) * (cycle_s or 0.0) for i in range(count))
+    return tuple(first_s + i * (cycle_s or 0.0) for i in range(count))
+
+
+def reset_times(
+    times_s: tuple[float, ...] | None,
+    count: int | None,
+    cycle_s: float | None,
+    first_s: float | None,
+) -> tuple[float, ...]:
+    """Times of the resets of a schedule, s: as given, or counted."""
+    return counted_resets(count or 0, cycle_s, first_s) if times_s is None else tuple(times_s)

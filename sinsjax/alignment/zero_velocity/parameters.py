@@ -1,0 +1,124 @@
+"""[filter], [resets] and the feedback of [alignment] as the numbers of a zero-velocity filter."""
+
+import math
+
+import numpy as np
+
+from sinsjax.alignment.base import Site
+from sinsjax.alignment.parameters import Columns, column_or, in_samples
+from sinsjax.alignment.schedules import UNCHANGED, CovarianceReset, Feedback, Resets
+from sinsjax.alignment.triggers.base import TriggerParams
+from sinsjax.alignment.zero_velocity.method import FilterParams
+from sinsjax.alignment.zero_velocity.section import OF_SCHEDULES, Q_DENSITIES, reset_times
+from sinsjax.strapdown.error_model import MODELS
+from sinsjax.units import DEG, DEG_PER_H
+
+_COVARIANCE_RESETS: dict[str, tuple[float | None, ...]] = {
+    # keep, keep_yaw, renew, renew_yaw; None for the study's factor
+    "full": (0.0, 0.0, 1.0, 1.0),
+    "yaw": (1.0, 0.0, 0.0, 1.0),
+    "scale": (None, None, 0.0, 0.0),
+    "carried": UNCHANGED,
+    "inflated": (None, None, 0.0, 0.0),
+    "reset": (0.0, 0.0, 1.0, 1.0),
+}
+"""What becomes of P, by the names of ``reset_kind`` and ``turn_covariance``."""
+
+
+def parameters(columns: Columns, site: Site, ug: float) -> FilterParams:
+    """Numbers of a filter, leaves (variants,).
+
+    Args:
+        columns: of variants with one method.
+        site: Earth and place; a filter asks nothing of them.
+        ug: micro-g in m/s^2.
+    """
+    states = MODELS[columns.common("method")].states
+    dt = 1 / columns.rate_hz
+    velocity = columns.column("p0_velocity_m_per_s") ** 2
+    level = columns.column("p0_level_deg", DEG) ** 2
+    yaw = columns.column("p0_yaw_deg", DEG) ** 2
+    nabla = columns.column("p0_accel_bias_ug", ug) ** 2
+    eps = columns.column("p0_gyro_bias_deg_per_h", DEG_PER_H) ** 2
+    readings = {"per_step": 1.0, "psd": dt, "per_sample": dt * dt}
+    reading = columns.each(readings.__getitem__, "q_reading")
+    q_scale, r_scale = (column_or(columns, key, 1.0) for key in ("q_scale", "r_scale"))
+    q_v = (_q(columns, "q_accel_ug") * ug) ** 2 * reading * q_scale
+    q_phi = (_q(columns, "q_gyro_deg_per_h") * DEG_PER_H) ** 2 * reading * q_scale
+    spread = columns.each(lambda name: 1.0 if name == "per_update" else dt, "r_reading")
+    zero = np.zeros_like(velocity)
+    p0 = {"dve": velocity, "dvn": velocity, "phi_e": level, "phi_n": level, "phi_u": yaw}
+    p0 |= {f"nabla_{axis}": nabla for axis in "xyz"} | {f"eps_{axis}": eps for axis in "xyz"}
+    q = {"dve": q_v, "dvn": q_v, "phi_e": q_phi, "phi_n": q_phi, "phi_u": q_phi}
+    start = tuple(p0[state] for state in states)
+    return FilterParams(
+        p0=start,
+        q=tuple(q.get(state, zero) for state in states),  # biases are constant
+        r=columns.column("r_velocity_m_per_s") ** 2 / spread * r_scale,
+        feedback=_feedback(columns),
+        resets=_resets(columns),
+        reset_to=tuple(
+            _reset_to(columns, state, p, ug) for state, p in zip(states, start, strict=True)
+        ),
+        turn=_covariance_reset(columns, "turn_covariance", "turn_inflation")
+        if columns.has("passes")
+        else CovarianceReset(*(np.broadcast_to(k, zero.shape) for k in UNCHANGED)),
+        trigger=_trigger(columns),
+    )
+
+
+def _q(columns: Columns, key: str) -> np.ndarray:
+    """Values of a key of Q, (variants,), from whichever of its forms the study gives."""
+    forms = {key: 1.0, **Q_DENSITIES[key]}
+    given = next(form for form in forms if columns.common(form) is not None)
+    return columns.column(given, forms[given])
+
+
+def _reset_to(columns: Columns, state: str, p0: np.ndarray, ug: float) -> np.ndarray:
+    """The variance of a state that P is reset to: its own, or that of the start."""
+    key, unit = {
+        "dve": ("reset_velocity_m_per_s", 1.0),
+        "dvn": ("reset_velocity_m_per_s", 1.0),
+        "phi_e": ("reset_level_deg", DEG),
+        "phi_n": ("reset_level_deg", DEG),
+        "phi_u": ("reset_yaw_deg", DEG),
+        "nabla": ("reset_accel_bias_ug", ug),
+        "eps": ("reset_gyro_bias_deg_per_h", DEG_PER_H),
+    }[state if state.startswith(("d", "phi")) else state.partition("_")[0]]
+    own = columns.each(lambda v: math.nan if v is None else (v * unit) ** 2, key)
+    return np.where(np.isnan(own), p0, own)
+
+
+def _trigger(columns: Columns) -> TriggerParams | None:
+    if columns.common("reset_trigger") in (None, "none"):
+        return None
+    rate_hz = columns.rate_hz
+    return TriggerParams(
+        threshold=columns.column("trigger_threshold"),
+        window=np.round(columns.column("trigger_window_s") * rate_hz),
+        refractory=np.round(columns.column("trigger_refractory_s") * rate_hz),
+        most=columns.column("trigger_most"),
+        until=np.round(column_or(columns, "trigger_until_s", math.inf) * rate_hz),
+    )
+
+
+def _feedback(columns: Columns) -> Feedback:
+    rate_hz = columns.rate_hz
+
+    def one(interval_s: float, constant_s: float) -> tuple[float, float]:
+        samples = np.round(interval_s * rate_hz)
+        return samples, -np.expm1(-samples / rate_hz / constant_s) if constant_s > 0 else 1.0
+
+    return Feedback(*columns.each(one, "feedback_interval_s", "feedback_time_constant_s").T)
+
+
+def _resets(columns: Columns) -> Resets:
+    samples = in_samples(columns, reset_times, *OF_SCHEDULES)
+    return Resets(samples, _covariance_reset(columns, "reset_kind", "reset_scale"))
+
+
+def _covariance_reset(columns: Columns, kind: str, factor: str) -> CovarianceReset:
+    def numbers(name: str, own: float) -> list[float]:
+        return [own if number is None else number for number in _COVARIANCE_RESETS[name]]
+
+    return CovarianceReset(*columns.each(numbers, kind, factor).T)
