@@ -79,7 +79,7 @@ class Resolved:
         columns = [self.column(key) for key in keys]
         mixed, sizes = np.zeros(self.n_variants, np.int64), [len(c.choices) for c in columns]
         for column, size in zip(columns, sizes, strict=True):
-            mixed = mixed * size + column.codes
+            mixed = mixed * size + column.codes if size > 1 else mixed
         present, codes = _distinct(mixed, math.prod(sizes))
         places = zip(*(p.tolist() for p in np.unravel_index(present, sizes)), strict=True)
         choices = [tuple(c.choices[i] for c, i in zip(columns, p, strict=True)) for p in places]
@@ -90,6 +90,8 @@ def _distinct(numbers: np.ndarray, end: int) -> tuple[np.ndarray, np.ndarray]:
     """The distinct ones of integers from 0 to ``end`` - 1, and the place of each among them."""
     if end > 8 * len(numbers):
         return np.unique(numbers, return_inverse=True)
+    if end == 1:
+        return np.zeros(1, int), numbers
     present = np.flatnonzero(np.bincount(numbers, minlength=end))  # far quicker than sorting
     place = np.zeros(end, np.int32)
     place[present] = np.arange(len(present))
