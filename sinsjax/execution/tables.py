@@ -29,7 +29,7 @@ from sinsjax.execution import layouts
 from sinsjax.execution.parts import ask, is_there
 from sinsjax.execution.parts import read_manifest as read_manifest
 from sinsjax.study import sampling
-from sinsjax.study.resolved import Coded
+from sinsjax.study.resolved import Coded, same
 from sinsjax.study.study import Study
 from sinsjax.study.success import bands
 from sinsjax.study.times import pass_numbers, spans_s, tape_times, update_times
@@ -52,7 +52,7 @@ class Tables:
         self._judge = Judge(study, has_truth=has_truth)
         self._end_s, self._tape_s = spans_s(study).T
         self._last_reset_s = scheduled_last_s(study)
-        resets, nothing = study.schedules, Coded(np.zeros(study.n_variants, np.int32), (None,))
+        resets, nothing = study.schedules, same(study.n_variants, None)
         fixed = {
             "method": study.resolved.column("method"),
             "reset_count": resets.map(len),

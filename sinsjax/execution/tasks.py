@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -137,10 +137,11 @@ class TaskRunner:
         self.identity = job.identity
         self._lock = threading.Lock()
         self._part = lru_cache(_PARTS_READY)(self.scenario.part)
+        self._blank = lru_cache(1)(partial(self.scenario.part, blank=True))
         self._calls = lru_cache(_PARTS_READY)(self._compile)
         first = self._blocks(self.stages[0])[0]
         if self.scenario.tape is None:
-            self.scenario.part(0, first, blank=True)
+            self._blank(0, first)
         else:
             self._part(0, first)
 
@@ -226,7 +227,7 @@ class TaskRunner:
         if self.scenario.tape is not None:
             made = self._part(part, draws)
             return made.variant_ids, Calls(made.group, tiles_a_chunk=self._tiles)
-        blank = self.scenario.part(part, draws, blank=True)
+        blank = self._blank(part, draws)
         engine = Calls(blank.group, tiles_a_chunk=self._tiles)
         with ThreadPoolExecutor(1) as beside:
             compiling = beside.submit(engine.compile)

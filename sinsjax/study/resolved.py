@@ -40,6 +40,11 @@ class Coded(NamedTuple):
         return list(map(self.choices.__getitem__, self.codes.tolist()))
 
 
+def same(count: int, value: Any) -> Coded:
+    """The column of one value for some variants."""
+    return Coded(np.zeros(count, np.int32), (value,))
+
+
 class Resolved:
     """The columns of a study, each made when it is first asked for."""
 
@@ -73,7 +78,7 @@ class Resolved:
                 once = np.array([place[value] for value in dimension[key]], np.int32)
                 turns = self.n_variants // (repeats * len(once))
                 return Coded(np.tile(np.repeat(once, repeats), turns), tuple(place))
-        return Coded(np.zeros(self.n_variants, np.int32), (self._constant(key),))
+        return same(self.n_variants, self._constant(key))
 
     def _joint(self, keys: Sequence[str]) -> Coded:
         columns = [self.column(key) for key in keys]

@@ -10,7 +10,6 @@ from functools import lru_cache
 from itertools import combinations, product
 from typing import Any, NamedTuple
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from sinsjax.alignment.compass.section import CompassSection
@@ -24,7 +23,7 @@ from sinsjax.alignment.zero_velocity.section import (
 )
 from sinsjax.study.distributions import DrawnSection, StopWhenSection
 from sinsjax.study.ranges import TuneSection
-from sinsjax.study.resolved import Coded, Dimension, Resolved
+from sinsjax.study.resolved import Coded, Dimension, Resolved, same
 from sinsjax.study.schema import (
     EarthSection,
     MotionSection,
@@ -262,7 +261,7 @@ class Study(BaseModel):
     def lengths(self) -> Coded:
         """How long every variant runs, as a column of `Span`."""
         if self.passes is None:
-            return Coded(np.zeros(self.n_variants, np.int32), (self.span(),))
+            return same(self.n_variants, self.span())
         return self.resolved.column(*PASS_KEYS).map(lambda values: self.span(*values))
 
     @property
@@ -309,7 +308,7 @@ class Study(BaseModel):
     def schedules(self) -> Coded:
         """The schedule of resets of every variant: their times, s."""
         if self.resets is None:
-            return Coded(np.zeros(self.n_variants, np.int32), ((),))
+            return same(self.n_variants, ())
         return self.resolved.column(*OF_SCHEDULES).map(lambda values: reset_times(*values))
 
     def reset_times(self) -> list[tuple[float, ...]]:
