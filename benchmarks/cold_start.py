@@ -14,7 +14,7 @@ from pathlib import Path
 
 import common
 
-from sinsjax.bench.timing import Row, TimingSpread
+from sinsjax.bench.timing import Row
 from sinsjax.errors import InputError
 from sinsjax.platform import compile_cache, runtime
 
@@ -115,20 +115,13 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     }
     more = {"best_s": round(min(whole), 3), "programs": noted[0][1]}
     return [
-        row("first_result", whole) | size | more,
-        row("cached", cached) | size,
-        *(row(phase, [times[phase] for times, _ in noted]) | size for phase in PHASES),
+        common.seconds("cold_start_first_result", whole) | size | more,
+        common.seconds("cold_start_cached", cached) | size,
+        *(
+            common.seconds(f"cold_start_{phase}", [times[phase] for times, _ in noted]) | size
+            for phase in PHASES
+        ),
     ]
-
-
-def row(name: str, seconds: list[float]) -> Row:
-    """Median and half the range of some times."""
-    found = TimingSpread.of(seconds)
-    return {
-        "name": f"cold_start_{name}",
-        "median_s": round(found.median, 3),
-        "spread_s": round(found.half_range, 3),
-    }
 
 
 def command(arguments: list[str], cache: str = "0") -> tuple[float, str]:

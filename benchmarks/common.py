@@ -17,7 +17,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from sinsjax.bench.timing import Row, conditions, use_one_core
+from sinsjax.bench.timing import Row, TimingSpread, conditions, use_one_core
 from sinsjax.errors import InputError
 from sinsjax.platform import compile_cache, runtime
 
@@ -70,6 +70,16 @@ def main(
         raise SystemExit(2) from None
     if measured:
         show(measured, conditions(), as_json=flags.json)
+
+
+def seconds(name: str, taken: Sequence[float]) -> Row:
+    """A row of some times: their median, and half their range."""
+    found = TimingSpread.of(taken)
+    return {
+        "name": name,
+        "median_s": round(found.median, 4),
+        "spread_s": round(found.half_range, 4),
+    }
 
 
 def show(rows: Sequence[Row], holds: Row, *, as_json: bool) -> None:

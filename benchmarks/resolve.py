@@ -6,7 +6,7 @@ import tomllib
 import common
 
 from sinsjax.bench.assets import asset
-from sinsjax.bench.timing import Row, TimingSpread
+from sinsjax.bench.timing import Row
 from sinsjax.engine.batch import plan
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.tile import tiles_of
@@ -36,8 +36,8 @@ def rows(quick: bool, repeats: int) -> list[Row]:
         tiles_of(group, plan(group)[0])
         arguments.append(time.perf_counter() - since)
     return [
-        row(f"resolve_{600 * first}", scenarios[1:]) | size,  # the first one compiles
-        row(f"part_{600 * first}", arguments[1:]) | size,
+        common.seconds(f"resolve_{600 * first}", scenarios[1:]) | size,  # the first one compiles
+        common.seconds(f"part_{600 * first}", arguments[1:]) | size,
     ]
 
 
@@ -51,16 +51,6 @@ def many_variants(first: int) -> Study:
         "phi_u0_deg": [90.0 * i / first for i in range(first)],
     }
     return study_from_dict(data)
-
-
-def row(name: str, seconds: list[float]) -> Row:
-    """Median and half the range of some times."""
-    found = TimingSpread.of(seconds)
-    return {
-        "name": name,
-        "median_s": round(found.median, 4),
-        "spread_s": round(found.half_range, 4),
-    }
 
 
 if __name__ == "__main__":
