@@ -56,24 +56,6 @@ def _euler(meaning: str, suffix: str = "") -> tuple[Column, ...]:
     return tuple(Column(f"{a}{suffix}_deg", _F, "deg", f"{meaning} {a}") for a in _ANGLES)
 
 
-TRIGGER_COUNTS = (
-    Column("triggered_count", _I, "", "resets that the trigger called for"),
-    Column("triggered_first_s", _F, "s", "time of the first of them; null for none"),
-    Column("triggered_last_s", _F, "s", "time of the last of them; null for none"),
-)
-"""Columns of what a trigger did, of a study that has one."""
-
-INNOVATIONS = (
-    Column(
-        "innovation_nis",
-        _F,
-        "",
-        "mean r' S^-1 r of the filter's velocity innovations r; null of compass",
-    ),
-    Column("innovation_freedom", _F, "", "degrees of freedom of their sum: 2 an update"),
-)
-"""Columns of a filter's innovations, of a recorded study: 2 is expected of a true belief."""
-
 RUN_ID = Column("run_id", _I, "", "draw_id * variants + variant_id")
 
 IDENTITY = (

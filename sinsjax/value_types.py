@@ -5,8 +5,9 @@ wrong in the words of a user.
 """
 
 import re
+from collections.abc import Callable, Iterable
 from itertools import pairwise
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar, get_args
 
 from pydantic import (
     AfterValidator,
@@ -17,6 +18,7 @@ from pydantic import (
     Field,
     Tag,
 )
+from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
 from sinsjax import columns
@@ -43,6 +45,84 @@ class Usual(NamedTuple):
 
     low: float
     high: float
+
+
+class Default(NamedTuple):
+    """What a key is that a study leaves out, where a method of the study reads it.
+
+    It is filled in unless a key that says the same in another way is given.
+
+    Attributes:
+        value: in the unit of the key.
+        beside: a key that has to have a value, other than 'none', for this one to be read.
+    """
+
+    value: Any
+    beside: str | None = None
+
+
+class SameAs(NamedTuple):
+    """What the lack of a key stands for: the value of another key, or a number."""
+
+    other: str | float
+
+
+class Whole(NamedTuple):
+    """Of what a time is a whole number, where a search gives it any value.
+
+    Attributes:
+        interval: 'sample', or 'record' interval.
+        merged: whether times of a list that fall on one sample are one; else they are put a sample
+            apart.
+    """
+
+    interval: str
+    merged: bool = False
+
+
+class RunTime(NamedTuple):
+    """That a number, or the last one of a list, is a time of a run: refused after its end.
+
+    Attributes:
+        unit: 's', or 'pass' of a number of passes.
+    """
+
+    unit: str = "s"
+
+
+class ActsWhere(NamedTuple):
+    """When keys act on a run at all, whatever their values.
+
+    Attributes:
+        keys: that act, or do not.
+        given: keys that decide it.
+        acts: their values -> whether the keys act; a drawn one is None.
+        refused: whether a value of theirs is refused where it does not act.
+    """
+
+    keys: tuple[str, ...]
+    given: tuple[str, ...]
+    acts: Callable[..., bool]
+    refused: bool = False
+
+
+ROUNDING = 1e-9
+"""Relative; how far a product of two decimal numbers may be off."""
+
+Marks = TypeVar("Marks")
+
+
+def mark(field: FieldInfo, kind: type[Marks]) -> Marks | None:
+    """The mark of some kind beside a key's type, the outermost of several; None without one."""
+    return _first([*field.metadata, field.annotation], kind)
+
+
+def _first(parts: Iterable[Any], kind: type[Marks]) -> Marks | None:
+    for part in parts:
+        found = part if isinstance(part, kind) else _first(reversed(get_args(part)), kind)
+        if found is not None:
+            return found
+    return None
 
 
 def _shape(value: Any) -> str:
@@ -154,6 +234,14 @@ Damping = Annotated[float, Field(ge=0.01, lt=1)]
 
 
 class Section(BaseModel):
-    """A table of keys: frozen, no key unknown, no value coerced, NaN and infinity refused."""
+    """A table of keys: frozen, no key unknown, no value coerced, NaN and infinity refused.
+
+    Attributes:
+        exclusive: pairs of keys that say the same thing in two ways: a study gives one of them.
+        conditions: when keys of it act; without one a key always does.
+    """
+
+    exclusive: ClassVar[tuple[tuple[str, str], ...]] = ()
+    conditions: ClassVar[tuple[ActsWhere, ...]] = ()
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)

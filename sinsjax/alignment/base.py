@@ -4,12 +4,13 @@ A method is built once from what decides the program (model, options, sample tim
 numbers. Methods never import one another; whoever drives them sees only this shape.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+from sinsjax.alignment.description import StudyView
 from sinsjax.alignment.limits import Biases, Limit
 from sinsjax.strapdown.earth import Earth, Place
-from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar
+from sinsjax.types import Array, Flag, Navigation, Quat, Sample, Scalar
 
 
 class Site(NamedTuple):
@@ -87,6 +88,30 @@ class Ending(NamedTuple):
 
     n: Scalar
     backward: Flag
+
+
+Change = Callable[[Any, int | None, Scalar, Scalar], Any]
+"""(params of one run, entry of a list or None, value of a key, its value before) -> params."""
+
+
+class Relaxed(NamedTuple):
+    """How a method's numbers follow the keys of a study, to be differentiated by them.
+
+    Each key changes the numbers by the ratio of its value to the one before, so that no unit and no
+    formula of the method's `parameters` is said twice.
+
+    Attributes:
+        changes: what a key of the study does to the numbers; those missing have no gradient.
+        follows: keys that another one stands for where it is left out.
+        soften: (params, times in samples or None, half width in samples) -> params, resets spread
+            over smooth windows, at these times if given; None of a method that has none.
+        refused: what has no gradient in a study, ``[section] key``; None if nothing.
+    """
+
+    changes: Mapping[str, Change]
+    follows: Mapping[str, str] = {}
+    soften: Callable[[Any, Array | None, Scalar], Any] | None = None
+    refused: Callable[[StudyView], str | None] = lambda study: None
 
 
 class Method(NamedTuple):

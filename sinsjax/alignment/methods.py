@@ -1,45 +1,29 @@
-"""Alignment methods by name; a study names one, the engine drives it through `base.Method`."""
+"""Alignment methods by name: this is where a method is registered. Free of JAX."""
 
-from collections.abc import Callable
-from functools import partial
-from typing import Any, NamedTuple
+from collections.abc import Iterable
 
-from sinsjax.alignment.base import Method, Options, Site
-from sinsjax.alignment.compass import method as compass
-from sinsjax.alignment.compass import parameters as compass_parameters
-from sinsjax.alignment.parameters import Columns
-from sinsjax.alignment.zero_velocity import method as zero_velocity
-from sinsjax.alignment.zero_velocity import parameters as filter_parameters
-from sinsjax.strapdown.error_model import MODELS
+from sinsjax.alignment.compass.description import COMPASS
+from sinsjax.alignment.description import Description
+from sinsjax.alignment.zero_velocity.description import KALMAN5, KALMAN10
+from sinsjax.value_types import Section
 
-
-def _nothing(columns: Columns, site: Site) -> None:
-    """Every value can be run."""
-
-
-class Kind(NamedTuple):
-    """What makes a method; called with options, it builds it.
-
-    Attributes:
-        build: from options to the method.
-        parameters: from a study's columns, a site, and a micro-g in m/s^2 to the method's numbers.
-        check: refuses columns whose numbers cannot be run.
-    """
-
-    build: Callable[[Options], Method]
-    parameters: Callable[[Columns, Site, float], Any]
-    check: Callable[[Columns, Site], None] = _nothing
-
-    def __call__(self, options: Options) -> Method:
-        """Build the method."""
-        return self.build(options)
-
-
-METHODS: dict[str, Kind] = {
-    **{
-        name: Kind(partial(zero_velocity.build, model), filter_parameters.parameters)
-        for name, model in MODELS.items()
-    },
-    "compass": Kind(compass.build, compass_parameters.parameters, compass_parameters.check),
+METHODS: dict[str, Description] = {
+    method.name: method
+    for method in (
+        KALMAN5,
+        KALMAN10,
+        COMPASS,
+    )
 }
-"""Every method."""
+"""Every method; a study names one, the engine drives it through `base.Method`."""
+
+SECTIONS_OF_METHODS: dict[str, type[Section]] = {
+    name: section for method in METHODS.values() for name, section in method.sections.items()
+}
+"""The sections of a study that methods bring with them, by name."""
+
+
+def keys_unread(names: Iterable[str]) -> set[str]:
+    """The keys that other methods read, and none of some."""
+    read = {key for name in names for key in METHODS[name].keys}
+    return {key for method in METHODS.values() for key in method.keys} - read

@@ -1,18 +1,41 @@
 """The sections of a study that an alignment reads, whatever its method; free of jax."""
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
-from sinsjax.value_types import Count, Factor, HalfTurn, Seconds, SecondsOrZero, Section, Speed
+from sinsjax.alignment.methods import METHODS
+from sinsjax.value_types import (
+    ActsWhere,
+    Count,
+    Default,
+    Factor,
+    HalfTurn,
+    Seconds,
+    SecondsOrZero,
+    Section,
+    Speed,
+    Whole,
+)
+
+_ANGLES = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg")
+
+if TYPE_CHECKING:
+    MethodName = str
+else:
+    MethodName = Literal[tuple(METHODS)]
+
+
+def _may_turn(*angles: float | None) -> bool:
+    return any(angle is None or angle != 0 for angle in angles)
 
 
 class AlignmentSection(Section):
     """[alignment]: the method, where it starts, and how its estimate is fed back."""
 
-    method: Literal["kalman5", "kalman10", "compass"] = Field(
-        "kalman5", description="alignment method"
-    )
+    conditions = (ActsWhere(("misalignment",), _ANGLES, _may_turn),)
+
+    method: MethodName = Field("kalman5", description="alignment method")
     phi_e0_deg: HalfTurn = Field(0.0, description="initial east misalignment, deg")
     phi_n0_deg: HalfTurn = Field(0.0, description="initial north misalignment, deg")
     phi_u0_deg: HalfTurn = Field(0.0, description="initial up (heading) misalignment, deg")
@@ -24,22 +47,27 @@ class AlignmentSection(Section):
     position: Literal["fixed", "integrated"] = Field(
         "fixed", description="whether position stays or follows the velocity"
     )
-    specific_force: Literal["measured", "gravity"] | None = Field(
+    specific_force: Annotated[Literal["measured", "gravity"] | None, Default("measured")] = Field(
         None,
         description="specific force in A(t): 'measured' (default), or 'gravity', of a base at rest",
     )
-    feedback_interval_s: Seconds | None = Field(
+    feedback_interval_s: Annotated[Seconds | None, Default(1.0), Whole("sample")] = Field(
         None, description="time between feedbacks, s; default 1"
     )
-    feedback_time_constant_s: SecondsOrZero | None = Field(
+    feedback_time_constant_s: Annotated[SecondsOrZero | None, Default(0.0)] = Field(
         None, description="time constant of the feedback, s; default 0: all is fed back at once"
     )
 
 
 class PassesSection(Section):
-    """[passes]: how often a stored tape is gone over, forward and backward in turn."""
+    """[passes]: repeated passes over a stored record, forward and in reverse by turns."""
 
-    tape_s: Seconds | None = Field(
+    conditions = (
+        ActsWhere(("turn_smoothing_s",), ("turn",), lambda turn: turn in (None, "reflect")),
+        ActsWhere(("turn_inflation",), ("turn_covariance",), lambda kind: kind == "inflated"),
+    )
+
+    tape_s: Annotated[Seconds | None, Whole("record")] = Field(
         None, description="length of the tape, s; without it all of the duration, once forward"
     )
     passes: Annotated[Count, Field(ge=1)] | None = Field(
@@ -48,17 +76,18 @@ class PassesSection(Section):
     ending: Literal["duration", "forward"] = Field(
         "duration", description="end with the duration, or with the last whole forward pass in it"
     )
-    turn: (
+    turn: Annotated[
         Literal["reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"]
-        | None
-    ) = Field(None, description="what compass loops do at a turn of the tape; default 'reflect'")
-    turn_smoothing_s: Seconds | None = Field(
+        | None,
+        Default("reflect"),
+    ] = Field(None, description="what compass loops do at a turn of the tape; default 'reflect'")
+    turn_smoothing_s: Annotated[Seconds | None, Default(5.0)] = Field(
         None, description="delay of the low-passed force that 'reflect' turns by, s; default 5"
     )
-    turn_covariance: Literal["carried", "inflated", "reset"] | None = Field(
-        None, description="what becomes of a filter's P at a turn; default 'carried'"
-    )
-    turn_inflation: Factor | None = Field(
+    turn_covariance: Annotated[
+        Literal["carried", "inflated", "reset"] | None, Default("carried")
+    ] = Field(None, description="what becomes of a filter's P at a turn; default 'carried'")
+    turn_inflation: Annotated[Factor | None, Default(10.0)] = Field(
         None, description="factor on P, for 'inflated'; default 10"
     )
 

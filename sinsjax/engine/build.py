@@ -95,7 +95,9 @@ class Scenario:
         self.variant_ids = list(_split(study))
         for ids in self.variant_ids:
             variants = Variants(study, ids)
-            METHODS[variants.common("method")].check(variants, site_of(study, variants, tape)[0])
+            METHODS[variants.common("method")].implementation.check(
+                variants, site_of(study, variants, tape)[0]
+            )
 
     @property
     def has_truth(self) -> bool:
@@ -214,7 +216,7 @@ def _program(study: Study, variants: Variants, curves: bool) -> Static:
             dt=1 / study.rate_hz,
             specific_force=variants.common("specific_force") or "measured",
             position=variants.common("position"),
-            trigger=(study.resets and variants.common("reset_trigger")) or "none",
+            trigger=(study.has("resets") and variants.common("reset_trigger")) or "none",
             innovations=study.is_recorded,  # a simulation has the truth to be judged by
         ),
         study.record_every,
@@ -247,7 +249,7 @@ def _params(study: Study, variants: Variants, site: Site, ug: float) -> RunParam
         phi=phi,
         ve=variants.column("ve0_m_per_s"),
         vn=variants.column("vn0_m_per_s"),
-        method=METHODS[variants.common("method")].parameters(variants, site, ug),
+        method=METHODS[variants.common("method")].implementation.parameters(variants, site, ug),
         euler=euler if drawn and euler.any() else None,
     )
 

@@ -8,12 +8,13 @@ import jax
 import numpy as np
 
 from sinsjax.alignment.limits import mean_attitude
+from sinsjax.alignment.methods import METHODS
 from sinsjax.engine.truth import errors_of, motion_of
 from sinsjax.errors import InputError
 from sinsjax.strapdown import earth
 from sinsjax.study import sampling
 from sinsjax.study.schema import MotionSection
-from sinsjax.study.study import Study
+from sinsjax.study.study import SECTION_OF, Study
 from sinsjax.study.success import success_of
 from sinsjax.study.times import spans_s
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H
@@ -28,10 +29,6 @@ _LOOKED_AT = 4096  # draws, of a study with more
 _BLOCK = 256  # draws averaged at a time: some 10 MB
 _ANGLES = ("pitch", "roll", "yaw")
 _BIASES = ("gyro_bias_deg_per_h", "accel_bias_ug")
-_SHARED = (
-    ("p0_gyro_bias_deg_per_h", "p0_yaw_deg"),
-    ("reset_gyro_bias_deg_per_h", "reset_yaw_deg"),
-)
 _EARTH = ("earth", "latitude_deg", "earth_rate_deg_per_h")
 
 
@@ -65,10 +62,10 @@ def has_limit(
     """Whether runs have a limit at all, (runs,) bool.
 
     Biases that a sway turns need `LEAST_PERIODS` of it since the last reset (and on the tape, if it
-    is gone over again). ``kalman10`` tells the gyro biases from the heading once the base moves;
-    on a still one it cannot, and has the limit of ``kalman5`` as far as its P0, and what P is reset
-    to, leave the east bias to the heading: see `MOST_SHARED`. Runs of a recorded study, whose
-    reference is their limit, all have one.
+    is used again). A filter with gyro bias states tells them from the heading once the base moves;
+    on a still one it cannot, and has the limit of one without as far as its P0, and what P is reset
+    to, leave the east bias to the heading: see `MOST_SHARED`. Some methods have none. Runs of a
+    recorded study, whose reference is their limit, all have one.
 
     Args:
         study: checked study.
@@ -88,9 +85,14 @@ def has_limit(
     averaged_over = np.minimum(length - last_reset_s, tape) * (1 + 1e-9)
     slow = (amplitudes != 0) & (LEAST_PERIODS * periods > averaged_over)
     still = ~(amplitudes != 0).any(0)
-    learns = runs.raw("method") == "kalman10"
-    apart = still & (_shared(study, runs) <= MOST_SHARED) if learns.any() else still
-    return np.where(learns, apart, ~(biased & slow.any(0)))
+    names, found = runs.raw("method"), ~(biased & slow.any(0))
+    for name in study.methods:
+        method = METHODS[name]
+        if method.gyro_bias_keys:
+            apart = still & (_shared(study, runs, method.gyro_bias_keys) <= MOST_SHARED)
+            found = np.where(names == name, apart, found)
+        found &= method.has_limit | (names != name)
+    return found
 
 
 def scheduled_last_s(study: Study) -> np.ndarray:
@@ -117,7 +119,7 @@ def require_limit(study: Study) -> None:
     variant = int(variants[~found][0])
     method = study.values("method")[variant]
     why = "has no limit of heading on this base"
-    if method != "kalman10":
+    if METHODS[method].has_limit and not METHODS[method].gyro_bias_keys:
         why = (
             "has no limit of heading where a sway period exceeds a tenth of the time since the last"
             " reset"
@@ -128,18 +130,23 @@ def require_limit(study: Study) -> None:
     )
 
 
-def _shared(study: Study, runs: "_Runs") -> np.ndarray:
-    """Of one sigma of heading, what ``kalman10`` takes for east gyro bias, (runs,), rad.
+def _shared(study: Study, runs: "_Runs", pairs: tuple[tuple[str, str], ...]) -> np.ndarray:
+    """Of one sigma of heading, what a filter takes for east gyro bias, (runs,), rad.
 
     Heading and east bias are seen only as their sum, omega_N phi_U + eps_E, and the least squares
     of that split it by their variances.
+
+    Args:
+        study: checked study.
+        runs: whose.
+        pairs: keys of the sigmas of gyro bias and heading: at the start, then at a reset.
     """
     models = study.resolved.column("earth", "earth_rate_deg_per_h")
     rates = models.each(lambda values: _earth_rate(*values))
     rate_n = rates[runs.variant_ids] * np.cos(runs.numbers("latitude_deg") * DEG)
     most = np.zeros(len(rate_n))
     start: list[np.ndarray] = []
-    for keys in _SHARED[: 1 if study.resets is None else 2]:
+    for keys in (pair for pair in pairs if study.has(SECTION_OF[pair[0]])):
         own = [np.asarray(runs.raw(key), dtype=float) for key in keys]
         start = start or own  # what P is reset to is as at the start where it is not told
         bias, yaw = (np.where(np.isnan(a), b, a) for a, b in zip(own, start, strict=True))

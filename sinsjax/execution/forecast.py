@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
+from sinsjax.alignment.methods import METHODS
 from sinsjax.columns import Column
 from sinsjax.engine.batch import CHUNK_RECORDS
 from sinsjax.engine.truth import MOST_STORED_SAMPLES
@@ -21,9 +22,6 @@ from sinsjax.platform import machine
 from sinsjax.study.distributions import NUMBERS_DRAWN
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
-
-_FILTER_S, _COMPASS_S = 20e-9, 5e-9
-"""A step of a run on one core: 10 to 20 and 3 to 5 ns, see `docs/performance.md`."""
 
 _PACKED = 0.8
 """What Parquet leaves of 8-byte numbers: 0.6 to 0.95, measured on sweeps with and without nulls."""
@@ -166,13 +164,12 @@ def require_room(
 def _forecast(study: Study, batches: Sequence[Batch], curves: bool) -> Forecast:
     records = max(span.records for span in study.distinct_spans)
     samples = records * study.record_every
-    of_compass = {point["method"] == "compass" for point in study.combinations("method")}
-    step_s = _COMPASS_S if of_compass == {True} else _FILTER_S
+    step_s = max(METHODS[name].step_s for name in study.methods)
     run_bytes = _row_bytes(study, layouts.summary(study))
     # Of a longer simulation no tape is kept.
     kept = samples if study.is_recorded else min(samples, MOST_STORED_SAMPLES)
     memory = _BASE + _A_SAMPLE * kept
-    counts = study.combinations("reset_count") if study.resets else ()
+    counts = study.combinations("reset_count") if study.has("resets") else ()
     resets = [point["reset_count"] or 0 for point in counts]
     of_variant = _A_VARIANT + _A_RESET * max(resets, default=0)
     memory += max(of_variant * b.variants + _A_RUN * b.runs + _A_POINT * b.points for b in batches)

@@ -1,6 +1,8 @@
 """Which columns the results of a study have."""
 
 from sinsjax import columns
+from sinsjax.alignment.description import OwnColumn
+from sinsjax.alignment.methods import METHODS
 from sinsjax.columns import Column
 from sinsjax.study.distributions import NUMBERS_DRAWN
 from sinsjax.study.study import Study, meaning
@@ -25,9 +27,14 @@ def summary(study: Study) -> tuple[Column, ...]:
         *columns.OBSERVED,
         *_settling(study),
         *columns.JUDGED,
-        *(columns.TRIGGER_COUNTS if study.has_trigger else ()),
-        *(columns.INNOVATIONS if study.is_recorded else ()),
+        *(own.column for own in of_methods(study).values()),
     )
+
+
+def of_methods(study: Study) -> dict[str, OwnColumn]:
+    """The columns that the study's methods bring, by name; methods may share one."""
+    methods = (method for name, method in METHODS.items() if name in study.methods)
+    return {own.column.name: own for method in methods for own in method.columns(study)}
 
 
 def curves(study: Study) -> tuple[Column, ...]:

@@ -17,7 +17,8 @@ from sinsjax.execution.tasks import Job
 from sinsjax.messages import one_line, shortened
 from sinsjax.platform import runtime, xla
 from sinsjax.platform.files import unwritable
-from sinsjax.study.load import fingerprint, load_study
+from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
 
 LOCK = ".lock"

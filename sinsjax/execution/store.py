@@ -23,7 +23,8 @@ from sinsjax.execution.belongings import DATASETS
 from sinsjax.execution.parts import MANIFEST
 from sinsjax.execution.tasks import EncodedResult, Job, Task, TaskRunner
 from sinsjax.platform.files import replacing, unwritable
-from sinsjax.study.load import fingerprint, study_to_toml
+from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.load import study_to_toml
 
 _MANIFEST_SHARE = 0.05  # of the time, at the most, goes into writing manifests
 _MANIFEST_EVERY_S = 1.0  # at the most: nobody reads them faster, and they hold up the threads

@@ -17,7 +17,8 @@ import pyarrow.compute as pc
 import pyarrow.dataset as ds
 
 from sinsjax import columns
-from sinsjax.alignment.base import Innovations, TriggerCounts
+from sinsjax.alignment.description import Description
+from sinsjax.alignment.methods import METHODS
 from sinsjax.columns import Column
 from sinsjax.engine.batch import Chunk
 from sinsjax.engine.metrics import Observation
@@ -52,11 +53,13 @@ class Tables:
         self._judge = Judge(study, has_truth=has_truth)
         self._end_s, self._tape_s = spans_s(study).T
         self._last_reset_s = scheduled_last_s(study)
-        resets, nothing = study.schedules, same(study.n_variants, None)
+        resets, cycle = study.schedules, same(study.n_variants, None)
+        if study.has("resets"):
+            cycle = study.resolved.column("reset_cycle_s")
         fixed = {
             "method": study.resolved.column("method"),
             "reset_count": resets.map(len),
-            "reset_cycle_s": study.resolved.column("reset_cycle_s") if study.resets else nothing,
+            "reset_cycle_s": cycle,
             "reset_times_s": resets.map(list),
             **{(key := f"phi_{a}0_deg"): study.resolved.column(key) for a in "enu"},
         }
@@ -69,6 +72,8 @@ class Tables:
             for name, column in (swept | fixed).items()
             if name not in study.drawn_keys
         }
+        self._methods = study.resolved.column("method")
+        self._own_columns = layouts.of_methods(study)
         self._start_s = np.zeros(study.n_draws)
         if study.is_recorded:
             self._start_s = starts_of(study, study.rate_hz)[1] / study.rate_hz
@@ -117,10 +122,7 @@ class Tables:
         values["ok_truth"] = self._if_known(verdict.ok[TRUTH])
         values["nees"] = self._known(out.nees)
         values["status"] = verdict.status
-        if self._study.has_trigger:
-            values |= self._fired(out.trigger_counts, len(variant))
-        if self._study.is_recorded:
-            values |= _innovations(out.innovations, len(variant))
+        values |= self._of_method(chunk, variant)
         return _table(self.summary_columns, values)
 
     def curves(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
@@ -146,20 +148,21 @@ class Tables:
         heading = np.mod(np.mod(-np.asarray(seen.yaw) / DEG, 360.0), 360.0)
         return values | {"heading_deg": _nullable(heading)}
 
-    def _fired(self, trigger_counts: TriggerCounts | None, runs: int) -> dict[str, pa.Array]:
-        """What the trigger did; nothing, of runs without one."""
-        count, first, last = (
-            TriggerCounts(*np.zeros((3, runs))) if trigger_counts is None else trigger_counts
-        )
-        rate = self._study.rate_hz
-        first_s, last_s = (
-            np.where(t > 0, t / rate, np.nan) for t in map(np.asarray, (first, last))
-        )
-        return {
-            "triggered_count": pa.array(np.asarray(count).astype(int)),
-            "triggered_first_s": _nullable(first_s),
-            "triggered_last_s": _nullable(last_s),
-        }
+    def _method(self, variant: np.ndarray) -> Description:
+        """The method of a chunk's variants, which is one."""
+        codes, names = self._methods
+        return METHODS[names[codes[variant[0]]]]
+
+    def _of_method(self, chunk: Chunk, variant: np.ndarray) -> dict[str, pa.Array]:
+        """The columns that methods bring; all runs of a chunk have one method."""
+        method = self._method(variant)
+        own = {column.column.name for column in method.columns(self._study)}
+        values = {}
+        for name, (column, value, missing) in self._own_columns.items():
+            found = value(chunk.outcome, self._study.rate_hz) if name in own else missing
+            array = _nullable(np.broadcast_to(found, len(variant)))
+            values[name] = array.cast(column.dtype)
+        return values
 
     def _known(self, values: Any) -> pa.Array:
         """Values that need a truth: null without one, and where they are no number."""
@@ -186,28 +189,21 @@ class Tables:
 
     def _has_limit(self, chunk: Chunk, variant: np.ndarray) -> np.ndarray:
         """Which runs have a limit, their last reset being one of the schedule or the trigger's."""
-        if self._limit_by_variant is not None:
+        method = self._method(variant)
+        called = method.last_called(chunk.outcome)
+        if called is None and not self._study.drawn_keys:
             return self._limit_by_variant[variant]
         last_s = self._last_reset_s[variant]
-        if chunk.outcome.trigger_counts is not None:
-            fired_s = np.asarray(chunk.outcome.trigger_counts.last) / self._study.rate_hz
-            last_s = np.maximum(last_s, fired_s)
+        if called is not None:
+            last_s = np.maximum(last_s, np.asarray(called) / self._study.rate_hz)
         return has_limit(self._study, chunk.draw, variant, last_s)
 
     @cached_property
-    def _limit_by_variant(self) -> np.ndarray | None:
+    def _limit_by_variant(self) -> np.ndarray:
         """Which variants have a limit, where neither draws nor triggers decide."""
         study = self._study
-        if study.drawn_keys or study.has_trigger:
-            return None
         variants = np.arange(study.n_variants)
         return has_limit(study, np.zeros_like(variants), variants, self._last_reset_s)
-
-
-def _innovations(summed: Innovations | None, runs: int) -> dict[str, pa.Array]:
-    """Mean and degrees of freedom of normalised innovations; null of runs without a filter."""
-    total, count = np.full((2, runs), np.nan) if summed is None else map(np.asarray, summed)
-    return {"innovation_nis": _nullable(total / count), "innovation_freedom": _nullable(2 * count)}
 
 
 def _swept(column: Coded, dtype: pa.DataType) -> pa.Array:

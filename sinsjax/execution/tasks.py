@@ -26,7 +26,7 @@ from sinsjax.engine.tile import LANES
 from sinsjax.execution import stopping
 from sinsjax.execution.tables import Tables
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.load import fingerprint
+from sinsjax.study.fingerprint import fingerprint
 from sinsjax.study.study import Study
 
 _DRAWS_READY = 2**16  # some 30 MB where everything is drawn

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax import analysis, columns
+from sinsjax import analysis
+from sinsjax.alignment.triggers.columns import TRIGGER_COUNTS
 from sinsjax.alignment.triggers.scores import TRIGGERS
 from sinsjax.errors import InputError
 from sinsjax.report.base import Source, value_text
@@ -31,7 +32,7 @@ leave after coarse levelling, and sin of the yaw error by 5e-5 of it.
 
 _LOOK_BACK = ("innovation", "whiteness", "tilt_drift", "levelled")
 _SETTLED = f"settle_{BAND_ARCMIN}_s"
-_FIRED = tuple(column.name for column in columns.TRIGGER_COUNTS)
+_FIRED = tuple(own.column.name for own in TRIGGER_COUNTS)
 
 
 class Tuning(NamedTuple):

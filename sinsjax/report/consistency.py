@@ -118,7 +118,7 @@ def belief_is_true(study: Study) -> list[bool]:
     starts = {key: laws[key].normal if key in laws else None for key in _STARTS}
     if (
         study.sensors is None
-        or study.filter is None
+        or not study.has("filter")
         or laws.keys() & SensorsSection.model_fields.keys()
     ):
         return [False] * study.n_variants

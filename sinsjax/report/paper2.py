@@ -135,7 +135,7 @@ def cases_of(source: Source, misalignment: str = "vector") -> list[Case]:
     study = source.study
     if (
         study.is_recorded
-        or study.compass is None
+        or not study.has("compass")
         or study.passes is None
         or "case" not in study.axis_keys
         or any(not isinstance(b, int | float) for b in study.values("gyro_bias_deg_per_h"))

@@ -5,20 +5,19 @@ together: a sweep of a million variants costs no more than its axes.
 """
 
 import math
-from collections.abc import Iterable
 from typing import NoReturn
 
 from sinsjax import columns
-from sinsjax.alignment.zero_velocity.section import counted_resets
+from sinsjax.alignment.methods import METHODS, keys_unread
 from sinsjax.errors import InputError
 from sinsjax.study import ignored, success
 from sinsjax.study.study import (
     EARTH_CONSTANTS,
-    ROUNDING,
     SECTION_OF,
     SECTIONS,
     Study,
 )
+from sinsjax.value_types import ROUNDING
 
 Where = dict[str, str]
 """The table, in brackets, of every key that a file gives: that which sweeps or draws it if any."""
@@ -37,23 +36,6 @@ _MAX_SAMPLES, _MAX_RUNS = 10**8, 10**9
 _FILTER_LAYOUTS = ("consistency", "reset_cycle", "adaptive")
 _RECORDED_LAYOUTS = ("car_test", "compass_car")
 _GENERAL_LAYOUTS = ("auto", *_FILTER_LAYOUTS)  # the others know each key of theirs
-_OF_COMPASS = {*SECTIONS["compass"].model_fields, "turn", "turn_smoothing_s"}
-_OF_FILTERS = {
-    *SECTIONS["filter"].model_fields,
-    *SECTIONS["resets"].model_fields,
-    "specific_force",
-    "feedback_interval_s",
-    "feedback_time_constant_s",
-    "turn_covariance",
-    "turn_inflation",
-}
-
-
-def keys_unread(methods: Iterable[str]) -> set[str]:
-    """The keys that none of some methods reads."""
-    methods = set(methods)
-    unread = set() if "compass" in methods else _OF_COMPASS
-    return unread | (_OF_FILTERS if methods == {"compass"} else set())
 
 
 def check_study(study: Study, where: Where) -> None:
@@ -74,19 +56,27 @@ def check_study(study: Study, where: Where) -> None:
     _check_size(study, where)
     _check_intervals(study, where)
     _check_passes(study, where)
-    _check_schedules(study, where)
     _check_window(study, where)
     _check_success(study, where)
     _check_stop(study, where)
-    _check_trigger(study, where)
+    checked = _Checked(study, where)
+    for check in dict.fromkeys(rule for name in study.methods for rule in METHODS[name].rules):
+        check(checked)
     ignored.check(study, where)
-    keys = ("reset_times_s", "reset_count", "reset_cycle_s", "reset_first_s")
-    for point in study.combinations(*keys) if study.resets else ():
-        times, count, cycle, first = (point[key] for key in keys)
-        if times is not None:
-            _check_times(study, where, times)
-        elif count:
-            _check_counted(study, where, count, cycle, first)
+
+
+class _Checked:
+    """A study as the rules of its methods see it, see `alignment.description.CheckedStudy`."""
+
+    def __init__(self, study: Study, where: Where) -> None:
+        self._study, self._where = study, where
+        self.rate_hz, self.run_s = study.rate_hz, study.run_s
+        self.is_recorded, self.end = study.is_recorded, _end(study)
+        self.has, self.combinations, self.place = study.has, study.combinations, where.get
+
+    def refuse(self, key: str, text: str) -> NoReturn:
+        """Raise the error of a key."""
+        _refuse(key, self._where, text)
 
 
 def _refuse(key: str, where: Where, text: str) -> NoReturn:
@@ -124,9 +114,8 @@ def _check_layout(study: Study, where: Where) -> None:
     kind = "recorded" if layout in _RECORDED_LAYOUTS else "simulated"
     if layout != "auto" and study.is_recorded != (kind == "recorded"):
         _refuse("layout", where, f"'{layout}' needs a {kind} study")
-    if layout in _FILTER_LAYOUTS and "compass" in {
-        p["method"] for p in study.combinations("method")
-    }:
+    covariances = (METHODS[name].has_covariance for name in study.methods)
+    if layout in _FILTER_LAYOUTS and not all(covariances):
         _refuse("layout", where, f"'{layout}' needs methods with a filter, not compass")
     labels = [case.get("case") for case in study.cases]
     if layout not in _GENERAL_LAYOUTS:
@@ -176,9 +165,9 @@ def _check_intervals(study: Study, where: Where) -> None:
 
 def _check_methods(study: Study, where: Where) -> None:
     """Refuses keys that no method of the study reads."""
-    methods = {point["method"] for point in study.combinations("method")}
+    methods = sorted(study.methods)
     for key in sorted(keys_unread(methods) & where.keys()):
-        _refuse(key, where, f"has no place with method {' or '.join(sorted(methods))}")
+        _refuse(key, where, f"has no place with method {' or '.join(methods)}")
 
 
 def _check_passes(study: Study, where: Where) -> None:
@@ -209,23 +198,6 @@ def _check_multiple(study: Study, where: Where, key: str, time: float) -> None:
         shown = " or ".join(f"{n * record:.12g}" for n in near)
         text = f"{time:.12g} s is no whole number of record intervals, record_interval_s ="
         _refuse(key, where, f"{text} {record:.12g} (nearest: {shown})")
-
-
-def _check_schedules(study: Study, where: Where) -> None:
-    """Refuses pieces of sigma without a beginning each, and passes to count without a tape."""
-    if study.compass is None:
-        return
-    for point in study.combinations("sigma_factors", "sigma_times_s", "sigma_passes"):
-        factors = point["sigma_factors"]
-        key = "sigma_passes" if point["sigma_passes"] is not None else "sigma_times_s"
-        if len(point[key] or ()) != len(factors) - 1:
-            text = f"needs {len(factors) - 1} entries for {len(factors)} sigma_factors"
-            _refuse(key, where, f"{text}, not {len(point[key] or ())}")
-    for key in ("level_passes", "sigma_passes"):
-        if all(point[key] is None for point in study.combinations(key)):
-            continue
-        if study.passes is None or any(p["tape_s"] is None for p in study.combinations("tape_s")):
-            _refuse(key, where, "counts passes over a tape (give [passes] tape_s)")
 
 
 def _check_whole(study: Study, where: Where, key: str, time: float, *, least: int = 1) -> None:
@@ -282,38 +254,6 @@ def _end(study: Study) -> str:
     return text
 
 
-def _check_times(
-    study: Study, where: Where, times: tuple[float, ...], key: str = "reset_times_s"
-) -> None:
-    """Refuses resets at given times after the end, on the start, or two on one sample."""
-    rate = study.rate_hz
-    earlier, taken = 0.0, 0
-    for time in times:
-        if time > study.run_s * (1 + ROUNDING):
-            text = f"{time:.12g} s is after the study's end ({_end(study)})"
-            _refuse(key, where, text)
-        sample = round(time * rate)
-        if sample == taken:
-            other = f"the reset at {earlier:.12g} s" if taken else "the start"
-            text = f"{time:.12g} s falls on the sample of {other} ({1 / rate:.12g} s a sample)"
-            _refuse(key, where, text)
-        earlier, taken = time, sample
-
-
-def _check_trigger(study: Study, where: Where) -> None:
-    """Refuses a trigger without a threshold, and numbers of one where there is none."""
-    if study.resets is None:
-        return
-    keys = [key for key in SECTIONS["resets"].model_fields if key.startswith("trigger_")]
-    for key in keys if not study.has_trigger else ():
-        if key in where:
-            _refuse(key, where, "has no place without a reset_trigger")
-    for point in study.combinations("reset_trigger", "trigger_threshold"):
-        name, threshold = point["reset_trigger"], point["trigger_threshold"]
-        if name not in (None, "none") and threshold is None:
-            _refuse("trigger_threshold", where, f"required with reset_trigger = '{name}'")
-
-
 def _check_stop(study: Study, where: Where) -> None:
     """Refuses a statistic that the study has not, and a share that says nothing."""
     if study.stop_when is None:
@@ -329,33 +269,3 @@ def _check_stop(study: Study, where: Where) -> None:
             where,
             f"must be less than 1, a share, not {study.stop_when.half_width:.12g}",
         )
-
-
-def _check_counted(
-    study: Study, where: Where, count: int, cycle: float | None, first: float | None
-) -> None:
-    """Refuses counted resets after the end, on the start, or two on one sample."""
-    alone = 0 if first is None else 1  # resets that need no cycle
-    if cycle is None and count > alone:
-        _refuse("reset_cycle_s", where, f"required where reset_count > {alone} (it is {count})")
-    if first is not None:
-        _check_times(study, where, (first,), key="reset_first_s")
-    if cycle is None or count <= alone:
-        return
-    rate = study.rate_hz
-    begin, last = ("", count * cycle)
-    if first is not None:
-        begin, last = f" from {first:.12g} s", first + (count - 1) * cycle
-    if last > study.run_s * (1 + ROUNDING):
-        key = "reset_cycle_s" if where.get("reset_count") == "[resets]" else "reset_count"
-        text = f"{count} resets{begin} every {cycle:.12g} s last {last:.12g} s"
-        _refuse(key, where, f"{text}, longer than the study ({_end(study)})")
-    if cycle * rate < 1 - ROUNDING:
-        text = f"{cycle:.12g} s is shorter than a sample of {1 / rate:.12g} s"
-        _refuse("reset_cycle_s", where, text)
-    if first is not None and cycle * rate < 2:
-        # Halves are rounded to even: a sample apart, 1.5 and 2.5 samples are both 2.
-        samples = [round(time * rate) for time in counted_resets(count, cycle, first)]
-        if len(set(samples)) < count:
-            text = f"{first:.12g} s and a cycle of {cycle:.12g} s put two resets on one sample"
-            _refuse("reset_first_s", where, f"{text} ({1 / rate:.12g} s a sample)")

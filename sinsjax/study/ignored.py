@@ -1,51 +1,12 @@
 """Values of a study that no run ever comes to: times after its end, and keys that nobody reads."""
 
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any
 
 from sinsjax.errors import InputError
-from sinsjax.study.study import PASS_KEYS, ROUNDING, SECTION_OF, SECTIONS, Study
-
-UNREAD_BESIDE = {"level_gains": "level_damping", "azimuth_gains": "azimuth_damping"}
-"""Keys that give a whole loop, and those that nobody reads beside them."""
-
-Point = dict[str, Any]
-
-
-class _Timed(NamedTuple):
-    """A key whose value is a time of a run, or gives one.
-
-    Attributes:
-        key: leaf key.
-        reader: the key that decides whether a run reads it.
-        reads: whether it does with a value of the reader.
-        default: which is filled in for any study, however short.
-        by_passes: whether it counts passes over the tape.
-    """
-
-    key: str
-    reader: str
-    reads: Callable[[Any], bool]
-    default: float | None = None
-    by_passes: bool = False
-
-
-def _of_compass(method: Any) -> bool:
-    return bool(method == "compass")
-
-
-def _has_trigger(name: Any) -> bool:
-    return name not in (None, "none")
-
-
-_TIMED = (
-    _Timed("level_time_s", "method", _of_compass, 150.0),
-    _Timed("level_passes", "method", _of_compass, by_passes=True),
-    _Timed("sigma_times_s", "method", _of_compass),
-    _Timed("sigma_passes", "method", _of_compass, by_passes=True),
-    _Timed("trigger_until_s", "reset_trigger", _has_trigger),
-    _Timed("trigger_refractory_s", "reset_trigger", _has_trigger, 5.0),
-)
+from sinsjax.study import acting
+from sinsjax.study.study import PASS_KEYS, SECTIONS, Study
+from sinsjax.value_types import ROUNDING, ActsWhere, Default, RunTime, mark
 
 
 def check(study: Study, where: Mapping[str, str]) -> None:
@@ -60,34 +21,46 @@ def check(study: Study, where: Mapping[str, str]) -> None:
     Raises:
         InputError: ``[section] key: what is wrong``.
     """
-    for timed in _TIMED:
-        if getattr(study, SECTION_OF[timed.key]) is not None:
-            _check_time(study, where, timed)
-    for gains, damping in UNREAD_BESIDE.items():
-        default = SECTIONS["compass"].model_fields[damping].default
-        if gains in where and any(p[damping] != default for p in study.combinations(damping)):
-            text = f"is read by nobody beside {gains} in {where[gains]} (give one of them)"
-            raise InputError(f"{where.get(damping, '[compass]')} {damping}: {text}")
+    for name, section in SECTIONS.items():
+        if not study.has(name):
+            continue
+        for key, field in section.model_fields.items():
+            if time := mark(field, RunTime):
+                default = mark(field, Default)
+                _check_time(study, f"{where.get(key, f'[{name}]')} {key}", key, time, default)
+        for condition in section.conditions:
+            if condition.refused:
+                _check_unread(study, where, name, condition)
 
 
-def _check_time(study: Study, where: Mapping[str, str], timed: _Timed) -> None:
+def _check_time(study: Study, place: str, key: str, time: RunTime, default: Default | None) -> None:
     latest: dict[float, float] = {}  # the end of the longest run with each value
     every_s = study.study.record_interval_s
-    for point in _points(study, timed):
-        value = point[timed.key]
-        span = study.span(**{k: point[k] for k in PASS_KEYS} if study.passes else {})
-        last = value[-1] if isinstance(value, tuple) and value else value
-        if last in (None, (), timed.default) or not timed.reads(point[timed.reader]):
-            continue
-        time = last * span.tape * every_s if timed.by_passes else last
-        latest[time] = max(latest.get(time, 0.0), span.records * every_s)
-    for time, end in latest.items():
-        if time > end * (1 + ROUNDING):
-            told = f"{time:.12g} s is after the end of all runs with it, at {end:.12g} s"
-            place = where.get(timed.key, f"[{SECTION_OF[timed.key]}]")
-            raise InputError(f"{place} {timed.key}: {told}")
-
-
-def _points(study: Study, timed: _Timed) -> Iterator[Point]:
     passes = PASS_KEYS if study.passes else ()
-    return study.combinations(timed.key, timed.reader, *passes)
+    for point in study.combinations(key, *acting.deciding(key), *passes):
+        value = point[key]
+        span = study.span(**{k: point[k] for k in passes})
+        last = value[-1] if isinstance(value, tuple) and value else value
+        filled_in = default is not None and last == default.value
+        if last in (None, ()) or filled_in or not acting.acts(key, point):
+            continue
+        until = last * span.tape * every_s if time.unit == "pass" else last
+        latest[until] = max(latest.get(until, 0.0), span.records * every_s)
+    for until, end in latest.items():
+        if until > end * (1 + ROUNDING):
+            told = f"{until:.12g} s is after the end of all runs with it, at {end:.12g} s"
+            raise InputError(f"{place}: {told}")
+
+
+def _check_unread(
+    study: Study, where: Mapping[str, str], section: str, condition: ActsWhere
+) -> None:
+    """Refuses values of keys, other than their defaults, where they do not act."""
+    for key in condition.keys:
+        default: Any = SECTIONS[section].model_fields[key].default
+        for point in study.combinations(key, *condition.given):
+            values = [point[given] for given in condition.given]
+            if point[key] != default and not condition.acts(*values):
+                given = next(k for k in condition.given if k in where)
+                text = f"is read by nobody beside {given} in {where[given]} (give one of them)"
+                raise InputError(f"{where.get(key, f'[{section}]')} {key}: {text}")

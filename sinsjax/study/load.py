@@ -6,8 +6,6 @@ Values stay in the units of the file; `build` turns them into arrays.
 """
 
 import difflib
-import hashlib
-import json
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,26 +14,26 @@ from typing import Any
 import tomli_w
 from pydantic import ValidationError
 
+from sinsjax.alignment.methods import METHODS, SECTIONS_OF_METHODS, keys_unread
 from sinsjax.alignment.zero_velocity.section import Q_DENSITIES
 from sinsjax.errors import InputError
 from sinsjax.messages import explained, index, near, one_line
 from sinsjax.study import axes, search_space, tuned_keys, usual
-from sinsjax.study.checks import Where, check_study, keys_unread
+from sinsjax.study.checks import Where, check_study
 from sinsjax.study.study import (
     EARTH_CONSTANTS,
-    EXCLUSIVE,
-    NOISES,
     SECTION_OF,
     SECTIONS,
     SIMULATED_ONLY,
     Study,
     TomlTable,
+    marked,
     rivals,
 )
+from sinsjax.value_types import Default
 
 __all__ = [
     "Study",
-    "fingerprint",
     "load_study",
     "study_from_dict",
     "study_to_toml",
@@ -43,55 +41,7 @@ __all__ = [
     "with_point",
 ]
 
-_DEFAULTS: dict[str, dict[str, Any]] = {
-    "alignment": {
-        "specific_force": "measured",
-        "feedback_interval_s": 1.0,
-        "feedback_time_constant_s": 0.0,
-    },
-    "filter": {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1},
-    "resets": {"reset_count": 0},
-    "compass": {"level_sigma_per_s": 0.02, "level_time_s": 150.0, "azimuth_sigma_per_s": 0.01},
-    "passes": {
-        "turn": "reflect",
-        "turn_smoothing_s": 5.0,
-        "turn_covariance": "carried",
-        "turn_inflation": 10.0,
-    },
-}
-"""Values of keys that apply: to a method of the study, and where none of their rivals is given."""
-_TRIGGER_DEFAULTS = {
-    "trigger_window_s": 10.0,
-    "trigger_refractory_s": 5.0,
-    "trigger_most": 10,
-}
-"""Values of keys that apply where a variant has a trigger."""
 _DEFAULT_DRAWS = 64
-_LATER: dict[str, tuple[str, ...]] = {
-    "study": (
-        "judged_from",
-        "success_band_arcmin",
-        "level_band_arcmin",
-        "dwell_s",
-        "diverged_deg",
-    ),
-    "record": (
-        *("from_s", "to_s", "max_gap_s", "time_unit"),
-        *("gyro_bias_deg_per_h", "accel_bias_ug", "trust"),
-    ),
-    "filter": ("q_scale", "r_scale", *(key for keys in Q_DENSITIES.values() for key in keys)),
-    "resets": (
-        "reset_first_s",
-        *(key for key in SECTIONS["resets"].model_fields if key.startswith("trigger")),
-        "reset_trigger",
-        "reset_velocity_m_per_s",
-        "reset_level_deg",
-        "reset_yaw_deg",
-        "reset_gyro_bias_deg_per_h",
-        "reset_accel_bias_ug",
-    ),
-}
-"""Keys that came later than others: a study that leaves them out is told as it was before."""
 _SWEEPS = ("axes", "cases", "drawn")
 
 
@@ -177,30 +127,6 @@ def with_rate(study: Study, rate_hz: float) -> Study:
     return study_from_dict(tables | {"study": settings}, study.name)
 
 
-def fingerprint(study: Study) -> str:
-    """16 hex digits that tell what a study computes, whatever its name, report or key order.
-
-    The order of the axes, of the zips and of the drawn keys counts: it numbers the variants and
-    points. What a study does not use leaves it as it was before that came.
-    """
-    unused: Any = {"report": True, "statements": True, "tune": True}
-    unused["study"] = {"name", "unchecked"}
-    content = study.model_dump(exclude=unused)
-    content["axes"] = list(study.axes.items())
-    content["zips"] = list(study.zips.values())
-    if study.drawn:
-        content["drawn"] = list(study.drawn.model_dump(exclude_none=True).items())
-    for name in ("zips", "drawn", "stop_when"):
-        if not content[name]:
-            del content[name]
-    for name, keys in _LATER.items():
-        for key in keys if content[name] else ():
-            if content[name][key] is None:
-                del content[name][key]
-    text = json.dumps(content, sort_keys=True, allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
 def _checked(data: TomlTable, name: str) -> Study:
     """The study that tables make, but for what is between [tune] and the rest of it."""
     tables = _tables(_with_tuples(data))
@@ -280,7 +206,7 @@ def _hint(key: str, section: str) -> str:
 
 def _check_forms(where: Where) -> None:
     """Refuses two keys that say the same thing in two ways."""
-    for one, other in EXCLUSIVE:
+    for one, other in (pair for section in SECTIONS.values() for pair in section.exclusive):
         if one in where and other in where:
             raise InputError(
                 f"{where[one]} {one}: cannot go with {other} in {where[other]} (give one of them)"
@@ -299,30 +225,31 @@ def _filled(tables: TomlTable, sweep: axes.Sweep, where: Where, name: str) -> To
     """The sections that apply, with the defaults that depend on other keys."""
     recorded = "record" in tables
     unused: tuple[str, ...] = SIMULATED_ONLY if recorded else ("record", "coarse")
-    unread = keys_unread(_values_of("method", tables, sweep))
+    unread = keys_unread(_values_of("method", tables, sweep) & METHODS.keys())
     given = {SECTION_OF.get(key) for key in where}
     unused += tuple({"passes", "stop_when", "tune"} - given - tables.keys())
     unused += tuple(
         name
-        for name in ("filter", "resets", "compass")
-        if name not in given and unread.issuperset(SECTIONS[name].model_fields)
+        for name, section in SECTIONS_OF_METHODS.items()
+        if name not in given and unread.issuperset(section.model_fields)
     )
     sections = {key: dict(tables.get(key, {})) for key in SECTIONS if key not in unused}
     sections["study"].setdefault("name", name)
     if not recorded:
         sections["study"].setdefault("draws", _DEFAULT_DRAWS)
         sections["earth"].setdefault("height_m", 0.0)
-        for white, density in NOISES:
+        for white, density in SECTIONS["sensors"].exclusive:
             if white not in where and density not in where:
                 sections["sensors"][white] = 0.0
-    if _values_of("reset_trigger", tables, sweep) - {None, "none"}:
-        for key, value in _TRIGGER_DEFAULTS.items() if "resets" in sections else ():
-            if key not in where:
-                sections["resets"].setdefault(key, value)
-    for section, defaults in _DEFAULTS.items():
-        for key, value in defaults.items() if section in sections else ():
-            if key not in unread and where.keys().isdisjoint(rivals(key)):
-                sections[section].setdefault(key, value)
+    for section, values in sections.items():
+        for key in SECTIONS[section].model_fields.keys() - unread:
+            default = marked(key, Default)
+            if default is None or not where.keys().isdisjoint(rivals(key)):
+                continue
+            if default.beside is None or (
+                key not in where and _values_of(default.beside, tables, sweep) - {None, "none"}
+            ):
+                values.setdefault(key, default.value)
     if "constants" in _values_of("earth", tables, sweep):
         sections["earth"] = EARTH_CONSTANTS | sections["earth"]
     if "tune" in sections:

@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 
 from sinsjax.value_types import (
     AccelNoise,
+    ActsWhere,
     Amplitude,
     Angle,
     AngleSigma,
@@ -117,6 +118,14 @@ class StudySection(Section):
 class EarthSection(Section):
     """[earth]: the model of gravity and of the earth's shape and turn."""
 
+    conditions = (
+        ActsWhere(
+            ("gravity_m_per_s2", "radius_m", "earth_rate_deg_per_h"),
+            ("earth",),
+            lambda earth: earth == "constants",
+        ),
+    )
+
     earth: Literal["constants", "wgs84"] = Field("constants", description="earth model")
     gravity_m_per_s2: Annotated[Positive, Usual(9, 10.5)] | None = Field(
         None, description="gravity, m/s^2; constants only, default 9.8"
@@ -138,6 +147,15 @@ class EarthSection(Section):
 class MotionSection(Section):
     """[motion]: angle(t) = center + amplitude sin(2 pi t / period + phase), each angle its own."""
 
+    conditions = tuple(
+        ActsWhere(
+            (f"{angle}_period_s", f"{angle}_phase_deg"),
+            (f"{angle}_amplitude_deg",),
+            lambda amplitude: amplitude != 0,
+        )
+        for angle in ("pitch", "roll", "yaw")
+    )
+
     pitch_center_deg: Elevation = Field(0.0, description="mean pitch, deg")
     pitch_amplitude_deg: Amplitude = Field(0.0, description="pitch amplitude, deg")
     pitch_period_s: Period = Field(10.0, description="pitch period, s")
@@ -156,6 +174,11 @@ class MotionSection(Section):
 
 class SensorsSection(Section):
     """[sensors]: what the sensors do; a number for all three body axes or one number each."""
+
+    exclusive = (
+        ("gyro_noise_deg_per_h", "gyro_arw_deg_per_sqrt_h"),
+        ("accel_noise_ug", "accel_vrw_ug_per_sqrt_hz"),
+    )
 
     gyro_bias_deg_per_h: Annotated[Vector, Usual(-1e5, 1e5)] = Field(
         0.0, description="gyro bias, deg/h"

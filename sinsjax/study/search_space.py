@@ -13,26 +13,21 @@ from typing import Any, NamedTuple, NoReturn
 
 from sinsjax.errors import InputError
 from sinsjax.study import success
-from sinsjax.study.ignored import UNREAD_BESIDE
 from sinsjax.study.ranges import Range
-from sinsjax.study.study import SECTION_OF, Study, TomlTable, rivals
-from sinsjax.study.tuned_keys import COUNT, TIMES, TUNABLE, Ranges
+from sinsjax.study.study import (
+    SECTION_OF,
+    SECTIONS,
+    TUNABLE,
+    Study,
+    TomlTable,
+    marked,
+    rivals,
+)
+from sinsjax.study.tuned_keys import COUNT, TIMES, Ranges
+from sinsjax.value_types import SameAs, Whole
 
 GRID_MOST = 2
 """Free variables of a full grid, at the most."""
-
-_STANDS_FOR: dict[str, str | float] = {
-    "q_scale": 1.0,
-    "r_scale": 1.0,
-    "reset_velocity_m_per_s": "p0_velocity_m_per_s",
-    "reset_level_deg": "p0_level_deg",
-    "reset_yaw_deg": "p0_yaw_deg",
-    "reset_gyro_bias_deg_per_h": "p0_gyro_bias_deg_per_h",
-    "reset_accel_bias_ug": "p0_accel_bias_ug",
-}
-"""What a key says that is left out: a value, or that of another key."""
-
-_WHOLE = (TIMES, "sigma_times_s", "feedback_interval_s", "tape_s")
 
 
 class Variable(NamedTuple):
@@ -142,17 +137,18 @@ class SearchSpace:
         if COUNT in out and TIMES in out:
             out[TIMES] = out[TIMES][: out.pop(COUNT)]
         return {
-            key: self._whole(key, value) if key in _WHOLE else value for key, value in out.items()
+            key: self._whole(value, whole) if (whole := marked(key, Whole)) else value
+            for key, value in out.items()
         }
 
-    def _whole(self, key: str, value: Any) -> Any:
-        """Times as whole numbers of samples, the tape's as one of record intervals."""
-        if key == "tape_s":
+    def _whole(self, value: Any, whole: Whole) -> Any:
+        """Times as whole numbers of samples or of record intervals; those of a list ascend."""
+        if whole.interval == "record":
             return max(1, round(value / self.record_interval_s)) * self.record_interval_s
         if not isinstance(value, tuple):
             return max(1, round(value * self.rate_hz)) / self.rate_hz
         samples = sorted(max(1, round(time * self.rate_hz)) for time in value)
-        if key == TIMES:
+        if whole.merged:
             samples = list(dict.fromkeys(samples))
         for number in range(1, len(samples)):  # a piece each, be it a sample long
             samples[number] = max(samples[number], samples[number - 1] + 1)
@@ -223,9 +219,11 @@ def told(study: Study, keys: Iterable[str]) -> TomlTable:
         out[key] = None if section is None else getattr(section, key)
         if section is not None and key == TIMES:
             out[key] = study.reset_times()[0]
-        elif section is not None and out[key] is None and key in _STANDS_FOR:
-            other = _STANDS_FOR[key]
-            out[key] = getattr(study.filter, other) if isinstance(other, str) else other
+        elif section is not None and out[key] is None and (same := marked(key, SameAs)):
+            other = same.other
+            if isinstance(other, str):
+                other = getattr(getattr(study, SECTION_OF[other]), other)
+            out[key] = other
     return out
 
 
@@ -257,7 +255,9 @@ def comparable(study: Study, based: Study, points: Mapping[str, TomlTable]) -> d
 def cleared(tables: TomlTable, keys: Sequence[str]) -> TomlTable:
     """A study's tables without some keys and what says them in another way, and without [tune]."""
     gone = {*keys, *(other for key in keys for other in rivals(key))}
-    gone |= {UNREAD_BESIDE[key] for key in keys if key in UNREAD_BESIDE} - {*keys}
+    for condition in (c for section in SECTIONS.values() for c in section.conditions):
+        if condition.refused and not {*condition.given}.isdisjoint(keys):
+            gone |= {*condition.keys} - {*keys}
     return {
         name: {key: value for key, value in table.items() if key not in gone}
         if name in TUNABLE

@@ -7,20 +7,14 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import combinations, product
-from typing import Any, NamedTuple
+from itertools import product
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, create_model
 
-from sinsjax.alignment.compass.section import CompassSection
+from sinsjax.alignment.methods import SECTIONS_OF_METHODS
 from sinsjax.alignment.sections import AlignmentSection, CoarseSection, PassesSection
-from sinsjax.alignment.zero_velocity.section import (
-    OF_SCHEDULES,
-    Q_DENSITIES,
-    FilterSection,
-    ResetsSection,
-    reset_times,
-)
+from sinsjax.alignment.zero_velocity.section import OF_SCHEDULES, reset_times
 from sinsjax.study.distributions import DrawnSection, StopWhenSection
 from sinsjax.study.ranges import TuneSection
 from sinsjax.study.resolved import Coded, Dimension, Resolved, same
@@ -33,7 +27,7 @@ from sinsjax.study.schema import (
     StatementsSection,
     StudySection,
 )
-from sinsjax.value_types import Section
+from sinsjax.value_types import ROUNDING, Marks, Section, mark
 
 SECTIONS: dict[str, type[Section]] = {
     "study": StudySection,
@@ -41,9 +35,7 @@ SECTIONS: dict[str, type[Section]] = {
     "motion": MotionSection,
     "sensors": SensorsSection,
     "alignment": AlignmentSection,
-    "filter": FilterSection,
-    "resets": ResetsSection,
-    "compass": CompassSection,
+    **SECTIONS_OF_METHODS,
     "passes": PassesSection,
     "record": RecordSection,
     "coarse": CoarseSection,
@@ -54,16 +46,10 @@ SECTIONS: dict[str, type[Section]] = {
 }
 """Every section of leaf keys by its name in the file."""
 
-SWEEPABLE = (
-    "earth",
-    "motion",
-    "sensors",
-    "alignment",
-    "filter",
-    "resets",
-    "compass",
-    "passes",
-)
+TUNABLE = ("alignment", *SECTIONS_OF_METHODS, "passes")
+"""The sections whose keys may be tuned."""
+
+SWEEPABLE = ("earth", "motion", "sensors", *TUNABLE)
 """The sections whose keys may be axes."""
 
 SIMULATED_ONLY = ("motion", "sensors", "stop_when")
@@ -81,35 +67,8 @@ EARTH_CONSTANTS = {
 }
 """The keys of [earth] that only ``earth = "constants"`` has, with their defaults."""
 
-NOISES = (
-    ("gyro_noise_deg_per_h", "gyro_arw_deg_per_sqrt_h"),
-    ("accel_noise_ug", "accel_vrw_ug_per_sqrt_hz"),
-)
-"""The keys of white noise, each beside the one that gives its density."""
-
-EXCLUSIVE = (
-    *NOISES,
-    *(pair for key, by_unit in Q_DENSITIES.items() for pair in combinations((key, *by_unit), 2)),
-    ("reset_times_s", "reset_count"),
-    ("reset_times_s", "reset_cycle_s"),
-    ("reset_times_s", "reset_first_s"),
-    ("level_gains", "level_sigma_per_s"),
-    ("level_gains", "level_adjustment_s"),
-    ("level_adjustment_s", "level_sigma_per_s"),
-    ("level_passes", "level_time_s"),
-    ("azimuth_gains", "azimuth_sigma_per_s"),
-    ("azimuth_gains", "azimuth_adjustment_s"),
-    ("azimuth_adjustment_s", "azimuth_sigma_per_s"),
-    ("sigma_passes", "sigma_times_s"),
-)
-"""Pairs of keys that say the same thing in two ways: a study gives one of them."""
-
 PASS_KEYS = ("tape_s", "passes", "ending")
 """The keys that decide which sample of the tape an update reads, and how many there are."""
-
-ROUNDING = 1e-9
-"""Relative; how far a product of two decimal numbers may be off."""
-
 
 TomlTable = dict[str, Any]
 
@@ -121,9 +80,15 @@ def meaning(key: str) -> str:
     return SECTIONS[SECTION_OF[key]].model_fields[key].description or ""
 
 
+def marked(key: str, kind: type[Marks]) -> Marks | None:
+    """The mark of some kind beside a leaf key's type, see `value_types`; None without one."""
+    return mark(SECTIONS[SECTION_OF[key]].model_fields[key], kind)
+
+
 def rivals(key: str) -> set[str]:
     """The keys that say in another way what a key says."""
-    return {other for pair in EXCLUSIVE if key in pair for other in pair} - {key}
+    pairs = SECTIONS[SECTION_OF[key]].exclusive if key in SECTION_OF else ()
+    return {other for pair in pairs if key in pair for other in pair} - {key}
 
 
 def dimensions_of(
@@ -161,14 +126,23 @@ class Span(NamedTuple):
         return min(self.records, self.tape)
 
 
-class Study(BaseModel):
+if TYPE_CHECKING:  # asked for by name, with `Study.has`
+    _SectionsOfMethods = BaseModel
+else:
+    _SectionsOfMethods = create_model(
+        "_SectionsOfMethods",
+        **{name: (section | None, None) for name, section in SECTIONS_OF_METHODS.items()},
+    )
+
+
+class Study(_SectionsOfMethods):
     """A checked study: its sections with all defaults filled in, and what it sweeps and draws.
 
     A variant is one point of the sweep: cases outermost, then the zips, then the axes, each as
     written, the last one fastest. A section that does not apply is None: ``motion`` and ``sensors``
-    of a recorded study, ``record`` and ``coarse`` of a simulated one, ``filter``, ``resets`` and
-    ``compass`` where no method reads them, ``passes`` where no tape is gone over again, ``drawn``,
-    ``stop_when`` and ``tune`` where not given. So is a key that does not apply, such as
+    of a recorded study, ``record`` and ``coarse`` of a simulated one, those of methods where no
+    method reads them, ``passes`` where the record is used once, ``drawn``, ``stop_when`` and
+    ``tune`` where not given. So is a key that does not apply, such as
     ``gravity_m_per_s2`` where no variant has constants.
 
     Attributes:
@@ -186,9 +160,6 @@ class Study(BaseModel):
     motion: MotionSection | None = None
     sensors: SensorsSection | None = None
     alignment: AlignmentSection
-    filter: FilterSection | None = None
-    resets: ResetsSection | None = None
-    compass: CompassSection | None = None
     passes: PassesSection | None = None
     record: RecordSection | None = None
     coarse: CoarseSection | None = None
@@ -298,16 +269,19 @@ class Study(BaseModel):
         left = self.duration_s - self.records * self.record_every / self.rate_hz
         return left if left > ROUNDING * self.duration_s else 0.0
 
+    def has(self, section: str) -> bool:
+        """Whether it has a section; without it none of its keys may be asked for."""
+        return getattr(self, section) is not None
+
     @property
-    def has_trigger(self) -> bool:
-        """Whether a trigger calls for resets in some variant."""
-        points = self.combinations("reset_trigger") if self.resets else ()
-        return any(point["reset_trigger"] not in (None, "none") for point in points)
+    def methods(self) -> tuple[str, ...]:
+        """The methods of its variants, each once."""
+        return tuple(point["method"] for point in self.combinations("method"))
 
     @property
     def schedules(self) -> Coded:
         """The schedule of resets of every variant: their times, s."""
-        if self.resets is None:
+        if not self.has("resets"):
             return same(self.n_variants, ())
         return self.resolved.column(*OF_SCHEDULES).map(lambda values: reset_times(*values))
 

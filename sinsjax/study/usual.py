@@ -4,13 +4,13 @@ The ranges stand beside their keys, see `value_types.Usual`, and are generous: a
 rather one of another unit, or a slip of a finger. ``[study] unchecked = true`` insists on it.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
-from typing import Any, get_args
+from typing import Any
 
 from sinsjax.errors import InputError
-from sinsjax.study.study import EARTH_CONSTANTS, ROUNDING, SECTION_OF, SECTIONS, Study
-from sinsjax.value_types import Usual
+from sinsjax.study.study import EARTH_CONSTANTS, SECTION_OF, SECTIONS, Study
+from sinsjax.value_types import ROUNDING, Usual, mark
 
 INSIST = "[study] unchecked = true insists on it"
 
@@ -88,17 +88,7 @@ def _numbers(value: Any, at: str = "") -> Iterator[tuple[str, float]]:
 @cache
 def range_of(section: str, key: str) -> Usual | None:
     """What the numbers of a key usually are; None where every number is as good as another."""
-    field = SECTIONS[section].model_fields[key]
-    return _first([*field.metadata, field.annotation])
-
-
-def _first(parts: Iterable[Any]) -> Usual | None:
-    """The first range among parts of a type, the outermost one where types stand in one another."""
-    for part in parts:
-        found = part if isinstance(part, Usual) else _first(reversed(get_args(part)))
-        if found:
-            return found
-    return None
+    return mark(SECTIONS[section].model_fields[key], Usual)
 
 
 def _check_feedback(study: Study, where: Mapping[str, str]) -> None:

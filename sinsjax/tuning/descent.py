@@ -217,7 +217,7 @@ class Slope:
         directions = jnp.broadcast_to(jnp.eye(p)[:, None, :], (p, self._starts, p))
 
         def one_lane(lane: Lane, box: Array) -> Any:
-            return self._relaxation(lane.base, box[lane.start], width)
+            return self._relaxation(group.static.method, lane.base, box[lane.start], width)
 
         def one_tile(tile: Tiles) -> tuple[Array, Array]:
             def of(box: Array) -> Array:

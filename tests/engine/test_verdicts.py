@@ -17,7 +17,8 @@ from sinsjax.errors import InputError
 from sinsjax.execution import run, tables
 from sinsjax.report.base import Source
 from sinsjax.study import success
-from sinsjax.study.load import Study, fingerprint, load_study, study_to_toml
+from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.load import Study, load_study, study_to_toml
 
 AXES = {"phi_u0_deg": [0.0, 1.0]}
 

@@ -15,7 +15,8 @@ from sinsjax import columns
 from sinsjax.execution import layouts
 from sinsjax.execution.tasks import Job
 from sinsjax.platform import runtime
-from sinsjax.study.load import fingerprint, study_to_toml
+from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.load import study_to_toml
 
 STUDY = small_study(study={"curves": True})
 MANIFEST, TEXT = "manifest.json", "study.toml"

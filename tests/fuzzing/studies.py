@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from fuzzing.edits import Quiet, edited, mangled
 from fuzzing.values import TEXTS, misfits, of_field, table
 from sinsjax.study.distributions import NUMBERS_DRAWN
-from sinsjax.study.study import EXCLUSIVE, SECTIONS, SWEEPABLE
-from sinsjax.study.tuned_keys import TUNABLE
+from sinsjax.study.study import SECTIONS, SWEEPABLE, TUNABLE, rivals
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -116,8 +115,7 @@ def _given(data: dict[str, Any], section: str) -> dict[str, Any]:
 
 def _without(data: dict[str, Any], place: tuple[str, str]) -> None:
     """Takes a key and all that says the same out of its section, so that it can stand elsewhere."""
-    others = {other for pair in EXCLUSIVE if place[1] in pair for other in pair}
-    for key in {place[1], *others}:
+    for key in {place[1], *rivals(place[1])}:
         if isinstance(data.get(place[0]), dict):
             data[place[0]].pop(key, None)
 

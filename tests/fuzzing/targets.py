@@ -21,7 +21,8 @@ from sinsjax.execution.tables import Tables
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import is_control
 from sinsjax.report.base import Source
-from sinsjax.study.load import Study, fingerprint, load_study, study_from_dict, study_to_toml
+from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.load import Study, load_study, study_from_dict, study_to_toml
 from sinsjax.tuning import carry_out
 
 MOST_S = 2.0

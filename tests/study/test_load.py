@@ -14,14 +14,8 @@ from hypothesis import strategies as st
 
 from sinsjax.errors import InputError
 from sinsjax.messages import is_control
-from sinsjax.study.load import (
-    Study,
-    fingerprint,
-    load_study,
-    study_from_dict,
-    study_to_toml,
-    with_rate,
-)
+from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.load import Study, load_study, study_from_dict, study_to_toml, with_rate
 from sinsjax.study.study import SECTION_OF, SECTIONS, SWEEPABLE
 from sinsjax.value_types import Section
 

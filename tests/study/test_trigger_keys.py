@@ -8,8 +8,10 @@ from typing import Any
 
 import pytest
 
+from sinsjax.alignment.triggers.section import any_trigger
 from sinsjax.errors import InputError
-from sinsjax.study.load import Study, fingerprint, study_from_dict, study_to_toml
+from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.load import Study, study_from_dict, study_to_toml
 
 BASE: dict[str, Any] = {
     "study": {"duration_s": 900, "rate_hz": 100},
@@ -146,10 +148,10 @@ def test_a_trigger_may_be_swept_beside_none() -> None:
         {"axes": {"a": {"reset_trigger": ["none", "nis"], "trigger_threshold": [0.0, 9.0]}}},
     ):
         study = built(**tables)
-        assert study.has_trigger and set(study.values("reset_trigger")) == {"none", "nis"}
+        assert any_trigger(study) and set(study.values("reset_trigger")) == {"none", "nis"}
         assert study.values("trigger_most") == [10] * study.n_variants
-    assert not built(axes={"reset_trigger": ["none"]}).has_trigger
-    assert not built().has_trigger and built(resets=NIS).has_trigger
+    assert not any_trigger(built(axes={"reset_trigger": ["none"]}))
+    assert not any_trigger(built()) and any_trigger(built(resets=NIS))
 
 
 @pytest.mark.parametrize(

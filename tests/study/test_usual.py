@@ -11,7 +11,8 @@ from support.studies import BASE, refusal, small_study
 from sinsjax import columns
 from sinsjax.errors import InputError
 from sinsjax.study import usual
-from sinsjax.study.load import fingerprint, study_from_dict, study_to_toml
+from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.load import study_from_dict, study_to_toml
 from sinsjax.study.study import SECTIONS, Study
 
 BOUNDED = {

@@ -4,27 +4,62 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from sinsjax.alignment.description import CheckedStudy
 from sinsjax.value_types import (
+    ActsWhere,
     Bandwidth,
     Count,
     Damping,
+    Default,
     Factors,
     Finite,
     PassNumbers,
+    RunTime,
     Seconds,
     SecondsOrZero,
     Section,
     Times,
     Usual,
+    Whole,
 )
 
 _DAMPING = 0.5**0.5
+_ADJUSTMENTS = ("level_adjustment_s", "azimuth_adjustment_s")
+
+
+def _are_designed(gains: tuple[float, ...] | None) -> bool:
+    return gains is None
+
+
+def _any_given(*times_s: float | None) -> bool:
+    return any(time is not None for time in times_s)
+
+
+def _settles(reading: str, *times_s: float | None) -> bool:
+    return reading == "settling" and _any_given(*times_s)
 
 
 class CompassSection(Section):
     """[compass]: the loops of method 'compass', and when their gains change."""
 
-    level_sigma_per_s: Bandwidth | None = Field(
+    exclusive = (
+        ("level_gains", "level_sigma_per_s"),
+        ("level_gains", "level_adjustment_s"),
+        ("level_adjustment_s", "level_sigma_per_s"),
+        ("level_passes", "level_time_s"),
+        ("azimuth_gains", "azimuth_sigma_per_s"),
+        ("azimuth_gains", "azimuth_adjustment_s"),
+        ("azimuth_adjustment_s", "azimuth_sigma_per_s"),
+        ("sigma_passes", "sigma_times_s"),
+    )
+    conditions = (
+        ActsWhere(("level_damping",), ("level_gains",), _are_designed, refused=True),
+        ActsWhere(("azimuth_damping",), ("azimuth_gains",), _are_designed, refused=True),
+        ActsWhere(("adjustment_reading",), _ADJUSTMENTS, _any_given),
+        ActsWhere(("adjustment_remainder",), ("adjustment_reading", *_ADJUSTMENTS), _settles),
+    )
+
+    level_sigma_per_s: Annotated[Bandwidth | None, Default(0.02)] = Field(
         None, description="sigma of the levelling loop, 1/s; default 0.02"
     )
     level_adjustment_s: Seconds | None = Field(
@@ -34,13 +69,13 @@ class CompassSection(Section):
         None, description="K1, K2, K3 of the levelling loop instead of its sigma, SI"
     )
     level_damping: Damping = Field(_DAMPING, description="damping ratio of the levelling loop")
-    level_time_s: SecondsOrZero | None = Field(
+    level_time_s: Annotated[SecondsOrZero | None, Default(150.0), RunTime()] = Field(
         None, description="levelling before the azimuth loop begins, s; default 150"
     )
-    level_passes: Annotated[Count, Field(ge=1)] | None = Field(
+    level_passes: Annotated[Annotated[Count, Field(ge=1)] | None, RunTime("pass")] = Field(
         None, description="the same in passes over the tape"
     )
-    azimuth_sigma_per_s: Bandwidth | None = Field(
+    azimuth_sigma_per_s: Annotated[Bandwidth | None, Default(0.01)] = Field(
         None, description="sigma of the azimuth loop, 1/s; default 0.01"
     )
     azimuth_adjustment_s: Seconds | None = Field(
@@ -59,10 +94,29 @@ class CompassSection(Section):
     sigma_factors: Factors = Field(
         (1.0,), description="sigma of the azimuth loop, piece by piece, as factors on it"
     )
-    sigma_times_s: Times | None = Field(
+    sigma_times_s: Annotated[Times | None, Whole("sample"), RunTime()] = Field(
         None, description="update times at which the second and later pieces begin, s"
     )
-    sigma_passes: PassNumbers | None = Field(
+    sigma_passes: Annotated[PassNumbers | None, RunTime("pass")] = Field(
         None, description="the same as numbers of passes gone over before"
     )
     allow_unstable: bool = Field(False, description="whether unstable loops are run")
+
+
+def check_pieces(study: CheckedStudy) -> None:
+    """Refuses pieces of sigma without a beginning each, and passes to count without a tape."""
+    if not study.has("compass"):
+        return
+    for point in study.combinations("sigma_factors", "sigma_times_s", "sigma_passes"):
+        factors = point["sigma_factors"]
+        key = "sigma_passes" if point["sigma_passes"] is not None else "sigma_times_s"
+        if len(point[key] or ()) != len(factors) - 1:
+            text = f"needs {len(factors) - 1} entries for {len(factors)} sigma_factors"
+            study.refuse(key, f"{text}, not {len(point[key] or ())}")
+    for key in ("level_passes", "sigma_passes"):
+        if all(point[key] is None for point in study.combinations(key)):
+            continue
+        if not study.has("passes") or any(
+            p["tape_s"] is None for p in study.combinations("tape_s")
+        ):
+            study.refuse(key, "counts passes over a tape (give [passes] tape_s)")

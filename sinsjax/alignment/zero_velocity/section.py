@@ -1,25 +1,31 @@
 """[filter] and [resets]: what a zero-velocity filter believes, and when P is reset."""
 
-from typing import Annotated, Literal
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from sinsjax.alignment.triggers.section import TriggerName
+from sinsjax.alignment.description import CheckedStudy
+from sinsjax.alignment.triggers.section import TriggerKeys, has_trigger
 from sinsjax.value_types import (
+    ROUNDING,
     AccelNoise,
     AccelSigma,
+    ActsWhere,
     AngleSigma,
     Count,
+    Default,
     Factor,
     GyroNoise,
     GyroSigma,
     GyroWalk,
-    NonNegative,
+    SameAs,
     Seconds,
-    SecondsOrZero,
     Section,
     SpeedSigma,
     Times,
+    Whole,
 )
 
 Q_DENSITIES = {
@@ -35,15 +41,19 @@ OF_SCHEDULES = ("reset_times_s", "reset_count", "reset_cycle_s", "reset_first_s"
 class FilterSection(Section):
     """[filter]: what the filter believes; standard deviations."""
 
+    exclusive = tuple(
+        pair for key, forms in Q_DENSITIES.items() for pair in combinations((key, *forms), 2)
+    )
+
     p0_velocity_m_per_s: SpeedSigma = Field(0.1, description="initial velocity, m/s")
     p0_level_deg: AngleSigma = Field(15.0, description="initial level misalignment, deg")
     p0_yaw_deg: AngleSigma = Field(80.0, description="initial heading misalignment, deg")
     p0_gyro_bias_deg_per_h: GyroSigma = Field(0.1, description="gyro bias states, deg/h")
     p0_accel_bias_ug: AccelSigma = Field(500.0, description="accelerometer bias states, ug")
-    q_accel_ug: AccelNoise | None = Field(
+    q_accel_ug: Annotated[AccelNoise | None, Default(500.0)] = Field(
         None, description="velocity process noise, ug; default 500; under 'psd' in ug/sqrt(Hz)"
     )
-    q_gyro_deg_per_h: GyroNoise | None = Field(
+    q_gyro_deg_per_h: Annotated[GyroNoise | None, Default(0.1)] = Field(
         None, description="attitude process noise, deg/h; default 0.1; under 'psd' deg/h/sqrt(Hz)"
     )
     q_accel_ug_per_sqrt_hz: AccelNoise | None = Field(
@@ -62,56 +72,86 @@ class FilterSection(Section):
     r_reading: Literal["per_update", "psd"] = Field(
         "per_update", description="R of an update: as is, divided by dt"
     )
-    q_scale: Factor | None = Field(None, description="factor on Q; default 1")
-    r_scale: Factor | None = Field(None, description="factor on R; default 1")
+    q_scale: Annotated[Factor | None, SameAs(1.0)] = Field(
+        None, description="factor on Q; default 1"
+    )
+    r_scale: Annotated[Factor | None, SameAs(1.0)] = Field(
+        None, description="factor on R; default 1"
+    )
 
 
-class ResetsSection(Section):
+_RESETS = ("reset_times_s", "reset_count", "reset_trigger")
+"""The keys that tell whether P is reset at all."""
+
+_SET_BY_FULL = (
+    "reset_velocity_m_per_s",
+    "reset_level_deg",
+    "reset_gyro_bias_deg_per_h",
+    "reset_accel_bias_ug",
+)
+
+
+def _resets(times: Sequence[float] | None, count: int | None, trigger: str | None) -> bool:
+    return bool(times or count or has_trigger(trigger))
+
+
+def _scales(kind: str, *schedule: Any) -> bool:
+    return kind == "scale" and _resets(*schedule)
+
+
+def _sets_yaw(kind: str, *schedule: Any) -> bool:
+    return kind != "scale" and _resets(*schedule)
+
+
+def _sets_all(kind: str, *schedule: Any) -> bool:
+    return kind == "full" and _resets(*schedule)
+
+
+def _needs_cycle(count: int | None, first_s: float | None) -> bool:
+    return (count or 0) > (0 if first_s is None else 1)
+
+
+class ResetsSection(TriggerKeys):
     """[resets]: covariance resets, by count and cycle, at explicit times, or by a trigger."""
 
-    reset_count: Count | None = Field(
+    exclusive = tuple(("reset_times_s", key) for key in OF_SCHEDULES[1:])
+    conditions = (
+        *TriggerKeys.conditions,
+        ActsWhere(("reset_first_s",), ("reset_count",), bool),
+        ActsWhere(("reset_cycle_s",), ("reset_count", "reset_first_s"), _needs_cycle),
+        ActsWhere(("reset_kind",), _RESETS, _resets),
+        ActsWhere(("reset_scale",), ("reset_kind", *_RESETS), _scales),
+        ActsWhere(("reset_yaw_deg",), ("reset_kind", *_RESETS), _sets_yaw),
+        ActsWhere(_SET_BY_FULL, ("reset_kind", *_RESETS), _sets_all),
+    )
+
+    reset_count: Annotated[Count | None, Default(0)] = Field(
         None, description="number of resets, a cycle apart; default 0"
     )
     reset_cycle_s: Seconds | None = Field(None, description="time between resets, s")
     reset_first_s: Seconds | None = Field(
         None, description="time of the first of counted resets, s; default: the cycle"
     )
-    reset_times_s: Times | None = Field(None, description="explicit reset times, s")
+    reset_times_s: Annotated[Times | None, Whole("sample", merged=True)] = Field(
+        None, description="explicit reset times, s"
+    )
     reset_kind: Literal["full", "yaw", "scale"] = Field("full", description="what P is set to")
     reset_scale: Factor = Field(10.0, description="factor on P, for kind 'scale'")
-    reset_velocity_m_per_s: SpeedSigma | None = Field(
+    reset_velocity_m_per_s: Annotated[SpeedSigma | None, SameAs("p0_velocity_m_per_s")] = Field(
         None, description="what the velocity is reset to, m/s; default: as at the start"
     )
-    reset_level_deg: AngleSigma | None = Field(
+    reset_level_deg: Annotated[AngleSigma | None, SameAs("p0_level_deg")] = Field(
         None, description="what the level angles are reset to, deg; default: as at the start"
     )
-    reset_yaw_deg: AngleSigma | None = Field(
+    reset_yaw_deg: Annotated[AngleSigma | None, SameAs("p0_yaw_deg")] = Field(
         None, description="what the heading is reset to, deg; default: as at the start"
     )
-    reset_gyro_bias_deg_per_h: GyroSigma | None = Field(
-        None, description="what gyro biases are reset to, deg/h; default: as at the start"
+    reset_gyro_bias_deg_per_h: Annotated[GyroSigma | None, SameAs("p0_gyro_bias_deg_per_h")] = (
+        Field(None, description="what gyro biases are reset to, deg/h; default: as at the start")
     )
-    reset_accel_bias_ug: AccelSigma | None = Field(
+    reset_accel_bias_ug: Annotated[AccelSigma | None, SameAs("p0_accel_bias_ug")] = Field(
         None,
         description="what accelerometer biases are reset to, ug; default: as at the start",
-    )
-    reset_trigger: TriggerName | None = Field(
-        None, description="what calls for resets besides the schedule; default 'none'"
-    )
-    trigger_threshold: NonNegative | None = Field(
-        None, description="score above which the trigger resets; what a fading one fades by"
-    )
-    trigger_window_s: Seconds | None = Field(
-        None, description="what a trigger that looks back sums up, s; default 10"
-    )
-    trigger_refractory_s: SecondsOrZero | None = Field(
-        None, description="least time after the start and after a reset, s; default 5"
-    )
-    trigger_most: Annotated[Count, Field(ge=1)] | None = Field(
-        None, description="most resets that a trigger calls for; default 10"
-    )
-    trigger_until_s: Seconds | None = Field(
-        None, description="time after which a trigger calls for none, s; default: no limit"
     )
 
 
@@ -136,3 +176,58 @@ def reset_times(
 ) -> tuple[float, ...]:
     """Times of the resets of a schedule, s: as given, or counted."""
     return counted_resets(count or 0, cycle_s, first_s) if times_s is None else tuple(times_s)
+
+
+def check_resets(study: CheckedStudy) -> None:
+    """Refuses resets after the end, on the start, or two on one sample."""
+    for point in study.combinations(*OF_SCHEDULES) if study.has("resets") else ():
+        times, count, cycle, first = (point[key] for key in OF_SCHEDULES)
+        if times is not None:
+            _check_times(study, times)
+        elif count:
+            _check_counted(study, count, cycle, first)
+
+
+def _check_times(study: CheckedStudy, times: tuple[float, ...], key: str = "reset_times_s") -> None:
+    """Refuses resets at given times after the end, on the start, or two on one sample."""
+    rate = study.rate_hz
+    earlier, taken = 0.0, 0
+    for time in times:
+        if time > study.run_s * (1 + ROUNDING):
+            study.refuse(key, f"{time:.12g} s is after the study's end ({study.end})")
+        sample = round(time * rate)
+        if sample == taken:
+            other = f"the reset at {earlier:.12g} s" if taken else "the start"
+            text = f"{time:.12g} s falls on the sample of {other} ({1 / rate:.12g} s a sample)"
+            study.refuse(key, text)
+        earlier, taken = time, sample
+
+
+def _check_counted(
+    study: CheckedStudy, count: int, cycle: float | None, first: float | None
+) -> None:
+    """Refuses counted resets after the end, on the start, or two on one sample."""
+    alone = 0 if first is None else 1  # resets that need no cycle
+    if cycle is None and count > alone:
+        study.refuse("reset_cycle_s", f"required where reset_count > {alone} (it is {count})")
+    if first is not None:
+        _check_times(study, (first,), key="reset_first_s")
+    if cycle is None or count <= alone:
+        return
+    rate = study.rate_hz
+    begin, last = ("", count * cycle)
+    if first is not None:
+        begin, last = f" from {first:.12g} s", first + (count - 1) * cycle
+    if last > study.run_s * (1 + ROUNDING):
+        key = "reset_cycle_s" if study.place("reset_count") == "[resets]" else "reset_count"
+        text = f"{count} resets{begin} every {cycle:.12g} s last {last:.12g} s"
+        study.refuse(key, f"{text}, longer than the study ({study.end})")
+    if cycle * rate < 1 - ROUNDING:
+        text = f"{cycle:.12g} s is shorter than a sample of {1 / rate:.12g} s"
+        study.refuse("reset_cycle_s", text)
+    if first is not None and cycle * rate < 2:
+        # Halves are rounded to even: a sample apart, 1.5 and 2.5 samples are both 2.
+        samples = [round(time * rate) for time in counted_resets(count, cycle, first)]
+        if len(set(samples)) < count:
+            text = f"{first:.12g} s and a cycle of {cycle:.12g} s put two resets on one sample"
+            study.refuse("reset_first_s", f"{text} ({1 / rate:.12g} s a sample)")

@@ -1,0 +1,59 @@
+"""What a trigger did in a run, as columns of the results."""
+
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import ArrayLike
+
+from sinsjax.alignment.description import OwnColumn, StudyView
+from sinsjax.alignment.triggers.section import any_trigger
+from sinsjax.columns import Column
+
+
+def _count(results: Any, rate_hz: float) -> ArrayLike:
+    counts = results.trigger_counts
+    return 0.0 if counts is None else counts.count
+
+
+def _first_s(results: Any, rate_hz: float) -> ArrayLike:
+    counts = results.trigger_counts
+    return np.nan if counts is None else _time_s(counts.first, rate_hz)
+
+
+def _last_s(results: Any, rate_hz: float) -> ArrayLike:
+    counts = results.trigger_counts
+    return np.nan if counts is None else _time_s(counts.last, rate_hz)
+
+
+def _time_s(sample: ArrayLike, rate_hz: float) -> ArrayLike:
+    """Time of a sample, s; NaN for 0, that of no reset."""
+    sample = np.asarray(sample)
+    return np.where(sample > 0, sample / rate_hz, np.nan)
+
+
+TRIGGER_COUNTS = (
+    OwnColumn(
+        Column("triggered_count", pa.int64(), "", "resets that the trigger called for"), _count, 0.0
+    ),
+    OwnColumn(
+        Column("triggered_first_s", pa.float64(), "s", "time of the first of them; null for none"),
+        _first_s,
+    ),
+    OwnColumn(
+        Column("triggered_last_s", pa.float64(), "s", "time of the last of them; null for none"),
+        _last_s,
+    ),
+)
+"""Columns of what a trigger did."""
+
+
+def last_called(results: Any) -> ArrayLike | None:
+    """Sample of the last reset that a trigger called for, (runs,); 0 for none. None without one."""
+    counts = results.trigger_counts
+    return None if counts is None else counts.last
+
+
+def trigger_columns(study: StudyView) -> tuple[OwnColumn, ...]:
+    """These columns, where some variant of a study has a trigger."""
+    return TRIGGER_COUNTS if any_trigger(study) else ()
