@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, NoReturn, Protocol, runtime_checkable
 
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 
 from sinsjax.alignment.parameters import Columns
 from sinsjax.columns import Column
@@ -78,7 +78,7 @@ class OwnColumn(NamedTuple):
     """
 
     column: Column
-    value: Callable[[Any, float], ArrayLike]
+    value: Callable[[Any, float], NDArray]
     missing: float = float("nan")
 
 
@@ -144,7 +144,7 @@ class Description:
     gyro_bias_keys: tuple[tuple[str, str], ...] = ()
     rules: tuple[Callable[[CheckedStudy], None], ...] = ()
     columns: Callable[[StudyView], tuple[OwnColumn, ...]] = no_columns
-    last_called: Callable[[Any], ArrayLike | None] = lambda results: None
+    last_called: Callable[[Any], NDArray | None] = lambda results: None
     step_s: float = 20e-9
 
     @cached_property

@@ -195,7 +195,7 @@ class Tables:
             return self._limit_by_variant[variant]
         last_s = self._last_reset_s[variant]
         if called is not None:
-            last_s = np.maximum(last_s, np.asarray(called) / self._study.rate_hz)
+            last_s = np.maximum(last_s, called / self._study.rate_hz)
         return has_limit(self._study, chunk.draw, variant, last_s)
 
     @cached_property

@@ -26,7 +26,6 @@ from oracles.naive_triggers import SCORES, Numbers, Watcher
 from oracles.naive_triggers import Seen as NaiveSeen
 from support.studies import small_study
 
-from sinsjax import columns
 from sinsjax.alignment import passes
 from sinsjax.alignment.base import Options
 from sinsjax.alignment.kalman import Belief, predict
@@ -35,6 +34,7 @@ from sinsjax.alignment.methods import METHODS
 from sinsjax.alignment.triggers import base as triggers
 from sinsjax.alignment.triggers import scores
 from sinsjax.alignment.triggers.base import AssumedNoise, FilterSnapshot
+from sinsjax.alignment.triggers.columns import TRIGGER_COUNTS
 from sinsjax.alignment.triggers.scores import TRIGGERS
 from sinsjax.alignment.triggers.section import TriggerName
 from sinsjax.execution import run as study_run
@@ -491,7 +491,7 @@ def of_variant(rows, number):
 
 def test_what_a_trigger_did_is_told(rows):
     for row in rows:
-        count, *times = (row[column.name] for column in columns.TRIGGER_COUNTS)
+        count, *times = (row[own.column.name] for own in TRIGGER_COUNTS)
         if row["variant_id"] == LOUD:
             assert count >= 2 and 0.3 <= times[0] < times[1] <= 1.2
         else:
@@ -521,7 +521,7 @@ def test_a_trigger_knows_nothing_of_the_runs_beside_it(rows):
 
 
 def test_the_columns_of_a_trigger_come_with_it_alone(rows):
-    told = {column.name for column in columns.TRIGGER_COUNTS}
+    told = {own.column.name for own in TRIGGER_COUNTS}
     assert told <= rows[0].keys()
     for tables in ({}, {"axes": {"reset_count": [0, 1]}, "resets": {"reset_cycle_s": 1.0}}):
         names = {

@@ -11,6 +11,7 @@ import pytest
 from scipy.stats import mstats
 from support.studies import small_study
 
+from sinsjax.alignment.methods import METHODS
 from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import run
@@ -18,7 +19,7 @@ from sinsjax.study.load import Study
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.tuning import carry_out, descent, history, objective, search
 from sinsjax.tuning.descent import TANGENT_STEPS, Slope, Softness
-from sinsjax.tuning.relaxation import CHANGES, Relaxation
+from sinsjax.tuning.relaxation import Relaxation
 
 
 def log(low: float, high: float) -> dict[str, Any]:
@@ -128,7 +129,8 @@ VARIABLES = [
 
 def test_every_variable_with_a_gradient_is_tried() -> None:
     tried = {variable.partition("[")[0] for _, variable in VARIABLES}
-    assert tried == {*CHANGES, "reset_times_s"}
+    relaxed = [method.implementation.relaxed for method in METHODS.values()]
+    assert tried == {key for one in relaxed for key in one.changes} | {"reset_times_s"}
 
 
 AROUND = np.array([-2.0, -1.0, 1.0, 2.0])
@@ -216,10 +218,10 @@ def assert_moved(study: Study, places: dict[str, float], combination: int = 0) -
     space = SearchSpace.of(study)
     chosen = space.combinations[combination]
     box = np.array([places.get(v.name, 0.5) for v in space.variables])
-    relaxation = Relaxation(study, space, chosen)
+    relaxation, (method,) = Relaxation(study, space, chosen), study.methods
     expected = numbers(study, space.point(space.values(box), chosen))
     for base, there in zip(numbers(study, relaxation.point), expected, strict=True):
-        got = relaxation(base, box[space.used(chosen)], np.float64(50.0))
+        got = relaxation(method, base, box[space.used(chosen)], np.float64(50.0))
         if hasattr(got, "resets"):
             assert got.resets.width == 50.0
             samples = np.where(got.resets.samples < 1e14, got.resets.samples, np.inf)
@@ -239,7 +241,7 @@ def test_variables_do_all_that_their_keys_do(name: str) -> None:
 
 
 COUNTED = {"study": SHORT, "resets": {"reset_count": 3, "reset_cycle_s": 10.0}}
-P0 = [key for key in CHANGES if key.startswith("p0_")]
+P0 = [key for key in METHODS["kalman5"].implementation.relaxed.changes if key.startswith("p0_")]
 
 
 @pytest.mark.parametrize("key", P0)

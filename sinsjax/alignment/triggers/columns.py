@@ -4,29 +4,29 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 
 from sinsjax.alignment.description import OwnColumn, StudyView
 from sinsjax.alignment.triggers.section import any_trigger
 from sinsjax.columns import Column
 
 
-def _count(results: Any, rate_hz: float) -> ArrayLike:
+def _count(results: Any, rate_hz: float) -> NDArray:
     counts = results.trigger_counts
-    return 0.0 if counts is None else counts.count
+    return np.asarray(0.0 if counts is None else counts.count)
 
 
-def _first_s(results: Any, rate_hz: float) -> ArrayLike:
+def _first_s(results: Any, rate_hz: float) -> NDArray:
     counts = results.trigger_counts
-    return np.nan if counts is None else _time_s(counts.first, rate_hz)
+    return _time_s(0.0 if counts is None else counts.first, rate_hz)
 
 
-def _last_s(results: Any, rate_hz: float) -> ArrayLike:
+def _last_s(results: Any, rate_hz: float) -> NDArray:
     counts = results.trigger_counts
-    return np.nan if counts is None else _time_s(counts.last, rate_hz)
+    return _time_s(0.0 if counts is None else counts.last, rate_hz)
 
 
-def _time_s(sample: ArrayLike, rate_hz: float) -> ArrayLike:
+def _time_s(sample: Any, rate_hz: float) -> NDArray:
     """Time of a sample, s; NaN for 0, that of no reset."""
     sample = np.asarray(sample)
     return np.where(sample > 0, sample / rate_hz, np.nan)
@@ -48,10 +48,10 @@ TRIGGER_COUNTS = (
 """Columns of what a trigger did."""
 
 
-def last_called(results: Any) -> ArrayLike | None:
+def last_called(results: Any) -> NDArray | None:
     """Sample of the last reset that a trigger called for, (runs,); 0 for none. None without one."""
     counts = results.trigger_counts
-    return None if counts is None else counts.last
+    return None if counts is None else np.asarray(counts.last)
 
 
 def trigger_columns(study: StudyView) -> tuple[OwnColumn, ...]:

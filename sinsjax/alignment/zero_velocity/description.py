@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 
 from sinsjax.alignment.description import (
     INITIAL_KEYS,
@@ -20,11 +20,11 @@ from sinsjax.alignment.zero_velocity.section import FilterSection, ResetsSection
 from sinsjax.columns import Column
 
 
-def _mean_nis(results: Any, rate_hz: float) -> ArrayLike:
-    return results.innovations.sum / results.innovations.count
+def _mean_nis(results: Any, rate_hz: float) -> NDArray:
+    return np.asarray(results.innovations.sum) / np.asarray(results.innovations.count)
 
 
-def _freedom(results: Any, rate_hz: float) -> ArrayLike:
+def _freedom(results: Any, rate_hz: float) -> NDArray:
     return 2 * np.asarray(results.innovations.count)
 
 
