@@ -91,7 +91,8 @@ def tables_of(study: Study) -> TomlTable:
     for key in study.drawn_keys:
         content[SECTION_OF[key]].pop(key, None)
     content["axes"] |= content.pop("zips")
-    return {name: table for name, table in content.items() if table}
+    names = (*SECTIONS, *_SWEEPS)
+    return {name: content[name] for name in names if content.get(name)}
 
 
 def study_to_toml(study: Study) -> str:
