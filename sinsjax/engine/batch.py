@@ -123,11 +123,20 @@ class Plan:
     def __iter__(self) -> Iterator[Lanes]:
         return map(self.__getitem__, range(len(self)))
 
-    def runs(self, number: int) -> int:
-        """How many runs a call has."""
+    @property
+    def tiles(self) -> int:
+        """How many tiles all its calls have."""
+        return self._count * self._size * self._sets
+
+    def busy(self, number: int) -> tuple[np.ndarray, np.ndarray]:
+        """Places of draw and variant in the lanes of a call that are not idle, (runs,) each."""
         places = self[number]
         busy = (places.draw < self._draws) & (places.variant < self._variants)
-        return int(np.count_nonzero(busy))
+        return places.draw[busy], places.variant[busy]
+
+    def runs(self, number: int) -> int:
+        """How many runs a call has."""
+        return len(self.busy(number)[0])
 
     def call_of(self, draw: int, variant: int) -> int:
         """The number of the call that has a run."""

@@ -110,20 +110,29 @@ class Scenario:
         variants = (Variants(self.study, ids) for ids in self.variant_ids)
         return [_program(self.study, some, self.curves) for some in variants]
 
-    def part(self, number: int, draws: range | None = None, *, blank: bool = False) -> Part:
+    def part(
+        self,
+        number: int,
+        draws: range | None = None,
+        *,
+        variants: np.ndarray | None = None,
+        blank: bool = False,
+    ) -> Part:
         """A part with all its draws, or some in a row.
 
         Args:
             number: of the part.
             draws: which; None for all.
+            variants: places of those that are wanted; None for all.
             blank: whether zeros stand for the truth of a simulation: enough to compile for.
 
         Raises:
             InputError: a record that does not fit the study.
         """
         study, ids = self.study, self.variant_ids[number]
-        variants = Variants(study, ids)
-        site, ug = site_of(study, variants, self.tape)
+        ids = ids if variants is None else ids[variants]
+        columns = Variants(study, ids)
+        site, ug = site_of(study, columns, self.tape)
         criteria = Criteria(
             bands=np.asarray(bands(study)) * ARCMIN,
             window_start=np.float64(study.study.window_s[0]),
@@ -131,13 +140,13 @@ class Scenario:
             consistency_after=np.float64(study.study.consistency_after_s),
             steady_after=np.float64(study.study.steady_after_s),
         )
-        span = _span(study, variants)
+        span = _span(study, columns)
         if self.tape is None:
             draws = range(study.n_draws) if draws is None else draws
-            environment, drawn, q = simulated(study, variants, span, criteria, draws, blank=blank)
+            environment, drawn, q = simulated(study, columns, span, criteria, draws, blank=blank)
         else:
-            environment, drawn, q = recorded(study, variants, span, criteria, self.tape)
-        params = _params(study, variants, site, ug)
+            environment, drawn, q = recorded(study, columns, span, criteria, self.tape)
+        params = _params(study, columns, site, ug)
         return Part(Group(self.programs[number], environment, drawn, q, params), ids)
 
 

@@ -20,12 +20,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from sinsjax import columns
+from sinsjax.engine.alike import find_alike
 from sinsjax.engine.batch import Calls, Plan, in_threads, targets
 from sinsjax.engine.build import Scenario
-from sinsjax.engine.tile import LANES
+from sinsjax.engine.tile import LANES, Group
 from sinsjax.execution import stopping
 from sinsjax.execution.tables import Tables
 from sinsjax.records.reference import StoredRecord
+from sinsjax.study.acting import first_alike
 from sinsjax.study.fingerprint import fingerprint
 from sinsjax.study.study import Study
 
@@ -136,8 +138,13 @@ class TaskRunner:
         self._tiles = None if job.chunk_runs is None else -(-job.chunk_runs // LANES)
         self.identity = job.identity
         self._lock = threading.Lock()
-        self._part = lru_cache(_PARTS_READY)(self.scenario.part)
-        self._blank = lru_cache(1)(partial(self.scenario.part, blank=True))
+        kinds = first_alike(job.study)
+        self._alike = [
+            find_alike(static, job.study.n_draws, kinds[ids])
+            for static, ids in zip(self.scenario.programs, self.scenario.variant_ids, strict=True)
+        ]
+        self._part = lru_cache(_PARTS_READY)(self._made)
+        self._blank = lru_cache(1)(partial(self._made, blank=True))
         self._calls = lru_cache(_PARTS_READY)(self._compile)
         first = self._blocks(self.stages[0])[0]
         if self.scenario.tape is None:
@@ -161,11 +168,13 @@ class TaskRunner:
             tasks = []
             parts = enumerate(zip(scenario.programs, scenario.variant_ids, strict=True))
             for (part, (static, ids)), draws in product(parts, self._blocks(stage)):
-                plan = Plan(static, len(draws), len(ids), tiles_a_chunk=self._tiles)
+                alike = self._alike[part]
+                count = len(ids) if alike is None else len(alike.computed)
+                plan = Plan(static, len(draws), count, tiles_a_chunk=self._tiles)
                 ends = (draws.start, draws.stop)
                 for call in range(len(plan)):
                     name = f"part-{part:04d}-{before[part] + call:06d}"
-                    runs = plan.runs(call)
+                    runs = plan.runs(call) if alike is None else alike.runs(plan, call)
                     tasks.append(Task(name, part, ends, call, runs, records[part]))
                 before[part] += len(plan)
             staged.append(tasks)
@@ -182,9 +191,12 @@ class TaskRunner:
     def do(self, task: Task) -> TaskResult:
         """The tables of one task."""
         with self._lock:  # or every thread would compile
-            ids, calls = self._calls(task.part, range(*task.draws))
+            calls = self._calls(task.part, range(*task.draws))
+        ids = self.scenario.variant_ids[task.part]
         since = time.perf_counter()
         chunk = calls.chunk(task.call)
+        if alike := self._alike[task.part]:
+            chunk = alike.spread(chunk)
         seconds = time.perf_counter() - since
         curves = None if chunk.curves is None else self.tables.curves(chunk, ids)
         return TaskResult(task, self.tables.summary(chunk, ids), curves, seconds)
@@ -223,17 +235,21 @@ class TaskRunner:
             b"sinsjax.chunk": json.dumps(chunk).encode(),
         }
 
-    def _compile(self, part: int, draws: range) -> tuple[np.ndarray, Calls]:
+    def _made(self, number: int, draws: range, *, blank: bool = False) -> Group:
+        alike = self._alike[number]
+        variants = None if alike is None else alike.computed
+        return self.scenario.part(number, draws, variants=variants, blank=blank).group
+
+    def _compile(self, part: int, draws: range) -> Calls:
         if self.scenario.tape is not None:
-            made = self._part(part, draws)
-            return made.variant_ids, Calls(made.group, tiles_a_chunk=self._tiles)
+            return Calls(self._part(part, draws), tiles_a_chunk=self._tiles)
         blank = self._blank(part, draws)
-        engine = Calls(blank.group, tiles_a_chunk=self._tiles)
+        engine = Calls(blank, tiles_a_chunk=self._tiles)
         with ThreadPoolExecutor(1) as beside:
             compiling = beside.submit(engine.compile)
             made = self._part(part, draws)  # XLA takes another core for its truth
             compiling.result()
-        return made.variant_ids, Calls(made.group, tiles_a_chunk=self._tiles)
+        return Calls(made, tiles_a_chunk=self._tiles)
 
 
 def failures(summary: pa.Table) -> int:

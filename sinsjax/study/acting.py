@@ -4,8 +4,11 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 from sinsjax.alignment.methods import METHODS
-from sinsjax.study.study import SECTION_OF, SECTIONS
+from sinsjax.study.resolved import Coded, distinct
+from sinsjax.study.study import SECTION_OF, SECTIONS, Study
 from sinsjax.value_types import ActsWhere
 
 
@@ -44,3 +47,31 @@ def acts(key: str, values: Mapping[str, Any]) -> bool:
         if key not in method.keys or key in method.silent:
             return False
     return all(c.acts(*(values[given] for given in c.given)) for c in conditions(key))
+
+
+def first_alike(study: Study) -> np.ndarray:
+    """(variants,) the first variant that is equal to each in every key that acts.
+
+    One that no key tells from an earlier one has the same runs: ``reset_count = 0`` is one schedule
+    whatever the cycle. The label of a case is no key.
+    """
+    alike = np.zeros(study.n_variants, np.int64)
+    for key in study.axis_keys:
+        if key != "case":
+            column = _acting_column(study, key)
+            alike = distinct(alike * len(column.choices) + column.codes)[1]
+    _, first = np.unique(alike, return_index=True)
+    return first[alike]
+
+
+def _acting_column(study: Study, key: str) -> Coded:
+    """Values of a key over the variants, those that do not act being one value of their own."""
+    keys = (key, *deciding(key))
+
+    def value(values: tuple[Any, ...]) -> tuple[Any, ...]:
+        told = dict(zip(keys, values, strict=True))
+        return (told[key],) if acts(key, told) else ()
+
+    codes, choices = study.resolved.column(*keys).map(value if len(keys) > 1 else lambda v: (v,))
+    place = {choice: code for code, choice in enumerate(dict.fromkeys(choices))}
+    return Coded(np.asarray([place[choice] for choice in choices])[codes], tuple(place))

@@ -85,15 +85,15 @@ class Resolved:
         mixed, sizes = np.zeros(self.n_variants, np.int64), [len(c.choices) for c in columns]
         for column, size in zip(columns, sizes, strict=True):
             mixed = mixed * size + column.codes if size > 1 else mixed
-        present, codes = _distinct(mixed, math.prod(sizes))
+        present, codes = distinct(mixed, math.prod(sizes))
         places = zip(*(p.tolist() for p in np.unravel_index(present, sizes)), strict=True)
         choices = [tuple(c.choices[i] for c, i in zip(columns, p, strict=True)) for p in places]
         return Coded(codes, tuple(choices))
 
 
-def _distinct(numbers: np.ndarray, end: int) -> tuple[np.ndarray, np.ndarray]:
+def distinct(numbers: np.ndarray, end: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     """The distinct ones of integers from 0 to ``end`` - 1, and the place of each among them."""
-    if end > 8 * len(numbers):
+    if end is None or end > 8 * len(numbers):
         return np.unique(numbers, return_inverse=True)
     if end == 1:
         return np.zeros(1, int), numbers

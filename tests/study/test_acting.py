@@ -1,0 +1,127 @@
+"""Which keys act: what a section says of its keys, against the engine's own numbers."""
+
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from support.studies import small_study
+
+from sinsjax.alignment.methods import METHODS
+from sinsjax.engine.batch import chunks
+from sinsjax.engine.build import Scenario
+from sinsjax.study.acting import acts, conditions, deciding, first_alike
+from sinsjax.study.study import SECTIONS
+
+COMPASS = {"alignment": {"method": "compass"}}
+PASSES = {"passes": {"tape_s": 3.0}}
+SILENT: dict[str, tuple[dict[str, Any], str, list[Any]]] = {
+    "cycle of no reset": ({"resets": {"reset_count": 0}}, "reset_cycle_s", [1.0, 2.0]),
+    "cycle of one reset with a time": (
+        {"resets": {"reset_count": 1, "reset_first_s": 2.0}},
+        "reset_cycle_s",
+        [1.0, 2.0],
+    ),
+    "first of no reset": ({"resets": {"reset_count": 0}}, "reset_first_s", [1.0, 2.0]),
+    "kind of no reset": ({}, "reset_kind", ["full", "yaw"]),
+    "scale of a full reset": (
+        {"resets": {"reset_count": 1, "reset_cycle_s": 1.0}},
+        "reset_scale",
+        [2.0, 3.0],
+    ),
+    "level of a reset of yaw": (
+        {"resets": {"reset_count": 1, "reset_cycle_s": 1.0, "reset_kind": "yaw"}},
+        "reset_level_deg",
+        [2.0, 3.0],
+    ),
+    "bias of a filter without": ({}, "p0_gyro_bias_deg_per_h", [0.1, 1.0]),
+    "remainder of a period": (
+        {"compass": {"azimuth_adjustment_s": 100.0}, **COMPASS},
+        "adjustment_remainder",
+        [0.1, 0.2],
+    ),
+    "smoothing without reflection": (
+        {**COMPASS, "passes": {"tape_s": 3.0, "turn": "keep"}},
+        "turn_smoothing_s",
+        [1.0, 2.0],
+    ),
+    "inflation of what is carried": (PASSES, "turn_inflation", [2.0, 3.0]),
+    "period of no sway": (
+        {"motion": {"yaw_amplitude_deg": 0.0}},
+        "yaw_period_s",
+        [3.0, 4.0],
+    ),
+    "reading of no angle": (
+        {"alignment": {"phi_e0_deg": 0.0, "phi_n0_deg": 0.0, "phi_u0_deg": 0.0}},
+        "misalignment",
+        ["vector", "euler"],
+    ),
+}
+ACTING: dict[str, tuple[dict[str, Any], str, list[Any]]] = {
+    "cycle of a reset": ({"resets": {"reset_count": 1}}, "reset_cycle_s", [1.0, 2.0]),
+    "scale": (
+        {"resets": {"reset_count": 1, "reset_cycle_s": 1.0, "reset_kind": "scale"}},
+        "reset_scale",
+        [2.0, 3.0],
+    ),
+    "bias of a filter with": (
+        {"alignment": {"method": "kalman10"}},
+        "p0_gyro_bias_deg_per_h",
+        [0.1, 1.0],
+    ),
+    "reading of angles": ({}, "misalignment", ["vector", "euler"]),
+    "smoothing of a reflection": ({**COMPASS, **PASSES}, "turn_smoothing_s", [1.0, 2.0]),
+    "period of a sway": ({}, "yaw_period_s", [3.0, 4.0]),
+}
+
+
+def outcomes(tables: dict[str, Any], key: str, values: list[Any]) -> list[Any]:
+    """What becomes of each value's first draw, every number of the outcome."""
+    study = small_study(**tables, axes={key: values})
+    found: dict[int, Any] = {}
+    scenario = Scenario(study, curves=False)
+    for number, ids in enumerate(scenario.variant_ids):
+        for chunk in chunks(scenario.part(number, range(1)).group):
+            for row, place in enumerate(chunk.variant):
+                found[int(ids[place])] = [
+                    np.asarray(a)[row] for a in jax.tree.leaves(chunk.outcome)
+                ]
+    return [found[variant] for variant in range(study.n_variants)]
+
+
+@pytest.mark.parametrize("name", SILENT)
+def test_a_key_that_does_not_act_changes_nothing(name: str) -> None:
+    tables, key, values = SILENT[name]
+    assert len(set(first_alike(small_study(**tables, axes={key: values})))) == 1
+    one, other = outcomes(tables, key, values)
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("name", ACTING)
+def test_a_key_that_acts_changes_something(name: str) -> None:
+    tables, key, values = ACTING[name]
+    assert len(set(first_alike(small_study(**tables, axes={key: values})))) == 2
+    one, other = outcomes(tables, key, values)
+    assert any(not np.array_equal(a, b, equal_nan=True) for a, b in zip(one, other, strict=True))
+
+
+def test_conditions_name_keys_of_their_own_section() -> None:
+    for section in SECTIONS.values():
+        for condition in section.conditions:
+            assert {*condition.keys, *condition.given} <= section.model_fields.keys()
+        for pair in section.exclusive:
+            assert {*pair} <= section.model_fields.keys()
+
+
+def test_a_method_reads_its_own_sections_and_no_others() -> None:
+    assert not acts("level_damping", {"method": "kalman5", "level_gains": None})
+    assert acts("level_damping", {"method": "compass", "level_gains": None})
+    assert not acts("level_damping", {"method": "compass", "level_gains": (1.0, 1.0, 1.0)})
+    assert deciding("level_damping") == ("method", "level_gains")
+    assert deciding("latitude_deg") == () and conditions("latitude_deg") == ()
+
+
+def test_silent_keys_are_keys_of_the_method() -> None:
+    for method in METHODS.values():
+        assert {*method.silent} <= method.keys
