@@ -4,7 +4,6 @@ Values stay in the file's units. A rule that is broken raises `invalid`, whose t
 wrong in the words of a user.
 """
 
-import re
 from collections.abc import Callable, Iterable
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar, get_args
@@ -163,17 +162,6 @@ def _legible(name: str) -> str:
     return name
 
 
-def _signed_permutation(order: str) -> str:
-    """Refuses what is no permutation, and a mirror image, which no turn of the box can undo."""
-    letters = re.sub("[+-]", "", order)
-    if not re.fullmatch("([+-]?[xyz]){3}", order) or len(set(letters)) < 3:
-        raise invalid("must order x, y and z, each with an optional sign, such as 'y-xz'")
-    mirrors = order.count("-") + (letters not in "xyzxy")
-    if mirrors % 2:
-        raise invalid("must be right-handed, but it is a mirror image")
-    return order
-
-
 # Ceilings far above any use keep every product of two values finite.
 Finite = Annotated[float, Field(ge=-1e12, le=1e12)]
 Positive = Annotated[float, Field(gt=0, le=1e12)]
@@ -211,7 +199,6 @@ Starts = Annotated[
     BeforeValidator(lambda value: value if isinstance(value, tuple) else (value,)),
     AfterValidator(unique),
 ]
-AxesOrder = Annotated[str, AfterValidator(_signed_permutation)]
 Vector = Annotated[
     Annotated[Finite, Tag("number")] | Annotated[tuple[Finite, Finite, Finite], Tag("list")],
     Discriminator(_shape),

@@ -39,9 +39,7 @@ def warnings_of(study: Study, tape: StoredRecord | None = None) -> list[str]:
 def layout_of(study: Study) -> Layout:
     """How the record of a study is laid out."""
     assert study.record is not None
-    given = {key: getattr(study.record, key, None) for key in Layout._fields}
-    given["rate_hz"] = study.study.rate_hz
-    return Layout(**{key: value for key, value in given.items() if value is not None})
+    return study.record.layout(study.study.rate_hz)
 
 
 def _of_record(study: Study, tape: StoredRecord) -> Iterator[str]:

@@ -118,10 +118,20 @@ def check_layout(layout: Layout, source: str) -> None:
     Raises:
         InputError: names the key and what is wrong with it.
     """
-    fault = next(_layout_faults(layout), None)
-    if fault is not None:
-        key, text = fault
-        raise InputError(f"{source}: {key}: {text}")
+    if found := fault(layout):
+        raise InputError(f"{source}: {found.key}: {found.text}")
+
+
+class Fault(NamedTuple):
+    """What is wrong with a layout: the key, and what to say of it."""
+
+    key: str
+    text: str
+
+
+def fault(layout: Layout) -> Fault | None:
+    """The first thing for which no file can be read with a layout; None if there is none."""
+    return next((Fault(*found) for found in _layout_faults(layout)), None)
 
 
 def _layout_faults(layout: Layout) -> Iterator[tuple[str, str]]:

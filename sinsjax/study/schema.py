@@ -7,15 +7,15 @@ an axis and a result column. Rules that hold inside one section live here, those
 
 from typing import Annotated, Literal, cast
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
+from sinsjax.records.layout import Layout, axes, fault
 from sinsjax.value_types import (
     AccelNoise,
     ActsWhere,
     Amplitude,
     Angle,
     AngleSigma,
-    AxesOrder,
     Band,
     Bands,
     Count,
@@ -40,8 +40,14 @@ from sinsjax.value_types import (
     invalid,
 )
 
-GYRO_INCREMENTS = ("rad", "deg", "arcsec")
-ACCEL_INCREMENTS = ("m_per_s", "g_s", "ug_s")
+
+def _axes_order(order: str) -> str:
+    """Refuses what no turn of the box gives."""
+    try:
+        axes(order)
+    except ValueError as error:
+        raise invalid(str(error)) from None
+    return order
 
 
 class StudySection(Section):
@@ -236,7 +242,7 @@ class RecordSection(Section):
     accel_unit: Literal["m_per_s", "g_s", "ug_s", "m_per_s2", "g", "mg", "ug"] | None = Field(
         None, description="unit of the accelerometer columns (csv, parquet)"
     )
-    axes_order: AxesOrder = Field(
+    axes_order: Annotated[str, AfterValidator(_axes_order)] = Field(
         "xyz", description="the record's axes that point right, front and up, such as 'y-xz'"
     )
     time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = Field(
@@ -262,23 +268,24 @@ class RecordSection(Section):
     @model_validator(mode="after")
     def _columns_fit_format(self) -> "RecordSection":
         self._check_times()
-        layout = ("quantity", "gyro_columns", "accel_columns", "gyro_unit", "accel_unit")
+        needed = ("quantity", "gyro_columns", "accel_columns", "gyro_unit", "accel_unit")
         if self.format == "psins":
-            for key in (*layout, "time_column", "max_gap_s"):
+            for key in (*needed, "time_column", "max_gap_s"):
                 if getattr(self, key) is not None:
                     raise invalid("has no place with format 'psins', which fixes it", key=key)
             return self
-        for key in layout:
+        for key in needed:
             if getattr(self, key) is None:
                 raise invalid(f"required with format '{self.format}'", key=key)
-        columns = (*(self.gyro_columns or ()), *(self.accel_columns or ()))
-        if len({*columns, self.time_column}) < len(columns) + 1:
-            raise invalid("names a column twice, or one of the gyro or time", key="accel_columns")
-        for key, increments in (("gyro_unit", GYRO_INCREMENTS), ("accel_unit", ACCEL_INCREMENTS)):
-            unit = getattr(self, key)
-            if (unit in increments) != (self.quantity == "increments"):
-                raise invalid(f"'{unit}' is no unit of {self.quantity}", key=key)
+        # Whether a rate is needed is known with the rest of the study.
+        if found := fault(self.layout(rate_hz=1.0)):
+            raise invalid(found.text, key=found.key)
         return self
+
+    def layout(self, rate_hz: float | None) -> Layout:
+        """How the file holds the record, at a rate if the study gives one."""
+        given = {key: getattr(self, key, None) for key in Layout._fields} | {"rate_hz": rate_hz}
+        return Layout(**{key: value for key, value in given.items() if value is not None})
 
     def _check_times(self) -> None:
         if self.time_unit is not None and self.time_column is None:
