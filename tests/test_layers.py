@@ -23,11 +23,16 @@ FLOORS = (
 """The ground floor first. A folder stands for all of its modules."""
 
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
-METHODS = {"alignment.compass", "alignment.zero_velocity"}
+METHODS = {
+    f"alignment.{path.parent.name}"
+    for path in Path(sinsjax.__file__).parent.glob("alignment/*/description.py")
+}
 """Folders of alignment methods; no method knows another."""
-KNOW_METHODS = {"alignment.methods", "alignment.sections"}
+KNOW_METHODS = {"alignment.methods", "alignment.page", "alignment.sections"}
 """What in `alignment` may know the methods' folders."""
 WITHOUT_JAX = {"columns", "errors", "messages", "records", "study", "units", "value_types"}
+SAYS_KEYS = {"description", "methods", "section", "sections"}
+"""Modules of `alignment` that studies are read with."""
 FOR_PEOPLE = {"matplotlib", "rich", "typer"}
 MEETS_PEOPLE = {"bench", "cli", "console", "execution", "plots", "report", "tuning"}
 JAX = {"jax", "jaxlib", "optax"}
@@ -120,7 +125,7 @@ def method_of(name: str) -> str | None:
 
 def is_without_jax(name: str) -> bool:
     """Whether a module reads input: it, and all that it imports, does without JAX."""
-    return folder(name) in WITHOUT_JAX or name.rpartition(".")[2] in ("section", "sections")
+    return folder(name) in WITHOUT_JAX or name.rpartition(".")[2] in SAYS_KEYS
 
 
 def violations(sources: Sources) -> list[str]:
@@ -279,7 +284,8 @@ def test_what_is_allowed_is_not_told():
             "alignment.base": "from sinsjax.maths import rng",
             "alignment.compass.method": "from sinsjax.alignment.base import Method",
             "alignment.compass.section": "def f():\n    import jax",
-            "alignment.methods": "from sinsjax.alignment.compass import method",
+            "alignment.compass.description": "def f():\n    from sinsjax.alignment.compass import method",
+            "alignment.methods": "from sinsjax.alignment.compass import description",
             "plots": "import matplotlib",
         }
     )

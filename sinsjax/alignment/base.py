@@ -103,6 +103,7 @@ class Relaxed(NamedTuple):
     Attributes:
         changes: what a key of the study does to the numbers; those missing have no gradient.
         follows: keys that another one stands for where it is left out.
+        times: the key of times that are spread; None where the method has none.
         soften: (params, times in samples or None, half width in samples) -> params, resets spread
             over smooth windows, at these times if given; None of a method that has none.
         refused: what has no gradient in a study, ``[section] key``; None if nothing.
@@ -110,6 +111,7 @@ class Relaxed(NamedTuple):
 
     changes: Mapping[str, Change]
     follows: Mapping[str, str] = {}
+    times: str | None = None
     soften: Callable[[Any, Array | None, Scalar], Any] | None = None
     refused: Callable[[StudyView], str | None] = lambda study: None
 

@@ -38,7 +38,7 @@ class Relaxation:
         methods = {point["method"] for point in based.combinations("method")}
         relaxed = [METHODS[name].implementation.relaxed or Relaxed({}) for name in sorted(methods)]
         for variable in self._variables.values():
-            if variable.key != TIMES and all(variable.key not in r.changes for r in relaxed):
+            if all(variable.key not in (r.times, *r.changes) for r in relaxed):
                 _refuse(study, f"[tune.variables] {variable.key}")
         for one in relaxed:
             if what := one.refused(based):

@@ -130,4 +130,4 @@ def _refused(study: StudyView) -> str | None:
     return "[resets] reset_trigger" if any_trigger(study) else None
 
 
-RELAXED = Relaxed(_CHANGES, _FOLLOWS, _soften, _refused)
+RELAXED = Relaxed(_CHANGES, _FOLLOWS, "reset_times_s", _soften, _refused)
