@@ -226,7 +226,11 @@ def report(
         list[Path], typer.Argument(help="Directories of results.", show_default=False)
     ],
     page: Annotated[
-        Path | None, typer.Option(help="Also write a documentation page (Markdown) there.")
+        Path | None,
+        typer.Option(
+            help="Also write a page (Markdown) there. Of a folder with prose (page.md.j2) and a"
+            " script (page.py), write the page that they make instead: this executes the script."
+        ),
     ] = None,
     html: Annotated[
         Path | None, typer.Option(help="Also write one self-contained HTML file there.")

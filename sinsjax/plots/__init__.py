@@ -17,15 +17,17 @@ from sinsjax.plots.curves import (
 )
 from sinsjax.plots.errors import Mark, attitude_errors, over_time
 from sinsjax.plots.grids import Contours, Scale, Shown, Verdicts, heat_maps, spread, verdict_matrix
-from sinsjax.plots.spreads import DistributionPanel, along_axis, distributions
-from sinsjax.plots.style import COLOURS, colour, label, png, setting
+from sinsjax.plots.spreads import DistributionPanel, Expected, along_axis, distributions
+from sinsjax.plots.style import COLOURS, colour, png
 from sinsjax.plots.tapes import by_tape, prediction, survival
+from sinsjax.plots.words import label, setting
 
 __all__ = [
     "COLOURS",
     "BeliefPanel",
     "Contours",
     "Ensemble",
+    "Expected",
     "Line",
     "Mark",
     "Scale",

@@ -1,7 +1,7 @@
 """Figures of what a filter believes of its error, against what the error is."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,6 +17,7 @@ from sinsjax.plots.style import GREY, colour, legend_outside, styled
 _WITHIN_SIGMA = float(special.erf(0.5**0.5))  # share of a normal variable within 1 sigma
 _FAR = (1e-2, 1e4)  # of the NEES axis, which may be narrower
 _MARKS = ("o", "s", "^")
+_WIDTH, _THINNER = 3.2, 0.35
 
 
 class BeliefPanel(NamedTuple):
@@ -53,7 +54,9 @@ def beliefs(shown: Sequence[BeliefPanel], title: str) -> Figure:
 def _nees(axes: Axes, shown: Sequence[BeliefPanel]) -> None:
     for i, belief in enumerate(shown):
         x, share = steps(belief.nees)
-        axes.plot(x, share[: x.size], drawstyle="steps-post", color=colour(i), label=belief.label)
+        width = _WIDTH - _THINNER * i  # what lies under another line shows beside it
+        line: Any = {"color": colour(i), "linewidth": width, "label": belief.label}
+        axes.plot(x, share[: x.size], drawstyle="steps-post", **line)
     known = np.concatenate([b.nees[np.isfinite(b.nees) & (b.nees > 0)] for b in shown])
     low, high = np.quantile(known, [0.002, 0.998]) if known.size else (1.0, 1.0)
     low, high = max(min(low, 0.05), _FAR[0]), min(max(high, 30.0), _FAR[1])
@@ -66,7 +69,7 @@ def _nees(axes: Axes, shown: Sequence[BeliefPanel]) -> None:
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.set_ylim(0, 1.02)
-    axes.set_xlabel("NEES at the end")
+    axes.set_xlabel("NEES at the end, error from truth")
     axes.set_ylabel("share of runs")
 
 
@@ -91,5 +94,5 @@ def _shares(axes: Axes, shown: Sequence[BeliefPanel]) -> None:
     axes.set_xlim(-0.03, 1.03)
     axes.set_ylim(len(shown) - 0.5, -0.5)
     axes.set_yticks([])
-    axes.set_xlabel("share of records with P_UU above")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.16), ncols=len(names) or 1)
+    axes.set_xlabel("share of records with the variance\nabove the squared heading error")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.16), ncols=len(names) or 1, fontsize=10)

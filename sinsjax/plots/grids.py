@@ -15,7 +15,8 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from sinsjax.plots.style import COLOURS, label, styled
+from sinsjax.plots.style import COLOURS, styled
+from sinsjax.plots.words import label
 
 _NEVER, _NEVER_EDGE = "#dcdcdc", "#b5b5b5"
 _HATCH = "////"

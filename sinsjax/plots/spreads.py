@@ -7,14 +7,32 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
 from sinsjax.analysis import Estimate
-from sinsjax.plots.style import GREY, both_sides, colour, label, legend_outside, styled
+from sinsjax.plots.style import GREY, both_sides, colour, legend_outside, styled
+from sinsjax.plots.words import label
 
+_MARKS = "os^Dv*P"
+_DODGE = 0.008  # of the axis, between the marks of two lines: none hides another
 _MOST_STEPS = 1000
 _APART = 0.06  # share of an axis that its marks need between them
 _LINE = 0.055  # height of a line of text, of the axes
+
+
+class Expected(NamedTuple):
+    """What a quantity should be.
+
+    Attributes:
+        name: in the legend.
+        value: drawn as a line.
+        band: lower and upper end of a shaded band about it.
+    """
+
+    name: str
+    value: float
+    band: tuple[float, float]
 
 
 @styled
@@ -24,6 +42,8 @@ def along_axis(
     panels: Mapping[str, Mapping[str, Sequence[Estimate]]],
     *,
     title: str,
+    expected: Expected | None = None,
+    log: bool = False,
 ) -> Figure:
     """Estimates with their 95 % intervals along one swept key.
 
@@ -33,19 +53,31 @@ def along_axis(
         panels: quantity, with its unit, to lines; line label to one estimate a value; infinite ones
             are marked at the upper edge as *never*.
         title: of the figure.
+        expected: drawn in every panel.
+        log: whether the quantities are drawn logarithmically.
     """
     figure = Figure(figsize=(9.2, 1.2 + 2.5 * len(panels)))
     figure.suptitle(title)
     grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     x = np.asarray(values, dtype=float)
     for axes, (name, lines) in zip(grid, panels.items(), strict=True):
+        if expected:
+            axes.axhspan(*expected.band, color=GREY, alpha=0.25, linewidth=0)
+            axes.axhline(expected.value, color=GREY, linestyle="--", label=expected.name)
+        if log:
+            axes.set_yscale("log")
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+            axes.yaxis.set_minor_formatter(NullFormatter())
         for i, (line, estimates) in enumerate(lines.items()):
             value, low, high = np.array([e[:3] for e in estimates], dtype=float).T
             value[~np.isfinite(value)] = np.nan
             spread = np.nan_to_num([value - low, high - value], posinf=0.0, neginf=0.0)
-            style = {"color": colour(i), "label": line, "capsize": 2.5, "markersize": 4}
-            axes.errorbar(x, value, yerr=np.maximum(spread, 0.0), fmt="o-", **style)
-            never = x[np.isposinf([e.value for e in estimates])]
+            style = {"color": colour(i), "label": line, "capsize": 2.5, "markersize": 5}
+            beside = x + _DODGE * np.ptp(x) * (i - (len(lines) - 1) / 2)
+            mark = f"{_MARKS[i % len(_MARKS)]}-"
+            axes.errorbar(beside, value, yerr=np.maximum(spread, 0.0), fmt=mark, **style)
+            never = beside[np.isposinf([e.value for e in estimates])]
             if never.size:
                 height = np.full(never.size, 0.97)  # of the axes: their upper edge
                 edge = axes.get_xaxis_transform()

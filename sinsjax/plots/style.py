@@ -23,8 +23,6 @@ from matplotlib.ticker import (
 )
 from numpy.typing import NDArray
 
-from sinsjax.units import split_unit
-
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#555555")
 """Okabe and Ito's palette; lines beyond its length repeat it."""
 
@@ -81,24 +79,6 @@ def styled(draw: Callable[P, R]) -> Callable[P, R]:
 def colour(index: int) -> str:
     """The palette's colour of the line with this number."""
     return COLOURS[index % len(COLOURS)]
-
-
-def label(column: str) -> str:
-    """A column or key as an axis label: ``phi_u0_deg`` becomes ``phi_u0 (deg)``."""
-    name, unit = _split(column)
-    return f"{name} ({unit})" if unit else name
-
-
-def setting(key: str, value: str) -> str:
-    """A key with its value in words: ``phi_u0_deg`` at 30 becomes ``phi_u0 30 deg``."""
-    name, unit = _split(key)
-    return f"{name} {value} {unit}" if unit and value[-1:].isdigit() else f"{name} {value}"
-
-
-def _split(column: str) -> tuple[str, str]:
-    """A column's name without its unit, and the unit as it is printed."""
-    name, unit = split_unit(column)
-    return name, unit.replace("ug", "µg")
 
 
 def both_sides(axis: Axis, linear: float) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from sinsjax import console as screen
 from sinsjax.errors import InputError
 from sinsjax.execution.belongings import list_figures
 from sinsjax.messages import shortened
@@ -19,12 +20,11 @@ from sinsjax.report import (
     compass_car,
     compass_map,
     compass_schedules,
-    consistency,
+    folder,
     glossary,
     paper1,
     paper2,
     paper2_reasons,
-    pass_consistency,
     readings,
     reset_cycle,
     tuned,
@@ -44,8 +44,6 @@ LAYOUTS: dict[str, Layout] = {
     "paper2": paper2.report,
     "compass_map": compass_map.report,
     "compass_schedules": compass_schedules.report,
-    "pass_consistency": pass_consistency.report,
-    "consistency": consistency.report,
     "reset_cycle": reset_cycle.report,
     "adaptive": adaptive.report,
 }
@@ -53,28 +51,6 @@ LAYOUTS: dict[str, Layout] = {
 
 TOGETHER: dict[str, Callable[[Sequence[Source]], Report]] = {"paper2": paper2_reasons.report}
 """What is told once about all results of a layout, after each of them."""
-
-PAPER1 = ("paper1_conditions", "paper1_resets", "paper1_readings")
-"""The studies of the page on paper 1."""
-
-PAPER2 = ("paper2_static", "paper2_swing")
-"""The studies of the page on paper 2."""
-
-MAP = ("paper2_map", "compass_80s_search", "compass_80s_best")
-"""The studies of the page on what a tape gives that is gone over again."""
-
-PAGES = {
-    "Paper 1, reproduced": PAPER1,
-    "Paper 2, reproduced": PAPER2,
-    "A tape gone over again: turn, sigma, length and gain schedule": MAP,
-    "Compass alignment of a recorded car": ("compass_car",),
-    "A Kalman filter over one tape, again and again": ("kalman_passes",),
-    "A filter whose belief is true": ("consistency",),
-    "How many resets, and when?": ("reset_cycle_study",),
-    "Resets that set themselves": ("adaptive_resets",),
-    "Reset schedules and gains, tuned": ("tune_condition5", "tune_large", "tune_compass"),
-}
-"""The studies of each page that has a title of its own."""
 
 
 def summarise(
@@ -85,10 +61,13 @@ def summarise(
 ) -> None:
     """Prints the tables of some results and draws their figures; writes pages on request.
 
+    Of a page that is a folder with prose and a script, nothing else is made, unless ``html`` asks.
+
     Args:
         directories: of results or of tunings; the figures of each go to ``figures/`` in it.
         console: where the tables are printed.
-        page: Markdown file to write, with figures beside it in ``figures/``.
+        page: Markdown file to write, with figures beside it in ``figures/``; or a folder whose
+            script is run, see `folder`.
         html: HTML file to write, with all figures in it.
 
     Raises:
@@ -110,6 +89,12 @@ def summarise(
 def _summarise(
     directories: Sequence[Path], console: Console, page: Path | None, html: Path | None
 ) -> None:
+    if page is not None and page.is_dir():
+        written, figures = folder.write(page, [_read(directory) for directory in directories])
+        screen.say(console, f"{written} and {figures} figures beside it", wrap=True)
+        if html is None:
+            return
+        page = None
     sources, made = [], []
     for directory in directories:
         if is_tuning(directory):
@@ -117,23 +102,25 @@ def _summarise(
             made.append(_tell(tuned.report(source), source, console))
         else:
             sources.append(source := Source.read(directory))
-            told = LAYOUTS[source.study.report.layout](source)
+            told = LAYOUTS.get(source.study.report.layout, auto.report)(source)
             headline = [*told.headline, *at_the_end(source)]
             told = _with_warnings(told._replace(headline=headline), source)
             made.append(_tell(told, source, console))
     for layout, report in TOGETHER.items():
         if here := [source for source in sources if source.study.report.layout == layout]:
             made.append(_tell(report(here), here[0], console))
-    places = list(LAYOUTS)
-    made.sort(key=lambda one: places.index(one.source.study.report.layout))
     names = list(dict.fromkeys(one.source.study.name for one in made))
     glossary.print_words(console)
     *_, last = made
     made[-1] = last._replace(report=last.report.followed_by(glossary.section()))
     if page is not None:
-        write_page(page, _title(names), made, _missing(names))
+        write_page(page, ", ".join(names), made)
     if html is not None:
-        write_html(html, _title(names), made, _missing(names))
+        write_html(html, ", ".join(names), made)
+
+
+def _read(directory: Path) -> Source:
+    return tuned.read(directory) if is_tuning(directory) else Source.read(directory)
 
 
 def _with_warnings(report: Report, source: Source) -> Report:
@@ -149,20 +136,3 @@ def _tell(report: Report, source: Source, console: Console) -> Made:
     list_figures({f"{name}.png": image for name, image in made.images.items()}, source.directory)
     print_report(made, console)
     return made
-
-
-def _title(names: Sequence[str]) -> str:
-    for title, studies in PAGES.items():
-        if set(studies).intersection(names):
-            return title
-    return ", ".join(names)
-
-
-def _missing(names: Sequence[str]) -> list[str]:
-    """Says which part of a page has no results."""
-    notes = []
-    for studies in PAGES.values():
-        missing = [f"`configs/{name}.toml`" for name in studies if name not in names]
-        if 0 < len(missing) < len(studies):
-            notes.append(f"Not on this page: {', '.join(missing)}.")
-    return notes

@@ -30,6 +30,7 @@ class Source:
         table: the summary by run_id, where it need not be read.
         schema: version of the results' columns.
         warnings: what was doubtful before the study ran, a line each.
+        version: of the package that computed them.
     """
 
     directory: Path
@@ -38,6 +39,7 @@ class Source:
     table: pa.Table | None = None
     schema: str = columns.SCHEMA_VERSION
     warnings: tuple[str, ...] = ()
+    version: str = "unknown"
 
     @classmethod
     def read(cls, directory: Path) -> "Source":
@@ -55,7 +57,9 @@ class Source:
         name = manifest.get("config") or f"study.toml of {study.name}"
         told = manifest.get("warnings")
         warnings = tuple(map(str, told if isinstance(told, list) else ()))
-        return cls(directory, study, str(name), schema=schema, warnings=warnings)
+        versions = manifest.get("versions")
+        version = str((versions if isinstance(versions, dict) else {}).get("sinsjax", "unknown"))
+        return cls(directory, study, str(name), None, schema, warnings, version)
 
     @cached_property
     def runs(self) -> int:
@@ -153,11 +157,13 @@ class Picture(NamedTuple):
         name: of its file, without extension.
         caption: what is seen.
         figure: the figure.
+        rests_on: said below it, where it rests on other runs than those of the source.
     """
 
     name: str
     caption: str
     figure: Figure
+    rests_on: str = ""
 
 
 Block = Text | Table | Picture

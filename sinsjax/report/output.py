@@ -13,9 +13,9 @@ from rich.text import Text as RichText
 from sinsjax import console as screen
 from sinsjax import plots
 from sinsjax.errors import InputError
-from sinsjax.platform import runtime
 from sinsjax.platform.files import replacing, unwritable
 from sinsjax.report.base import Block, Picture, Report, Source, Table, Text, yardstick
+from sinsjax.report.markup import template
 from sinsjax.report.names import NO_NAMES, Names, file_stem
 
 FIGURES = "figures"
@@ -43,7 +43,7 @@ class Made(NamedTuple):
         blocks = (block for section in report.sections for block in section.blocks)
         pictures = (block for block in blocks if isinstance(block, Picture))
         footer = report.rests_on or counted(source)
-        images = {block.name: plots.png(block.figure, footer) for block in pictures}
+        images = {one.name: plots.png(one.figure, one.rests_on or footer) for one in pictures}
         return cls(source, report, images, Names.of(source.study, source.config, *source.warnings))
 
 
@@ -94,40 +94,41 @@ def save_figures(images: Mapping[str, bytes], directory: Path) -> None:
 
 
 def origin(made: Sequence[Made]) -> str:
-    """What a page was made from and with: the files of its studies, each once, and the version."""
+    """What a page was made from: the files of its studies and what computed them, each once."""
     configs = ", ".join(dict.fromkeys(one.source.config for one in made))
-    return f"{configs}; sinsjax {runtime.package_version()}"
+    versions = ", ".join(dict.fromkeys(one.source.version for one in made))
+    return f"{configs}; computed by sinsjax {versions}"
 
 
-def write_page(page: Path, title: str, made: Sequence[Made], notes: Sequence[str] = ()) -> None:
+def write_page(page: Path, title: str, made: Sequence[Made]) -> None:
     """Writes a documentation page, and its figures beside it.
 
     Args:
         page: Markdown file; figures go to ``figures/`` in its directory.
         title: of the page.
         made: what stands on it, in this order.
-        notes: said below the headline.
 
     Raises:
         InputError: the page cannot be written.
     """
-    begun = f"Written by: sinsjax report --page {page.name} ({origin(made)}); do not edit"
-    lines = [
-        f"<!-- {begun.replace('<', '&lt;').replace('>', '&gt;')} -->",
-        f"# {names_of(made).markdown(title)}",
-        *meanings(made),
-        "\n".join(f"- {one.names.markdown(line)}" for one in made for line in one.report.headline),
-        *notes,
-    ]
+    begun = f"sinsjax report --page {page.name} ({origin(made)})"
+    sections = []
     for source, report, images, names in made:
         prefix = f"{file_stem(source.study.name)}_"
         named = {f"{prefix}{name}": image for name, image in images.items()}
         save_figures(named, page.parent / FIGURES)
-        for section in report.sections:
-            lines.append(f"## {names.markdown(section.heading)}")
-            lines += [markdown(block, prefix, names) for block in section.blocks]
+        for heading, blocks in report.sections:
+            told = [markdown(block, prefix, names) for block in blocks]
+            sections.append((names.markdown(heading), told))
+    text = template("report.md.j2").render(
+        begun=begun.replace("<", "&lt;").replace(">", "&gt;"),
+        title=names_of(made).markdown(title),
+        meanings=meanings(made),
+        headline=[one.names.markdown(line) for one in made for line in one.report.headline],
+        sections=sections,
+    )
     with replacing(page) as file:
-        file.write(("\n\n".join(lines) + "\n").encode())
+        file.write(text.encode())
 
 
 def names_of(made: Sequence[Made]) -> Names:
@@ -148,23 +149,13 @@ def markdown(block: Block, prefix: str = "", names: Names = NO_NAMES) -> str:
         prefix: before the file name of a figure.
         names: that it may hold.
     """
-    if isinstance(block, Text):
-        return names.markdown(block.text)
-    if isinstance(block, Picture):
-        caption = names.markdown(block.caption)
-        return f"![{caption}]({FIGURES}/{prefix}{block.name}.png)\n\n*{caption}*"
-    title, note = names.markdown(block.title), names.markdown(block.note)
-    rows = [[_cell(names.markdown(cell)) for cell in row] for row in (block.header, *block.rows)]
-    rows.insert(1, ["---"] * len(block.header))
-    body = "\n".join("| " + " | ".join(row) + " |" for row in rows)
-    note = f"\n\n{note}" if note else ""
-    if block.folded:
-        return f"<details>\n<summary>{title}</summary>\n\n{body}{note}\n\n</details>"
-    return f"**{title}**\n\n{body}{note}"
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|").replace("\n", " ")
+    text = template("block.md.j2").render(
+        block=block,
+        md=names.markdown,
+        file=f"{FIGURES}/{prefix}{block.name}.png" if isinstance(block, Picture) else "",
+        rule=["---"] * len(block.header) if isinstance(block, Table) else [],
+    )
+    return text.rstrip()
 
 
 def print_table(block: Table, console: Console, names: Names = NO_NAMES) -> None:

@@ -14,7 +14,7 @@ from sinsjax.units import ARCMIN, MICRO
 
 _MOST_LINES = 7
 _ERROR = ("phi_u_mean_arcmin", "floor_arcmin")
-_SHARES = {"phi_u²": "p_above_error_share", "(phi_u - floor)²": "p_above_floor_error_share"}
+_SHARES = {"from truth": "p_above_error_share", "from the limit": "p_above_floor_error_share"}
 
 
 def spreads(source: Source) -> Iterator[Picture | Text]:
@@ -122,10 +122,10 @@ def consistency(beliefs: Sequence[BeliefPanel], note: str = "") -> Picture:
     """The figure of what the filter believes of its error."""
     return Picture(
         "consistency",
-        "Left: NEES, the squared attitude error at the end in units of the filter's own covariance"
-        " P, against the share of runs up to it; a filter whose belief is true follows the dashed"
-        " line, to its right it believes too much. Right: mean share of records in which the"
-        " filter's heading variance P_UU exceeds the squared error, in total and from its limit"
-        f" (floor); dashed: 68 %, that of a normal error of that size.{note}",
+        "Left: NEES, the squared attitude error at the end in units of the filter's own covariance;"
+        " a filter whose belief is true follows the dashed line, right of it it believes too much."
+        " Right: mean share of records, with its 95 % interval, in which the filter's heading"
+        " variance exceeds the squared heading error; a true belief has 68 % (dashed), right of it"
+        f" it is too cautious.{note}",
         plots.beliefs(beliefs, "Does the filter know its own error?"),
     )

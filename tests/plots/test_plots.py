@@ -38,12 +38,12 @@ def solid(axes):
 @pytest.mark.parametrize(
     ("column", "label", "setting"),
     [
-        ("phi_u0_deg", "phi_u0 (deg)", "phi_u0 30 deg"),
-        ("gyro_bias_deg_per_h", "gyro_bias (deg/h)", "gyro_bias 30 deg/h"),
-        ("reset_cycle_s", "reset_cycle (s)", "reset_cycle 30 s"),
-        ("accel_bias_ug", "accel_bias (µg)", "accel_bias 30 µg"),
-        ("p0_velocity_m_per_s", "p0_velocity (m/s)", "p0_velocity 30 m/s"),
-        ("reset_count", "reset_count", "reset_count 30"),
+        ("phi_u0_deg", "initial heading error (deg)", "initial heading error 30 deg"),
+        ("gyro_bias_deg_per_h", "gyro bias (deg/h)", "gyro bias 30 deg/h"),
+        ("reset_cycle_s", "time between resets (s)", "time between resets 30 s"),
+        ("accel_bias_ug", "accelerometer bias (µg)", "accelerometer bias 30 µg"),
+        ("p0_velocity_m_per_s", "velocity sigma in P0 (m/s)", "velocity sigma in P0 30 m/s"),
+        ("reset_count", "number of resets", "number of resets 30"),
     ],
 )
 def test_units_are_named(column, label, setting):
@@ -52,7 +52,7 @@ def test_units_are_named(column, label, setting):
 
 
 def test_a_word_has_no_unit():
-    assert plots.setting("reset_times_s", "none") == "reset_times none"
+    assert plots.setting("reset_times_s", "none") == "resets at none"
 
 
 def test_ensembles_arrange_runs_by_record():
@@ -175,7 +175,10 @@ def test_heat_maps_show_values_and_hatch_never():
     assert sorted(t.get_text() for t in first.texts) == ["10", "20", "30", "40"]
     assert first.patch.get_hatch()
     assert [t.get_text() for t in first.get_xticklabels()] == ["10", "20", "50"]
-    assert (first.get_ylabel(), second.get_xlabel()) == ("reset_count", "reset_cycle (s)")
+    assert (first.get_ylabel(), second.get_xlabel()) == (
+        "number of resets",
+        "time between resets (s)",
+    )
     assert bar.get_ylabel() == "time (s)"
     assert "never" in words(figure)
 
@@ -234,9 +237,13 @@ def test_along_axis_marks_never():
         "phi_u0_deg", [0.0, 30.0], {"time (s)": lines, "share": lines}, title="Title"
     )
     top, bottom = figure.axes
-    assert (top.get_title(loc="left"), bottom.get_xlabel()) == ("time (s)", "phi_u0 (deg)")
+    assert (top.get_title(loc="left"), bottom.get_xlabel()) == (
+        "time (s)",
+        "initial heading error (deg)",
+    )
     crosses = [line for line in bottom.get_lines() if line.get_marker() == "x"]
-    assert [list(line.get_xdata()) for line in crosses] == [[30.0]]
+    # Beside the other line's marks, so that neither hides the other.
+    assert [list(line.get_xdata()) for line in crosses] == [[pytest.approx(30.0, abs=0.15)]]
     assert "never" in words(figure)
     assert plots.png(figure)
 

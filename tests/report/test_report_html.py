@@ -51,30 +51,29 @@ def made(*blocks, headline=("Found: *much*.",), name="swing"):
     return Made(base.Source(Path("results"), study, f"{name}.toml", table), report, images)
 
 
-def page(tmp_path, *parts, title="Title", notes=()):
+def page(tmp_path, *parts, title="Title"):
     path = tmp_path / "page.html"
-    html.write_html(path, title, parts, notes)
+    html.write_html(path, title, parts)
     return path.read_text(encoding="utf-8")
 
 
 def test_a_page_holds_all_of_a_report(tmp_path):
     table = base.Table("A *table*", ["a", "b"], [["1", "`2`"], ["3", "4"]], "a note")
     picture = base.Picture("fig", 'what is "seen"', Figure())
-    text = page(
-        tmp_path, made(base.Text("Some *words*.\n\nMore."), table, picture), notes=["Not `all`."]
-    )
+    picture.figure.suptitle('what is "drawn"')
+    text = page(tmp_path, made(base.Text("Some *words*.\n\nMore."), table, picture))
     assert text.startswith('<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">')
     read = Reader(text)
     seen = [path[-1] for path in read.seen]
     assert seen.count("table") == 1 and seen.count("td") == 4 and seen.count("th") == 2
     assert seen.count("h1") == 1 and "<h2>A <code>part</code></h2>" in text
-    assert "<li>Found: <em>much</em>.</li>" in text and "<p>Not <code>all</code>.</p>" in text
+    assert "<li>Found: <em>much</em>.</li>" in text
     assert "<p>Some <em>words</em>.</p>\n<p>More.</p>" in text
     assert "<caption>A <em>table</em></caption>" in text and "<td><code>2</code></td>" in text
     assert '<p class="note">a note</p>' in text
     source = next(value for tag, name, value in read.attributes if (tag, name) == ("img", "src"))
     assert base64.b64decode(source.removeprefix("data:image/png;base64,")) == PNG
-    assert ("img", "alt", 'what is "seen"') in read.attributes
+    assert ("img", "alt", 'what is "drawn"') in read.attributes
 
 
 def test_a_page_needs_nothing_else(tmp_path):
@@ -89,6 +88,7 @@ def test_what_is_said_is_text_and_not_markup(tmp_path):
     nasty = "<b>&amp;</b> 1 < 2 [a](http://x) ![b](http://y) <http://z> phi_u0_deg a_b_c"
     table = base.Table(nasty, [nasty], [[nasty]], nasty)
     picture = base.Picture("fig", nasty, Figure())
+    picture.figure.suptitle(nasty)
     made_of = made(base.Text(nasty), table, picture, headline=[nasty], name="a<b")
     text = page(tmp_path, made_of, title="<i>& so")
     read = Reader(text)
@@ -97,7 +97,7 @@ def test_what_is_said_is_text_and_not_markup(tmp_path):
     said = "".join(read.text)
     # Markdown reads an entity as what it stands for, on the Markdown page too.
     assert said.count(nasty.replace("&amp;", "&")) == 7 and "<i>& so" in said
-    assert "a<b.toml; sinsjax " in said and "configs/" not in said
+    assert "a<b.toml; computed by sinsjax " in said and "configs/" not in said
 
 
 def test_a_folded_table_is_folded(tmp_path):

@@ -1,0 +1,100 @@
+"""Numbers of the page on a filter whose belief is true, and on four that are wrong."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from scipy import special
+
+from sinsjax import analysis
+from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.report.base import Source, Table, percent
+from sinsjax.report.folder import Page, Sources
+from sinsjax.report.spreads import belief, consistency
+from sinsjax.report.words import share
+
+TRUE, SLOW = "Q as the noise", "the same, feedback every 10 s"
+SMALL_Q, LARGE_Q = "a quarter of that Q", "four times that Q"
+BIASED = "a gyro bias of 0.001 deg/h"
+QUANTILE = float(special.chdtri(analysis.NEES_FREEDOM, 1 - analysis.CONFIDENCE))
+COLUMNS = ("case", "nees", "nis_u", "p_above_error_share", "p_above_floor_error_share")
+
+
+class Checked(NamedTuple):
+    """A filter's mean NEES and NIS, and the share of runs up to the 95 % quantile."""
+
+    nees: Estimate
+    nis_u: Estimate
+    inside: Estimate
+    rows: pa.Table
+
+
+def page(sources: Sources) -> Page:
+    """Mean NEES and NIS of each filter beside the chi-square band of a true belief."""
+    source = sources["consistency"]
+    checked = checks(source)
+    draws = checked[TRUE].nees.n
+    nees, nis = (analysis.chi2_mean_band(k, draws) for k in (analysis.NEES_FREEDOM, 1))
+    names = {"right": TRUE, "slow": SLOW, "small": SMALL_Q, "large": LARGE_Q, "biased": BIASED}
+    values: dict[str, Any] = {
+        "draws": f"{draws:,}",
+        "band": f"{nees[0]:.2f} to {nees[1]:.2f}",
+        "quantile": f"{QUANTILE:.2f}",
+        **{
+            name: {"nees": format_estimate(checked[case].nees, digits=2)}
+            for name, case in names.items()
+            if name != "slow"
+        },
+    }
+    values["right"]["inside"] = share(checked[TRUE].inside)
+    values["biased"]["nis"] = format_estimate(checked[BIASED].nis_u, digits=2)
+    claims = {
+        "the true beliefs lie in both bands": all(
+            within(checked[case].nees, nees) and within(checked[case].nis_u, nis)
+            for case in (TRUE, SLOW)
+        ),
+        "95 % of the runs lie up to the quantile": (
+            checked[TRUE].inside.low <= analysis.CONFIDENCE <= checked[TRUE].inside.high
+        ),
+        "too small a Q is above": checked[SMALL_Q].nees.low > nees[1],
+        "too large a Q is below": checked[LARGE_Q].nees.high < nees[0],
+        "a bias is above in NEES and not in NIS": (
+            checked[BIASED].nees.low > nees[1] and within(checked[BIASED].nis_u, nis)
+        ),
+    }
+    figure = consistency([belief(case, one.rows) for case, one in checked.items()])
+    return Page(values, {"all": table(checked, nees, nis)}, {"consistency": figure}, claims)
+
+
+def checks(source: Source) -> dict[str, Checked]:
+    """Each case of the study, in its order."""
+    found = {}
+    for key, rows in analysis.groups(source.rows((*COLUMNS, "draw_id", "start_s")), ["case"]):
+        nees, nis = (analysis.numbers(rows, column) for column in ("nees", "nis_u"))
+        inside = analysis.proportion(int(np.count_nonzero(nees <= QUANTILE)), nees.size)
+        found[key["case"]] = Checked(analysis.mean(nees), analysis.mean(nis), inside, rows)
+    return found
+
+
+def within(mean: Estimate, band: tuple[float, float]) -> bool:
+    """Whether a mean lies in its band."""
+    return band[0] <= mean.value <= band[1]
+
+
+def table(
+    checked: dict[str, Checked], nees: tuple[float, float], nis: tuple[float, float]
+) -> Table:
+    """All filters against both bands."""
+    rows = [
+        [
+            case,
+            format_estimate(one.nees, digits=2),
+            format_estimate(one.nis_u, digits=2),
+            percent(one.inside),
+        ]
+        for case, one in checked.items()
+    ]
+    bands = [f"{low:.2f} to {high:.2f}" for low, high in (nees, nis)]
+    rows.insert(0, ["*expected of a true belief*", *bands, "95"])
+    header = ["filter", "mean NEES", "mean NIS of the heading", "runs up to the 95 % quantile (%)"]
+    return Table("Five filters on the same draws", header, rows, "Number [95 % interval].")

@@ -1,0 +1,151 @@
+"""Numbers of the page on a Kalman filter that goes over one tape again and again."""
+
+from typing import Any, NamedTuple
+
+from sinsjax import analysis, plots
+from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.report.base import Picture, Table
+from sinsjax.report.folder import Page, Sources
+from sinsjax.report.grids import Grid
+from sinsjax.report.words import arcmin
+
+SMALL, LARGE = "0.01, 0.01, 0.15 deg", "0.1, 0.1, 1.5 deg"
+CARRIED, INFLATED, RESET = "carried", "inflated", "reset"
+FREEDOM = analysis.NEES_FREEDOM
+
+
+class Point(NamedTuple):
+    """The runs with one number of passes: mean NEES, rms heading error and believed sigma."""
+
+    nees: Estimate
+    error: Estimate
+    sigma: Estimate
+
+
+def page(sources: Sources) -> Page:
+    """How the filter's belief and its error go with the number of passes."""
+    source = sources["kalman_passes"]
+    study = source.study
+    grid = Grid.of(
+        source,
+        ("nees", "phi_u_arcmin", "floor_arcmin", "sigma_u_arcmin"),
+        case=study.values("case"),
+        turn=study.values("turn_covariance"),
+        passes=study.values("passes"),
+    )
+
+    def point(case: str, turn: str, passes: int) -> Point:
+        nees, yaw, floor, sigma = (
+            grid.at(column, case=case, turn=turn, passes=passes) for column in grid.columns
+        )
+        return Point(analysis.mean(nees), analysis.rms(yaw - floor), analysis.mean(sigma))
+
+    counts = grid.axes["passes"]
+    last, turns = counts[-1], grid.axes["turn"]
+    points = {
+        (case, turn, n): point(case, turn, n)
+        for case in grid.axes["case"]
+        for turn in turns
+        for n in counts
+    }
+    one, seven = points[SMALL, CARRIED, 1], points[SMALL, CARRIED, last]
+    low, high = analysis.chi2_mean_band(FREEDOM, grid.draws)
+    far = [points[LARGE, RESET, n] for n in counts[:3]]
+    values = {
+        "tape": f"{study.values('tape_s')[0]:g} s",
+        "passes": str(last),
+        "inflation": f"{study.values('turn_inflation')[0] or 10:g}",
+        "draws": str(grid.draws),
+        "carried": {
+            "nees": format_estimate(seven.nees),
+            "sigma": f"{seven.sigma.value / one.sigma.value:.2f}",
+            "expected": f"{last**-0.5:.2f}",
+            "error": f"{seven.error.value / one.error.value:.2f}",
+        },
+        "one": {"nees": format_estimate(one.nees, digits=2), "error": arcmin(one.error, 2)},
+        "band": f"{low:.2f} to {high:.2f}",
+        "reset": {
+            "nees": format_estimate(points[SMALL, RESET, last].nees, digits=2),
+            "first": arcmin(far[0].error, 2),
+            "second": arcmin(far[1].error, 2),
+            "third": arcmin(far[2].error, 2),
+        },
+    }
+    settled = [points[case, turn, last] for case in (SMALL, LARGE) for turn in (INFLATED, RESET)]
+    claims = {
+        "carried, the belief narrows by 1/sqrt(passes)": (
+            abs(seven.sigma.value / one.sigma.value * last**0.5 - 1) < 0.05
+        ),
+        "carried, the error stays": abs(seven.error.value / one.error.value - 1) < 0.05,
+        "carried, NEES is far above its band": seven.nees.low > 2 * high,
+        "inflated or reset, NEES lies about its band": all(
+            p.nees.low <= high and p.nees.high >= low for p in settled
+        ),
+        "a second pass takes most of a large error, a third nothing": (
+            far[1].error.high < far[0].error.low / 3
+            and abs(far[2].error.value / far[1].error.value - 1) < 0.05
+        ),
+        "one pass lies about its band": one.nees.low <= FREEDOM + 0.1 and one.nees.high >= low,
+    }
+    figure = plots.along_axis(
+        "passes",
+        tuple(map(float, counts)),
+        {
+            f"mean NEES from {case}": {
+                f"P {turn}": [points[case, turn, n].nees for n in counts] for turn in turns
+            }
+            for case in (SMALL, LARGE)
+        },
+        title="Does the filter know its error? Repeated passes over one tape, error from truth",
+        expected=plots.Expected(
+            "a true belief, and 95 % of its studies", float(FREEDOM), (low, high)
+        ),
+        log=True,
+    )
+    caption = (
+        f"Mean NEES with its 95 % interval over {grid.draws} draws, logarithmic; up is worse."
+        " Above the grey band the filter is surer than it should be."
+    )
+    picture = Picture("nees_by_passes", caption, figure)
+    return Page(
+        values,
+        {"settings": _settings(points, last), "all": _all(points)},
+        {"nees": picture},
+        claims,
+    )
+
+
+def _settings(points: dict[Any, Point], last: int) -> Table:
+    """What each treatment of P gives after the last pass."""
+    rows = [
+        [
+            f"P {turn}",
+            *(
+                cell
+                for case in (SMALL, LARGE)
+                for p in [points[case, turn, last]]
+                for cell in (arcmin(p.error, 2), f"{p.sigma.value:.2f} arcmin")
+            ),
+        ]
+        for turn in (RESET, INFLATED, CARRIED)
+    ]
+    header = ["at a turn", f"error from {SMALL}", "believed", f"error from {LARGE}", "believed"]
+    note = "Heading, root mean square from truth; *believed*: the filter's own sigma."
+    return Table(f"After {last} passes", header, rows, note)
+
+
+def _all(points: dict[Any, Point]) -> Table:
+    rows = [
+        [
+            case,
+            f"P {turn}",
+            str(passes),
+            format_estimate(point.nees, digits=2),
+            format_estimate(point.error, digits=2),
+            f"{point.sigma.value:.2f}",
+        ]
+        for (case, turn, passes), point in points.items()
+    ]
+    header = ["misalignment", "at a turn", "passes", "mean NEES", "error, rms (arcmin)", "believed"]
+    note = "Number [95 % interval over the draws]; the same draws in every row."
+    return Table("Every number of passes", header, rows, note, folded=True)

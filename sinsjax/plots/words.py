@@ -1,0 +1,54 @@
+"""Keys of a study in words, as figures name them: no reader has to know the keys."""
+
+from sinsjax.units import split_unit
+
+WORDS = {
+    "phi_e0": "initial level error about east",
+    "phi_n0": "initial level error about north",
+    "phi_u0": "initial heading error",
+    "yaw_center": "heading",
+    "start": "start in the record",
+    "reset_count": "number of resets",
+    "reset_first": "first reset at",
+    "reset_cycle": "time between resets",
+    "reset_times": "resets at",
+    "reset_trigger": "resets called for by",
+    "trigger_threshold": "threshold of the trigger",
+    "feedback_interval": "feedback interval",
+    "specific_force": "specific force in A(t)",
+    "q_reading": "Q read as",
+    "r_reading": "R read as",
+    "p0_yaw": "heading sigma in P0",
+    "p0_level": "level sigma in P0",
+    "p0_velocity": "velocity sigma in P0",
+    "q_accel": "accelerometer noise in Q",
+    "q_gyro": "gyro noise in Q",
+    "r_velocity": "velocity noise in R",
+    "tape": "length of the tape",
+    "passes": "number of passes",
+    "turn_covariance": "P at a turn",
+    "turn_gain": "gains after a turn",
+    "gyro_bias": "gyro bias",
+    "accel_bias": "accelerometer bias",
+    "gyro_noise": "gyro noise",
+    "accel_noise": "accelerometer noise",
+}
+"""By key without its unit; other keys are told with blanks for underscores."""
+
+
+def label(column: str) -> str:
+    """A key or column as an axis label: ``phi_u0_deg`` becomes ``initial heading error (deg)``."""
+    name, unit = _split(column)
+    return f"{name} ({unit})" if unit else name
+
+
+def setting(key: str, value: str) -> str:
+    """A key with its value: ``phi_u0_deg`` at 30 becomes ``initial heading error 30 deg``."""
+    name, unit = _split(key)
+    return f"{name} {value} {unit}" if unit and value[-1:].isdigit() else f"{name} {value}"
+
+
+def _split(column: str) -> tuple[str, str]:
+    """A column in words, and its unit as it is printed."""
+    name, unit = split_unit(column)
+    return WORDS.get(name, name.replace("_", " ")), unit.replace("ug", "µg")

@@ -1,0 +1,206 @@
+"""A page of a study: prose in ``page.md.j2``, its numbers, tables and figures from ``page.py``.
+
+``page.py`` has a function ``page(sources)`` that computes a `Page`. The prose takes from it by
+name: ``{{ best_two.settle }}`` a value, ``{{ tables.what_to_set }}`` a table, ``{{ figures.map }}``
+a figure. ``{{ claim("two settle sooner than one") }}`` prints nothing: it ties a sentence to what
+makes it true.
+"""
+
+import importlib
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from importlib.machinery import ModuleSpec
+from importlib.util import module_from_spec
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any, NamedTuple
+
+from jinja2 import TemplateError
+
+from sinsjax import plots
+from sinsjax.errors import InputError
+from sinsjax.platform.files import replacing
+from sinsjax.report.base import Picture, Source, Table
+from sinsjax.report.markup import environment, template
+from sinsjax.report.output import FIGURES, counted, markdown, save_figures
+
+SCRIPT, PROSE = "page.py", "page.md.j2"
+"""The files of a page's folder."""
+
+_PACKAGE = "sinsjax_pages"
+
+
+class Page(NamedTuple):
+    """What the prose of a page may name; all of it has to be named.
+
+    Attributes:
+        values: text by name, or by name within a name.
+        tables: by name.
+        figures: by name.
+        claims: whether what the prose says is so, by what it says.
+    """
+
+    values: Mapping[str, Any]
+    tables: Mapping[str, Table]
+    figures: Mapping[str, Picture]
+    claims: Mapping[str, bool]
+
+
+class Sources(Mapping[str, Source]):
+    """Results by the name of their study."""
+
+    def __init__(self, sources: Sequence[Source]) -> None:
+        self._sources = {source.study.name: source for source in sources}
+
+    def __getitem__(self, name: str) -> Source:
+        """The results of a study.
+
+        Raises:
+            InputError: they are not among those that were given.
+        """
+        if name not in self._sources:
+            given = ", ".join(self._sources) or "none"
+            raise InputError(f"the page needs results of {name}: add their directory ({given})")
+        return self._sources[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._sources)
+
+    def __len__(self) -> int:
+        return len(self._sources)
+
+
+class _Leaf(NamedTuple):
+    """Something that the prose can name, and what it prints."""
+
+    name: str
+    text: str
+
+
+def script(folder: Path) -> ModuleType:
+    """Executes a page's script, which may import its neighbours (``from .x``).
+
+    Raises:
+        InputError: the folder lacks the script or the prose.
+    """
+    if missing := [name for name in (SCRIPT, PROSE) if not (folder / name).is_file()]:
+        raise InputError(f"{folder}: holds no {missing[0]}, so that it is no folder of a page")
+    package = f"{_PACKAGE}.{folder.name}"
+    for name, places in ((_PACKAGE, []), (package, [str(folder.resolve())])):
+        spec = ModuleSpec(name, None, is_package=True)
+        spec.submodule_search_locations = places
+        sys.modules[name] = module_from_spec(spec)
+    for name in [name for name in sys.modules if name.startswith(f"{package}.")]:
+        del sys.modules[name]  # of a folder of the same name elsewhere
+    return importlib.import_module(f"{package}.page")
+
+
+def compute(folder: Path, sources: Sequence[Source]) -> Page:
+    """What a page's script makes of results, given in any order.
+
+    Raises:
+        InputError: the folder is no page's, or results are missing.
+    """
+    page: Page = script(folder).page(Sources(sources))
+    return page
+
+
+def render(folder: Path, page: Page, *, enforced: bool = True) -> str:
+    """The prose with its numbers, in Markdown.
+
+    Args:
+        folder: of the page.
+        page: what its script computed.
+        enforced: whether a claim that does not hold is an error.
+
+    Raises:
+        InputError: the prose names what is not there, something is not named, or a claim does not
+            hold.
+    """
+    used: set[str] = set()
+
+    def print_(value: Any) -> Any:
+        if isinstance(value, _Leaf):
+            used.add(value.name)
+            return value.text
+        return value
+
+    def claim(text: str) -> str:
+        if text not in page.claims:
+            raise InputError(f"{folder / PROSE}: {SCRIPT} does not say whether {text!r} is so")
+        used.add(f"claim {text!r}")
+        return ""
+
+    prefix = f"{folder.name}_"
+    content = {
+        "tables": {name: markdown(table) for name, table in page.tables.items()},
+        "figures": {name: markdown(one, prefix) for name, one in page.figures.items()},
+    }
+    names = _leaves({**page.values, **content})
+    try:
+        prose = environment(folder, print_).get_template(PROSE)
+        text = prose.render(**{name: _named(one) for name, one in names.items()}, claim=claim)
+    except TemplateError as error:
+        raise InputError(f"{folder / PROSE}: {error}") from error
+    offered = {leaf.name for leaf in _flat(names)} | {f"claim {text!r}" for text in page.claims}
+    if unused := sorted(offered - used):
+        raise InputError(f"{folder / PROSE}: no sentence names {', '.join(unused)}")
+    wrong = [text for text, holds in page.claims.items() if not holds]
+    if enforced and wrong:
+        raise InputError(f"{folder / PROSE}: not so in these results: {'; '.join(wrong)}")
+    return text
+
+
+def write(folder: Path, sources: Sequence[Source]) -> tuple[Path, int]:
+    """Writes a page and its figures.
+
+    Args:
+        folder: of the page, ``docs/studies/NAME``; it becomes ``docs/NAME.md``.
+        sources: results.
+
+    Returns:
+        The file, and how many figures it has.
+
+    Raises:
+        InputError: see `compute` and `render`; or the page cannot be written.
+    """
+    folder = folder.resolve()
+    page = compute(folder, sources)
+    body = render(folder, page)
+    path = folder.parents[1] / f"{folder.name}.md"
+    footer = "; ".join(map(counted, sources))
+    images = {
+        f"{folder.name}_{one.name}": plots.png(one.figure, one.rests_on or footer)
+        for one in page.figures.values()
+    }
+    save_figures(images, path.parent / FIGURES)
+    made_of = sorted(sources, key=lambda source: source.config)
+    text = template("folder.md.j2").render(name=folder.name, body=body, of=made_of)
+    with replacing(path) as file:
+        file.write(text.encode())
+    return path, len(images)
+
+
+def _leaves(values: Mapping[str, Any], of: str = "") -> dict[str, Any]:
+    """The same names with a `_Leaf` for each text."""
+    return {
+        name: _leaves(value, f"{of}{name}.")
+        if isinstance(value, Mapping)
+        else _Leaf(f"{of}{name}", str(value))
+        for name, value in values.items()
+    }
+
+
+def _named(value: Any) -> Any:
+    """Names within names as attributes, which no method of a mapping can hide."""
+    if not isinstance(value, dict):
+        return value
+    return SimpleNamespace(**{name: _named(one) for name, one in value.items()})
+
+
+def _flat(names: Mapping[str, Any]) -> Iterator[_Leaf]:
+    for value in names.values():
+        if isinstance(value, _Leaf):
+            yield value
+        else:
+            yield from _flat(value)

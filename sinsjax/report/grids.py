@@ -1,0 +1,130 @@
+"""The runs of a study as arrays over its axes, and the best of several settings on unused draws."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sinsjax import analysis
+from sinsjax.analysis import Estimate
+from sinsjax.errors import InputError
+from sinsjax.report.base import Source
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Every run of a full grid, by the axes that a page names and by draw.
+
+    Attributes:
+        axes: the points of each axis, in the study's order.
+        columns: arrays by column, shape (points of the first axis, ..., draws).
+        draws: of every variant.
+    """
+
+    axes: dict[str, tuple[Any, ...]]
+    columns: dict[str, NDArray]
+    draws: int
+
+    @classmethod
+    def of(cls, source: Source, columns: Sequence[str], **axes: Sequence[Any]) -> "Grid":
+        """Lays out the runs of a study.
+
+        Args:
+            source: results, complete.
+            columns: of the summary, numbers; a time to settle is infinite where it is null.
+            axes: a value for each variant, by the name of the axis.
+
+        Raises:
+            InputError: runs are missing, or a point of the axes is there not once.
+        """
+        points = {name: tuple(dict.fromkeys(values)) for name, values in axes.items()}
+        shape = tuple(map(len, points.values()))
+        at = [[points[name].index(value) for value in values] for name, values in axes.items()]
+        place = np.ravel_multi_index(at, shape)
+        if not np.array_equal(np.sort(place), np.arange(np.prod(shape))):
+            raise InputError(f"{source.study.name}: is no full grid of {', '.join(axes)}")
+        draws, rows = source.draws, source.rows(columns)
+        found = {}
+        for name in columns:
+            runs = analysis.numbers(rows, name).reshape(draws, -1)[:, np.argsort(place)].T
+            missing = np.inf if name.startswith("settle_") else np.nan
+            found[name] = np.nan_to_num(runs, nan=missing, posinf=np.inf).reshape(*shape, draws)
+        return cls(points, found, draws)
+
+    def at(self, column: str, **points: Any) -> NDArray:
+        """A column at points of some axes; the other axes stay, in their order, and the draws.
+
+        Args:
+            column: its name.
+            points: the point of an axis by its name; a list of points keeps the axis.
+        """
+        runs = self.columns[column]
+        for number, (name, values) in reversed(list(enumerate(self.axes.items()))):
+            if name in points:
+                wanted = points[name]
+                several = isinstance(wanted, list)
+                places = [values.index(one) for one in (wanted if several else [wanted])]
+                runs = np.take(runs, places if several else places[0], axis=number)
+        return runs
+
+
+def median(settle_s: NDArray) -> NDArray:
+    """Median over the draws, the last axis; infinite where fewer than half of them settled."""
+    return np.quantile(settle_s, 0.5, axis=-1, method="inverted_cdf")
+
+
+def shared(flags: NDArray) -> Estimate:
+    """Share of runs (..., draws) that have a property; its interval is that of the draws."""
+    draws = np.broadcast_to(np.arange(flags.shape[-1]), flags.shape)
+    return analysis.share(flags.ravel(), draws.ravel())
+
+
+def pooled_mean(values: NDArray) -> Estimate:
+    """Mean of values (..., draws); its interval is that of the draws."""
+    draws = np.broadcast_to(np.arange(values.shape[-1]), values.shape)
+    return analysis.mean(values.ravel(), draws.ravel())
+
+
+class Choice(NamedTuple):
+    """The best of several settings, told by draws that did not choose it.
+
+    Attributes:
+        places: (draws,) place of the setting that the half without the draw chose.
+        values: (draws,) the value with it.
+    """
+
+    places: NDArray
+    values: NDArray
+
+    def named(self, names: Sequence[str]) -> str:
+        """What was chosen; two names where the halves differ."""
+        return " / ".join(names[i] for i in dict.fromkeys(self.places))
+
+
+def held_out(values: NDArray, best: Callable[[NDArray], int]) -> Choice:
+    """Chooses a setting on every other draw and tells it by the rest, both ways.
+
+    A choice told by the draws that made it would flatter the longer list of settings.
+
+    Args:
+        values: (settings, draws).
+        best: the place of the best setting of values (settings, some draws).
+    """
+    chosen = np.empty(values.shape[-1], dtype=int)
+    halves = slice(0, None, 2), slice(1, None, 2)
+    for choosing, judging in (halves, halves[::-1]):
+        chosen[judging] = best(values[:, choosing])
+    return Choice(chosen, np.take_along_axis(values, chosen[None], axis=0)[0])
+
+
+def soonest(settle_s: NDArray) -> int:
+    """The setting (settings, draws) with which most draws settle; among those, the soonest."""
+    failed = np.isinf(settle_s).sum(axis=-1)
+    return int(np.lexsort((median(settle_s), failed))[0])
+
+
+def least_mean(values: NDArray) -> int:
+    """The setting (settings, draws) with the least mean."""
+    return int(np.argmin(values.mean(axis=-1)))

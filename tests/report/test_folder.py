@@ -1,0 +1,123 @@
+"""Pages of a folder: prose with numbers by name, none missing, none left over, none untrue."""
+
+from pathlib import Path
+
+import pytest
+from support.made_up import summary_of
+from support.stored import store, told
+from support.studies import small_study
+
+from sinsjax.errors import InputError
+from sinsjax.report import folder
+from sinsjax.report.folder import Page
+
+pytestmark = pytest.mark.usefixtures("drawn_on_request")
+
+SCRIPT = """
+from matplotlib.figure import Figure
+from sinsjax.report.base import Picture, Table
+from sinsjax.report.folder import Page
+from .neighbour import HALF
+
+def page(sources):
+    runs = sources["swing"].runs
+    figure = Figure()
+    figure.suptitle("A map")
+    return Page(
+        {"runs": runs, "best": {"settle": "195 [181, 219] s", "items": HALF}},
+        {"all": Table("All | of it", ["a|b"], [["1"]], "Note.", folded=True)},
+        {"map": Picture("by_axis", "What is seen.", figure)},
+        {"there are runs": runs > 0},
+    )
+"""
+PROSE = """# A page
+
+In {{ runs }} runs it takes {{ best.settle }}, {{ best.items }}{{ claim("there are runs") }}.
+
+{{ figures.map }}
+
+{{ tables.all }}
+"""
+
+
+@pytest.fixture
+def page_of(tmp_path):
+    """A folder of a page with prose to choose."""
+
+    def made(prose: str = PROSE, script: str = SCRIPT) -> Path:
+        at = tmp_path / "docs" / "studies" / "two_words"
+        at.mkdir(parents=True)
+        (at / "page.py").write_text(script)
+        (at / "neighbour.py").write_text("HALF = 'half'\n")
+        (at / "page.md.j2").write_text(prose)
+        return at
+
+    return made
+
+
+@pytest.fixture
+def results(tmp_path):
+    study = small_study(study={"name": "swing"})
+    return store(tmp_path / "results", study, summary_of(study))
+
+
+def test_a_page_is_prose_with_what_its_script_computed(page_of, results, tmp_path):
+    said = told(results, page=page_of())
+    text = (tmp_path / "docs" / "two_words.md").read_text()
+    assert "two_words.md and 1 figures" in said and "ok:" not in said
+    assert text.startswith("<!-- Written by: sinsjax report --page docs/studies/two_words;")
+    assert "\n# A page\n\nIn 3 runs it takes 195 [181, 219] s, half.\n" in text
+    assert "![A map](figures/two_words_by_axis.png)\n\n*What is seen.*" in text
+    assert text.count("What is seen.") == 1
+    assert "<summary>All | of it</summary>\n\n| a\\|b |\n| --- |\n| 1 |\n\nNote." in text
+    assert text.rstrip().endswith("sinsjax unknown: `swing.toml` (3 runs).*")
+    assert (tmp_path / "docs" / "figures" / "two_words_by_axis.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("prose", "message"),
+    [
+        (PROSE.replace("best.settle", "best.setle"), "no attribute 'setle'"),
+        (PROSE.replace("{{ runs }}", "{{ rans }}"), "'rans' is undefined"),
+        (PROSE.replace("{{ best.items }}", ""), "no sentence names best.items"),
+        (PROSE.replace("{{ figures.map }}", ""), "no sentence names figures.map"),
+        (PROSE.replace("{{ tables.all }}", ""), "no sentence names tables.all"),
+        (PROSE.replace('{{ claim("there are runs") }}', ""), "no sentence names claim 'there are"),
+        (PROSE.replace("there are", "there were"), "does not say whether 'there were runs' is so"),
+        (PROSE.replace("{{ runs }}", "{{ runs"), "page.md.j2"),
+    ],
+)
+def test_prose_and_numbers_have_to_meet(page_of, results, prose, message):
+    with pytest.raises(InputError, match="page.md.j2: ") as caught:
+        told(results, page=page_of(prose))
+    assert message in str(caught.value)
+
+
+def test_a_claim_that_no_longer_holds_is_named(page_of, results):
+    script = SCRIPT.replace("runs > 0", "runs > 3")
+    with pytest.raises(InputError, match="not so in these results: there are runs"):
+        told(results, page=page_of(script=script))
+
+
+def test_results_that_a_page_needs_are_named(page_of, tmp_path):
+    study = small_study(study={"name": "sway"})
+    with pytest.raises(InputError, match="needs results of swing: add their directory"):
+        told(store(tmp_path / "sway", study, summary_of(study)), page=page_of())
+
+
+def test_a_folder_that_is_no_page_is_named(results, tmp_path):
+    with pytest.raises(InputError, match="holds no page.py, so that it is no folder of a page"):
+        told(results, page=tmp_path)
+
+
+def test_claims_are_only_looked_at_where_they_are_not_enforced(page_of):
+    page = Page({}, {}, {}, {"so": False})
+    at = page_of("{{ claim('so') }}said")
+    assert folder.render(at, page, enforced=False) == "said"
+
+
+def test_a_users_study_is_never_known_by_its_name(tmp_path):
+    study = small_study(study={"name": "consistency"})
+    page = tmp_path / "mine.md"
+    told(store(tmp_path / "results", study, summary_of(study)), page=page)
+    assert "\n# consistency\n" in page.read_text()
