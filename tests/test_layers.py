@@ -284,7 +284,7 @@ def test_what_is_allowed_is_not_told():
             "alignment.base": "from sinsjax.maths import rng",
             "alignment.compass.method": "from sinsjax.alignment.base import Method",
             "alignment.compass.section": "def f():\n    import jax",
-            "alignment.compass.description": "def f():\n    from sinsjax.alignment.compass import method",
+            "alignment.compass.description": "def f():\n    import jax",
             "alignment.methods": "from sinsjax.alignment.compass import description",
             "plots": "import matplotlib",
         }

@@ -67,6 +67,18 @@ class Innovations(NamedTuple):
     count: Scalar
 
 
+class FilterResults(NamedTuple):
+    """What a filter tells of itself at the end of a run.
+
+    Attributes:
+        trigger_counts: what its trigger did; None without one.
+        innovations: their sum; None where they are not summed up.
+    """
+
+    trigger_counts: TriggerCounts | None
+    innovations: Innovations | None
+
+
 class AttitudeCovariance(NamedTuple):
     """Covariance of the misalignment, upper triangle in rad^2, NaN for methods without one."""
 
@@ -130,8 +142,8 @@ class Method(NamedTuple):
         normalise: state -> state with its quaternion scaled to unit length.
         limit: (params, place, biases, `Ending`) -> `Limit` that constant biases leave; the place is
             that of a forward pass.
-        trigger_counts: state -> `TriggerCounts`; None of a method without a trigger.
-        innovations: state -> `Innovations`; None of a method that sums up none.
+        results: state -> what the method's own columns are made of at the end of a run, see
+            `description.OwnColumn`; None of a method without.
         close: (params, state, n) -> state after what is due after the n-th sample: feedback and
             reset. Where nothing is due it is the state as it stands, to the bit. None of a method
             whose loop is closed within the step.
@@ -150,8 +162,7 @@ class Method(NamedTuple):
     covariance: Callable[[Any], AttitudeCovariance]
     normalise: Callable[[Any], Any]
     limit: Callable[[Any, Place, Biases, Ending], Limit]
-    trigger_counts: Callable[[Any], TriggerCounts] | None = None
-    innovations: Callable[[Any], Innovations] | None = None
+    results: Callable[[Any], Any] | None = None
     close: Callable[[Any, Any, Scalar], Any] | None = None
     next_event: Callable[[Any, Any, Scalar], Scalar | None] | None = None
     called: Callable[[Any, Scalar], Flag] | None = None

@@ -4,12 +4,12 @@ Everything is observed at record times, for one run. phi is the misalignment tha
 *corrected* attitude, what a user would be given. Without a reference attitude phi is NaN.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from sinsjax.alignment.base import AttitudeCovariance, Innovations, TriggerCounts
+from sinsjax.alignment.base import AttitudeCovariance
 from sinsjax.alignment.limits import Limit
 from sinsjax.alignment.schedules import mix
 from sinsjax.maths.algebra import dot, solve3
@@ -97,8 +97,7 @@ class Outcome(NamedTuple):
         nees: phi' P^-1 phi over the attitude states.
         nis_u: (phi_u - limit)^2 / P_UU.
         limit: what the run's own sensor biases leave of phi, from which the heading was judged.
-        trigger_counts: what the method's trigger did, None without one.
-        innovations: of the method's filter, None where they are not summed up.
+        results: what the method tells of itself, see `Method.results`.
     """
 
     last: Observation
@@ -109,8 +108,7 @@ class Outcome(NamedTuple):
     nees: Scalar
     nis_u: Scalar
     limit: Limit
-    trigger_counts: TriggerCounts | None = None
-    innovations: Innovations | None = None
+    results: Any = None
 
 
 def observe(q_true: Quat, q_hat: Quat, covariance: AttitudeCovariance) -> Observation:
@@ -201,7 +199,7 @@ def finish(
     metrics: Metrics,
     covariance: AttitudeCovariance,
     limit: Limit,
-    trigger_counts: TriggerCounts | None = None,
+    results: Any = None,
 ) -> Outcome:
     """What a run is reported with.
 
@@ -221,5 +219,5 @@ def finish(
         nees=dot(phi, solve3(tuple(covariance), phi)),
         nis_u=(phi.z - limit.phi.z) ** 2 / covariance.uu,
         limit=limit,
-        trigger_counts=trigger_counts,
+        results=results,
     )

@@ -110,11 +110,8 @@ def limit(static: Static, pass_records: Count, params: RunParams, site: Site, ow
 def end(static: Static, run: Run, limit: Limit) -> Outcome:
     """The outcome of a run after its last record."""
     method = method_of(static)
-    trigger_counts = method.trigger_counts(run.state) if method.trigger_counts else None
-    outcome = metrics.finish(run.metrics, method.covariance(run.state), limit, trigger_counts)
-    if method.innovations is None:
-        return outcome
-    return outcome._replace(innovations=method.innovations(run.state))
+    results = None if method.results is None else method.results(run.state)
+    return metrics.finish(run.metrics, method.covariance(run.state), limit, results)
 
 
 class BatchMap(NamedTuple):

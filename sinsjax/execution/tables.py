@@ -159,7 +159,7 @@ class Tables:
         own = {column.column.name for column in method.columns(self._study)}
         values = {}
         for name, (column, value, missing) in self._own_columns.items():
-            found = value(chunk.outcome, self._study.rate_hz) if name in own else missing
+            found = value(chunk.outcome.results, self._study.rate_hz) if name in own else missing
             array = _nullable(np.broadcast_to(found, len(variant)))
             values[name] = array.cast(column.dtype)
         return values
@@ -190,7 +190,7 @@ class Tables:
     def _has_limit(self, chunk: Chunk, variant: np.ndarray) -> np.ndarray:
         """Which runs have a limit, their last reset being one of the schedule or the trigger's."""
         method = self._method(variant)
-        called = method.last_called(chunk.outcome)
+        called = method.last_called(chunk.outcome.results)
         if called is None and not self._study.drawn_keys:
             return self._limit_by_variant[variant]
         last_s = self._last_reset_s[variant]

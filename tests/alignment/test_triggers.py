@@ -333,7 +333,7 @@ def program(name, trigger, force):
             state = step_and_close(
                 method, filt, passes.site_of_pass(here, backward), state, sample, n
             )
-            return state, (state, method.attitude(state), method.trigger_counts(state))
+            return state, (state, method.attitude(state), method.results(state).trigger_counts)
 
         return jax.lax.scan(step, method.init(filt, nav), read)[1]
 

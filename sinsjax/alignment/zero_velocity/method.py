@@ -13,7 +13,15 @@ import jax
 import jax.numpy as jnp
 
 from sinsjax.alignment import kalman
-from sinsjax.alignment.base import AttitudeCovariance, Ending, Innovations, Method, Options, Site
+from sinsjax.alignment.base import (
+    AttitudeCovariance,
+    Ending,
+    FilterResults,
+    Innovations,
+    Method,
+    Options,
+    Site,
+)
 from sinsjax.alignment.limits import Biases, Limit, unaided
 from sinsjax.alignment.schedules import (
     CovarianceReset,
@@ -174,8 +182,7 @@ def build(model: ErrorModel, options: Options) -> Method:
         _covariance,
         _normalise,
         _limit,
-        trigger_counts=(lambda state: state.trigger_state.trigger_counts) if trigger else None,
-        innovations=(lambda state: state.innovations) if options.innovations else None,
+        results=_results,
         close=partial(_close, trigger),
         next_event=_next_event,
         called=_called if trigger and trigger.look else None,
@@ -249,6 +256,11 @@ def _closed(
 
 def _limit(params: FilterParams, place: earth.Place, biases: Biases, ending: Ending) -> Limit:
     return unaided(place, biases)
+
+
+def _results(state: FilterState) -> FilterResults:
+    watched = state.trigger_state
+    return FilterResults(None if watched is None else watched.trigger_counts, state.innovations)
 
 
 def _innovation_variance(predicted: kalman.Belief, r: Scalar) -> tuple[Scalar, Scalar, Scalar]:
