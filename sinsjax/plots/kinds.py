@@ -1,6 +1,7 @@
 """Figures of verdicts over two swept keys."""
 
 from collections.abc import Sequence
+from textwrap import fill
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 
 from sinsjax.plots.grids import Scale, label_rim
 from sinsjax.plots.style import styled
+
+_LETTERS = 24  # of a panel's title in a line
 
 
 class Kind(NamedTuple):
@@ -51,7 +54,8 @@ def kind_maps(
         across: panels in a line.
     """
     height = -(-len(panels) // across)
-    figure = Figure(figsize=(max(2.6 * across, 7.5), 1.9 + 2.3 * height))
+    line = 0.2 * max(fill(name, _LETTERS).count("\n") for name, _ in panels)
+    figure = Figure(figsize=(max(2.6 * across, 7.5), 1.9 + (2.3 + line) * height))
     figure.suptitle(title)
     grid = figure.subplots(height, across, sharex=True, sharey=True, squeeze=False)
     colours = ListedColormap([kind.colour for kind in kinds])
@@ -60,7 +64,7 @@ def kind_maps(
             values, cmap=colours, vmin=-0.5, vmax=len(kinds) - 0.5, aspect="auto", origin="lower"
         )
         _mark(axes, values, kinds)
-        axes.set_title(name)
+        axes.set_title(fill(name, _LETTERS))
         axes.set_xticks(range(len(columns.values)), [f"{v:g}" for v in columns.values])
         axes.set_yticks(range(len(rows.values)), [f"{v:g}" for v in rows.values])
     label_rim(grid, len(panels), rows=rows, columns=columns)

@@ -14,7 +14,6 @@ from sinsjax.errors import InputError
 from sinsjax.execution.belongings import list_figures
 from sinsjax.messages import shortened
 from sinsjax.report import (
-    adaptive,
     auto,
     car_test,
     compass_car,
@@ -26,7 +25,6 @@ from sinsjax.report import (
     paper2,
     paper2_reasons,
     readings,
-    reset_cycle,
     tuned,
 )
 from sinsjax.report.base import Layout, Report, Source, at_the_end
@@ -44,8 +42,6 @@ LAYOUTS: dict[str, Layout] = {
     "paper2": paper2.report,
     "compass_map": compass_map.report,
     "compass_schedules": compass_schedules.report,
-    "reset_cycle": reset_cycle.report,
-    "adaptive": adaptive.report,
 }
 """What each ``[report] layout`` is made by, in the order in which several share a page."""
 

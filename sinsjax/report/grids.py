@@ -72,7 +72,7 @@ class Grid:
 
 def median(settle_s: NDArray) -> NDArray:
     """Median over the draws, the last axis; infinite where fewer than half of them settled."""
-    return np.quantile(settle_s, 0.5, axis=-1, method="inverted_cdf")
+    return np.asarray(np.quantile(settle_s, 0.5, axis=-1, method="inverted_cdf"))
 
 
 def shared(flags: NDArray) -> Estimate:

@@ -12,8 +12,10 @@ from sinsjax.study.load import study_from_dict
 
 ROOT = Path(__file__).parents[2]
 PAGES = {
+    "adaptive": ("adaptive_resets", "car_adaptive"),
     "consistency": ("consistency",),
     "kalman_passes": ("kalman_passes",),
+    "reset_cycle": ("reset_cycle_study",),
 }
 """The studies of each page."""
 
@@ -26,7 +28,7 @@ def made_up(directory: Path, name: str) -> Source:
     if "record" not in data:
         data["study"]["draws"] = DRAWS
     study = study_from_dict(data)
-    return Source(directory, study, f"configs/{name}.toml", summary_of(study))
+    return Source(directory, study, f"configs/{name}.toml", summary_of(study, every=True))
 
 
 def test_every_page_is_looked_at():

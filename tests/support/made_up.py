@@ -4,13 +4,17 @@ import numpy as np
 import pyarrow as pa
 
 from sinsjax import columns
+from sinsjax.execution import layouts
 
 FLOOR = -25.9
 TIMES = np.arange(1.0, 7.0)
 
 
-def summary_of(study, *, truth=True, **given):
-    """A summary that no engine made: ``given`` columns, the rest plain numbers."""
+def summary_of(study, *, truth=True, every=False, **given):
+    """A summary that no engine made: ``given`` columns, the rest plain numbers.
+
+    With ``every`` it has all columns of such a study, else those that most reports read.
+    """
     v, d = study.n_variants, study.n_draws
     draw, variant = np.repeat(np.arange(d), v), np.tile(np.arange(v), d)
     noise = np.random.default_rng(5).normal(size=v * d)
@@ -25,6 +29,8 @@ def summary_of(study, *, truth=True, **given):
         columns.settle_column(10.0, truth=True),
         *columns.JUDGED,
     ]
+    names = {column.name for column in layout}
+    further = [c for c in layouts.summary(study) if c.name not in names] if every else []
     starts = study.record.start_s if study.record else [0.0] * d
     values = {
         "run_id": np.arange(v * d),
@@ -49,12 +55,13 @@ def summary_of(study, *, truth=True, **given):
         lost = ("phi_", "settle", "ok_", "has_", "floor", "status", "nis", "nees", "p_above")
         values = {k: x for k, x in values.items() if not k.startswith(lost) or k in swept}
     arrays = []
-    for column in layout:
+    for column in [*layout, *further]:
         default = noise if column.dtype == pa.float64() and truth else None
+        default = abs(noise).astype(int) if column in further and default is None else default
         default = noise if column.name.startswith(("pitch", "roll", "yaw", "sigma")) else default
         cells = values.get(column.name, [None] * (v * d) if default is None else default)
         arrays.append(pa.array(cells, column.dtype, from_pandas=True))
-    return pa.Table.from_arrays(arrays, schema=columns.schema(tuple(layout)))
+    return pa.Table.from_arrays(arrays, schema=columns.schema((*layout, *further)))
 
 
 def curves_of(study, *, truth=True):

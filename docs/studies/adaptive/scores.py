@@ -1,0 +1,202 @@
+"""Reset policies against the best single reset of each cell: ratios, the best trigger, alarms."""
+
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sinsjax.analysis import UNKNOWN, Estimate
+from sinsjax.analysis.estimates import RESAMPLES, SEED, TAIL, place
+from sinsjax.report.base import Source
+from sinsjax.report.grids import Choice, Grid, held_out, median, shared, soonest
+from sinsjax.report.output import counted
+
+WITHIN = 1.1
+"""A policy does what the best single reset does up to this ratio of median settling times."""
+
+LATER_SHARE, LATER_S = 0.1, 5.0
+"""A reset in a healthy run is a false alarm if it delays settling by more than either."""
+
+HEALTHY_LEVEL_DEG, HEALTHY_YAW_DEG = 0.1, 1.0
+"""Up to here a start is healthy: the linear model holds, so that a reset is of no use."""
+
+FADING = ("strong_tracking", "fading")
+"""Rivals that multiply P all the time instead of resetting it."""
+
+SETTLE, COUNT = "settle_10_s", "triggered_count"
+Q_WORDS = {"per_step": "printed", "psd": "density", "per_sample": "sample"}
+
+
+class Start(NamedTuple):
+    """Gyro bias (deg/h), initial level error and initial heading error (deg)."""
+
+    bias: float
+    level: float
+    yaw: float
+
+    @property
+    def name(self) -> str:
+        """Its misalignment in words."""
+        return f"({self.level:g}, {self.level:g}, {self.yaw:g})"
+
+    @property
+    def is_healthy(self) -> bool:
+        """Whether no reset is needed."""
+        return self.level <= HEALTHY_LEVEL_DEG and self.yaw <= HEALTHY_YAW_DEG
+
+
+class Policy(NamedTuple):
+    """What resets the filter; numbers of a trigger are 0 where there is none."""
+
+    times: tuple[float, ...]
+    trigger: str = "none"
+    threshold: float = 0.0
+    window_s: float = 0.0
+    refractory_s: float = 0.0
+    until_s: float = 0.0
+    most: int = 0
+
+    @property
+    def words(self) -> str:
+        """The trigger with blanks, or how many resets there are."""
+        if self.trigger != "none":
+            return "NIS" if self.trigger == "nis" else self.trigger.replace("_", " ")
+        return {0: "no reset", 1: f"one at {sum(self.times):g} s"}.get(
+            len(self.times), f"{len(self.times)} fixed"
+        )
+
+    @property
+    def name(self) -> str:
+        """The same with the threshold."""
+        return self.words if self.trigger == "none" else f"{self.words} {self.threshold:g}"
+
+
+NONE, PAPER = Policy(()), Policy((50.0, 100.0, 150.0))
+
+
+class Alarms(NamedTuple):
+    """Shares of healthy runs that were delayed by a reset, and that were reset at all."""
+
+    false: Estimate
+    acts: Estimate
+
+
+class Scores:
+    """How the policies of the study compare, over cells of tuning and start."""
+
+    def __init__(self, source: Source) -> None:
+        self.footer, study = counted(source), source.study
+        bias, east, yaw = (
+            study.values(key) for key in ("gyro_bias_deg_per_h", "phi_e0_deg", "phi_u0_deg")
+        )
+        keys = ("threshold", "window_s", "refractory_s", "until_s", "most")
+        numbers = [study.values(f"trigger_{key}") for key in keys]
+        rows = zip(study.reset_times(), study.values("reset_trigger"), *numbers, strict=True)
+        self.grid = Grid.of(
+            source,
+            (SETTLE, COUNT),
+            q=study.values("q_reading"),
+            feedback=study.values("feedback_interval_s"),
+            start=[Start(*one) for one in zip(bias, east, yaw, strict=True)],
+            policy=[
+                Policy(tuple(times)) if trigger == "none" else Policy(tuple(times), trigger, *rest)
+                for times, trigger, *rest in rows
+            ],
+        )
+        self.starts: list[Start] = [s for s in self.grid.axes["start"] if s.bias]
+        self.policies: tuple[Policy, ...] = self.grid.axes["policy"]
+        self.singles = [p for p in self.policies if p.trigger == "none" and len(p.times) == 1]
+        self.triggered = [p for p in self.policies if p.trigger != "none"]
+
+    @cached_property
+    def cells(self) -> list[tuple[str, float, Start]]:
+        """Reading of Q, feedback interval (s) and start of each cell."""
+        axes = self.grid.axes
+        return [(q, f, s) for q in axes["q"] for f in axes["feedback"] for s in self.starts]
+
+    def runs(self, policy: Policy) -> NDArray:
+        """(cells, draws) settling times with a policy, s."""
+        runs = self.grid.at(SETTLE, policy=policy, start=self.starts)
+        return runs.reshape(len(self.cells), -1)
+
+    @cached_property
+    def best_single(self) -> list[Choice]:
+        """The best single reset of each cell, on unused draws."""
+        runs = np.stack([self.runs(policy) for policy in self.singles], axis=1)
+        return [held_out(cell, soonest) for cell in runs]
+
+    @cached_property
+    def best_runs(self) -> NDArray:
+        """(cells, draws) settling times with it, s."""
+        return np.stack([choice.values for choice in self.best_single])
+
+    def ratios(self, policy: Policy, draws: slice = slice(None)) -> NDArray:
+        """(cells,) median settling time over that of the best single reset."""
+        return _ratio(median(self.runs(policy)[:, draws]), median(self.best_runs[:, draws]))
+
+    def intervals(self, policy: Policy) -> NDArray:
+        """(2, cells) ends of the ratios' intervals, by the bootstrap over the draws."""
+        draws = self.grid.draws
+        pick = np.random.default_rng(SEED).integers(0, draws, (RESAMPLES, draws))
+        middle = place(draws, 0.5)
+        one, other = (
+            np.partition(runs[:, pick], middle, axis=-1)[..., middle]
+            for runs in (self.runs(policy), self.best_runs)
+        )
+        return np.quantile(_ratio(one, other), [TAIL, 1 - TAIL], axis=-1, method="inverted_cdf")
+
+    def within(self, policy: Policy, feedback: float | None = None) -> Estimate:
+        """Number of cells within `WITHIN`; its ends count whole intervals, and parts of them."""
+        here = np.array([feedback in (None, cell[1]) for cell in self.cells])
+        low, high = self.intervals(policy)[:, here] <= WITHIN
+        value = int((self.ratios(policy)[here] <= WITHIN).sum())
+        least, most = min(int(high.sum()), value), max(int(low.sum()), value)
+        return Estimate(value, least, most, int(here.sum()))
+
+    def best(self, policies: list[Policy], draws: slice = slice(None)) -> Policy:
+        """The policy with the fewest cells beyond `WITHIN`, then the smallest worst ratio."""
+        ratios = np.stack([self.ratios(policy, draws) for policy in policies])
+        order = np.lexsort((ratios.max(axis=1), (ratios > WITHIN).sum(axis=1)))
+        return policies[int(order[0])]
+
+    @cached_property
+    def by_trigger(self) -> dict[str, Policy]:
+        """The best threshold of each trigger."""
+        names = dict.fromkeys(policy.trigger for policy in self.triggered)
+        return {
+            name: self.best([policy for policy in self.triggered if policy.trigger == name])
+            for name in names
+        }
+
+    def acts(self, policy: Policy) -> NDArray:
+        """(q, feedback, starts, draws) whether it resets; what fades acts all the time."""
+        count = np.nan_to_num(self.grid.at(COUNT, policy=policy))
+        always = policy.trigger in FADING or bool(policy.times)
+        return np.full(count.shape, always) | (count > 0)
+
+    def alarms(self, policy: Policy, feedback: float | None = None) -> Alarms:
+        """What a policy does in healthy runs, against no reset on the same noise."""
+        healthy = np.array([start.is_healthy for start in self.grid.axes["start"]])
+        here = np.array([feedback in (None, one) for one in self.grid.axes["feedback"]])
+        pick = np.ix_(np.arange(len(self.grid.axes["q"])), np.where(here)[0], np.where(healthy)[0])
+        acts = self.acts(policy)[pick]
+        runs, without = (self.grid.at(SETTLE, policy=one)[pick] for one in (policy, NONE))
+        same = runs == without  # also where neither settles
+        later = np.where(same, 0.0, runs - np.where(same, 0.0, without))
+        share = LATER_SHARE * np.where(np.isfinite(without), without, 0.0)
+        return Alarms(shared(acts & ((later > share) | (later > LATER_S))), shared(acts))
+
+    def acts_in_need(self, policy: Policy) -> Estimate:
+        """Share of the runs that it resets, of cells that are too slow without reset."""
+        in_need = self.ratios(NONE) > WITHIN
+        places = [self.grid.axes["start"].index(start) for start in self.starts]
+        acts = self.acts(policy)[:, :, places].reshape(len(self.cells), -1)
+        return shared(acts[in_need]) if in_need.any() else UNKNOWN
+
+
+def _ratio(one: NDArray, other: NDArray) -> NDArray:
+    """Ratio of settling times; 1 where neither ever settles, 0 where only the first does."""
+    same = one == other
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(same, 1.0, one / other)
