@@ -17,7 +17,7 @@ BAND = (0.025, 0.975)
 
 _LINEAR = 10.0  # arcmin; an asinh axis is about linear up to here, and logarithmic far out
 _WIDE = 60.0  # arcmin; beyond it a linear axis would hide how a run ends
-_NAMES = {"e": "east", "n": "north", "u": "up (yaw)"}
+_NAMES = {"e": "level error, east", "n": "level error, north", "u": "heading error"}
 
 
 class Ensemble(NamedTuple):
@@ -128,7 +128,7 @@ def misalignment(
                 axes.axhline(limits[axis], color=GREY, linewidth=0.9, zorder=1.5, label="limit")
             _mark(axes, resets_s)
         row[0].set_xlim(0, max(extent.time_s[-1] for extent in extents))
-        row[0].set_ylabel(f"phi {_NAMES[axis]} (arcmin){_fit(row[0], extents)}")
+        row[0].set_ylabel(f"{_NAMES[axis]} (arcmin){_fit(row[0], extents)}")
         if zoom_s:
             _enlarge(row[1], zoom_s, extents)
     grid[0, 0].set_title("Whole run")
@@ -235,7 +235,7 @@ def squares(
         axes.set_ylim(bottom=floor)
         axes.set_title(name)
         axes.set_xlabel("time (s)")
-    grid[0].set_ylabel("yaw variance (arcmin²)")
+    grid[0].set_ylabel("heading variance (arcmin²)")
     legend_outside(figure, grid[0])
     return figure
 
@@ -264,7 +264,7 @@ def yaw_errors(panels: Mapping[str, Sequence[Ensemble]], title: str) -> Figure:
     for axes in list(grid.flat)[len(panels) :]:
         axes.set_visible(False)
     for axes in grid[:, 0]:
-        axes.set_ylabel(f"yaw error phi u (arcmin){far}")
+        axes.set_ylabel(f"heading error (arcmin){far}")
     for axes in grid[-1]:
         axes.set_xlabel("time (s)")
     legend_outside(figure, grid[0, 0])

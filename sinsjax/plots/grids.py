@@ -245,12 +245,12 @@ def verdict_matrix(verdicts: Verdicts, title: str) -> Figure:
         title: of the figure.
     """
     rows, columns = verdicts.holds.shape
-    figure = Figure(figsize=(9.2, 1.6 + 0.17 * rows))
+    figure = Figure(figsize=(9.2, 3.2 + 0.17 * rows))
     figure.suptitle(title)
     axes = figure.subplots()
     no, yes = COLOURS[1], COLOURS[0]
     axes.imshow(verdicts.holds, cmap=ListedColormap([no, yes]), vmin=0, vmax=1, aspect="auto")
-    axes.set_xticks(range(columns), verdicts.statements, fontsize=8)
+    axes.set_xticks(range(columns), verdicts.statements, fontsize=9, rotation=60, ha="right")
     held = verdicts.holds.sum(axis=1)
     names = [f"{name}   {n:2d}" for name, n in zip(verdicts.readings, held, strict=True)]
     axes.set_yticks(range(rows), names, fontsize=7.5)
@@ -262,12 +262,11 @@ def verdict_matrix(verdicts: Verdicts, title: str) -> Figure:
     axes.tick_params(which="both", length=0)
     for row, column in np.argwhere(verdicts.straddles):
         axes.text(column, row, "~", ha="center", va="center", color="white", fontsize=9)
-    axes.set_xlabel("statement")
-    axes.set_ylabel("reading (Q, R, feedback), and statements that hold")
+    axes.set_ylabel("reading of Q, of R, feedback; how many hold")
     handles = [
         Patch(color=yes, label="holds"),
         Patch(color=no, label="does not hold"),
-        Patch(facecolor="none", label="~  the interval straddles the threshold"),
+        Patch(facecolor="none", label="~  the interval reaches across"),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure

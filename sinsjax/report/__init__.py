@@ -21,10 +21,8 @@ from sinsjax.report import (
     compass_schedules,
     folder,
     glossary,
-    paper1,
     paper2,
     paper2_reasons,
-    readings,
     tuned,
 )
 from sinsjax.report.base import Layout, Report, Source, at_the_end
@@ -34,9 +32,6 @@ from sinsjax.tuning.carry_out import is_tuning
 
 LAYOUTS: dict[str, Layout] = {
     "auto": auto.report,
-    "paper1_conditions": paper1.report_conditions,
-    "paper1_resets": paper1.report_resets,
-    "paper1_readings": readings.report,
     "car_test": car_test.report,
     "compass_car": compass_car.report,
     "paper2": paper2.report,

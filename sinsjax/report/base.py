@@ -241,6 +241,18 @@ def shown_keys(study: Study) -> tuple[str, ...]:
     return tuple(key for keys in swept(study) for key in keys)
 
 
+def only(study: Study, key: str) -> Any:
+    """The one value of a key.
+
+    Raises:
+        InputError: the study sweeps it.
+    """
+    first, *rest = study.combinations(key)
+    if rest:
+        raise InputError(f"{study.name}: one {key} is needed, not a sweep of it")
+    return first[key]
+
+
 def name_of(key: Mapping[str, Any]) -> str:
     """A variant in words: ``reset_count 3, phi_u0 30 deg``; a case by its label alone."""
     words = (str(v) if k == "case" else plots.setting(k, value_text(v)) for k, v in key.items())

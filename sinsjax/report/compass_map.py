@@ -13,9 +13,18 @@ from sinsjax.alignment.compass.parameters import REVERSALS
 from sinsjax.analysis import format_estimate
 from sinsjax.plots import Contours, Scale, Shown
 from sinsjax.report import base
-from sinsjax.report.base import Picture, Report, Section, Source, Table, Text, percent, value_text
+from sinsjax.report.base import (
+    Picture,
+    Report,
+    Section,
+    Source,
+    Table,
+    Text,
+    only,
+    percent,
+    value_text,
+)
 from sinsjax.report.compass_runs import bound_arcmin
-from sinsjax.report.limits import only
 from sinsjax.report.map_points import (
     RULES,
     SIGMA,

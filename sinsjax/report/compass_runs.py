@@ -8,7 +8,7 @@ from sinsjax import analysis
 from sinsjax.alignment.bounds import Number, tape_bound
 from sinsjax.engine.truth import errors_of, site_of
 from sinsjax.errors import InputError
-from sinsjax.report.limits import only
+from sinsjax.report.base import only
 from sinsjax.study.study import SECTION_OF, Study
 from sinsjax.study.variants import Variants
 from sinsjax.units import ARCMIN

@@ -19,7 +19,8 @@ from sinsjax.alignment.compass import method as compass
 from sinsjax.alignment.compass import parameters as compass_parameters
 from sinsjax.alignment.compass.design import Number
 from sinsjax.engine.truth import site_of
-from sinsjax.report.limits import ingredients, only
+from sinsjax.report.base import only
+from sinsjax.report.limits import ingredients
 from sinsjax.study.study import Study
 from sinsjax.study.variants import Variants
 from sinsjax.units import ARCMIN, DEG

@@ -11,9 +11,8 @@ from sinsjax.alignment.compass.design import Number
 from sinsjax.alignment.compass.parameters import REVERSALS
 from sinsjax.analysis import Estimate, rms
 from sinsjax.errors import InputError
-from sinsjax.report.base import Source, name_of, shown_keys
+from sinsjax.report.base import Source, name_of, only, shown_keys
 from sinsjax.report.compass_runs import heading_errors, require_loops
-from sinsjax.report.limits import only
 from sinsjax.report.linear import Loops, all_loops, cycle_radius, heading_of, start_of
 from sinsjax.study.study import Study
 from sinsjax.study.times import spans_s

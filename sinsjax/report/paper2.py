@@ -15,8 +15,7 @@ from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.errors import InputError
 from sinsjax.plots import Line, Mark
-from sinsjax.report.base import Picture, Report, Section, Source, Table, value_text
-from sinsjax.report.limits import only
+from sinsjax.report.base import Picture, Report, Section, Source, Table, only, value_text
 from sinsjax.report.linear import Limits, limits_of, one_variant
 from sinsjax.study.study import Study
 from sinsjax.units import ARCMIN, DEG

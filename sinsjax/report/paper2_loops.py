@@ -12,8 +12,7 @@ from sinsjax.alignment.compass import design as loops
 from sinsjax.analysis import format_estimate
 from sinsjax.columns import DIVERGED_DEG
 from sinsjax.plots import Line
-from sinsjax.report.base import Block, Picture, Table, Text, percent
-from sinsjax.report.limits import only
+from sinsjax.report.base import Block, Picture, Table, Text, only, percent
 from sinsjax.report.linear import cycle_radius, heading_from_limit, loops_of
 from sinsjax.report.paper2 import Case, Curves, drift_text
 

@@ -6,10 +6,9 @@ import numpy as np
 
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.report.base import Report, Section, Source, Table, Text, percent, value_text
+from sinsjax.report.base import Report, Section, Source, Table, Text, only, percent, value_text
 from sinsjax.report.compass_runs import bound_arcmin
 from sinsjax.report.gains import gain_blocks
-from sinsjax.report.limits import only
 from sinsjax.report.linear import heading_from_limit, loops_of
 from sinsjax.report.paper2 import (
     ANGLES,

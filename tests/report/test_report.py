@@ -2,7 +2,6 @@ import json
 import math
 import re
 from html import unescape
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -14,29 +13,11 @@ from support.stored import store, told
 from support.studies import STILL, small_study
 
 from sinsjax import analysis, report
-from sinsjax.analysis import Estimate
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
 from sinsjax.execution import tables as result_tables
-from sinsjax.plots import Ensemble
-from sinsjax.report import base, car_test, limits, over_axes, readings, spreads, statements
-from sinsjax.report import paper1 as paper1_page
-from sinsjax.report.readings import CONCLUSIONS, Judged
-from sinsjax.report.statements import STATEMENTS, StatementVerdict
+from sinsjax.report import base, car_test, limits, over_axes, spreads
 from sinsjax.study.load import study_from_dict
-
-CASES = [
-    {"case": f"condition {name}", "phi_u0_deg": float(yaw), "reset_times_s": times}
-    for name, yaw, times in (
-        ("1", 0, []),
-        ("2", 5, []),
-        ("3", 10, []),
-        ("4", 20, []),
-        ("5", 30, []),
-        ("5 with resets", 40, [1.0, 2.0]),
-    )
-]
-
 
 pytestmark = pytest.mark.usefixtures("drawn_on_request")
 
@@ -51,20 +32,7 @@ def recorded_study(**changes):
     return study_from_dict(data)
 
 
-def paper1(layout: str, *cases: int, **changes):
-    chosen = [CASES[i] for i in cases or range(len(CASES))]
-    changes = {"report": {"layout": layout}, "cases": chosen, **changes}
-    settings = {"name": layout, "steady_after_s": 3.0, "consistency_after_s": 10.0, "draws": 8}
-    motion = {"yaw_center_deg": 0.0}
-    return small_study(study=settings, motion=motion, **changes)
-
-
 # --- any study ----------------------------------------------------------------------------------
-
-
-def test_every_layout_of_a_study_has_a_report():
-    allowed = base.Study.model_fields["report"].annotation.model_fields["layout"].annotation
-    assert set(report.LAYOUTS) <= set(allowed.__args__)
 
 
 def test_the_table_holds_the_statistics(tmp_path):
@@ -314,7 +282,7 @@ def test_cells_and_folds():
 
 
 def test_limit_accuracy_is_the_closed_form():
-    study = paper1("paper1_conditions")
+    study = small_study(motion={"yaw_center_deg": 0.0})
     found = limits.limit_accuracy(study)
     arcmin = math.pi / 180 / 60
     nabla, eps = 500e-6, math.radians(0.1) / 3600
@@ -345,97 +313,7 @@ def test_a_study_whose_file_is_not_known_is_named_by_its_results(tmp_path):
     assert base.Source.read(directory).config == "study.toml of swing"
 
 
-def test_conditions_page(tmp_path):
-    study = paper1("paper1_conditions")
-    summary = summary_of(study, phi_n_mean_arcmin=np.full(48, 1.2345))
-    directory = store(tmp_path / "r", study, summary, curves_of(study))
-    page = tmp_path / "docs" / "paper1.md"
-    text = told(directory, page=page) + page.read_text()
-    for number in ("-1.7189", "-27.0248", "-25.9507", "-26.9510", "-25.8769", "+1.0741"):
-        assert number in text
-    assert "1.234 [1.234, 1.234]" in text
-    assert {path.name for path in (directory / "figures").iterdir()} == {"fig2.png", "fig3.png"}
-
-
-def test_resets_page_tells_the_paired_difference(tmp_path):
-    study = paper1("paper1_resets", 0, 4, 5)
-    yaw = FLOOR + np.random.default_rng(2).normal(size=24)
-    directory = store(tmp_path, study, summary_of(study, phi_u_mean_arcmin=yaw), curves_of(study))
-    text = told(directory)
-    apart = analysis.difference(yaw[2::3], yaw[0::3])
-    assert analysis.format_estimate(apart, "arcmin", 2) in text
-    assert "Resets at 1, 2 s" in text
-    assert "prints no number" in text and "at 4 s, and" in text  # S14
-    assert "the filter's yaw variance" in text  # S13
-    assert {path.name for path in (directory / "figures").iterdir()} == {"fig5.png", "fig6.png"}
-
-
-def test_a_layout_needs_curves(tmp_path):
-    study = paper1("paper1_resets")
-    with pytest.raises(InputError, match="needs curves"):
-        told(store(tmp_path, study, summary_of(study)))
-
-
-def test_paper1_needs_one_reading(tmp_path):
-    study = paper1("paper1_conditions", earth={"earth": "wgs84"})
-    with pytest.raises(InputError, match="needs? earth = 'constants'"):
-        told(store(tmp_path / "a", study, summary_of(study), curves_of(study)))
-
-
 # --- the readings -------------------------------------------------------------------------------
-
-READINGS = {"q_reading": ["per_step", "psd"], "feedback_interval_s": [0.01, 1.0]}
-
-
-def test_readings_page(tmp_path):
-    study = paper1("paper1_readings", axes=READINGS)
-    settle = np.random.default_rng(3).uniform(20, 80, 24 * 8)
-    directory = store(tmp_path / "r", study, summary_of(study, settle_10_s=settle))
-    page = tmp_path / "docs" / "p.md"
-    told(directory, page=page)
-    text = page.read_text()
-    judged = {}
-    for key, rows in analysis.groups(result_tables.read_summary(directory), list(READINGS)):
-        groups = analysis.groups(rows, ["case"])
-        runs = {k["case"].removeprefix("condition "): table for k, table in groups}
-        judged[tuple(key.values())] = statements.judge(runs, readings.meaning_of(study))
-    marks = [
-        line.strip("| ").split(" | ")
-        for line in text.partition("**Verdicts**")[2].partition("<details>")[0].splitlines()
-        if line.startswith("|")
-    ][2:]
-    assert len(marks) == len(judged) == 4
-    for cells, ((q, feedback), verdicts) in zip(marks, judged.items(), strict=True):
-        assert cells[:3] == [q, f"{feedback:g}", str(sum(v.holds for v in verdicts))]
-        assert [c[0] == "+" for c in cells[3:]] == [v.holds for v in verdicts]
-        assert [c[1:] == "~" for c in cells[3:]] == [v.straddles for v in verdicts]
-    most = max(sum(v.holds for v in verdicts) for verdicts in judged.values())
-    assert f"the most that hold is {most}" in text and "inferred" in text
-    first = next(iter(judged.values()))[3]
-    assert analysis.format_estimate(first.number, "s", 0) in text.partition("<details>")[2]
-    for text_of, _ in STATEMENTS.values():
-        assert text_of in text
-    whole = sum(
-        all(v.holds for v in verdicts if v.statement_id in readings.TOGETHER)
-        for verdicts in judged.values()
-    )
-    found = f"{whole} of 4 readings make these hold" if whole else "No reading makes these hold"
-    assert found in text
-
-
-def test_when_the_variance_lies_below_the_truth_and_how_long_a_run_hides_it():
-    time = np.arange(1.0, 101.0)
-    phi = np.where((time > 20) & (time <= 24), 3.0, 1.0) * np.ones((4, 1))
-    columns_ = {"phi_u_arcmin": phi, "sigma_u_arcmin": np.full((4, 100), 2.0)}
-    one = Ensemble("with", time, columns_)
-    study = small_study(study={"consistency_after_s": 10.0, "duration_s": 100.0})
-    said = paper1_page._below(base.Source(Path("r"), study, "r.toml"), one)
-    assert "at 4 records from 21 to 24 s" in said
-    # 4 of the records after 10 s are below: 95 % of n are above from n = 80 on, at 90 s.
-    assert "if it ended before 90 s it would not be" in said
-    other = Ensemble("without", time, columns_ | {"sigma_u_arcmin": np.full((4, 100), 1.6)})
-    ratio = paper1_page._sigma_ratio(one, other)
-    assert "1.25 times that of condition 1 at 67 s" in ratio
 
 
 def test_the_yardstick_is_said_once_a_page_and_names_what_is_judged_against(tmp_path):
@@ -494,31 +372,6 @@ def test_biases_that_a_filter_does_not_know_explain_its_nees(tmp_path):
     clean = small_study(study={"draws": 8}, axes=axes, sensors=unbiased)
     text = told(store(tmp_path / "b", clean, summary_of(clean, nees=np.full(16, 9.0))))
     assert "is not to be expected" not in text
-
-
-def verdicts(held, clear=()):
-    number = Estimate(0.5, 0.4, 0.6, 8)
-    return [
-        StatementVerdict(s, *STATEMENTS[s], s in held, s not in clear, number, "", "measure")
-        for s in STATEMENTS
-    ]
-
-
-def test_ties_go_to_the_conclusions_then_to_clear_intervals_then_to_the_first():
-    plain = Judged({"n": 0}, verdicts(["S1a", "S1b"]))
-    concluding = Judged({"n": 1}, verdicts(["S1a", CONCLUSIONS[0]]))
-    clear = Judged({"n": 2}, verdicts(["S2a", CONCLUSIONS[1]], clear=["S3"]))
-    again = Judged({"n": 3}, verdicts(["S2a", CONCLUSIONS[1]], clear=["S4a"]))
-    most = Judged({"n": 4}, verdicts(["S1a", "S1b", "S3"]))
-    assert readings.best_of([plain, concluding]) is concluding
-    assert readings.best_of([plain, concluding, clear, again]) is clear
-    assert readings.best_of([plain, concluding, clear, most]) is most
-
-
-def test_the_words_are_about_what_was_counted():
-    study = small_study(study={"consistency_after_s": 20.0, "steady_after_s": 30.0})
-    meaning = readings.meaning_of(study)
-    assert (meaning.covariance_after_s, meaning.steady_after_s) == (20.0, 30.0)
 
 
 # --- the car test -------------------------------------------------------------------------------

@@ -1,10 +1,13 @@
 """Every page of docs/studies from results that no engine made: names exist, all are used."""
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import pyarrow.parquet as pq
 import pytest
-from support.made_up import summary_of
+from support.made_up import curves_of, summary_of
 
 from sinsjax.report import folder
 from sinsjax.report.base import Source
@@ -15,6 +18,7 @@ PAGES = {
     "adaptive": ("adaptive_resets", "car_adaptive"),
     "consistency": ("consistency",),
     "kalman_passes": ("kalman_passes",),
+    "paper1": ("paper1_conditions", "paper1_resets", "paper1_readings"),
     "reset_cycle": ("reset_cycle_study",),
 }
 """The studies of each page."""
@@ -28,7 +32,14 @@ def made_up(directory: Path, name: str) -> Source:
     if "record" not in data:
         data["study"]["draws"] = DRAWS
     study = study_from_dict(data)
-    return Source(directory, study, f"configs/{name}.toml", summary_of(study, every=True))
+    source = Source(directory, study, f"configs/{name}.toml", summary_of(study, every=True))
+    if study.study.curves:
+        stored = directory / name / "curves"
+        stored.mkdir(parents=True)
+        times = np.linspace(1.0, study.duration_s, 41).round()
+        pq.write_table(curves_of(study, times=times), stored / "part-0000.parquet")
+        return replace(source, directory=directory / name)
+    return source
 
 
 def test_every_page_is_looked_at():

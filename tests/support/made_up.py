@@ -64,13 +64,15 @@ def summary_of(study, *, truth=True, every=False, **given):
     return pa.Table.from_arrays(arrays, schema=columns.schema((*layout, *further)))
 
 
-def curves_of(study, *, truth=True):
+def curves_of(study, *, truth=True, times=TIMES):
+    """Curves that no engine made, of all runs at some times, s."""
     runs = study.n_variants * study.n_draws
-    run, time = np.repeat(np.arange(runs), TIMES.size), np.tile(TIMES, runs)
+    run, time = np.repeat(np.arange(runs), times.size), np.tile(times, runs)
     noise = np.random.default_rng(6).normal(size=run.size)
-    values = {c.name: noise for c in columns.OBSERVED}
+    layout = layouts.curves(study)
+    values = {c.name: noise for c in layout}
     if not truth:
         values |= {f"phi_{a}_arcmin": np.full(run.size, np.nan) for a in "enu"}
-    values |= {"run_id": run, "time_s": time}
-    arrays = [pa.array(values[c.name], c.dtype, from_pandas=True) for c in columns.CURVES]
-    return pa.Table.from_arrays(arrays, schema=columns.schema(columns.CURVES))
+    values |= {"run_id": run, "time_s": time, "update_time_s": time, "pass": np.ones(run.size, int)}
+    arrays = [pa.array(values[c.name], c.dtype, from_pandas=True) for c in layout]
+    return pa.Table.from_arrays(arrays, schema=columns.schema(layout))

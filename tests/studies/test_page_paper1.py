@@ -3,11 +3,24 @@ import math
 import numpy as np
 import pyarrow as pa
 import pytest
+from studies.test_pages import ROOT
 
 from sinsjax import analysis
+from sinsjax.analysis import Estimate
 from sinsjax.errors import InputError
-from sinsjax.report import statements
-from sinsjax.report.statements import CONDITIONS, RESET, Meaning, judge
+from sinsjax.report import folder
+
+folder.script(ROOT / "docs" / "studies" / "paper1")
+from sinsjax_pages.paper1 import statements  # noqa: E402
+from sinsjax_pages.paper1.statements import (  # noqa: E402
+    CONDITIONS,
+    RESET,
+    STATEMENTS,
+    Meaning,
+    StatementVerdict,
+    judge,
+)
+from sinsjax_pages.paper1.verdicts import CONCLUSIONS, SHORT, Judged, best_of  # noqa: E402
 
 DRAWS = 128
 FLOOR = -27.0
@@ -217,3 +230,26 @@ def test_refuses():
         judge(runs | {"3": runs["3"].slice(1)}, MEANING)
     with pytest.raises(InputError, match="column settle_10_s is missing"):
         judge(runs | {"3": runs["3"].drop_columns(["settle_10_s"])}, MEANING)
+
+
+def verdicts(held, clear=()):
+    number = Estimate(0.5, 0.4, 0.6, 8)
+    return [
+        StatementVerdict(s, *STATEMENTS[s], s in held, s not in clear, number, "", "measure")
+        for s in STATEMENTS
+    ]
+
+
+def test_ties_go_to_the_conclusions_then_to_clear_intervals_then_to_the_first():
+    plain = Judged({"n": 0}, verdicts(["S1a", "S1b"]))
+    concluding = Judged({"n": 1}, verdicts(["S1a", CONCLUSIONS[0]]))
+    clear = Judged({"n": 2}, verdicts(["S2a", CONCLUSIONS[1]], clear=["S3"]))
+    again = Judged({"n": 3}, verdicts(["S2a", CONCLUSIONS[1]], clear=["S4a"]))
+    most = Judged({"n": 4}, verdicts(["S1a", "S1b", "S3"]))
+    assert best_of([plain, concluding]) is concluding
+    assert best_of([plain, concluding, clear, again]) is clear
+    assert best_of([plain, concluding, clear, most]) is most
+
+
+def test_every_statement_has_words_for_the_figure():
+    assert set(SHORT) == set(STATEMENTS)
