@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sinsjax.alignment import kalman
+from sinsjax.alignment.filters import normalised
 from sinsjax.alignment.kalman import Belief
 from sinsjax.alignment.triggers.base import (
     AssumedNoise,
@@ -45,12 +46,6 @@ def _add(
     sums = tuple(jnp.where(again, 0.0, s) + t for s, t in zip(block.sums, terms, strict=True))
     count = jnp.where(again, 0.0, block.count) + 1
     return _Block(count, sums), count >= trigger_params.window
-
-
-def normalised(r: Pair, s: tuple[Scalar, ...]) -> Scalar:
-    """An innovation r squared and normalised, r' S^-1 r."""
-    (e, n), (ee, en, nn) = r, s
-    return (nn * e * e - 2 * en * e * n + ee * n * n) / (ee * nn - en * en)
 
 
 def _innovation(
