@@ -25,7 +25,7 @@ FLOORS = (
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
 METHODS = {
     f"alignment.{path.parent.name}"
-    for path in Path(sinsjax.__file__).parent.glob("alignment/*/description.py")
+    for path in Path(sinsjax.__file__).parent.glob("alignment/*/method.py")
 }
 """Folders of alignment methods; no method knows another."""
 KNOW_METHODS = {"alignment.methods", "alignment.page", "alignment.sections"}

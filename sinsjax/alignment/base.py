@@ -35,7 +35,7 @@ class Options(NamedTuple):
         specific_force: in A(t): "measured" (turned to n by the computed attitude) or "gravity"
             (the constant (0, 0, g), with the velocity zero: A(t) of a base that is at rest).
         position: "fixed" or "integrated".
-        trigger: name in `scores.TRIGGERS`, or "none".
+        trigger: name of a trigger, or "none".
         innovations: whether a filter sums up its normalised innovations.
     """
 

@@ -2,6 +2,7 @@
 
 from sinsjax.alignment.description import Description
 from sinsjax.alignment.methods import METHODS
+from sinsjax.alignment.triggers.description import TRIGGERS
 
 
 def page() -> str:
@@ -22,6 +23,12 @@ def page() -> str:
     ]
     for method in METHODS.values():
         lines += ["", f"## `{method.name}`", "", *_keys(method)]
+    lines += ["", "## Triggers", "", "`[resets] reset_trigger` names one.", ""]
+    lines += ["| trigger | calls for a reset at |", "| --- | --- |"]
+    lines += [
+        f"| `{t.name}` | {t.summary}{' (P fades instead)' if t.fades else ''} |"
+        for t in TRIGGERS.values()
+    ]
     return "\n".join(lines) + "\n"
 
 

@@ -35,7 +35,7 @@ from sinsjax.alignment.triggers import base as triggers
 from sinsjax.alignment.triggers import scores
 from sinsjax.alignment.triggers.base import AssumedNoise, FilterSnapshot
 from sinsjax.alignment.triggers.columns import TRIGGER_COUNTS
-from sinsjax.alignment.triggers.scores import TRIGGERS
+from sinsjax.alignment.triggers.description import TRIGGERS
 from sinsjax.alignment.triggers.section import TriggerName
 from sinsjax.execution import run as study_run
 from sinsjax.execution import tables as result_tables
@@ -50,6 +50,7 @@ NOISE = np.array([2e-4, 3e-4, 1e-4, 2e-4, 3e-4]), 0.04
 
 def test_every_trigger_has_a_name_in_a_study():
     assert {*TRIGGERS, "none"} == {*get_args(TriggerName)}
+    assert all(t.fades == (t.trigger.look is None) for t in TRIGGERS.values())
     assert {*SCORES, "strong_tracking", "fading"} == {*TRIGGERS}
 
 
@@ -123,7 +124,7 @@ def engine_numbers(trigger_params):
 @cache
 def driven(name):
     """A compiled trigger: scores, factors and firing of every sample, and what it tells at last."""
-    trigger = TRIGGERS[name]
+    trigger = TRIGGERS[name].trigger
 
     @jax.jit
     def run(trigger_params, noise, p0, here, after_reset, steps):
@@ -299,7 +300,7 @@ def test_a_linearisation_that_holds_scores_one_and_grows_with_corrections(seed, 
             place(PAPER, LATITUDE),
             DT,
         )
-        look = TRIGGERS["linearisation"].look
+        look = TRIGGERS["linearisation"].trigger.look
         honest, found = look(engine_numbers(Numbers(1.0)), AssumedNoise(q, r), before, snapshot)
         np.testing.assert_allclose(honest, p, rtol=1e-13)
         return float(found)

@@ -2,7 +2,7 @@
 
 A trigger has a memory, which begins anew with every reset, and gives a score after each update; P
 is reset where the score exceeds the threshold. Two rivals do not reset: they fade, multiplying the
-propagated P before the process noise is added. Which there are stands in `scores`.
+propagated P before the process noise is added. Which there are stands in `description`.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""The triggers by name: what each remembers, and the score that it gives a sample."""
+"""The triggers: what each remembers, and the score that it gives a sample."""
 
 import math
 from collections.abc import Callable
@@ -233,14 +233,11 @@ def _nothing(trigger_params: TriggerParams, p: Triangle) -> Any:
     return ()
 
 
-TRIGGERS = {
-    "innovation": Trigger(_block(5), _innovation),
-    "nis": Trigger(_nothing, _nis),
-    "whiteness": Trigger(_whiteness_start, _whiteness),
-    "tilt_drift": Trigger(_levels_start, _tilt_drift),
-    "levelled": Trigger(_levels_start, _levelled),
-    "linearisation": Trigger(_as_it_is, _linearisation),
-    "strong_tracking": Trigger(_strong_start, fade=_strong),
-    "fading": Trigger(_nothing, fade=_fading),
-}
-"""Every trigger by the name of ``reset_trigger``."""
+INNOVATION = Trigger(_block(5), _innovation)
+NIS = Trigger(_nothing, _nis)
+WHITENESS = Trigger(_whiteness_start, _whiteness)
+TILT_DRIFT = Trigger(_levels_start, _tilt_drift)
+LEVELLED = Trigger(_levels_start, _levelled)
+LINEARISATION = Trigger(_as_it_is, _linearisation)
+STRONG_TRACKING = Trigger(_strong_start, fade=_strong)
+FADING = Trigger(_nothing, fade=_fading)

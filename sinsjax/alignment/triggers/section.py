@@ -1,10 +1,11 @@
 """The keys of [resets] that concern triggers, which call for resets besides the schedule."""
 
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from sinsjax.alignment.description import CheckedStudy, StudyView
+from sinsjax.alignment.triggers.description import TRIGGERS
 from sinsjax.value_types import (
     ActsWhere,
     Count,
@@ -16,18 +17,10 @@ from sinsjax.value_types import (
     Section,
 )
 
-TriggerName = Literal[
-    "none",
-    "innovation",
-    "nis",
-    "whiteness",
-    "tilt_drift",
-    "levelled",
-    "linearisation",
-    "strong_tracking",
-    "fading",
-]
-"""The triggers of `triggers.scores`."""
+if TYPE_CHECKING:
+    TriggerName = str
+else:
+    TriggerName = Literal["none", *TRIGGERS]
 
 
 _NUMBERS = (

@@ -6,7 +6,7 @@ from sinsjax.alignment.base import FilterResults
 from sinsjax.alignment.filters import Closed, Due, Filter, Prior, innovation, wrapped
 from sinsjax.alignment.triggers import base as triggers
 from sinsjax.alignment.triggers.base import AssumedNoise, FilterSnapshot, TriggerState
-from sinsjax.alignment.triggers.scores import TRIGGERS
+from sinsjax.alignment.triggers.description import TRIGGERS
 from sinsjax.maths.algebra import add
 from sinsjax.types import Flag, Navigation, Scalar
 
@@ -23,12 +23,12 @@ def triggered(filter_: Filter, name: str, dt: float) -> Filter:
 
     Args:
         filter_: stages; their params have the trigger's numbers as ``trigger``.
-        name: in `scores.TRIGGERS`, or 'none' for the filter as it is.
+        name: in `description.TRIGGERS`, or 'none' for the filter as it is.
         dt: sample time, s.
     """
     if name == "none":
         return filter_
-    trigger, plain = TRIGGERS[name], wrapped(filter_)
+    trigger, plain = TRIGGERS[name].trigger, wrapped(filter_)
 
     def init(params: Any, nav: Navigation) -> Watched:
         state = filter_.init(params, nav)
