@@ -112,6 +112,7 @@ def heat_maps(
     columns: Scale,
     contours: Contours | None = None,
     across: int | None = None,
+    repeated: Sequence[NDArray] | None = None,
 ) -> Figure:
     """Heat maps of one quantity over two swept keys, side by side.
 
@@ -124,6 +125,7 @@ def heat_maps(
         columns: the key from left to right.
         contours: drawn over the panels.
         across: panels in a line, such as the values of a third key; 4 at most.
+        repeated: of each panel, (rows, columns) cells in which no number is written.
     """
     width = min(4, across or 4, len(panels))
     height = -(-len(panels) // width)
@@ -134,7 +136,7 @@ def heat_maps(
     figure.suptitle(title)
     grid = figure.subplots(height, width, sharex=True, sharey=True, squeeze=False)
     for number, (axes, (_, values)) in enumerate(zip(grid.flat, panels, strict=False)):
-        image = _heat_map(axes, values, shown)
+        image = _heat_map(axes, values, shown, repeated[number] if repeated else None)
         axes.set_title(names[number])
         marks = [f"{v:g}" for v in columns.values]
         axes.set_xticks(range(len(marks)), marks, fontsize=10.5 if len(marks) <= _ROOMY else 9)
@@ -194,7 +196,9 @@ def label_rim(grid: NDArray, panels: int, *, rows: Scale, columns: Scale) -> Non
         axes.set_xlabel(label(columns.key))
 
 
-def _heat_map(axes: Axes, values: NDArray, shown: Shown) -> AxesImage:
+def _heat_map(
+    axes: Axes, values: NDArray, shown: Shown, repeated: NDArray | None = None
+) -> AxesImage:
     image = axes.imshow(
         np.ma.masked_invalid(values),
         cmap="viridis_r" if shown.reverse else "viridis",
@@ -207,7 +211,7 @@ def _heat_map(axes: Axes, values: NDArray, shown: Shown) -> AxesImage:
     size = 9.0 if values.shape[1] <= _ROOMY else 7.5
     if values.shape[1] <= _LEGIBLE:
         for (row, column), value in np.ndenumerate(values):
-            if np.isfinite(value):
+            if np.isfinite(value) and (repeated is None or not repeated[row, column]):
                 _write(axes, (column, row), value, shown, size=size)
     return image
 

@@ -27,6 +27,8 @@ from sinsjax.report.base import (
 )
 from sinsjax.report.over_axes import over_axes
 from sinsjax.report.spreads import spreads
+from sinsjax.study.acting import first_alike
+from sinsjax.study.study import Study
 from sinsjax.study.success import yardsticks
 
 _MOST_LINES = 6
@@ -73,7 +75,7 @@ def statistics(source: Source, keys: Sequence[str], title: str, *, note: str = "
     """
     shown = _shown(source)
     columns = [*keys, *_NEEDED, *_judged(source)]
-    found = analysis.summarise(source.rows(columns), keys, [s.name for s in shown]).to_pylist()
+    found = analysis.summarise(source.distinct(columns), keys, [s.name for s in shown]).to_pylist()
     rows = []
     for row in found[:MOST_ROWS]:
         numbers = [s.text(_estimate(row, s.name)) for s in shown]
@@ -122,7 +124,7 @@ def _judged(source: Source) -> list[str]:
 def against_first(source: Source) -> Table:
     """How each variant differs from the first one, draw by draw."""
     keys = shown_keys(source.study)
-    table = source.rows([*keys, *_NEEDED, *_judged(source)])
+    table = source.distinct([*keys, *_NEEDED, *_judged(source)])
     first = {key: table[key][0].as_py() for key in keys}
     yards = source.yardsticks
     rows = []
@@ -195,9 +197,18 @@ def _tables(source: Source) -> list[Block]:
         compared = study.n_variants > 1 and source.draws > 1
         return [*tables, against_first(source)] if compared else tables
     return [
-        Text(f"{study.n_variants} variants: each table takes one key and pools the others."),
+        Text(
+            f"{study.n_variants} variants{_differ(study)}: each table takes one key and pools the"
+            " others."
+        ),
         *(statistics(source, [key], f"By {key}", note=note) for key in keys),
     ]
+
+
+def _differ(study: Study) -> str:
+    """How many variants have runs of their own, where that is not all of them."""
+    different = len(np.unique(first_alike(study)))
+    return "" if different == study.n_variants else f", of which {different} differ"
 
 
 def _curves(source: Source, has_truth: bool) -> Iterator[Block]:
@@ -205,7 +216,7 @@ def _curves(source: Source, has_truth: bool) -> Iterator[Block]:
     if not source.has_curves:
         return
     keys = shown_keys(source.study)
-    table = source.rows([*keys, "run_id", "reset_times_s", "floor_arcmin"])
+    table = source.distinct([*keys, "run_id", "reset_times_s", "floor_arcmin"])
     groups = list(analysis.groups(table, keys))
     drawn = {name_of(key): rows.slice(0, _MOST_DRAWS) for key, rows in groups[:_MOST_LINES]}
     runs = {name: rows["run_id"].to_pylist() for name, rows in drawn.items()}

@@ -8,12 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from matplotlib.figure import Figure
 
 from sinsjax import analysis, columns, plots
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.errors import InputError
 from sinsjax.execution import tables
+from sinsjax.study.acting import first_alike, silent
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
 from sinsjax.study.success import Yardstick, as_of_schema_1, success_of, yardsticks
@@ -104,6 +106,26 @@ class Source:
         if missing := [name for name in wanted if name not in self.table.column_names]:
             raise InputError(f"{self.directory}: summary: column {missing[0]} is missing")
         return self.table.select(wanted)
+
+    def distinct(self, names: Iterable[str]) -> pa.Table:
+        """As `rows`, of variants that differ: one of each kind that has the same runs.
+
+        Keys are null where they do not act: without resets there is no cycle.
+        """
+        first = first_alike(self.study)
+        if (first == np.arange(len(first))).all():
+            return self.rows(names)
+        table = self.rows(names)
+        variant = np.tile(np.arange(len(first)), self.draws)
+        keep = first[variant] == variant
+        table, variant = table.filter(pa.array(keep)), variant[keep]
+        for key in self.study.axis_keys:
+            if key != "case" and key in table.column_names:
+                place = table.column_names.index(key)
+                nothing = pa.array(silent(self.study, key)[variant])
+                values = pc.if_else(nothing, None, table[key])
+                table = table.set_column(place, key, values)
+        return table
 
     @cached_property
     def yardsticks(self) -> tuple[Yardstick, ...]:

@@ -20,6 +20,7 @@ from sinsjax.report.base import (
     swept,
     value_text,
 )
+from sinsjax.study.acting import first_alike
 from sinsjax.study.study import SECTION_OF
 from sinsjax.study.success import Yardstick
 
@@ -63,6 +64,8 @@ class _Map(NamedTuple):
         settle_s: (draws, rows, columns), infinite where a run never settled.
         ok: (draws, rows, columns) bool.
         cluster: (draws,), see `analysis.clusters_of`.
+        repeated: (rows, columns) cells whose runs are those of an earlier one: there a key does not
+            act.
     """
 
     name: str
@@ -70,19 +73,23 @@ class _Map(NamedTuple):
     settle_s: NDArray
     ok: NDArray
     cluster: NDArray
+    repeated: NDArray
 
 
 def _maps(source: Source, yard: Yardstick, axes: Axes, others: Sequence[str]) -> list[_Map]:
     shape = (source.draws, *map(len, axes.values()))
     maps = []
-    columns = (*others, yard.settle, yard.ok, "draw_id", "start_s")
+    columns = (*others, yard.settle, yard.ok, "draw_id", "start_s", "variant_id")
+    first = first_alike(source.study)
     for point, rows in analysis.groups(source.rows(columns), others):
         # In run order the draws are outermost; among the variants of a point, the first axis.
         settle = np.nan_to_num(analysis.numbers(rows, yard.settle), nan=np.inf)
         ok = rows[yard.ok].fill_null(False).to_numpy()
         cluster = np.asarray(analysis.clusters_of(rows)).reshape(shape)[:, 0, 0]
         settle, ok = settle.reshape(shape), ok.reshape(shape)
-        maps.append(_Map(name_of(point), point, settle, ok, cluster))
+        variant = analysis.numbers(rows, "variant_id").astype(int).reshape(shape)[0]
+        repeated = first[variant] != variant
+        maps.append(_Map(name_of(point), point, settle, ok, cluster, repeated))
     return maps
 
 
@@ -105,6 +112,9 @@ def _heat_maps(
     drawn = maps[: _MOST_PANELS // across * across or _MOST_PANELS]
     left = len(maps) - len(drawn)
     rest = f" The first {len(drawn)} of {len(maps)} panels." if left else ""
+    repeated = [m.repeated for m in drawn]
+    if any(map(np.any, repeated)):
+        rest += " Cells without a number repeat the one beside them: there a key does not act."
     medians = [(m.name, _median(m.settle_s)) for m in drawn]
     finite = np.concatenate([values[np.isfinite(values)] for _, values in medians])
     high = float(finite.max()) if finite.size else 1.0
@@ -119,6 +129,7 @@ def _heat_maps(
             rows=rows,
             columns=columns,
             across=across,
+            repeated=repeated,
         ),
     )
     yield Picture(
@@ -131,6 +142,7 @@ def _heat_maps(
             rows=rows,
             columns=columns,
             across=across,
+            repeated=repeated,
         ),
     )
 

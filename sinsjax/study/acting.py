@@ -49,6 +49,12 @@ def acts(key: str, values: Mapping[str, Any]) -> bool:
     return all(c.acts(*(values[given] for given in c.given)) for c in conditions(key))
 
 
+def silent(study: Study, key: str) -> np.ndarray:
+    """(variants,) whether a swept key does not act on a variant."""
+    column = _acting_column(study, key)
+    return column.each(lambda value: not value, bool)
+
+
 def first_alike(study: Study) -> np.ndarray:
     """(variants,) the first variant that is equal to each in every key that acts.
 

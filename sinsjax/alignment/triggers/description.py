@@ -35,9 +35,7 @@ TRIGGERS: dict[str, TriggerDescription] = {
         TriggerDescription("nis", "normalised innovation squared of a sample"),
         TriggerDescription("whiteness", "correlation of innovations over one sample in a window"),
         TriggerDescription("tilt_drift", "tilt drift about east against what P_UU allows"),
-        TriggerDescription(
-            "levelled", "level corrected no faster than heading explains"
-        ),
+        TriggerDescription("levelled", "level corrected no faster than heading explains"),
         TriggerDescription("linearisation", "P_UU below what a linear model can know"),
         TriggerDescription("strong_tracking", "innovations above their covariance", fades=True),
         TriggerDescription("fading", "every sample, by the threshold", fades=True),

@@ -1,0 +1,51 @@
+"""Variants with the same runs are told once."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.studies import small_study
+
+from sinsjax import analysis
+from sinsjax.execution import run as study_run
+from sinsjax.report import auto, over_axes
+from sinsjax.report.base import Picture, Source, Table
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Source:
+    study = small_study(axes={"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0, 3.0]})
+    directory: Path = tmp_path_factory.mktemp("alike") / "results"
+    study_run.run_into(study, directory)
+    return Source.read(directory)
+
+
+def test_rows_are_those_of_variants_that_differ(source: Source) -> None:
+    table = source.distinct(["reset_count", "reset_cycle_s", "draw_id", "phi_u_arcmin"])
+    assert table.column_names == ["reset_count", "reset_cycle_s", "draw_id", "phi_u_arcmin"]
+    keys = [(row["reset_count"], row["reset_cycle_s"]) for row in table.to_pylist()]
+    assert keys == [(0, None), (1, 1.0), (1, 2.0), (1, 3.0)] * source.draws
+    whole = source.rows(["phi_u_arcmin", "variant_id"])
+    variant = analysis.numbers(whole, "variant_id")
+    expected = analysis.numbers(whole, "phi_u_arcmin")[np.isin(variant, [0, 3, 4, 5])]
+    np.testing.assert_array_equal(analysis.numbers(table, "phi_u_arcmin"), expected)
+
+
+def test_the_table_of_variants_has_each_once(source: Source) -> None:
+    table = auto.statistics(source, ["reset_count", "reset_cycle_s"], "Every variant")
+    assert [row[:3] for row in table.rows] == [
+        ["0", "-", "3"],
+        ["1", "1", "3"],
+        ["1", "2", "3"],
+        ["1", "3", "3"],
+    ]
+
+
+def test_a_map_writes_their_number_once(source: Source) -> None:
+    blocks = over_axes.over_axes(source)
+    (picture, *_) = (b for b in blocks if isinstance(b, Picture) and "success" in b.name)
+    assert "there a key does not act" in picture.caption
+    (axes, _) = picture.figure.axes
+    written = [text for text in axes.texts if text.get_text()]
+    assert len(written) == 4
+    assert all(isinstance(block, Table | Picture) for block in blocks)
