@@ -7,6 +7,8 @@ numbers. Methods never import one another; whoever drives them sees only this sh
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
+
 from sinsjax.alignment.description import StudyView
 from sinsjax.alignment.limits import Biases, Limit
 from sinsjax.strapdown.earth import Earth, Place
@@ -90,6 +92,12 @@ class AttitudeCovariance(NamedTuple):
     uu: Scalar
 
 
+def no_covariance(like: Scalar) -> AttitudeCovariance:
+    """That of a method without one, in numbers of the type given."""
+    unknown = jnp.full_like(like, jnp.nan)
+    return AttitudeCovariance(*(unknown for _ in AttitudeCovariance._fields))
+
+
 class Ending(NamedTuple):
     """How a run ends.
 
@@ -129,7 +137,7 @@ class Relaxed(NamedTuple):
 
 
 class Method(NamedTuple):
-    """An alignment method.
+    """An alignment method. Its state has the navigation solution as ``nav``, or wraps one that has.
 
     Attributes:
         init: (params, navigation) -> state.
@@ -141,7 +149,8 @@ class Method(NamedTuple):
         covariance: state -> `AttitudeCovariance` of that attitude.
         normalise: state -> state with its quaternion scaled to unit length.
         limit: (params, place, biases, `Ending`) -> `Limit` that constant biases leave; the place is
-            that of a forward pass.
+            that of a forward pass. `limits.unaided` where a method finds no heading: its level part
+            counts all the same.
         results: state -> what the method's own columns are made of at the end of a run, see
             `description.OwnColumn`; None of a method without.
         close: (params, state, n) -> state after what is due after the n-th sample: feedback and

@@ -75,16 +75,13 @@ class OwnColumn(NamedTuple):
         column: name, type, unit and meaning.
         value: (`Method.results` of runs, samples a second) -> values, (runs,), NaN for none.
         missing: value of runs whose method has no such column; NaN for none.
+        where: whether a study has it.
     """
 
     column: Column
     value: Callable[[Any, float], NDArray]
     missing: float = float("nan")
-
-
-def no_columns(study: StudyView) -> tuple[OwnColumn, ...]:
-    """A method without columns of its own."""
-    return ()
+    where: Callable[[StudyView], bool] = lambda study: True
 
 
 def no_check(columns: Columns, site: Any) -> None:
@@ -126,7 +123,7 @@ class Description:
             them: such a filter tells gyro biases from heading once the base moves. Empty for a
             method without these states.
         rules: check the rules between its keys.
-        columns: its result columns in a study.
+        columns: its own result columns.
         last_called: (`Method.results` of runs) -> sample of the last reset that a run itself called
             for, 0 for none; None where none can.
         step_s: time of a sample of one run on one core, s, roughly; see `docs/performance.md`.
@@ -143,7 +140,7 @@ class Description:
     has_limit: bool = True
     gyro_bias_keys: tuple[tuple[str, str], ...] = ()
     rules: tuple[Callable[[CheckedStudy], None], ...] = ()
-    columns: Callable[[StudyView], tuple[OwnColumn, ...]] = no_columns
+    columns: tuple[OwnColumn, ...] = ()
     last_called: Callable[[Any], NDArray | None] = lambda results: None
     step_s: float = 20e-9
 
@@ -152,6 +149,10 @@ class Description:
         """Every key of a study that it takes, but for those that all methods do."""
         own = (key for section in self.sections.values() for key in section.model_fields)
         return frozenset([*own, *self.reads])
+
+    def columns_of(self, study: StudyView) -> tuple[OwnColumn, ...]:
+        """Its own columns in a study."""
+        return tuple(own for own in self.columns if own.where(study))
 
     @cached_property
     def implementation(self) -> Implementation:

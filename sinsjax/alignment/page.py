@@ -45,6 +45,9 @@ def _keys(method: Description) -> list[str]:
         f"- [{name}]: {', '.join(f'`{key}`' for key in keys if key not in method.silent)}."
         for name, keys in own.items()
     ]
+    if method.columns:
+        told = (f"`{own.column.name}` ({own.column.meaning})" for own in method.columns)
+        lines.append(f"- Own columns: {', '.join(told)}.")
     if relaxed:
         keys = {*relaxed.changes, *filter(None, [relaxed.times])}
         with_gradient = sorted(keys.difference(method.silent))

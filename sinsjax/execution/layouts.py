@@ -34,7 +34,7 @@ def summary(study: Study) -> tuple[Column, ...]:
 def of_methods(study: Study) -> dict[str, OwnColumn]:
     """The columns that the study's methods bring, by name; methods may share one."""
     methods = (method for name, method in METHODS.items() if name in study.methods)
-    return {own.column.name: own for method in methods for own in method.columns(study)}
+    return {own.column.name: own for method in methods for own in method.columns_of(study)}
 
 
 def curves(study: Study) -> tuple[Column, ...]:

@@ -156,9 +156,9 @@ class Tables:
     def _of_method(self, chunk: Chunk, variant: np.ndarray) -> dict[str, pa.Array]:
         """The columns that methods bring; all runs of a chunk have one method."""
         method = self._method(variant)
-        own = {column.column.name for column in method.columns(self._study)}
+        own = {column.column.name for column in method.columns_of(self._study)}
         values = {}
-        for name, (column, value, missing) in self._own_columns.items():
+        for name, (column, value, missing, _) in self._own_columns.items():
             found = value(chunk.outcome.results, self._study.rate_hz) if name in own else missing
             array = _nullable(np.broadcast_to(found, len(variant)))
             values[name] = array.cast(column.dtype)

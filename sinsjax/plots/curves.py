@@ -149,7 +149,9 @@ def _draw_misalignment(
         extents.append(draw(axes, Line(ensemble.label, ensemble.time_s, values, colour(i))))
         if with_sigma:
             sigma = ensemble.columns[f"sigma_{axis}_arcmin"].mean(axis=0)
-            known = np.isfinite(sigma)  # nowhere, for a method that has none
+            known = np.isfinite(sigma)
+            if not known.any():
+                continue  # a method without a covariance
             time, sigma = ensemble.time_s[known], sigma[known]
             for side in (sigma, -sigma):
                 axes.plot(time, side, "--", color=colour(i), linewidth=0.9, alpha=0.8)

@@ -132,7 +132,10 @@ def distributions(panels: Sequence[DistributionPanel], title: str) -> Figure:
         wide = np.abs(np.concatenate(ends)).max(initial=0.0) > panel.far
         axes.set_xlabel(panel.quantity + (both_sides(axes.xaxis, panel.far / 6) if wide else ""))
         axes.set_ylim(0, 1.02)
-        _tell_missing(axes, drawn, panel.missing)
+        known = [
+            values.size > 0 for values in panel.lines.values()
+        ]  # of no runs nothing is missing
+        _tell_missing(axes, drawn, known, panel.missing)
     grid[0].set_ylabel("share of runs")
     legend_outside(figure, grid[0])
     return figure
@@ -157,12 +160,16 @@ def steps(values: NDArray) -> tuple[NDArray, NDArray]:
     return known[np.maximum(ranks - 1, 0)], ranks / values.size
 
 
-def _tell_missing(axes: Axes, drawn: Sequence[tuple[NDArray, NDArray]], word: str) -> None:
+def _tell_missing(
+    axes: Axes, drawn: Sequence[tuple[NDArray, NDArray]], known: Sequence[bool], word: str
+) -> None:
     """Goes on with lines that end below 1, and writes what is missing beside them."""
     left, right = axes.get_xlim()
     axes.set_xlim(left, right)
     ends = [
-        (share[-1], x[-1], i) if x.size else (0.0, left, i) for i, (x, share) in enumerate(drawn)
+        (share[-1], x[-1], i) if x.size else (0.0, left, i)
+        for i, (x, share) in enumerate(drawn)
+        if known[i]
     ]
     beside = axes.get_yaxis_transform()
     height = -math.inf

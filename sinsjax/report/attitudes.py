@@ -39,11 +39,11 @@ def innovations(source: Source) -> str:
     try:
         rows = source.rows(["innovation_nis", "innovation_freedom"])
     except InputError:
-        return "Innovations: not recorded."
+        return "Innovations: none are recorded."
     mean, freedom = (analysis.numbers(rows, name) for name in rows.column_names)
     mean, freedom = mean[freedom > 0], freedom[freedom > 0]
     if not mean.size:
-        return "A compass has no innovations."
+        return "No method here has innovations."
     tail = (1 - analysis.CONFIDENCE) / 2
     low, high = (2 * special.chdtri(freedom, p) / freedom for p in (1 - tail, tail))
     above, below = int((mean > high).sum()), int((mean < low).sum())

@@ -78,7 +78,10 @@ def statistics(source: Source, keys: Sequence[str], title: str, *, note: str = "
     found = analysis.summarise(source.distinct(columns), keys, [s.name for s in shown]).to_pylist()
     rows = []
     for row in found[:MOST_ROWS]:
-        numbers = [s.text(_estimate(row, s.name)) for s in shown]
+        none = row["no_limit"] == row["n"]
+        numbers = [
+            "no limit" if none and s.of_limit else s.text(_estimate(row, s.name)) for s in shown
+        ]
         rows.append([*(value_text(row[key]) for key in keys), str(row["n"]), *numbers])
     if left := len(found) - len(rows):
         note = f"{note} {left} more rows are not shown.".lstrip()
@@ -92,11 +95,13 @@ class _Shown(NamedTuple):
         header: of its column.
         name: of the statistic.
         text: of an estimate of it.
+        of_limit: whether it counts from the limit.
     """
 
     header: str
     name: str
     text: Callable[[Estimate], str]
+    of_limit: bool = False
 
 
 def _shown(source: Source) -> list[_Shown]:
@@ -105,14 +110,14 @@ def _shown(source: Source) -> list[_Shown]:
     missing = [y for y in yardsticks(source.study) if y not in source.yardsticks]
     lost = "not recorded" if source.schema == "1" else "no limit"
     return [
-        *(_Shown(f"ok: {y.words} (%)", y.rate, percent) for y in source.yardsticks),
+        *(_Shown(f"ok: {y.words} (%)", y.rate, percent, not y.truth) for y in source.yardsticks),
         *(_Shown(f"ok: {y.words} (%)", y.rate, lambda _: lost) for y in missing),
         *(
-            _Shown(f"time to {y.words}, median (s)", f"{y.settle}_median", seconds)
+            _Shown(f"time to {y.words}, median (s)", f"{y.settle}_median", seconds, not y.truth)
             for y in source.yardsticks
         ),
         _Shown("phi_u, window mean (arcmin)", "phi_u_mean_arcmin_mean", arcmin),
-        _Shown("... from its limit (arcmin)", "phi_u_from_floor_arcmin_mean", arcmin),
+        _Shown("... from its limit (arcmin)", "phi_u_from_floor_arcmin_mean", arcmin, True),
     ]
 
 

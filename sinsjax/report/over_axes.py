@@ -8,6 +8,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
+from sinsjax.alignment.methods import SECTIONS_OF_METHODS
 from sinsjax.report.base import (
     Block,
     Picture,
@@ -27,7 +28,7 @@ from sinsjax.study.success import Yardstick
 _MOST_PANELS = 12
 _MOST_LINES = 7
 _ERROR = ("phi_u_mean_arcmin", "floor_arcmin")
-_CHOSEN = ("filter", "resets")  # sections whose values a user chooses, so that one can be best
+_CHOSEN = tuple(SECTIONS_OF_METHODS)  # whose values a user chooses, so that one can be best
 
 Axes = Mapping[str, Sequence[float]]
 Lines = dict[str, list[analysis.Estimate]]
@@ -211,7 +212,8 @@ def _along_axis(
         for yard, s in zip(yards, settling, strict=True)
     }
     panels |= {f"median time (s) to {yard.words}": t for yard, t in zip(yards, time, strict=True)}
-    panels |= {"phi_u from its limit (arcmin)": error}
+    if any(np.isfinite(e.value) for line in error.values() for e in line):
+        panels |= {"phi_u from its limit (arcmin)": error}
     left = len(groups) - len(error)
     rest = f" {left} more lines are not drawn." if left else ""
     return Picture(

@@ -10,6 +10,7 @@ from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate
 from sinsjax.plots import BeliefPanel, DistributionPanel
 from sinsjax.report.base import Picture, Source, Text, name_of, shown_keys, swept
+from sinsjax.study.success import Yardstick
 from sinsjax.units import ARCMIN, MICRO
 
 _MOST_LINES = 7
@@ -25,13 +26,13 @@ def spreads(source: Source) -> Iterator[Picture | Text]:
     """
     keys, note = _lines(source)
     judged = [yard.settle for yard in source.yardsticks]
-    needed = (*keys, *judged, *_ERROR)
+    needed = (*keys, *judged, *_ERROR, "has_limit")
     shown = {name_of(key): rows for key, rows in analysis.groups(source.rows(needed), keys)}
     errors = {name: _from_limit(rows) for name, rows in shown.items()}
     settling = [
         DistributionPanel(
             f"time (s) until the heading stays\n{yard.words}",
-            {name: analysis.numbers(rows, yard.settle) for name, rows in shown.items()},
+            {name: _settled(rows, yard) for name, rows in shown.items()},
             "never",
         )
         for yard in source.yardsticks
@@ -52,7 +53,7 @@ def spreads(source: Source) -> Iterator[Picture | Text]:
     needed = (*keys, "nees", *_SHARES.values(), "draw_id", "start_s")
     groups = analysis.groups(source.rows(needed), keys)
     beliefs = [belief(name_of(key), rows) for key, rows in groups]
-    if any(np.isfinite(one.nees).any() for one in beliefs):
+    if beliefs := [one for one in beliefs if np.isfinite(one.nees).any()]:
         yield consistency(beliefs, note)
         yield from _biases_unknown(source)
 
@@ -98,7 +99,18 @@ def _lines(source: Source) -> tuple[Sequence[str], str]:
     return (), " All runs together."
 
 
+def _settled(rows: pa.Table, yard: Yardstick) -> Any:
+    """Settling times of runs that can settle: those without a limit have none to settle to."""
+    found = analysis.numbers(rows, yard.settle)
+    return found if yard.truth else found[_with_limit(rows)]
+
+
+def _with_limit(rows: pa.Table) -> Any:
+    return rows["has_limit"].fill_null(True).to_numpy()
+
+
 def _from_limit(rows: pa.Table) -> Any:
+    rows = rows.filter(pa.array(_with_limit(rows)))
     mean, floor = (analysis.numbers(rows, column) for column in _ERROR)
     return mean - floor
 

@@ -36,7 +36,7 @@ def test_it_reads_keys_that_there_are(method):
 @methods
 def test_its_columns_are_told_where_the_study_has_them(method):
     study = small_study(alignment={"method": method.name})
-    names = [own.column.name for own in method.columns(study)]
+    names = [own.column.name for own in method.columns_of(study)]
     assert len({*names}) == len(names)
     assert {*names} <= {column.name for column in layouts.summary(study)}
 

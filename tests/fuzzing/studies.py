@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from fuzzing.edits import Quiet, edited, mangled
 from fuzzing.values import TEXTS, misfits, of_field, table
+from sinsjax.alignment.methods import METHODS
 from sinsjax.study.distributions import NUMBERS_DRAWN
 from sinsjax.study.study import SECTIONS, SWEEPABLE, TUNABLE, rivals
 
@@ -47,6 +48,10 @@ BASES: dict[str, dict[str, Any]] = {
             "variables": {"p0_yaw_deg": {"low": 1.0, "high": 80.0}},
             "baseline": {"p0_yaw_deg": 5.0},
         }
+    },
+    **{
+        f"method {name}": BASE | {"alignment": {"method": name, "phi_u0_deg": 30.0}}
+        for name in METHODS
     },
     "recorded": {
         "study": {"duration_s": 2.0, "rate_hz": 10.0, "record_interval_s": 0.5},

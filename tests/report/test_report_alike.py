@@ -49,3 +49,13 @@ def test_a_map_writes_their_number_once(source: Source) -> None:
     written = [text for text in axes.texts if text.get_text()]
     assert len(written) == 4
     assert all(isinstance(block, Table | Picture) for block in blocks)
+
+
+def test_methods_with_and_without_a_covariance_are_drawn_side_by_side(tmp_path: Path) -> None:
+    study = small_study(
+        study={"curves": True, "draws": 2}, axes={"alignment": {"method": ["kalman5", "compass"]}}
+    )
+    study_run.run_into(study, tmp_path / "results")
+    report = auto.report(Source.read(tmp_path / "results"))
+    names = [b.name for s in report.sections for b in s.blocks if isinstance(b, Picture)]
+    assert {"misalignment", "distribution", "consistency"} <= {*names}

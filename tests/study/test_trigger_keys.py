@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from sinsjax.alignment.methods import SECTIONS_OF_METHODS
 from sinsjax.alignment.triggers.section import any_trigger
 from sinsjax.errors import InputError
 from sinsjax.study.fingerprint import fingerprint
@@ -194,7 +195,9 @@ def test_a_study_without_these_keys_is_told_as_before(tables: dict[str, Any]) ->
     content["axes"] = [[key, list(values)] for key, values in study.axes.items()]
     for name in ("zips", "drawn", "stop_when", "tune"):
         assert not content.pop(name, None)
-    if study.resets:
+    for name in SECTIONS_OF_METHODS.keys() - {"filter", "resets", "compass"}:
+        assert content.pop(name) is None  # of a later method
+    if study.has("resets"):
         assert content["resets"].pop("reset_first_s") is None
     densities = [key for key in content["filter"] or () if key.startswith("q_") and "sqrt" in key]
     later = {name: tuple(keys) for name, keys in NEW.items()} | {"study": OF_SUCCESS}

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from sinsjax.alignment.base import FilterResults
 from sinsjax.alignment.limits import Limit
 from sinsjax.engine.batch import Chunk
 from sinsjax.engine.metrics import Observation, Outcome
@@ -40,5 +41,6 @@ def chunk(
             1.5 * ARCMIN * one,
             np.full(n, no_north),
         ),
+        results=FilterResults(None, None),
     )
     return Chunk(np.zeros(n, int), np.arange(n), outcome, None)

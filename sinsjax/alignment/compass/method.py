@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from sinsjax.alignment.base import AttitudeCovariance, Ending, Method, Options, Site
+from sinsjax.alignment.base import AttitudeCovariance, Ending, Method, Options, Site, no_covariance
 from sinsjax.alignment.compass.design import AzimuthGains, LevelGains, at_pace
 from sinsjax.alignment.limits import Biases, Limit, unaided
 from sinsjax.alignment.schedules import Pieces, value_at
@@ -179,8 +179,7 @@ def _attitude(state: LoopState) -> Quat:
 
 
 def _covariance(state: LoopState) -> AttitudeCovariance:
-    unknown = jnp.full_like(state.rate_u, jnp.nan)
-    return AttitudeCovariance(*(unknown for _ in AttitudeCovariance._fields))
+    return no_covariance(state.rate_u)
 
 
 def _normalise(state: LoopState) -> LoopState:

@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from sinsjax.alignment.description import OwnColumn, StudyView
+from sinsjax.alignment.description import OwnColumn
 from sinsjax.alignment.triggers.section import any_trigger
 from sinsjax.columns import Column
 
@@ -34,15 +34,20 @@ def _time_s(sample: Any, rate_hz: float) -> NDArray:
 
 TRIGGER_COUNTS = (
     OwnColumn(
-        Column("triggered_count", pa.int64(), "", "resets that the trigger called for"), _count, 0.0
+        Column("triggered_count", pa.int64(), "", "resets that the trigger called for"),
+        _count,
+        0.0,
+        any_trigger,
     ),
     OwnColumn(
         Column("triggered_first_s", pa.float64(), "s", "time of the first of them; null for none"),
         _first_s,
+        where=any_trigger,
     ),
     OwnColumn(
         Column("triggered_last_s", pa.float64(), "s", "time of the last of them; null for none"),
         _last_s,
+        where=any_trigger,
     ),
 )
 """Columns of what a trigger did."""
@@ -52,8 +57,3 @@ def last_called(results: Any) -> NDArray | None:
     """Sample of the last reset that a trigger called for, (runs,); 0 for none. None without one."""
     counts = results.trigger_counts
     return None if counts is None else np.asarray(counts.last)
-
-
-def trigger_columns(study: StudyView) -> tuple[OwnColumn, ...]:
-    """These columns, where some variant of a study has a trigger."""
-    return TRIGGER_COUNTS if any_trigger(study) else ()

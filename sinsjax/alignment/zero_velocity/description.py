@@ -14,7 +14,7 @@ from sinsjax.alignment.description import (
     OwnColumn,
     StudyView,
 )
-from sinsjax.alignment.triggers.columns import last_called, trigger_columns
+from sinsjax.alignment.triggers.columns import TRIGGER_COUNTS, last_called
 from sinsjax.alignment.triggers.section import check_trigger
 from sinsjax.alignment.zero_velocity.section import FilterSection, ResetsSection, check_resets
 from sinsjax.columns import Column
@@ -28,21 +28,27 @@ def _freedom(results: Any, rate_hz: float) -> NDArray:
     return 2 * np.asarray(results.innovations.count)
 
 
+def _is_recorded(study: StudyView) -> bool:
+    return study.is_recorded  # a simulation has the truth to be judged by
+
+
 INNOVATIONS = (
     OwnColumn(
         Column(
             "innovation_nis",
             pa.float64(),
             "",
-            "mean r' S^-1 r of the filter's velocity innovations r; null of compass",
+            "mean r' S^-1 r of the filter's velocity innovations r; null of methods without",
         ),
         _mean_nis,
+        where=_is_recorded,
     ),
     OwnColumn(
         Column(
             "innovation_freedom", pa.float64(), "", "degrees of freedom of their sum: 2 an update"
         ),
         _freedom,
+        where=_is_recorded,
     ),
 )
 """Columns of a filter's innovations, of a recorded study: 2 is expected of a true belief."""
@@ -57,11 +63,6 @@ def _load(model: str) -> Implementation:
     return Implementation(partial(build, MODELS[model]), parameters, relaxed=RELAXED)
 
 
-def _columns(study: StudyView) -> tuple[OwnColumn, ...]:
-    # A simulation has the truth to be judged by.
-    return (*trigger_columns(study), *(INNOVATIONS if study.is_recorded else ()))
-
-
 _filter = partial(
     Description,
     sections={"filter": FilterSection, "resets": ResetsSection},
@@ -71,7 +72,7 @@ _filter = partial(
         *("turn_covariance", "turn_inflation"),
     ),
     rules=(check_trigger, check_resets),
-    columns=_columns,
+    columns=(*TRIGGER_COUNTS, *INNOVATIONS),
     last_called=last_called,
     step_s=20e-9,
 )
