@@ -132,9 +132,8 @@ def distributions(panels: Sequence[DistributionPanel], title: str) -> Figure:
         wide = np.abs(np.concatenate(ends)).max(initial=0.0) > panel.far
         axes.set_xlabel(panel.quantity + (both_sides(axes.xaxis, panel.far / 6) if wide else ""))
         axes.set_ylim(0, 1.02)
-        known = [
-            values.size > 0 for values in panel.lines.values()
-        ]  # of no runs nothing is missing
+        # Of no runs nothing is missing.
+        known = [values.size > 0 for values in panel.lines.values()]
         _tell_missing(axes, drawn, known, panel.missing)
     grid[0].set_ylabel("share of runs")
     legend_outside(figure, grid[0])

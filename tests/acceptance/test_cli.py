@@ -267,7 +267,7 @@ def test_a_page_names_the_file_that_was_given(
     config = write_study(tmp_path / folder, **TWO).relative_to(tmp_path)
     assert sinsjax("sweep", config, "-o", "out")[0] == 0
     assert sinsjax("report", "out", "--page", "page.md", "--html", "page.html")[0] == 0
-    named = f"{folder}study.toml; sinsjax "
+    named = f"{folder}study.toml; computed by sinsjax "
     assert f"page.md ({named}" in Path("page.md").read_text()
     assert f"<footer>{named}" in Path("page.html").read_text()
 

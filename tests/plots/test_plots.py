@@ -97,8 +97,9 @@ def test_misalignment():
     )
     whole, enlarged = figure.axes[::2], figure.axes[1::2]
     assert len(whole) == len(enlarged) == 3
-    for axes, name in zip(whole, ("east", "north", "up"), strict=True):
-        assert axes.get_ylabel().startswith(f"phi {name}") and "(arcmin)" in axes.get_ylabel()
+    names = ("level error, east", "level error, north", "heading error")
+    for axes, name in zip(whole, names, strict=True):
+        assert axes.get_ylabel().startswith(name) and "(arcmin)" in axes.get_ylabel()
         assert [line.get_label() for line in solid(axes)] == ["a", "b"]
         assert axes.get_yscale() == "asinh" and axes.get_xlim() == (0.0, 10.0)
         assert sum(line.get_linestyle() == ":" for line in axes.get_lines()) == 2
