@@ -54,8 +54,8 @@ class FilterSnapshot(NamedTuple):
         innovation: measured minus predicted velocity, m/s.
         variance: upper triangle of its believed covariance S (ee, en, nn), (m/s)^2.
         belief: after the update.
-        correction: of the attitude since the last reset or turn of the tape: what was fed back and
-            what is not yet, rad.
+        correction: of the attitude since the last reset or direction reversal: what was fed back
+            and what is not yet, rad.
         at_rest: transition of a base at rest, its specific force (0, 0, g).
         place: Earth rates there.
         dt: s.
@@ -75,8 +75,8 @@ class TriggerState(NamedTuple):
 
     Attributes:
         memory: of the trigger.
-        fed: attitude corrections fed back since the last reset or turn, less what was estimated
-            before that turn, rad.
+        fed: attitude corrections fed back since the last reset or direction reversal, less what
+            was estimated before that reversal, rad.
         trigger_counts: what it did so far.
         since: sample of the last reset of any kind.
     """
@@ -192,7 +192,7 @@ def after(
     fed: Vec3,
     n: Scalar,
 ) -> TriggerState:
-    """The watch after a sample's feedback, and after its reset if there was one.
+    """The trigger's state after a sample's feedback, and after its reset if there was one.
 
     Args:
         trigger: which.
@@ -222,7 +222,7 @@ def reversed_in_time(
     p: Triangle,
     misalignment: Vec3,
 ) -> TriggerState:
-    """The watch after a turn of the tape: its memory begins anew, what it did stays.
+    """The trigger's state after a direction reversal: its memory begins anew, its counts stay.
 
     Args:
         trigger: which.
