@@ -17,8 +17,6 @@ from sinsjax.analysis.estimates import (
     UNKNOWN,
     Estimate,
     chi2_mean_band,
-    format_difference,
-    format_estimate,
     mean,
     proportion,
     quantile,
@@ -26,6 +24,7 @@ from sinsjax.analysis.estimates import (
     share,
     std,
 )
+from sinsjax.analysis.formats import format_difference, format_estimate
 from sinsjax.analysis.summaries import NEES_FREEDOM, compare, summarise
 from sinsjax.analysis.tables import groups, has_status, has_truth, numbers, paired
 

@@ -120,7 +120,7 @@ def test_help_shows_every_word_that_is_written(sinsjax: Command, command: Any) -
 def test_brackets_in_what_is_printed_are_no_markup(
     sinsjax: Command, tmp_path: Path, record: build.Record, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cli, "MOST_RUNS", 1)
+    monkeypatch.setattr("sinsjax.cli.study.MOST_RUNS", 1)
     write_psins(record, tmp_path / "swing.imu")
     study = RECORDED["study"] | {"name": "swing [tune]"}
     config = write_study(tmp_path, **RECORDED | {"study": study})

@@ -1,4 +1,4 @@
-"""The command line: thin commands over `run`, `report` and `bench`.
+"""The command line: thin commands over `run`, `report` and `bench`; studies are run in `study`.
 
 A user's mistake prints one line and exits with code 2; nothing else of Python is shown.
 """
@@ -6,15 +6,13 @@ A user's mistake prints one line and exits with code 2; nothing else of Python i
 import atexit
 import gc
 import sys
-import threading
-from contextlib import nullcontext, suppress
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from rich.console import Console
 
+from sinsjax.cli.study import check_options, configure, made_ready, run_study
 from sinsjax.console import lasting, plain_console, say
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.messages import one_line
@@ -27,12 +25,6 @@ app = typer.Typer(
     rich_markup_mode=None,  # or a section such as [tune] is taken for markup and lost
     pretty_exceptions_enable=False,
 )
-
-MOST_RUNS = 1024
-"""Runs up to which `run` and `align` keep every curve; `run` takes no more."""
-
-_LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
-"""JAX's name of what comes before XLA compiles."""
 
 Config = Annotated[Path, typer.Argument(help="Study file (TOML).", show_default=False)]
 Out = Annotated[
@@ -67,7 +59,7 @@ def run(
 
     Example: sinsjax run configs/paper1_resets.toml -o out
     """
-    _run_study(config, out, overwrite=overwrite, resume=resume, devices=devices, curves=True)
+    run_study(config, out, overwrite=overwrite, resume=resume, devices=devices, curves=True)
 
 
 @app.command()
@@ -98,7 +90,7 @@ def sweep(
         raise InputError("--workers: cannot go with --scheduler (give one of them)")
     if devices is not None and (workers or scheduler):
         raise InputError("--devices: cannot go with --workers or --scheduler, one core a worker")
-    _run_study(
+    run_study(
         config,
         out,
         overwrite=overwrite,
@@ -126,7 +118,7 @@ def align(
 
     Example: sinsjax align drive.imu configs/car_test.toml -o out
     """
-    _run_study(
+    run_study(
         config,
         out,
         overwrite=overwrite,
@@ -165,16 +157,16 @@ def tune(
     for file in (record, reference):
         if file is not None and not study.is_recorded:
             raise InputError(f"{config}: has no [record] section to read {file} with")
-    _check_options(overwrite=overwrite, resume=resume, devices=devices)
+    check_options(overwrite=overwrite, resume=resume, devices=devices)
     carry_out.check_free(out, overwrite=overwrite or resume)
-    _configure(devices)
+    configure(devices)
     tape = None if record is None else study_run.load_tape(study, record, reference)
     terminal = plain_console()
     study = study_run.at_rate(study, tape)
     expected = forecast.of_tuning(study)
     forecast.require_room(study, expected, out, overwrite=overwrite, resume=resume)
     say(terminal, f"{expected.told(runtime.usable_cores() if devices is None else devices)}.")
-    study = _made_ready(study, tape, terminal)
+    study = made_ready(study, tape, terminal)
     with progress.interruptible(terminal) as stop:
         carry_out.tune(
             study,
@@ -286,122 +278,6 @@ def bench(
     from sinsjax import bench as benchmarks
 
     benchmarks.run(plain_console(), as_json=as_json, limit=limit, repeats=repeats)
-
-
-def _run_study(
-    config: Path,
-    given: str,
-    *,
-    overwrite: bool,
-    devices: int | None,
-    curves: bool | None,
-    resume: bool = False,
-    chunk_runs: int | None = None,
-    cluster: tuple[int | None, str | None] = (None, None),
-    files: tuple[Path, Path | None] | None = None,
-) -> None:
-    from sinsjax.execution import forecast, progress
-    from sinsjax.execution import resume as resuming
-    from sinsjax.execution import run as study_run
-    from sinsjax.study.load import load_study
-
-    out = resuming.named(given)
-    study = load_study(config)
-    if study.is_recorded and files is None:
-        raise InputError(f"{config}: [record]: the study reads a record: use `sinsjax align`")
-    if files is not None and not study.is_recorded:
-        raise InputError(f"{config}: has no [record] section to read {files[0]} with")
-    _check_options(overwrite=overwrite, resume=resume, devices=devices)
-    resuming.check_free(out, overwrite=overwrite or resume)
-    runs = study.n_draws * study.n_variants
-    terminal = plain_console()
-    if curves and runs > MOST_RUNS and files is None:
-        raise InputError(
-            f"{config}: {runs} runs are too many to keep every curve (at most {MOST_RUNS}):"
-            " use `sinsjax sweep`"
-        )
-    if curves and runs > MOST_RUNS:
-        say(terminal, f"{runs} runs: curves are kept only where [study] curves = true.")
-        curves = None
-    _configure(devices)
-    tape = None if files is None else study_run.load_tape(study, *files)
-    study = study_run.at_rate(study, tape)
-    expected = forecast.of(study, curves=curves)
-    forecast.require_room(study, expected, out, overwrite=overwrite, resume=resume)
-    cores = devices or cluster[0] or runtime.usable_cores()
-    say(terminal, f"{expected.told(1 if cluster[1] else cores)}.")
-    study = _made_ready(study, tape, terminal)
-    if left := study.dropped_s:
-        say(terminal, f"The last {left:g} s are no whole record interval and are not run.")
-    if study.run_s <= study.study.window_s[0]:
-        say(terminal, f"Runs that end by {study.study.window_s[0]:g} s have no window statistics.")
-    with (
-        _executor(*cluster) as executor,
-        progress.progress(terminal, study.name) as tell,
-        progress.interruptible(terminal) as stop,
-    ):
-        study_run.run_into(
-            study,
-            out,
-            tape,
-            curves=curves,
-            chunk_runs=chunk_runs,
-            overwrite=overwrite,
-            resume=resume,
-            executor=executor,
-            tell=tell,
-            stop=stop,
-            source=config,
-        )
-    import_module("sinsjax.report").summarise([out], terminal)
-
-
-def _made_ready(study: Any, tape: Any, terminal: Console) -> Any:
-    """A study at the rate of its record, once all that is doubtful about it is told."""
-    from sinsjax.execution import run as study_run
-
-    study, warnings = study_run.made_ready(study, tape)
-    for line in warnings:
-        say(terminal, f"Warning: {line}")
-    return study
-
-
-def _check_options(*, overwrite: bool, resume: bool, devices: int | None) -> None:
-    """Refuses options that exclude one another, and devices that are not there."""
-    if overwrite and resume:
-        raise InputError("--resume: cannot go with --overwrite (give one of them)")
-    if devices is not None and devices > runtime.usable_cores():
-        raise InputError(f"--devices: {devices} are more than the {runtime.usable_cores()} cores")
-
-
-def _configure(devices: int | None) -> None:
-    """Makes JAX ready, and begins to import what a report needs."""
-    runtime.configure(devices)
-    runtime.require_backend()
-    _import_while_compiling("sinsjax.report")
-
-
-def _import_while_compiling(name: str) -> None:
-    """Imports a module once XLA has its first program to compile, which leaves Python idle."""
-    import jax.monitoring
-
-    thread = threading.Thread(target=import_module, args=(name,), daemon=True)
-
-    def listen(event: str, seconds: float, **about: Any) -> None:
-        if event == _LOWERED and thread.ident is None:
-            with suppress(RuntimeError):  # another thread's program was as quick
-                thread.start()
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-
-
-def _executor(workers: int | None, scheduler: str | None) -> Any:
-    """Who does the tasks: this process, or Dask workers."""
-    if workers is None and scheduler is None:
-        return nullcontext()
-    from sinsjax.execution import dask_pool
-
-    return dask_pool.executor(workers=workers, scheduler=scheduler)
 
 
 def main() -> None:

@@ -1,0 +1,151 @@
+"""A study from the command line: checked, forecast, run with its progress, and reported."""
+
+import threading
+from contextlib import nullcontext, suppress
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from sinsjax.console import plain_console, say
+from sinsjax.errors import InputError
+from sinsjax.platform import runtime
+
+MOST_RUNS = 1024
+"""Runs up to which `run` and `align` keep every curve; `run` takes no more."""
+
+_LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
+"""JAX's name of what comes before XLA compiles."""
+
+
+def run_study(
+    config: Path,
+    given: str,
+    *,
+    overwrite: bool,
+    devices: int | None,
+    curves: bool | None,
+    resume: bool = False,
+    chunk_runs: int | None = None,
+    cluster: tuple[int | None, str | None] = (None, None),
+    files: tuple[Path, Path | None] | None = None,
+) -> None:
+    """Run a study into a directory and print its report.
+
+    Args:
+        config: study file.
+        given: directory for the results.
+        overwrite: whether results there are replaced.
+        devices: threads over one program; None for all cores.
+        curves: whether curves are kept; None takes the study's word.
+        resume: whether results there are completed.
+        chunk_runs: runs a chunk; None leaves it to the study.
+        cluster: workers to start, or the address of a Dask scheduler.
+        files: record and reference of a recorded study.
+
+    Raises:
+        InputError: the study cannot be run so.
+    """
+    from sinsjax.execution import forecast, progress
+    from sinsjax.execution import resume as resuming
+    from sinsjax.execution import run as study_run
+    from sinsjax.study.load import load_study
+
+    out = resuming.named(given)
+    study = load_study(config)
+    if study.is_recorded and files is None:
+        raise InputError(f"{config}: [record]: the study reads a record: use `sinsjax align`")
+    if files is not None and not study.is_recorded:
+        raise InputError(f"{config}: has no [record] section to read {files[0]} with")
+    check_options(overwrite=overwrite, resume=resume, devices=devices)
+    resuming.check_free(out, overwrite=overwrite or resume)
+    runs = study.n_draws * study.n_variants
+    terminal = plain_console()
+    if curves and runs > MOST_RUNS and files is None:
+        raise InputError(
+            f"{config}: {runs} runs are too many to keep every curve (at most {MOST_RUNS}):"
+            " use `sinsjax sweep`"
+        )
+    if curves and runs > MOST_RUNS:
+        say(terminal, f"{runs} runs: curves are kept only where [study] curves = true.")
+        curves = None
+    configure(devices)
+    tape = None if files is None else study_run.load_tape(study, *files)
+    study = study_run.at_rate(study, tape)
+    expected = forecast.of(study, curves=curves)
+    forecast.require_room(study, expected, out, overwrite=overwrite, resume=resume)
+    cores = devices or cluster[0] or runtime.usable_cores()
+    say(terminal, f"{expected.told(1 if cluster[1] else cores)}.")
+    study = made_ready(study, tape, terminal)
+    if left := study.dropped_s:
+        say(terminal, f"The last {left:g} s are no whole record interval and are not run.")
+    if study.run_s <= study.study.window_s[0]:
+        say(terminal, f"Runs that end by {study.study.window_s[0]:g} s have no window statistics.")
+    with (
+        _executor(*cluster) as executor,
+        progress.progress(terminal, study.name) as tell,
+        progress.interruptible(terminal) as stop,
+    ):
+        study_run.run_into(
+            study,
+            out,
+            tape,
+            curves=curves,
+            chunk_runs=chunk_runs,
+            overwrite=overwrite,
+            resume=resume,
+            executor=executor,
+            tell=tell,
+            stop=stop,
+            source=config,
+        )
+    import_module("sinsjax.report").summarise([out], terminal)
+
+
+def made_ready(study: Any, tape: Any, terminal: Console) -> Any:
+    """A study at the rate of its record, once all that is doubtful about it is told."""
+    from sinsjax.execution import run as study_run
+
+    study, warnings = study_run.made_ready(study, tape)
+    for line in warnings:
+        say(terminal, f"Warning: {line}")
+    return study
+
+
+def check_options(*, overwrite: bool, resume: bool, devices: int | None) -> None:
+    """Refuses options that exclude one another, and devices that are not there."""
+    if overwrite and resume:
+        raise InputError("--resume: cannot go with --overwrite (give one of them)")
+    if devices is not None and devices > runtime.usable_cores():
+        raise InputError(f"--devices: {devices} are more than the {runtime.usable_cores()} cores")
+
+
+def configure(devices: int | None) -> None:
+    """Makes JAX ready, and begins to import what a report needs."""
+    runtime.configure(devices)
+    runtime.require_backend()
+    _import_while_compiling("sinsjax.report")
+
+
+def _import_while_compiling(name: str) -> None:
+    """Imports a module once XLA has its first program to compile, which leaves Python idle."""
+    import jax.monitoring
+
+    thread = threading.Thread(target=import_module, args=(name,), daemon=True)
+
+    def listen(event: str, seconds: float, **about: Any) -> None:
+        if event == _LOWERED and thread.ident is None:
+            with suppress(RuntimeError):  # another thread's program was as quick
+                thread.start()
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+
+
+def _executor(workers: int | None, scheduler: str | None) -> Any:
+    """Who does the tasks: this process, or Dask workers."""
+    if workers is None and scheduler is None:
+        return nullcontext()
+    from sinsjax.execution import dask_pool
+
+    return dask_pool.executor(workers=workers, scheduler=scheduler)
