@@ -25,9 +25,10 @@ from sinsjax.bench.cases import TILES, default_group, engine, shortened, without
 from sinsjax.bench.timing import Row, Workload, measure_against
 from sinsjax.engine.batch import compiled, plan
 from sinsjax.engine.build import parts
-from sinsjax.engine.realisations import piece
+from sinsjax.engine.lanes import LANES, Group, Tiles, tiles_of
+from sinsjax.engine.pieces import piece
 from sinsjax.engine.simulate import RunParams
-from sinsjax.engine.tile import LANES, Group, Tiles, run_tile, tiles_of
+from sinsjax.engine.tile import run_tile
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study

@@ -15,7 +15,7 @@ from sinsjax.bench import baseline
 from sinsjax.bench.baseline import Setting
 from sinsjax.bench.cases import default_group, first_run, numpy_baseline, without_noise
 from sinsjax.bench.timing import Row, Workload, measure
-from sinsjax.engine.tile import Group
+from sinsjax.engine.lanes import Group
 
 CHECKED = 2000
 """Samples over which the Numba loop is compared."""

@@ -13,7 +13,7 @@ from sinsjax.bench.assets import asset
 from sinsjax.bench.cases import default_group, shortened
 from sinsjax.bench.timing import Row
 from sinsjax.engine.batch import compiled, plan
-from sinsjax.engine.tile import tiles_of
+from sinsjax.engine.lanes import tiles_of
 from sinsjax.errors import InputError
 
 TILE_COUNTS = (2, 8, 32)

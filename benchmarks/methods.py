@@ -19,7 +19,7 @@ from sinsjax.bench.cases import (
 )
 from sinsjax.bench.timing import Row, measure_against
 from sinsjax.engine.batch import compiled, plan
-from sinsjax.engine.tile import Group, tiles_of
+from sinsjax.engine.lanes import Group, tiles_of
 
 COUNTED = (2, 4)
 """Records of the programs whose difference tells the arithmetic of a step."""

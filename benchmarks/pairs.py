@@ -15,7 +15,7 @@ from sinsjax.bench.cases import (
 )
 from sinsjax.bench.limit import compiler, limit_kernel
 from sinsjax.bench.timing import Row, Workload, ratios, row, row_against, turns
-from sinsjax.engine.tile import Group
+from sinsjax.engine.lanes import Group
 
 MADE: dict[str, Callable[[Group], Group]] = {
     "kalman_shared_record": lambda silent: silent,

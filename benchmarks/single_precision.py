@@ -21,8 +21,8 @@ from sinsjax.alignment.zero_velocity import method as zero_velocity
 from sinsjax.bench.cases import default_group, engine, shortened, without_noise
 from sinsjax.bench.timing import Row, measure_against
 from sinsjax.engine.batch import chunks
+from sinsjax.engine.lanes import Group
 from sinsjax.engine.metrics import Outcome
-from sinsjax.engine.tile import Group
 from sinsjax.engine.verdicts import LIMIT
 from sinsjax.maths.algebra import numbers_of
 from sinsjax.strapdown import mechanisation

@@ -11,7 +11,7 @@ from sinsjax.bench.cases import (
     without_noise,
 )
 from sinsjax.bench.timing import Row, Workload, measure
-from sinsjax.engine.tile import LANES, Group
+from sinsjax.engine.lanes import LANES, Group
 
 LANE_COUNTS = (16, 32, 48, 64, 80, 96, 128, 192, 256)
 TILE_COUNTS = (2, 4, 8, 16, 32)

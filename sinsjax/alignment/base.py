@@ -103,7 +103,7 @@ class Ending(NamedTuple):
 
     Attributes:
         n: number of its last sample.
-        backward: whether that belongs to a backward pass over the tape.
+        backward: whether that belongs to a backward pass.
     """
 
     n: Scalar
@@ -143,8 +143,8 @@ class Method(NamedTuple):
         init: (params, navigation) -> state.
         step: (params, site, state, sample, n) -> state after the n-th sample, n from 1, its loop
             not yet closed.
-        turn: (params, site, state) -> state with which the tape is gone over the other way; the
-            site is that of the pass that ends.
+        turn: (params, site, state) -> state after a direction reversal; the site is that of the
+            pass that ends.
         attitude: state -> best attitude, i.e. with the estimated misalignment taken out.
         covariance: state -> `AttitudeCovariance` of that attitude.
         normalise: state -> state with its quaternion scaled to unit length.

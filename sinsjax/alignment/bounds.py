@@ -1,4 +1,4 @@
-"""What a tape holds about the heading, whatever is made of it: theory to hold methods against.
+"""What a stored record holds about the heading: theory to hold methods against.
 
 On a base at rest, a heading error phi_U tilts a free platform at the constant rate
 -omega_N phi_U - eps_E, and the north specific force is g phi_E + nabla_N + noise. So the heading,
@@ -11,7 +11,7 @@ from its floor -eps_E/omega_N, is the slope of a ramp in the force. Offset and s
 
 The least variance of an unbiased linear estimator is superadditive in the noise covariance, since
 min w'(A + B)w >= min w'A w + min w'B w over the weights w that it may have. The sum is therefore a
-bound, and close wherever one of the two noises dominates. To go over a tape again adds nothing. A
+bound, and close wherever one of the two noises dominates. Repeated passes add nothing. A
 swing about a constant attitude is known from the gyros and turns the biases by too little to
 matter.
 """

@@ -16,9 +16,9 @@ from sinsjax.bench.baseline import Setting, align
 from sinsjax.bench.timing import Workload
 from sinsjax.engine.batch import compiled, in_threads, plan
 from sinsjax.engine.build import parts
+from sinsjax.engine.lanes import LANES, STACKED_TILES, Group, Tiles, tiles_of
 from sinsjax.engine.realisations import Draw, Environment
 from sinsjax.engine.simulate import RunParams, simulate
-from sinsjax.engine.tile import LANES, STACKED_TILES, Group, Tiles, tiles_of
 from sinsjax.maths.rotations import matrix, misalign
 from sinsjax.study.load import load_study, study_from_dict
 from sinsjax.types import Quat
@@ -27,7 +27,7 @@ TILES = 2
 """Tiles a call: the fewest, since the compiler unrolls the loop over a single one."""
 
 TAPE_S = 80.0
-"""Length of a stored tape, as in [P2]."""
+"""Length of a stored record, as in [P2]."""
 
 _BASELINE_SAMPLES = 2000
 
@@ -83,7 +83,7 @@ def compass_group(tape_s: float | None = None) -> Group:
     """The default sweep with compass loops, and as many variants: sigmas in the place of resets.
 
     Args:
-        tape_s: length of the tape that is gone over forward and backward, s; None for once.
+        tape_s: length of the record that is read in repeated passes, s; None for a single one.
     """
     data = tomllib.loads(asset(_DEFAULT).read_text("utf-8"))
     for section, keys in (
@@ -238,7 +238,7 @@ def first_run(group: Group) -> tuple[np.ndarray, np.ndarray, Setting]:
         resets=tuple(int(n) for n in method.resets.samples if np.isfinite(n)),
     )
     start: np.ndarray = np.array(matrix(misalign(params.phi, params.q)))
-    return np.asarray(group.environment.tape) + bias * dt, start, setting
+    return np.asarray(group.environment.increments) + bias * dt, start, setting
 
 
 def _first_params(group: Group) -> RunParams:

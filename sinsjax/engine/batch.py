@@ -22,19 +22,10 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from sinsjax.engine.lanes import LANES, Group, Lanes, Tiles, layout, shown, tiles_of
 from sinsjax.engine.metrics import Observation, Outcome
 from sinsjax.engine.realisations import Environment, Static
-from sinsjax.engine.tile import (
-    LANES,
-    Group,
-    Lanes,
-    Tiles,
-    layout,
-    over_stacked_tiles,
-    run_tile,
-    shown,
-    tiles_of,
-)
+from sinsjax.engine.tile import over_stacked_tiles, run_tile
 
 CHUNK_TILES = 32
 CHUNK_STEPS = 2**28
@@ -180,7 +171,11 @@ class Program:
 
 
 def program(
-    static: Static, environment: Environment, tiles: Tiles, device: jax.Device | None = None
+    static: Static,
+    environment: Environment,
+    tiles: Tiles,
+    shown: int | None = None,
+    device: jax.Device | None = None,
 ) -> Program:
     """The program for arguments of these shapes, whatever their values.
 
@@ -188,6 +183,7 @@ def program(
         static: what decides it.
         environment: of these shapes.
         tiles: of these shapes.
+        shown: lanes of a tile whose curves are returned, see `run_tile`.
         device: that it runs on; None for the default one.
     """
     leaves, structure = jax.tree.flatten((environment, tiles))
@@ -195,7 +191,7 @@ def program(
     shapes = tuple(
         jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype, sharding=home) for a in leaves
     )
-    return _trace(static, structure, shapes)
+    return _trace(static, shown, structure, shapes)
 
 
 def compiled(
@@ -206,9 +202,9 @@ def compiled(
 
 
 @lru_cache(maxsize=MOST_PROGRAMS)
-def _trace(static: Static, structure: Any, shapes: tuple) -> Program:
+def _trace(static: Static, shown: int | None, structure: Any, shapes: tuple) -> Program:
     def run_tiles(environment: Environment, tiles: Tiles) -> Any:
-        one = partial(run_tile, static, environment)
+        one = partial(run_tile, static, environment, shown=shown)
         return jax.lax.map(over_stacked_tiles(static, one, tiles), tiles)
 
     return Program(jax.jit(run_tiles).lower(*jax.tree.unflatten(structure, shapes)))
@@ -252,11 +248,10 @@ class Calls:
         """
         self._group = group
         self.plan = plan(group, tiles_a_chunk=tiles_a_chunk)
-        static = group.static._replace(shown=shown(group))
-        tiles = tiles_of(group, self.plan[0])
-        self._programs = [program(static, group.environment, tiles, device) for device in targets()]
+        arguments = group.static, group.environment, tiles_of(group, self.plan[0]), shown(group)
+        self._programs = [program(*arguments, device) for device in targets()]
         # Once, and not with every call.
-        self._worlds = [jax.device_put(group.environment, device) for device in targets()]
+        self._environments = [jax.device_put(group.environment, device) for device in targets()]
 
     def compile(self) -> None:
         """Compile what the first chunk would else compile; Python is idle meanwhile."""
@@ -269,7 +264,7 @@ class Calls:
         draws, variants = group.sizes
         home = _thread.number % len(self._programs)
         call = self._programs[home].compiled()
-        outcome, curves = jax.device_get(call(self._worlds[home], tiles_of(group, places)))
+        outcome, curves = jax.device_get(call(self._environments[home], tiles_of(group, places)))
         draw, variant = places.draw.ravel(), places.variant.ravel()
         busy = np.flatnonzero((draw < draws) & (variant < variants))
         runs = busy[np.argsort(draw[busy] * variants + variant[busy])]

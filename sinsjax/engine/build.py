@@ -6,7 +6,7 @@ by the values of `PROGRAM_KEYS`, `ENVIRONMENT_KEYS` and `PASS_KEYS`, wherever th
 """
 
 from collections.abc import Iterator, Sequence
-from functools import cached_property, partial
+from functools import cached_property
 from typing import NamedTuple
 
 import jax
@@ -14,11 +14,12 @@ import numpy as np
 
 from sinsjax.alignment.base import Options, Site
 from sinsjax.alignment.methods import METHODS
+from sinsjax.engine.lanes import Group
 from sinsjax.engine.metrics import Criteria
-from sinsjax.engine.realisations import Draw, Environment, Static, derived, measured, noise
+from sinsjax.engine.realisations import Draw, Environment, Static, derived, measurements
+from sinsjax.engine.realisations import site_of as site_of_draw
 from sinsjax.engine.simulate import RunParams
 from sinsjax.engine.study_limits import require_limit
-from sinsjax.engine.tile import Group
 from sinsjax.engine.truth import recorded, simulated, site_of
 from sinsjax.errors import InputError
 from sinsjax.maths.rotations import euler_vector
@@ -177,17 +178,16 @@ def simulated_record(study: Study, draw_id: int = 0, variant_id: int = 0) -> Rec
     static, environment = part.group.static, part.group.environment
     draw = jax.tree.map(lambda a: a[0] if np.ndim(a) else a, part.group.draws)
     draw = draw._replace(made=derived(static, environment, draw))
-    site = environment.site if draw.made.site is None else draw.made.site
+    site = site_of_draw(environment, draw)
 
     @jax.jit
     def rows(environment: Environment, draw: Draw, numbers: Array) -> Increments:
-        normal = noise(static, environment, draw, numbers)
-        if environment.tape is None and environment.motion is not None:
+        if environment.increments is None and environment.motion is not None:
             whole = base_motion.increments(
                 environment.motion, site.place, study.rate_hz, len(numbers)
             )
-            environment = environment._replace(tape=whole)
-        return jax.vmap(partial(measured, static, environment, draw))(numbers, normal)
+            environment = environment._replace(increments=whole)
+        return measurements(static, environment, draw, numbers)
 
     records = min(static.records, int(environment.pass_records))
     out = rows(environment, draw, np.arange(records * static.record_every))

@@ -117,6 +117,20 @@ def observe(q_true: Quat, q_hat: Quat, covariance: AttitudeCovariance) -> Observ
     return Observation(misalignment(q_true, q_hat), sigma, *to_euler(q_hat))
 
 
+def as_row(now: Observation) -> Array:
+    """An observation as one array (fields, ...), to be stored record by record.
+
+    XLA:CPU would update several arrays side by side by copying them whole, every record.
+    """
+    return jnp.stack(jax.tree.leaves(now))
+
+
+def from_rows(rows: Array) -> Observation:
+    """Observations with leaves (records, ...) from rows (records, fields, ...) of `as_row`."""
+    e, n, u, *sigma, pitch, roll, yaw = (rows[:, i] for i in range(rows.shape[1]))
+    return Observation(Vec3(e, n, u), Vec3(*sigma), pitch, roll, yaw)
+
+
 def start(criteria: Criteria, zero: Scalar) -> Metrics:
     """Accumulators before the first record, in zeros of the type given."""
     nothing = Vec3(zero, zero, zero)

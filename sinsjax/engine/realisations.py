@@ -25,9 +25,8 @@ class Static(NamedTuple):
         records: record intervals in a run; the run is records * record_every samples long.
         curves: whether observations at all record times are returned.
         noisy: whether the sensors have any noise to draw.
-        repeats: whether the tape is gone over backward and again; else forward, once.
+        repeats: whether the stored record is read in repeated passes; else forward, once.
         sways: whether a base that draws have for themselves sways; a still one is sensed once.
-        shown: lanes of a tile whose observations are returned, the first ones; None: all.
     """
 
     method: str
@@ -38,7 +37,6 @@ class Static(NamedTuple):
     noisy: bool
     repeats: bool = False
     sways: bool = True
-    shown: int | None = None
 
 
 class Environment(NamedTuple):
@@ -46,20 +44,21 @@ class Environment(NamedTuple):
 
     Attributes:
         site: Earth and place.
-        tape: (T, 6) ideal or recorded increments, rad and m/s; None where they are made as a run
-            goes, since together they would fill the memory.
+        increments: (T, 6) the stored record, ideal or recorded, rad and m/s; None where increments
+            are made as a run goes, since together they would fill the memory.
         truth: (rows, records, 4) true or reference attitude at record times; NaN if unknown.
         errors: of the sensors.
         seed: of the noise.
         criteria: what runs are judged against.
         biases: of the sensors, mean in n.
-        pass_records: record intervals a pass over the tape; ignored without repeats.
-        times: (records,) record times on the tape, s; None where `truth` has all that is needed.
-        motion: of the base, where draws have something for themselves or there is no tape.
+        pass_records: record intervals a pass; ignored without repeats.
+        times: (records,) record times by the clock of the stored record, s; None where `truth` has
+            all that is needed.
+        motion: of the base, where draws have something for themselves or no increments are stored.
     """
 
     site: Site
-    tape: Array | None
+    increments: Array | None
     truth: Array
     errors: sensors.SensorErrors
     seed: Count
@@ -72,11 +71,11 @@ class Environment(NamedTuple):
     @property
     def dtype(self) -> jnp.dtype:
         """Of all numbers of a run."""
-        return jnp.result_type(self.truth if self.tape is None else self.tape)
+        return jnp.result_type(self.truth if self.increments is None else self.increments)
 
 
 def aligned_record(samples: int) -> np.ndarray:
-    """Room for a tape (samples, 6) where XLA takes it as it is: others it copies, in every call."""
+    """Room for a record (samples, 6) that XLA takes as it is: others it copies, in every call."""
     size, line = 8 * 6 * samples, 64
     room = np.empty(size + line, np.uint8)
     begin = -room.ctypes.data % line
@@ -84,7 +83,7 @@ def aligned_record(samples: int) -> np.ndarray:
 
 
 class InitialErrors(NamedTuple):
-    """What a draw begins with instead of its runs' `Params`; None for what is theirs.
+    """What a draw begins with instead of its runs' `RunParams`; None for what is theirs.
 
     Attributes:
         phi: angles of the initial misalignment, rad.
@@ -104,13 +103,13 @@ class Derived(NamedTuple):
         site: at its latitude.
         biases: of its sensors, mean in n.
         rest: ideal increments of its base, where that does not sway.
-        ahead: of its base, where that sways.
+        nodes: of its base, where that sways.
     """
 
     site: Site | None = None
     biases: Biases | None = None
     rest: Increments | None = None
-    ahead: base_motion.Nodes | None = None
+    nodes: base_motion.Nodes | None = None
 
 
 class Draw(NamedTuple):
@@ -120,11 +119,12 @@ class Draw(NamedTuple):
 
     Attributes:
         draw_id: decides its noise.
-        start: first sample on the tape; of many draws, one number if it is the same for all.
+        start: first sample in the stored record; of many draws, one number if all have the same.
         row: of `Environment.truth`.
         begins: what its runs begin with.
         errors: of its sensors.
-        motion: of its base; its increments are made sample by sample, in place of the tape's.
+        motion: of its base; its increments are made as a run goes, in place of the
+            stored ones.
         latitude: of its base, which then has a motion too, rad.
         made: what follows from these.
     """
@@ -140,36 +140,27 @@ class Draw(NamedTuple):
 
 
 def noise(
-    static: Static, environment: Environment, draws: Draw, numbers: Array
+    static: Static, environment: Environment, draw: Draw, numbers: Array
 ) -> Increments | None:
-    """Standard normal numbers, leaves (n, *draws), for n samples; None if no sensor has noise."""
-    return sensors.noise(environment.seed, draws.draw_id, numbers) if static.noisy else None
+    """Standard normal numbers for n samples, None if no sensor has noise.
 
-
-SAMPLES_A_PIECE = 64
-"""Samples times draws that are made at a time: fewer leave the vector units idle, more leave the
-first-level cache."""
-
-
-def piece(static: Static, draws: Draw) -> int:
-    """Samples that are made at a time; a record interval is cut into equal pieces."""
-    every = static.record_every
-    most = SAMPLES_A_PIECE // draws.draw_id.size
-    return max(n for n in range(1, max(1, min(most, every)) + 1) if every % n == 0)
+    Leaves (n,); (n, draws) for the ids of several draws, whose numbers are made together.
+    """
+    return sensors.noise(environment.seed, draw.draw_id, numbers) if static.noisy else None
 
 
 SAMPLES_A_CALL = 1000
-"""Samples whose ideal increments are made at a time where there is no tape."""
+"""Samples whose ideal increments are made at a time where none are stored."""
 
 
-def ideal(
-    static: Static, environment: Environment, draws: Draw, numbers: Array
+def integrated(
+    static: Static, environment: Environment, draw: Draw, numbers: Array
 ) -> Increments | None:
-    """What ideal sensors put out over n samples, leaves (n,), where no tape has it; else None.
+    """Increments of ideal sensors over n samples of the base that all draws share, leaves (n,).
 
-    None also where draws have a motion of their own.
+    None where they are stored, or where the draw has a base of its own.
     """
-    if environment.tape is not None or draws.motion is not None:
+    if environment.increments is not None or draw.motion is not None:
         return None
     assert environment.motion is not None
     motion, place, rate = environment.motion, environment.site.place, 1 / static.options.dt
@@ -182,35 +173,16 @@ def ideal(
     )
 
 
-def own(static: Static, environment: Environment, draws: Draw, numbers: Array) -> Increments | None:
-    """What ideal sensors put out on the swaying bases of draws over n samples, leaves (n, *draws).
-
-    None where draws have no such base. Samples of all draws are made in one row, which fills the
-    vector units.
-    """
-    if draws.made.ahead is None:
-        return None
-    at = partial(_swayed, static, environment)
-    if draws.draw_id.ndim == 0:
-        return jax.vmap(partial(at, draws))(numbers)
-    shape = (numbers.size, draws.draw_id.size)
-    axes = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
-
-    def repeated(a: Array) -> Array:
-        return jnp.tile(a, (len(numbers), *(1 for _ in a.shape[1:]))) if jnp.ndim(a) else a
-
-    row = jax.vmap(at, in_axes=(axes, 0))(
-        jax.tree.map(repeated, draws), jnp.repeat(numbers, shape[1])
-    )
-    return jax.tree.map(lambda a: a.reshape(shape), row)
-
-
-def _swayed(static: Static, environment: Environment, draw: Draw, n: Count) -> Increments:
-    """What ideal sensors put out over sample ``n`` on a swaying base that the draw has."""
-    assert draw.motion is not None and draw.made.ahead is not None
-    place = (environment.site if draw.made.site is None else draw.made.site).place
+def ideal(static: Static, environment: Environment, draw: Draw, n: Count) -> Increments:
+    """Increments of ideal sensors over sample ``n``: stored, or of the draw's own base."""
+    if draw.made.rest is not None:
+        return draw.made.rest
+    if draw.motion is None:
+        return sensors.split(jnp.asarray(environment.increments)[draw.start + n])
+    assert draw.made.nodes is not None
+    place = site_of(environment, draw).place
     k = jnp.asarray(n, environment.dtype)
-    return base_motion.increment(draw.motion, draw.made.ahead, place, 1 / static.options.dt, k)
+    return base_motion.increment(draw.motion, draw.made.nodes, place, 1 / static.options.dt, k)
 
 
 def measured(
@@ -223,22 +195,25 @@ def measured(
 ) -> Increments:
     """Measured increments of sample ``n`` (from 0) of one draw: rad, m/s.
 
-    Zeros for a negative number, before the tape: with them nothing is compensated. ``exact`` is
-    what ideal sensors put out, if it was made already.
+    Zeros for a negative number, before the stored record: with them nothing is compensated.
+    ``exact`` are those of ideal sensors, if they were made already.
     """
-    if exact is not None:
-        pass
-    elif draw.made.rest is not None:
-        exact = draw.made.rest
-    elif draw.motion is not None:
-        exact = _swayed(static, environment, draw, n)
-    else:
-        exact = sensors.split(jnp.asarray(environment.tape)[draw.start + n])
+    if exact is None:
+        exact = ideal(static, environment, draw, n)
     errors = environment.errors if draw.errors is None else draw.errors
-    put_out = sensors.measure(exact, errors, normal, static.options.dt)
+    increments = sensors.measure(exact, errors, normal, static.options.dt)
     if not static.repeats:
-        return put_out
-    return passes.where(n < 0, jax.tree.map(jnp.zeros_like, put_out), put_out)
+        return increments
+    return passes.where(n < 0, jax.tree.map(jnp.zeros_like, increments), increments)
+
+
+def measurements(
+    static: Static, environment: Environment, draw: Draw, numbers: Array
+) -> Increments:
+    """Measured increments of n samples of one draw, leaves (n,)."""
+    normal = noise(static, environment, draw, numbers)
+    exact = integrated(static, environment, draw, numbers)
+    return jax.vmap(partial(measured, static, environment, draw))(numbers, normal, exact)
 
 
 def derived(static: Static, environment: Environment, draw: Draw) -> Derived:
@@ -251,33 +226,39 @@ def derived(static: Static, environment: Environment, draw: Draw) -> Derived:
     errors = environment.errors if draw.errors is None else draw.errors
     motion = environment.motion if draw.motion is None else draw.motion
     assert motion is not None
-    rest = ahead = None
+    rest = nodes = None
     if draw.motion is not None:
-        ahead = base_motion.nodes(motion, 1 / static.options.dt)
+        nodes = base_motion.nodes(motion, 1 / static.options.dt)
         if not static.sways:
-            rest = base_motion.increment(motion, ahead, site.place, 1 / static.options.dt, 0.0)
-            ahead = None
+            rest = base_motion.increment(motion, nodes, site.place, 1 / static.options.dt, 0.0)
+            nodes = None
     own = None if draw.latitude is None else site
-    return Derived(own, mean_biases(errors, motion), rest, ahead)
+    return Derived(own, mean_biases(errors, motion), rest, nodes)
 
 
-def attitudes(static: Static, environment: Environment, draws: Draw) -> Quat | None:
-    """True attitudes at record times where draws have a motion of their own, else None.
+def site_of(environment: Environment, draw: Draw) -> Site:
+    """Earth and place of a draw."""
+    return environment.site if draw.made.site is None else draw.made.site
 
-    Returns:
-        Leaves (records, *draws).
-    """
-    if draws.motion is None:
-        return None
+
+def biases_of(environment: Environment, draw: Draw) -> Biases:
+    """Mean sensor biases of a draw."""
+    return environment.biases if draw.made.biases is None else draw.made.biases
+
+
+def first_attitude(draw: Draw) -> Quat | None:
+    """True attitude of a draw that has a motion of its own before its first sample, else None."""
+    return None if draw.motion is None else base_motion.attitude(draw.motion, 0.0)
+
+
+def attitude(environment: Environment, draw: Draw, number: Array) -> Quat:
+    """True attitude at the end of a record interval by `Environment.truth`; NaN if unknown."""
+    return Quat(*jnp.moveaxis(jnp.asarray(environment.truth)[draw.row, number], -1, 0))
+
+
+def attitudes(static: Static, environment: Environment, draw: Draw) -> Quat:
+    """True attitudes of a draw at all record times, leaves (records,)."""
+    if draw.motion is None:
+        return attitude(environment, draw, jnp.arange(static.records))
     times = jnp.asarray(environment.times)[: static.records]
-    at = jax.vmap(base_motion.attitude, in_axes=(None, 0))
-    many = at if draws.draw_id.ndim == 0 else jax.vmap(at, in_axes=(0, None), out_axes=1)
-    return many(draws.motion, times)
-
-
-def attitude(environment: Environment, draws: Draw, number: Count) -> Quat:
-    """True attitude at the end of a record by `Environment.truth`, leaves (*draws); NaN if unknown.
-
-    Looked up record by record: those of all records, draw by draw, would fill the memory.
-    """
-    return Quat(*jnp.moveaxis(jnp.asarray(environment.truth)[draws.row, number], -1, 0))
+    return jax.vmap(partial(base_motion.attitude, draw.motion))(times)

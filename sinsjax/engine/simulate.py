@@ -1,11 +1,13 @@
-"""One alignment run, from sensor increments to its outcome, as pure functions.
+"""One alignment run, from sensor increments to outcome, as pure functions.
 
-`draws` makes the samples, `over_a_record` takes a run over those of a record interval and judges it
-at the end. `simulate` puts them together for a single run; `batch` maps the same functions over
-many.
+A run begins at a misaligned attitude. In a record interval its increments are measured and
+compensated, the method takes them in sample by sample, and its loop is closed wherever feedback or
+a reset is due; at the record time the corrected attitude is held against the truth. After the last
+record the run is judged.
+
+Nothing here knows of other runs. `tile` maps the same functions over many.
 """
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -16,6 +18,7 @@ from sinsjax.alignment import passes
 from sinsjax.alignment.base import Ending, Method, Site
 from sinsjax.alignment.limits import Biases, Limit
 from sinsjax.alignment.methods import METHODS
+from sinsjax.alignment.passes import PassReading
 from sinsjax.engine import metrics
 from sinsjax.engine.metrics import Metrics, Observation, Outcome
 from sinsjax.engine.realisations import (
@@ -23,19 +26,25 @@ from sinsjax.engine.realisations import (
     Environment,
     InitialErrors,
     Static,
-    attitude,
     attitudes,
+    biases_of,
     derived,
-    ideal,
-    measured,
-    noise,
-    own,
-    piece,
+    first_attitude,
+    measurements,
+    site_of,
 )
-from sinsjax.engine.stepping import event_by_event, sample_by_sample
 from sinsjax.maths import rotations
-from sinsjax.strapdown import base_motion, sensors
-from sinsjax.types import Array, Count, Flag, Increments, Navigation, Quat, Sample, Scalar, Vec3
+from sinsjax.types import (
+    Array,
+    Count,
+    Flag,
+    Increments,
+    Navigation,
+    Quat,
+    Sample,
+    Scalar,
+    Vec3,
+)
 
 
 class RunParams(NamedTuple):
@@ -47,7 +56,7 @@ class RunParams(NamedTuple):
         ve: initial velocity east, m/s.
         vn: initial velocity north, m/s.
         method: numbers of the method.
-        euler: whether ``phi`` are Euler angles yet, where a draw has some of its own.
+        euler: whether ``phi`` are still Euler angles, where a draw has some of its own.
     """
 
     q: Quat
@@ -58,6 +67,22 @@ class RunParams(NamedTuple):
     euler: Flag | None = None
 
 
+class Setup(NamedTuple):
+    """What stays the same from the first sample of a run to its outcome.
+
+    Attributes:
+        draw: its realisation, with what follows from it.
+        params: with what the draw begins with.
+        site: Earth and place.
+        limit: what the sensor biases leave of the misalignment.
+    """
+
+    draw: Draw
+    params: RunParams
+    site: Site
+    limit: Limit
+
+
 class Run(NamedTuple):
     """One run under way: the method's state and the metrics so far."""
 
@@ -65,27 +90,82 @@ class Run(NamedTuple):
     metrics: Metrics
 
 
+def simulate(
+    static: Static, environment: Environment, draw: Draw, params: RunParams
+) -> tuple[Outcome, Observation | None]:
+    """One run, from first sample to outcome; it can be differentiated in both modes.
+
+    Args:
+        static: program.
+        environment: what all runs share.
+        draw: the run's realisation of what is random.
+        params: its numbers.
+
+    Returns:
+        The outcome, and, if ``static.curves``, the observations, leaves (records,).
+    """
+    setup = set_up(static, environment, draw, params)
+    run = begin(static, environment, setup.site, setup.params)
+    before = nothing_measured(environment, draw)
+    records = (jnp.arange(static.records), attitudes(static, environment, setup.draw))
+    over = partial(over_record, static, environment, setup)
+    (run, _), curves = jax.lax.scan(over, (run, before), records)
+    return end(static, run, setup.limit), metrics.from_rows(curves) if static.curves else None
+
+
+def set_up(static: Static, environment: Environment, draw: Draw, params: RunParams) -> Setup:
+    """What a run has from its environment, its draw and its own numbers."""
+    draw = draw._replace(made=derived(static, environment, draw))
+    site, biases = site_of(environment, draw), biases_of(environment, draw)
+    params = starting(params, draw.begins, first_attitude(draw))
+    return Setup(draw, params, site, limit(static, environment.pass_records, params, site, biases))
+
+
+def over_record(
+    static: Static,
+    environment: Environment,
+    setup: Setup,
+    under_way: tuple[Run, Increments],
+    record: tuple[Count, Quat],
+) -> tuple[tuple[Run, Increments], Array | None]:
+    """One record interval: samples, steps, closed loop, and the observation at its end.
+
+    Args:
+        static: program.
+        environment: what all runs share.
+        setup: of the run.
+        under_way: the run, and the last increments measured, which compensation looks back at.
+        record: number of the record from 0, and the true attitude at its time.
+
+    Returns:
+        The run and its last increments, and if ``static.curves`` the observation, see `as_row`.
+    """
+    (run, before), (number, q_true) = under_way, record
+    draw, params, every = setup.draw, setup.params, static.record_every
+    read = reading(static, environment, number)
+    state = reverse_direction(static, params, setup.site, run.state, read)
+    site = passes.site_of_pass(setup.site, read.backward)
+    increments = measurements(static, environment, draw, read.samples)
+    earlier, before = look_back(increments, before)
+    samples = jax.vmap(partial(passes.compensate, backward=read.backward))(increments, earlier)
+
+    def over_sample(state: Any, xs: tuple[Scalar, Sample]) -> tuple[Any, None]:
+        n, sample = xs
+        state = step(static, params, site, state, sample, n)
+        return close_loop(static, params, state, n), None
+
+    n = (number * every + 1 + jnp.arange(every)).astype(environment.dtype)
+    state, _ = jax.lax.scan(over_sample, state, (n, samples))
+    run = observe(static, environment, Run(state, run.metrics), q_true, setup.limit.phi.z, n[-1])
+    return (run, before), metrics.as_row(run.metrics.last) if static.curves else None
+
+
 def method_of(static: Static) -> Method:
     """Build the study's method."""
     return METHODS[static.method](static.options)
 
 
-def begin(static: Static, environment: Environment, site: Site, params: RunParams) -> Run:
-    """The run before its first sample."""
-    method = method_of(static)
-    zero = jnp.zeros_like(params.ve)
-    nav = Navigation(
-        q=rotations.misalign(params.phi, params.q),
-        ve=params.ve,
-        vn=params.vn,
-        latitude=site.latitude + zero,
-        longitude=zero,
-    )
-    state = method.init(params.method, nav)
-    return Run(state, metrics.start(environment.criteria, zero))
-
-
-def started(params: RunParams, own: InitialErrors, q: Quat | None) -> RunParams:
+def starting(params: RunParams, own: InitialErrors, q: Quat | None) -> RunParams:
     """A run's numbers with what its draw begins with, its true attitude included if it has one."""
     angles = Vec3(*(a if b is None else b for a, b in zip(params.phi, own.phi, strict=True)))
     if params.euler is not None:
@@ -107,282 +187,97 @@ def limit(static: Static, pass_records: Count, params: RunParams, site: Site, ow
     return method_of(static).limit(params.method, site.place, own, ending)
 
 
+def begin(static: Static, environment: Environment, site: Site, params: RunParams) -> Run:
+    """The run before its first sample."""
+    method = method_of(static)
+    zero = jnp.zeros_like(params.ve)
+    nav = Navigation(
+        q=rotations.misalign(params.phi, params.q),
+        ve=params.ve,
+        vn=params.vn,
+        latitude=site.latitude + zero,
+        longitude=zero,
+    )
+    state = method.init(params.method, nav)
+    return Run(state, metrics.start(environment.criteria, zero))
+
+
+def nothing_measured(environment: Environment, draw: Draw) -> Increments:
+    """What a first sample looks back at: with zeros nothing is compensated, as with itself."""
+    zero = jnp.zeros(jnp.shape(draw.draw_id), environment.dtype)
+    return Increments(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
+
+
+def reading(static: Static, environment: Environment, number: Count) -> PassReading:
+    """Which samples of the stored record a record interval reads, and in which direction."""
+    every = static.record_every
+    if static.repeats:
+        return passes.reading(number, environment.pass_records, every)
+    return PassReading(number * every + jnp.arange(every))
+
+
+def reverse_direction(
+    static: Static, params: RunParams, site: Site, state: Any, read: PassReading
+) -> Any:
+    """The method's state as a record interval begins: turned where that opens another pass."""
+    if read.backward is None:
+        return state
+    site_before = passes.site_of_pass(site, ~read.backward)
+    turned = method_of(static).turn(params.method, site_before, state)
+    return passes.where(read.opens_pass, turned, state)
+
+
+def look_back(increments: Increments, before: Increments) -> tuple[Increments, Increments]:
+    """What each sample of a row is compensated with: the increments read before it.
+
+    Args:
+        increments: of the row, leaves (n, ...).
+        before: read before the first of them, leaves (...).
+
+    Returns:
+        Leaves (n, ...), and the last of the row, which the next one looks back at.
+    """
+    shifted = jax.tree.map(lambda a, b: jnp.concatenate([b[None], a[:-1]]), increments, before)
+    return shifted, jax.tree.map(lambda a: a[-1], increments)
+
+
+def step(
+    static: Static, params: RunParams, site: Site, state: Any, sample: Sample, n: Scalar
+) -> Any:
+    """The method's state after the ``n``-th sample, from 1, its loop not yet closed."""
+    return method_of(static).step(params.method, site, state, sample, n)
+
+
+def close_loop(static: Static, params: RunParams, state: Any, n: Scalar) -> Any:
+    """The method's state after the feedback and reset that are due after the ``n``-th sample."""
+    method = method_of(static)
+    return state if method.close is None else method.close(params.method, state, n)
+
+
+def observe(
+    static: Static, environment: Environment, run: Run, q_true: Quat, floor: Scalar, n: Scalar
+) -> Run:
+    """The run after its observation at a record time, that of the ``n``-th sample.
+
+    Args:
+        static: program.
+        environment: what all runs share.
+        run: under way.
+        q_true: true or reference attitude, NaN if unknown.
+        floor: what the azimuth misalignment should settle to, rad.
+        n: number of the sample.
+    """
+    method = method_of(static)
+    state = method.normalise(run.state)
+    now = metrics.observe(q_true, method.attitude(state), method.covariance(state))
+    time = n * static.options.dt
+    return Run(
+        state, metrics.accumulate(run.metrics, environment.criteria, now, floor=floor, time=time)
+    )
+
+
 def end(static: Static, run: Run, limit: Limit) -> Outcome:
     """The outcome of a run after its last record."""
     method = method_of(static)
     results = None if method.results is None else method.results(run.state)
     return metrics.finish(run.metrics, method.covariance(run.state), limit, results)
-
-
-class BatchMap(NamedTuple):
-    """Maps functions of one draw and of one run over many; `ONE_RUN` applies them as they are.
-
-    Attributes:
-        over_draws: maps a function of draws, or of what belongs to them.
-        over_runs: maps a function of runs, given the axis of each argument that counts them.
-        broadcast_to_runs: gives each run what belongs to its draw: leaves (draws,) to (runs,), or
-            to () where all runs share one draw.
-        shared: axis of what was handed out, for ``over_runs``: 0, or None where all share it.
-        earliest: the first of the runs' next events; None to close the loop at every sample, which
-            a run taken alone does, so that it can be differentiated in reverse too.
-    """
-
-    over_draws: Callable[..., Callable]
-    over_runs: Callable[..., Callable]
-    broadcast_to_runs: Callable[[Any], Any]
-    shared: int | None
-    earliest: Callable[[Array], Scalar] | None = None
-
-
-ONE_RUN = BatchMap(lambda f, *axes: f, lambda f, *axes: f, lambda tree: tree, None)
-
-
-class Shared(NamedTuple):
-    """What runs take as they are or from their draws, and the axis along which runs differ in it.
-
-    Attributes:
-        site: Earth and place.
-        site_axis: None where all runs share it.
-        limit: of each run.
-    """
-
-    site: Site
-    site_axis: int | None
-    limit: Limit
-
-
-def shared_by(
-    static: Static, environment: Environment, draws: Draw, params: RunParams, batch_map: BatchMap
-) -> Shared:
-    """Site and biases, shared or of draws that have their own; what limit they set."""
-    made_of = batch_map.broadcast_to_runs(draws.made)
-    site = environment.site if made_of.site is None else made_of.site
-    site_axis = None if made_of.site is None else batch_map.shared
-    biases = environment.biases if made_of.biases is None else made_of.biases
-    biases_axis = None if made_of.biases is None else batch_map.shared
-    limits = batch_map.over_runs(
-        partial(limit, static, environment.pass_records), 0, site_axis, biases_axis
-    )
-    return Shared(site, site_axis, limits(params, site, biases))
-
-
-class RunsUnderWay(NamedTuple):
-    """Runs under way, and the last increments of their draws, which compensation looks back at."""
-
-    run: Run
-    before: Increments
-
-
-class RecordInterval(NamedTuple):
-    """How one record interval is gone over.
-
-    Attributes:
-        state: with which it begins.
-        samples: numbers on the tape, in the order in which they are read.
-        site: in the direction of the pass.
-        compensated: (increments, those read before) -> compensated samples of the draws.
-    """
-
-    state: Any
-    samples: Array
-    site: Site
-    compensated: Callable[[Increments, Increments], Sample]
-
-
-def reader(
-    static: Static, environment: Environment, shared: Shared, params: RunParams, batch_map: BatchMap
-) -> Callable[[Count, Any], RecordInterval]:
-    """The function that opens a record interval, and turns the tape where a pass begins.
-
-    Args:
-        static: program.
-        environment: shared by all.
-        shared: site and limits.
-        params: as in `simulate`.
-        batch_map: as in `simulate`.
-
-    Returns:
-        (number of the record, state) -> `RecordInterval`.
-    """
-    every = static.record_every
-    forward = batch_map.over_draws(sensors.compensate, 0, 0)
-    either_way = batch_map.over_draws(passes.compensate, 0, 0, None)
-
-    def one_turn(params: RunParams, state: Any, site: Site) -> Any:
-        return method_of(static).turn(params.method, site, state)
-
-    turn = batch_map.over_runs(one_turn, 0, 0, shared.site_axis)
-
-    def once_forward(number: Count, state: Any) -> RecordInterval:
-        return RecordInterval(state, number * every + jnp.arange(every), shared.site, forward)
-
-    def in_passes(number: Count, state: Any) -> RecordInterval:
-        read = passes.reading(number, environment.pass_records, every)
-        turned = turn(params, state, passes.site_of_pass(shared.site, ~read.backward))
-        return RecordInterval(
-            passes.where(read.opens_pass, turned, state),
-            read.samples,
-            passes.site_of_pass(shared.site, read.backward),
-            lambda *pair: either_way(*pair, read.backward),
-        )
-
-    return in_passes if static.repeats else once_forward
-
-
-def over_a_record(
-    static: Static,
-    environment: Environment,
-    shared: Shared,
-    draws: Draw,
-    params: RunParams,
-    batch_map: BatchMap,
-) -> Callable[[RunsUnderWay, tuple[Count, Quat | None]], tuple[RunsUnderWay, Array | None]]:
-    """The function that takes runs over one record interval.
-
-    Args:
-        static: program.
-        environment: shared by all.
-        shared: site and limits.
-        draws: as in `simulate`.
-        params: as in `simulate`.
-        batch_map: as in `simulate`.
-
-    Returns:
-        (progress, (number of the record, true attitudes of the draws at its end, or None for those
-        of the environment)) -> progress, and observations (fields, *runs) if ``static.curves``.
-    """
-    every, dt, kind = static.record_every, static.options.dt, environment.dtype
-    method = method_of(static)
-
-    def one_step(params: RunParams, state: Any, site: Site, sample: Sample, n: Scalar) -> Any:
-        return method.step(params.method, site, state, sample, n)
-
-    def one_record(run: Run, q_true: Quat, n: Scalar, floor: Scalar) -> Run:
-        state = method.normalise(run.state)
-        now = metrics.observe(q_true, method.attitude(state), method.covariance(state))
-        so_far = metrics.accumulate(
-            run.metrics, environment.criteria, now, floor=floor, time=n * dt
-        )
-        return Run(state, so_far)
-
-    def one_close(params: RunParams, state: Any, n: Scalar) -> Any:
-        return state if method.close is None else method.close(params.method, state, n)
-
-    def one_next_event(params: RunParams, state: Any, n: Scalar) -> Scalar | None:
-        return method.next_event(params.method, state, n) if method.next_event else None
-
-    def one_called(state: Any, n: Scalar) -> Flag:
-        assert method.called is not None
-        return method.called(state, n)
-
-    axes = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
-    theirs = None if draws.made.ahead is None else 0  # the axis of increments of their own
-    sensed = batch_map.over_draws(partial(measured, static, environment), axes, None, 0, theirs)
-    step = batch_map.over_runs(one_step, 0, 0, shared.site_axis, batch_map.shared, None)
-    close = batch_map.over_runs(one_close, 0, 0, None)
-    next_event = batch_map.over_runs(one_next_event, 0, 0, None)
-    calls = batch_map.over_runs(one_called, 0, None)
-    record = batch_map.over_runs(one_record, 0, batch_map.shared, None, 0)
-    opened = reader(static, environment, shared, params, batch_map)
-    size = piece(static, draws)
-
-    def record_step(
-        progress: RunsUnderWay, xs: tuple[Count, Quat | None]
-    ) -> tuple[RunsUnderWay, Array | None]:
-        (run, before), (number, q_true) = progress, xs
-        state, samples, site, compensated = opened(number, run.state)
-        shared_rows = ideal(static, environment, draws, samples)
-        done = number * every  # samples before this interval
-
-        def make(before: Increments, piece: Count) -> tuple[Sample, Increments]:
-            places = piece * size + jnp.arange(size)
-            numbers = samples[places]
-            normal = noise(static, environment, draws, numbers)
-            exact = own(static, environment, draws, numbers)
-            if shared_rows is not None:
-                exact = jax.tree.map(lambda a: a[places], shared_rows)
-            now = jax.vmap(partial(sensed, draws))(numbers, normal, exact)
-            shifted = jax.tree.map(lambda a, b: jnp.concatenate([b[None], a[:-1]]), now, before)
-            return jax.vmap(compensated)(now, shifted), jax.tree.map(lambda a: a[-1], now)
-
-        def step_over(state: Any, place: Count, sample: Sample) -> Any:
-            n = (done + place + 1).astype(kind)
-            return step(params, state, site, batch_map.broadcast_to_runs(sample), n)
-
-        def closed(state: Any, place: Count) -> Any:
-            return close(params, state, (done + place).astype(kind))
-
-        def following(state: Any, place: Count) -> Scalar | None:
-            ahead = next_event(params, state, (done + place).astype(kind))
-            if ahead is None or batch_map.earliest is None:
-                return None
-            return batch_map.earliest(ahead) - done.astype(kind)
-
-        def called(state: Any, place: Count) -> Flag:
-            return jnp.any(calls(state, (done + place).astype(kind)))
-
-        if following(state, jnp.asarray(0)) is None:
-            over = sample_by_sample
-        else:
-            asked = called if method.called else None
-            over = partial(event_by_event, next_event=following, called=asked)
-        state, before = over(state, before, every, step_over, closed, make, size)
-        n = ((number + 1) * every).astype(kind)
-        q_true = attitude(environment, draws, number) if q_true is None else q_true
-        run = record(
-            Run(state, run.metrics), batch_map.broadcast_to_runs(q_true), n, shared.limit.phi.z
-        )
-        # One array: XLA:CPU updates several side by side by copying them whole, every record.
-        out = jnp.stack(jax.tree.leaves(run.metrics.last)) if static.curves else None
-        if out is not None and static.shown is not None:
-            out = out[:, : static.shown]
-        return RunsUnderWay(run, before), out
-
-    return record_step
-
-
-def simulate(
-    static: Static,
-    environment: Environment,
-    draws: Draw,
-    params: RunParams,
-    batch_map: BatchMap = ONE_RUN,
-) -> tuple[Outcome, Observation | None]:
-    """Whole runs, from first sample to outcome.
-
-    Args:
-        static: program.
-        environment: shared.
-        draws: one draw, or many with a leading axis.
-        params: of one run, or of many with a leading axis.
-        batch_map: one run or many.
-
-    Returns:
-        Outcomes, and, if ``static.curves``, observations with leaves (records,) in front.
-    """
-    axes = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
-    draws = draws._replace(
-        made=batch_map.over_draws(partial(derived, static, environment), axes)(draws)
-    )
-    shared = shared_by(static, environment, draws, params, batch_map)
-    q = None
-    if draws.motion is not None:
-        q = batch_map.broadcast_to_runs(
-            batch_map.over_draws(lambda m: base_motion.attitude(m, 0.0), 0)(draws.motion)
-        )
-    own = batch_map.broadcast_to_runs(draws.begins)
-    params = batch_map.over_runs(started, 0, batch_map.shared, batch_map.shared)(params, own, q)
-    run = batch_map.over_runs(
-        lambda p, site: begin(static, environment, site, p), 0, shared.site_axis
-    )(params, shared.site)
-    # A run's first sample has none before it: with zeros nothing is compensated, as with itself.
-    zero = jnp.zeros(draws.draw_id.shape, environment.dtype)
-    before = Increments(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
-    record_step = over_a_record(static, environment, shared, draws, params, batch_map)
-    records = (jnp.arange(static.records), attitudes(static, environment, draws))
-    (run, _), curves = jax.lax.scan(record_step, RunsUnderWay(run, before), records)
-    outcome = batch_map.over_runs(partial(end, static), 0, 0)(run, shared.limit)
-    if curves is None:
-        return outcome, None
-    fields = [curves[:, i] for i in range(curves.shape[1])]
-    return outcome, jax.tree.unflatten(jax.tree.structure(outcome.last), fields)

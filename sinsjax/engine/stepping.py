@@ -1,4 +1,4 @@
-"""Going over the samples of a record interval: one by one, or from one event to the next.
+"""The samples of a record interval: one by one, or from one event to the next.
 
 A step is taken for every sample; closing the loop is an event, due every so many samples, or called
 for by a run at a sample. Runs of a tile go together to the first event of any of them, where all
@@ -19,13 +19,13 @@ Step = Callable[[Any, Count, Any], Any]
 """(state, place of the sample in the interval, sample) -> state."""
 
 Close = Callable[[Any, Count], Any]
-"""(state, samples of the interval gone over) -> state after what is due."""
+"""(state, samples of the interval taken) -> state after what is due."""
 
 NextEvent = Callable[[Any, Count], Scalar]
-"""(state, samples of the interval gone over) -> how many they are at the next event."""
+"""(state, samples of the interval taken) -> how many they are at the next event."""
 
 Called = Callable[[Any, Count], Flag]
-"""(state, samples of the interval gone over) -> whether the last of them is an event by itself."""
+"""(state, samples of the interval taken) -> whether the last of them is an event by itself."""
 
 Make = Callable[[Any, Count], tuple[Any, Any]]
 """(what samples look back at, number of a piece) -> its samples, leaves (samples, ...), and what

@@ -61,11 +61,11 @@ def has_limit(
 ) -> np.ndarray:
     """Whether runs have a limit at all, (runs,) bool.
 
-    Biases that a sway turns need `LEAST_PERIODS` of it since the last reset (and on the tape, if it
-    is used again). A filter with gyro bias states tells them from the heading once the base moves;
-    on a still one it cannot, and has the limit of one without as far as its P0, and what P is reset
-    to, leave the east bias to the heading: see `MOST_SHARED`. Some methods have none. Runs of a
-    recorded study, whose reference is their limit, all have one.
+    Biases that a sway turns need `LEAST_PERIODS` of it since the last reset (and in the stored
+    record, if passes repeat). A filter with gyro bias states tells them from the heading once the
+    base moves; on a still one it cannot, and has the limit of one without as far as its P0, and
+    what P is reset to, leave the east bias to the heading: see `MOST_SHARED`. Some methods have
+    none. Runs of a recorded study, whose reference is their limit, all have one.
 
     Args:
         study: checked study.

@@ -1,158 +1,230 @@
-"""Runs side by side in the lanes of a tile, and what they share there."""
+"""Runs side by side in the lanes of a tile: the functions of `simulate`, mapped over all of them.
+
+Samples are made once for each draw of the tile and broadcast to its runs; `simulate` and this
+module take the same way from set-up to outcome. The loops of all runs are closed together, at the
+first event of any: that leaves those for which nothing is due as they are.
+"""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
+from sinsjax.alignment import passes
+from sinsjax.alignment.base import Site
+from sinsjax.alignment.limits import Limit
+from sinsjax.alignment.passes import PassReading
+from sinsjax.engine import metrics, simulate
+from sinsjax.engine.lanes import Tiles
 from sinsjax.engine.metrics import Observation, Outcome
-from sinsjax.engine.realisations import Draw, Environment, Static
-from sinsjax.engine.simulate import BatchMap, RunParams, method_of, simulate
-
-LANES = 64
-"""Runs a tile. Results are bit-equal for any chunk and device count only at one lane count."""
-
-
-STACKED_TILES = 8
-"""Tiles that share one covariance; as `LANES`, it decides the last bits."""
-
-
-MOST_IDLE = 1 / 8
-"""Share of idle lanes that a draw's last tile may have before another draw is put into it."""
-
-
-VECTOR = 16
-"""Single-precision numbers in the widest vector of a CPU."""
+from sinsjax.engine.pieces import axes_of, maker, piece
+from sinsjax.engine.realisations import (
+    Draw,
+    Environment,
+    Static,
+    attitude,
+    attitudes,
+    biases_of,
+    derived,
+    first_attitude,
+    site_of,
+)
+from sinsjax.engine.simulate import Run, RunParams, method_of
+from sinsjax.engine.stepping import event_by_event, sample_by_sample
+from sinsjax.types import Array, Count, Flag, Increments, Quat, Sample, Scalar
 
 
-class Group(NamedTuple):
-    """Runs that share one compiled program and one environment.
+class TileSetup(NamedTuple):
+    """`simulate.Setup` of all runs of a tile: each of its draws stands once.
 
     Attributes:
-        static: program.
-        environment: shared by all.
-        draws: `Draw` with leaves (draws,), or () for what is the same for all.
-        q: (draws, 4) attitude of each draw before the misalignment.
-        variants: `RunParams` with leaves (variants, ...); its ``q`` is ignored.
+        draws: with what follows from them, leaves (draws, ...).
+        row: (lanes,) which of them each run takes.
+        params: with what the draws begin with, leaves (lanes, ...).
+        site: leaves (lanes,), or () where all runs share it.
+        limit: leaves (lanes,).
     """
 
-    static: Static
-    environment: Environment
     draws: Draw
-    q: np.ndarray
-    variants: RunParams
+    row: Array
+    params: RunParams
+    site: Site
+    limit: Limit
 
     @property
-    def sizes(self) -> tuple[int, int]:
-        """Number of draws and of variants."""
-        return len(self.draws.draw_id), len(self.variants.ve)
+    def draw_axis(self) -> int | None:
+        """Axis, for `jax.vmap`, of what was broadcast to runs; None where all share one draw."""
+        return axis_of_draws(self.draws)
+
+    @property
+    def site_axis(self) -> int | None:
+        """Axis of the site; None where all runs share it."""
+        return None if self.draws.made.site is None else self.draw_axis
 
 
-class Lanes(NamedTuple):
-    """Which runs the lanes of a call take; leaves (tiles, sets, lanes).
-
-    Attributes:
-        draw: place of the draw in the group; beyond its end for idle lanes.
-        variant: place of the variant, the same for all sets; beyond its end for idle lanes.
-    """
-
-    draw: np.ndarray
-    variant: np.ndarray
+def axis_of_draws(draws: Draw) -> int | None:
+    """Axis, for `jax.vmap`, of what is broadcast from draws to runs; None of a single draw."""
+    return None if len(draws.draw_id) == 1 else 0
 
 
-class Tiles(NamedTuple):
-    """Arguments of tiles, with a leading axis of tiles, and of sets where tiles are stacked.
+def broadcast_to_runs(row: Array, tree: Any) -> Any:
+    """What belongs to draws for each run: leaves (draws,) to (lanes,), or to () of one draw."""
 
-    Attributes:
-        draws: `Draw` with leaves (tiles, [sets,] distinct).
-        row: (tiles, lanes) which of its tile's draws each lane takes.
-        params: `RunParams` with leaves (tiles, lanes, ...), ``q`` (tiles, [sets,] lanes).
-    """
+    def broadcast(a: Array) -> Array:
+        if len(a) == 1:
+            return a[0]
+        if len(a) == row.size:
+            return a
+        # Without the check of bounds, which would cost as much as the look-up.
+        return a.at[row].get(mode="promise_in_bounds")
 
-    draws: Draw
-    row: np.ndarray
-    params: RunParams
-
-
-def layout(static: Static, variants: int, lanes: int = LANES) -> tuple[int, int]:
-    """How many tiles share a covariance, and how many lanes a draw takes.
-
-    Stacked tiles need the same variants in the same lanes: there a draw is widened, with idle
-    lanes, to whole tiles or to a part of one that leaves no rest. Others are widened to whole
-    tiles where few lanes stay idle: a tile of two draws makes the samples of `VECTOR`.
-    """
-    whole = lanes * -(-variants // lanes)
-    if not method_of(static).common_covariance:
-        few = variants > lanes and whole - variants <= MOST_IDLE * variants
-        return 1, whole if few else variants
-    if variants > lanes:
-        return STACKED_TILES, whole
-    return STACKED_TILES, next(n for n in range(variants, lanes + 1) if lanes % n == 0)
+    return jax.tree.map(broadcast, tree)
 
 
-def distinct_draws(width: int, lanes: int = LANES) -> int:
-    """Draws a tile has room for, where each takes ``width`` lanes in a row.
-
-    At least the most that it can hold, in whole vectors: a rest would take as long as another. As
-    many as there are lanes, of which there are three or more, only where a draw takes one.
-    """
-    if width % lanes == 0:
-        return 1
-    if lanes % width == 0:
-        return lanes // width
-    most = (lanes + width - 2) // width + 1
-    whole = -(-most // VECTOR) * VECTOR
-    return whole if whole < lanes else most
-
-
-def tiles_of(group: Group, places: Lanes) -> Tiles:
-    """Arguments for the tiles of one call; idle lanes repeat the last draw or variant."""
-    draws, variants = group.sizes
-    _, sets, lanes = places.draw.shape
-    _, width = layout(group.static, variants, lanes)
-    first = places.draw[..., :1]
-    taken = np.minimum(first + np.arange(distinct_draws(width, lanes)), draws - 1)
-    variant = np.minimum(places.variant[:, 0], variants - 1)
-    q = np.moveaxis(group.q[np.minimum(places.draw, draws - 1)], -1, 0)
-    if sets == 1:
-        taken, q = taken[:, 0], q[:, :, 0]
-    params = jax.tree.map(lambda a: np.asarray(a)[variant], group.variants)
-    return Tiles(
-        draws=jax.tree.map(
-            lambda a: a[taken] if np.ndim(a) else np.full(len(taken), a), group.draws
-        ),
-        row=(places.draw - first)[:, 0].astype(np.int32),
-        params=params._replace(q=type(group.variants.q)(*q)),
-    )
+def over_draws(function: Callable[[Draw], Any], draws: Draw, *, out_axes: int = 0) -> Any:
+    """A function of one draw, applied to all of a tile."""
+    return jax.vmap(function, in_axes=(axes_of(draws),), out_axes=out_axes)(draws)
 
 
 def run_tile(
-    static: Static, environment: Environment, tile: Tiles
+    static: Static, environment: Environment, tile: Tiles, shown: int | None = None
 ) -> tuple[Outcome, Observation | None]:
-    """All runs of one tile; outcomes with leaves (lanes, ...), curves (records, lanes)."""
-    distinct = tile.draws.draw_id.shape[0]
+    """All runs of one tile, as `simulate.simulate` for one.
 
-    def broadcast_to_runs(tree: Any) -> Any:
-        if distinct == 1:
-            return jax.tree.map(lambda a: a[0], tree)
-        if distinct == tile.row.size:
-            return tree
-        # Without the check of bounds, which would cost as much as the look-up.
-        return jax.tree.map(lambda a: a.at[tile.row].get(mode="promise_in_bounds"), tree)
+    Args:
+        static: program.
+        environment: shared by all.
+        tile: a single one.
+        shown: lanes whose observations are returned, the first ones; None for all.
 
-    def over(f: Callable, *axes: Any) -> Callable:
-        return jax.vmap(f, in_axes=axes)
+    Returns:
+        Outcomes with leaves (lanes, ...), and if ``static.curves`` observations (records, lanes).
+    """
+    setup = set_up(static, environment, tile)
+    begin = jax.vmap(partial(simulate.begin, static, environment), in_axes=(setup.site_axis, 0))
+    runs = begin(setup.site, setup.params)
+    before = simulate.nothing_measured(environment, setup.draws)
+    q_true = None  # of draws with a motion of their own; that of others is looked up as runs go
+    if setup.draws.motion is not None:
+        q_true = over_draws(partial(attitudes, static, environment), setup.draws, out_axes=1)
+    over = partial(over_record, static, environment, setup, shown)
+    (runs, _), curves = jax.lax.scan(over, (runs, before), (jnp.arange(static.records), q_true))
+    outcome = jax.vmap(partial(simulate.end, static))(runs, setup.limit)
+    return outcome, metrics.from_rows(curves) if static.curves else None
 
-    batch_map = BatchMap(
-        over_draws=over,
-        over_runs=over,
-        broadcast_to_runs=broadcast_to_runs,
-        shared=None if distinct == 1 else 0,
-        earliest=jnp.min,
+
+def set_up(static: Static, environment: Environment, tile: Tiles) -> TileSetup:
+    """What the runs of a tile have from environment, draws and their own numbers."""
+    draws, to_runs = tile.draws, partial(broadcast_to_runs, tile.row)
+    draws = draws._replace(made=over_draws(partial(derived, static, environment), draws))
+    axis = axis_of_draws(draws)
+    starting = jax.vmap(simulate.starting, in_axes=(0, axis, axis))
+    q_true = to_runs(over_draws(first_attitude, draws))
+    params = starting(tile.params, to_runs(draws.begins), q_true)
+    of_runs = draws._replace(made=to_runs(draws.made))
+    site, biases = site_of(environment, of_runs), biases_of(environment, of_runs)
+    own = (None if a is None else axis for a in (draws.made.site, draws.made.biases))
+    limit = partial(simulate.limit, static, environment.pass_records)
+    limits = jax.vmap(limit, in_axes=(0, *own))(params, site, biases)
+    return TileSetup(draws, tile.row, params, site, limits)
+
+
+def over_record(
+    static: Static,
+    environment: Environment,
+    setup: TileSetup,
+    shown: int | None,
+    under_way: tuple[Run, Increments],
+    record: tuple[Count, Quat | None],
+) -> tuple[tuple[Run, Increments], Array | None]:
+    """One record interval of all runs, as `simulate.over_record` for one.
+
+    Args:
+        static: program.
+        environment: shared by all.
+        setup: of the tile.
+        shown: as for `run_tile`.
+        under_way: the runs, and the last increments of their draws.
+        record: number of the record, and the true attitudes of the draws at its time; None for
+            those of the environment.
+
+    Returns:
+        The runs and increments, and if ``static.curves`` observations (fields, lanes).
+    """
+    (runs, before), (number, q_true) = under_way, record
+    read = simulate.reading(static, environment, number)
+    reverse = jax.vmap(
+        partial(simulate.reverse_direction, static), in_axes=(0, setup.site_axis, 0, None)
     )
-    return simulate(static, environment, tile.draws, tile.params, batch_map)
+    state = reverse(setup.params, setup.site, runs.state, read)
+    state, before = over_samples(static, environment, setup, read, number, (state, before))
+    # Looked up here: those of all records, draw by draw, would fill the memory.
+    q_true = attitude(environment, setup.draws, number) if q_true is None else q_true
+    observe = jax.vmap(
+        partial(simulate.observe, static, environment), in_axes=(0, setup.draw_axis, 0, None)
+    )
+    n = ((number + 1) * static.record_every).astype(environment.dtype)
+    runs = Run(state, runs.metrics)
+    runs = observe(runs, broadcast_to_runs(setup.row, q_true), setup.limit.phi.z, n)
+    observed = metrics.as_row(runs.metrics.last)[:, :shown] if static.curves else None
+    return (runs, before), observed
+
+
+def over_samples(
+    static: Static,
+    environment: Environment,
+    setup: TileSetup,
+    read: PassReading,
+    number: Count,
+    carry: tuple[Any, Increments],
+) -> tuple[Any, Increments]:
+    """The samples of a record interval, and closed loops: from event to event, if these are known.
+
+    Args:
+        static: program.
+        environment: shared by all.
+        setup: of the tile.
+        read: how the interval is read.
+        number: of the record.
+        carry: the runs' state, and the last increments of their draws.
+
+    Returns:
+        Both after the interval.
+    """
+    method, params, every = method_of(static), setup.params, static.record_every
+    site = passes.site_of_pass(setup.site, read.backward)
+    done = number * every  # samples before this interval
+    step = jax.vmap(
+        partial(simulate.step, static), in_axes=(0, setup.site_axis, 0, setup.draw_axis, None)
+    )
+    close_loop = jax.vmap(partial(simulate.close_loop, static), in_axes=(0, 0, None))
+
+    def n(place: Count) -> Scalar:
+        return (done + place).astype(environment.dtype)
+
+    def take(state: Any, place: Count, sample: Sample) -> Any:
+        return step(params, site, state, broadcast_to_runs(setup.row, sample), n(place + 1))
+
+    def close(state: Any, place: Count) -> Any:
+        return close_loop(params, state, n(place))
+
+    def due(state: Any, place: Count) -> Scalar | None:
+        if method.next_event is None:
+            return None
+        ahead = jax.vmap(method.next_event, in_axes=(0, 0, None))(params.method, state, n(place))
+        return None if ahead is None else jnp.min(ahead) - done.astype(environment.dtype)
+
+    def called(state: Any, place: Count) -> Flag:
+        assert method.called is not None
+        return jnp.any(jax.vmap(method.called, in_axes=(0, None))(state, n(place)))
+
+    make, size = maker(static, environment, setup.draws, read), piece(static, setup.draws)
+    samples = (*carry, every, take, close, make, size)
+    if due(carry[0], jnp.asarray(0)) is None:
+        return sample_by_sample(*samples)
+    return event_by_event(*samples, next_event=due, called=called if method.called else None)
 
 
 def over_stacked_tiles(
@@ -172,13 +244,3 @@ def over_stacked_tiles(
     draws = jax.tree.map(lambda a: 0 if a.ndim > 1 else None, tiles.draws)
     q = jax.tree.map(lambda a: 0, tiles.params.q)
     return jax.vmap(one, in_axes=(axes._replace(draws=draws, params=axes.params._replace(q=q)),))
-
-
-def shown(group: Group) -> int | None:
-    """Lanes of a tile whose curves are asked for, see `Static.shown`.
-
-    A few runs are in the first lanes, and the curves of idle ones would fill the memory.
-    """
-    draws, variants = group.sizes
-    taken = draws * layout(group.static, variants)[1]
-    return taken if group.static.curves and taken < LANES else None

@@ -31,7 +31,7 @@ from sinsjax.units import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, PPM
 from sinsjax.value_types import Section
 
 MOST_STORED_SAMPLES = 2**22
-"""Samples of the longest simulated tape that is kept, 200 MB; more are made as runs go."""
+"""Samples of the longest simulated record that is stored, 200 MB; more are made as runs go."""
 
 _LONGEST_GAP_S = 5.0  # in a reference; a swinging base turns within seconds
 
@@ -102,21 +102,22 @@ def simulated(
     site, ug = site_of(study, variants, None)
     errors, motion = errors_of(variants.common, ug, study.rate_hz), motion_of(variants.common)
     times = np.concatenate([[0.0], tape_times(study, span)])
-    tape: np.ndarray | None
+    increments: np.ndarray | None
     if draws_own(study, EarthSection, MotionSection):
         # Each draw makes its own as it goes.
-        tape, attitudes = np.zeros((1, 6)), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+        increments, attitudes = np.zeros((1, 6)), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
     else:
         # Of one length for all parts, so that they share a program.
         samples = max(s.read for s in study.distinct_spans) * study.record_every
         kept = samples if samples <= MOST_STORED_SAMPLES else 0
         make = _blank if blank else _truth
         truth = make(motion, site.place, times, study.rate_hz, samples=kept)
-        tape, attitudes = np.asarray(truth[0]) if kept else None, np.asarray(truth[1])
+        increments = np.asarray(truth[0]) if kept else None
+        attitudes = np.asarray(truth[1])
     n = len(draws)
     environment = Environment(
         site=site,
-        tape=tape,
+        increments=increments,
         truth=attitudes[None, 1:],
         errors=errors,
         seed=np.asarray(study.seed),
@@ -124,7 +125,7 @@ def simulated(
         biases=mean_biases(errors, motion),
         pass_records=np.asarray(span.tape),
         times=times[1:] if draws_own(study, EarthSection, MotionSection) else None,
-        motion=motion if study.drawn_keys or tape is None else None,
+        motion=motion if study.drawn_keys or increments is None else None,
     )
     ids = np.arange(draws.start, draws.stop)
     own = _own(study, variants.ids, draws, ug, (errors, motion)) if study.drawn_keys else {}
@@ -266,7 +267,7 @@ def recorded(
     truth = np.stack([_reference_at(tape, s / rate + tape_times(study, span)) for s in fine])
     environment = Environment(
         site=site,
-        tape=increments,
+        increments=increments,
         truth=truth,
         errors=sensors.perfect(),
         seed=np.asarray(study.seed),

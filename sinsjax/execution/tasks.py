@@ -23,7 +23,7 @@ from sinsjax import columns
 from sinsjax.engine.alike import find_alike
 from sinsjax.engine.batch import Calls, Plan, in_threads, targets
 from sinsjax.engine.build import Scenario
-from sinsjax.engine.tile import LANES, Group
+from sinsjax.engine.lanes import LANES, Group
 from sinsjax.execution import stopping
 from sinsjax.execution.tables import Tables
 from sinsjax.records.reference import StoredRecord

@@ -17,11 +17,11 @@ import optax
 from numpy.typing import NDArray
 
 from sinsjax.engine import batch
-from sinsjax.engine import tile as tile_layout
 from sinsjax.engine.batch import Plan
 from sinsjax.engine.build import Scenario
+from sinsjax.engine.lanes import LANES, Group, Tiles, tiles_of
 from sinsjax.engine.realisations import Environment
-from sinsjax.engine.tile import Group, Tiles
+from sinsjax.engine.tile import over_stacked_tiles, run_tile
 from sinsjax.execution import run
 from sinsjax.execution.run import RunProgress, Tell
 from sinsjax.records.reference import StoredRecord
@@ -124,7 +124,7 @@ class Slope:
         self.draws = min(draws, self.n_draws)
         self.run_steps = search.cost(derived) // self.n_draws
         self._rate_hz = study.rate_hz
-        self._fans = [self._fanned(group) for group in groups]
+        self._parts = [self._laid_out(group) for group in groups]
 
     @property
     def cost(self) -> int:
@@ -143,7 +143,7 @@ class Slope:
         Returns:
             (starts,) in the unit of the objective, and (starts, p).
         """
-        found = [self._runs(batch_map, box, draws, softness) for batch_map in self._fans]
+        found = [self._runs(part, box, draws, softness) for part in self._parts]
         runs, slopes = (np.concatenate(some, axis=1) for some in zip(*found, strict=True))
         score, by_run = map(np.asarray, objective.relaxed_score(self._tune, runs))
         return score, np.einsum("svd,svdp->sp", by_run, slopes)
@@ -152,13 +152,10 @@ class Slope:
         self, box: NDArray, draws: NDArray, softness: Softness
     ) -> list[jax.stages.Compiled]:
         """What a call with these arguments runs, compiled: one a group of runs."""
-        first = [
-            (batch_map, self._arguments(batch_map, box, draws, softness)[0])
-            for batch_map in self._fans
-        ]
-        return [batch_map.program.lower(*arguments).compile() for batch_map, arguments in first]
+        first = [(part, self._arguments(part, box, draws, softness)[0]) for part in self._parts]
+        return [part.program.lower(*arguments).compile() for part, arguments in first]
 
-    def _fanned(self, group: Group) -> "_Fan":
+    def _laid_out(self, group: Group) -> "_PartRuns":
         """A group with lanes for each descent and variant."""
         params = jax.tree.map(
             lambda a: np.concatenate([np.asarray(a)] * self._starts), group.variants
@@ -167,17 +164,17 @@ class Slope:
         group = group._replace(variants=params._replace(method=Lane(params.method, start)))
         runs, devices = self.draws * len(start), len(jax.devices())
         # Few runs take fewer lanes, and a call has two blocks at the least.
-        lanes = min(tile_layout.LANES, 1 << (max(runs // (2 * devices), 8) - 1).bit_length())
+        lanes = min(LANES, 1 << (max(runs // (2 * devices), 8) - 1).bit_length())
         tiles = -(-runs // (lanes * devices))
         plan = Plan(group.static, self.draws, len(start), tiles_a_chunk=tiles, lanes=lanes)
-        return _Fan(group, plan, jax.jit(partial(self._tiles, group)))
+        return _PartRuns(group, plan, jax.jit(partial(self._tiles, group)))
 
     def _runs(
-        self, batch_map: "_Fan", box: NDArray, draws: NDArray, softness: Softness
+        self, part: "_PartRuns", box: NDArray, draws: NDArray, softness: Softness
     ) -> tuple[NDArray, NDArray]:
         """Relaxed numbers of runs (starts, variants, draws), and their derivatives (..., p)."""
-        group, plan, program = batch_map
-        arguments = self._arguments(batch_map, box, draws, softness)
+        group, plan, program = part
+        arguments = self._arguments(part, box, draws, softness)
         program.lower(*arguments[0]).compile()  # or every thread would
         calls = batch.in_threads(
             lambda one: jax.device_get(program(*one)), arguments, len(jax.devices())
@@ -195,19 +192,16 @@ class Slope:
         return out[..., 0], out[..., 1:]
 
     def _arguments(
-        self, batch_map: "_Fan", box: NDArray, draws: NDArray, softness: Softness
+        self, part: "_PartRuns", box: NDArray, draws: NDArray, softness: Softness
     ) -> list[tuple]:
         """Those of every call of a program."""
-        group = batch_map.group
+        group = part.group
         some = jax.tree.map(lambda a: a[draws] if np.ndim(a) else a, group.draws)
         group = group._replace(draws=some, q=group.q[draws])
         soft = group.environment.criteria._replace(sharpness=np.float64(softness.sharpness))
         environment = group.environment._replace(criteria=soft)
         width = np.float64(softness.window_s * self._rate_hz)
-        return [
-            (environment, tile_layout.tiles_of(group, lanes), box, width)
-            for lanes in batch_map.plan
-        ]
+        return [(environment, tiles_of(group, lanes), box, width) for lanes in part.plan]
 
     def _tiles(
         self, group: Group, environment: Environment, tiles: Tiles, box: Array, width: Array
@@ -223,17 +217,17 @@ class Slope:
             def of(box: Array) -> Array:
                 method = jax.vmap(one_lane, in_axes=(0, None))(tile.params.method, box)
                 lanes = tile._replace(params=tile.params._replace(method=method))
-                outcome, _ = tile_layout.run_tile(group.static, environment, lanes)
+                outcome, _ = run_tile(group.static, environment, lanes)
                 return objective.relaxed_values(
                     self._tune, environment.criteria, outcome, truth=self._truth
                 )
 
             return sensitivities(of, box, directions)
 
-        return jax.lax.map(tile_layout.over_stacked_tiles(group.static, one_tile, tiles), tiles)
+        return jax.lax.map(over_stacked_tiles(group.static, one_tile, tiles), tiles)
 
 
-class _Fan(NamedTuple):
+class _PartRuns(NamedTuple):
     """A group of runs with lanes for each descent, how they are laid out, and their program."""
 
     group: Group

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from support.studies import small_study
 
-from sinsjax.engine import batch, build, realisations, truth
-from sinsjax.engine import tile as tile_layout
+from sinsjax.engine import batch, build, realisations, tile, truth
+from sinsjax.engine import lanes as lane_layout
 from sinsjax.engine.realisations import aligned_record
 from sinsjax.execution import run
 
@@ -46,15 +46,15 @@ def test_a_run_of_a_day_holds_no_large_array(specific_force: str) -> None:
         alignment={"specific_force": specific_force},
     )
     (part,) = build.parts(study, curves=True)
-    static = part.group.static._replace(shown=tile_layout.shown(part.group))
-    tiles = tile_layout.tiles_of(part.group, batch.plan(part.group)[0])
-    assert static.shown == 1 and static.records == DAY_S
+    static, shown = part.group.static, lane_layout.shown(part.group)
+    tiles = lane_layout.tiles_of(part.group, batch.plan(part.group)[0])
+    assert shown == 1 and static.records == DAY_S
 
     def program(environment: Any, tiles: Any) -> Any:
-        def one(tile: Any) -> Any:
-            return tile_layout.run_tile(static, environment, tile)
+        def one(tiles: Any) -> Any:
+            return tile.run_tile(static, environment, tiles, shown)
 
-        return jax.lax.map(tile_layout.over_stacked_tiles(static, one, tiles), tiles)
+        return jax.lax.map(tile.over_stacked_tiles(static, one, tiles), tiles)
 
     traced = jax.make_jaxpr(program)(part.group.environment, tiles)
     size, what = max(arrays(traced.jaxpr))
@@ -73,7 +73,7 @@ def test_truth_in_pieces_is_truth_at_once(request: pytest.FixtureRequest) -> Non
     whole = run.run(PASSES).curves
     request.getfixturevalue("without_tapes")
     (part,) = build.parts(PASSES)
-    assert part.group.environment.tape is None
+    assert part.group.environment.increments is None
     pieces = run.run(PASSES).curves
     assert pieces.num_rows == whole.num_rows == 4
     for name in ("phi_e_arcmin", "phi_n_arcmin", "phi_u_arcmin", "yaw_deg"):
@@ -90,11 +90,11 @@ def test_a_long_simulation_is_written_as_a_short_one(request: pytest.FixtureRequ
 
 def test_curves_of_idle_lanes_are_not_asked_for() -> None:
     (part,) = build.parts(small_study(study={"draws": 3}), curves=True)
-    assert tile_layout.shown(part.group) == 3
+    assert lane_layout.shown(part.group) == 3
     silent = part.group._replace(static=part.group.static._replace(curves=False))
-    assert tile_layout.shown(silent) is None
+    assert lane_layout.shown(silent) is None
     (part,) = build.parts(small_study(study={"draws": 64}), curves=True)
-    assert tile_layout.shown(part.group) is None
+    assert lane_layout.shown(part.group) is None
 
 
 @pytest.mark.parametrize("samples", [1, 5, 1000, 100_000])

@@ -343,7 +343,7 @@ def test_a_tape_longer_than_the_record_is_refused() -> None:
     line = "has 20 s, but start_s = 4 and 17 s from there need 21 s"
     assert str(caught.value) == f"{record().source}: {line}"
     (part,) = build.parts(study_from_dict(recorded(tape_s=6.0)), StoredRecord(record(), None))
-    assert len(part.group.environment.tape) == 800  # of the 1000 of the record, what is read
+    assert len(part.group.environment.increments) == 800  # of the 1000 of the record, what is read
 
 
 def test_no_more_of_a_record_is_taken_than_is_read() -> None:
@@ -351,8 +351,10 @@ def test_no_more_of_a_record_is_taken_than_is_read() -> None:
     data = recorded(tape_s=6.0)
     data["record"] = data["record"] | {"start_s": 4.0}
     (part,) = build.parts(study_from_dict(data), StoredRecord(record(), None))
-    np.testing.assert_array_equal(part.group.environment.tape[:, :3], record().dtheta[200:800])
-    np.testing.assert_array_equal(part.group.environment.tape[:, 3:], record().dv[200:800])
+    np.testing.assert_array_equal(
+        part.group.environment.increments[:, :3], record().dtheta[200:800]
+    )
+    np.testing.assert_array_equal(part.group.environment.increments[:, 3:], record().dv[200:800])
     np.testing.assert_array_equal(part.group.draws.start, [300])
 
 

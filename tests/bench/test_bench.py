@@ -212,12 +212,12 @@ def test_compass_rows_have_the_samples_and_the_shape_of_the_filters():
     kalman, compass, stored = cases.default_group(), *map(cases.compass_group, (None, 80.0))
     for group in (compass, stored):
         assert group.sizes == kalman.sizes
-        tape = group.environment.tape
-        np.testing.assert_array_equal(tape, kalman.environment.tape[: len(tape)])
+        tape = group.environment.increments
+        np.testing.assert_array_equal(tape, kalman.environment.increments[: len(tape)])
         assert group.static.method == "compass"
         assert group.static.records == kalman.static.records
     assert (compass.static.repeats, stored.static.repeats) == (False, True)
-    assert len(stored.environment.tape) == 8000 and int(stored.environment.pass_records) == 80
+    assert len(stored.environment.increments) == 8000 and int(stored.environment.pass_records) == 80
     assert len({tuple(row) for row in np.stack(compass.variants.method.azimuth[:3], 1)}) == 8
 
 

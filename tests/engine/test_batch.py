@@ -1,6 +1,7 @@
 """Batching changes nothing: not the noise, not the results, not for any chunk or device count."""
 
 import threading
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -10,14 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.studies import small_study
 
-from sinsjax.engine import batch, build
-from sinsjax.engine import tile as tile_layout
+from sinsjax.engine import batch, build, tile
+from sinsjax.engine import lanes as lane_layout
 from sinsjax.engine.realisations import Draw
-from sinsjax.engine.simulate import ONE_RUN, RunParams, simulate
+from sinsjax.engine.simulate import RunParams, simulate
 from sinsjax.types import Quat
 
 
-def all_runs(group: tile_layout.Group, **options: int) -> tuple:
+def all_runs(group: lane_layout.Group, **options: int) -> tuple:
     """Outcome and curves of all runs of a group, in their order."""
     pieces = list(batch.chunks(group, **options))
     whole = jax.tree.map(lambda *leaves: np.concatenate(leaves), *pieces)
@@ -31,7 +32,7 @@ def assert_same_bits(one: object, other: object) -> None:
 
 
 @pytest.fixture(scope="module", params=["measured", "gravity"])
-def six_variants(request: pytest.FixtureRequest) -> tile_layout.Group:
+def six_variants(request: pytest.FixtureRequest) -> lane_layout.Group:
     """Six variants a draw: tiles hold eleven or twelve draws, and the last one is padded.
 
     With gravity in A(t) they share their covariance: eight draws a tile, eight tiles a set.
@@ -46,21 +47,21 @@ def six_variants(request: pytest.FixtureRequest) -> tile_layout.Group:
 
 
 @pytest.fixture(scope="module")
-def reference(six_variants: tile_layout.Group) -> tuple:
+def reference(six_variants: lane_layout.Group) -> tuple:
     """All runs in one call."""
     return all_runs(six_variants, devices=1, tiles_a_chunk=64)
 
 
 @pytest.mark.parametrize(("devices", "tiles"), [(1, 2), (2, 2)])
 def test_results_have_the_same_bits_for_any_chunk_and_device_count(
-    six_variants: tile_layout.Group, reference: tuple, devices: int, tiles: int
+    six_variants: lane_layout.Group, reference: tuple, devices: int, tiles: int
 ) -> None:
     got = all_runs(six_variants, devices=devices, tiles_a_chunk=tiles)
     assert_same_bits(got, reference)
 
 
 def test_a_program_a_device_puts_each_threads_work_on_its_own(
-    six_variants: tile_layout.Group, reference: tuple, monkeypatch: pytest.MonkeyPatch
+    six_variants: lane_layout.Group, reference: tuple, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As on accelerators: the two virtual devices of the tests have a program each."""
     devices = jax.local_devices()
@@ -95,10 +96,10 @@ def test_a_program_a_device_puts_each_threads_work_on_its_own(
     assert sorted(used, key=str) == [(device, device) for device in devices]
 
 
-def test_every_run_equals_itself_alone(six_variants: tile_layout.Group, reference: tuple) -> None:
+def test_every_run_equals_itself_alone(six_variants: lane_layout.Group, reference: tuple) -> None:
     """The unmapped function of one run gives what the tile gave, to rounding."""
     group = six_variants
-    alone = jax.jit(lambda d, p: simulate(group.static, group.environment, d, p, ONE_RUN))
+    alone = jax.jit(lambda d, p: simulate(group.static, group.environment, d, p))
     for run in (0, 5, 64, 299):
         draw, variant = divmod(run, 6)
         params = jax.tree.map(lambda a, v=variant: np.asarray(a)[v], group.variants)
@@ -109,7 +110,7 @@ def test_every_run_equals_itself_alone(six_variants: tile_layout.Group, referenc
 
 
 def test_later_draws_leave_earlier_rows_alone(
-    six_variants: tile_layout.Group, reference: tuple
+    six_variants: lane_layout.Group, reference: tuple
 ) -> None:
     fewer = 30
     group = six_variants._replace(
@@ -129,25 +130,25 @@ def test_draws_differ_and_variants_share_their_noise(reference: tuple) -> None:
 @given(st.integers(1, 400))
 def test_a_tile_never_holds_more_draws_than_counted(variants: int) -> None:
     draws = 130
-    runs = np.arange(draws * variants // tile_layout.LANES * tile_layout.LANES).reshape(
-        -1, tile_layout.LANES
+    runs = np.arange(draws * variants // lane_layout.LANES * lane_layout.LANES).reshape(
+        -1, lane_layout.LANES
     )
     held = [np.unique(row // variants).size for row in runs]
-    room = tile_layout.distinct_draws(variants)
+    room = lane_layout.distinct_draws(variants)
     assert max(held, default=1) <= room
     if len(held) > variants:
-        assert room - max(held) < tile_layout.VECTOR
+        assert room - max(held) < lane_layout.VECTOR
 
 
 @given(st.integers(1, 400), st.sampled_from([8, 16, 24, 32, 48, 64]))
 def test_a_tile_has_a_draw_a_lane_only_where_each_lane_takes_one(width: int, lanes: int) -> None:
     """Then draws are not handed out at all."""
-    assert (tile_layout.distinct_draws(width, lanes) == lanes) == (width == 1)
+    assert (lane_layout.distinct_draws(width, lanes) == lanes) == (width == 1)
 
 
 def some_group(
     force: str, method: str = "kalman5", *, draws: int, variants: int
-) -> tile_layout.Group:
+) -> lane_layout.Group:
     study = small_study(
         study={"draws": draws, "duration_s": 2.0, "window_s": [0, 2]},
         alignment={"specific_force": force, "method": method},
@@ -178,7 +179,7 @@ def test_every_run_has_one_lane(
     plan = batch.plan(group, tiles_a_chunk=tiles_a_chunk)
     assert sum(map(plan.runs, range(len(plan)))) == draws * variants
     for number, places in enumerate(plan):
-        tiles = tile_layout.tiles_of(group, places)
+        tiles = lane_layout.tiles_of(group, places)
         shapes.add(jax.tree.leaves(jax.tree.map(lambda a: a.shape, tuple(tiles))).__repr__())
         assert len(tiles.row) >= 2
         assert np.all(places.variant == places.variant[:, :1])
@@ -204,10 +205,10 @@ def test_a_shared_covariance_gives_the_results_of_a_computed_one(variants: int) 
     """To rounding, against tiles of the same program in which every run has its own."""
     group = some_group("gravity", draws=9, variants=variants)
     shared, _ = all_runs(group)
-    own = jax.jit(lambda environment, tile: tile_layout.run_tile(group.static, environment, tile))
+    own = jax.jit(partial(tile.run_tile, group.static))
     flat = group._replace(static=some_group("measured", draws=1, variants=1).static)
     for places in batch.plan(flat):
-        tiles = tile_layout.tiles_of(flat, places)
+        tiles = lane_layout.tiles_of(flat, places)
         for k in range(len(tiles.row)):
             outcome, _ = own(group.environment, jax.tree.map(lambda a, k=k: a[k], tiles))
             runs = places.draw[k, 0] * variants + places.variant[k, 0]
@@ -219,7 +220,7 @@ def test_a_shared_covariance_gives_the_results_of_a_computed_one(variants: int) 
 @pytest.mark.parametrize(
     ("method", "changes", "sets"),
     [
-        ("kalman5", {}, tile_layout.STACKED_TILES),
+        ("kalman5", {}, lane_layout.STACKED_TILES),
         ("kalman5", {"position": "integrated"}, 1),
         ("kalman5", {"specific_force": "measured"}, 1),
         ("kalman10", {}, 1),
@@ -232,7 +233,7 @@ def test_only_a_covariance_that_no_draw_changes_is_shared(
         alignment={"specific_force": "gravity", "method": method, **changes},
     )
     (part,) = build.parts(study)
-    assert tile_layout.layout(part.group.static, 1)[0] == sets
+    assert lane_layout.layout(part.group.static, 1)[0] == sets
 
 
 def test_the_record_interval_does_not_touch_the_noise() -> None:
@@ -253,7 +254,7 @@ def test_the_record_interval_does_not_touch_the_noise() -> None:
 
 
 def test_broken_runs_are_rows_and_leave_their_neighbours_alone(
-    six_variants: tile_layout.Group, reference: tuple
+    six_variants: lane_layout.Group, reference: tuple
 ) -> None:
     phi = six_variants.variants.phi
     broken = phi._replace(z=np.where(np.arange(6) == 2, np.nan, phi.z))

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from support.studies import BASE, small_study
 
 from sinsjax.engine import build
-from sinsjax.engine.tile import Group
+from sinsjax.engine.lanes import Group
 from sinsjax.engine.truth import _reference_at
 from sinsjax.errors import InputError
 from sinsjax.records import Record, Reference
@@ -129,10 +129,12 @@ def test_tapes_are_cut_apart_and_their_parts_share_a_program() -> None:
     assert parts[0].group.static.repeats and not group_of().static.repeats
     environments = [part.group.environment for part in parts]
     assert [int(environment.pass_records) for environment in environments] == [2, 3]
-    np.testing.assert_array_equal(environments[0].tape, environments[1].tape)
-    assert len(environments[0].tape) == 300
+    np.testing.assert_array_equal(environments[0].increments, environments[1].increments)
+    assert len(environments[0].increments) == 300
     whole = group_of().environment
-    np.testing.assert_allclose(environments[0].tape, whole.tape[:300], rtol=0, atol=1e-18)
+    np.testing.assert_allclose(
+        environments[0].increments, whole.increments[:300], rtol=0, atol=1e-18
+    )
     true = np.concatenate([whole.truth[0, :1] * np.nan, whole.truth[0]])
     for environment, places in zip(
         environments, ([1, 2, 1, 0, 1, 2], [1, 2, 3, 2, 1, 0]), strict=True

@@ -9,8 +9,9 @@ import pytest
 from support.studies import BASE, STILL, small_study
 
 from sinsjax.engine import batch, build
-from sinsjax.engine import tile as tile_layout
+from sinsjax.engine import lanes as lane_layout
 from sinsjax.engine.simulate import simulate
+from sinsjax.engine.tile import run_tile
 from sinsjax.execution import run
 from sinsjax.study import sampling as draw_sampling
 from sinsjax.study.load import study_from_dict
@@ -163,9 +164,9 @@ def test_a_run_taken_alone_is_that_of_its_tile() -> None:
     data = drawn_study(["yaw_center_deg", "roll_period_s", "latitude_deg"], axes=THREE["axes"])
     (part,) = build.parts(study_from_dict(data))
     group = part.group
-    tiles = tile_layout.tiles_of(group, batch.plan(group)[0])
+    tiles = lane_layout.tiles_of(group, batch.plan(group)[0])
     tile = jax.tree.map(lambda a: a[0], tiles)
-    many, _ = jax.jit(partial(tile_layout.run_tile, group.static))(group.environment, tile)
+    many, _ = jax.jit(partial(run_tile, group.static))(group.environment, tile)
     draw = jax.tree.map(lambda a: a[1] if np.ndim(a) else a, tile.draws)
     lane = int(np.argmax(tile.row == 1))
     params = jax.tree.map(lambda a: a[lane], tile.params)

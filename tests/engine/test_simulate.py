@@ -20,14 +20,13 @@ from scipy.spatial.transform import Rotation
 from sinsjax.alignment.base import Options
 from sinsjax.alignment.limits import Biases
 from sinsjax.engine.metrics import Criteria
+from sinsjax.engine.pieces import SAMPLES_A_PIECE, piece
 from sinsjax.engine.realisations import (
-    SAMPLES_A_PIECE,
     Draw,
     Environment,
     Static,
     measured,
     noise,
-    piece,
 )
 from sinsjax.engine.simulate import RunParams, simulate
 from sinsjax.strapdown import sensors
@@ -42,7 +41,7 @@ BANDS = np.array([600.0, 60.0, 10.0]) * ARCMIN
 WINDOW, AFTER = (2.0, 6.0), (1.0, 1.0, 4.0)
 WHOLE, DRAW = 900, 5
 
-run = jax.jit(simulate, static_argnums=(0, 4))
+run = jax.jit(simulate, static_argnums=0)
 
 
 def static(every, records, repeats=False):

@@ -1,5 +1,7 @@
 """Going from event to event changes no bit, and a run taken alone can be differentiated."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,9 +11,8 @@ from hypothesis import strategies as st
 from support.studies import small_study
 
 from sinsjax.alignment.schedules import Resets, next_due, reset_due
-from sinsjax.engine import batch, build
-from sinsjax.engine import tile as tile_layout
-from sinsjax.engine.simulate import BatchMap
+from sinsjax.engine import batch, build, tile
+from sinsjax.engine import lanes as lane_layout
 from sinsjax.engine.stepping import event_by_event, sample_by_sample
 
 SCHEDULES = {
@@ -20,16 +21,16 @@ SCHEDULES = {
 }
 
 
-def group_of(draws: int, **axes: list) -> tile_layout.Group:
+def group_of(draws: int, **axes: list) -> lane_layout.Group:
     study = small_study(study={"draws": draws, "curves": True}, axes=axes)
     (part,) = build.parts(study)
     return part.group
 
 
-def run_tiles(group: tile_layout.Group) -> tuple:
+def run_tiles(group: lane_layout.Group) -> tuple:
     """Outcomes and curves of the group's tiles."""
-    tiles = tile_layout.tiles_of(group, batch.plan(group)[0])
-    one = jax.jit(lambda tile: tile_layout.run_tile(group.static, group.environment, tile))
+    tiles = lane_layout.tiles_of(group, batch.plan(group)[0])
+    one = jax.jit(partial(tile.run_tile, group.static, group.environment))
     rows = [one(jax.tree.map(lambda a, i=i: a[i], tiles)) for i in range(2)]
     return tuple(jax.tree.leaves(rows))
 
@@ -39,7 +40,7 @@ def test_closing_at_events_and_at_every_sample_give_the_same_bits(draws, monkeyp
     """One draw, four and 64 a tile: their noise is made in different pieces, or by sample."""
     group = group_of(draws, **(SCHEDULES if draws < 64 else {"reset_times_s": [(1.37, 4.0)]}))
     at_events = run_tiles(group)
-    monkeypatch.setattr(tile_layout, "BatchMap", lambda **how: BatchMap(**how | {"earliest": None}))
+    monkeypatch.setattr(tile, "event_by_event", lambda *given, **_: sample_by_sample(*given))
     for a, b in zip(at_events, run_tiles(group), strict=True):
         assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
 

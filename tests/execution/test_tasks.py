@@ -14,7 +14,7 @@ from support.kept import STUDIES, parts, study_of
 from support.studies import small_study
 
 from sinsjax.engine import build
-from sinsjax.engine.tile import LANES
+from sinsjax.engine.lanes import LANES
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
 from sinsjax.execution import tables

@@ -17,12 +17,12 @@ from sinsjax.alignment.zero_velocity import method as zero_velocity
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.realisations import Draw, Environment, Static
 from sinsjax.engine.simulate import (
-    ONE_RUN,
+    Run,
     RunParams,
-    RunsUnderWay,
     begin,
-    over_a_record,
-    shared_by,
+    nothing_measured,
+    over_record,
+    set_up,
 )
 from sinsjax.strapdown import base_motion, earth, sensors
 from sinsjax.strapdown.error_model import MODELS
@@ -163,7 +163,7 @@ def tape_world(
     never = Criteria(np.zeros(1), *(np.float64(0.0),) * 4)
     return Environment(
         site=here,
-        tape=rows,
+        increments=rows,
         truth=np.full((1, 1, 4), np.nan),
         errors=sensors.perfect() if errors is None else errors,
         seed=np.asarray(11),
@@ -184,16 +184,15 @@ def trail(static: Static, environment: Environment, params: RunParams) -> Any:
     """The state of the method at every record of one run of the engine, leaves (records, ...)."""
     draw = Draw(jnp.asarray(0), jnp.asarray(0), jnp.asarray(0))
     zero = jnp.zeros(())
-    nothing = Increments(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
-    shared = shared_by(static, environment, draw, params, ONE_RUN)
-    step = over_a_record(static, environment, shared, draw, params, ONE_RUN)
+    setup = set_up(static, environment, draw, params)
     unknown = Quat(*(zero + jnp.nan for _ in range(4)))
 
-    def record(progress: RunsUnderWay, number: Any) -> tuple[RunsUnderWay, Any]:
-        progress, _ = step(progress, (number, unknown))
-        return progress, progress.run.state
+    def record(under_way: tuple[Run, Increments], number: Any) -> tuple[Any, Any]:
+        under_way, _ = over_record(static, environment, setup, under_way, (number, unknown))
+        return under_way, under_way[0].state
 
-    start = RunsUnderWay(begin(static, environment, environment.site, params), nothing)
+    run = begin(static, environment, environment.site, params)
+    start = run, nothing_measured(environment, draw)
     return jax.lax.scan(record, start, jnp.arange(static.records))[1]
 
 

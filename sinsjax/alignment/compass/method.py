@@ -22,7 +22,7 @@ from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
 
 
 class Reversal(NamedTuple):
-    """What becomes of the loops' state when the tape is turned: factors.
+    """What becomes of the loops' state at a direction reversal: factors.
 
     Attributes:
         velocity: of both velocities.
@@ -49,7 +49,7 @@ class LoopParams(NamedTuple):
             roots p times as far out.
         azimuth_from: samples before the azimuth loop takes over the north channel.
         smoothing: share of each new sample in each stage of the low-passed specific force.
-        turn: what happens when the tape is turned.
+        turn: what happens at a direction reversal.
     """
 
     level: LevelGains

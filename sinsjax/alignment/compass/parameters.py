@@ -22,7 +22,7 @@ REVERSALS = {
     "restart": Reversal(0.0, 0.0, 0.0, 0.0),
     "keep": Reversal(1.0, -1.0, 1.0, 0.0),
 }
-"""What compass loops do at a turn of the tape, by the names of ``turn``.
+"""What compass loops do at a direction reversal, by the names of ``turn``.
 
 ``velocity``, [P2]'s own, changes the sign of the velocity and leaves azimuth rate and tilt, which a
 reversed Earth rate turns against the loop; ``velocity_and_rate`` changes that of the azimuth rate
