@@ -108,14 +108,14 @@ CURVES = (RUN_ID, Column("time_s", _F, "s", "from the start of fine alignment"),
 
 PASSES = (
     Column("update_time_s", _F, "s", "updates so far times the sample time, passes and all"),
-    Column("tape_time_s", _F, "s", "place on the tape, from its beginning"),
+    Column("tape_time_s", _F, "s", "place in the stored record, from its beginning"),
     Column("pass", _I, "", "number of the pass, from 1; odd ones are forward"),
 )
-"""Further columns of the curves where a tape is gone over more than once."""
+"""Further columns of the curves of repeated passes over a stored record."""
 
 
 def curves(*, passes: bool) -> tuple[Column, ...]:
-    """Columns of the curves of a study with or without passes over a tape."""
+    """Columns of the curves of a study with or without repeated passes."""
     return (*CURVES, *(PASSES if passes else ()))
 
 
@@ -128,9 +128,9 @@ def settle_column(band_arcmin: float, *, truth: bool = False) -> Column:
 
 
 def settle_data_column(band_arcmin: float, *, truth: bool = False) -> Column:
-    """The data that was there at the settling time of one band, where a tape is gone over again."""
+    """The data recorded by the settling time of one band, with repeated passes."""
     settled = settle_column(band_arcmin, truth=truth).name
-    meaning = f"length of the tape that had been recorded by {settled}; null if never settled"
+    meaning = f"length of the record that was stored by {settled}; null if never settled"
     return Column(f"{settled.removesuffix('_s')}_data_s", _F, "s", meaning)
 
 

@@ -42,7 +42,7 @@ class Quat(NamedTuple):
 
 
 class Increments(NamedTuple):
-    """What the sensors put out over one sample: angle (rad) and velocity (m/s) increments in b."""
+    """Increments measured over one sample: angle (rad) and velocity (m/s), in b."""
 
     dtheta: Vec3
     dv: Vec3

@@ -68,7 +68,8 @@ class PassesSection(Section):
     )
 
     tape_s: Annotated[Seconds | None, Whole("record")] = Field(
-        None, description="length of the tape, s; without it all of the duration, once forward"
+        None,
+        description="length of the stored record, s; without it all of the duration, once forward",
     )
     passes: Annotated[Count, Field(ge=1)] | None = Field(
         None, description="number of passes; default: what the duration holds"
@@ -80,13 +81,15 @@ class PassesSection(Section):
         Literal["reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"]
         | None,
         Default("reflect"),
-    ] = Field(None, description="what compass loops do at a turn of the tape; default 'reflect'")
+    ] = Field(None, description="what compass loops do at a direction reversal; default 'reflect'")
     turn_smoothing_s: Annotated[Seconds | None, Default(5.0)] = Field(
         None, description="delay of the low-passed force that 'reflect' turns by, s; default 5"
     )
     turn_covariance: Annotated[
         Literal["carried", "inflated", "reset"] | None, Default("carried")
-    ] = Field(None, description="what becomes of a filter's P at a turn; default 'carried'")
+    ] = Field(
+        None, description="what becomes of a filter's P at a direction reversal; default 'carried'"
+    )
     turn_inflation: Annotated[Factor | None, Default(10.0)] = Field(
         None, description="factor on P, for 'inflated'; default 10"
     )

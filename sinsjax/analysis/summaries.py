@@ -68,8 +68,8 @@ def summarise(table: pa.Table, by: Sequence[str], names: Sequence[str] | None = 
     * for each band B of the table ``settle_B_s_median`` and ``settle_B_s_q90`` (infinite: never),
       ``settle_B_s_mean`` of the runs that settled, and ``never_settled_B``, a count without
       interval, all about the limit; about the truth the same of ``settle_B_truth_s``; all but the
-      count also for ``settle_B_data_s`` and ``settle_B_truth_data_s``, where a tape is gone over
-      again;
+      count also for ``settle_B_data_s`` and ``settle_B_truth_data_s``, with repeated passes over a
+      stored record;
     * ``phi_u_mean_arcmin_mean`` and ``phi_u_mean_arcmin_std``: the window means over the runs, the
       second null where they ended in more than one status: there ``phi_u_mean_arcmin_q10``,
       ``..._median`` and ``..._q90`` tell the spread, of the finite values;

@@ -166,7 +166,7 @@ def _forecast(study: Study, batches: Sequence[Batch], curves: bool) -> Forecast:
     samples = records * study.record_every
     step_s = max(METHODS[name].step_s for name in study.methods)
     run_bytes = _row_bytes(study, layouts.summary(study))
-    # Of a longer simulation no tape is kept.
+    # The increments of a longer simulation are not kept.
     kept = samples if study.is_recorded else min(samples, MOST_STORED_SAMPLES)
     memory = _BASE + _A_SAMPLE * kept
     counts = study.combinations("reset_count") if study.has("resets") else ()

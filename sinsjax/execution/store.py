@@ -61,7 +61,7 @@ class Store:
             InputError: the directory holds results, cannot be written, or has a writer.
         """
         self.directory = directory
-        self._workshop, self._facts = runner, dict(facts or {})
+        self._runner, self._facts = runner, dict(facts or {})
         self._session = self._facts.pop("session", {}) | {"started_unix_s": round(time.time(), 3)}
         self._since = time.monotonic()
         self._chunks: dict[str, dict[str, Any]] = {}
@@ -79,7 +79,7 @@ class Store:
     def _begin(self, *, resume: bool, overwrite: bool) -> None:
         # Once more, as what is there may have changed before the lock was ours.
         resuming.check_free(self.directory, overwrite=overwrite or resume)
-        job = self._workshop.job
+        job = self._runner.job
         if resume and self._resumed()[2:] != job[2:]:
             raise InputError(f"{self.directory}: another process has just written there")
         _remove(belongings.left_behind(self.directory))
@@ -95,7 +95,7 @@ class Store:
 
     def _resumed(self) -> Job:
         instructions = self._session.get("instructions")
-        return resuming.resumed(self.directory, self._workshop.job, instructions)
+        return resuming.resumed(self.directory, self._runner.job, instructions)
 
     def release(self) -> None:
         """Let another process write."""
@@ -211,15 +211,13 @@ class Store:
             part = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
             table = part.read()
             # The pages have checksums of their own, the footer has none.
-            return (
-                table.num_rows == rows and self._workshop.parquet(dataset, table, task) == content
-            )
+            return table.num_rows == rows and self._runner.parquet(dataset, table, task) == content
         except (OSError, ValueError, pa.ArrowException):
             return False
 
     def _write_manifest(self, state: str) -> None:
         began = time.monotonic()
-        job = self._workshop.job
+        job = self._runner.job
         study = job.study
         this = self._session | {"wall_s": round(began - self._since, 3)}
         sessions = [*self._sessions, this]
@@ -231,11 +229,11 @@ class Store:
             "schema": columns.SCHEMA_VERSION,
             "state": state,
             "fingerprint": fingerprint(study),
-            "identity": self._workshop.identity,
+            "identity": self._runner.identity,
             "seed": study.seed,
             "runs": study.n_draws * study.n_variants,
             "runs_done": sum(chunk["runs"] for chunk in self._chunks.values()),
-            "curves": self._workshop.scenario.curves,
+            "curves": self._runner.scenario.curves,
             "chunk_runs": job.chunk_runs,
             **self._facts,
             "started_unix_s": sessions[0]["started_unix_s"],

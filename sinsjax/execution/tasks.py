@@ -32,7 +32,7 @@ from sinsjax.study.fingerprint import fingerprint
 from sinsjax.study.study import Study
 
 _DRAWS_READY = 2**16  # some 30 MB where everything is drawn
-_PARTS_READY = 3  # a part has its own tape; threads at the seam of two parts need both
+_PARTS_READY = 3  # a part has its own increments; threads at the seam of two parts need both
 
 
 class Job(NamedTuple):

@@ -147,7 +147,7 @@ def over_passes(
     quantity: str,
     turns_s: Mapping[str, Sequence[float]],
 ) -> Figure:
-    """Lines over update time, a panel below the other, with the turns of the tape marked.
+    """Lines over update time, a panel below the other, with the direction reversals marked.
 
     Args:
         panels: panel title to its lines, drawn about linear near 0 and logarithmic far from it.

@@ -297,7 +297,7 @@ def _check_sweepable(table: str, key: str, recorded: bool) -> None:
     elif section not in SWEEPABLE:
         reason = f"cannot be swept (it is a key of [{section}])"
     elif recorded and section in SIMULATED_ONLY:
-        reason = f"has no place in a recorded study ([{section}] is the simulation's)"
+        reason = f"does not apply to a recorded study ([{section}] is the simulation's)"
     else:
         return
     raise InputError(f"[{table}] {key}: {reason}")
@@ -311,7 +311,7 @@ def _check_drawable(key: str, recorded: bool) -> None:
         kinds = "latitude_deg, keys of [motion] and [sensors]"
         reason = f"cannot be drawn (what can: {kinds}, {', '.join(INITIAL_KEYS)})"
     elif recorded and section in SIMULATED_ONLY:
-        reason = f"has no place in a recorded study ([{section}] is the simulation's)"
+        reason = f"does not apply to a recorded study ([{section}] is the simulation's)"
     elif recorded and key not in INITIAL_KEYS:
         reason = f"cannot be drawn in a recorded study (what can: {', '.join(INITIAL_KEYS)})"
     else:

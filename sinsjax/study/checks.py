@@ -105,7 +105,7 @@ def _check_required(study: Study, where: Where) -> None:
     if all(point["earth"] != "constants" for point in study.combinations("earth")):
         for key in EARTH_CONSTANTS:
             if key in where:
-                _refuse(key, where, "has no place without earth = 'constants'")
+                _refuse(key, where, "requires earth = 'constants'")
 
 
 def _check_layout(study: Study, where: Where) -> None:
@@ -167,23 +167,23 @@ def _check_methods(study: Study, where: Where) -> None:
     """Refuses keys that no method of the study reads."""
     methods = sorted(study.methods)
     for key in sorted(keys_unread(methods) & where.keys()):
-        _refuse(key, where, f"has no place with method {' or '.join(methods)}")
+        _refuse(key, where, f"does not apply to method {' or '.join(methods)}")
 
 
 def _check_passes(study: Study, where: Where) -> None:
-    """Refuses a tape that is no whole number of record intervals, or passes that do not fit."""
+    """Refuses a stored record of no whole number of record intervals, or passes that do not fit."""
     duration = study.duration_s * (1 + ROUNDING)
     for point in study.combinations("tape_s", "passes", "ending") if study.passes else ():
         tape, passes = point["tape_s"], point["passes"]
         if tape is None:
             if (passes or 1) > 1:
-                _refuse("passes", where, f"{passes} need a tape to go over (give tape_s)")
+                _refuse("passes", where, f"{passes} need a stored record to repeat (give tape_s)")
             continue
         _check_multiple(study, where, "tape_s", tape)
         if tape > duration:
             _refuse("tape_s", where, f"{tape:.12g} s is longer than the study, {_end(study)}")
         if passes and passes * tape > duration:
-            text = f"{passes} over a tape of {tape:.12g} s last {passes * tape:.12g} s"
+            text = f"{passes} over a record of {tape:.12g} s last {passes * tape:.12g} s"
             _refuse("passes", where, f"{text}, longer than the study ({_end(study)})")
         if passes and passes % 2 == 0 and point["ending"] == "forward":
             _refuse("passes", where, f"{passes} end backward, not as ending = 'forward' says")

@@ -62,5 +62,5 @@ def _check_unread(
             values = [point[given] for given in condition.given]
             if point[key] != default and not condition.acts(*values):
                 given = next(k for k in condition.given if k in where)
-                text = f"is read by nobody beside {given} in {where[given]} (give one of them)"
+                text = f"is ignored beside {given} in {where[given]} (give one of them)"
                 raise InputError(f"{where.get(key, f'[{section}]')} {key}: {text}")

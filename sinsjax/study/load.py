@@ -187,11 +187,13 @@ def _tables(data: TomlTable) -> TomlTable:
                 raise InputError(f"[{name}] {key}: None is no value (leave the key out)")
     for name in SIMULATED_ONLY:
         if name in data and "record" in data:
-            raise InputError(f"[{name}]: has no place in a recorded study (drop it or [record])")
+            raise InputError(f"[{name}]: does not apply to a recorded study (drop it or [record])")
     if "coarse" in data and "record" not in data:
         raise InputError("[coarse]: only a recorded study has one ([record] is missing)")
     if "record" in data and "draws" in data.get("study", {}):
-        raise InputError("[study] draws: has no place in a recorded study (one draw a start time)")
+        raise InputError(
+            "[study] draws: does not apply to a recorded study (one draw a start time)"
+        )
     return data
 
 
@@ -218,7 +220,7 @@ def _check_densities(where: Where, readings: set[Any]) -> None:
     """Refuses a density of Q where Q is read as something else."""
     for key in (key for keys in Q_DENSITIES.values() for key in keys):
         if key in where and (others := readings - {"psd"}):
-            text = f"has no place without q_reading = 'psd' (it is '{min(others)}')"
+            text = f"requires q_reading = 'psd' (it is '{min(others)}')"
             raise InputError(f"{where[key]} {key}: {text}")
 
 

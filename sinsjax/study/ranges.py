@@ -41,7 +41,7 @@ class Range(Section):
             raise invalid(f"needs low and high, or fixed, or candidates, not {told}")
         if self.low is None or self.high is None:
             if self.scale is not None:
-                raise invalid("goes with low and high only", key="scale")
+                raise invalid("requires low and high", key="scale")
             return self
         if not self.low < self.high:
             raise invalid(f"must be above low = {self.low:.12g}, not {self.high:.12g}", key="high")

@@ -272,7 +272,7 @@ class RecordSection(Section):
         if self.format == "psins":
             for key in (*needed, "time_column", "max_gap_s"):
                 if getattr(self, key) is not None:
-                    raise invalid("has no place with format 'psins', which fixes it", key=key)
+                    raise invalid("does not apply to format 'psins', which fixes it", key=key)
             return self
         for key in needed:
             if getattr(self, key) is None:
@@ -289,7 +289,7 @@ class RecordSection(Section):
 
     def _check_times(self) -> None:
         if self.time_unit is not None and self.time_column is None:
-            raise invalid("has no place without a time_column", key="time_unit")
+            raise invalid("requires a time_column", key="time_unit")
         begin, end = self.from_s or 0.0, self.to_s
         if end is not None and end <= begin:
             raise invalid(f"must be after from_s = {begin:g}, not {end:g}", key="to_s")

@@ -68,7 +68,7 @@ EARTH_CONSTANTS = {
 """The keys of [earth] that only ``earth = "constants"`` has, with their defaults."""
 
 PASS_KEYS = ("tape_s", "passes", "ending")
-"""The keys that decide which sample of the tape an update reads, and how many there are."""
+"""The keys that decide which sample of the stored record an update reads, and how many."""
 
 TomlTable = dict[str, Any]
 
@@ -114,7 +114,7 @@ class Span(NamedTuple):
 
     Attributes:
         records: in the run.
-        tape: in a pass over its tape; all of the run where it is gone over once.
+        tape: in a pass over its stored record; all of the run where there is one pass.
     """
 
     records: int

@@ -6,7 +6,7 @@ from sinsjax.study.study import Span, Study
 
 
 def spans_s(study: Study) -> np.ndarray:
-    """(variants, 2) lengths of every variant's run and of a pass over its tape, s."""
+    """(variants, 2) lengths of every variant's run and of a pass over its stored record, s."""
     return study.lengths.each(tuple, int) * study.record_every / study.rate_hz
 
 
@@ -16,7 +16,7 @@ def update_times(study: Study, span: Span) -> np.ndarray:
 
 
 def tape_times(study: Study, span: Span) -> np.ndarray:
-    """(records,) where on its tape a run is at its records, s from the tape's beginning."""
+    """(records,) where in its stored record a run is at its records, s from the beginning."""
     ended = np.arange(span.records)
     place = ended % span.tape + 1
     place = np.where(pass_numbers(span) % 2 == 1, place, span.tape - place)

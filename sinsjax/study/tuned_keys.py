@@ -43,7 +43,7 @@ def read(table: TomlTable, swept: Mapping[str, str], *, recorded: bool) -> TomlT
         if not recorded:
             table.setdefault(key, default)
         elif key in table:
-            text = "has no place in a recorded study (its start times tune and judge in turn)"
+            text = "does not apply to a recorded study (its start times tune and judge in turn)"
             raise InputError(f"[tune] {key}: {text}")
     for key in ("variables", "baseline"):
         if key in table and not isinstance(table[key], Mapping):

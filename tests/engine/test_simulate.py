@@ -105,7 +105,7 @@ def naive_measured():
     [(30, 23, None), (70, 9, None), (30, 23, 7), (30, 23, 23)],
 )
 def test_one_run_is_the_naive_loop_and_its_metrics(every, records, tape):
-    """Forward over the data once, or over a tape of some records forward and backward."""
+    """Forward over the data once, or over a record of some records forward and backward."""
     filt = paper_filter(5, every=40, resets=(215, 400))
     here = environment(every, records, tape=tape)
     rows = naive_measured()[: every * (tape or records)]

@@ -53,15 +53,14 @@ def test_a_study_with_densities_is_read_again_as_it_is_told() -> None:
         ),
         (
             {"filter": {"q_accel_ug_per_sqrt_hz": 1.0}},
-            "study: [filter] q_accel_ug_per_sqrt_hz: has no place without q_reading = 'psd' (it is"
-            " 'per_step')",
+            "study: [filter] q_accel_ug_per_sqrt_hz: requires q_reading = 'psd' (it is 'per_step')",
         ),
         (
             {
                 "filter": {"q_gyro_arw_deg_per_sqrt_h": 0.1},
                 "axes": {"q_reading": ["psd", "per_sample"]},
             },
-            "study: [filter] q_gyro_arw_deg_per_sqrt_h: has no place without q_reading = 'psd' (it"
+            "study: [filter] q_gyro_arw_deg_per_sqrt_h: requires q_reading = 'psd' (it"
             " is 'per_sample')",
         ),
     ],

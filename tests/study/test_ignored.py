@@ -84,7 +84,7 @@ def test_defaults_stand_in_any_study():
 def test_damping_is_read_by_nobody_beside_gains(loop: str):
     gains = {"level": [1.0, 2.0, 3.0], "azimuth": [1.0, 2.0, 3.0, 4.0]}[loop]
     compass = {f"{loop}_gains": gains, f"{loop}_damping": 0.6}
-    text = f"{loop}_damping: is read by nobody beside {loop}_gains in"
+    text = f"{loop}_damping: is ignored beside {loop}_gains in"
     assert refusal(**COMPASS, compass=compass) == f"[compass] {text} [compass] (give one of them)"
     axes = {f"{loop}_gains": [gains]}
     line = refusal(**COMPASS, compass={f"{loop}_damping": 0.6}, axes=axes)

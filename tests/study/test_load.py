@@ -1099,11 +1099,11 @@ def test_intervals(tables: dict[str, Any], line: str):
             "[record] start_s: 20 s lies before from_s = 30",
         ),
         ({"from_s": 30, "to_s": 30}, {}, "[record] to_s: must be after from_s = 30, not 30"),
-        ({"time_unit": "ms"}, {}, "[record] time_unit: has no place without a time_column"),
+        ({"time_unit": "ms"}, {}, "[record] time_unit: requires a time_column"),
         (
             {"max_gap_s": 1},
             {},
-            "[record] max_gap_s: has no place with format 'psins', which fixes it",
+            "[record] max_gap_s: does not apply to format 'psins', which fixes it",
         ),
         (
             {},
@@ -1197,7 +1197,7 @@ def test_a_record_may_tell_the_rate():
     ],
 )
 def test_a_key_that_no_method_reads(tables: dict[str, Any], key: str, method: str):
-    assert refusal(**tables) == f"{key}: has no place with method {method}"
+    assert refusal(**tables) == f"{key}: does not apply to method {method}"
     built(merged(SIMULATED, **tables), axes={"method": ["kalman5", "compass"]})
 
 
@@ -1266,13 +1266,13 @@ def test_loops_are_given_in_one_way(one: str, others: tuple[str, ...]):
         ({"tape_s": 80, "passes": 0}, "passes: must be greater than or equal to 1, not 0"),
         (
             {"tape_s": 80, "passes": 12},
-            "passes: 12 over a tape of 80 s last 960 s, longer than the study (duration_s = 900)",
+            "passes: 12 over a record of 80 s last 960 s, longer than the study (duration_s = 900)",
         ),
         (
             {"tape_s": 80, "passes": 4, "ending": "forward"},
             "passes: 4 end backward, not as ending = 'forward' says",
         ),
-        ({"passes": 2}, "passes: 2 need a tape to go over (give tape_s)"),
+        ({"passes": 2}, "passes: 2 need a stored record to repeat (give tape_s)"),
         (
             {"tape_s": 80, "turn": "flip"},
             "turn: must be 'reflect', 'velocity', 'velocity_and_rate', 'velocity_drop_rate',"
@@ -1286,7 +1286,7 @@ def test_passes_that_do_not_fit(passes: dict[str, Any], line: str):
 
 def test_passes_are_checked_as_they_meet():
     axes = {"tape_s": [80, 100], "passes": [3, 10]}
-    line = "[axes] passes: 10 over a tape of 100 s last 1000 s, longer than the study"
+    line = "[axes] passes: 10 over a record of 100 s last 1000 s, longer than the study"
     assert refusal(axes=axes).startswith(line)
     built(cases=[{"tape_s": 80, "passes": 10}, {"tape_s": 100, "passes": 3}])
 
@@ -1328,9 +1328,12 @@ def test_how_long_passes_last(passes: dict[str, Any], spans: tuple[int, int]):
         ({"sigma_factors": [3, 2, 1], "sigma_times_s": [3, 2]}, "sigma_times_s: must increase"),
         (
             {"sigma_factors": [2, 1], "sigma_passes": [2]},
-            "sigma_passes: counts passes over a tape (give [passes] tape_s)",
+            "sigma_passes: counts passes over a stored record (give [passes] tape_s)",
         ),
-        ({"level_passes": 1}, "level_passes: counts passes over a tape (give [passes] tape_s)"),
+        (
+            {"level_passes": 1},
+            "level_passes: counts passes over a stored record (give [passes] tape_s)",
+        ),
         ({"level_passes": 0}, "level_passes: must be greater than or equal to 1, not 0"),
         ({"sigma_factors": []}, "sigma_factors: must not be empty, not []"),
         ({"sigma_factors": [2, 0]}, "sigma_factors[1]: must be greater than 0, not 0"),
@@ -1517,7 +1520,7 @@ def test_the_nearest_intervals_that_are_named_pass(samples: float, rate: float):
 
 @pytest.mark.parametrize("key", ["gravity_m_per_s2", "radius_m", "earth_rate_deg_per_h"])
 def test_constants_have_no_place_with_wgs84(key: str):
-    text = f"{key}: has no place without earth = 'constants'"
+    text = f"{key}: requires earth = 'constants'"
     assert refusal(earth={"earth": "wgs84", key: 1}) == f"[earth] {text}"
     assert refusal(earth={"earth": "wgs84"}, axes={key: [1, 2]}) == f"[axes] {text}"
     assert refusal(earth={key: 1}, cases=[{"earth": "wgs84"}]) == f"[earth] {text}"
@@ -1541,15 +1544,15 @@ def test_an_amplitude_needs_its_period():
 @pytest.mark.parametrize(
     ("tables", "line"),
     [
-        ({"motion": {}}, "[motion]: has no place in a recorded study (drop it or [record])"),
-        ({"sensors": {}}, "[sensors]: has no place in a recorded study (drop it or [record])"),
+        ({"motion": {}}, "[motion]: does not apply to a recorded study (drop it or [record])"),
+        ({"sensors": {}}, "[sensors]: does not apply to a recorded study (drop it or [record])"),
         (
             {"study": {"draws": 1}},
-            "[study] draws: has no place in a recorded study (one draw a start time)",
+            "[study] draws: does not apply to a recorded study (one draw a start time)",
         ),
         (
             {"axes": {"accel_bias_ug": [1]}},
-            "[axes] accel_bias_ug: has no place in a recorded study"
+            "[axes] accel_bias_ug: does not apply to a recorded study"
             " ([sensors] is the simulation's)",
         ),
         (
@@ -1584,7 +1587,7 @@ def test_record_keys_by_format():
     for key in (*TABULAR, "time_column"):
         if key != "format":
             value = TABULAR.get(key, "t")
-            expected = f"[record] {key}: has no place with format 'psins', which fixes it"
+            expected = f"[record] {key}: does not apply to format 'psins', which fixes it"
             assert refusal(RECORDED, record={key: value}) == expected
     for format_ in ("csv", "parquet"):
         for key in TABULAR:
@@ -1624,7 +1627,7 @@ def test_tabular_records(change: dict[str, Any], line: str):
 
 
 def test_a_recorded_study_draws_what_it_has():
-    line = "[stop_when]: has no place in a recorded study (drop it or [record])"
+    line = "[stop_when]: does not apply to a recorded study (drop it or [record])"
     assert refusal(RECORDED, stop_when=STOP) == line
 
 

@@ -445,8 +445,11 @@ def test_what_a_recorded_study_may_draw():
     study = study_from_dict(RECORDED | {"record": record, "drawn": laws})
     assert study.n_draws == 3 and study.drawn_keys == INITIAL_KEYS
     for key, reason in (
-        ("yaw_center_deg", "has no place in a recorded study ([motion] is the simulation's)"),
-        ("gyro_bias_deg_per_h", "has no place in a recorded study ([sensors] is the simulation's)"),
+        ("yaw_center_deg", "does not apply to a recorded study ([motion] is the simulation's)"),
+        (
+            "gyro_bias_deg_per_h",
+            "does not apply to a recorded study ([sensors] is the simulation's)",
+        ),
         (
             "latitude_deg",
             f"cannot be drawn in a recorded study (what can: {', '.join(INITIAL_KEYS)})",

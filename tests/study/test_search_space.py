@@ -63,7 +63,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "scale of one value": (
         {"p0_yaw_deg": {"fixed": 1.0, "scale": "log"}},
-        "[tune.variables] p0_yaw_deg.scale: goes with low and high only",
+        "[tune.variables] p0_yaw_deg.scale: requires low and high",
     ),
     "ends in the wrong order": (
         {"reset_times_s": [TIMES[0], {"low": 3, "high": 3}]},
@@ -148,8 +148,8 @@ MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "key of another method": (
         {"azimuth_sigma_per_s": {"low": 0.01, "high": 0.02}},
-        "[tune.variables] with every range at its low end: [compass] azimuth_sigma_per_s: has no"
-        " place with method kalman5",
+        "[tune.variables] with every range at its low end: [compass] azimuth_sigma_per_s: does"
+        " not apply to method kalman5",
     ),
     "candidate that makes no study": (
         {"reset_trigger": {"candidates": ["nis"]}},
@@ -267,12 +267,12 @@ OTHERS: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "study that lacks a key of the baseline": (
         {},
         {"variables": {"p0_yaw_deg": YAW}, "baseline": {"trigger_until_s": 3.0}},
-        "[tune.baseline]: [resets] trigger_until_s: has no place without a reset_trigger",
+        "[tune.baseline]: [resets] trigger_until_s: requires a reset_trigger",
     ),
     "stop_when": (
         {"stop_when": {"statistic": "success_rate", "half_width": 0.1}},
         {"variables": {"p0_yaw_deg": YAW}, "searches": ["grid"]},
-        "[stop_when]: has no place beside [tune], whose draws are counted",
+        "[stop_when]: cannot go with [tune], whose draws are counted",
     ),
 }
 
@@ -309,8 +309,8 @@ def test_a_recorded_study_has_start_times_for_draws(key: str) -> None:
     with pytest.raises(InputError) as error:
         study_from_dict(RECORDED | {"tune": tune | {key: 3}})
     assert str(error.value) == (
-        f"study: [tune] {key}: has no place in a recorded study (its start times tune and judge in"
-        " turn)"
+        f"study: [tune] {key}: does not apply to a recorded study (its start times tune and judge"
+        " in turn)"
     )
     alone = RECORDED["record"] | {"start_s": 0.0}
     with pytest.raises(InputError, match=r"\[record\] start_s: tuning needs two start times, one"):

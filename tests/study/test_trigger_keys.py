@@ -82,7 +82,7 @@ def test_a_trigger_needs_a_threshold(tables: dict[str, Any]) -> None:
 @pytest.mark.parametrize("trigger", [{}, {"reset_trigger": "none"}])
 def test_numbers_of_a_trigger_need_one(key: str, trigger: dict[str, str]) -> None:
     value = OF_TRIGGERS[key]
-    told = f"{key}: has no place without a reset_trigger"
+    told = f"{key}: requires a reset_trigger"
     assert refusal(resets=trigger | {key: value}) == f"[resets] {told}"
     assert refusal(resets=trigger, axes={key: [value, 2 * value]}) == f"[axes] {told}"
     assert built(resets=trigger) and built(resets=NIS | {key: value})
@@ -114,7 +114,7 @@ def test_scales_are_positive(key: str) -> None:
 def test_compass_loops_have_none_of_this(section: str) -> None:
     for key, value in NEW[section].items():
         line = refusal(alignment={"method": "compass"}, **{section: {key: value}})
-        assert line == f"[{section}] {key}: has no place with method compass"
+        assert line == f"[{section}] {key}: does not apply to method compass"
     # Beside a filter they are the filter's.
     assert built(axes={"method": ["kalman5", "compass"]}, **NEW)
 

@@ -73,7 +73,7 @@ class CompassSection(Section):
         None, description="levelling before the azimuth loop begins, s; default 150"
     )
     level_passes: Annotated[Annotated[Count, Field(ge=1)] | None, RunTime("pass")] = Field(
-        None, description="the same in passes over the tape"
+        None, description="the same in passes over the stored record"
     )
     azimuth_sigma_per_s: Annotated[Bandwidth | None, Default(0.01)] = Field(
         None, description="sigma of the azimuth loop, 1/s; default 0.01"
@@ -98,13 +98,13 @@ class CompassSection(Section):
         None, description="update times at which the second and later pieces begin, s"
     )
     sigma_passes: Annotated[PassNumbers | None, RunTime("pass")] = Field(
-        None, description="the same as numbers of passes gone over before"
+        None, description="the same as numbers of passes done before"
     )
     allow_unstable: bool = Field(False, description="whether unstable loops are run")
 
 
 def check_pieces(study: CheckedStudy) -> None:
-    """Refuses pieces of sigma without a beginning each, and passes to count without a tape."""
+    """Refuses pieces of sigma without a beginning each, and passes without a stored record."""
     if not study.has("compass"):
         return
     for point in study.combinations("sigma_factors", "sigma_times_s", "sigma_passes"):
@@ -119,4 +119,4 @@ def check_pieces(study: CheckedStudy) -> None:
         if not study.has("passes") or any(
             p["tape_s"] is None for p in study.combinations("tape_s")
         ):
-            study.refuse(key, "counts passes over a tape (give [passes] tape_s)")
+            study.refuse(key, "counts passes over a stored record (give [passes] tape_s)")

@@ -50,7 +50,7 @@ def check_trigger(study: CheckedStudy) -> None:
     if not any_trigger(study):
         for key in _NUMBERS:
             if study.place(key):
-                study.refuse(key, "has no place without a reset_trigger")
+                study.refuse(key, "requires a reset_trigger")
     for point in study.combinations("reset_trigger", "trigger_threshold"):
         name, threshold = point["reset_trigger"], point["trigger_threshold"]
         if has_trigger(name) and threshold is None:
