@@ -166,7 +166,6 @@ def temporary(program: jax.stages.Compiled) -> int:
 def tuned_study(seconds: float) -> Study:
     """The default sweep's base, sensors and filter; two reset times are tuned."""
     data = tomllib.loads(asset("configs/reset_sweep.toml").read_text("utf-8"))
-    del data["report"]
     data["study"] |= {"duration_s": seconds, "window_s": [seconds / 2, seconds]}
     data["study"]["judged_from"] = "truth"  # a short run has no limit
     data["resets"] = {"reset_times_s": [seconds / 3, seconds / 2]}

@@ -5,6 +5,7 @@ A user's mistake prints one line and exits with code 2; nothing else of Python i
 
 import atexit
 import gc
+import math
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Annotated
 
 import typer
 
-from sinsjax.cli.study import check_options, configure, made_ready, run_study
+from sinsjax.cli.study import check_options, configure, loaded, made_ready, run_study
 from sinsjax.console import lasting, plain_console, say
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.messages import one_line
@@ -146,11 +147,10 @@ def tune(
     from sinsjax.execution import forecast, progress
     from sinsjax.execution import resume as resuming
     from sinsjax.execution import run as study_run
-    from sinsjax.study.load import load_study
     from sinsjax.tuning import carry_out
 
     out = resuming.named(given)
-    study = load_study(config)
+    study = loaded(config)
     carry_out.require_tune(study)
     if study.is_recorded and record is None:
         raise InputError(f"{config}: [record]: the study reads a record: give it with --record")
@@ -238,14 +238,33 @@ def report(
 
 
 @app.command()
-def gains() -> None:
-    """Compare the gains that paper 2 prints with its formulas, and show the roots of its loops.
+def gains(
+    level_sigma: Annotated[float, typer.Option(help="Decay rate of levelling, 1/s.")] = 0.02,
+    azimuth_sigma: Annotated[float, typer.Option(help="Decay rate in azimuth, 1/s.")] = 0.01,
+    damping: Annotated[float, typer.Option(help="Damping ratio of both, over 0 and under 1.")] = 0.5
+    ** 0.5,
+    gravity: Annotated[float, typer.Option(help="m/s^2.")] = 9.8,
+    radius: Annotated[float, typer.Option(help="Of the Earth, m.")] = 6378165.0,
+) -> None:
+    """Design the compass loops: gains from decay rates, the roots they give, and their times.
 
-    Example: sinsjax gains
+    Example: sinsjax gains --azimuth-sigma 0.025
     """
     from sinsjax.report.gains import print_gains
 
-    print_gains(plain_console())
+    numbers = {
+        "--level-sigma": level_sigma,
+        "--azimuth-sigma": azimuth_sigma,
+        "--damping": damping,
+        "--gravity": gravity,
+        "--radius": radius,
+    }
+    for option, value in numbers.items():
+        if not 0 < value < (1 if option == "--damping" else math.inf):
+            over = " and under 1" if option == "--damping" else ""
+            raise InputError(f"{option}: must be over 0{over}, not {value:g}")
+    rates = (level_sigma, azimuth_sigma, damping)
+    print_gains(plain_console(), *rates, gravity=gravity, radius=radius)
 
 
 @app.command()

@@ -50,10 +50,9 @@ def run_study(
     from sinsjax.execution import forecast, progress
     from sinsjax.execution import resume as resuming
     from sinsjax.execution import run as study_run
-    from sinsjax.study.load import load_study
 
     out = resuming.named(given)
-    study = load_study(config)
+    study = loaded(config)
     if study.is_recorded and files is None:
         raise InputError(f"{config}: [record]: the study reads a record: use `sinsjax align`")
     if files is not None and not study.is_recorded:
@@ -101,6 +100,16 @@ def run_study(
             source=config,
         )
     import_module("sinsjax.report").summarise([out], terminal)
+
+
+def loaded(config: Path) -> Any:
+    """The study of a file; says what in it nothing reads any more."""
+    from sinsjax.study.load import load_study, unread_sections
+
+    study = load_study(config)
+    if line := unread_sections(config):
+        say(plain_console(), f"Warning: {line}.")
+    return study
 
 
 def made_ready(study: Any, tape: Any, terminal: Console) -> Any:

@@ -218,7 +218,7 @@ def differences(there: Study, here: Study) -> list[str]:
 
 def _by_key(study: Study) -> dict[str, Any]:
     """The values of a study by the place and key that its file gives them."""
-    content = study.model_dump(exclude={"report", "statements", "tune"}, exclude_none=True)
+    content = study.model_dump(exclude={"tune"}, exclude_none=True)
     for key in ("name", "unchecked"):
         content["study"].pop(key, None)
     tables = {f"axes.{name}": keys for name, keys in content.pop("zips", {}).items()}

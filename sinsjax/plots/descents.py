@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import combinations
+from textwrap import fill
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from sinsjax.plots.style import COLOURS, GREY, colour, legend_outside, styled
 _COLOURS = "viridis_r"  # light where the objective is small
 _MARKERS = ("*", "D", "^", "s", "o", "P")
 _EDGE: Any = [withStroke(linewidth=3.0, foreground="black")]
+_LETTERS = 44  # of a line of an axis label
 _MOST_PANELS = 10  # of pairs of variables, some more than any figure is read for
 
 
@@ -120,7 +122,9 @@ def descent(landscape: Landscape, ways: Sequence[Way], spots: Sequence[Spot], ti
         else:
             _scatter(axes, landscape, (0, 1), norm)
         _over(axes, landscape.sides, (0, 1), ways, spots)
-        figure.colorbar(ScalarMappable(norm, _COLOURS), ax=axes, label=landscape.name, aspect=30)
+        figure.colorbar(
+            ScalarMappable(norm, _COLOURS), ax=axes, label=fill(landscape.name, _LETTERS), aspect=30
+        )
     else:
         figure = _pairs(landscape, ways, spots)
     figure.suptitle(title)
@@ -141,7 +145,11 @@ def _pairs(landscape: Landscape, ways: Sequence[Way], spots: Sequence[Spot]) -> 
     for axes in list(grid.flat)[len(pairs) :]:
         axes.set_visible(False)
     figure.colorbar(
-        ScalarMappable(norm, _COLOURS), ax=grid, label=landscape.name, aspect=30, shrink=0.9
+        ScalarMappable(norm, _COLOURS),
+        ax=grid,
+        label=fill(landscape.name, _LETTERS),
+        aspect=30,
+        shrink=0.9,
     )
     return figure
 
@@ -174,7 +182,7 @@ def _curve(axes: Axes, landscape: Landscape, ways: Sequence[Way], spots: Sequenc
             continue
         axes.plot(spot.values[0], spot.objective, label=spot.name, **_spot_style(spot.look))
     _scale(axes.xaxis, side)
-    axes.set_ylabel(landscape.name)
+    axes.set_ylabel(fill(landscape.name, _LETTERS))
 
 
 def _map(axes: Axes, landscape: Landscape, norm: Normalize) -> None:
@@ -279,6 +287,6 @@ def best_by_cost(searches: Sequence[CostCurve], name: str, title: str) -> Figure
             axes.plot(*one.final, "D", label=f"{one.name}, its end with hard resets", **shown)
     axes.set_xscale("log")
     axes.set_xlabel("cost (plain-run steps)")
-    axes.set_ylabel(name)
+    axes.set_ylabel(fill(name, _LETTERS))
     legend_outside(figure, axes)
     return figure

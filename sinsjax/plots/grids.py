@@ -49,6 +49,7 @@ class Shown(NamedTuple):
         reverse: whether low values are the light ones.
         digits: decimals of the number in a cell.
         log: whether the colours go by the logarithm; then cells have two significant digits.
+        numbers: whether cells tell their value.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Shown(NamedTuple):
     reverse: bool = False
     digits: int = 0
     log: bool = False
+    numbers: bool = True
 
     @property
     def norm(self) -> Normalize:
@@ -209,7 +211,7 @@ def _heat_map(
     axes.grid(visible=False)
     axes.patch.set(facecolor=_NEVER, edgecolor=_NEVER_EDGE, hatch=_HATCH)  # behind masked cells
     size = 9.0 if values.shape[1] <= _ROOMY else 7.5
-    if values.shape[1] <= _LEGIBLE:
+    if shown.numbers and values.shape[1] <= _LEGIBLE:
         for (row, column), value in np.ndenumerate(values):
             if np.isfinite(value) and (repeated is None or not repeated[row, column]):
                 _write(axes, (column, row), value, shown, size=size)

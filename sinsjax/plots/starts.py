@@ -106,7 +106,7 @@ def falling(
         title: of the figure.
         quantity: label of the estimates, with their unit.
     """
-    figure = Figure(figsize=(6.6, 4.2))
+    figure = Figure(figsize=(7.6, 4.2))
     figure.suptitle(title)
     axes = figure.subplots()
     for i, (name, estimates) in enumerate(lines.items()):

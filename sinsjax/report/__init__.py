@@ -1,10 +1,10 @@
 """What is printed, drawn and written about directories of results, from Parquet alone.
 
-A study's ``[report] layout`` says which shape its report has; a layout is a function from a
-`Source` to a `Report` and knows neither console nor page.
+Every study has the same report, `auto`, and every tuning, `tuned`; a folder of prose and a script
+makes a page of its own, `folder`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -13,35 +13,11 @@ from sinsjax import console as screen
 from sinsjax.errors import InputError
 from sinsjax.execution.belongings import list_figures
 from sinsjax.messages import shortened
-from sinsjax.report import (
-    auto,
-    car_test,
-    compass_car,
-    compass_map,
-    compass_schedules,
-    folder,
-    glossary,
-    paper2,
-    paper2_reasons,
-    tuned,
-)
-from sinsjax.report.base import Layout, Report, Source, at_the_end
+from sinsjax.report import auto, folder, glossary, tuned
+from sinsjax.report.base import Report, Source, at_the_end
 from sinsjax.report.html import write_html
 from sinsjax.report.output import FIGURES, Made, print_report, save_figures, write_page
 from sinsjax.tuning.carry_out import is_tuning
-
-LAYOUTS: dict[str, Layout] = {
-    "auto": auto.report,
-    "car_test": car_test.report,
-    "compass_car": compass_car.report,
-    "paper2": paper2.report,
-    "compass_map": compass_map.report,
-    "compass_schedules": compass_schedules.report,
-}
-"""What each ``[report] layout`` is made by, in the order in which several share a page."""
-
-TOGETHER: dict[str, Callable[[Sequence[Source]], Report]] = {"paper2": paper2_reasons.report}
-"""What is told once about all results of a layout, after each of them."""
 
 
 def summarise(
@@ -86,20 +62,17 @@ def _summarise(
         if html is None:
             return
         page = None
-    sources, made = [], []
+    made = []
     for directory in directories:
         if is_tuning(directory):
             source = tuned.read(directory)
             made.append(_tell(tuned.report(source), source, console))
         else:
-            sources.append(source := Source.read(directory))
-            told = LAYOUTS.get(source.study.report.layout, auto.report)(source)
+            source = Source.read(directory)
+            told = auto.report(source)
             headline = [*told.headline, *at_the_end(source)]
             told = _with_warnings(told._replace(headline=headline), source)
             made.append(_tell(told, source, console))
-    for layout, report in TOGETHER.items():
-        if here := [source for source in sources if source.study.report.layout == layout]:
-            made.append(_tell(report(here), here[0], console))
     names = list(dict.fromkeys(one.source.study.name for one in made))
     glossary.print_words(console)
     *_, last = made

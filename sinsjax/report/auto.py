@@ -47,21 +47,22 @@ _NEEDED = (
 
 
 def report(source: Source) -> Report:
-    """Tables of the variants, curves where they were stored, and figures over the axes."""
+    """What is best, curves where they were stored, figures over the axes, and all tables."""
     yaw = analysis.numbers(source.rows(["phi_u_arcmin"]), "phi_u_arcmin")
     has_truth = bool(np.isfinite(yaw).any())
     tables = _tables(source) if has_truth else []
     if source.study.is_recorded or not has_truth:
         tables = [attitudes(source), *tables]
+    best: list[Block] = []
     figures: list[Block] = list(_curves(source, has_truth))
     if has_truth:
         blocks = over_axes(source)
-        tables += [block for block in blocks if isinstance(block, Table)]
+        best = [block for block in blocks if isinstance(block, Table)]
         figures += [block for block in blocks if not isinstance(block, Table)]
         figures += spreads(source)
-    sections = [Section("Figures", figures)] if figures else []
-    headline = [_headline(source, has_truth), *_stopped(source)]
-    return Report(headline, [*sections, Section("Tables", tables)])
+    parts = {"What is best": best, "Figures": figures, "Tables": tables}
+    sections = [Section(heading, blocks) for heading, blocks in parts.items() if blocks]
+    return Report([_headline(source, has_truth), *_stopped(source)], sections)
 
 
 def statistics(source: Source, keys: Sequence[str], title: str, *, note: str = "") -> Table:

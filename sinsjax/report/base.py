@@ -1,6 +1,6 @@
-"""What a report is made of: where it reads from, and the blocks that a layout returns."""
+"""What a report is made of: where it reads from, and the blocks that a report has."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -199,7 +199,7 @@ class Section(NamedTuple):
 
 
 class Report(NamedTuple):
-    """What a layout makes of a directory of results.
+    """What is made of a directory of results.
 
     Attributes:
         headline: what was found, a sentence or two each.
@@ -214,9 +214,6 @@ class Report(NamedTuple):
     def followed_by(self, section: Section) -> "Report":
         """The report with one more section at its end."""
         return self._replace(sections=[*self.sections, section])
-
-
-Layout = Callable[[Source], Report]
 
 
 def aim_of(study: Study) -> str:

@@ -8,11 +8,12 @@ makes it true.
 
 import importlib
 import sys
+from collections import ChainMap
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.machinery import ModuleSpec
 from importlib.util import module_from_spec
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import MappingProxyType, ModuleType, SimpleNamespace
 from typing import Any, NamedTuple
 
 from jinja2 import TemplateError
@@ -41,9 +42,14 @@ class Page(NamedTuple):
     """
 
     values: Mapping[str, Any]
-    tables: Mapping[str, Table]
-    figures: Mapping[str, Picture]
-    claims: Mapping[str, bool]
+    tables: Mapping[str, Table] = MappingProxyType({})
+    figures: Mapping[str, Picture] = MappingProxyType({})
+    claims: Mapping[str, bool] = MappingProxyType({})
+
+    @classmethod
+    def joined(cls, *parts: "Page") -> "Page":
+        """A page of several parts, each with names of its own."""
+        return cls(*(dict(ChainMap(*map(dict, kind))) for kind in zip(*parts, strict=True)))
 
 
 class Sources(Mapping[str, Source]):
@@ -78,21 +84,24 @@ class _Leaf(NamedTuple):
 
 
 def script(folder: Path) -> ModuleType:
-    """Executes a page's script, which may import its neighbours (``from .x``).
+    """Executes a page's script.
+
+    It may import its neighbours (``from .x``), and those of folders beside its own (``from ..y``).
 
     Raises:
         InputError: the folder lacks the script or the prose.
     """
     if missing := [name for name in (SCRIPT, PROSE) if not (folder / name).is_file()]:
         raise InputError(f"{folder}: holds no {missing[0]}, so that it is no folder of a page")
-    package = f"{_PACKAGE}.{folder.name}"
-    for name, places in ((_PACKAGE, []), (package, [str(folder.resolve())])):
-        spec = ModuleSpec(name, None, is_package=True)
-        spec.submodule_search_locations = places
-        sys.modules[name] = module_from_spec(spec)
-    for name in [name for name in sys.modules if name.startswith(f"{package}.")]:
-        del sys.modules[name]  # of a folder of the same name elsewhere
-    return importlib.import_module(f"{package}.page")
+    beside = str(folder.resolve().parent)
+    known = sys.modules.get(_PACKAGE)
+    if known is None or list(known.__path__) != [beside]:
+        for name in [name for name in sys.modules if name.partition(".")[0] == _PACKAGE]:
+            del sys.modules[name]  # of folders elsewhere
+        spec = ModuleSpec(_PACKAGE, None, is_package=True)
+        spec.submodule_search_locations = [beside]
+        sys.modules[_PACKAGE] = module_from_spec(spec)
+    return importlib.import_module(f"{_PACKAGE}.{folder.resolve().name}.page")
 
 
 def compute(folder: Path, sources: Sequence[Source]) -> Page:

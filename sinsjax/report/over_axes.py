@@ -133,11 +133,14 @@ def _heat_maps(
             repeated=repeated,
         ),
     )
+    shares = [(m.name, 100 * m.ok.mean(axis=0)) for m in drawn]
+    if len(np.unique(np.concatenate([values.ravel() for _, values in shares]))) == 1:
+        return  # such a figure says nothing
     yield Picture(
         f"success_rate{end}",
         f"Share of the {source.draws} draws that are ok, {yard.words}.{rest}",
         plots.heat_maps(
-            [(m.name, 100 * m.ok.mean(axis=0)) for m in drawn],
+            shares,
             f"How many runs are ok, {yard.words}?",
             plots.Shown("runs that are ok (%)", 0.0, 100.0),
             rows=rows,

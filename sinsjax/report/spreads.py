@@ -21,10 +21,22 @@ _SHARES = {"from truth": "p_above_error_share", "from the limit": "p_above_floor
 def spreads(source: Source) -> Iterator[Picture | Text]:
     """Settling times and errors, and consistency where the method has a covariance.
 
-    A line a variant; of many variants a line a value of the first key that has few, with all runs
-    that share it.
+    A line a variant. Of many variants there is but the consistency, a line a value of the first key
+    that has few: settling times of runs from unlike starts make staircases that tell nothing.
     """
     keys, note = _lines(source)
+    if source.study.n_variants <= _MOST_LINES:
+        yield _distribution(source, keys)
+    needed = (*keys, "nees", *_SHARES.values(), "draw_id", "start_s")
+    groups = analysis.groups(source.rows(needed), keys)
+    beliefs = [belief(name_of(key), rows) for key, rows in groups]
+    if beliefs := [one for one in beliefs if np.isfinite(one.nees).any()]:
+        yield consistency(beliefs, note)
+        yield from _biases_unknown(source)
+
+
+def _distribution(source: Source, keys: Sequence[str]) -> Picture:
+    """Settling times and remaining heading errors, a line a variant."""
     judged = [yard.settle for yard in source.yardsticks]
     needed = (*keys, *judged, *_ERROR, "has_limit")
     shown = {name_of(key): rows for key, rows in analysis.groups(source.rows(needed), keys)}
@@ -38,10 +50,10 @@ def spreads(source: Source) -> Iterator[Picture | Text]:
         for yard in source.yardsticks
     ]
     either = " or ".join(yard.words for yard in source.yardsticks)
-    yield Picture(
+    return Picture(
         "distribution",
         f"Share of runs whose heading stays {either} from a time on, and share whose mean heading"
-        f" error towards the end, from its limit, lies below a value.{note}",
+        f" error towards the end, from its limit, lies below a value.",
         plots.distributions(
             [
                 *settling,
@@ -50,12 +62,6 @@ def spreads(source: Source) -> Iterator[Picture | Text]:
             "Settling time and remaining heading error over the runs",
         ),
     )
-    needed = (*keys, "nees", *_SHARES.values(), "draw_id", "start_s")
-    groups = analysis.groups(source.rows(needed), keys)
-    beliefs = [belief(name_of(key), rows) for key, rows in groups]
-    if beliefs := [one for one in beliefs if np.isfinite(one.nees).any()]:
-        yield consistency(beliefs, note)
-        yield from _biases_unknown(source)
 
 
 def _biases_unknown(source: Source) -> Iterator[Text]:

@@ -7,6 +7,7 @@ from sinsjax.plots.descents import CostCurve, Landscape, Side, Spot, Way, best_b
 from sinsjax.report.base import Picture, value_text
 from sinsjax.report.tuned_results import Tuning, axis
 from sinsjax.study.search_space import SearchSpace, Variable
+from sinsjax.study.tuned_keys import TIMES
 from sinsjax.tuning.carry_out import GRADIENT
 
 _LOOKS = ("grid", GRADIENT, "baseline", "sobol", "equal cost", "random")  # by marker
@@ -40,14 +41,17 @@ def landscape(tuning: Tuning) -> list[Picture]:
     if len(space.combinations) > 1:
         chosen = ", ".join(f"{key} = {value_text(v)}" for key, v in combination.items())
         told += f". All with {chosen}, as the best candidate has"
-    figure = descent(seen, ways, spots, tuning.study.name)
+    figure = descent(seen, ways, spots, "Where the searches looked, and the best of each")
     return [Picture("descent", f"{told}.", figure)]
 
 
 def _side(variable: Variable) -> Side:
     name, bracket, unit = plots.label(variable.key).partition(" (")
-    entry = "" if variable.entry is None else f"[{variable.entry}]"
-    return Side(f"{name}{entry}{bracket}{unit}", variable.low, variable.high, variable.log)
+    if variable.entry is not None and variable.key == TIMES:
+        name = f"reset {variable.entry + 1} at"
+    elif variable.entry is not None:
+        name = f"{name}, number {variable.entry + 1}"
+    return Side(f"{name}{bracket}{unit}", variable.low, variable.high, variable.log)
 
 
 def _ways(tuning: Tuning, number: int, used: list[int]) -> list[Way]:
@@ -120,5 +124,7 @@ def course(tuning: Tuning) -> Picture:
     told = "Best objective on the tuning draws against cost (steps of simulation)"
     if any(one.relaxed for one in searches):
         told += "; dashed: the best of all descents at each step, relaxed, on the draws of the step"
-    figure = best_by_cost(searches, axis(tuning.study), tuning.study.name)
+    figure = best_by_cost(
+        searches, axis(tuning.study), "Best so far against what the search had cost"
+    )
     return Picture("history", f"{told}.", figure)

@@ -22,20 +22,7 @@ from sinsjax.value_types import ROUNDING
 Where = dict[str, str]
 """The table, in brackets, of every key that a file gives: that which sweeps or draws it if any."""
 
-RESET = "5 with resets"
-CONDITIONS = ("1", "2", "3", "4", "5", RESET)
-"""Paper 1's conditions; its layouts want the cases labelled ``condition 1`` and so on."""
-
-_LAYOUT_CONDITIONS = {
-    "paper1_conditions": CONDITIONS[:-1],
-    "paper1_resets": ("1", "5", RESET),
-    "paper1_readings": CONDITIONS,
-}
-_READINGS = ("q_reading", "r_reading", "feedback_interval_s")
 _MAX_SAMPLES, _MAX_RUNS = 10**8, 10**9
-_FILTER_LAYOUTS = ("consistency", "reset_cycle", "adaptive")
-_RECORDED_LAYOUTS = ("car_test", "compass_car")
-_GENERAL_LAYOUTS = ("auto", *_FILTER_LAYOUTS)  # the others know each key of theirs
 
 
 def check_study(study: Study, where: Where) -> None:
@@ -49,7 +36,6 @@ def check_study(study: Study, where: Where) -> None:
         InputError: ``[section] key: what is wrong (hint)``.
     """
     _check_required(study, where)
-    _check_layout(study, where)
     _check_methods(study, where)
     if not study.study.rate_hz:  # checked again once the record has told it
         return
@@ -106,30 +92,6 @@ def _check_required(study: Study, where: Where) -> None:
         for key in EARTH_CONSTANTS:
             if key in where:
                 _refuse(key, where, "requires earth = 'constants'")
-
-
-def _check_layout(study: Study, where: Where) -> None:
-    """Refuses a study that the layout of its report cannot show."""
-    layout = study.report.layout
-    kind = "recorded" if layout in _RECORDED_LAYOUTS else "simulated"
-    if layout != "auto" and study.is_recorded != (kind == "recorded"):
-        _refuse("layout", where, f"'{layout}' needs a {kind} study")
-    covariances = (METHODS[name].has_covariance for name in study.methods)
-    if layout in _FILTER_LAYOUTS and not all(covariances):
-        _refuse("layout", where, f"'{layout}' needs methods with a filter, not compass")
-    labels = [case.get("case") for case in study.cases]
-    if layout not in _GENERAL_LAYOUTS:
-        tables = [*(["[drawn]"] if study.drawn else []), *(f"[axes.{zip_}]" for zip_ in study.zips)]
-        if tables:
-            _refuse("layout", where, f"'{layout}' takes no {tables[0]}")
-    for name in _LAYOUT_CONDITIONS.get(layout, ()):
-        if f"condition {name}" not in labels:
-            _refuse("layout", where, f"'{layout}' needs [[cases]] with case = 'condition {name}'")
-    if layout == "paper1_readings":
-        if not study.axes or not set(study.axes) <= set(_READINGS):
-            _refuse("layout", where, f"'{layout}' needs [axes] among {', '.join(_READINGS)}")
-    elif layout in _LAYOUT_CONDITIONS and study.n_variants > len(study.cases):
-        _refuse("layout", where, f"'{layout}' takes no [axes] ({', '.join(study.axes)})")
 
 
 def _check_size(study: Study, where: Where) -> None:

@@ -7,8 +7,6 @@ from typing import Any
 from sinsjax.study.study import Study
 
 _NOT_COMPUTED: Any = {
-    "report": True,
-    "statements": True,
     "tune": True,
     "study": {"name", "unchecked"},
 }

@@ -43,6 +43,8 @@ __all__ = [
 
 _DEFAULT_DRAWS = 64
 _SWEEPS = ("axes", "cases", "drawn")
+_UNREAD = ("report", "statements")
+"""Sections of 0.5.0 that nothing reads: files that still have them load for one more version."""
 
 
 def load_study(path: str | Path) -> Study:
@@ -62,6 +64,17 @@ def load_study(path: str | Path) -> Study:
     except RecursionError:
         raise InputError(f"{path}: is nested too deeply") from None
     return study_from_dict(data, str(path))
+
+
+def unread_sections(path: str | Path) -> str:
+    """One line on the sections of a study file that nothing reads any more; empty without any.
+
+    Args:
+        path: of a file that `load_study` has read.
+    """
+    data = tomllib.loads(Path(path).read_text("utf-8-sig"))
+    found = " and ".join(f"[{name}]" for name in _UNREAD if name in data)
+    return found and f"{path}: {found}: no longer read, and refused by the next version (remove it)"
 
 
 def study_from_dict(data: TomlTable, source: str = "study") -> Study:
@@ -171,6 +184,7 @@ def _with_tuples(value: Any) -> Any:
 def _tables(data: TomlTable) -> TomlTable:
     """The data, once every section and key in it is known."""
     names = (*SECTIONS, *_SWEEPS)
+    data = {name: table for name, table in data.items() if name not in _UNREAD}
     for name, table in data.items():
         if name in SECTION_OF and name not in SECTIONS:
             raise InputError(f"{name}: belongs in [{SECTION_OF[name]}]")

@@ -32,7 +32,6 @@ from sinsjax.value_types import (
     Seconds,
     SecondsOrZero,
     Section,
-    Share,
     Starts,
     Triad,
     Usual,
@@ -296,35 +295,3 @@ class RecordSection(Section):
         if min(self.start_s) < begin:
             text = f"{min(self.start_s):g} s lies before from_s = {begin:g}"
             raise invalid(text, key="start_s")
-
-
-class ReportSection(Section):
-    """[report]: the shape of the report."""
-
-    layout: Literal[
-        "auto",
-        "paper1_conditions",
-        "paper1_resets",
-        "paper1_readings",
-        "car_test",
-        "paper2",
-        "compass_map",
-        "compass_schedules",
-        "pass_consistency",
-        "compass_car",
-        "consistency",
-        "reset_cycle",
-        "adaptive",
-    ] = Field("auto", description="page layout")
-
-
-class StatementsSection(Section):
-    """[statements]: the numbers behind the words of a report's statements."""
-
-    converges_share: Share = Field(0.95, description="'converges': at least this share of runs")
-    short_time_s: Seconds = Field(200.0, description="'in a short time': settled by then, s")
-    cannot_share: Share = Field(0.05, description="'cannot converge': under this share of runs")
-    as_precise_arcmin: Band = Field(1.0, description="'as precise': means no further apart, arcmin")
-    covariance_share: Share = Field(
-        0.95, description="'larger throughout': at least this share of records with P_UU > phi_u^2"
-    )

@@ -22,9 +22,7 @@ from sinsjax.study.schema import (
     EarthSection,
     MotionSection,
     RecordSection,
-    ReportSection,
     SensorsSection,
-    StatementsSection,
     StudySection,
 )
 from sinsjax.value_types import ROUNDING, Marks, Section, mark
@@ -41,8 +39,6 @@ SECTIONS: dict[str, type[Section]] = {
     "coarse": CoarseSection,
     "stop_when": StopWhenSection,
     "tune": TuneSection,
-    "report": ReportSection,
-    "statements": StatementsSection,
 }
 """Every section of leaf keys by its name in the file."""
 
@@ -166,8 +162,6 @@ class Study(_SectionsOfMethods):
     drawn: DrawnSection | None = None
     stop_when: StopWhenSection | None = None
     tune: TuneSection | None = None
-    report: ReportSection
-    statements: StatementsSection
     axes: Dimension
     zips: dict[str, Dimension] = {}
     cases: tuple[TomlTable, ...]

@@ -247,7 +247,6 @@ def derive(
     keys = next(iter(points.values()))
     tables = search_space.cleared(tables_of(study), list(keys))
     tables["study"] = tables["study"] | {"name": name, "curves": False}
-    tables["report"] = {"layout": "auto"}
     if study.record:
         starts = study.record.start_s[1 if judging else 0 :: 2]
         tables["record"] = tables["record"] | {"start_s": starts}

@@ -30,7 +30,7 @@ def test_colours_by_the_logarithm_and_two_digits_in_a_cell():
     assert isinstance(norm, LogNorm)
     assert norm(math.sqrt(0.1 * 100.0)) == pytest.approx(0.5)
     assert [t.get_color() for t in axes.texts][:4] == ["black", "white", "white", "white"]
-    assert axes.get_ylabel() == "azimuth sigma (1/s)"
+    assert axes.get_ylabel() == "sigma of the azimuth loop (1/s)"
     assert plots.png(figure)
 
 

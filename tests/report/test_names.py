@@ -169,7 +169,7 @@ def test_a_report_that_fails_leaves_finished_results_finished(
     config, out = tmp_path / "swing.toml", tmp_path / "out"
     config.write_text(tomli_w.dumps(BASE))
     monkeypatch.setattr(run, "run_into", finished)
-    monkeypatch.setitem(report.LAYOUTS, "auto", broken)
+    monkeypatch.setattr(report.auto, "report", broken)
     monkeypatch.setattr("sys.argv", ["sinsjax", "sweep", str(config), "-o", str(out)])
     with pytest.raises(SystemExit) as stop:
         cli.main()

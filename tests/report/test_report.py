@@ -7,8 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from matplotlib.figure import Figure
-from scipy.spatial.transform import Rotation
-from support.made_up import FLOOR, TIMES, curves_of, summary_of
+from support.made_up import FLOOR, curves_of, summary_of
 from support.stored import store, told
 from support.studies import STILL, small_study
 
@@ -16,7 +15,7 @@ from sinsjax import analysis, report
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
 from sinsjax.execution import tables as result_tables
-from sinsjax.report import base, car_test, limits, over_axes, spreads
+from sinsjax.report import base, limits, over_axes, spreads
 from sinsjax.study.load import study_from_dict
 
 pytestmark = pytest.mark.usefixtures("drawn_on_request")
@@ -77,9 +76,6 @@ def test_many_variants_are_pooled_and_their_intervals_count_draws(tmp_path):
     assert {path.stem for path in (tmp_path / "figures").iterdir()} == {
         "settling_time",
         "settling_time_limit",
-        "success_rate",
-        "success_rate_limit",
-        "distribution",
         "consistency",
     }
 
@@ -379,67 +375,6 @@ def test_biases_that_a_filter_does_not_know_explain_its_nees(tmp_path):
 # --- the car test -------------------------------------------------------------------------------
 
 
-def test_the_reference_comes_back_from_attitude_and_misalignment():
-    angles = np.array([[0.9, 0.2, -90.6], [-3.0, 4.0, 170.0]])  # pitch, roll, yaw, deg
-    true = Rotation.from_euler("ZXY", angles[:, [2, 0, 1]], degrees=True)
-    phi = np.array([[5.0, -8.0, 300.0], [0.0, 2.0, -90.0]])
-    guess = Rotation.from_rotvec(np.deg2rad(phi / 60)).inv() * true  # C_true = exp(phi x) C_hat
-    yaw, pitch, roll = guess.as_euler("ZXY", degrees=True).T
-    curves = pa.table(
-        {"pitch_deg": pitch, "roll_deg": roll, "yaw_deg": yaw}
-        | {f"phi_{a}_arcmin": phi[:, i] for i, a in enumerate("enu")}
-    )
-    np.testing.assert_allclose(car_test.reference_attitude(curves), angles, atol=1e-10)
-
-
-def car_study(**changes):
-    cases = [
-        {"case": f"scheme {n}, tuning {t}", "phi_u0_deg": 30.0 * n, "q_accel_ug": q}
-        for t, q in (("a", 50.0), ("b", 500.0))
-        for n in (1, 2)
-    ]
-    return recorded_study(report={"layout": "car_test"}, cases=cases, **changes)
-
-
-def test_car_test_tables(tmp_path):
-    study = car_study()
-    yaw = np.arange(12.0) - 20.0
-    summary = summary_of(study, phi_u_arcmin=yaw, yaw_mean_deg=np.full(12, -90.5))
-    curves = curves_of(study)
-    text = told(store(tmp_path, study, summary, curves))
-    run = curves.slice(0, TIMES.size)
-    window = car_test.reference_attitude(run)[(TIMES > 2) & (TIMES <= 6)]
-    mean, std = window[:, 2].mean(), window[:, 2].std(ddof=1)
-    assert f"{mean:.4f}" in text and f"{std:.4f}" in text
-    away = (-90.5 - mean + 180) % 360 - 180
-    assert f"{away:+.4f}" in text
-    here = yaw[1::4] / 60  # scheme 2, tuning a
-    row = next(
-        line
-        for line in text.partition("Yaw error phi_u")[2].splitlines()
-        if line.startswith(" scheme 2   tuning a")
-    )
-    assert row.split()[4:6] == [f"{np.median(here):+.4f}", f"{np.abs(here).max():.4f}"]
-    assert "smoother on the same record" in text
-    printed = next(
-        line
-        for line in text.partition("The paper's Table 3")[2].splitlines()
-        if line.startswith(" scheme 3")
-    )
-    assert printed.split()[6:8] == ["85.0917", "0.1906"] and printed.split()[-1] == "-0.4986"
-    worst = np.abs(yaw.reshape(3, 2, 2)[:, :, 0]).max() / 60
-    assert f"scheme 1 {worst:.4f} deg" in text
-    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"yaw_error.png"}
-
-
-def test_car_test_without_reference(tmp_path):
-    study = car_study(axes={"feedback_interval_s": [0.01, 1.0]})
-    summary = summary_of(study, truth=False)
-    text = told(store(tmp_path, study, summary, curves_of(study, truth=False)))
-    assert "Without a reference" in text and "Yaw error phi_u" not in text
-    assert "tuning a, feedback interval 0.01 s" in text
-
-
 def test_a_study_that_stops_by_itself_tells_why(tmp_path):
     """From the rows alone, and with the numbers of the rule."""
     study = small_study(
@@ -449,7 +384,7 @@ def test_a_study_that_stops_by_itself_tells_why(tmp_path):
     study_run.run_into(study, tmp_path / "out")
     source = base.Source.read(tmp_path / "out")
     assert source.draws == 64
-    (_, why) = report.LAYOUTS["auto"](source).headline
+    (_, why) = report.auto.report(source).headline
     assert "after 64 draws" in why and ", narrow enough" in why and "0.9" in why
 
 
@@ -468,4 +403,4 @@ def test_a_stopped_study_that_lacks_a_part_is_told(tmp_path):
         base.Source.read(tmp_path / "out")
     (tmp_path / "out" / "manifest.json").write_text("{}")  # which knows of no part
     with pytest.raises(InputError, match="64 runs where the study has 128"):
-        report.LAYOUTS["auto"](base.Source.read(tmp_path / "out"))
+        report.auto.report(base.Source.read(tmp_path / "out"))

@@ -3,16 +3,9 @@ import math
 import numpy as np
 import pyarrow as pa
 import pytest
-from studies.test_pages import ROOT
 
-from sinsjax import analysis
-from sinsjax.analysis import Estimate
-from sinsjax.errors import InputError
-from sinsjax.report import folder
-
-folder.script(ROOT / "docs" / "studies" / "paper1")
-from sinsjax_pages.paper1 import statements  # noqa: E402
-from sinsjax_pages.paper1.statements import (  # noqa: E402
+from docs.studies.paper1 import statements
+from docs.studies.paper1.statements import (
     CONDITIONS,
     RESET,
     STATEMENTS,
@@ -20,7 +13,10 @@ from sinsjax_pages.paper1.statements import (  # noqa: E402
     StatementVerdict,
     judge,
 )
-from sinsjax_pages.paper1.verdicts import CONCLUSIONS, SHORT, Judged, best_of  # noqa: E402
+from docs.studies.paper1.verdicts import CONCLUSIONS, SHORT, Judged, best_of
+from sinsjax import analysis
+from sinsjax.analysis import Estimate
+from sinsjax.errors import InputError
 
 DRAWS = 128
 FLOOR = -27.0

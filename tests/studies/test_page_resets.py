@@ -10,14 +10,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from studies.test_pages import ROOT, made_up
 
+from docs.studies.adaptive import scores as adaptive
+from docs.studies.reset_cycle import grid as reset_cycle
 from sinsjax import analysis
-from sinsjax.report import folder
 from sinsjax.study.load import load_study
-
-folder.script(ROOT / "docs" / "studies" / "reset_cycle")
-folder.script(ROOT / "docs" / "studies" / "adaptive")
-from sinsjax_pages.adaptive import scores as adaptive  # noqa: E402
-from sinsjax_pages.reset_cycle import grid as reset_cycle  # noqa: E402
 
 
 @given(arrays.arrays(bool, st.tuples(st.integers(2, 4), st.integers(2, 4), st.integers(1, 3))))

@@ -3,18 +3,27 @@
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from matplotlib.figure import Figure
 from support.made_up import curves_of, summary_of
 
-from sinsjax.report import folder
-from sinsjax.report.base import Source
+from sinsjax.analysis import Estimate
+from sinsjax.report import folder, tuned_figures, tuned_results
+from sinsjax.report.base import Picture, Source
 from sinsjax.study.load import study_from_dict
 
 ROOT = Path(__file__).parents[2]
 PAGES = {
+    "car_test": ("car_test", "car_batch"),
+    "compass_car": ("compass_car",),
+    "compass_map": ("paper2_map", "compass_80s_search", "compass_80s_best"),
+    "paper2": ("paper2_static", "paper2_swing"),
+    "reset_sweep": ("reset_sweep",),
+    "tuning": ("tune_condition5", "tune_large", "tune_compass"),
     "adaptive": ("adaptive_resets", "car_adaptive"),
     "consistency": ("consistency",),
     "kalman_passes": ("kalman_passes",),
@@ -31,9 +40,11 @@ def made_up(directory: Path, name: str) -> Source:
     data = tomllib.loads((ROOT / "configs" / f"{name}.toml").read_text(encoding="utf-8"))
     if "record" not in data:
         data["study"]["draws"] = DRAWS
+    data.get("earth", {}).setdefault("latitude_deg", 34.0)
+    data["study"].setdefault("rate_hz", 100.0)
     study = study_from_dict(data)
     source = Source(directory, study, f"configs/{name}.toml", summary_of(study, every=True))
-    if study.study.curves:
+    if study.study.curves or study.is_recorded:
         stored = directory / name / "curves"
         stored.mkdir(parents=True)
         times = np.linspace(1.0, study.duration_s, 41).round()
@@ -43,9 +54,42 @@ def made_up(directory: Path, name: str) -> Source:
 
 
 def test_every_page_is_looked_at():
-    assert {path.name for path in (ROOT / "docs" / "studies").iterdir()} == set(PAGES)
+    prose = (ROOT / "docs" / "studies").glob("*/page.md.j2")
+    assert {path.parent.name for path in prose} == set(PAGES)
 
 
+@pytest.fixture
+def tunings(monkeypatch):
+    """Tunings that nothing was searched for: every candidate is the baseline."""
+
+    class MadeUp:
+        def __init__(self, source):
+            self.study = self.judged = source.study
+            self.tune, self.rival, self.best = source.study.tune, "grid", "grid"
+            found = {"grid": 10.0, "gradient": 2.0, "equal cost": 2.0}
+            self.found = {name: SimpleNamespace(cost=cost) for name, cost in found.items()}
+            self.places = dict.fromkeys(["baseline", *found], 0)
+            self.judged = SimpleNamespace(cases=[{"case": "all", "reset_times_s": (1.0, 2.0)}])
+            self.runs = np.ones((1, 2, 8))
+
+        @classmethod
+        def of(cls, source):
+            return cls(source)
+
+        def score(self, name):
+            return Estimate(200.0, 190.0, 210.0, 8)
+
+        difference = score
+
+    figure = Figure()
+    figure.suptitle("made up")
+    monkeypatch.setattr(tuned_results, "Tuning", MadeUp)
+    made = Picture("seen", "made up", figure)
+    monkeypatch.setattr(tuned_figures, "landscape", lambda _: [made])
+    monkeypatch.setattr(tuned_figures, "course", lambda _: made)
+
+
+@pytest.mark.usefixtures("tunings")
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_names_all_that_its_script_computes(name, tmp_path):
     """Claims are looked at, but made-up numbers need not hold to them."""

@@ -27,7 +27,7 @@ def test_resets_rescue_condition_5_and_gravity_needs_none() -> None:
     is not the linear model but the false observability of yaw through the level error.
     """
     data = tomllib.loads((CONFIGS / "paper1_resets.toml").read_text())
-    del data["cases"], data["report"]
+    del data["cases"]
     data["study"] |= {"draws": 4, "curves": False}
     data["alignment"] |= {"phi_e0_deg": 5.0, "phi_n0_deg": 5.0, "phi_u0_deg": 30.0}
     data["axes"] = {

@@ -16,7 +16,14 @@ from sinsjax.alignment.methods import METHODS
 from sinsjax.errors import InputError
 from sinsjax.messages import is_control
 from sinsjax.study.fingerprint import fingerprint
-from sinsjax.study.load import Study, load_study, study_from_dict, study_to_toml, with_rate
+from sinsjax.study.load import (
+    Study,
+    load_study,
+    study_from_dict,
+    study_to_toml,
+    unread_sections,
+    with_rate,
+)
 from sinsjax.study.study import SECTION_OF, SECTIONS, SWEEPABLE
 from sinsjax.value_types import Section
 
@@ -87,10 +94,6 @@ case = "small"
 [[cases]]
 case = "large"
 phi_u0_deg = 30
-[report]
-layout = "auto"
-[statements]
-short_time_s = 100.0
 """
 
 
@@ -477,15 +480,9 @@ def test_fingerprint_forgets_what_does_not_compute():
     assert re.fullmatch("[0-9a-f]{16}", print_)
     shuffled = reversed_keys(data) | {"axes": data["axes"]}
     assert fingerprint(study_from_dict(shuffled)) == print_
-    for other in (
-        {"study": {"name": "other"}},
-        {"statements": {"short_time_s": 1.0}},
-    ):
-        assert fingerprint(study_from_dict(merged(data, **other))) == print_
+    other = merged(data, study={"name": "other"})
+    assert fingerprint(study_from_dict(other)) == print_
     assert fingerprint(built(filter={"p0_yaw_deg": 80})) == fingerprint(built())
-    assert fingerprint(built(RECORDED, report={"layout": "car_test"})) == fingerprint(
-        built(RECORDED)
-    )
 
 
 @pytest.mark.parametrize(
@@ -624,10 +621,6 @@ def test_fingerprint_changes_with_what_is_zipped_drawn_or_stopped():
             {"cases": [{"start_s": 0}]},
             "[cases] start_s: is no axis (list the start times in [record]: one draw each)",
         ),
-        (
-            {"axes": {"layout": ["auto"]}},
-            "[axes] layout: cannot be swept (it is a key of [report])",
-        ),
     ],
 )
 def test_unknown_names(tables: dict[str, Any], line: str):
@@ -704,8 +697,6 @@ def test_unknown_names(tables: dict[str, Any], line: str):
         ("resets", "reset_times_s", [50, 50], "must increase"),
         ("resets", "reset_times_s", [50, 40], "must increase"),
         ("resets", "reset_scale", 0, "must be greater than 0"),
-        ("report", "layout", "nice", "must be 'auto', 'paper1_conditions'"),
-        ("statements", "converges_share", 1.5, "must be less than or equal to 1"),
     ],
 )
 def test_values_of_single_keys(section: str, key: str, value: Any, text: str):
@@ -1429,79 +1420,17 @@ def test_sizes_that_no_machine_could_run():
     )
 
 
-# Layouts
-
-
-CONDITIONS = [
-    {"case": f"condition {name}", "phi_u0_deg": i}
-    for i, name in enumerate(("1", "2", "3", "4", "5", "5 with resets"))
-]
-
-
-@pytest.mark.parametrize(
-    ("base", "layout", "tables", "text"),
-    [
-        (SIMULATED, "car_test", {}, "needs a recorded study"),
-        (RECORDED, "paper1_conditions", {"cases": CONDITIONS}, "needs a simulated study"),
-        (RECORDED, "paper1_resets", {"cases": CONDITIONS}, "needs a simulated study"),
-        (RECORDED, "paper1_readings", {"cases": CONDITIONS}, "needs a simulated study"),
-        (
-            SIMULATED,
-            "paper1_conditions",
-            {},
-            "needs [[cases]] with case = 'condition 1'",
-        ),
-        (
-            SIMULATED,
-            "paper1_conditions",
-            {"cases": [{"phi_u0_deg": 0}]},
-            "needs [[cases]] with case = 'condition 1'",
-        ),
-        (
-            SIMULATED,
-            "paper1_resets",
-            {"cases": CONDITIONS[:-1]},
-            "needs [[cases]] with case = 'condition 5 with resets'",
-        ),
-        (
-            SIMULATED,
-            "paper1_readings",
-            {"cases": CONDITIONS[:2] + CONDITIONS[3:]},
-            "needs [[cases]] with case = 'condition 3'",
-        ),
-        (
-            SIMULATED,
-            "paper1_resets",
-            {"cases": CONDITIONS, "axes": {"phi_e0_deg": [0, 1]}},
-            "takes no [axes] (phi_e0_deg)",
-        ),
-        (
-            SIMULATED,
-            "paper1_readings",
-            {"cases": CONDITIONS},
-            "needs [axes] among q_reading, r_reading, feedback_interval_s",
-        ),
-        (
-            SIMULATED,
-            "paper1_readings",
-            {"cases": CONDITIONS, "axes": {"q_reading": ["psd"], "phi_e0_deg": [0]}},
-            "needs [axes] among q_reading, r_reading, feedback_interval_s",
-        ),
-    ],
-)
-def test_a_layout_that_does_not_fit(
-    base: dict[str, Any], layout: str, tables: dict[str, Any], text: str
-):
-    line = refusal(base, report={"layout": layout}, **tables)
-    assert line == f"[report] layout: '{layout}' {text}"
-
-
-def test_layouts_that_fit():
-    built(RECORDED, report={"layout": "car_test"})
-    built(report={"layout": "paper1_conditions"}, cases=CONDITIONS[:-1])
-    built(report={"layout": "paper1_resets"}, cases=[CONDITIONS[i] for i in (0, 4, 5)])
-    axes = {"r_reading": ["per_update", "psd"]}
-    built(report={"layout": "paper1_readings"}, cases=CONDITIONS, axes=axes)
+def test_sections_that_nothing_reads_any_more(tmp_path: Path):
+    """Of 0.5.0, and of the study.toml beside its results."""
+    old = {"report": {"layout": "paper2"}, "statements": {"short_time_s": 1.0}}
+    assert built(**old) == built()
+    path = tmp_path / "old.toml"
+    path.write_text(FULL)
+    assert unread_sections(path) == ""
+    path.write_text(FULL + '[report]\nlayout = "auto"\n')
+    line = "[report]: no longer read, and refused by the next version (remove it)"
+    assert load_study(path) == study_from_dict(tomllib.loads(FULL))
+    assert unread_sections(path) == f"{path}: {line}"
 
 
 @given(samples=st.integers(1, 100_000), rate=st.floats(1, 1e4))

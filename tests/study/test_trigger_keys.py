@@ -190,7 +190,7 @@ def test_a_resolved_study_loads_equal(tables: dict[str, Any]) -> None:
 def test_a_study_without_these_keys_is_told_as_before(tables: dict[str, Any]) -> None:
     """Its fingerprint is that of a study that has never heard of them."""
     study = built(**tables)
-    unused = {"report": True, "statements": True, "study": {"name", "unchecked"}}
+    unused = {"study": {"name", "unchecked"}}
     content = study.model_dump(exclude=unused)
     content["axes"] = [[key, list(values)] for key, values in study.axes.items()]
     for name in ("zips", "drawn", "stop_when", "tune"):

@@ -31,6 +31,7 @@ def summary_of(study, *, truth=True, every=False, **given):
     ]
     names = {column.name for column in layout}
     further = [c for c in layouts.summary(study) if c.name not in names] if every else []
+    resets = study.values("reset_times_s") if study.has("resets") else [()] * v
     starts = study.record.start_s if study.record else [0.0] * d
     values = {
         "run_id": np.arange(v * d),
@@ -38,8 +39,8 @@ def summary_of(study, *, truth=True, every=False, **given):
         "variant_id": variant,
         "method": ["kalman5"] * (v * d),
         "start_s": np.asarray(starts)[draw],
-        "reset_count": [len(t or ()) for t in study.values("reset_times_s")] * d,
-        "reset_times_s": [list(t or ()) for t in study.values("reset_times_s")] * d,
+        "reset_count": [len(t or ()) for t in resets] * d,
+        "reset_times_s": [list(t or ()) for t in resets] * d,
         "floor_arcmin": np.full(v * d, FLOOR),
         "phi_u_arcmin": FLOOR + noise,
         "phi_u_mean_arcmin": FLOOR + noise,

@@ -1,0 +1,120 @@
+"""Numbers of the page on the default sweep: number of resets, time between them, heading error."""
+
+from typing import Any
+
+import numpy as np
+
+from sinsjax import analysis, plots
+from sinsjax.analysis import format_estimate
+from sinsjax.plots import Scale, Shown
+from sinsjax.report.base import Picture, Table
+from sinsjax.report.folder import Page, Sources
+from sinsjax.report.grids import Grid, held_out, median, pooled_mean, shared, soonest
+from sinsjax.report.output import counted
+from sinsjax.report.words import seconds, share
+
+LIMIT, TRUTH = "settle_10_s", "settle_10_truth_s"
+
+
+def page(sources: Sources) -> Page:
+    """When several resets beat one."""
+    source = sources["reset_sweep"]
+    study, run_s = source.study, source.study.run_s
+    grid = Grid.of(
+        source,
+        (LIMIT, TRUTH),
+        count=study.values("reset_count"),
+        cycle=study.values("reset_cycle_s"),
+        yaw=study.values("phi_u0_deg"),
+    )
+    counts, cycles, yaws = grid.axes.values()
+    without = grid.at(LIMIT, count=0)[0]
+    reset = grid.at(LIMIT, count=list(counts[1:]))
+    means = np.minimum(reset, run_s).mean(axis=2).reshape(-1, grid.draws)
+    settings = [(count, cycle) for count in counts[1:] for cycle in cycles]
+    best = settings[int(np.argmin(means.mean(axis=-1)))]
+    at_best = grid.at(LIMIT, count=best[0], cycle=best[1])
+    single = grid.at(LIMIT, count=1)
+    one = single[int(np.argmin(np.minimum(single, run_s).mean(axis=(1, 2))))]
+    truth = grid.at(TRUTH, count=list(counts[1:]))
+    floor = float(analysis.numbers(source.rows(["floor_arcmin"]), "floor_arcmin")[0])
+    values: dict[str, Any] = {
+        "runs": f"{source.runs:,}",
+        "draws": str(grid.draws),
+        "limit": f"{abs(floor):.0f} arcmin",
+        "without": share(shared(np.isfinite(without))),
+        "best": {
+            "count": str(best[0]),
+            "cycle": f"{best[1]:g} s",
+            "mean": seconds(pooled_mean(np.minimum(at_best, run_s))),
+            "one": seconds(pooled_mean(np.minimum(one, run_s))),
+        },
+    }
+    gains = [_contest(grid, yaw) for yaw in yaws]
+    claims = {
+        "two resets are the best for all": best[0] == 2,
+        "with resets every run settles": bool(np.isfinite(reset).all()),
+        "without, only small heading errors do": bool(
+            np.isfinite(without[:2]).all() and np.isinf(median(without[3:])).all()
+        ),
+        "one reset takes longer": bool(
+            np.minimum(one, run_s).mean() > np.minimum(at_best, run_s).mean() + 10
+        ),
+        "several win at large heading errors": all(gain.high < 0 for gain in gains[5:]),
+        "no run with resets stays near true north": not np.isfinite(truth).any(),
+    }
+    figure = plots.heat_maps(
+        [(f"heading error {yaw:g} deg", median(grid.at(LIMIT, yaw=yaw))) for yaw in yaws],
+        "How long until the heading stays within 10' of its limit?",
+        Shown("median settling time (s)", 0.0, run_s, reverse=True),
+        rows=Scale("reset_count", counts),
+        columns=Scale("reset_cycle_s", cycles),
+        across=4,
+    )
+    caption = (
+        f"Median over {grid.draws} draws; light is good, hatched: at least half of the draws never"
+        " settle. The first reset comes after one time between resets."
+    )
+    picture = Picture("settling_time", caption, figure, counted(source))
+    return Page(values, {"best": _best(grid)}, {"settling": picture}, claims)
+
+
+def _contest(grid: Grid, yaw: float) -> analysis.Estimate:
+    """Median settling time of the best schedule of several resets less that of the best of one."""
+    several = [count for count in grid.axes["count"] if count > 1]
+    one = held_out(grid.at(LIMIT, count=1, yaw=yaw), soonest)
+    more = held_out(grid.at(LIMIT, count=several, yaw=yaw).reshape(-1, grid.draws), soonest)
+    return analysis.quantile_difference(more.values, one.values)
+
+
+def _best(grid: Grid) -> Table:
+    """The best schedule at each heading error, on unused draws."""
+    counts, cycles = grid.axes["count"], grid.axes["cycle"]
+    several = [count for count in counts if count > 1]
+    names = {
+        1: [f"at {cycle:g} s" for cycle in cycles],
+        2: [f"{count}, {cycle:g} s apart" for count in several for cycle in cycles],
+    }
+    rows = []
+    for yaw in grid.axes["yaw"]:
+        one = held_out(grid.at(LIMIT, count=1, yaw=yaw), soonest)
+        more = held_out(grid.at(LIMIT, count=several, yaw=yaw).reshape(-1, grid.draws), soonest)
+        none = grid.at(LIMIT, count=0, yaw=yaw)[0]
+        rows.append(
+            [
+                f"{yaw:g} deg",
+                format_estimate(analysis.quantile(none), digits=0),
+                one.named(names[1]),
+                format_estimate(analysis.quantile(one.values), digits=0),
+                more.named(names[2]),
+                format_estimate(analysis.quantile(more.values), digits=0),
+                format_estimate(_contest(grid, yaw), digits=0),
+            ]
+        )
+    header = ["initial heading error", "no reset (s)", "best one", "median (s)", "best of more"]
+    note = (
+        f"Median [95 % interval over the {grid.draws} draws]; each half of the draws chose for the"
+        " other, two schedules where they differ."
+    )
+    title = "What to set if the heading error is known, and what to expect"
+    return Table(title, [*header, "median (s)", "more less one (s)"], rows, note)

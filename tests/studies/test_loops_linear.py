@@ -1,0 +1,177 @@
+import math
+from functools import partial
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from support.studies import small_study
+
+from docs.studies.loops.linear import (
+    all_loops,
+    cycle_radius,
+    heading_from_limit,
+    heading_of,
+    limits_of,
+    loops_of,
+    one_variant,
+    start_of,
+)
+from sinsjax.alignment.compass import design as loops
+from sinsjax.alignment.compass.parameters import REVERSALS
+from sinsjax.execution import run as study_run
+
+G, R = 9.8, 6378137.0
+LATITUDE, RATE = math.radians(32.0), math.radians(15.041067) / 3600
+OMEGA_N = RATE * math.cos(LATITUDE)
+SMOOTHING_S = 1.0
+TURNS = {"velocity": (-1, 1, 1), "velocity_and_rate": (-1, 1, -1), "reflect": (-1, -1, 1)}
+
+
+def compass_study(*, turn="velocity", tape_s=60.0, level_time_s=40.0, **changes):
+    sections = {
+        "study": {"duration_s": 240.0, "rate_hz": 20.0, "window_s": [200, 240], "draws": 1},
+        "motion": {f"{a}_amplitude_deg": 0.0 for a in ("pitch", "roll", "yaw")}
+        | {"yaw_center_deg": 0.0},
+        "sensors": {"gyro_noise_deg_per_h": 0.0, "accel_noise_ug": 0.0, "gyro_bias_deg_per_h": 0.02}
+        | {"accel_bias_ug": 50.0},
+        "alignment": {"method": "compass"}
+        | dict(zip(("phi_e0_deg", "phi_n0_deg", "phi_u0_deg"), (0.1, 0.0, 1.0), strict=True)),
+        "compass": {"level_time_s": level_time_s},
+        "passes": {"tape_s": tape_s, "turn": turn, "turn_smoothing_s": SMOOTHING_S},
+    }
+    for name, change in changes.items():
+        known = sections.get(name)
+        sections[name] = (
+            known | change if known is not None and isinstance(change, dict) else change
+        )
+    return small_study(**sections)
+
+
+def integrated(study, times, turn, *, level_s, tape_s, sigma_az):
+    """The north channel by a general integrator, its equations written out."""
+    v, tilt, w = TURNS[turn]
+    limits = limits_of(study)
+    level = loops.level_gains(0.02, math.sqrt(0.5), gravity=G, radius=R)
+
+    def slope(t, x, direction, sigma):
+        dv, phi_e, phi_u, integral, spin, once, twice = x
+        wn, lag = direction * OMEGA_N, [2 / SMOOTHING_S * a for a in (phi_e - once, once - twice)]
+        if t < level_s:
+            k1, k2, k3 = level
+            tilting = -(1 + k2) / R * dv - integral - wn * phi_u
+            return [-k1 * dv + G * phi_e, tilting, 0.0, k3 * dv, 0.0, *lag]
+        k = loops.azimuth_gains(sigma, math.sqrt(0.5), gravity=G, radius=R)
+        tilting = -(1 + k.k2) / R * dv - wn * phi_u
+        return [-k.k1 * dv + G * phi_e, tilting, spin, 0.0, k.k3 / wn * dv - k.k4 * spin, *lag]
+
+    phi = np.deg2rad(np.array([0.1 + limits.pitch, 1.0 + limits.heading]))
+    x = np.array([0.0, *phi, 0.0, 0.0, 0.0, 0.0])  # the last: f_N/g, low-passed, twice
+    found, edges = [], sorted({0.0, level_s, 100.0, *np.arange(tape_s, 241, tape_s), 240.0})
+    for since, until in zip(edges[:-1], edges[1:], strict=True):
+        number = int(since // tape_s)
+        if since and since % tape_s == 0:
+            x = x * [v, 1, 1, -1, w, tilt, tilt] + [0, (tilt - 1) * x[6], 0, 0, 0, 0, 0]
+        here = times[(times > since) & (times <= until)]
+        middle = partial(
+            slope, (since + until) / 2, direction=(-1) ** number, sigma=sigma_az(since)
+        )
+        out = solve_ivp(
+            lambda t, x, piece=middle: piece(x),
+            (since, until),
+            x,
+            t_eval=np.union1d(here, until),
+            rtol=1e-11,
+            atol=1e-16,
+        )
+        found += list(out.y[2][: here.size])
+        x = out.y[:, -1]
+    return -np.rad2deg(found)
+
+
+@pytest.mark.parametrize("turn", TURNS)
+@pytest.mark.parametrize("tape_s", [60.0, 240.0])
+def test_against_a_general_integrator(turn, tape_s):
+    factors = {"sigma_factors": [1.0, 2.0], "sigma_times_s": [100.0]}
+    study = compass_study(turn=turn, tape_s=tape_s, compass={"level_time_s": 40.0} | factors)
+    times = np.arange(4.0, 241.0, 4.0)
+    expected = integrated(
+        study,
+        times,
+        turn,
+        level_s=40.0,
+        tape_s=tape_s,
+        sigma_az=lambda t: 0.02 if t >= 100.0 else 0.01,
+    )
+    found = heading_from_limit(study, times)
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize("turn", ["velocity", "velocity_and_rate", "reflect"])
+def test_against_the_engine_without_noise(turn):
+    study = compass_study(turn=turn, study={"record_interval_s": 2.0})
+    run = study_run.run(study, curves=True)
+    times = run.curves["time_s"].to_numpy()
+    simulated = -run.curves["phi_u_arcmin"].to_numpy() / 60 - limits_of(study).heading
+    # The east channel's part in the north one is left out of the linear loops.
+    np.testing.assert_allclose(heading_from_limit(study, times), simulated, atol=0.02)
+    assert np.ptp(simulated) > 0.2
+
+
+def test_limits_are_the_closed_forms():
+    study = compass_study(sensors={"gyro_bias_deg_per_h": [0.02, 0.0, 0.0]})
+    limits = limits_of(study)
+    assert limits.pitch == pytest.approx(math.degrees(50e-6))
+    assert limits.roll == pytest.approx(-math.degrees(50e-6))
+    assert limits.gyro == pytest.approx(math.degrees(math.radians(0.02) / 3600 / OMEGA_N))
+    assert limits.accel == pytest.approx(-math.degrees(50e-6 * math.tan(LATITUDE)))
+    assert limits.heading == pytest.approx(limits.gyro + limits.accel)
+
+
+def test_one_variant_of_a_sweep():
+    axes = {"phi_u0_deg": [1.0, 2.0], "azimuth_sigma_per_s": [0.01, 0.03]}
+    cases = [{"case": "a", "tape_s": 60.0}, {"case": "b", "tape_s": 120.0}]
+    study = compass_study(axes=axes, cases=cases)
+    one = one_variant(study, 6)  # case b, phi_u0 2, sigma 0.01
+    assert one.n_variants == 1
+    model = loops_of(one)
+    assert (model.tape_s, model.sigma) == (120.0, pytest.approx(0.01))
+    assert one.values("phi_u0_deg") == [2.0] and one.values("case") == ["b"]
+    np.testing.assert_allclose(np.diag(model.turn), (-1, 1, 1, 1))
+
+
+def test_one_variant_of_axes_that_go_together():
+    together = {"tape_s": [60.0, 120.0], "level_time_s": [40.0, 80.0]}
+    one = one_variant(compass_study(axes={"phi_u0_deg": [1.0, 2.0], "passes": together}), 3)
+    assert one.n_variants == 1
+    assert [one.values(key)[0] for key in (*together, "phi_u0_deg")] == [120.0, 80.0, 2.0]
+
+
+def test_all_loops_of_a_sweep_are_those_of_its_variants():
+    cases = [
+        {"tape_s": 60.0, "sigma_factors": [2.0, 1.0], "sigma_times_s": [100.0]},
+        {"tape_s": 120.0, "sigma_factors": [1.0], "sigma_times_s": []},
+    ]
+    study = compass_study(axes={"turn": ["velocity", "reflect"]}, cases=cases)
+    times, start = np.array([70.0, 240.0]), start_of(study)
+    for variant, model in enumerate(all_loops(study)):
+        alone = heading_from_limit(one_variant(study, variant), times)
+        np.testing.assert_allclose(heading_of(model, start, times), alone, rtol=1e-9)
+
+
+@pytest.mark.parametrize("turn", ["velocity", "velocity_drop_rate"])
+def test_a_turn_that_reflects_nothing_has_the_radius_of_the_loops(turn):
+    made = REVERSALS[turn]
+    sigma, tape_s = np.array([[0.01], [0.03]]), np.array([40.0, 80.0, 200.0])
+    expected = loops.cycle_radius(sigma, tape_s, loops.turn_matrix(-1, 1, made.rate))
+    numbers = {"damping": math.sqrt(0.5), "smoothing_s": 10.0}
+    np.testing.assert_allclose(cycle_radius(sigma, tape_s, made, **numbers), expected, atol=1e-9)
+
+
+def test_a_reflection_that_lags_is_slower_than_an_exact_one():
+    made, exact = REVERSALS["reflect"], math.exp(-2 * 0.01 * 80)
+    found = [
+        float(cycle_radius(0.01, 80.0, made, damping=math.sqrt(0.5), smoothing_s=delay))
+        for delay in (0.01, 5.0, 20.0)
+    ]
+    assert found[0] == pytest.approx(exact, rel=0.03)
+    assert found[0] < found[1] < found[2] < 1

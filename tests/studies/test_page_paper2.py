@@ -1,0 +1,130 @@
+import math
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from support.stored import store
+
+from docs.studies.loops.linear import heading_from_limit, limits_of, one_variant
+from docs.studies.paper2 import cases as paper2
+from sinsjax import analysis
+from sinsjax.alignment.compass import design as loops
+from sinsjax.report.base import Source
+from sinsjax.study.load import load_study, study_from_dict
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+DRAWS = 4
+K3_CASE = "Scheme 1, K3 as printed"
+
+
+@pytest.fixture(autouse=True)
+def _not_drawn(monkeypatch):
+    monkeypatch.setattr("sinsjax.plots.png", lambda *_: b"not drawn")
+
+
+def study_of(base: str, **changes):
+    """A study of the page with few draws; ``changes`` replace whole sections."""
+    data = tomllib.loads((CONFIGS / f"paper2_{base}.toml").read_text())
+    data["study"]["draws"] = DRAWS
+    return study_from_dict(data | changes)
+
+
+def summary_of(study, errors):
+    """A summary that no engine made: ``errors`` (deg) of every run as pitch, roll, heading."""
+    count = study.n_variants * DRAWS
+    run = np.arange(count)
+    floors = [limits_of(one_variant(study, v)).heading for v in range(study.n_variants)]
+    columns = {
+        "run_id": run,
+        "draw_id": run // study.n_variants,
+        "variant_id": run % study.n_variants,
+        "floor_arcmin": -60 * np.tile(floors, DRAWS),
+        "status": ["diverged"] * count,
+    }
+    for column, axis in enumerate("enu"):
+        columns[f"phi_{axis}_mean_arcmin"] = -60 * errors[:, column]
+        columns[f"phi_{axis}_std_arcmin"] = np.full(count, 0.6)
+    for band in study.study.settle_bands_arcmin:
+        columns[f"settle_{band:g}_s"] = np.where(run // study.n_variants, 100.0, np.nan)
+    return pa.table(columns)
+
+
+def curves_of(study, error=lambda variant, time: 0.1 + 0 * time):
+    """Curves with the same error (deg) of all angles in all draws of a variant."""
+    time = np.arange(1, study.records + 1) * study.study.record_interval_s
+    runs = np.arange(study.n_variants * DRAWS)
+    values = np.concatenate([-60.0 * error(int(run) % study.n_variants, time) for run in runs])
+    columns = {"run_id": np.repeat(runs, time.size), "time_s": np.tile(time, runs.size)}
+    return pa.table(columns | {f"phi_{axis}_arcmin": values for axis in "enu"})
+
+
+def write(directory, study, errors=None, curves=True, **shape):
+    count = study.n_variants * DRAWS
+    noise = np.random.default_rng(3).normal(size=(count, 3))
+    summary = summary_of(study, noise if errors is None else errors)
+    return store(directory, study, summary, curves_of(study, **shape) if curves else None)
+
+
+def variant_of(study, label, drift=0.02):
+    values = study.variant_values()
+    points = list(zip(values["case"], values["gyro_bias_deg_per_h"], strict=True))
+    return points.index((label, drift))
+
+
+# --- the studies --------------------------------------------------------------------------------
+
+
+def test_the_configs_are_what_the_paper_prints():
+    static, swing = (load_study(CONFIGS / f"paper2_{base}.toml") for base in ("static", "swing"))
+    for study, name in ((static, "static"), (swing, "swing")):
+        assert study.name == f"paper2_{name}"
+        assert (study.duration_s, study.rate_hz) == (600.0, 200.0)
+        assert study.study.window_s == (550.0, 600.0) and study.n_draws >= 256
+        assert study.earth.latitude_deg == 32.057313
+        assert set(study.values("gyro_bias_deg_per_h")) == {0.02, 0.006}
+        assert study.sensors.gyro_noise_deg_per_h == 0.006
+        assert (study.sensors.accel_bias_ug, study.sensors.accel_noise_ug) == (50.0, 50.0)
+        assert set(study.values("tape_s")) == {600.0, 80.0}
+    motion = swing.motion
+    for angle, size, hertz in (("pitch", 8.0, 0.15), ("roll", 6.0, 0.2), ("yaw", 5.0, 0.125)):
+        assert getattr(motion, f"{angle}_amplitude_deg") == size
+        assert 1 / getattr(motion, f"{angle}_period_s") == pytest.approx(hertz, rel=1e-12)
+    same = {"study": {"name", "curves"}, "motion": True, "cases": True}
+    assert static.model_dump(exclude=same) == swing.model_dump(exclude=same)
+    assert all(case in static.cases for case in swing.cases)
+
+
+def test_levelling_gains_are_the_formulas_but_for_the_printed_k3():
+    formula = loops.level_gains(0.02, math.sqrt(0.5), gravity=9.8, radius=6378165.0)
+    study = load_study(CONFIGS / "paper2_static.toml")
+    for case in study.cases:
+        unlike = case["case"] == K3_CASE
+        expected = formula._replace(k3=0.000081632653) if unlike else formula
+        np.testing.assert_allclose(case["level_gains"], expected, rtol=1e-11)
+        assert case["allow_unstable"] == unlike
+        signs = {np.sign(case[f"phi_{axis}0_deg"]) for axis in "enu"}
+        assert signs == ({1.0} if "errors negative" in case["case"] else {-1.0})
+
+
+# --- the layout ---------------------------------------------------------------------------------
+
+
+def test_errors_are_minus_phi(tmp_path):
+    study = study_of("static")
+    source = Source.read(write(tmp_path, study))
+    case = paper2.cases_of(source)[0]
+    assert case.starts_as_stated and case.is_stable and case.scheme == 1
+    assert (case.label, case.name) == ("Scheme 1, level 150 s", "level 150 s")
+    phi = analysis.numbers(case.rows, "phi_u_mean_arcmin")
+    np.testing.assert_allclose(case.mean_errors("heading"), -phi / 60)
+    curves = paper2.curves_of(source, [case])[0]
+    assert curves.errors["roll"].shape == (DRAWS, 300)
+    np.testing.assert_allclose(curves.at("heading", 551.0), 0.1)
+
+
+def test_linear_loops_start_at_the_stated_error():
+    one = one_variant(study_of("static"), 0)
+    before = heading_from_limit(one, np.array([2.0, 150.0]))
+    np.testing.assert_allclose(before, 1.5 - limits_of(one).heading, rtol=1e-9)
