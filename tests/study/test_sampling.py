@@ -458,12 +458,3 @@ def test_what_a_recorded_study_may_draw():
         with pytest.raises(InputError) as caught:
             study_from_dict(RECORDED | {"drawn": {key: {"values": [1]}}}, "s.toml")
         assert str(caught.value) == f"s.toml: [drawn] {key}: {reason}"
-
-
-@pytest.mark.parametrize("layout", ["auto", "consistency", "reset_cycle", "paper2", "compass_map"])
-def test_layouts_that_show_drawn_keys(layout: str):
-    laws, report = {"phi_e0_deg": {"uniform": [0, 1]}}, {"layout": layout}
-    if layout in ("paper2", "compass_map"):
-        assert refusal(laws, report=report) == f"[report] layout: '{layout}' takes no [drawn]"
-    else:
-        assert study_of(laws, report=report).report.layout == layout
