@@ -1,9 +1,9 @@
-"""What ends a study before its time: a user's mistake, or a user."""
+"""Exceptions that end a study early: a user's mistake, or an interruption."""
 
 
 class InputError(ValueError):
-    """A user's mistake: one line that names the file and the key or row, and what is wrong."""
+    """A user's mistake, in one line: the file, the key or row, and what is wrong."""
 
 
 class StudyInterrupted(Exception):
-    """A study was asked to stop before its end; what was done is kept."""
+    """A study was interrupted; the results so far are kept."""

@@ -1,12 +1,12 @@
-"""Conversion factors between the units people write and the SI units used inside.
+"""Conversion factors between the units of studies and results and the SI units used inside.
 
-Multiply by a factor to come inside, divide by it to go out: ``0.1 * DEG_PER_H`` is in rad/s.
+Multiply by a factor to convert to SI, divide to convert from it: ``0.1 * DEG_PER_H`` is in rad/s.
 """
 
 import math
 
 STANDARD_GRAVITY = 9.80665
-"""m/s^2; what an accelerometer datasheet's ug and a record's g mean unless the record says so."""
+"""m/s^2; the g of a datasheet's ug, and of records that do not state their own."""
 
 DEG = math.pi / 180
 ARCMIN = DEG / 60
@@ -34,20 +34,19 @@ SUFFIXES = {
     "ug": "ug",
     "ug_per_sqrt_hz": "ug/sqrt(Hz)",
 }
-"""The units that end the names of keys and columns, and how they are written out."""
+"""Unit suffixes of keys and columns, and the units they stand for."""
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """The name of a key or column without its unit, and the unit written out.
+    """Split the name of a key or column into its stem and its unit.
 
-    Args:
-        name: ``gyro_bias_deg_per_h`` gives ``gyro_bias`` and ``deg/h``; one without a unit gives
-            itself and an empty string.
+    ``gyro_bias_deg_per_h`` gives ``gyro_bias`` and ``deg/h``; a name without a unit gives itself
+    and an empty string.
     """
     suffix = max((s for s in SUFFIXES if name.endswith(f"_{s}")), key=len, default="")
     return (name.removesuffix(f"_{suffix}"), SUFFIXES[suffix]) if suffix else (name, "")
 
 
 def micro_g(gravity: float = STANDARD_GRAVITY) -> float:
-    """One ug in m/s^2, for a given g (m/s^2): the papers take their own g = 9.8."""
+    """One ug in m/s^2, for a given g (m/s^2): the papers use g = 9.8."""
     return MICRO * gravity

@@ -1,1 +1,1 @@
-"""Mathematics of an alignment: 3-vectors, attitudes, and random numbers by counter."""
+"""Mathematics of the alignment: 3-vectors, attitudes and counter-based random numbers."""

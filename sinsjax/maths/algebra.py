@@ -1,8 +1,8 @@
 """3-vectors and symmetric matrices written out in scalars.
 
-Small arrays are slow under a scan on CPU; scalars of one run become contiguous arrays over runs
-when mapped. So a 3-vector is three scalars and a symmetric matrix is the tuple of its upper
-triangle, row by row, and products are unrolled while tracing, skipping what is zero.
+Small arrays are slow inside a scan on a CPU, whereas the scalars of one run become contiguous
+arrays over runs when mapped. So a 3-vector is three scalars, a symmetric matrix is its upper
+triangle, and products are unrolled while tracing, skipping structural zeros.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,9 +13,9 @@ from sinsjax.types import Scalar, Vec3
 
 
 class Minus(NamedTuple):
-    """The negative of a number that is at hand: it is subtracted where it would be added.
+    """A negated entry, stored with its sign unchanged: products subtract it.
 
-    Negated before, it would be one more array that a step writes and reads again.
+    Negating it up front would add an array that every step writes and reads back.
     """
 
     of: Scalar
@@ -49,13 +49,13 @@ def cross(a: Vec3, b: Vec3) -> Vec3:
 
 
 def numbers_of(entries: Entries) -> dict[tuple[int, int], Scalar]:
-    """Entries as numbers, negatives taken."""
+    """The entries as plain scalars, with each `Minus` negated."""
     return {at: -a.of if isinstance(a, Minus) else a for at, a in entries.items()}
 
 
 @cache
 def triangle_index(n: int) -> dict[tuple[int, int], int]:
-    """Where entry (i, j) of an n x n symmetric matrix lies in its `Triangle`."""
+    """Position in its `Triangle` of each entry (i, j) of an n x n symmetric matrix."""
     upper = [(i, j) for i in range(n) for j in range(i, n)]
     return {entry: k for k, (i, j) in enumerate(upper) for entry in ((i, j), (j, i))}
 
@@ -68,7 +68,7 @@ def diagonal_triangle(diagonal: Sequence[Scalar]) -> Triangle:
 
 
 def times_plus_identity(entries: Entries, x: Sequence[Scalar]) -> tuple[Scalar, ...]:
-    """(I + A) x for the non-zero ``entries`` of A; entries that are plain zeros are skipped."""
+    """(I + A) x for the non-zero ``entries`` of A; entries that are the float 0 are skipped."""
     out = list(x)
     for (i, j), a in entries.items():
         if isinstance(a, Minus):
@@ -82,7 +82,7 @@ def congruence(entries: Entries, p: Triangle, n: int) -> Triangle:
     """(I + A) P (I + A)' for the non-zero ``entries`` of A and symmetric P (n x n)."""
     at = triangle_index(n)
     columns = [times_plus_identity(entries, [p[at[i, j]] for i in range(n)]) for j in range(n)]
-    # The product is symmetric: row i of M (I + A)' is needed from its diagonal on only.
+    # The product is symmetric: only its upper triangle is computed below.
     out = [times_plus_identity(entries, [columns[j][i] for j in range(n)]) for i in range(n)]
     return tuple(out[i][j] for i in range(n) for j in range(i, n))
 

@@ -1,8 +1,8 @@
-"""Random numbers as a function of a counter: no state, no order, no block.
+"""Counter-based random numbers: no state, independent of order and block size.
 
 Threefry-2x32 (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011), the generator
-behind `jax.random`, written for one counter. `jax.random` splits keys and draws arrays; called for
-each sample of each draw, that costs ten times the numbers themselves.
+behind `jax.random`, for a single counter. `jax.random` splits keys and draws arrays; doing so for
+every sample of every draw costs ten times as much as generating the numbers.
 """
 
 import math
@@ -13,10 +13,10 @@ import jax.numpy as jnp
 from sinsjax.types import Scalar, Word
 
 ROUNDS = 13
-"""Of Threefry-2x32: the fewest in the authors' test vectors, which they call Crush-resistant.
+"""Rounds of Threefry-2x32: the fewest with published test vectors, reported as Crush-resistant.
 
-The 20 of `jax.random` are a margin for other uses; noise of a sensor needs none, and each round
-costs.
+`jax.random` uses 20, a safety margin that sensor noise does not need and every sample would pay
+for.
 """
 
 _DISTANCES = (13, 15, 26, 6, 17, 29, 16, 24)
@@ -34,26 +34,27 @@ def threefry(
         a = a + b
         b = a ^ (b << jnp.uint32(distance) | b >> jnp.uint32(32 - distance))
         if n % 4 == 3:
-            turn = n // 4 + 1
-            a = a + keys[turn % 3]
-            b = b + keys[(turn + 1) % 3] + jnp.uint32(turn)
+            injection = n // 4 + 1
+            a = a + keys[injection % 3]
+            b = b + keys[(injection + 1) % 3] + jnp.uint32(injection)
     return a, b
 
 
 def normal_pair(words: tuple[Word, Word]) -> tuple[Scalar, Scalar]:
-    """Two independent standard normal numbers in single precision, by Box and Muller.
+    """Two independent standard normal numbers in single precision, by the Box-Muller transform.
 
-    The radius comes from 24 bits, so that no number exceeds sqrt(50 log 2) = 5.89. Cosine and sine
-    are power series of the half angle, doubled: the library's are called one by one.
+    The radius is taken from 24 bits, so no number exceeds sqrt(50 log 2) = 5.89. Cosine and sine
+    are power series of the half angle, doubled: XLA's own are library calls for one number at a
+    time.
 
     Args:
-        words: two uniform words.
+        words: two uniformly distributed words.
     """
     single = jnp.float32
-    # (k + 1/2) / 2^24 is never 0, whose logarithm is infinite.
+    # (k + 1/2) / 2^24 is never 0, where the logarithm is infinite.
     uniform = ((words[0] >> jnp.uint32(8)).astype(jnp.int32).astype(single) + 0.5) * 2.0**-24
     radius = jnp.sqrt(-2 * jnp.log(uniform))
-    # The mantissa of a number in [1, 2), taken to [-1, 1): the half angle over pi / 2.
+    # The mantissa of a number in [1, 2), mapped to [-1, 1): the half angle over pi / 2.
     mantissa = words[1] >> jnp.uint32(9) | jnp.uint32(0x3F800000)
     half = (math.pi / 2) * (2 * jax.lax.bitcast_convert_type(mantissa, single) - 3)
     square = -half * half

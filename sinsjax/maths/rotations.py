@@ -1,4 +1,4 @@
-"""Attitude as unit quaternions, scalar first, and its relation to vectors, angles and matrices.
+"""Attitude as unit quaternions, scalar first, and conversions to vectors, angles and matrices.
 
 Conventions: `q_nb` takes body vectors to navigation vectors. Euler angles follow
 C_b^n = Rz(yaw) Rx(pitch) Ry(roll), yaw counter-clockwise from north.
@@ -15,7 +15,7 @@ _TERMS = 8
 
 
 def multiply(a: Quat, b: Quat) -> Quat:
-    """Hamilton product a b: first b, then a."""
+    """Hamilton product a b: rotation b followed by a."""
     return Quat(
         a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z,
         a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
@@ -43,10 +43,10 @@ def rotate(q: Quat, v: Vec3) -> Vec3:
 
 
 def rotate_small(h: Vec3, q: Quat) -> Quat:
-    """Turn q by the tiny rotation vector 2 h (rad): (1 - |h|^2 / 2, h) q.
+    """Rotate q by the tiny rotation vector 2 h (rad): (1 - |h|^2 / 2, h) q.
 
-    Neglected are terms of order |h|^3: for the Earth's rate over a sample |h| is 4e-7, and they
-    are below rounding. Without the square the norm would drift by 1e-13 a sample.
+    Terms of order |h|^3 are neglected: for the Earth rate over one sample |h| is 4e-7, so they are
+    below rounding error. Without the squared term the norm would drift by 1e-13 per sample.
     """
     c = 1 - 0.5 * dot(h, h)
     return Quat(
@@ -60,8 +60,8 @@ def rotate_small(h: Vec3, q: Quat) -> Quat:
 def exp(phi: Vec3) -> Quat:
     """Quaternion of the rotation vector ``phi`` (rad), accurate to rounding for |phi| <= 2 pi.
 
-    Power series of a quarter of the half angle, doubled twice: no call of sin, cos or sqrt, so
-    that it stays vectorised inside a scan, and smooth at zero.
+    A power series in a quarter of the half angle, doubled twice: without calls of sin, cos or sqrt
+    it is vectorised inside a scan, and it is smooth at zero.
     """
     s = scale(0.125, phi)
     g = -dot(s, s)
@@ -76,7 +76,7 @@ def exp(phi: Vec3) -> Quat:
 
 
 def log(q: Quat) -> Vec3:
-    """Rotation vector (rad, length at most pi) of a unit quaternion; smooth at identity."""
+    """Rotation vector (rad, length at most pi) of a unit quaternion; smooth at the identity."""
     sign = jnp.where(q.w < 0, -1.0, 1.0)
     w, x, y, z = sign * q.w, sign * q.x, sign * q.y, sign * q.z
     square = x * x + y * y + z * z
@@ -96,14 +96,14 @@ def from_euler(pitch: Scalar, roll: Scalar, yaw: Scalar) -> Quat:
 
 
 def to_euler(q: Quat) -> tuple[Scalar, Scalar, Scalar]:
-    """Pitch, roll, yaw (rad) of a unit quaternion; pitch within +-90 deg, the others +-180."""
+    """Pitch, roll, yaw (rad) of a unit quaternion; pitch within +-90 deg, the others +-180 deg."""
     c = matrix(q)
     pitch = jnp.arcsin(jnp.clip(c[2][1], -1.0, 1.0))
     return pitch, jnp.arctan2(-c[2][0], c[2][2]), jnp.arctan2(-c[0][1], c[1][1])
 
 
 def matrix(q: Quat) -> tuple[Vec3, Vec3, Vec3]:
-    """The rows of the rotation matrix of a unit quaternion."""
+    """Rows of the rotation matrix of a unit quaternion."""
     w, x, y, z = q
     return (
         Vec3(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -113,12 +113,12 @@ def matrix(q: Quat) -> tuple[Vec3, Vec3, Vec3]:
 
 
 def misalign(phi: Vec3, q: Quat) -> Quat:
-    """The attitude that is off by the misalignment phi (rad, n): exp(-phi x) C."""
+    """Attitude in error by the misalignment phi (rad, n): exp(-phi x) C."""
     return multiply(exp(scale(-1.0, phi)), q)
 
 
 def correct(phi: Vec3, q: Quat) -> Quat:
-    """The attitude with an estimated misalignment taken out: exp(+phi x) C."""
+    """Attitude corrected for an estimated misalignment phi (rad, n): exp(+phi x) C."""
     return multiply(exp(phi), q)
 
 
@@ -130,8 +130,8 @@ def misalignment(q_true: Quat, q_hat: Quat) -> Vec3:
 def euler_vector(pitch: Scalar, roll: Scalar, yaw: Scalar) -> Vec3:
     """Rotation vector of Euler angles, rad.
 
-    [P1] section 1 gives a misalignment so: angles from the ideal to the computed frame, about U, E
-    and N in turn.
+    [P1] section 1 defines a misalignment this way: angles from the ideal to the computed frame,
+    about U, E and N in turn.
     """
     return log(from_euler(pitch, roll, yaw))
 
@@ -158,25 +158,25 @@ _COS = (
 def sin_cos(x: Scalar) -> tuple[Scalar, Scalar]:
     """Sine and cosine by polynomials, within 2 ulp up to 1e5 rad.
 
-    XLA:CPU calls a library for its own, number by number, which takes ten times as long as this in
-    a vector. Split of pi/2 and coefficients are those of fdlibm (Sun Microsystems).
+    XLA:CPU calls a scalar library function for each number, ten times slower than these vectorised
+    polynomials. The split of pi/2 and the coefficients are those of fdlibm (Sun Microsystems).
     """
     quarter = jnp.round(x * (2 / jnp.pi))
     r = x
     for part in _HALF_PI:
         r = r - quarter * part
     sin, cos = sin_cos_near_zero(r)
-    turn = quarter - 4 * jnp.floor(0.25 * quarter)
-    swapped = (turn == 1) | (turn == 3)
+    quadrant = quarter - 4 * jnp.floor(0.25 * quarter)
+    swapped = (quadrant == 1) | (quadrant == 3)
     first, second = jnp.where(swapped, cos, sin), jnp.where(swapped, sin, cos)
     return (
-        jnp.where(turn >= 2, -first, first),
-        jnp.where((turn == 1) | (turn == 2), -second, second),
+        jnp.where(quadrant >= 2, -first, first),
+        jnp.where((quadrant == 1) | (quadrant == 2), -second, second),
     )
 
 
 def sin_cos_near_zero(x: Scalar) -> tuple[Scalar, Scalar]:
-    """Sine and cosine by polynomials alone, within 1 ulp up to pi/4 rad, and 1e-12 up to 1 rad."""
+    """Sine and cosine without range reduction, to 1 ulp up to pi/4 rad and 1e-12 up to 1 rad."""
     z = x * x
     sin, cos = jnp.zeros_like(z), jnp.zeros_like(z)
     for a, b in zip(_SIN, _COS, strict=True):

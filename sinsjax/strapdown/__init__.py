@@ -1,1 +1,1 @@
-"""Strapdown navigation: Earth, base motion, sensors, mechanisation, error models."""
+"""Strapdown navigation: Earth, base motion, sensors, mechanisation and error models."""

@@ -1,8 +1,8 @@
-"""True motion of the base, and what ideal sensors would integrate over each sample.
+"""True motion of the base, and the increments that ideal sensors would measure.
 
-The base does not travel; it sways about a centre attitude. Angular rate and specific force are
-known in closed form at any time, and are integrated over each sample by Gauss quadrature: the
-increments owe nothing to the mechanisation that will be tested with them.
+The base stays in place and sways about a mean attitude. Angular rate and specific force are known
+in closed form at any time and are integrated over each sample by Gauss quadrature, so the
+increments are independent of the mechanisation under test.
 """
 
 from functools import partial
@@ -18,9 +18,9 @@ from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Increments, Quat, Scalar, Vec3
 
 _COUNT = 6
-_NODES, _SHARES = (a[_COUNT // 2 :] for a in np.polynomial.legendre.leggauss(_COUNT))
-_SHARES = 0.5 * _SHARES
-"""Nodes later than the middle, in half samples, and their shares of the mean over a sample."""
+_NODES, _WEIGHTS = (a[_COUNT // 2 :] for a in np.polynomial.legendre.leggauss(_COUNT))
+_WEIGHTS = 0.5 * _WEIGHTS
+"""Gauss nodes after mid-sample, in half samples, and their weights in the mean over a sample."""
 
 _BATCH = 1000
 
@@ -30,7 +30,7 @@ class Sway(NamedTuple):
 
     Attributes:
         center: rad.
-        amplitude: rad; zero is a static base.
+        amplitude: rad; zero for a static base.
         period: s.
         phase: rad.
     """
@@ -71,13 +71,14 @@ def attitude(motion: Motion, t: Scalar) -> Quat:
 
 
 def rate_and_force(motion: Motion, place: Place, t: Scalar) -> tuple[Vec3, Vec3]:
-    """Angular rate of b against inertial space (rad/s) and specific force (m/s^2), both in b.
+    """Angular rate of b relative to inertial space (rad/s) and specific force (m/s^2), both in b.
 
-    w_nb^b follows from the Euler rates: yaw rate seen through pitch and roll, pitch rate through
-    roll. The base has no velocity, so that f^n = (0, 0, g) and w_in^n is the Earth rate alone.
+    w_nb^b follows from the Euler rates: the yaw rate resolved through pitch and roll, the pitch
+    rate through roll. The base has no velocity, so f^n = (0, 0, g) and w_in^n is the Earth rate
+    alone.
     """
     now = Sines(*(sin_cos(sway.angle(t)) for sway in motion))
-    return _felt(place, _seen(now, *(sway.rate(t) for sway in motion)))
+    return _inertial(place, _in_body(now, *(sway.rate(t) for sway in motion)))
 
 
 class Sines(NamedTuple):
@@ -88,28 +89,28 @@ class Sines(NamedTuple):
     yaw: tuple[Scalar, Scalar]
 
 
-class Seen(NamedTuple):
-    """What a base with an attitude and a rate feels, before the Earth is known.
+class InBody(NamedTuple):
+    """Navigation axes and rate in the body frame, before Earth rate and gravity are applied.
 
     Attributes:
         north: unit vector to the north, in b.
         up: unit vector up, in b.
-        turn: angular rate of b against n, in b, rad/s.
+        rate: angular rate of b relative to n, in b, rad/s.
     """
 
     north: Vec3
     up: Vec3
-    turn: Vec3
+    rate: Vec3
 
 
-def _seen(now: Sines, pitch_rate: Scalar, roll_rate: Scalar, yaw_rate: Scalar) -> Seen:
-    """What is felt at an attitude with rates (rad/s) of its angles."""
+def _in_body(now: Sines, pitch_rate: Scalar, roll_rate: Scalar, yaw_rate: Scalar) -> InBody:
+    """Axes and rate in b at an attitude, from the rates of its Euler angles (rad/s)."""
     (sp, cp), (sr, cr), (sy, cy) = now
     across, tilted = yaw_rate * cp, cy * sp
-    return Seen(
+    return InBody(
         north=Vec3(sy * cr + tilted * sr, cy * cp, sy * sr - tilted * cr),
         up=Vec3(-cp * sr, sp, cp * cr),
-        turn=Vec3(
+        rate=Vec3(
             pitch_rate * cr - across * sr,
             roll_rate + yaw_rate * sp,
             pitch_rate * sr + across * cr,
@@ -117,18 +118,21 @@ def _seen(now: Sines, pitch_rate: Scalar, roll_rate: Scalar, yaw_rate: Scalar) -
     )
 
 
-def _felt(place: Place, seen: Seen) -> tuple[Vec3, Vec3]:
-    """Angular rate (rad/s) and specific force (m/s^2) in b; of their integrals over a time, too."""
-    earth = add(scale(place.rate_n, seen.north), scale(place.rate_u, seen.up))
-    return add(earth, seen.turn), scale(place.gravity, seen.up)
+def _inertial(place: Place, body: InBody) -> tuple[Vec3, Vec3]:
+    """Angular rate w_ib (rad/s) and specific force (m/s^2) in b.
+
+    Both are linear in ``body``: the mean over a time gives the mean rate and force.
+    """
+    earth = add(scale(place.rate_n, body.north), scale(place.rate_u, body.up))
+    return add(earth, body.rate), scale(place.gravity, body.up)
 
 
 class Advance(NamedTuple):
-    """How far the argument of a `Sway` is at the later nodes of a sample from its middle.
+    """Phase advance of a `Sway` from mid-sample to the later Gauss nodes.
 
     Attributes:
-        sin: (nodes / 2,) sine of the advance; at the earlier nodes it is the negative.
-        versed: (nodes / 2,) its cosine, less one.
+        sin: (nodes / 2,) sine of the advance; its negative holds at the earlier nodes.
+        versed: (nodes / 2,) cosine of the advance minus 1.
     """
 
     sin: Array
@@ -136,7 +140,7 @@ class Advance(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """`Advance` of each angle: what is the same for all samples of a motion."""
+    """`Advance` of each Euler angle, the same for all samples of a motion."""
 
     pitch: Advance
     roll: Advance
@@ -144,7 +148,7 @@ class Nodes(NamedTuple):
 
 
 def nodes(motion: Motion, rate_hz: Scalar) -> Nodes:
-    """What `increment` needs of a motion, at ``rate_hz`` samples a second."""
+    """Phase advances that `increment` takes, for a motion sampled at ``rate_hz``."""
 
     def advance(sway: Sway, node: Scalar) -> Advance:
         sin, cos = sin_cos(0.5 * jnp.pi * node / (sway.period * rate_hz))
@@ -156,16 +160,15 @@ def nodes(motion: Motion, rate_hz: Scalar) -> Nodes:
 def increment(motion: Motion, ahead: Nodes, place: Place, rate_hz: Scalar, k: Scalar) -> Increments:
     """Ideal sensor increments over one sample, by Gauss quadrature.
 
-    Angles and their rates at the nodes follow from those at the middle of the sample, by the sum
-    of angles: few sines are made in full, which is what the time goes into. The others are of how
-    far an angle moves within half a sample: where that is more than 1 rad they are less accurate
-    than a sine should be, and so is the quadrature.
+    Angles and rates at the nodes follow from those at mid-sample by the angle-sum formulas, because
+    full sines dominate the cost. The remaining sines are of the change of an angle within half a
+    sample: where it exceeds 1 rad they lose accuracy, and so does the quadrature.
 
     Args:
-        motion: of the base.
-        ahead: of that motion at that rate, see `nodes`.
+        motion: motion of the base.
+        ahead: its phase advances at this sample rate, see `nodes`.
         place: Earth rates and gravity.
-        rate_hz: samples a second.
+        rate_hz: sample rate, Hz.
         k: number of the sample, which spans k/rate to (k+1)/rate.
 
     Returns:
@@ -177,7 +180,7 @@ def increment(motion: Motion, ahead: Nodes, place: Place, rate_hz: Scalar, k: Sc
         sin, cos = (sway.amplitude * part for part in sway.phase_at(middle))
         waves.append((sin, cos, 2 * jnp.pi / sway.period, sin_cos(sway.center + sin)))
 
-    def at_pair(ahead: Nodes) -> Seen:
+    def at_pair(ahead: Nodes) -> InBody:
         sides = []
         for side in (-1.0, 1.0):
             sines, rates = [], []
@@ -185,14 +188,14 @@ def increment(motion: Motion, ahead: Nodes, place: Place, rate_hz: Scalar, k: Sc
                 later, versed = side * advance.sin, advance.versed
                 sines.append(_sum(here, sin_cos_near_zero(sin * versed + cos * later)))
                 rates.append(omega * (cos + (cos * versed - sin * later)))
-            sides.append(_seen(Sines(*sines), *rates))
+            sides.append(_in_body(Sines(*sines), *rates))
         return jax.tree.map(jnp.add, *sides)
 
-    # Mapped, not unrolled: half the code to compile.
+    # Mapped rather than unrolled: half the code to compile.
     pairs = jax.vmap(at_pair)(ahead)
-    # Neither a product of matrices nor a sum over an axis, whose loops would not be vectorised.
-    mean = jax.tree.map(lambda a: sum(w * a[i] for i, w in enumerate(_SHARES)), pairs)
-    return Increments(*(scale(1 / rate_hz, felt) for felt in _felt(place, mean)))
+    # A matrix product or a sum over an axis would become a loop that is not vectorised.
+    mean = jax.tree.map(lambda a: sum(w * a[i] for i, w in enumerate(_WEIGHTS)), pairs)
+    return Increments(*(scale(1 / rate_hz, part) for part in _inertial(place, mean)))
 
 
 def _sum(a: tuple[Scalar, Scalar], b: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
@@ -203,8 +206,8 @@ def _sum(a: tuple[Scalar, Scalar], b: tuple[Scalar, Scalar]) -> tuple[Scalar, Sc
 def increments(motion: Motion, place: Place, rate_hz: Scalar, samples: int) -> Array:
     """Ideal sensor increments of samples 0 to ``samples`` - 1, (samples, 6), see `increment`.
 
-    Made in batches of one size, two or more: a rest, or one batch, whose loop the compiler would
-    leave out, would be compiled to other bits.
+    Computed in two or more batches of equal size: a shorter last batch, or a single one whose loop
+    the compiler removes, would give different bits.
     """
     ahead = nodes(motion, rate_hz)
     batches = max(2, -(-samples // _BATCH))

@@ -1,4 +1,4 @@
-"""The Earth a navigator feels: rotation rate, radii of curvature and gravity at its place."""
+"""Earth models: rotation rate, radii of curvature and gravity at a latitude."""
 
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ _GE, _K, _M, _F = 9.7803253359, 1.931852652458e-3, 3.449786506841e-3, 1 / 298.25
 
 
 class Earth(NamedTuple):
-    """An Earth model as numbers, so that both kinds run the same code.
+    """Parameters of an Earth model; sphere and ellipsoid run the same code.
 
     The ellipsoid with ``eccentricity2`` = 0 and ``gravity_formula`` = 0 is the papers' sphere.
 
@@ -37,7 +37,7 @@ class Earth(NamedTuple):
 
 
 class Place(NamedTuple):
-    """What the mechanisation and the error model need of the Earth at one latitude.
+    """Earth rate, curvatures and gravity at one latitude, for mechanisation and error model.
 
     Attributes:
         rate_n: north component of the Earth rate, rad/s.
@@ -62,7 +62,7 @@ def wgs84(height: Scalar = 0.0) -> Earth:
 
 
 def sphere(rate: Scalar, radius: Scalar, gravity: Scalar, height: Scalar = 0.0) -> Earth:
-    """The papers' Earth: constant gravity (m/s^2), one radius (m), a chosen rate (rad/s)."""
+    """The papers' Earth: constant gravity (m/s^2), a single radius (m), a given rate (rad/s)."""
     return Earth(rate, radius, 0.0, gravity, 0.0, height)
 
 
@@ -70,7 +70,7 @@ def place(earth: Earth, latitude: Scalar) -> Place:
     """Rates, curvatures and gravity at a latitude (rad).
 
     Normal gravity is Somigliana's closed formula with the second-order height correction
-    (NIMA TR8350.2, eqs 4-1 and 4-3). A plain number stays one, and compiles nothing.
+    (NIMA TR8350.2, eqs 4-1 and 4-3). Plain numbers are evaluated with NumPy, compiling nothing.
     """
     xp = jnp if any(isinstance(number, jax.Array) for number in (latitude, *earth)) else np
     sin, cos = xp.sin(latitude), xp.cos(latitude)
@@ -92,5 +92,5 @@ def place(earth: Earth, latitude: Scalar) -> Place:
 
 
 def reverse(place: Place, sign: Scalar) -> Place:
-    """The Earth of time run backward where ``sign`` is -1: it turns the other way, [P2] (12)."""
+    """Earth in reversed time where ``sign`` is -1: it rotates the other way, [P2] eq. (12)."""
     return place._replace(rate_n=sign * place.rate_n, rate_u=sign * place.rate_u)

@@ -1,10 +1,10 @@
 """Linear error models of the zero-velocity aligned navigator.
 
 A model names its states and gives the non-zero entries of A dt by state number. The first five
-states are always those of [P1] eq. (3): level velocity errors and the misalignment phi, which
-obeys C_b^{n'} = exp(-phi x) C_b^n. Further states are sensor biases in the body frame.
+states are always those of [P1] eq. (3): level velocity errors and the misalignment phi, defined by
+C_b^{n'} = exp(-phi x) C_b^n. Further states are sensor biases in the body frame.
 
-Derivation (theory of [P1], checked in the tests by differentiating the nonlinear mechanisation):
+Derivation ([P1], checked in the tests by differentiating the nonlinear mechanisation):
 dV' = f^n x phi - (2 w_ie + w_en) x dV - dw_en x V + nabla and phi' = phi x w_in + dw_in - eps.
 """
 
@@ -26,10 +26,9 @@ class ErrorModel(NamedTuple):
     Attributes:
         states: names of the states, in order.
         transition: (navigation, place, f dt in n, dt) -> non-zero entries of A dt.
-        correct_sample: (sample, fed-back biases, dt) -> sample with the biases taken out.
+        correct_sample: (sample, fed-back biases, dt) -> bias-corrected sample.
         uses_attitude: whether the transition depends on the attitude.
-        reversal: sign that each state takes when time is run backward: velocities and what a
-            gyro feels change theirs.
+        reversal: sign of each state under time reversal: -1 for velocity errors and gyro biases.
     """
 
     states: tuple[str, ...]
@@ -44,7 +43,7 @@ def five_state(nav: Navigation, place: Place, f_dt: Vec3, dt: Scalar) -> Entries
 
     Args:
         nav: navigation solution (velocities in m/s).
-        place: Earth rates and curvatures at its latitude.
+        place: Earth rates and curvatures at the solution's latitude.
         f_dt: specific force in n times the step, m/s.
         dt: step, s.
     """
@@ -90,14 +89,14 @@ def ten_state(nav: Navigation, place: Place, f_dt: Vec3, dt: Scalar) -> Entries:
     return entries
 
 
-def _as_it_is(sample: Sample, bias: tuple[Scalar, ...], dt: Scalar) -> Sample:
+def _no_biases(sample: Sample, bias: tuple[Scalar, ...], dt: Scalar) -> Sample:
     return sample
 
 
-def _without_bias(sample: Sample, bias: tuple[Scalar, ...], dt: Scalar) -> Sample:
+def _subtract_biases(sample: Sample, bias: tuple[Scalar, ...], dt: Scalar) -> Sample:
     nabla_x, nabla_y, *eps = bias
-    # The bias turns the body by about 1e-8 rad a sample: first order is exact to rounding. As in
-    # the model, its second order stays in dv: eps g dt / 2, 2.5 ng for 0.1 deg/h at 100 Hz.
+    # The bias rotates the body by about 1e-8 rad per sample: first order is exact to rounding. As
+    # in the model, its effect on dv is neglected: eps g dt / 2, 2.5 ng for 0.1 deg/h at 100 Hz.
     turn = multiply(sample.turn, Quat(1.0, *(-0.5 * dt * e for e in eps)))
     dv = sample.dv
     return Sample(turn, Vec3(dv.x - nabla_x * dt, dv.y - nabla_y * dt, dv.z))
@@ -110,14 +109,14 @@ MODELS = {
     "kalman5": ErrorModel(
         tuple(_FIVE),
         five_state,
-        _as_it_is,
+        _no_biases,
         uses_attitude=False,
         reversal=tuple(_FIVE.values()),
     ),
     "kalman10": ErrorModel(
         tuple(_TEN),
         ten_state,
-        _without_bias,
+        _subtract_biases,
         uses_attitude=True,
         reversal=tuple(_TEN.values()),
     ),

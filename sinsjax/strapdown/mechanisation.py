@@ -1,6 +1,6 @@
-"""Strapdown mechanisation in ENU: one navigation step on a vehicle that keeps its height.
+"""Strapdown mechanisation in ENU: one navigation step at constant height.
 
-Attitude by quaternion, velocity with Coriolis and transport rate, vertical velocity zero.
+Quaternion attitude, velocity with Coriolis and transport rate, zero vertical velocity.
 """
 
 from sinsjax.maths.algebra import add, cross, scale
@@ -12,23 +12,23 @@ from sinsjax.types import Navigation, Sample, Scalar, Vec3
 def step(
     nav: Navigation, sample: Sample, place: Place, dt: Scalar, control: Vec3 | None = None
 ) -> tuple[Navigation, Vec3]:
-    """Advance the navigation solution by one sample; position stays.
+    """Advance attitude and velocity by one sample; the position is left alone.
 
-    dV = C_b^n dv - (2 w_ie + w_en) x V dt + g dt, with C_b^n dv turned back by half the rotation
+    dV = C_b^n dv - (2 w_ie + w_en) x V dt + g dt, with C_b^n dv rotated back by half the rotation
     of the navigation frame over the sample; C <- exp(-w_in dt) C exp(dtheta).
 
-    The same step navigates backward in time: given reversed samples (`sensors.reverse`), a place
-    whose Earth turns the other way (`earth.reverse`) and the negative velocity, [P2] eqs (12)-(14).
+    The same step navigates backward in time, given reversed samples (`sensors.reverse`), an Earth
+    that rotates the other way (`earth.reverse`) and the negative velocity, [P2] eqs (12)-(14).
 
     Args:
-        nav: solution at the sample's start.
+        nav: solution at the start of the sample.
         sample: compensated sample.
         place: Earth at the solution's latitude.
         dt: sample time, s.
-        control: rate at which the mathematical platform is turned beside w_in, in n, rad/s.
+        control: commanded rate of the mathematical platform in addition to w_in, in n, rad/s.
 
     Returns:
-        The solution at the sample's end, and the specific force in n times dt, m/s.
+        The solution at the end of the sample, and the specific force in n times dt, m/s.
     """
     turn_e = nav.ve * place.curvature_e
     wu = place.rate_u + turn_e * place.tan_latitude
@@ -44,7 +44,7 @@ def step(
 
 
 def travel(nav: Navigation, place: Place, dt: Scalar) -> Navigation:
-    """Advance the position by the present velocity over dt (s)."""
+    """Advance the position at the current velocity over dt (s)."""
     secant = (1 + place.tan_latitude**2) ** 0.5
     return nav._replace(
         latitude=nav.latitude + nav.vn * place.curvature_n * dt,
@@ -53,10 +53,10 @@ def travel(nav: Navigation, place: Place, dt: Scalar) -> Navigation:
 
 
 def correct_velocity(nav: Navigation, dve: Scalar, dvn: Scalar) -> Navigation:
-    """Take estimated velocity errors (m/s) out of the solution."""
+    """Subtract estimated velocity errors (m/s) from the solution."""
     return nav._replace(ve=nav.ve - dve, vn=nav.vn - dvn)
 
 
 def reverse(nav: Navigation) -> Navigation:
-    """The solution seen from time run backward: same place and attitude, opposite velocity."""
+    """The solution in reversed time: same position and attitude, opposite velocity."""
     return nav._replace(ve=-nav.ve, vn=-nav.vn)
