@@ -1,6 +1,6 @@
-"""Recorded inertial data in and out: PSINS text, CSV and Parquet.
+"""Reading and writing recorded inertial data: PSINS text, CSV and Parquet.
 
-Every reader returns a `Record`: increments in SI over each sample, in right-front-up body axes.
+Every reader returns a `Record`: increments over each sample in SI units and right-front-up axes.
 Every user mistake raises `InputError` with one line that names the file and the row, column or key.
 """
 
@@ -44,17 +44,17 @@ _READERS = {"psins": read_psins, "csv": read_csv, "parquet": read_parquet}
 
 
 def read_record(path: str | Path, layout: Layout) -> Record:
-    """Reads a record in the format that the layout names.
+    """Read a record in the layout's format.
 
     Args:
         path: the file.
-        layout: how to read it.
+        layout: format, columns, units and axes of the file.
 
     Returns:
         The record, T samples.
 
     Raises:
-        InputError: the layout or the file cannot be used; the line names the key or the row.
+        InputError: the layout or the file is invalid; the message names the key or the row.
     """
     check_layout(layout, str(path))
     return _READERS[layout.format](path, layout)

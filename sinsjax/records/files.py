@@ -1,4 +1,4 @@
-"""Bytes, lines and numbers out of a file."""
+"""Reading bytes, lines and numbers from a file."""
 
 import math
 from collections.abc import Iterator
@@ -10,14 +10,14 @@ from sinsjax.errors import InputError
 CUT_OFF = " (the last row: is the file cut off?)"
 
 LARGEST = 1e30
-"""Beyond it a number of a record is none; squares and sums of what is below are finite."""
+"""Largest magnitude accepted in a record; squares and sums of such numbers stay finite."""
 
 BATCH = 2**22
-"""Bytes of a text file that are looked at together: some 30,000 rows of a record."""
+"""Bytes of a text file read at a time: about 30,000 rows of a record."""
 
 
 def load(path: str | Path) -> bytes:
-    """The whole content of a file that is not empty; raises InputError where there is none."""
+    """Read a whole file; raises InputError if it is empty or cannot be read."""
     try:
         data = Path(path).read_bytes()
     except OSError as error:
@@ -28,12 +28,12 @@ def load(path: str | Path) -> bytes:
 
 
 class Lines(NamedTuple):
-    """Some lines of a text file in a row.
+    """Consecutive lines of a text file.
 
     Attributes:
-        first: row of the first one, from 1.
-        lines: without their ends.
-        ends: whether the file ends with them.
+        first: row of the first line, from 1.
+        lines: without line endings.
+        ends: whether these are the last lines of the file.
     """
 
     first: int
@@ -42,11 +42,11 @@ class Lines(NamedTuple):
 
 
 def line_batches(path: str | Path, size: int | None = None) -> Iterator[Lines]:
-    """The lines of a text file, a batch at a time: a long record is larger than what is made of it.
+    """Lines of a text file in batches: a long text file is larger than the arrays read from it.
 
     Args:
         path: the file.
-        size: bytes that are read at a time, or `BATCH`.
+        size: bytes to read at a time; `BATCH` by default.
 
     Raises:
         InputError: the file cannot be read, is empty, or is not text.
@@ -57,7 +57,7 @@ def line_batches(path: str | Path, size: int | None = None) -> Iterator[Lines]:
         if b"\0" in block:
             row = first + block.count(b"\n", 0, block.index(b"\0"))
             raise InputError(f"{path}: row {row}: not a text file (a zero byte)")
-        # A line ends with either or both, which are never parted.
+        # A line ends with \r, \n or both; a pair must not be split between two batches.
         cut = block.rfind(b"\n") + 1 or block.rfind(b"\r", 0, -1) + 1
         cut = len(block) if ends else cut
         if not ends and not cut:
@@ -69,7 +69,7 @@ def line_batches(path: str | Path, size: int | None = None) -> Iterator[Lines]:
 
 
 def _blocks(path: str | Path, size: int) -> Iterator[tuple[bytes, bool]]:
-    """Blocks of a file without its byte order mark, and whether each is the last one."""
+    """Blocks of a file without its byte order mark, each with whether it is the last."""
     try:
         with open(path, "rb") as file:
             block = file.read(size)
@@ -85,7 +85,7 @@ def _blocks(path: str | Path, size: int) -> Iterator[tuple[bytes, bool]]:
 
 
 def number_or_nan(text: str) -> float:
-    """As `number`, but nan for what is empty or not finite: a value that is missing."""
+    """As `number`, but an empty or non-finite value is missing and becomes nan."""
     try:
         return number(text)
     except ValueError:
@@ -95,17 +95,17 @@ def number_or_nan(text: str) -> float:
 
 
 def number(text: str) -> float:
-    """Reads one finite number; a ValueError says what is wrong with the text."""
+    """Parse one finite number; the ValueError of an invalid text says what is wrong with it."""
     text = text.strip()
     if not text:
         raise ValueError("is empty")
     shown = repr(text if len(text) <= 24 else text[:24] + "...")
     try:
-        value = float(text.replace("_", "?"))  # Python's own 1_000 is not a number in a file
+        value = float(text.replace("_", "?"))  # 1_000 is a number in Python, not in a data file
     except ValueError:
         raise ValueError(f"{shown} is not a number") from None
     if not math.isfinite(value):
         raise ValueError(f"{shown} is not finite")
     if abs(value) > LARGEST:
-        raise ValueError(f"{shown} is beyond {LARGEST:g}, which nothing measures")
+        raise ValueError(f"{shown} is out of range (beyond {LARGEST:g})")
     return value

@@ -1,4 +1,4 @@
-"""What a record is, how a file lays it out, and the units and axes between the two."""
+"""Inertial records, file layouts, and the conversion of units and axes between the two."""
 
 import math
 import re
@@ -26,15 +26,15 @@ ACCEL_UNITS = {
 """Factors to m/s or m/s^2, by quantity and unit name; g is the standard gravity."""
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0}
-"""Factors to s, by unit name; dates with time are read as seconds from 1970."""
+"""Factors to s, by unit name; ISO dates are read as seconds since 1970."""
 
 _FORMATS = ("psins", "csv", "parquet")
-# A clock may run this far from its nominal rate; beyond it the stated rate is a mistake.
+# Clocks deviate this far from their nominal rate; a larger difference is a mistake in the rate.
 _RATE_TOLERANCE = 1e-4
 
 
 class Flaw(NamedTuple):
-    """Samples that a record lacks, from ``begin`` up to ``end``, and the line that says so."""
+    """Missing samples of a record, ``begin`` up to but not including ``end``, and the message."""
 
     begin: int
     end: int
@@ -47,16 +47,16 @@ class Record(NamedTuple):
     Attributes:
         dtheta: (T, 3) rotation increments over each sample, rad.
         dv: (T, 3) specific-force increments over each sample, m/s.
-        rate_hz: samples a second.
+        rate_hz: sample rate, Hz.
         t0_s: time at which the first sample begins; sample k ends at t0_s + (k + 1) / rate_hz.
-        latitude_deg: geodetic latitude of the file's header, or None.
-        height_m: height of the file's header, or None.
-        attitude_deg: pitch, roll and yaw (counter-clockwise from north) of the file's header, as
-            written there, or None.
-        gravity_m_per_s2: the g in which the file counts specific force, or None.
+        latitude_deg: geodetic latitude from the file's header, or None.
+        height_m: height from the file's header, or None.
+        attitude_deg: pitch, roll and yaw (counter-clockwise from north) exactly as in the file's
+            header, or None.
+        gravity_m_per_s2: the g that the file's specific force is scaled by, or None.
         source: the file's name, for messages.
-        flaws: samples that are missing, and nan in dtheta and dv.
-        filled: how many missing samples were interpolated.
+        flaws: missing samples, which are nan in dtheta and dv.
+        filled: number of missing samples that were interpolated.
     """
 
     dtheta: FloatArray
@@ -73,21 +73,21 @@ class Record(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """How a file holds a record; the fields are the keys of a study's ``[record]`` section.
+    """Layout of a record in a file; the fields are the keys of a study's ``[record]`` section.
 
     Attributes:
-        format: "psins", "csv" or "parquet". PSINS text uses only axes_order and rate_hz besides.
+        format: "psins", "csv" or "parquet". PSINS text otherwise uses only axes_order and rate_hz.
         quantity: "increments" over each sample, or "rates" averaged over each sample.
-        time_column: time at the end of each sample; "" where the file has no time.
+        time_column: time at the end of each sample; "" if the file has no time.
         gyro_columns: three names, in the record's own x, y, z.
         accel_columns: three names, in the record's own x, y, z.
         gyro_unit: a key of `GYRO_UNITS` for the quantity.
         accel_unit: a key of `ACCEL_UNITS` for the quantity.
-        axes_order: the record's axes that point right, front and up: "y-xz" says that right is +y
-            of the record, front is -x, up is +z.
-        rate_hz: samples a second; None takes it from the header or the time column.
-        time_unit: of the time column: "s", "ms", "us", "ns", or "iso" for dates with time.
-        max_gap_s: longest time from one good sample to the next over which missing ones are
+        axes_order: the record's axes that point right, front and up: "y-xz" means that right is +y
+            of the record, front is -x and up is +z.
+        rate_hz: sample rate, Hz; None takes it from the header or the time column.
+        time_unit: unit of the time column: "s", "ms", "us", "ns", or "iso" for dates with time.
+        max_gap_s: longest time between two good samples across which missing ones are
             interpolated.
     """
 
@@ -105,15 +105,15 @@ class Layout(NamedTuple):
 
 
 PSINS_LAYOUT = Layout("psins")
-"""PSINS text with right-front-up axes, at the rate of its header."""
+"""PSINS text with right-front-up axes, at the header's rate."""
 
 
 def check_layout(layout: Layout, source: str) -> None:
-    """Refuses a layout that no file can be read with.
+    """Reject an invalid layout.
 
     Args:
         layout: the layout.
-        source: what the message begins with: the name of the file that holds the keys.
+        source: name of the file that holds the keys, with which the message begins.
 
     Raises:
         InputError: names the key and what is wrong with it.
@@ -123,19 +123,19 @@ def check_layout(layout: Layout, source: str) -> None:
 
 
 class Fault(NamedTuple):
-    """What is wrong with a layout: the key, and what to say of it."""
+    """What is wrong with a layout: the key and the message."""
 
     key: str
     text: str
 
 
 def fault(layout: Layout) -> Fault | None:
-    """The first thing for which no file can be read with a layout; None if there is none."""
+    """The first fault of a layout; None if it is valid."""
     return next((Fault(*found) for found in _layout_faults(layout)), None)
 
 
 def _layout_faults(layout: Layout) -> Iterator[tuple[str, str]]:
-    # Only the first fault is asked for: what comes later may lean on what came before.
+    # Only the first fault is ever read, so later checks may rely on earlier ones.
     if layout.format not in _FORMATS:
         yield "format", _not_one_of(layout.format, _FORMATS)
     if layout.quantity not in GYRO_UNITS:
@@ -179,7 +179,7 @@ def _column_faults(layout: Layout) -> Iterator[tuple[str, str]]:
     if not 0 <= layout.max_gap_s < math.inf:
         yield "max_gap_s", f"must not be negative, not {layout.max_gap_s!r}"
     if not layout.time_column and layout.rate_hz is None:
-        yield "rate_hz", "needed, since there is no time_column"
+        yield "rate_hz", "required without a time_column"
 
 
 def _not_one_of(value: str, known: Iterable[str]) -> str:
@@ -187,7 +187,7 @@ def _not_one_of(value: str, known: Iterable[str]) -> str:
 
 
 def axes(order: str) -> tuple[list[int], FloatArray]:
-    """Reads an axes order: for body right, front, up the record's axis and its sign.
+    """Parse an axes order: for body right, front and up the record's axis and its sign.
 
     Args:
         order: a signed permutation of xyz, such as "y-xz".
@@ -196,7 +196,7 @@ def axes(order: str) -> tuple[list[int], FloatArray]:
         The three indices into the record's axes, and the three signs (3,).
 
     Raises:
-        ValueError: it is not a signed permutation of xyz, or it is left-handed.
+        ValueError: not a signed permutation of xyz, or left-handed.
     """
     terms = re.findall(r"([+-]?)([xyz])", order)
     names = [name for _, name in terms]
@@ -211,60 +211,60 @@ def axes(order: str) -> tuple[list[int], FloatArray]:
 
 
 def to_body(values: FloatArray, order: str) -> FloatArray:
-    """Turns (T, 3) vectors from the record's axes to right-front-up; exact."""
+    """Transform (T, 3) vectors from the record's axes to right-front-up; exact."""
     index, signs = axes(order)
     return values[:, index] * signs
 
 
 def from_body(values: FloatArray, order: str) -> FloatArray:
-    """Turns (T, 3) vectors from right-front-up to the record's axes; exact."""
+    """Transform (T, 3) vectors from right-front-up to the record's axes; exact."""
     index, signs = axes(order)
     return (values * signs)[:, np.argsort(index)]
 
 
 def agreed_rate(found_hz: float, layout: Layout, slack: float, source: str) -> float:
-    """Settles the sampling rate from what the file says and what the layout says.
+    """Determine the sample rate from those of the file and of the layout.
 
     Args:
-        found_hz: the rate that the file says.
-        layout: its ``rate_hz`` rules where it is given.
-        slack: relative uncertainty of found_hz, on top of a clock's 1e-4.
-        source: what the message begins with.
+        found_hz: the rate according to the file.
+        layout: its ``rate_hz`` takes precedence if given.
+        slack: relative uncertainty of found_hz, in addition to a clock's 1e-4.
+        source: start of the error message.
 
     Returns:
-        The rate, Hz. One that comes from the file is rounded to 12 digits, so that an interval of
-        0.01 s means 100 Hz.
+        The rate, Hz. A rate from the file is rounded to 12 digits, so that an interval of 0.01 s
+        means 100 Hz.
 
     Raises:
-        InputError: the two differ.
+        InputError: the two rates differ.
     """
     found_hz = float(f"{found_hz:.12g}")
     if layout.rate_hz is None:
         return found_hz
     if abs(found_hz / layout.rate_hz - 1) > _RATE_TOLERANCE + slack:
-        raise InputError(f"{source} says {found_hz:.6g} Hz, but rate_hz is {layout.rate_hz:g}")
+        raise InputError(f"{source} gives {found_hz:.6g} Hz, but rate_hz is {layout.rate_hz:g}")
     return layout.rate_hz
 
 
 def require_span(record: Record, start_s: float, needed_s: float) -> None:
-    """Refuses a record that ends before what is asked of it.
+    """Reject a record that does not cover a time span, or lacks samples within it.
 
     Args:
         record: the record.
-        start_s: where the use begins, from the record's beginning, s.
-        needed_s: how long the use lasts, s.
+        start_s: start of the span, from the beginning of the record, s.
+        needed_s: length of the span, s.
 
     Raises:
-        InputError: says what the record has and what is needed.
+        InputError: gives the length of the record and what is needed, or the missing samples.
     """
     has_s = len(record.dtheta) / record.rate_hz
     if start_s < 0:
-        raise InputError(f"{record.source}: start_s = {start_s:g} lies before the record")
-    # A thousandth of a sample absorbs the rounding of the sum, and never hides a missing one.
+        raise InputError(f"{record.source}: start_s = {start_s:g} is before the record")
+    # A thousandth of a sample absorbs the rounding of the sum without hiding a missing sample.
     if start_s + needed_s > has_s + 1e-3 / record.rate_hz:
         raise InputError(
-            f"{record.source}: has {has_s:g} s, but start_s = {start_s:g} and "
-            f"{needed_s:g} s from there need {start_s + needed_s:g} s"
+            f"{record.source}: has {has_s:g} s, but {needed_s:g} s from start_s = {start_s:g} "
+            f"need {start_s + needed_s:g} s"
         )
     begin, end = start_s * record.rate_hz, (start_s + needed_s) * record.rate_hz
     for flaw in record.flaws:

@@ -1,4 +1,4 @@
-"""PSINS SIMU log text: three header lines, then six integer counts a sample.
+"""PSINS SIMU log text: three header lines, then six integer counts per sample.
 
 The format of the PSINS toolbox (G. Yan, NWPU). Lines that start with % are comments. Header: pitch,
 roll, yaw (deg), VE, VN, VU (m/s); latitude, longitude (deg), height (m), t0 (s), interval (ms), g
@@ -31,12 +31,12 @@ from sinsjax.units import ARCSEC, STANDARD_GRAVITY, micro_g
 
 _COUNT_COLUMNS = tuple(f"{sensor} {axis}" for sensor in ("gyro", "accelerometer") for axis in "xyz")
 _INT64 = np.iinfo(np.int64)
-# Counts beyond this are not whole numbers in float64 any more.
+# Above this, float64 no longer represents every integer.
 _LARGEST_SUM = 2.0**53
 
 
 class _Header(NamedTuple):
-    """The three header lines, six values each; nan stands for "not known"."""
+    """The three header lines, six values each; nan means "not known"."""
 
     pose: Sequence[float]  # pitch, roll, yaw deg; VE, VN, VU m/s
     place: Sequence[float]  # latitude, longitude deg; height m; t0 s; interval ms; g m/s^2
@@ -44,20 +44,21 @@ class _Header(NamedTuple):
 
 
 def read_psins(path: str | Path, layout: Layout = PSINS_LAYOUT) -> Record:
-    """Reads a PSINS SIMU log.
+    """Read a PSINS SIMU log.
 
-    The header's g turns the accelerometer counts into m/s. A header value of nan for the attitude,
+    The header's g scales the accelerometer counts to m/s. A header value of nan for the attitude,
     latitude or height means that it is not known.
 
     Args:
         path: the file.
-        layout: its axes_order and rate_hz count; rate_hz must agree with the header's interval.
+        layout: only its axes_order and rate_hz are used; rate_hz must agree with the header's
+            interval.
 
     Returns:
-        The record with the header's place, attitude and g.
+        The record with the header's position, attitude and g.
 
     Raises:
-        InputError: the file cannot be read, is cut off, or has a bad header or sample; the line
+        InputError: the file cannot be read, is cut off, or has a bad header or sample; the message
             names the row.
     """
     check_layout(layout, str(path))
@@ -88,7 +89,7 @@ def read_psins(path: str | Path, layout: Layout = PSINS_LAYOUT) -> Record:
 
 
 class _Data(NamedTuple):
-    """Lines that are no comments, with their rows, and whether the file ends with them."""
+    """Lines that are not comments, their rows, and whether they are the last of the file."""
 
     lines: list[bytes]
     rows: list[int]
@@ -110,14 +111,14 @@ def _read_header(path: str | Path, head: _Data) -> _Header:
     pairs = zip(head.lines[:3], head.rows[:3], strict=True)
     parsed = [_header_line(path, line, row) for line, row in pairs]
     if len(parsed) < 3:
-        raise InputError(f"{path}: the header has {len(parsed)} of its 3 lines")
+        raise InputError(f"{path}: the header must have 3 lines, not {len(parsed)}")
     header = _Header(*parsed)
     fault = _header_fault(header)
     if fault is not None:
         line, text = fault
         raise InputError(
-            f"{path}: row {head.rows[line]}: header line {line + 1}: {text} (a header of 3 lines "
-            "comes before the samples)"
+            f"{path}: row {head.rows[line]}: header line {line + 1}: {text} (a 3-line header must "
+            "precede the samples)"
         )
     return header
 
@@ -125,7 +126,7 @@ def _read_header(path: str | Path, head: _Data) -> _Header:
 def _header_line(path: str | Path, line: bytes, row: int) -> list[float]:
     words = line.decode("latin-1").split()
     if len(words) != 6:
-        raise InputError(f"{path}: row {row}: a header line has 6 values, this one {len(words)}")
+        raise InputError(f"{path}: row {row}: a header line must have 6 values, not {len(words)}")
     try:
         return [math.nan if word.lower() == "nan" else number(word) for word in words]
     except ValueError as error:
@@ -133,7 +134,7 @@ def _header_line(path: str | Path, line: bytes, row: int) -> list[float]:
 
 
 def _header_fault(header: _Header) -> tuple[int, str] | None:
-    """The first thing that no header can say: its line (0 to 2) and the words, or None."""
+    """The first invalid value of a header: its line (0 to 2) and the message, or None."""
     latitude, _, _, t0, interval_ms, gravity = header.place
     if not interval_ms > 0:
         return 1, f"the sampling interval must be positive, not {interval_ms:g} ms"
@@ -141,7 +142,7 @@ def _header_fault(header: _Header) -> tuple[int, str] | None:
         return 1, f"the latitude {latitude:g} deg is not between -90 and 90"
     # Lines in the wrong order, or a missing one, show here first.
     if not 9 < gravity < 11:
-        return 1, f"g = {gravity:g} m/s^2 is no gravity"
+        return 1, f"g = {gravity:g} m/s^2 is not a plausible gravity"
     if math.isnan(t0):
         return 1, "t0 is not a number"
     for name, value in zip(_COUNT_COLUMNS, header.scale, strict=True):
@@ -153,7 +154,7 @@ def _header_fault(header: _Header) -> tuple[int, str] | None:
 def _read_counts(path: str | Path, data: _Data) -> NDArray[np.int64]:
     if not data.lines:
         return np.empty((0, 6), np.int64)
-    # loadtxt would take "1.5" for an integer: leave every odd character to the second path.
+    # loadtxt would accept "1.5" as an integer: any unusual character takes the slower path.
     if not b"".join(data.lines).translate(None, b"0123456789+- \t"):
         try:
             counts = np.loadtxt(data.lines, dtype=np.int64, comments=None, ndmin=2)
@@ -166,13 +167,15 @@ def _read_counts(path: str | Path, data: _Data) -> NDArray[np.int64]:
 
 
 def _read_counts_with_care(path: str | Path, data: _Data) -> NDArray[np.int64]:
-    """The second, slower path: it names the first row that is wrong."""
+    """The slower path, which names the first invalid row."""
     counts = []
     for line, row in zip(data.lines, data.rows, strict=True):
         words = line.decode("latin-1").split()
         if len(words) != 6:
             end = CUT_OFF if data.ends and row == data.rows[-1] and len(words) < 6 else ""
-            raise InputError(f"{path}: row {row}: a sample has 6 counts, not {len(words)}{end}")
+            raise InputError(
+                f"{path}: row {row}: a sample must have 6 counts, not {len(words)}{end}"
+            )
         for name, word in zip(_COUNT_COLUMNS, words, strict=True):
             fault = _count_fault(word)
             if fault:
@@ -199,15 +202,15 @@ def write_psins(
     gyro_scale_arcsec: float = 0.1,
     accel_scale_ug_s: float = 125.0,
 ) -> None:
-    """Writes a PSINS SIMU log.
+    """Write a PSINS SIMU log.
 
-    The running sums are rounded to counts, not the increments, so that the error of a sum of any
-    length stays within half a count. What the record does not know becomes nan in the header;
-    velocity and longitude, which a record does not hold, become 0.
+    The running sums are rounded to counts rather than the increments, so that the error of a sum of
+    any length stays within half a count. Values unknown to the record become nan in the header;
+    velocity and longitude, which a record does not have, become 0.
 
     Args:
-        record: the record; its g, or else the standard gravity, counts specific force.
-        path: the file to write; it appears whole or not at all.
+        record: the record; its g, or else standard gravity, scales the specific force.
+        path: the file to write; written atomically.
         gyro_scale_arcsec: one gyro count, arcsec.
         accel_scale_ug_s: one accelerometer count, ug*s.
 

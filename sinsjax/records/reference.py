@@ -1,4 +1,4 @@
-"""A reference attitude, against which a recorded study can be judged."""
+"""Reference attitudes with which recorded studies are compared."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -16,7 +16,7 @@ class Reference(NamedTuple):
     """A reference attitude at M times.
 
     Attributes:
-        time_s: (M,) increasing, by the clock of the record, s.
+        time_s: (M,) increasing, on the record's clock, s.
         attitude_deg: (M, 3) pitch, roll and yaw (counter-clockwise from north), deg.
         sigma_deg: (M, 3) standard deviations about east, north and up, deg; None if not given.
         source: the file's name, for messages.
@@ -29,27 +29,27 @@ class Reference(NamedTuple):
 
 
 def read_reference(path: str | Path, layout: Layout | None = None) -> Reference:
-    """Reads a reference attitude from Parquet (a name that ends so) or comma-separated text.
+    """Read a reference attitude from a Parquet file (suffix .parquet) or comma-separated text.
 
-    Columns: time_s, pitch_deg, roll_deg, one of yaw_deg and yaw_ccw_deg (both counter-clockwise
-    from north) and heading_deg (clockwise), and sigma_e_deg, sigma_n_deg, sigma_u_deg (all three or
-    none). In place of time_s it may have the record's time column, in the record's unit.
+    Columns: time_s, pitch_deg, roll_deg, one of yaw_deg, yaw_ccw_deg (both counter-clockwise from
+    north) and heading_deg (clockwise), and optionally all of sigma_e_deg, sigma_n_deg, sigma_u_deg.
+    The record's time column, in the record's unit, may take the place of time_s.
 
     Args:
         path: the file.
-        layout: of the record that it goes with, if its time column may be the record's.
+        layout: layout of the record, where the file may use the record's time column.
 
     Returns:
         The reference.
 
     Raises:
-        InputError: the file cannot be read, a column is missing or a value is wrong; the line names
-            the column and the row.
+        InputError: the file cannot be read, a column is missing or a value is wrong; the message
+            names the column and the row.
     """
     table = open_parquet(path) if Path(path).suffix.lower() == ".parquet" else open_csv(path)
     yaws = [name for name in ("yaw_deg", "yaw_ccw_deg", "heading_deg") if name in table.names]
     if len(yaws) > 1:
-        raise InputError(f"{path}: {yaws[0]} and {yaws[1]} are both there; leave one out")
+        raise InputError(f"{path}: has both {yaws[0]} and {yaws[1]} (keep one)")
     sigmas = _SIGMAS if any(name in table.names for name in _SIGMAS) else ()
     time, unit = "time_s", "s"
     if layout and time not in table.names and layout.time_column in table.names:
@@ -73,11 +73,11 @@ def read_reference(path: str | Path, layout: Layout | None = None) -> Reference:
 
 
 class StoredRecord(NamedTuple):
-    """A record made ready for the engine.
+    """A record prepared for the engine.
 
     Attributes:
         record: increments.
-        reference: attitude to compare with, its times from the record's beginning; or None.
+        reference: attitude to compare with, its times from the beginning of the record, or None.
     """
 
     record: Record

@@ -1,7 +1,7 @@
-"""Time stamps: the rate that they tell, and the sample that each of them belongs to.
+"""Sample rate and sample numbers from time stamps.
 
-A stamp may come a few milliseconds late: what counts is that the next ones are where their number
-puts them. Where they stay behind for good, samples are missing.
+A stamp may be a few milliseconds late as long as the following ones are back in step with the
+sample count. Where the stamps stay behind, samples are missing.
 """
 
 from collections.abc import Callable
@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 from sinsjax.errors import InputError
 from sinsjax.records.layout import FloatArray, Layout, agreed_rate
 
-_LATE_S = 0.02  # as late as a busy logger stamps
-_CATCHES_UP_S = 0.1  # and as long as it takes to be in time again
-_MOST_MISSING = 10  # times the samples that are there; beyond it a clock was set
+_LATE_S = 0.02  # the latest that a busy logger stamps a sample
+_CATCHES_UP_S = 0.1  # the longest it takes to catch up
+_MOST_MISSING = 10  # times the samples present; a larger gap means that the clock was set
 
 
 class Sampling(NamedTuple):
-    """When the samples of a file were taken.
+    """Sampling times of a file.
 
     Attributes:
-        rate_hz: samples a second.
-        t0_s: when the first sample begins.
-        number: (T,) of each sample from the first one on; it leaps where samples are missing.
+        rate_hz: sample rate, Hz.
+        t0_s: start of the first sample, s.
+        number: (T,) number of each sample, from 0; it jumps where samples are missing.
     """
 
     rate_hz: float
@@ -34,35 +34,35 @@ class Sampling(NamedTuple):
 
 
 def from_iso(text: str) -> float:
-    """Seconds from 1970 of a date with time, in UTC if it names no zone; ValueError for others."""
+    """Seconds since 1970 of an ISO date and time, in UTC unless it has a zone, or ValueError."""
     try:
         moment = datetime.fromisoformat(text.strip())
     except ValueError:
-        raise ValueError(f"{text.strip()[:32]!r} is no date and time (ISO 8601)") from None
+        raise ValueError(f"{text.strip()[:32]!r} is not an ISO 8601 date and time") from None
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
 def sampling(
     source: str, layout: Layout, time_s: FloatArray, row: Callable[[int], int]
 ) -> Sampling:
-    """Rate and numbers of samples from the stamps at their ends.
+    """Sample rate and sample numbers from the stamps at the ends of the samples.
 
     Args:
-        source: the file, which messages begin with.
-        layout: its time_column is named; its rate_hz rules where it is given.
+        source: the file, for messages.
+        layout: its time_column is named in messages; its rate_hz takes precedence if given.
         time_s: (T,) finite stamps, T > 0.
         row: the row to name in a message about sample k.
 
     Raises:
-        InputError: the stamps do not go on, or tell another rate; the line names the row.
+        InputError: the stamps do not increase, or imply another rate; the message names the row.
     """
     where = f"{source}: column {layout.time_column!r}"
     step_s = np.diff(time_s)
     if len(step_s) == 0:
         if layout.rate_hz is None:
-            raise InputError(f"{source}: rate_hz: needed, since there is only one sample")
+            raise InputError(f"{source}: rate_hz: required with only one sample")
         return Sampling(layout.rate_hz, float(time_s[0]) - 1 / layout.rate_hz, np.zeros(1, int))
-    # The mean undoes rounded time stamps; the median, itself a step, keeps gaps out of it.
+    # The mean averages out the rounding of the stamps; steps near the median exclude gaps.
     median = np.quantile(step_s, 0.5, method="lower")
     clean = step_s[(step_s >= 0.5 * median) & (step_s <= 1.5 * median) & (step_s > 0)]
 
@@ -74,7 +74,7 @@ def sampling(
         refuse(k, "time repeats" if step_s[k] == 0 else "time runs backward")
     rate = agreed_rate(float(1 / clean.mean()), layout, 1 / len(clean), where)
     steps = np.ones(len(step_s), int)
-    in_time = 0  # the first stamp that is yet to be looked at
+    in_time = 0  # the first stamp not yet examined
     for k in np.flatnonzero((step_s < 0.5 / rate) | (step_s > 1.5 / rate)).tolist():
         if k < in_time:
             continue
@@ -93,12 +93,12 @@ def sampling(
 
 
 def between(time_s: FloatArray, k: int) -> str:
-    """The times of a stamp and the next one, in words."""
+    """The times of a stamp and the next, for messages."""
     return f"from {float(time_s[k])!r} to {float(time_s[k + 1])!r} s"
 
 
 def _in_time_again(time_s: FloatArray, k: int, rate: float) -> int:
-    """The first stamp after the late ones that follow stamp k; 0 where samples are missing."""
+    """The first stamp back in step after the late ones following stamp k; 0 for a real gap."""
     most = max(2, round(_CATCHES_UP_S * rate))
     after = time_s[k + 1 : k + 1 + most]
     late = (after - time_s[k]) * rate - np.arange(1, len(after) + 1)
@@ -106,6 +106,6 @@ def _in_time_again(time_s: FloatArray, k: int, rate: float) -> int:
     if not back.size:
         return 0
     late = late[: back[0] + 1]
-    if late.max() > _LATE_S * rate or late.min() < -0.5:  # no clock stamps early
+    if late.max() > _LATE_S * rate or late.min() < -0.5:  # no logger stamps early
         return 0
     return k + 1 + int(back[0])

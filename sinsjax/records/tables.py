@@ -1,7 +1,7 @@
-"""Number columns out of CSV and Parquet files, with the row of every number.
+"""Numeric columns of CSV and Parquet files, with the row of every number.
 
-Rows are counted as a user sees them: in CSV the line of the file from 1 (the header included), in
-Parquet the row of the table from 1.
+Rows are counted as a user sees them: in CSV the line of the file, from 1 and including the header;
+in Parquet the row of the table, from 1.
 """
 
 import csv
@@ -28,13 +28,13 @@ MISSING = "empty or not finite"
 
 
 class ColumnTable(NamedTuple):
-    """A file with named columns, not read yet.
+    """An opened file with named columns, not yet read.
 
     Attributes:
-        names: every column of the file, in order.
+        names: all columns of the file, in order.
         read: (names, blanks=False, dates=()) gives the named columns, each (T,) float64, T > 0.
-            What is missing is nan if ``blanks``, else refused; ``dates`` names the columns that
-            hold dates with time, which become seconds. A table is read once.
+            Missing values are nan with ``blanks`` and otherwise rejected; ``dates`` names columns
+            of dates with time, which become seconds. A table can be read once.
         row: the row to name in a message about sample k.
     """
 
@@ -44,14 +44,14 @@ class ColumnTable(NamedTuple):
 
 
 def column_index(path: str | Path, names: list[str], wanted: Sequence[str]) -> list[int]:
-    """Where the wanted columns are; raises InputError for a missing or doubled name."""
+    """Positions of the wanted columns; raises InputError for a missing or repeated name."""
     for name in wanted:
         if name not in names:
             near = get_close_matches(name, names, n=3)
             hint = f"did you mean {' or '.join(map(repr, near))}?" if near else _listed(names)
             raise InputError(f"{path}: no column {name!r}; {hint}")
         if names.count(name) > 1:
-            raise InputError(f"{path}: column {name!r} is there more than once")
+            raise InputError(f"{path}: column {name!r} appears more than once")
     return [names.index(name) for name in wanted]
 
 
@@ -66,14 +66,14 @@ _BATCH_ROWS = 2**17
 
 
 class _Text(NamedTuple):
-    """Some samples of a text file with columns.
+    """Consecutive samples of a delimited text file.
 
     Attributes:
         path: the file.
-        delimiter: between its columns.
-        lines: of the samples.
-        rows: of each, from 1.
-        ends: whether the file ends with them.
+        delimiter: of the columns.
+        lines: one per sample.
+        rows: row of each line in the file, from 1.
+        ends: whether these are the last lines of the file.
     """
 
     path: str | Path
@@ -94,9 +94,9 @@ class _Text(NamedTuple):
 
 
 def open_csv(path: str | Path) -> ColumnTable:
-    """Opens text with commas or semicolons between its columns.
+    """Open comma- or semicolon-separated text.
 
-    The first line that is not empty names the columns, and shows which of the two it is. Lines that
+    The first line that is not blank names the columns and determines the delimiter. Lines that
     begin with # or % are comments.
     """
     batches = line_batches(path)
@@ -105,7 +105,7 @@ def open_csv(path: str | Path) -> ColumnTable:
         if head is not None:
             break
     else:
-        raise InputError(f"{path}: the file has only empty lines")
+        raise InputError(f"{path}: the file has only blank lines")
     title, row = batch.lines[head], batch.first + head
     delimiter = ";" if title.count(b";") > title.count(b",") else ","
     names = [n.strip() for n in _Text(path, delimiter, [title], [row], batch.ends).cells(0)]
@@ -151,24 +151,24 @@ def _samples(path: str | Path, delimiter: str, batch: Lines) -> _Text:
 
 
 def _joined(batches: Iterable[Sequence[NDArray[Any]]], width: int) -> list[FloatArray]:
-    """The columns of all batches, each of which is let go: a long record is never there twice."""
+    """The columns of all batches, joined so that a long record is never in memory twice."""
     whole = [np.empty(0) for _ in range(width)]
     for batch in batches:
         for column, more in zip(whole, batch, strict=True):
-            # Moves pages, and copies nothing.
+            # Resizing remaps memory pages instead of copying.
             column.resize(column.size + more.size, refcheck=False)
             column[column.size - more.size :] = more
     return whole
 
 
 class _Columns(NamedTuple):
-    """What is read of a text file.
+    """The columns to read from a text file.
 
     Attributes:
-        names: of all its columns.
-        places: of the wanted ones among them.
+        names: all columns of the file.
+        places: positions of the wanted columns among them.
         blanks: whether cells may be empty.
-        dates: which of the wanted ones hold dates with time.
+        dates: for each wanted column, whether it holds dates with time.
     """
 
     names: list[str]
@@ -181,7 +181,7 @@ def _read(text: _Text, columns: _Columns) -> list[NDArray[Any]]:
     values = _read_quickly(text, columns)
     if values is None or not (columns.blanks or all(np.isfinite(v).all() for v in values)):
         return _read_with_care(text, columns)
-    if any((np.abs(v) > LARGEST).any() for v in values):  # named, or nan, by who reads with care
+    if any((np.abs(v) > LARGEST).any() for v in values):  # the slower path names the row
         return _read_with_care(text, columns)
     return values
 
@@ -203,7 +203,7 @@ def _read_quickly(text: _Text, columns: _Columns) -> list[NDArray[Any]] | None:
         )
         pairs = zip(table.columns, columns.dates, strict=True)
         return [_seconds(column) if is_date else column.to_numpy() for column, is_date in pairs]
-    except ValueError:  # pyarrow's own too
+    except ValueError:  # including pyarrow's
         return None
 
 
@@ -212,7 +212,7 @@ def _seconds(dates: pa.ChunkedArray) -> FloatArray:
 
 
 def _read_with_care(text: _Text, columns: _Columns) -> list[NDArray[Any]]:
-    """The second, slower path: it names the first row that is wrong."""
+    """The slower path, which names the first invalid row."""
     plain = number_or_nan if columns.blanks else number
     parsers = [from_iso if is_date else plain for is_date in columns.dates]
     values, names = [], columns.names
@@ -222,7 +222,7 @@ def _read_with_care(text: _Text, columns: _Columns) -> list[NDArray[Any]]:
             at_end = text.ends and row == text.rows[-1]
             end = CUT_OFF if at_end and len(cells) < len(names) else ""
             raise InputError(
-                f"{text.path}: row {row}: the header has {len(names)} columns, this row "
+                f"{text.path}: row {row}: the header has {len(names)} columns, this row has "
                 f"{len(cells)}{end}"
             )
         for column, parse in zip(columns.places, parsers, strict=True):
@@ -235,8 +235,8 @@ def _read_with_care(text: _Text, columns: _Columns) -> list[NDArray[Any]]:
 
 
 def open_parquet(path: str | Path) -> ColumnTable:
-    """Opens a Parquet file."""
-    # What is no file, such as a pipe, cannot be looked at here and there.
+    """Open a Parquet file."""
+    # A pipe or the like does not support random access, so it is loaded whole.
     data = None if Path(path).is_file() else load(path)
     try:
         source = pa.OSFile(str(path)) if data is None else pa.BufferReader(data)
@@ -287,7 +287,7 @@ def _numbers(
     blanks: bool,
     before: int,
 ) -> list[NDArray[Any]]:
-    """The wanted columns of some rows, which come after ``before`` others."""
+    """The wanted columns of a batch of rows, preceded by ``before`` others."""
     columns = (
         _dates(path, name, table[name], before) if name in dates else table[name] for name in wanted
     )
@@ -297,13 +297,13 @@ def _numbers(
     bad = large if len(large) else np.argwhere(~np.isfinite(whole))
     if len(large) or (len(bad) and not blanks):
         row, column = bad[0]
-        what = f"beyond {LARGEST:g}, which nothing measures" if len(large) else MISSING
+        what = f"out of range (beyond {LARGEST:g})" if len(large) else MISSING
         raise InputError(f"{path}: row {before + row + 1}: column {wanted[column]!r}: {what}")
     return values
 
 
 def _dates(path: str | Path, name: str, column: pa.ChunkedArray, before: int) -> pa.ChunkedArray:
-    """Seconds from 1970 of a column of dates with time, null where there is none."""
+    """Seconds since 1970 of a column of dates with time, null where missing."""
     if pa.types.is_timestamp(column.type):
         whole = column.cast(pa.timestamp("ns"), safe=False).cast(pa.int64())
         return pa.compute.multiply(whole.cast(pa.float64(), safe=False), 1e-9)

@@ -1,4 +1,4 @@
-"""Records in CSV and Parquet: named columns, units, axes and an optional time column."""
+"""Records in CSV and Parquet files: named columns, units, axes and an optional time column."""
 
 import csv
 import io
@@ -30,21 +30,21 @@ from sinsjax.records.tables import MISSING, ColumnTable, open_csv, open_parquet
 
 
 def read_csv(path: str | Path, layout: Layout) -> Record:
-    """Reads a record of text with commas or semicolons; its first line names the columns.
+    """Read a record from comma- or semicolon-separated text whose first line names the columns.
 
-    Rates become increments by the sampling interval. Time stamps are ends of samples, and may be a
-    few milliseconds late. A sample that is missing, by a gap or an empty cell, is interpolated as
-    far as max_gap_s allows, else it is nan and a flaw of the record: `require_span` refuses it.
+    Rates are multiplied by the sampling interval. Time stamps are the ends of the samples and may
+    be a few milliseconds late. A missing sample, through a gap or an empty cell, is interpolated as
+    far as max_gap_s allows; otherwise it is nan and a flaw of the record, see `require_span`.
 
     Args:
         path: the file.
-        layout: columns, units, axes, and rate_hz where there is no time column.
+        layout: columns, units, axes, and rate_hz unless there is a time column.
 
     Returns:
-        The record; what only a PSINS header says is None.
+        The record; fields that only a PSINS header has are None.
 
     Raises:
-        InputError: the layout or the file cannot be used; the line names the key, the column or the
+        InputError: the layout or the file is invalid; the message names the key, the column or the
             row (line of the file, from 1).
     """
     check_layout(layout, str(path))
@@ -52,7 +52,7 @@ def read_csv(path: str | Path, layout: Layout) -> Record:
 
 
 def read_parquet(path: str | Path, layout: Layout) -> Record:
-    """Reads a record from a Parquet file; as `read_csv`, with rows of the table from 1."""
+    """Read a record from a Parquet file; as `read_csv`, with rows of the table from 1."""
     check_layout(layout, str(path))
     return _record(path, layout, open_parquet(path))
 
@@ -68,7 +68,7 @@ def _record(path: str | Path, layout: Layout, table: ColumnTable) -> Record:
     if layout.time_column:
         time_s = columns.pop()
         time_s *= TIME_UNITS[layout.time_unit]
-        if not np.isfinite(time_s).all():  # a sample without its time is a missing one
+        if not np.isfinite(time_s).all():  # a sample without a time stamp is missing
             known, row_of = np.flatnonzero(np.isfinite(time_s)), table.row
             if not known.size:
                 raise InputError(f"{path}: column {layout.time_column!r}: {MISSING}")
@@ -76,7 +76,7 @@ def _record(path: str | Path, layout: Layout, table: ColumnTable) -> Record:
             table = table._replace(row=lambda k: row_of(int(known[k])))
         taken = sampling(str(path), layout, time_s, table.row)
     else:
-        # check_layout has seen to it that one of the two is there.
+        # check_layout ensures that there is a time column or a rate.
         assert layout.rate_hz is not None
         taken = Sampling(layout.rate_hz, 0.0, np.arange(len(columns[0])))
     flaws, filled = _make_whole(columns, _Read(path, layout, table, time_s, taken))
@@ -95,13 +95,13 @@ def _record(path: str | Path, layout: Layout, table: ColumnTable) -> Record:
 
 
 def _increments(columns: list[FloatArray], factor: float, spread: float, order: str) -> FloatArray:
-    """(T, 3) increments in body axes of the last three columns, which are used up.
+    """(T, 3) increments in body axes of the last three columns, which are consumed.
 
-    In place, as of a long record no column has room beside it.
+    In place, because there is no memory for a second copy of a column of a long record.
     """
     index, signs = axes(order)
     own = [columns.pop() for _ in range(3)][::-1]
-    made = np.empty((3, len(own[0]))).T  # by columns, as it is worked on
+    made = np.empty((3, len(own[0]))).T  # column-major, as it is filled and read
     for axis, (place, sign) in enumerate(zip(index, signs, strict=True)):
         values = own[place]
         values *= factor
@@ -112,7 +112,7 @@ def _increments(columns: list[FloatArray], factor: float, spread: float, order: 
 
 
 class _Read(NamedTuple):
-    """Where the values of a file come from, and when they were taken."""
+    """Origin and sampling times of the values of a file."""
 
     path: str | Path
     layout: Layout
@@ -122,9 +122,9 @@ class _Read(NamedTuple):
 
 
 def _make_whole(columns: list[FloatArray], read: _Read) -> tuple[list[Flaw], int]:
-    """Makes columns of all samples from the first to the last, in their place.
+    """Extend columns, in place, to every sample from the first to the last.
 
-    Short gaps are interpolated, others nan and a flaw.
+    Short gaps are interpolated; others become nan and a flaw.
     """
     rate, number = read.taken.rate_hz, read.taken.number
     missing = np.zeros(number[-1] + 1, bool)
@@ -152,7 +152,7 @@ def _make_whole(columns: list[FloatArray], read: _Read) -> tuple[list[Flaw], int
 
 
 def _lack(columns: list[FloatArray], read: _Read, sample: int) -> str:
-    """What is wrong with the first of some missing samples, with its row."""
+    """The message about a run of missing samples, with the row of the first."""
     number, layout = read.taken.number, read.layout
     k = int(np.searchsorted(number, sample))
     if number[k] != sample:
@@ -170,14 +170,14 @@ def _factors(layout: Layout) -> tuple[float, float]:
 
 
 def write_csv(record: Record, path: str | Path, layout: Layout) -> None:
-    """Writes a record as comma-separated text in the layout's columns, units and axes.
+    """Write a record as comma-separated text in the layout's columns, units and axes.
 
-    Increments in rad and m/s come back bit for bit. The time column, if any, holds the end of each
-    sample. Place, attitude and g of the record are not written.
+    Increments in rad and m/s are read back bit for bit. The time column, if any, holds the end of
+    each sample. The record's position, attitude and g are not written.
 
     Args:
         record: the record.
-        path: the file to write; it appears whole or not at all.
+        path: the file to write; written atomically.
         layout: its rate_hz, if given, must be the record's.
 
     Raises:
@@ -192,7 +192,7 @@ def write_csv(record: Record, path: str | Path, layout: Layout) -> None:
 
 
 def write_parquet(record: Record, path: str | Path, layout: Layout) -> None:
-    """Writes a record as a Parquet file of float64 columns; as `write_csv`."""
+    """Write a record as a Parquet file of float64 columns; as `write_csv`."""
     columns = _columns(record, path, layout)
     with replacing(path) as file:
         pq.write_table(pa.table(columns), file)

@@ -340,7 +340,7 @@ def test_a_tape_longer_than_the_record_is_refused() -> None:
     study = study_from_dict(recorded(tape_s=11.0))
     with pytest.raises(InputError) as caught:
         list(build.parts(study, StoredRecord(record(), None)))
-    line = "has 20 s, but start_s = 4 and 17 s from there need 21 s"
+    line = "has 20 s, but 17 s from start_s = 4 need 21 s"
     assert str(caught.value) == f"{record().source}: {line}"
     (part,) = build.parts(study_from_dict(recorded(tape_s=6.0)), StoredRecord(record(), None))
     assert len(part.group.environment.increments) == 800  # of the 1000 of the record, what is read

@@ -81,7 +81,7 @@ def test_a_wrong_accelerometer_unit_is_refused_and_named() -> None:
 def test_a_vertical_that_points_down_is_refused() -> None:
     some = record()
     turned = [v[:, [1, 0, 2]] * [1, 1, -1] for v in (some.dtheta, some.dv)]
-    assert "'yx-z' of front-right-down" in refused(some._replace(dtheta=turned[0], dv=turned[1]))
+    assert "'yx-z' for front-right-down" in refused(some._replace(dtheta=turned[0], dv=turned[1]))
     assert "points down" in refused(some._replace(dv=-some.dv))
 
 

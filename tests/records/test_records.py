@@ -206,17 +206,17 @@ def batches(request, monkeypatch) -> None:
     ("text", "says"),
     [
         ("", "empty"),
-        ("% only\n", "0 of its 3 lines"),
+        ("% only\n", "the header must have 3 lines, not 0"),
         (HEADER, "no samples"),
-        (SAMPLE * 9, r"row 2: header line 2: g = 83 .* \(a header of 3 lines comes before"),
-        (HEADER + SAMPLE + "1 2 3\n" + SAMPLE, r"row 6: a sample has 6 counts, not 3$"),
+        (SAMPLE * 9, r"row 2: header line 2: g = 83 .* \(a 3-line header must precede"),
+        (HEADER + SAMPLE + "1 2 3\n" + SAMPLE, r"row 6: a sample must have 6 counts, not 3$"),
         (HEADER + SAMPLE + "1 2 3", r"row 6: .* not 3 \(the last row: is the file cut off\?\)"),
         (HEADER + "1 2 3 4 5 6 7\n" * 3, "row 5: .* not 7"),
         (HEADER + SAMPLE + "1 2 3 4 5 6.5\n", r"row 6: accelerometer z: '6.5' is not an integer"),
         (HEADER + "1 l 3 4 5 6\n", "row 5: gyro y: 'l' is not a number"),
         (HEADER + "1 2 3 NaN 5 6\n", "row 5: accelerometer x: 'NaN' is not finite"),
         (HEADER + "1 2 3 4 5 99999999999999999999\n", "row 5: accelerometer z: .* too large"),
-        (HEADER.replace("0 0 0", "0 0") + SAMPLE, "row 2: a header line has 6 values, this one 5"),
+        (HEADER.replace("0 0 0", "0 0") + SAMPLE, "row 2: a header line must have 6 values, not 5"),
         (HEADER.replace("108.9", "1O8.9") + SAMPLE, "row 3: header: '1O8.9' is not a number"),
         (HEADER.replace(" 10 ", " 0 ") + SAMPLE, "row 3: .*interval must be positive, not 0 ms"),
         (HEADER.replace("34.2", "134.2") + SAMPLE, "row 3: .*latitude 134.2 deg is not between"),
@@ -224,7 +224,7 @@ def batches(request, monkeypatch) -> None:
         (HEADER.replace("34.2", "-90") + SAMPLE, "row 3: .*latitude -90 deg is not between"),
         (HEADER.replace("9.78", "0.78") + SAMPLE, "row 3: .*g = 0.78"),
         (HEADER.replace("0.2", "-0.2") + SAMPLE, "row 4: .*scale factor of gyro y .* not -0.2"),
-        ("a,b\n1,2\n", "row 1: a header line has 6 values, this one 1"),
+        ("a,b\n1,2\n", "row 1: a header line must have 6 values, not 1"),
         ("PK\x03\x04\n\0\0", "row 2: not a text file"),
     ],
 )
@@ -244,18 +244,21 @@ ROWS = "".join(f"{k / 100},1,2,3,4,5,6\n" for k in range(1, 5))
     ("text", "says"),
     [
         ("", "empty"),
-        ("\n\n", "only empty lines"),
+        ("\n\n", "only blank lines"),
         (HEAD, "no samples"),
         (HEAD.replace("gz", "gz_") + ROWS, "no column 'gz'; did you mean 'gz_'"),
         ("a;b\n1;2\n", "no column 'gx'; the file has 'a', 'b'"),
         ('a;b\n1;2\n3;"4\n', "no column 'gx'"),
-        (HEAD.replace("gz", "gx") + ROWS, "column 'gx' is there more than once"),
-        (HEAD + ROWS + "0.05,1,2,3\n", r"row 6: the header has 7 columns, this row 4 \(the last"),
-        (HEAD + "0.01,1,2,3,4,5,6,7\n" + ROWS, r"row 2: the header has 7 columns, this row 8$"),
+        (HEAD.replace("gz", "gx") + ROWS, "column 'gx' appears more than once"),
+        (
+            HEAD + ROWS + "0.05,1,2,3\n",
+            r"row 6: the header has 7 columns, this row has 4 \(the last",
+        ),
+        (HEAD + "0.01,1,2,3,4,5,6,7\n" + ROWS, r"row 2: the header has 7 columns, this row has 8$"),
         (HEAD + ROWS + "\n0.05,1,2,x,4,5,6\n", "row 7: column 'gz': 'x' is not a number"),
         (HEAD + ROWS + "0.05,1,2,,4,5,6\n", "row 6: column 'gz': empty or not finite"),
         (HEAD + ROWS + "0.05,1,2,nan,4,5,6\n", "row 6: column 'gz': empty or not finite"),
-        (HEAD + ROWS + "0.05,1,2,1e300,4,5,6\n", "row 6: column 'gz': '1e300' is beyond"),
+        (HEAD + ROWS + "0.05,1,2,1e300,4,5,6\n", "row 6: column 'gz': '1e300' is out of range"),
         (HEAD + ROWS + ",1,2,3,4,5,6\n0.06,1,2,3,4,5,6\n", "row 7: a gap at 100 Hz, from 0.04"),
         (HEAD + ROWS + "0.05,1,2,3,4,1_0,6\n", "row 6: column 'ay': '1_0' is not a number"),
         (HEAD + ROWS + '0.05,1,2,3,4,"5,6\n', "row 6: not comma-separated text"),
@@ -335,10 +338,10 @@ def test_a_damaged_file_is_read_or_refused(folder, kind, place, new, removed):
 
 def test_rate_disagrees(tmp_path):
     path = table_csv(tmp_path, np.arange(1, 100) / 50)
-    assert "says 50 Hz, but rate_hz is 100" in refused(records.read_csv, path, CSV)
+    assert "gives 50 Hz, but rate_hz is 100" in refused(records.read_csv, path, CSV)
     (tmp_path / "a.imu").write_text(HEADER + SAMPLE)
     line = refused(records.read_psins, tmp_path / "a.imu", Layout("psins", rate_hz=50.0))
-    assert "row 3: the header says 100 Hz, but rate_hz is 50" in line
+    assert "row 3: the header gives 100 Hz, but rate_hz is 50" in line
 
 
 def test_bad_parquet(tmp_path):
@@ -347,7 +350,7 @@ def test_bad_parquet(tmp_path):
     for change, says in (
         ({"gz": pa.array([1.0, None, 3.0])}, "row 2: column 'gz': empty or not finite"),
         ({"ay": pa.array([1.0, 2.0, np.inf])}, "row 3: column 'ay': empty or not finite"),
-        ({"ay": pa.array([1.0, 2.0, -1e31])}, "row 3: column 'ay': beyond 1e+30, which nothing"),
+        ({"ay": pa.array([1.0, 2.0, -1e31])}, "row 3: column 'ay': out of range (beyond 1e+30)"),
         ({"ay": pa.array(["a", "b", "c"])}, "column 'ay' holds string, not numbers"),
     ):
         pq.write_table(pa.table(columns | change), path)
@@ -372,7 +375,7 @@ def test_bad_parquet(tmp_path):
         ({"accel_unit": "g"}, "accel_unit: 'g' is not one of m_per_s, g_s, ug_s for increments"),
         ({"gyro_columns": ("a", "b")}, "gyro_columns: must name three columns, not 2"),
         ({"accel_columns": ("ax", "ay", "gx")}, "accel_columns: column 'gx' is already used in"),
-        ({"time_column": "", "rate_hz": None}, "rate_hz: needed, since there is no time_column"),
+        ({"time_column": "", "rate_hz": None}, "rate_hz: required without a time_column"),
         ({"rate_hz": 0.0}, "rate_hz: must be positive"),
         ({"axes_order": "xxz"}, "axes_order: 'xxz' is not a signed permutation"),
         ({"axes_order": "xy"}, "axes_order: 'xy' is not a signed permutation"),
@@ -418,7 +421,7 @@ def test_require_span():
     record = Record(np.zeros((900, 3)), np.zeros((900, 3)), 100.0, source="drive.csv")
     records.require_span(record, 0.1 + 0.2, 8.7)
     line = refused(records.require_span, record, 0.3, 8.71)
-    assert line == "drive.csv: has 9 s, but start_s = 0.3 and 8.71 s from there need 9.01 s"
+    assert line == "drive.csv: has 9 s, but 8.71 s from start_s = 0.3 need 9.01 s"
     assert "before the record" in refused(records.require_span, record, -1.0, 1.0)
 
 
@@ -527,7 +530,7 @@ def test_dates_in_parquet(tmp_path):
 def test_a_date_that_is_none(tmp_path):
     (tmp_path / "a.csv").write_text(HEAD + "2024-13-01T00:00:00,1,2,3,4,5,6\n")
     line = refused(records.read_csv, tmp_path / "a.csv", CSV._replace(time_unit="iso"))
-    assert "row 2: column 'time_s': '2024-13-01T00:00:00' is no date and time" in line
+    assert "row 2: column 'time_s': '2024-13-01T00:00:00' is not an ISO 8601 date and time" in line
 
 
 # --- long records
@@ -623,7 +626,10 @@ def test_a_reference_may_have_headings_and_the_record_s_own_time(tmp_path):
     ("text", "says"),
     [
         ("time_s,pitch_deg,roll_deg\n0,1,2\n", "no column 'yaw_deg'; the file has 'time_s'"),
-        ("time_s,pitch_deg,roll_deg,yaw_deg,yaw_ccw_deg\n0,1,2,3,3\n", "are both there"),
+        (
+            "time_s,pitch_deg,roll_deg,yaw_deg,yaw_ccw_deg\n0,1,2,3,3\n",
+            "has both yaw_deg and yaw_ccw_deg",
+        ),
         ("time_s,pitch_deg,roll_deg,yaw_deg\n0,1,2,3\n\n0,1,2,3\n", "row 4: time_s does not"),
         ("time_s,pitch_deg,roll_deg,yaw_deg\n0,91,2,3\n", "row 2: pitch_deg is beyond 90"),
         ("time_s,pitch_deg,roll_deg,yaw_deg,sigma_e_deg\n0,1,2,3,4\n", "no column 'sigma_n_deg'"),
