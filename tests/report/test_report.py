@@ -1,5 +1,4 @@
 import json
-import math
 import re
 from html import unescape
 
@@ -15,7 +14,7 @@ from sinsjax import analysis, report
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
 from sinsjax.execution import tables as result_tables
-from sinsjax.report import base, limits, over_axes, spreads
+from sinsjax.report import base, over_axes, spreads
 from sinsjax.study.load import study_from_dict
 
 pytestmark = pytest.mark.usefixtures("drawn_on_request")
@@ -274,33 +273,6 @@ def test_cells_and_folds():
     assert text.startswith("<details>") and "\\|x\\|" in text and "note" in text
     picture = base.Picture("fig", "what is seen", Figure())
     assert "](figures/p_fig.png)" in report.output.markdown(picture, "p_")
-
-
-# --- paper 1 ------------------------------------------------------------------------------------
-
-
-def test_limit_accuracy_is_the_closed_form():
-    study = small_study(motion={"yaw_center_deg": 0.0})
-    found = limits.limit_accuracy(study)
-    arcmin = math.pi / 180 / 60
-    nabla, eps = 500e-6, math.radians(0.1) / 3600
-    omega_n = math.radians(15.041067) / 3600 * math.cos(math.radians(32))
-    assert found["e"] == pytest.approx(-nabla / arcmin) == pytest.approx(-1.71887, abs=1e-5)
-    assert found["n"] == pytest.approx(nabla / arcmin)
-    expected = (-eps / omega_n + nabla * math.tan(math.radians(32))) / arcmin
-    assert found["u"] == pytest.approx(expected) == pytest.approx(-25.8769, abs=1e-4)
-    assert limits.ingredients(study, 15.0).gyro == pytest.approx(-27.02478, abs=1e-5)
-
-
-def test_limit_accuracy_turns_the_biases_to_n():
-    study = small_study(
-        motion={"yaw_center_deg": 90.0},
-        sensors={"gyro_bias_deg_per_h": [0.0, 0.1, 0.0], "accel_bias_ug": [300.0, 0.0, 0.0]},
-    )
-    found = limits.ingredients(study)
-    assert found.phi_e == pytest.approx(-300e-6 / (math.pi / 10800))  # the right axis looks north
-    assert found.phi_n == pytest.approx(0.0, abs=1e-9)
-    assert found.gyro > 0  # and the front axis west
 
 
 def test_a_study_whose_file_is_not_known_is_named_by_its_results(tmp_path):

@@ -23,6 +23,19 @@ PAGES = {
     "compass_map": ("paper2_map", "compass_80s_search", "compass_80s_best"),
     "paper2": ("paper2_static", "paper2_swing"),
     "reset_sweep": ("reset_sweep",),
+    "what_to_set": (
+        "reset_cycle_study",
+        "adaptive_resets",
+        "car_adaptive",
+        "tune_condition5",
+        "tune_large",
+        "tune_compass",
+        "paper2_map",
+        "compass_80s_search",
+        "compass_80s_best",
+        "kalman_passes",
+        "consistency",
+    ),
     "tuning": ("tune_condition5", "tune_large", "tune_compass"),
     "adaptive": ("adaptive_resets", "car_adaptive"),
     "consistency": ("consistency",),
@@ -89,7 +102,13 @@ def tunings(monkeypatch):
     monkeypatch.setattr(tuned_figures, "course", lambda _: made)
 
 
-@pytest.mark.usefixtures("tunings")
+@pytest.fixture
+def few_resamples(monkeypatch):
+    """Intervals that nobody reads are not worth a thousand resamples each."""
+    monkeypatch.setattr("sinsjax.analysis.estimates.RESAMPLES", 20)
+
+
+@pytest.mark.usefixtures("tunings", "few_resamples")
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_names_all_that_its_script_computes(name, tmp_path):
     """Claims are looked at, but made-up numbers need not hold to them."""

@@ -20,10 +20,11 @@ from sinsjax.alignment.compass import parameters as compass_parameters
 from sinsjax.alignment.compass.design import Number
 from sinsjax.engine.truth import site_of
 from sinsjax.report.base import only
-from sinsjax.report.limits import ingredients
 from sinsjax.study.study import Study
 from sinsjax.study.variants import Variants
 from sinsjax.units import ARCMIN, DEG
+
+from .limits import ingredients
 
 _LEVEL = np.ix_((0, 1, 3), (0, 1, 3))  # of x, see `_matrix`
 _AZIMUTH = np.ix_((0, 1, 2, 4), (0, 1, 2, 4))

@@ -5,8 +5,9 @@ import pyarrow as pa
 from sinsjax import analysis
 from sinsjax.analysis import format_estimate
 from sinsjax.report.base import Table, only
-from sinsjax.report.limits import ingredients, limit_accuracy
 from sinsjax.study.study import Study
+
+from ..loops.limits import ingredients, limit_accuracy
 
 PAPER_LIMITS_ARCMIN = {"e": -1.7189, "n": 1.7189, "u": -27.0248}
 """Limit accuracy as section 2.4.1 prints it: pitch, roll, yaw."""

@@ -12,10 +12,10 @@ from sinsjax.analysis import format_estimate
 from sinsjax.plots import Ensemble, Line
 from sinsjax.report.base import Picture, Source, Table, percent
 from sinsjax.report.folder import Page, Sources
-from sinsjax.report.limits import limit_accuracy
 from sinsjax.report.output import counted
 from sinsjax.report.words import arcmin, seconds, share
 
+from ..loops.limits import limit_accuracy
 from . import limits, verdicts
 from .statements import CONDITIONS, RESET, Meaning
 

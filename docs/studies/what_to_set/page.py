@@ -1,0 +1,72 @@
+"""The settings that the studies support: numbers of their pages, gathered."""
+
+from sinsjax.report.folder import Page, Sources
+
+from ..adaptive import page as adaptive
+from ..compass_map import page as compass_map
+from ..consistency import page as consistency
+from ..kalman_passes import page as kalman_passes
+from ..reset_cycle import page as reset_cycle
+from ..tuning import page as tuning
+
+CLAIMS = (
+    (
+        "reset_cycle",
+        "two resets settle every misalignment with feedback up to 1 s",
+        "three late resets settle every misalignment under every reading and feedback",
+        "with gravity in A(t) every misalignment settles without reset, feedback up to 1 s",
+        "one reset at the right time is nearly always enough",
+    ),
+    (
+        "adaptive",
+        "with feedback up to 1 s it is as fast in every cell, without a false alarm",
+        "with feedback every 10 s it misses some cells and raises false alarms",
+        "on the record the trigger settles every start, sooner than the paper's four",
+    ),
+    ("tuning", "every tuning beats its baseline"),
+    (
+        "compass_map",
+        "80 s with the best schedule settle far sooner than Scheme 1",
+        "with 600 s of data every draw comes within the narrow band",
+    ),
+    (
+        "kalman_passes",
+        "inflated or reset, NEES lies about its band",
+        "a second pass takes most of a large error, a third nothing",
+    ),
+    ("consistency", "too small a Q is above", "a bias is above in NEES and not in NIS"),
+)
+"""By page, what a line of this one rests on."""
+
+
+def page(sources: Sources) -> Page:
+    """The values and claims of other pages that a line rests on."""
+    scripts = {
+        "reset_cycle": reset_cycle,
+        "adaptive": adaptive,
+        "tuning": tuning,
+        "compass_map": compass_map,
+        "kalman_passes": kalman_passes,
+        "consistency": consistency,
+    }
+    made = {name: script.page(sources) for name, script in scripts.items()}
+    cycle, trigger = made["reset_cycle"].values, made["adaptive"].values
+    tape, passes = made["compass_map"].values, made["kalman_passes"].values
+    values = {
+        "worst": cycle["worst"],
+        "two": cycle["two"],
+        "three": {"name": cycle["slow"]["late"], "mean": cycle["slow"]["mean"]},
+        "gravity": cycle["gravity"],
+        "single": {name: cycle["single"][name] for name in ("enough", "points")},
+        "trigger": {name: trigger["best"][name] for name in ("threshold", "short", "slow_alarms")},
+        "car": {name: trigger["car"][name] for name in ("time", "fixed")},
+        "tuned": {name: made["tuning"].values["small"][name] for name in ("best", "baseline")},
+        "tape": {name: tape["tape"][name] for name in ("wide", "narrow", "bound")},
+        "long": {"narrow": tape["long"]["narrow"]},
+        "bands": tape["bands"],
+        "set": tape["set"],
+        "passes": {name: passes["reset"][name] for name in ("first", "second", "third")},
+        "biased": {"nees": made["consistency"].values["biased"]["nees"]},
+    }
+    claims = {text: made[name].claims[text] for name, *texts in CLAIMS for text in texts}
+    return Page(values, {"filter": made["reset_cycle"].tables["settings"]}, claims=claims)
