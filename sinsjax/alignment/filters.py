@@ -1,38 +1,129 @@
-"""A Kalman filter in closed loop, stage by stage, and how the stages make up a method.
+"""A Kalman filter in closed loop: from the stages of a filter to its method.
 
-The order within a sample is that of [P1]: mechanise and predict, add the process noise, update by
-the measured velocity; then, where they are due, feed the estimate back and reset P. What a filter
-is watched by, a trigger (`triggers.watched`) or the sum of its innovations, wraps its stages and is
-a filter itself.
+The order within a sample is that of [P1]: mechanise and propagate, add the process noise, update by
+the measured velocity; then, where they are due, feed the estimate back and reset P. Schedules of
+feedback and resets and direction reversals are the same for every filter, whatever its states. So
+are the sum of innovations and triggers (`triggers.watched`), which come in between its stages.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from sinsjax.alignment import kalman
-from sinsjax.alignment.base import AttitudeCovariance, Ending, FilterResults, Innovations, Method
+from sinsjax.alignment.base import (
+    AttitudeCovariance,
+    Ending,
+    FilterResults,
+    Innovations,
+    Method,
+    Site,
+)
+from sinsjax.alignment.kalman import Innovation
 from sinsjax.alignment.limits import Biases, Limit
-from sinsjax.maths.algebra import Entries, triangle_index
+from sinsjax.alignment.schedules import (
+    CovarianceReset,
+    Feedback,
+    Resets,
+    Windows,
+    mix,
+    next_due,
+    reset_due,
+    where_due,
+)
+from sinsjax.maths import rotations
+from sinsjax.maths.algebra import Entries, Triangle
 from sinsjax.strapdown.earth import Place
-from sinsjax.strapdown.error_model import VE, VN
 from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar, Vec3
 
 
-class Prior(NamedTuple):
-    """A filter between prediction and update.
+class FilterParams(NamedTuple):
+    """Numbers of a filter: what it believes, and its schedules.
 
     Attributes:
-        nav: mechanised navigation solution.
-        place: Earth rates and curvatures that it was mechanised with.
-        belief: propagated, its process noise not yet added.
+        p0: initial variances of the states, SI squared.
+        q: variances added to the states each sample, SI squared.
+        r: variance of each velocity measurement, (m/s)^2.
+        feedback: when and how much is fed back.
+        resets: when and how P is reset.
+        reset_to: variances that a full reset sets, SI squared.
+        turn: what becomes of P when the direction is reversed.
+        trigger: `triggers.base.TriggerParams`, None without a trigger.
+    """
+
+    p0: tuple[Scalar, ...]
+    q: tuple[Scalar, ...]
+    r: Scalar
+    feedback: Feedback
+    resets: Resets | Windows
+    reset_to: tuple[Scalar, ...]
+    turn: CovarianceReset
+    trigger: Any = None
+
+
+class FilterState(NamedTuple):
+    """One run under way.
+
+    Attributes:
+        nav: navigation solution.
+        belief: estimated errors of ``nav`` and of the sensors, with covariance.
+        bias: sensor biases fed back so far, one for each state of a bias, SI.
+        feedback_at: sample count of the next feedback.
+        trigger_state: `triggers.base.TriggerState`, None without a trigger.
+        innovations: `Innovations` so far, None where none are summed up.
     """
 
     nav: Navigation
-    place: Place
     belief: kalman.Belief
+    bias: tuple[Scalar, ...]
+    feedback_at: Scalar
+    trigger_state: Any = None
+    innovations: Innovations | None = None
+
+
+class Filter(NamedTuple):
+    """The stages of a filter; its measurement is the velocity of a base that does not travel.
+
+    Its params have the fields of `FilterParams`, its state those of `FilterState`; both may have
+    more. Its first two states are the velocity errors.
+
+    Attributes:
+        dt: sample time, s.
+        init: (params, navigation) -> state.
+        propagate: (params, site, state, sample) -> state at the end of the sample: mechanised,
+            belief propagated, its process noise not yet added.
+        update: (params, state) -> state after the update by the velocity, and the `Innovation`.
+        feed_back: (state, share) -> state with that share of its estimate moved into the
+            navigation solution, and by how much its attitude was corrected, rad.
+        reset: (covariance reset, P, variances) -> P.
+        reverse: state -> state with which the record is read in the other direction.
+        place: (site, navigation) -> Earth there.
+        at_rest: (navigation, place) -> transition of a base at rest, whose specific force is
+            (0, 0, g).
+        misalignment: state -> estimated misalignment that is not fed back yet, rad.
+        attitude: state -> best attitude.
+        covariance: state -> of that attitude.
+        limit: see `Method.limit`.
+        common_covariance: see `Method.common_covariance`.
+    """
+
+    dt: float
+    init: Callable[[Any, Navigation], Any]
+    propagate: Callable[[Any, Site, Any, Sample], Any]
+    update: Callable[[Any, Any], tuple[Any, Innovation]]
+    feed_back: Callable[[Any, Scalar], tuple[Any, Vec3]]
+    reset: Callable[[CovarianceReset, Triangle, tuple[Scalar, ...]], Triangle]
+    reverse: Callable[[Any], Any]
+    place: Callable[[Site, Navigation], Place]
+    at_rest: Callable[[Navigation, Place], Entries]
+    misalignment: Callable[[Any], Vec3]
+    attitude: Callable[[Any], Quat]
+    covariance: Callable[[Any], AttitudeCovariance]
+    limit: Callable[[Any, Place, Biases, Ending], Limit]
+    common_covariance: bool = False
 
 
 class Due(NamedTuple):
@@ -40,198 +131,105 @@ class Due(NamedTuple):
 
     Attributes:
         feedback: whether the estimate is fed back.
-        reset: whether P is reset, which feeds all of the estimate back first; or, of a relaxed
-            schedule, which share of a reset.
+        reset: whether P is reset; of a relaxed schedule, which share of a reset.
     """
 
     feedback: Flag
     reset: Flag | Scalar
 
 
-class Closed(NamedTuple):
-    """A filter whose loop was closed.
-
-    Attributes:
-        state: after feedback and reset.
-        fed: attitude correction that was fed back, rad.
-    """
-
-    state: Any
-    fed: Vec3
-
-
-class Filter(NamedTuple):
-    """The stages of a filter; its measurement is the velocity of a base that does not travel.
-
-    Attributes:
-        init: (params, navigation) -> state.
-        predict: (params, site, state, sample) -> `Prior`.
-        update: (params, state, prior, n) -> state after the n-th sample's update.
-        due: (params, state, n) -> `Due` after the n-th sample.
-        close: (params, state, due, n) -> `Closed`.
-        next_event: (params, state, n) -> see `Method.next_event`.
-        reverse: (params, site, state) -> state with which the record is read in the other
-            direction, see `Method.turn`.
-        noise: params -> (variances added to the states each sample, variance of a measurement).
-        at_rest: (state before the sample, prior) -> transition of a base at rest, whose specific
-            force is (0, 0, g).
-        belief: state -> mean and covariance; the first states are those of [P1] eq. (1).
-        misalignment: state -> estimated misalignment that is not fed back yet, rad.
-        attitude: state -> best attitude.
-        covariance: state -> of that attitude.
-        normalise: state -> state with its quaternion scaled to unit length.
-        limit: see `Method.limit`.
-        results: state -> `FilterResults`.
-        called: see `Method.called`.
-    """
-
-    init: Callable[[Any, Navigation], Any]
-    predict: Callable[[Any, Any, Any, Sample], Prior]
-    update: Callable[[Any, Any, Prior, Scalar], Any]
-    due: Callable[[Any, Any, Scalar], Due]
-    close: Callable[[Any, Any, Due, Scalar], Closed]
-    next_event: Callable[[Any, Any, Scalar], Scalar | None]
-    reverse: Callable[[Any, Any, Any], Any]
-    noise: Callable[[Any], tuple[tuple[Scalar, ...], Scalar]]
-    at_rest: Callable[[Any, Prior], Entries]
-    belief: Callable[[Any], kalman.Belief]
-    misalignment: Callable[[Any], Vec3]
-    attitude: Callable[[Any], Quat]
-    covariance: Callable[[Any], AttitudeCovariance]
-    normalise: Callable[[Any], Any]
-    limit: Callable[[Any, Place, Biases, Ending], Limit]
-    results: Callable[[Any], FilterResults]
-    called: Callable[[Any, Scalar], Flag] | None = None
-
-
-def closed_loop(filter_: Filter, *, common_covariance: bool = False) -> Method:
-    """The method that a filter's stages make up.
-
-    Args:
-        filter_: stages.
-        common_covariance: see `Method`.
-    """
-
-    def step(params: Any, site: Any, state: Any, sample: Sample, n: Scalar) -> Any:
-        return filter_.update(params, state, filter_.predict(params, site, state, sample), n)
-
-    def close(params: Any, state: Any, n: Scalar) -> Any:
-        due = filter_.due(params, state, n)
-        closed = filter_.close(params, state, due, n).state
-        if not jnp.issubdtype(jnp.result_type(due.reset), bool):
-            return closed  # a share of a reset is due at every sample
-        # Chosen, not computed: nothing times infinity, and zero plus minus zero, would change it.
-        any_due = due.feedback | due.reset
-        return jax.tree.map(lambda new, old: jnp.where(any_due, new, old), closed, state)
-
+def closed_loop(filter_: Filter) -> Method:
+    """The method of a filter that feeds back, and resets P, on schedule."""
     return Method(
         filter_.init,
-        step,
-        filter_.reverse,
+        partial(_step, filter_),
+        partial(_turn, filter_),
         filter_.attitude,
         filter_.covariance,
-        filter_.normalise,
+        _normalise,
         filter_.limit,
-        results=filter_.results,
-        close=close,
-        next_event=filter_.next_event,
-        called=filter_.called,
-        common_covariance=common_covariance,
+        results=lambda state: FilterResults(None, state.innovations),
+        close=partial(_close, filter_),
+        next_event=_next_event,
+        common_covariance=filter_.common_covariance,
     )
 
 
-class Innovation(NamedTuple):
-    """An innovation, and its believed covariance.
+def _step(filter_: Filter, params: Any, site: Site, state: Any, sample: Sample, n: Scalar) -> Any:
+    propagated = filter_.propagate(params, site, state, sample)
+    updated, _ = filter_.update(params, with_process_noise(params, propagated))
+    return updated
 
-    Attributes:
-        r: measured minus predicted velocity, east and north, m/s.
-        s: upper triangle of its covariance (ee, en, nn), (m/s)^2.
+
+def with_process_noise(params: Any, state: Any) -> Any:
+    """The state with a sample's process noise added to P, Q of [P1] eq. (9)."""
+    return state._replace(belief=kalman.add_noise(state.belief, params.q))
+
+
+def _close(filter_: Filter, params: Any, state: Any, n: Scalar) -> Any:
+    due = scheduled(params, state, n)
+    return only_where(due, fed_back_and_reset(filter_, params, state, due)[0], state)
+
+
+def scheduled(params: Any, state: Any, n: Scalar) -> Due:
+    """What is due after the n-th sample."""
+    return Due(n >= state.feedback_at, reset_due(params.resets, n))
+
+
+def _next_event(params: Any, state: Any, n: Scalar) -> Scalar | None:
+    if isinstance(params.resets, Windows):
+        return None  # a share of a reset is due at every sample
+    return next_due(state.feedback_at, params.resets, n)
+
+
+def fed_back_and_reset(filter_: Filter, params: Any, state: Any, due: Due) -> tuple[Any, Vec3]:
+    """The state after feedback, all of the estimate at a reset, and reset.
+
+    Returns:
+        The state, and the attitude correction that was fed back, rad.
     """
-
-    r: tuple[Scalar, Scalar]
-    s: tuple[Scalar, Scalar, Scalar]
-
-
-def innovation(filter_: Filter, params: Any, prior: Prior) -> Innovation:
-    """The innovation that a filter is about to be updated by."""
-    q, r = filter_.noise(params)
-    x, p = kalman.add_noise(prior.belief, q)
-    at = triangle_index(len(x))
-    return Innovation(
-        (prior.nav.ve - x[VE], prior.nav.vn - x[VN]),
-        (p[at[VE, VE]] + r, p[at[VE, VN]], p[at[VN, VN]] + r),
-    )
+    share = mix(due.reset, 1.0, jnp.where(due.feedback, params.feedback.gain, 0.0))
+    fed_back, correction = filter_.feed_back(state, share)
+    covariance_reset = where_due(due.reset, params.resets.covariance_reset)
+    p = filter_.reset(covariance_reset, state.belief.p, params.reset_to)
+    later = state.feedback_at + params.feedback.every
+    return fed_back._replace(
+        belief=fed_back.belief._replace(p=p),
+        feedback_at=jnp.where(due.feedback, later, state.feedback_at),
+    ), correction
 
 
-def normalised(r: tuple[Scalar, Scalar], s: tuple[Scalar, ...]) -> Scalar:
-    """An innovation r squared and normalised, r' S^-1 r."""
-    (e, n), (ee, en, nn) = r, s
-    return (nn * e * e - 2 * en * e * n + ee * n * n) / (ee * nn - en * en)
+def only_where(due: Due, closed: Any, state: Any) -> Any:
+    """The state after feedback and reset where either is due, else as it stands, to the bit."""
+    if not jnp.issubdtype(jnp.result_type(due.reset), bool):
+        return closed  # a share of a reset is due at every sample
+    # Chosen, not computed: nothing times infinity, and zero plus minus zero, would change it.
+    either = due.feedback | due.reset
+    return jax.tree.map(lambda new, old: jnp.where(either, new, old), closed, state)
 
 
-class Summed(NamedTuple):
-    """A filter, and the sum of its normalised innovations."""
+def _turn(filter_: Filter, params: Any, site: Site, state: Any) -> Any:
+    # x stays where P is reset: what it says of the attitude is the filter's best either way.
+    state = filter_.reverse(state)
+    p = filter_.reset(params.turn, state.belief.p, params.p0)
+    return state._replace(belief=state.belief._replace(p=p))
 
-    state: Any
-    innovations: Innovations
+
+def _normalise(state: Any) -> Any:
+    return state._replace(nav=state.nav._replace(q=rotations.normalise(state.nav.q)))
 
 
 def with_innovations(filter_: Filter) -> Filter:
     """A filter that sums up its normalised innovations."""
 
-    def init(params: Any, nav: Navigation) -> Summed:
-        zero = jnp.zeros_like(filter_.noise(params)[1])
-        return Summed(filter_.init(params, nav), Innovations(zero, zero))
+    def init(params: Any, nav: Navigation) -> Any:
+        zero = jnp.zeros_like(params.r)
+        return filter_.init(params, nav)._replace(innovations=Innovations(zero, zero))
 
-    def update(params: Any, state: Summed, prior: Prior, n: Scalar) -> Summed:
-        so_far = state.innovations
-        squared = normalised(*innovation(filter_, params, prior))
-        return Summed(
-            filter_.update(params, state.state, prior, n),
-            Innovations(so_far.sum + squared, so_far.count + 1),
-        )
+    def update(params: Any, state: Any) -> tuple[Any, Innovation]:
+        updated, innovation = filter_.update(params, state)
+        total, count = state.innovations
+        total = total + kalman.normalised(*innovation)
+        return updated._replace(innovations=Innovations(total, count + 1)), innovation
 
-    def results(state: Summed) -> FilterResults:
-        return filter_.results(state.state)._replace(innovations=state.innovations)
-
-    return wrapped(filter_)._replace(init=init, update=update, results=results)
-
-
-def wrapped(filter_: Filter) -> Filter:
-    """The stages of a filter whose state is a part of another: a tuple with field ``state``."""
-
-    def inner(stage: Callable[..., Any]) -> Callable[..., Any]:
-        return lambda state, *rest: stage(state.state, *rest)
-
-    def predict(params: Any, site: Any, state: Any, sample: Sample) -> Prior:
-        return filter_.predict(params, site, state.state, sample)
-
-    def update(params: Any, state: Any, prior: Prior, n: Scalar) -> Any:
-        return state._replace(state=filter_.update(params, state.state, prior, n))
-
-    def due(params: Any, state: Any, n: Scalar) -> Due:
-        return filter_.due(params, state.state, n)
-
-    def close(params: Any, state: Any, due: Due, n: Scalar) -> Closed:
-        closed = filter_.close(params, state.state, due, n)
-        return Closed(state._replace(state=closed.state), closed.fed)
-
-    def reverse(params: Any, site: Any, state: Any) -> Any:
-        return state._replace(state=filter_.reverse(params, site, state.state))
-
-    return filter_._replace(
-        predict=predict,
-        update=update,
-        due=due,
-        close=close,
-        next_event=lambda params, state, n: filter_.next_event(params, state.state, n),
-        reverse=reverse,
-        at_rest=inner(filter_.at_rest),
-        belief=inner(filter_.belief),
-        misalignment=inner(filter_.misalignment),
-        attitude=inner(filter_.attitude),
-        covariance=inner(filter_.covariance),
-        normalise=lambda state: state._replace(state=filter_.normalise(state.state)),
-        results=inner(filter_.results),
-        called=inner(filter_.called) if filter_.called else None,
-    )
+    return filter_._replace(init=init, update=update)

@@ -30,6 +30,18 @@ class Belief(NamedTuple):
     p: Triangle
 
 
+class Innovation(NamedTuple):
+    """What was measured minus what was predicted.
+
+    Attributes:
+        value: of each of m measurements.
+        variance: upper triangle of its covariance S = H P H' + R, m (m + 1) / 2 entries.
+    """
+
+    value: tuple[Scalar, ...]
+    variance: tuple[Scalar, ...]
+
+
 def start(variances: Sequence[Scalar]) -> Belief:
     """Zero mean and a diagonal covariance."""
     return Belief(tuple(0.0 * v for v in variances), diagonal_triangle(variances))
@@ -84,3 +96,21 @@ def update(belief: Belief, measured: Sequence[int], z: Sequence[Scalar], r: Scal
         x = tuple(x[i] + column[i] * innovation for i in range(n))
         p = tuple(p[at[i, j]] - gain[i] * column[j] for i in range(n) for j in range(i, n))
     return Belief(x, p)
+
+
+def innovation(
+    predicted: Belief, measured: Sequence[int], z: Sequence[Scalar], r: Scalar
+) -> Innovation:
+    """The innovation of an update; arguments as of `update`."""
+    (x, p), at = predicted, triangle_index(len(predicted.x))
+    pairs = [(i, j) for k, i in enumerate(measured) for j in measured[k:]]
+    return Innovation(
+        value=tuple(value - x[m] for m, value in zip(measured, z, strict=True)),
+        variance=tuple(p[at[i, j]] + r if i == j else p[at[i, j]] for i, j in pairs),
+    )
+
+
+def normalised(value: Sequence[Scalar], variance: Sequence[Scalar]) -> Scalar:
+    """An innovation of two measurements squared and normalised, r' S^-1 r; see `Innovation`."""
+    (e, n), (ee, en, nn) = value, variance
+    return (nn * e * e - 2 * en * e * n + ee * n * n) / (ee * nn - en * en)

@@ -384,9 +384,7 @@ def naive_run(name, trigger, trigger_params, filt, tape=None):
 def compare(name, trigger, trigger_params, filt, tape=None):
     """Both runs, update by update; returns the naive watcher."""
     naive, watcher = naive_run(name, trigger, trigger_params, filt, tape)
-    (state, trigger_state), attitude, trigger_counts = engine_run(
-        name, trigger, trigger_params, filt, tape
-    )
+    state, attitude, trigger_counts = engine_run(name, trigger, trigger_params, filt, tape)
     at = 1 + np.flatnonzero(np.diff(np.asarray(trigger_counts.count), prepend=0.0))
     assert list(at) == watcher.trigger_counts
     first, last = (
@@ -406,7 +404,7 @@ def compare(name, trigger, trigger_params, filt, tape=None):
     np.testing.assert_allclose(p / unit, naive.p / unit, rtol=0, atol=1e-7)
     if trigger == "linearisation":
         sigma = np.sqrt(np.diag(watcher.honest))
-        honest, unit = whole(trigger_state.memory, len(filt.p0))[-1], np.outer(sigma, sigma)
+        honest, unit = whole(state.trigger_state.memory, len(filt.p0))[-1], np.outer(sigma, sigma)
         np.testing.assert_allclose(honest / unit, watcher.honest / unit, rtol=0, atol=1e-9)
     return watcher
 
@@ -458,10 +456,8 @@ def test_turns_leave_the_counts_alone():
 def test_a_filter_with_gravity_in_its_model_has_nothing_to_be_honest_about():
     """Its own covariance is that of a base at rest: the score is 1 but for corrections."""
     filt = paper_filter(5, force="gravity", **CLOSED)
-    (state, trigger_state), _, trigger_counts = engine_run(
-        "kalman5", "linearisation", Numbers(np.inf), filt, 145
-    )
-    for honest, believed in zip(trigger_state.memory, state.belief.p, strict=True):
+    state, _, trigger_counts = engine_run("kalman5", "linearisation", Numbers(np.inf), filt, 145)
+    for honest, believed in zip(state.trigger_state.memory, state.belief.p, strict=True):
         np.testing.assert_allclose(honest, believed, rtol=1e-9, atol=1e-30)
     assert not np.any(trigger_counts.count)
 

@@ -8,8 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sinsjax.alignment import kalman
-from sinsjax.alignment.filters import normalised
-from sinsjax.alignment.kalman import Belief
+from sinsjax.alignment.kalman import Belief, normalised
 from sinsjax.alignment.triggers.base import (
     AssumedNoise,
     FilterSnapshot,
@@ -54,7 +53,7 @@ def _innovation(
     """Innovation windowed over time: (sum r)' (sum S)^-1 (sum r), chi-square with 2 degrees."""
     block, full = _add(trigger_params, block, (*snapshot.innovation, *snapshot.variance))
     e, n, *s = block.sums
-    return block, jnp.where(full, normalised((e, n), tuple(s)), 0.0)
+    return block, jnp.where(full, normalised((e, n), s), 0.0)
 
 
 def _nis(

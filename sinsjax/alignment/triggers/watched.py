@@ -1,97 +1,91 @@
 """A filter that resets itself: its stages, watched by a trigger."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
-from sinsjax.alignment.base import FilterResults
-from sinsjax.alignment.filters import Closed, Due, Filter, Prior, innovation, wrapped
+from sinsjax.alignment.base import FilterResults, Method, Site
+from sinsjax.alignment.filters import (
+    Filter,
+    closed_loop,
+    fed_back_and_reset,
+    only_where,
+    scheduled,
+    with_process_noise,
+)
 from sinsjax.alignment.triggers import base as triggers
-from sinsjax.alignment.triggers.base import AssumedNoise, FilterSnapshot, TriggerState
+from sinsjax.alignment.triggers.base import AssumedNoise, FilterSnapshot
 from sinsjax.alignment.triggers.description import TRIGGERS
 from sinsjax.maths.algebra import add
-from sinsjax.types import Flag, Navigation, Scalar
+from sinsjax.types import Flag, Navigation, Sample, Scalar
 
 
-class Watched(NamedTuple):
-    """A filter and its trigger at work."""
-
-    state: Any
-    trigger_state: TriggerState
-
-
-def triggered(filter_: Filter, name: str, dt: float) -> Filter:
-    """A filter whose P is reset, or fades, where a trigger calls for it.
+def with_trigger(filter_: Filter, name: str) -> Method:
+    """The method of a filter whose P is reset on schedule, and resets or fades by a trigger.
 
     Args:
-        filter_: stages; their params have the trigger's numbers as ``trigger``.
-        name: in `description.TRIGGERS`, or 'none' for the filter as it is.
-        dt: sample time, s.
+        filter_: stages.
+        name: of a trigger in `description.TRIGGERS`, or 'none' for the filter on schedule alone.
     """
+    plain = closed_loop(filter_)
     if name == "none":
-        return filter_
-    trigger, plain = TRIGGERS[name].trigger, wrapped(filter_)
+        return plain
+    trigger = TRIGGERS[name].trigger
 
-    def init(params: Any, nav: Navigation) -> Watched:
-        state = filter_.init(params, nav)
-        return Watched(state, triggers.start(trigger, params.trigger, filter_.belief(state).p))
+    def init(params: Any, nav: Navigation) -> Any:
+        state = plain.init(params, nav)
+        return state._replace(trigger_state=triggers.start(trigger, params.trigger, state.belief.p))
 
-    def update(params: Any, watched: Watched, prior: Prior, n: Scalar) -> Watched:
-        noise = AssumedNoise(*filter_.noise(params))
-        measured = prior.nav.ve, prior.nav.vn
-        trigger_state, belief = triggers.fade(
-            trigger, params.trigger, noise, watched.trigger_state, prior.belief, measured
+    def step(params: Any, site: Site, state: Any, sample: Sample, n: Scalar) -> Any:
+        before, noise = state.nav, AssumedNoise(params.q, params.r)
+        state = filter_.propagate(params, site, state, sample)
+        measured = state.nav.ve, state.nav.vn
+        watched, belief = triggers.fade(
+            trigger, params.trigger, noise, state.trigger_state, state.belief, measured
         )
-        prior = prior._replace(belief=belief)
-        state = filter_.update(params, watched.state, prior, n)
-        r, s = innovation(filter_, params, prior)
+        faded = with_process_noise(params, state._replace(belief=belief))
+        state, innovation = filter_.update(params, faded)
+        place = filter_.place(site, before)
         snapshot = FilterSnapshot(
-            innovation=r,
-            variance=s,
-            belief=filter_.belief(state),
-            correction=add(trigger_state.fed, filter_.misalignment(state)),
-            at_rest=filter_.at_rest(watched.state, prior),
-            place=prior.place,
-            dt=dt,
+            innovation=innovation.value,
+            variance=innovation.variance,
+            belief=state.belief,
+            correction=add(watched.fed, filter_.misalignment(state)),
+            at_rest=filter_.at_rest(before, place),
+            place=place,
+            dt=filter_.dt,
         )
-        return Watched(
-            state, triggers.take_in(trigger, params.trigger, noise, trigger_state, snapshot, n)
+        watched = triggers.take_in(trigger, params.trigger, noise, watched, snapshot, n)
+        return state._replace(trigger_state=watched)
+
+    def close(params: Any, state: Any, n: Scalar) -> Any:
+        due = scheduled(params, state, n)
+        due = due._replace(reset=due.reset | called(state, n))
+        closed, fed = fed_back_and_reset(filter_, params, state, due)
+        watched, p = state.trigger_state, closed.belief.p
+        watched = triggers.after(
+            trigger, params.trigger, watched, reset=due.reset, p=p, fed=fed, n=n
         )
+        return only_where(due, closed._replace(trigger_state=watched), state)
 
-    def due(params: Any, watched: Watched, n: Scalar) -> Due:
-        feedback, reset = filter_.due(params, watched.state, n)
-        return Due(feedback, reset | triggers.fires(watched.trigger_state, n))
-
-    def close(params: Any, watched: Watched, due: Due, n: Scalar) -> Closed:
-        state, fed = filter_.close(params, watched.state, due, n)
-        p = filter_.belief(state).p
-        trigger_state = triggers.after(
-            trigger, params.trigger, watched.trigger_state, reset=due.reset, p=p, fed=fed, n=n
+    def turn(params: Any, site: Site, state: Any) -> Any:
+        state = plain.turn(params, site, state)
+        left, p = filter_.misalignment(state), state.belief.p
+        watched = triggers.reversed_in_time(
+            trigger, params.trigger, state.trigger_state, p=p, misalignment=left
         )
-        return Closed(Watched(state, trigger_state), fed)
+        return state._replace(trigger_state=watched)
 
-    def reverse(params: Any, site: Any, watched: Watched) -> Watched:
-        state = filter_.reverse(params, site, watched.state)
-        trigger_state = triggers.reversed_in_time(
-            trigger,
-            params.trigger,
-            watched.trigger_state,
-            p=filter_.belief(state).p,
-            misalignment=filter_.misalignment(state),
-        )
-        return Watched(state, trigger_state)
+    def called(state: Any, n: Scalar) -> Flag:
+        return triggers.fires(state.trigger_state, n)
 
-    def called(watched: Watched, n: Scalar) -> Flag:
-        return triggers.fires(watched.trigger_state, n)
-
-    def results(watched: Watched) -> FilterResults:
-        counts = watched.trigger_state.trigger_counts
-        return filter_.results(watched.state)._replace(trigger_counts=counts)
+    def results(state: Any) -> FilterResults:
+        return FilterResults(state.trigger_state.trigger_counts, state.innovations)
 
     return plain._replace(
         init=init,
-        update=update,
-        due=due,
-        close=close,
-        reverse=reverse,
+        step=step,
+        turn=turn,
         results=results,
+        close=close,
         called=called if trigger.look else None,
+        common_covariance=False,
     )
