@@ -95,4 +95,4 @@ def test_the_band_is_that_of_chi_square(tmp_path: Any) -> None:
 
 def test_results_without_them_say_so(tmp_path: Any) -> None:
     source = Source(tmp_path, recorded(), "x.toml", pa.table({"run_id": [0]}))
-    assert innovations(source) == "Innovations: not recorded."
+    assert innovations(source) == "Innovations: none are recorded."
