@@ -19,7 +19,7 @@ from sinsjax import analysis
 from sinsjax.analysis import Estimate
 from sinsjax.analysis.estimates import bootstrap, place
 from sinsjax.bench.timing import Row, conditions
-from sinsjax.report.linear import one_variant
+from sinsjax.study.load import one_variant
 
 SIZES = (8, 13, 16, 32, 64)
 REPETITIONS = 2000

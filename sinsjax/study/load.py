@@ -128,6 +128,17 @@ def with_point(study: Study, point: TomlTable) -> Study:
     return study_from_dict(search_space.put(tables_of(study), point), study.name)
 
 
+def one_variant(study: Study, variant: int) -> Study:
+    """The study of one variant alone.
+
+    Args:
+        study: a simulated study.
+        variant: its number.
+    """
+    point = {key: values[variant] for key, values in study.variant_values().items()}
+    return study.model_copy(update={"axes": {}, "zips": {}, "cases": (point,) if point else ()})
+
+
 def with_rate(study: Study, rate_hz: float) -> Study:
     """A recorded study at the rate of its record, where it leaves its own out.
 

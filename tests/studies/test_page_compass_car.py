@@ -11,13 +11,13 @@ from support.stored import store
 
 from docs.studies.compass_car import cases as compass_cases
 from docs.studies.compass_car import transients as reversal_transients
-from docs.studies.loops.linear import loops_of, one_variant
+from docs.studies.loops.linear import loops_of
 from sinsjax.alignment.compass import design as loops
 from sinsjax.analysis import rms
 from sinsjax.execution import run as study_run
 from sinsjax.plots import Ensemble
 from sinsjax.report.base import Source
-from sinsjax.study.load import load_study, study_from_dict
+from sinsjax.study.load import load_study, one_variant, study_from_dict
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SCHEDULE = (

@@ -22,8 +22,9 @@ from sinsjax.plots import Ensemble
 from sinsjax.plots.starts import falling
 from sinsjax.report.base import Picture, Source, Table
 from sinsjax.report.output import counted
+from sinsjax.study.load import one_variant
 
-from ..loops.linear import Loops, loops_of, one_variant
+from ..loops.linear import Loops, loops_of
 from .cases import Case, partner, turned_by
 
 _REFLECTED = np.array([-1.0, -1.0, 1.0, 1.0])  # the turn after which a pass goes on exactly

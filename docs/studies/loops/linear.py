@@ -83,17 +83,6 @@ class Loops(NamedTuple):
         return float(-2 / (np.log1p(-self.params.smoothing) * self.rate_hz))
 
 
-def one_variant(study: Study, variant: int) -> Study:
-    """The study of one variant alone.
-
-    Args:
-        study: a simulated study.
-        variant: its number.
-    """
-    point = {key: values[variant] for key, values in study.variant_values().items()}
-    return study.model_copy(update={"axes": {}, "zips": {}, "cases": (point,) if point else ()})
-
-
 def limits_of(one: Study) -> Limits:
     """The limits of a study of one variant, see `limits.ingredients`.
 

@@ -16,10 +16,11 @@ from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.plots import Line, Mark
 from sinsjax.report.base import Picture, Source, Table, only, value_text
 from sinsjax.report.output import counted
+from sinsjax.study.load import one_variant
 from sinsjax.study.study import Study
 from sinsjax.units import ARCMIN, DEG
 
-from ..loops.linear import Limits, limits_of, one_variant
+from ..loops.linear import Limits, limits_of
 
 ANGLES = {"pitch": "e", "roll": "n", "heading": "u"}
 """The paper's attitude angles, and the axis of phi that each is an error about."""
