@@ -7,12 +7,12 @@ import pyarrow as pa
 import pytest
 from support.stored import store
 
-from docs.studies.loops.linear import heading_from_limit, limits_of, one_variant
+from docs.studies.loops.linear import heading_from_limit, limits_of
 from docs.studies.paper2 import cases as paper2
 from sinsjax import analysis
 from sinsjax.alignment.compass import design as loops
 from sinsjax.report.base import Source
-from sinsjax.study.load import load_study, study_from_dict
+from sinsjax.study.load import load_study, one_variant, study_from_dict
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 DRAWS = 4
