@@ -376,7 +376,7 @@ def test_a_reference_must_cover_the_tape_wherever_a_run_ends(passes: int) -> Non
         ({"compass": {"level_sigma_per_s": 90.0}}, ("level_sigma_per_s", "0.02 s", "-90")),
         ({"passes": {"tape_s": 9.0}}, ("tape_s", "duration_s = 8")),
         ({"passes": {"tape_s": 2.0, "passes": 0}}, ("[passes] passes", "0")),
-        ({"alignment": {"method": "kalman5"}}, ("[compass]", "no place with method kalman5")),
+        ({"alignment": {"method": "kalman5"}}, ("[compass]", "does not apply to method kalman5")),
     ],
 )
 def test_a_mistake_is_one_clear_line(

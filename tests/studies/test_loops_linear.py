@@ -13,12 +13,12 @@ from docs.studies.loops.linear import (
     heading_of,
     limits_of,
     loops_of,
-    one_variant,
     start_of,
 )
 from sinsjax.alignment.compass import design as loops
 from sinsjax.alignment.compass.parameters import REVERSALS
 from sinsjax.execution import run as study_run
+from sinsjax.study.load import one_variant
 
 G, R = 9.8, 6378137.0
 LATITUDE, RATE = math.radians(32.0), math.radians(15.041067) / 3600
