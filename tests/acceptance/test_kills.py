@@ -51,12 +51,18 @@ class Sweeps:
         self._all: list[Dying] = []
 
     def ready(
-        self, point: tuple[str, str, int] = NEVER, *options: str, how: str = "--resume"
+        self,
+        point: tuple[str, str, int] = NEVER,
+        *options: str,
+        how: str = "--resume",
+        pause_s: float = 0.0,
     ) -> Dying:
         """A process that waits for `go`."""
         words = ["sweep", self.study, "-o", self.out, how, "--chunk-runs", CHUNK_RUNS, *options]
         said = Path(tempfile.mkdtemp(dir=self._folder)) / "output"
-        process = Dying([str(word) for word in words], self._environment, said, point=point)
+        process = Dying(
+            [str(word) for word in words], self._environment, said, point=point, pause_s=pause_s
+        )
         self._all.append(process)
         return process
 
@@ -162,7 +168,7 @@ def test_twenty_kills_cost_nothing(sweeps: Sweeps, whole: Path) -> None:
     for i, point in enumerate(points):
         process, before, there = following, written(out / "manifest.json"), count(out)
         process.go()
-        following = sweeps.ready(points[i + 1] if i + 1 < len(points) else NEVER)
+        following = sweeps.ready(points[i + 1] if i + 1 < len(points) else NEVER, pause_s=0.2)
         if point is NEVER:
             if kills["spread"] == 0:  # while JAX starts
                 time.sleep(0.5)

@@ -12,6 +12,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import time
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -41,8 +42,8 @@ def kill() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def arm(killer: Killer) -> None:
-    """Has every file that `files.replacing` writes pass by the killer."""
+def arm(killer: Killer, pause_s: float) -> None:
+    """Has every file that `files.replacing` writes pass by the killer, and pauses after a part."""
     rename = Path.replace
 
     class Half(io.BufferedWriter):
@@ -61,6 +62,8 @@ def arm(killer: Killer) -> None:
         path = rename(self, target)
         if killer.comes("after", target):
             kill()
+        if target.suffix == ".parquet":
+            time.sleep(pause_s)
         return path
 
     files.open = lambda path, mode: Half(io.FileIO(path, mode))
@@ -81,6 +84,7 @@ class Dying:
         said: Path,
         *,
         point: tuple[str, str, int],
+        pause_s: float = 0.0,
     ) -> None:
         """Fork it.
 
@@ -89,11 +93,13 @@ class Dying:
             environment: variables that it has besides those of the server.
             said: where its output goes; that to standard error is beside it, with ``.error``.
             point: moment, pattern and number.
+            pause_s: for which a thread waits when it has written a part, s: what is to be killed
+                at a moment must not be done before a busy machine comes to that.
         """
         self._said = said, said.with_suffix(".error")
         begin, self._go = _SERVER.Pipe(duplex=False)
         self.process = _SERVER.Process(
-            target=_obey, args=(words, environment, self._said, point, begin)
+            target=_obey, args=(words, environment, self._said, point, pause_s, begin)
         )
         self.process.start()
         begin.close()
@@ -125,13 +131,14 @@ def _obey(
     environment: dict[str, str],
     said: tuple[Path, Path],
     point: tuple[str, str, int],
+    pause_s: float,
     begin: Connection,
 ) -> None:
     for number, path in enumerate(said, start=1):
         os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
     os.environ |= environment
     plots.png = lambda *_: b"not drawn"  # takes as long as all else
-    arm(Killer(*point))
+    arm(Killer(*point), pause_s)
     begin.recv()
     sys.argv = ["sinsjax", *words]
     cli.main()
