@@ -1,1 +1,1 @@
-"""The machine underneath: compiler options, devices, cores and files."""
+"""The platform that studies run on: compiler options, devices, cores and files."""

@@ -1,10 +1,10 @@
-"""One process, one core: for workers that share a machine.
+"""One core per process, for workers that share a machine.
 
-XLA sizes its pool of threads by the cores that a process may run on when it starts, and threads
-that move between cores cost time, so a worker is kept to a core before jax is imported:
-``SINSJAX_ONE_CORE=1`` in its environment has ``import sinsjax`` do it. Which cores are free is told
-by a lock of the operating system for each, which dies with its process: workers that are started
-again, and those of several schedulers on one machine, find cores of their own.
+XLA sizes its thread pool by the cores available to the process at startup, and threads that migrate
+between cores cost time, so a worker is pinned to a core before JAX is imported:
+``SINSJAX_ONE_CORE=1`` in its environment makes ``import sinsjax`` do so. An operating system lock
+for each core marks it as taken and is released when the process ends: restarted workers, and those
+of several schedulers on one machine, find cores of their own.
 """
 
 import os
@@ -21,26 +21,26 @@ _lock: Any = None  # held until the process ends
 
 
 def apply() -> None:
-    """Keep this process to one core if the environment asks for it."""
+    """Pin this process to one core if the environment asks for it."""
     if os.environ.get(VARIABLE, "").strip() == "1":
         keep_to_one_core()
 
 
 def keep_to_one_core() -> int | None:
-    """Keep this process, with all threads it has, to a core that no other such process has.
+    """Pin this process and all its threads to a core not taken by another such process.
 
     Returns:
-        The core; None where there is no free one or the system cannot do it, and the process is
-        left as it is.
+        The core; None, leaving the process unpinned, if no core is free or the system does not
+        support it.
     """
     global _lock
     if _lock is not None or not hasattr(os, "sched_setaffinity"):
         return None
-    import filelock  # here, for it takes longer to import than all of this module
+    import filelock  # here, because importing it takes longer than the rest of this module
 
-    # Not to be made, not ours alone, or on a disk without locks: a process that moves is no error.
+    # Where the folder is unsafe or the disk has no locks, running unpinned is not an error.
     with suppress(OSError):
-        # Where others can write, they could have us write anywhere.
+        # In a folder writable by others, a planted link could redirect the lock file.
         folder = machine.private_folder(machine.temporary_folder())
         for core in sorted(os.sched_getaffinity(0)):
             lock = filelock.FileLock(folder / f"core-{platform.node()}-{core}.lock", timeout=0)
@@ -54,10 +54,10 @@ def keep_to_one_core() -> int | None:
 
 def _keep_to(core: int) -> None:
     kept: set[int] = set()
-    # A thread that is not kept yet may start others meanwhile; one that is hands its core on.
+    # A thread not yet pinned may start others meanwhile; threads inherit the core of their parent.
     while missed := _threads() - kept:
         for thread in missed:
-            with suppress(ProcessLookupError):  # it ended meanwhile
+            with suppress(ProcessLookupError):  # the thread has ended
                 os.sched_setaffinity(thread, {core})
         kept |= missed
 

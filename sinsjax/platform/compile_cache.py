@@ -1,16 +1,16 @@
-"""Compiled programs kept from one process to the next: by JAX, in a folder watched over here.
+"""JAX's persistent compilation cache, in a folder whose entries are verified here.
 
-Kept in this user's cache folder with a jaxlib of `SAFE_JAXLIB`, unless the environment variable
-``SINSJAX_COMPILE_CACHE`` is 0; 1 asks for it with any jaxlib, and a folder moves it there. A
-program compiled for one CPU may be refused or die on another, and other options make other
-programs, so below that folder there is one for each jaxlib version, processor and value of
-``XLA_FLAGS``. Whoever can write there can run code here, so it must be this user's alone, see
+It is on, in this user's cache folder, with a jaxlib in `SAFE_JAXLIB`, unless the environment
+variable ``SINSJAX_COMPILE_CACHE`` is 0; 1 enables it with any jaxlib, and a path moves it there.
+A program compiled for one CPU may be rejected or crash on another, and options change programs, so
+there is a subfolder for each jaxlib version, processor and value of ``XLA_FLAGS``. Anyone who can
+write there can run code here, so the folder must be this user's alone, see
 `machine.private_folder`.
 
-JAX takes an entry as it finds it, and keeps one that it cannot read: cut short by a full disk or a
-kill, it is in the way for ever, and an entry without its time of access ends all writing. So an
-entry is vouched for, by its digest, once it is whole, and those that nobody vouches for are removed
-before JAX looks.
+JAX uses entries unverified and never replaces one that it cannot read: an entry truncated by a full
+disk or a kill stays for good, and one without its access time file stops all writing. So the digest
+of each complete entry is recorded, and entries without a matching digest are removed before JAX
+reads the folder.
 """
 
 import hashlib
@@ -35,42 +35,42 @@ from sinsjax.platform.files import replacing
 VARIABLE = "SINSJAX_COMPILE_CACHE"
 
 SAFE_JAXLIB = frozenset({"0.10.2"})
-"""jaxlib versions with which every fault known of the cache was tried; 0.9.1 to 0.10.1 refuse all
-that they kept on some processors, and say so at every start."""
+"""jaxlib versions tested against every known fault of the cache; on some processors 0.9.1 to 0.10.1
+reject all their own entries, with a warning at every start."""
 
 MOST_BYTES = 2**28
-"""Size that a folder is kept to, some hundred programs; the least recently used go first."""
+"""Size limit of a folder, about a hundred programs; the least recently used are removed first."""
 
 MOST_FOLDERS = 8
-"""Folders of other versions, processors and options that are left beside the one in use."""
+"""Folders of other versions, processors and options that are kept beside the one in use."""
 
 _WORTH_KEEPING_S = 0.2
-_PATIENCE_S = 5.0  # for another process, which holds the lock for milliseconds
-_SUMS = "sums.json"
-_ENTRY, _USED = "-cache", "-atime"  # what JAX's names of a program and of its last use end in
+_PATIENCE_S = 5.0  # other processes hold the lock for milliseconds
+_DIGESTS = "sums.json"
+_ENTRY, _USED = "-cache", "-atime"  # suffixes of JAX's files of a program and of its access time
 
 _COMPILED = "/jax/core/compile/backend_compile_duration"
 _ZSTANDARD = b"\x28\xb5\x2f\xfd"
 
-_why_off = "not asked for: configure() was not called"
+_why_off = "sinsjax.configure() was not called"
 
 
 def why_off() -> str:
-    """Why nothing is kept, if it is not."""
+    """Why the cache is off, if it is."""
     return _why_off
 
 
 def enable() -> Path | None:
-    """Turn JAX's compilation cache on, unless the environment or something unsafe is against it.
+    """Turn JAX's compilation cache on, unless the environment forbids it or it would be unsafe.
 
     Returns:
-        The folder in use, or None; `why_off` then tells why.
+        The folder in use, or None; `why_off` then gives the reason.
 
     Raises:
-        InputError: the folder asked for cannot be made, or others can write there or replace it.
+        InputError: the requested folder cannot be created, or others can write to or replace it.
     """
     global _why_off
-    import filelock  # here, as JAX, for those who want neither
+    import filelock  # here, like JAX, to keep importing this module cheap
     import jax
 
     asked = os.environ.get(VARIABLE, "").strip()
@@ -78,9 +78,9 @@ def enable() -> Path | None:
     if asked == "0":
         _why_off = f"{VARIABLE}=0"
     elif not asked and jax.config.values["jax_compilation_cache_dir"]:
-        _why_off = "JAX keeps programs already"
+        _why_off = "JAX already has a compilation cache"
     elif not asked and version not in SAFE_JAXLIB:
-        _why_off = f"not tried with jaxlib {version}; {VARIABLE}=1 asks for it all the same"
+        _why_off = f"not tested with jaxlib {version}; {VARIABLE}=1 enables it anyway"
     else:
         try:
             return _keep_in(_folder(asked))
@@ -88,27 +88,27 @@ def enable() -> Path | None:
             _why_off = str(error)
             return None
         except filelock.Timeout:
-            _why_off = f"another process keeps the lock of {_folder(asked)}"
+            _why_off = f"another process holds the lock of {_folder(asked)}"
             return None
         except OSError as error:
-            run = ", and what the cache holds is run" if isinstance(error, machine.Unsafe) else ""
+            run = ", and cached programs are executed" if isinstance(error, machine.Unsafe) else ""
             _why_off = f"{error.filename or asked}: {error.strerror or error}{run}"
-        except RuntimeError:  # of expanduser
-            _why_off = f"{asked}: there is no such user, or without a home"
+        except RuntimeError:  # from expanduser
+            _why_off = f"{asked}: no such user, or a user without a home directory"
         if asked:
             raise InputError(f"{VARIABLE}: {_why_off}")
     return None
 
 
 def _folder(asked: str) -> Path:
-    """The folder for this jaxlib, processor and these options, made if it is not there."""
+    """The folder for this jaxlib, processor and options, created if missing."""
     by_name = asked not in ("", "1")
     root = Path(asked).expanduser() if by_name else machine.cache_folder() / "compiled"
     return machine.private_folder(root / _key())
 
 
 def _key() -> str:
-    """The jaxlib version, and a digest of the processor's model and abilities and the options."""
+    """The jaxlib version, and a digest of the processor's model and features and the options."""
     cpu = machine.cpu()
     what = [cpu.get(key, "") for key in ("model name", "flags")] + [os.environ.get("XLA_FLAGS", "")]
     digest = hashlib.sha256("\n".join(what).encode()).hexdigest()[:12]
@@ -119,7 +119,7 @@ def _keep_in(folder: Path) -> Path:
     import jax
 
     with _locked(folder):
-        _remove_unvouched(folder)
+        _remove_unverified(folder)
     os.utime(folder)
     _remove_old(folder)
     warnings.filterwarnings("ignore", r"Error (reading|writing) persistent compilation cache entry")
@@ -133,44 +133,44 @@ def _keep_in(folder: Path) -> Path:
 
 @cache
 def _watch(folder: Path) -> None:
-    """Vouches for what this process compiles, as soon as JAX has written it."""
+    """Record the digest of each program this process compiles, as soon as JAX has written it."""
     import jax.monitoring
 
     def compiled(event: str, seconds: float, **about: Any) -> None:
         if event == _COMPILED and seconds >= _WORTH_KEEPING_S:
-            with suppress(OSError, InputError):  # it will be compiled again
-                vouch(folder)
+            with suppress(OSError, InputError):  # at worst the program is compiled again
+                record_digests(folder)
 
     jax.monitoring.register_event_duration_secs_listener(compiled)
 
 
-def vouch(folder: Path) -> None:
-    """Note the digests of entries that are whole, so that later processes take them.
+def record_digests(folder: Path) -> None:
+    """Record the digests of new complete entries, so that later processes keep them.
 
     Raises:
-        OSError: the folder cannot be read, or another process keeps the lock.
+        OSError: the folder cannot be read, or another process holds the lock.
         InputError: it cannot be written.
     """
     with _locked(folder):
-        known = _sums(folder)
+        known = _digests(folder)
         new = [entry for entry in _entries(folder) if entry.name not in known]
-        if sums := {entry.name: _digest(entry) for entry in new if _is_whole(entry)}:
-            _note(folder, known | sums)
+        if digests := {entry.name: _digest(entry) for entry in new if _is_complete(entry)}:
+            _write_digests(folder, known | digests)
 
 
-def _remove_unvouched(folder: Path) -> None:
-    sums = _sums(folder)
+def _remove_unverified(folder: Path) -> None:
+    digests = _digests(folder)
     for entry in _entries(folder):
-        if not _used(entry).is_file() or _digest(entry) != sums.get(entry.name):
+        if not _used(entry).is_file() or _digest(entry) != digests.get(entry.name):
             entry.unlink(missing_ok=True)
             _used(entry).unlink(missing_ok=True)
-    there = {entry.name for entry in _entries(folder)}
-    if gone := sums.keys() - there:  # by JAX too, which makes room
-        _note(folder, {name: told for name, told in sums.items() if name not in gone})
+    present = {entry.name for entry in _entries(folder)}
+    if digests.keys() - present:  # JAX evicts entries too
+        _write_digests(folder, {name: d for name, d in digests.items() if name in present})
 
 
 def _remove_old(folder: Path) -> None:
-    """Removes folders of other versions, processors and options, the longest unused first."""
+    """Remove folders of other versions, processors and options, the longest unused first."""
     with suppress(OSError):
         others = [other for other in folder.parent.glob("jaxlib-*") if other != folder]
         for other in sorted(others, key=lambda other: other.stat().st_mtime)[:-MOST_FOLDERS]:
@@ -178,7 +178,7 @@ def _remove_old(folder: Path) -> None:
 
 
 def _locked(folder: Path) -> Any:
-    """The lock that JAX takes to read and write entries."""
+    """The lock that JAX holds to read and write entries."""
     import filelock
 
     return filelock.FileLock(folder / ".lockfile", timeout=_PATIENCE_S)
@@ -192,35 +192,35 @@ def _used(entry: Path) -> Path:
     return entry.with_name(entry.name.removesuffix(_ENTRY) + _USED)
 
 
-def _sums(folder: Path) -> dict[str, str]:
+def _digests(folder: Path) -> dict[str, str]:
     try:
-        told = json.loads((folder / _SUMS).read_bytes())
+        stored = json.loads((folder / _DIGESTS).read_bytes())
     except (OSError, ValueError):
         return {}
-    return told if isinstance(told, dict) else {}
+    return stored if isinstance(stored, dict) else {}
 
 
-def _note(folder: Path, sums: dict[str, str]) -> None:
-    with replacing(folder / _SUMS) as file:
-        file.write(json.dumps(sums).encode())
+def _write_digests(folder: Path, digests: dict[str, str]) -> None:
+    with replacing(folder / _DIGESTS) as file:
+        file.write(json.dumps(digests).encode())
 
 
 def _digest(entry: Path) -> str:
     return hashlib.sha256(entry.read_bytes()).hexdigest()
 
 
-def _is_whole(entry: Path) -> bool:
-    """Whether an entry can be unpacked, as JAX does it: one cut short when written cannot."""
+def _is_complete(entry: Path) -> bool:
+    """Whether an entry can be decompressed, as JAX will do; a truncated one cannot."""
     packed = entry.read_bytes()
     try:
-        _unpacker(packed)(packed)
-    except Exception:  # whatever the library has for it
+        _decompressor(packed)(packed)
+    except Exception:  # whatever the library raises
         return False
     return True
 
 
-def _unpacker(packed: bytes) -> Callable[[bytes], bytes]:
-    """Of the library that JAX packed an entry with, where it found the quicker one or not."""
+def _decompressor(packed: bytes) -> Callable[[bytes], bytes]:
+    """The counterpart of the compression that JAX used: Zstandard if installed, else zlib."""
     if not packed.startswith(_ZSTANDARD):
         return zlib.decompress
     if sys.version_info >= (3, 14):

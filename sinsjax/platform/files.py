@@ -1,4 +1,4 @@
-"""A file out that appears whole or not at all."""
+"""Atomic writing of files."""
 
 import os
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ from sinsjax.errors import InputError
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[BinaryIO]:
-    """Opens a file that takes its name only when the block ends without an error.
+    """Open a temporary file that replaces ``path`` when the block ends without an error.
 
     Raises:
         InputError: the target cannot be written.
@@ -33,12 +33,12 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
 
 
 def unwritable(path: Path, error: OSError) -> str:
-    """What is said of a file or directory that cannot be written."""
+    """The message about a file or directory that cannot be written."""
     return f"{path}: cannot be written: {error.strerror or error}"
 
 
 def _sync(directory: Path) -> None:
-    """Makes the new name last through a power cut, where the system can."""
+    """Make the new name survive a power cut, where the system can."""
     with suppress(OSError):
         handle = os.open(directory, os.O_RDONLY)
         try:

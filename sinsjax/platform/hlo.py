@@ -1,7 +1,7 @@
-"""What XLA made of a program, read from its optimised text (HLO).
+"""What XLA compiled a program to, read from its optimised HLO text.
 
-``XLA_FLAGS`` only tells what was asked for: XLA ignores an extra option it does not know, and any
-option that comes after its start. The compiled program tells what was done.
+``XLA_FLAGS`` only shows what was requested: XLA ignores an extra option it does not know, and any
+option set after it has started. The compiled program shows what took effect.
 """
 
 import re
@@ -17,16 +17,16 @@ _TUPLE_FUSION = re.compile(r"= \(.*\) fusion\(")
 
 
 def fused_loop_present(program: str | jax.stages.Compiled) -> bool:
-    """Whether XLA:CPU compiled the loops of a program into native functions of their own.
+    """Whether XLA:CPU compiled each innermost loop of a program into one native function.
 
-    XLA wraps a loop that it compiles as one function into a call marked ``xla_cpu_small_call``.
-    Every innermost loop must lie inside such a call.
+    XLA wraps such a loop in a call marked ``xla_cpu_small_call``; every innermost loop must lie
+    inside one.
 
     Args:
         program: a program compiled for the CPU, or its HLO text.
 
     Returns:
-        False if an innermost loop runs piece by piece, or if there is no loop at all.
+        False if an innermost loop runs one fusion at a time, or if there is no loop.
     """
     text = program if isinstance(program, str) else program.as_text() or ""
     bodies = _computations(text)
@@ -64,12 +64,12 @@ def fused_loop_present(program: str | jax.stages.Compiled) -> bool:
 
 
 def options_seen() -> dict[str, bool | None]:
-    """Whether the XLA options are at work in this process, seen in a tiny compiled loop.
+    """Whether the XLA options are in effect in this process, as seen in a tiny compiled loop.
 
-    The loop carries more bytes than XLA takes for a small loop by itself.
+    The loop carries more bytes than XLA's default limit for a small loop.
 
     Returns:
-        ``fused_loop`` and ``multi_output_fusion``; None where JAX runs without a CPU backend.
+        ``fused_loop`` and ``multi_output_fusion``; None if JAX has no CPU backend.
     """
 
     def step(carry: tuple[jax.Array, jax.Array], t: jax.Array) -> tuple:

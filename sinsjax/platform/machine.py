@@ -1,6 +1,6 @@
-"""What the operating system tells about this machine, and the folders that this user has on it.
+"""Processor, memory and disk of this machine, and the user's folders on it.
 
-It imports nothing that starts a thread: `affinity` needs it before jax is there.
+It imports nothing that starts a thread: `affinity` uses it before JAX is imported.
 """
 
 import errno
@@ -14,21 +14,21 @@ from contextlib import suppress
 from pathlib import Path
 
 _SETS = {"AVX512": "avx512f", "AVX2": "avx2", "AVX": "avx", "SSE4_2": "sse4_2"}
-"""Instruction sets of x86 as XLA names them, the largest first, and a flag of each."""
+"""XLA's names of the x86 instruction sets, the largest first, with a CPU flag for each."""
 
 _ACL = "system.posix_acl_access"
-_BY_OTHERS = "others can write there"
+_BY_OTHERS = "other users can write there"
 
 
 class Unsafe(PermissionError):
-    """A folder that others could put something in, or something else in its stead."""
+    """A folder that other users could write to or replace."""
 
     def __init__(self, place: Path, why: str) -> None:
         super().__init__(errno.EPERM, why, str(place))
 
 
 def cpu() -> dict[str, str]:
-    """The first processor's entries in ``/proc/cpuinfo``; empty where there is none."""
+    """The first processor's entries in ``/proc/cpuinfo``; empty on systems without it."""
     try:
         first = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n")[0]
     except OSError:
@@ -38,18 +38,18 @@ def cpu() -> dict[str, str]:
 
 
 def instructions(limit: str = "") -> str:
-    """The instruction set that programs are compiled to, as far as it decides a last bit.
+    """The instruction set that programs are compiled for, as far as it can change a last bit.
 
     Args:
         limit: value of ``--xla_cpu_max_isa``, the largest set that XLA may use.
 
     Returns:
-        ``AVX512``, ``AVX2``, ``AVX`` or ``SSE4_2``, as that option names them, ``SVE`` or ``NEON``;
-        the kind of processor where the system does not tell. What comes after AVX-512 on x86 is
-        for short integers and halves, and counts as AVX-512.
+        ``AVX512``, ``AVX2``, ``AVX`` or ``SSE4_2``, as in that option, ``SVE`` or ``NEON``; the
+        machine type where the system gives no flags. Later x86 extensions are for short integers
+        and half precision and count as AVX-512.
     """
-    told = cpu()
-    flags = (told.get("flags") or told.get("Features") or "").split()
+    entries = cpu()
+    flags = (entries.get("flags") or entries.get("Features") or "").split()
     if "asimd" in flags:
         return "SVE" if "sve" in flags else "NEON"
     names = list(_SETS)
@@ -60,18 +60,18 @@ def instructions(limit: str = "") -> str:
 
 
 def memory_bytes() -> float:
-    """Memory that this process can have at the most; infinite where nothing tells."""
-    told = [math.inf]
+    """Memory available to this process at most; infinite if unknown."""
+    limits = [math.inf]
     with suppress(ValueError, OSError, AttributeError):
-        told.append(float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")))
+        limits.append(float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")))
     for limit in ("memory.max", "memory/memory.limit_in_bytes"):
         with suppress(ValueError, OSError):
-            told.append(float(Path("/sys/fs/cgroup", limit).read_text(encoding="ascii")))
-    return min(told)
+            limits.append(float(Path("/sys/fs/cgroup", limit).read_text(encoding="ascii")))
+    return min(limits)
 
 
 def free_bytes(folder: Path) -> float:
-    """Room on the disk that a folder is on, or would be; infinite where nothing tells."""
+    """Free space on the disk of a folder, existing or not; infinite if unknown."""
     for there in (folder.absolute(), *folder.absolute().parents):
         with suppress(OSError):
             return float(shutil.disk_usage(there).free)
@@ -79,18 +79,18 @@ def free_bytes(folder: Path) -> float:
 
 
 def temporary_folder() -> Path:
-    """This user's folder below the system's temporary one; it need not be there."""
+    """This user's folder below the system's temporary one; it may not exist yet."""
     user = os.getuid() if hasattr(os, "getuid") else "user"
     return Path(tempfile.gettempdir()) / f"sinsjax-{user}"
 
 
 def cache_folder() -> Path:
-    """This user's folder for what can be made again; it need not be there.
+    """This user's cache folder; it may not exist yet.
 
     Raises:
-        OSError: the user has no home.
+        OSError: the user has no home directory.
     """
-    import platformdirs  # here, for most processes do without
+    import platformdirs  # here, because most processes do not need it
 
     folder = platformdirs.user_cache_path("sinsjax", appauthor=False)
     if not folder.is_absolute():
@@ -99,34 +99,34 @@ def cache_folder() -> Path:
 
 
 def private_folder(folder: Path) -> Path:
-    """A folder that nobody else can write in or take away, made if it is not there.
+    """A folder that no other user can write to or replace, created if missing.
 
-    What is missing is made for this user alone (mode 0700). Every folder above has to belong to
-    this user or to the superuser, and others may write in none, but in one that is sticky and the
-    superuser's, such as ``/tmp``: there nobody renames what is somebody else's. Members of a group
-    that this user is alone in are no others. Nothing is made below a folder that is not safe.
+    Missing folders are created for this user alone (mode 0700). Every parent must be owned by this
+    user or the superuser and must not be writable by others, except a sticky folder of the
+    superuser such as ``/tmp``, where only owners can rename. A group whose only member is this
+    user does not count as others. Nothing is created below an unsafe folder.
 
     Args:
-        folder: where.
+        folder: its path.
 
     Returns:
-        The folder without symbolic links, which is the one to be used: links may be changed later.
+        The path without symbolic links, which is the one to use: links may be changed later.
 
     Raises:
-        Unsafe: others could put something there. Of this error and the next, ``strerror`` says
-            what is wrong and ``filename`` where.
-        OSError: it cannot be made.
+        Unsafe: other users could write there. For this error and the next, ``strerror`` says what
+            is wrong and ``filename`` where.
+        OSError: the folder cannot be created.
     """
     try:
         real = folder.resolve()
-    except RuntimeError as error:  # Python 3.11 and 3.12: links in a circle
+    except RuntimeError as error:  # a loop of links, in Python 3.11 and 3.12
         raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(folder)) from error
     path = [*reversed(real.parents), real]
     there = [place for place in path if _is_there(place)]
     for place in there:
         _check(place, own=place == real)
     for place in path[len(there) :]:
-        # Another process of this user may be as far; whoever else was quicker is found below.
+        # Another process of this user may have created it; one of another user fails the check.
         with suppress(FileExistsError):
             place.mkdir(mode=0o700)
         _check(place, own=place == real)
@@ -142,15 +142,15 @@ def _is_there(place: Path) -> bool:
 
 
 def _check(place: Path, *, own: bool) -> None:
-    """Refuses a place that others could put something in, or something else in its stead."""
-    about = place.lstat()  # no link is followed: there was none, so it is new, and somebody's
+    """Reject a folder that other users could write to or replace."""
+    about = place.lstat()  # not following links: the path was resolved, so a link is a new one
     if not stat.S_ISDIR(about.st_mode):
         raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(place))
-    if not hasattr(os, "geteuid"):  # Windows: a profile is its user's
+    if not hasattr(os, "geteuid"):  # Windows, where a profile is private to its user
         return
     this = os.geteuid()
     if about.st_uid not in ({this} if own else {this, 0}):
-        raise Unsafe(place, "belongs to somebody else")
+        raise Unsafe(place, "owned by another user")
     sticky = about.st_uid == 0 and about.st_mode & stat.S_ISVTX and not own
     if sticky:
         return
@@ -161,7 +161,7 @@ def _check(place: Path, *, own: bool) -> None:
 
 
 def _has_list(place: Path) -> bool:
-    """Whether an access control list names who may write; the group's bits are then its mask."""
+    """Whether there is an access control list; the group's bits are then its mask."""
     if not hasattr(os, "listxattr"):
         return False
     try:
@@ -171,7 +171,7 @@ def _has_list(place: Path) -> bool:
 
 
 def _is_alone(user: int, group: int) -> bool:
-    """Whether nobody else is in a group; not so where that cannot be told."""
+    """Whether a user is the only member of a group; False if that cannot be determined."""
     import grp
     import pwd
 
@@ -181,6 +181,6 @@ def _is_alone(user: int, group: int) -> bool:
         return False
     accounts = pwd.getpwall()
     others = {entry.pw_name for entry in accounts if entry.pw_gid == group} | set(about.gr_mem)
-    # A directory service need not list its accounts; a group of the user's name is the user's own.
+    # A directory service may not list accounts; a group named after the user is the user's own.
     listed = any(entry.pw_name == name for entry in accounts)
     return others <= {name, "root"} and (listed or about.gr_name == name)

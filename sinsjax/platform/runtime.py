@@ -1,6 +1,6 @@
-"""What this process computes with: virtual devices, precision, and what `info` tells of it.
+"""Configuration of this process (devices, precision) and the facts that `info` reports.
 
-XLA's options are those of `xla`: importing `sinsjax` sets some, `configure` the rest.
+For XLA's options see `xla`: importing `sinsjax` sets some of them, `configure` the rest.
 """
 
 import functools
@@ -13,11 +13,11 @@ from sinsjax.errors import InputError
 from sinsjax.platform import machine, xla
 
 DECISIVE = ("sinsjax", "jax", "jaxlib", "numpy", "scipy", "pyarrow")
-"""Packages whose versions decide rows, or the bytes of their files."""
+"""Packages whose versions may change result rows or the bytes of their files."""
 
 
 def package_version() -> str:
-    """The version of sinsjax as installed; ``0+source`` in a tree that is not installed."""
+    """The installed version of sinsjax; ``0+source`` if run from source without installation."""
     try:
         return importlib.metadata.version("sinsjax")
     except importlib.metadata.PackageNotFoundError:
@@ -27,15 +27,15 @@ def package_version() -> str:
 def configure(devices: int | None = None, x64: bool = True) -> None:
     """Set the number of CPU devices and the precision of JAX; call it before any computation.
 
-    Importing sinsjax never does this, since both change the whole program, as do LLVM's options
-    for loops over lanes (`xla.loop_options`), which are set here if JAX has not started. Programs
-    that take long to compile are kept for the next process, see `compile_cache`.
+    Importing sinsjax never does this, since both affect the whole process, as do LLVM's options
+    for loops over lanes (`xla.loop_options`), which are set here unless JAX has started. Programs
+    that take long to compile are cached for later processes, see `compile_cache`.
 
     Args:
-        devices: CPU devices, at least 1: how many threads run a program. None takes what
-            ``JAX_NUM_CPU_DEVICES`` or ``--xla_force_host_platform_device_count`` says, else one for
-            each usable core.
-        x64: whether JAX computes in double precision. The engine's default needs it.
+        devices: CPU devices, at least 1: the number of threads that run a program. None takes
+            ``JAX_NUM_CPU_DEVICES`` or ``--xla_force_host_platform_device_count`` if set, else one
+            per usable core.
+        x64: whether JAX computes in double precision, which the engine needs by default.
 
     Raises:
         ValueError: if `devices` is below 1.
@@ -55,7 +55,7 @@ def configure(devices: int | None = None, x64: bool = True) -> None:
         running = len(jax.local_devices(backend="cpu"))
         if running != wanted:
             raise RuntimeError(
-                f"JAX has started with {running} CPU device(s), too late to ask for {wanted}: "
+                f"JAX has already started with {running} CPU device(s), not {wanted}: "
                 "call sinsjax.platform.runtime.configure before any JAX computation"
             )
     jax.config.update("jax_enable_x64", x64)
@@ -63,10 +63,10 @@ def configure(devices: int | None = None, x64: bool = True) -> None:
 
 
 def require_backend() -> None:
-    """Start JAX's backend, or say why it does not start.
+    """Start JAX's backend.
 
     Raises:
-        InputError: the platform that ``JAX_PLATFORMS`` asks for is not there.
+        InputError: the platform requested by ``JAX_PLATFORMS`` is not available.
     """
     import jax
 
@@ -74,12 +74,12 @@ def require_backend() -> None:
         jax.devices()
     except (RuntimeError, AssertionError) as error:
         asked = os.environ.get("JAX_PLATFORMS", "")
-        why = str(error).partition("\n")[0] or "there is no such device"
+        why = str(error).partition("\n")[0] or "no such device"
         raise InputError(f"JAX_PLATFORMS={asked}: JAX does not start: {why}") from error
 
 
 def require_x64() -> None:
-    """Refuse to compute in single precision, which loses the Earth's turn within a sample.
+    """Refuse to compute in single precision, which loses the Earth's rotation within a sample.
 
     Raises:
         RuntimeError: if double precision is off.
@@ -91,7 +91,7 @@ def require_x64() -> None:
 
 
 def usable_cores() -> int:
-    """How many cores this process may run on."""
+    """Number of cores that this process may run on."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -104,7 +104,7 @@ def versions() -> dict[str, str]:
 
 
 def session() -> dict[str, Any]:
-    """What this process brings to results, for a manifest: versions, machine, XLA's options."""
+    """What may affect the results, for a manifest: versions, machine and XLA options."""
     cpu = machine.cpu()
     return {
         "versions": versions(),
@@ -116,15 +116,15 @@ def session() -> dict[str, Any]:
 
 
 def facts() -> dict[str, Any]:
-    """What this process computes with; starts JAX's backend and compiles a tiny loop.
+    """Versions, devices and options of this process; starts JAX and compiles a tiny loop.
 
     Returns:
-        All of `versions`; ``platform``, ``cpu``; ``instructions``: the set in force; ``avx512``:
-        whether it is that one, None where it cannot be told; ``cores``, ``devices``, ``x64``;
+        All of `versions`; ``platform``, ``cpu``; ``instructions``: the instruction set in use;
+        ``avx512``: whether that is AVX-512, None if unknown; ``cores``, ``devices``, ``x64``;
         ``compile_cache``: the folder of compiled programs, or off and why; ``options``: each XLA
         option with its value in ``XLA_FLAGS`` or None; ``opted_out``; ``jaxlib_tested``: whether
-        this version is in `xla.TESTED_JAXLIB`; ``fused_loop``, ``multi_output_fusion``: what
-        `sinsjax.platform.hlo.options_seen` finds.
+        this version is in `xla.TESTED_JAXLIB`; ``fused_loop``, ``multi_output_fusion``: see
+        `sinsjax.platform.hlo.options_seen`.
     """
     import jax
 
@@ -152,11 +152,11 @@ def facts() -> dict[str, Any]:
 
 
 def info() -> dict[str, Any]:
-    """`facts`, and what a small step becomes in a process of its own, which takes some seconds.
+    """`facts`, and how well a small step vectorises in a separate process (some seconds).
 
     Returns:
         All of `facts`; ``vectorised``: share of the step's arithmetic in vectorised loops, None
-        where it cannot be told; ``forgone``: what is left out for want of `configure`, or None.
+        if unknown; ``forgone``: options missing because `configure` was not called, or None.
     """
     known = facts()
     refused = xla.refused_flags(_version("jaxlib"))
@@ -165,8 +165,8 @@ def info() -> dict[str, Any]:
     forgone = None
     if missing and not xla.opted_out():
         forgone = (
-            f"{' and '.join(missing)}: call sinsjax.configure() before JAX starts (and name no file"
-            " in XLA_FLAGS) for loops up to a quarter faster; they hold for the whole process"
+            f"{' and '.join(missing)}: call sinsjax.configure() before JAX starts (without a file"
+            " in XLA_FLAGS) for loops up to a quarter faster; they affect the whole process"
         )
     return known | {"vectorised": xla.vectorised(), "forgone": forgone}
 

@@ -1,16 +1,16 @@
-"""XLA's options for the CPU: what makes the loop over samples one vectorised native function.
+"""XLA:CPU options that compile the loop over samples to one vectorised native function.
 
-By default XLA:CPU runs every small fusion of a scan body as a call of its own, which costs several
-times the arithmetic of a 5-state filter; and LLVM leaves the largest of these loops scalar, for it
-would have to check more arrays for overlaps than it does by default. XLA reads its options from
+By default XLA:CPU calls every small fusion of a scan body as a separate function, at several times
+the cost of a 5-state filter's arithmetic, and LLVM leaves the largest of these loops scalar, as it
+would need more runtime overlap checks than its default limit. XLA reads its options from
 ``XLA_FLAGS`` once, when the backend starts, so `apply_options` runs when `sinsjax` is imported: it
 adds `OPTIONS` and changes nothing else.
 
-LLVM's options are those of the whole process. That of `OPTIONS` costs other programs nothing; those
-of `loop_options` fit loops over lanes in double precision, and may slow others down, so that only
-whoever hands the process over, by `runtime.configure`, gets them.
+LLVM's options apply to the whole process. The one in `OPTIONS` costs other programs nothing; those
+of `loop_options` suit loops over lanes in double precision and may slow down others, so they are
+set only by an explicit call of `runtime.configure`.
 
-Set the environment variable ``SINSJAX_XLA_OPTIONS=0`` to leave ``XLA_FLAGS`` as it is.
+Set the environment variable ``SINSJAX_XLA_OPTIONS=0`` to leave ``XLA_FLAGS`` unchanged.
 """
 
 import contextlib
@@ -32,14 +32,14 @@ OPT_OUT = "SINSJAX_XLA_OPTIONS"
 
 
 class Option(NamedTuple):
-    """One option of XLA:CPU, or of LLVM beneath it.
+    """One option of XLA:CPU, or of LLVM underneath.
 
     Attributes:
-        name: its key; that of one of LLVM's begins with two hyphens.
-        value: what it is set to.
-        extra: whether it rides in ``--xla_backend_extra_options``. XLA ignores an unknown key
-            there without a word, while an unknown plain flag ends the process when the backend
-            starts, and an unknown option of LLVM's as soon as anything is compiled.
+        name: its key; LLVM options begin with two hyphens.
+        value: its value.
+        extra: whether it is passed in ``--xla_backend_extra_options``. XLA silently ignores an
+            unknown key there, whereas an unknown plain flag ends the process when the backend
+            starts, and an unknown LLVM option does so at the first compilation.
     """
 
     name: str
@@ -48,7 +48,7 @@ class Option(NamedTuple):
 
     @property
     def flag(self) -> str:
-        """What may be refused: LLVM's option, or the command-line flag that carries it."""
+        """The name that jaxlib may not know: the LLVM option, or the flag that carries it."""
         return EXTRA_FLAG if self.extra and not self.name.startswith("--") else self.name
 
 
@@ -59,10 +59,10 @@ OPTIONS = (
     Option("xla_cpu_use_multi_output_fusion", "true"),
     Option("--vectorize-memory-check-threshold", "100000"),
 )
-"""The options that importing sets, in one place."""
+"""The options set on import."""
 
 TESTED_JAXLIB = frozenset({"0.10.0", "0.10.2"})
-"""jaxlib versions on which all options were seen at work in a compiled loop."""
+"""jaxlib versions on which all options were seen to take effect in a compiled loop."""
 
 _WIDTHS = {"AVX512": "8", "AVX2": "4", "AVX": "4", "SSE4_2": "4"}
 _FLAG = re.compile(r"""(?:^|(?<=\s))--(\w+)=(\"[^\"]*\"|'[^']*'|\S*)""")
@@ -78,7 +78,7 @@ def opted_out() -> bool:
 
 
 def flag_values(flags: str) -> dict[str, str]:
-    """Every flag and extra option in a value of ``XLA_FLAGS``, by name; the last of a name wins."""
+    """Every flag and extra option in a value of ``XLA_FLAGS``, by name; the last one wins."""
     values: dict[str, str] = {}
     for name, quoted in _FLAG.findall(flags):
         value = quoted.strip("\"'")
@@ -90,12 +90,12 @@ def flag_values(flags: str) -> dict[str, str]:
 
 
 def names_a_file(flags: str) -> bool:
-    """Whether a value of ``XLA_FLAGS`` is the name of a file with the flags."""
+    """Whether a value of ``XLA_FLAGS`` names a file that contains the flags."""
     return bool(flags.strip()) and not flags.lstrip().startswith("-")
 
 
 def given() -> dict[str, str]:
-    """What ``XLA_FLAGS``, or the file that it names, sets; see `flag_values`."""
+    """The options set by ``XLA_FLAGS``, or by the file that it names, see `flag_values`."""
     flags = os.environ.get("XLA_FLAGS", "")
     if names_a_file(flags):
         with contextlib.suppress(OSError, ValueError):
@@ -104,14 +104,14 @@ def given() -> dict[str, str]:
 
 
 def instructions() -> str:
-    """The instruction set in force: this machine's, as far as ``XLA_FLAGS`` lets XLA use it."""
+    """The instruction set in use: this machine's, limited by ``XLA_FLAGS``."""
     return machine.instructions(given().get("xla_cpu_max_isa", ""))
 
 
 def loop_options() -> tuple[Option, ...]:
-    """LLVM's options for loops over lanes in double precision, by the instruction set in force.
+    """LLVM's options for loops over lanes in double precision, by the instruction set in use.
 
-    Wider vectors than LLVM would take, one to an iteration. None where sets are not x86's.
+    Wider vectors than LLVM would choose, one per iteration. No options outside x86.
     """
     width = _WIDTHS.get(instructions())
     if width is None:
@@ -120,22 +120,22 @@ def loop_options() -> tuple[Option, ...]:
 
 
 def wanted() -> tuple[Option, ...]:
-    """All options, those of loops among them."""
+    """All options, including those for loops."""
     return (*OPTIONS, *loop_options())
 
 
 def merge_options(
     flags: str, refused: frozenset[str] = frozenset(), options: tuple[Option, ...] = OPTIONS
 ) -> str:
-    """Extend a value of ``XLA_FLAGS`` by the options it does not name yet.
+    """Extend a value of ``XLA_FLAGS`` by the options that it does not set.
 
     Args:
-        flags: the user's value. Every flag and extra option in it is kept as it stands.
+        flags: the user's value. Every flag and extra option in it is kept unchanged.
         refused: flags that this jaxlib does not know.
-        options: that are to be set.
+        options: options to set.
 
     Returns:
-        The new value. Extra options join an existing ``--xla_backend_extra_options``.
+        The new value. Extra options are appended to an existing ``--xla_backend_extra_options``.
     """
     present = flag_values(flags)
     carried = options if EXTRA_FLAG not in refused else [o for o in options if not o.extra]
@@ -154,15 +154,15 @@ def merge_options(
 
 
 def apply_options() -> None:
-    """Add `OPTIONS` to ``XLA_FLAGS``, extending what the user has set.
+    """Add `OPTIONS` to ``XLA_FLAGS``, extending the user's value.
 
-    Does nothing where the user opted out or has set every option. A jaxlib that is not in
-    `TESTED_JAXLIB` is first tried in a separate process, once a version and user, because a flag
-    it does not know would end this one.
+    Does nothing if the user has opted out or has set every option. A jaxlib not in `TESTED_JAXLIB`
+    is first tried in a separate process, once per version and user, because an unknown flag would
+    end this one.
 
     Warns:
-        OptionsWarning: when it is too late (a JAX backend has started), when ``XLA_FLAGS`` names a
-            file, or when jaxlib does not know a flag.
+        OptionsWarning: a JAX backend has already started, ``XLA_FLAGS`` names a file, or jaxlib
+            does not know a flag.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if opted_out() or all(option.name in flag_values(flags) for option in OPTIONS):
@@ -175,7 +175,7 @@ def apply_options() -> None:
         refused = refused_flags(_jaxlib())
         if refused:
             names = ", ".join(f"--{flag.removeprefix('--')}" for flag in sorted(refused))
-            _warn(f"jaxlib {_jaxlib()} does not take {names}")
+            _warn(f"jaxlib {_jaxlib()} does not know {names}")
         os.environ["XLA_FLAGS"] = merge_options(flags, refused)
 
 
@@ -187,21 +187,21 @@ def apply_loop_options() -> None:
 
 
 def backend_started() -> bool:
-    """Whether a JAX backend is up in this process, after which XLA reads no more options."""
-    # JAX has no public way to ask without starting one.
+    """Whether a JAX backend has started in this process, after which XLA reads no more options."""
+    # JAX has no public function that tells without starting one.
     bridge = sys.modules.get("jax._src.xla_bridge")
     return bridge is not None and bridge.backends_are_initialized()
 
 
 def refused_flags(jaxlib: str) -> frozenset[str]:
-    """The flags that a jaxlib version does not know, of those that carry what is `wanted`.
+    """The flags of the `wanted` options that a jaxlib version does not know.
 
     Args:
-        jaxlib: the version installed here. One that is not in `TESTED_JAXLIB` is tried in a
-            separate process (some seconds); the answer is kept in the user's cache folder.
+        jaxlib: the installed version. One not in `TESTED_JAXLIB` is tried in a separate process
+            (some seconds); the result is stored in the user's cache folder.
 
     Returns:
-        Names of flags; all of them where the trial gave no answer.
+        Names of flags; all of them if the trial failed.
     """
     options = wanted()
     needed = frozenset(option.flag for option in options)
@@ -219,9 +219,9 @@ def refused_flags(jaxlib: str) -> frozenset[str]:
 
 @functools.cache
 def vectorised() -> float | None:
-    """Share of a small step's arithmetic that is vectorised under the present ``XLA_FLAGS``.
+    """Share of a small step's arithmetic that is vectorised under the current ``XLA_FLAGS``.
 
-    Compiled in a process of its own, which takes some seconds; None where it cannot be told.
+    Compiled in a separate process, which takes some seconds; None if unknown.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     trial = None if names_a_file(flags) else xla_trial.attempt(flags)
@@ -255,7 +255,7 @@ def _read_cache() -> dict[str, dict[str, bool]]:
 
 
 def _write_cache(known: dict[str, dict[str, bool]]) -> None:
-    # A cache that cannot be written costs a second at the next import, no more.
+    # Without the cache, the next import takes a second longer.
     with contextlib.suppress(OSError):
         path = _cache_file()
         machine.private_folder(path.parent)

@@ -1,8 +1,8 @@
-"""A small step compiled in a process of its own: which options does this jaxlib refuse?
+"""Trial compilation of a small step in a separate process, to find options jaxlib does not know.
 
-An option that XLA or LLVM does not know ends the process, and LLVM's only when something is
-compiled. The same process leaves LLVM's optimised code, which tells whether loops are vectorised.
-Run as a script it compiles the step, with nothing of `sinsjax` imported.
+An option unknown to XLA or LLVM ends the process, in LLVM's case only when something is compiled.
+The process also dumps LLVM's optimised code, which shows whether loops are vectorised. Run as a
+script, this module compiles the step without importing anything of `sinsjax`.
 """
 
 import os
@@ -24,11 +24,11 @@ _FUSED = re.compile(r"= (?:tail )?call\b.*@llvm\.f(?:muladd|ma)\.(?:v(\d+))?f64\
 
 
 class Trial(NamedTuple):
-    """What a process did with a value of ``XLA_FLAGS``.
+    """Result of compiling with a value of ``XLA_FLAGS``.
 
     Attributes:
-        unknown: flags and options that it does not know; where there are any, nothing was compiled.
-        vectorised: share of a step's arithmetic in vectorised loops, None where it cannot be told.
+        unknown: unknown flags and options; if there are any, nothing was compiled.
+        vectorised: share of a step's arithmetic in vectorised loops, None if unknown.
     """
 
     unknown: frozenset[str]
@@ -36,13 +36,13 @@ class Trial(NamedTuple):
 
 
 def attempt(flags: str) -> Trial | None:
-    """Compile a small step for the CPU in a process of its own.
+    """Compile a small step for the CPU in a separate process.
 
     Args:
         flags: value of ``XLA_FLAGS``.
 
     Returns:
-        What it did; None if it gave no answer.
+        The result; None if the process failed for another reason.
     """
     with tempfile.TemporaryDirectory(prefix="sinsjax-trial-") as folder:
         environment = {
@@ -53,7 +53,7 @@ def attempt(flags: str) -> Trial | None:
         }
         try:
             process = subprocess.run(
-                # Without the script's folder in the path, whose modules have names of Python's own.
+                # -P keeps modules beside this one off the path, where they could shadow Python's.
                 [sys.executable or "", "-P", __file__],
                 env=environment,
                 stdin=subprocess.DEVNULL,
@@ -73,13 +73,13 @@ def attempt(flags: str) -> Trial | None:
 
 
 def refused(flags_without: Callable[[frozenset[str]], str]) -> frozenset[str] | None:
-    """The flags and options that this jaxlib does not know, found one after the other.
+    """The flags and options that this jaxlib does not know, found one after another.
 
     Args:
         flags_without: (those refused so far) -> value of ``XLA_FLAGS`` without them.
 
     Returns:
-        Their names; None where no answer was given.
+        Their names; None if a trial failed.
     """
     found: frozenset[str] = frozenset()
     while True:
@@ -92,16 +92,16 @@ def refused(flags_without: Callable[[frozenset[str]], str]) -> frozenset[str] | 
 
 
 def vectorised_share(code: str) -> float | None:
-    """Share of the arithmetic in double precision that loops do in vectors.
+    """Share of the double-precision arithmetic that is done in vectorised loops.
 
-    A vectorised loop has its scalar twin beside it, for arrays that overlap: both leave to the same
-    place. Of the two, the scalar one is counted as vectorised.
+    A vectorised loop has a scalar twin for overlapping arrays, with the same exit block. Of the
+    two, the scalar one is counted, as vectorised.
 
     Args:
         code: LLVM's optimised code, as text with the predecessors of each block.
 
     Returns:
-        From 0 to 1; None where nothing was found that could be counted.
+        From 0 to 1; None if no arithmetic was found.
     """
     vector: dict[str, int] = {}
     scalar: dict[str, int] = {}
@@ -125,7 +125,7 @@ def vectorised_share(code: str) -> float | None:
 
 
 def compile_step() -> None:
-    """Compile a loop whose step reads and writes many arrays of lanes, as a filter does."""
+    """Compile a loop whose step reads and writes many arrays over lanes, as a filter does."""
     import jax
     import jax.numpy as jnp
 

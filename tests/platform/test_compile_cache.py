@@ -54,7 +54,7 @@ def test_it_is_on_by_default_and_bounded(unchanged, tmp_path, asked):
 def test_by_default_it_is_off_with_a_jaxlib_that_was_not_tried(unchanged, tmp_path):
     unchanged.setattr(compile_cache, "SAFE_JAXLIB", frozenset())
     assert compile_cache.enable() is None
-    assert compile_cache.why_off().startswith("not tried with jaxlib")
+    assert compile_cache.why_off().startswith("not tested with jaxlib")
     unchanged.setenv(compile_cache.VARIABLE, "1")
     assert compile_cache.enable().is_relative_to(tmp_path)
 
@@ -62,14 +62,17 @@ def test_by_default_it_is_off_with_a_jaxlib_that_was_not_tried(unchanged, tmp_pa
 def test_by_default_a_folder_of_jaxs_own_stays(unchanged, tmp_path):
     jax.config.update("jax_compilation_cache_dir", str(tmp_path / "users"))
     assert compile_cache.enable() is None
-    assert compile_cache.why_off() == "JAX keeps programs already"
+    assert compile_cache.why_off() == "JAX already has a compilation cache"
     assert jax.config.values["jax_compilation_cache_dir"] == str(tmp_path / "users")
 
 
 @pytest.mark.parametrize(
     ("spoil", "told"),
     [
-        (lambda home: home.chmod(0o777), "others can write there, and what the cache holds is run"),
+        (
+            lambda home: home.chmod(0o777),
+            "other users can write there, and cached programs are executed",
+        ),
         (lambda home: (home / "sinsjax").write_text(""), "Not a directory"),
     ],
 )
@@ -99,7 +102,7 @@ def test_a_folder_that_others_can_write_to_is_refused(unchanged, tmp_path):
     unchanged.setenv(compile_cache.VARIABLE, str(tmp_path / "mine"))
     folder = compile_cache.enable()
     folder.chmod(0o707)
-    with pytest.raises(InputError, match="others can write there"):
+    with pytest.raises(InputError, match="other users can write there"):
         compile_cache.enable()
 
 
@@ -108,7 +111,10 @@ def test_a_folder_above_that_others_can_write_to_is_refused(unchanged, tmp_path)
     (tmp_path / "theirs").mkdir()
     (tmp_path / "theirs").chmod(0o777)
     unchanged.setenv(compile_cache.VARIABLE, str(tmp_path / "theirs" / "leaf"))
-    told = "^SINSJAX_COMPILE_CACHE: .*/theirs: others can write there, and what the cache holds is"
+    told = (
+        "^SINSJAX_COMPILE_CACHE: .*/theirs: other users can write there,"
+        " and cached programs are executed$"
+    )
     with pytest.raises(InputError, match=told):
         compile_cache.enable()
     assert not list((tmp_path / "theirs").iterdir())
@@ -121,7 +127,7 @@ def test_a_folder_above_that_others_can_write_to_is_refused(unchanged, tmp_path)
         ("{}/file", ".*/file/jaxlib.*: Not a directory"),
         ("{}/loop/x", ".*/loop.*: .*[Ss]ymbolic link"),
         ("{}/" + 300 * "x", ".*: File name too long"),
-        ("~nosuchuser/x", "~nosuchuser/x: there is no such user"),
+        ("~nosuchuser/x", "~nosuchuser/x: no such user"),
     ],
 )
 def test_a_folder_that_cannot_be_made_is_named(unchanged, tmp_path, asked, told):
@@ -232,13 +238,13 @@ def test_first_starts_at_once(tmp_path, first):
     assert told(start(tmp_path / "new")) == (first[1], True)
 
 
-def test_an_entry_that_is_cut_short_is_not_vouched_for(filled):
+def test_an_entry_that_is_cut_short_is_not_recorded(filled):
     _, inner, _ = filled
     (entry,) = inner.glob("*-cache")
     short = entry.with_name(f"short{entry.name}")
     short.write_bytes(entry.read_bytes()[:-9])
     (inner / "sums.json").unlink()
-    compile_cache.vouch(inner)
+    compile_cache.record_digests(inner)
     assert list(json.loads((inner / "sums.json").read_text())) == [entry.name]
 
 
@@ -250,7 +256,7 @@ def test_a_lock_that_another_process_keeps_turns_it_off(unchanged, filled):
     jax.config.update("jax_compilation_cache_dir", None)
     with filelock.FileLock(inner / ".lockfile"):
         assert compile_cache.enable() is None
-    assert compile_cache.why_off().startswith("another process keeps the lock")
+    assert compile_cache.why_off().startswith("another process holds the lock")
 
 
 def test_folders_of_other_machines_are_not_kept_for_ever(unchanged, tmp_path):

@@ -74,10 +74,10 @@ def test_a_folder_above_that_others_can_write_to_is_refused(tmp_path: Path, betw
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o777)
     leaf = tmp_path / "open" / f"{between}leaf"
-    assert refused(leaf) == (str(tmp_path / "open"), "others can write there")
+    assert refused(leaf) == (str(tmp_path / "open"), "other users can write there")
     # Also where it was there already, as safe as can be.
     leaf.mkdir(mode=0o700, parents=True)
-    assert refused(leaf) == (str(tmp_path / "open"), "others can write there")
+    assert refused(leaf) == (str(tmp_path / "open"), "other users can write there")
 
 
 @modes
@@ -90,9 +90,9 @@ def test_a_sticky_folder_is_one_to_be_safe_in_only_if_the_superusers(
     if os.geteuid() == 0:
         machine.private_folder(sticky / "leaf")
         os.chown(sticky, SOMEBODY, SOMEBODY)
-        assert refused(sticky / "new") == (str(sticky), "belongs to somebody else")
+        assert refused(sticky / "new") == (str(sticky), "owned by another user")
     else:
-        assert refused(sticky / "leaf") == (str(sticky), "others can write there")
+        assert refused(sticky / "leaf") == (str(sticky), "other users can write there")
     assert refused(sticky)[0] == str(sticky)
 
 
@@ -102,7 +102,7 @@ def test_the_folder_itself_has_to_be_this_users(
 ) -> None:
     (tmp_path / "mine").mkdir()
     monkeypatch.setattr(machine.os, "geteuid", lambda: os.getuid() + 1)
-    assert refused(tmp_path / "mine")[1] == "belongs to somebody else"
+    assert refused(tmp_path / "mine")[1] == "owned by another user"
 
 
 @modes
@@ -112,7 +112,7 @@ def test_a_folder_above_that_is_somebody_elses_is_refused(tmp_path: Path) -> Non
     theirs = tmp_path / "theirs"
     theirs.mkdir(mode=0o700)
     os.chown(theirs, SOMEBODY, SOMEBODY)
-    assert refused(theirs / "leaf") == (str(theirs), "belongs to somebody else")
+    assert refused(theirs / "leaf") == (str(theirs), "owned by another user")
 
 
 @modes

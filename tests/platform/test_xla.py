@@ -139,7 +139,7 @@ def test_an_unknown_jaxlib_is_tried_once_and_remembered(unset):
     unset.setattr(xla, "OPTIONS", (*unknown, *OPTIONS))
     unset.setattr(xla, "_jaxlib", lambda: "99.0")
     with pytest.warns(
-        OptionsWarning, match="99.0 does not take --no-such-option, --xla_no_such_flag"
+        OptionsWarning, match="99.0 does not know --no-such-option, --xla_no_such_flag"
     ):
         xla.apply_options()
     refused = frozenset({"xla_no_such_flag", "--no-such-option"})
