@@ -1,6 +1,6 @@
 """Initial alignment of strapdown inertial navigators: thousands of runs in one compiled call.
 
-Words and conventions, said once for the whole package:
+Terms and conventions of the whole package:
 
 **Frames.** n is the navigation frame, east-north-up; b is the body frame, right-front-up.
 ``C_nb`` (and the quaternion ``q_nb``, scalar first) takes body vectors to n.
@@ -10,31 +10,31 @@ Words and conventions, said once for the whole package:
 **Misalignment.** ``phi`` is the rotation vector between the true and the computed navigation
 frame: ``C_b^{n'} = exp(-phi x) C_b^n``. A correction is ``C <- exp(+phi x) C``, ``V <- V - dV``.
 A ``phi`` column is the rotation vector of ``C_true C_hat^T``, each component in (-180, 180] deg,
-where ``C_hat`` is the corrected attitude: what a user would be given.
+where ``C_hat`` is the corrected attitude, as a user would receive it.
 
-**Units.** SI, radians and seconds inside. Outside (TOML keys, columns, axis labels) the unit is in
-the name: ``_deg``, ``_arcmin``, ``_deg_per_h``, ``_ug``, ``_s``, ``_m_per_s``.
+**Units.** SI units, radians and seconds inside. Outside (TOML keys, columns, axis labels) the unit
+is part of the name: ``_deg``, ``_arcmin``, ``_deg_per_h``, ``_ug``, ``_s``, ``_m_per_s``.
 
-**Limit and truth.** A heading is judged from the truth, true north or a record's reference, or from
-the limit, what the run's own constant sensor biases leave of it; every success and settling time
-says which.
+**Limit and truth.** A heading is judged either from the truth (true north, or a record's reference)
+or from the limit, the heading error that the run's own constant sensor biases make unavoidable;
+every success and settling time states which.
 
 **Letters.** ``eps`` gyro bias, ``nabla`` accelerometer bias, ``Phi`` transition, ``Q`` process
 noise, ``R`` measurement noise, ``P`` covariance, ``K`` gain, as in the papers.
 
 **Draws, variants, runs.** A draw is one realisation of the sensor noise; a variant is one point of
-a study's axes; a run is a draw under a variant: ``run_id = draw_id * n_variants + variant_id``.
-Noise depends on the seed and the draw alone, so variants of one draw share it.
+a study's axes; a run is one draw of one variant: ``run_id = draw_id * n_variants + variant_id``.
+Noise depends on the seed and the draw alone, so all variants of a draw share it.
 
 **Order within a sample.** Mechanise, predict, update, then feed back, reset and record if due. A
 reset at t acts after the update of sample ``round(t/dt)``: the whole state is fed back, then the
-covariance is set.
+covariance is reset.
 
-Importing the package adds XLA:CPU options to ``XLA_FLAGS`` (see `sinsjax.platform.xla`; a jaxlib
-that is not in its table is first tried in a process of its own) and changes nothing else, unless
-``SINSJAX_ONE_CORE=1`` asks for a process that keeps to one core (see `sinsjax.platform.affinity`).
-`sinsjax.configure` sets the number of CPU devices, double precision and options of LLVM that hold
-for every loop of the process.
+Importing the package adds XLA:CPU options to ``XLA_FLAGS`` (see `sinsjax.platform.xla`; an untested
+jaxlib is first tried in a separate process) and changes nothing else, except that
+``SINSJAX_ONE_CORE=1`` pins the process to one core (see `sinsjax.platform.affinity`).
+`sinsjax.configure` sets the number of CPU devices, double precision, and LLVM options that apply to
+every loop of the process.
 """
 
 from importlib import import_module
@@ -42,7 +42,7 @@ from typing import TYPE_CHECKING, Any
 
 from sinsjax.platform import affinity, runtime, xla
 
-# XLA reads its options and counts its cores once, so this comes before what may start JAX.
+# XLA reads its options and counts cores only once, so this must precede imports that start JAX.
 affinity.apply()
 xla.apply_options()
 
@@ -97,7 +97,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    # A command needs some of it at once and the rest while XLA compiles: imported when asked for.
+    # Imported on first use: a command needs only part of the package before XLA compiles.
     for home, names in _HOMES.items():
         if name in names:
             found = getattr(import_module(f"{__name__}.{home}"), name)

@@ -1,7 +1,7 @@
-"""Every result column, with unit and type, and the version of their schema.
+"""The result columns, with units and types, and the version of their schema.
 
-Two datasets come out of a study: ``summary`` with one row a run, and ``curves`` with one row a run
-and record time. The keys that a study sweeps are columns of the summary too.
+A study writes two datasets: ``summary`` with one row per run, and ``curves`` with one row per run
+and record time. The keys that a study sweeps are also columns of the summary.
 """
 
 from collections.abc import Iterable
@@ -13,26 +13,26 @@ import pyarrow as pa
 from sinsjax.units import split_unit
 
 SCHEMA_VERSION = "2"
-"""Raised whenever a column changes its meaning or goes."""
+"""Incremented whenever a column is removed or changes its meaning."""
 
 STATUSES = ("ok", "not_settled", "diverged", "nonfinite", "no_north")
-"""How a run ended; the first that holds, and null where there is nothing to judge it from.
+"""How a run ended: the first that applies; null if there is nothing to judge it from.
 
-nonfinite: the last attitude is no number (told without truth too). no_north: the run's level gyro
-bias exceeds the level part of the Earth rate, which shows north. ok: ``ok_truth`` or ``ok_limit``,
-as the study's `judged_from` says. diverged: the last phi_u is further from its limit than the
-study's `diverged_deg` (from the truth where there is no limit). not_settled: all others.
+nonfinite: the last attitude is not finite (detected even without truth). no_north: the run's level
+gyro bias exceeds the level component of Earth rate, which shows north. ok: ``ok_truth`` or
+``ok_limit``, according to the study's `judged_from`. diverged: the last phi_u is further than the
+study's `diverged_deg` from its limit (from the truth if there is no limit). not_settled: the rest.
 """
 
 SUCCESS_BAND_ARCMIN = 10.0
-"""The band that a run's heading and level errors end in to be ok, where a study does not say it."""
+"""Default band within which the heading and level errors of a successful run end."""
 
 DIVERGED_DEG = 10.0
-"""A run that ends further than this from its limit in phi_u has diverged, likewise."""
+"""Default final distance of phi_u from its limit beyond which a run has diverged."""
 
 
 class Column(NamedTuple):
-    """A column: its name, type, unit and meaning."""
+    """Name, type, unit and meaning of a column."""
 
     name: str
     dtype: pa.DataType
@@ -67,60 +67,66 @@ IDENTITY = (
     Column("reset_cycle_s", _F, "s", "time between resets; null for explicit times"),
     Column("reset_times_s", pa.list_(_F), "s", "reset times"),
     Column("start_s", _F, "s", "start in the record, where coarse alignment begins"),
-    Column("phi_e0_deg", _F, "deg", "initial misalignment, as the study gives it, east"),
-    Column("phi_n0_deg", _F, "deg", "initial misalignment, as the study gives it, north"),
-    Column("phi_u0_deg", _F, "deg", "initial misalignment, as the study gives it, up"),
+    Column("phi_e0_deg", _F, "deg", "initial misalignment about east, as given by the study"),
+    Column("phi_n0_deg", _F, "deg", "initial misalignment about north, as given by the study"),
+    Column("phi_u0_deg", _F, "deg", "initial misalignment about up, as given by the study"),
 )
-"""Columns that say which run a row is."""
+"""Columns that identify the run of a row."""
 
 OBSERVED = (
-    *_phi("phi", "misalignment left in the corrected attitude"),
-    *_phi("sigma", "the filter's own 1 sigma of that misalignment"),
+    *_phi("phi", "misalignment of the corrected attitude"),
+    *_phi("sigma", "the filter's own 1 sigma of the misalignment"),
     *_euler("corrected"),
     Column("heading_deg", _F, "deg", "corrected heading, clockwise from north, 0 to 360: -yaw"),
 )
-"""Columns of one observation: the last one in the summary, all of them in the curves."""
+"""Columns of one observation: the summary has the last observation, the curves have all of them."""
 
 JUDGED = (
     *_phi("phi", "window mean of the misalignment", "_mean"),
     *_phi("phi", "window standard deviation of the misalignment", "_std"),
     *_euler("window mean of", "_mean"),
     *_euler("window standard deviation of", "_std"),
-    Column("has_limit", pa.bool_(), "", "whether the run's biases leave phi_u a limit"),
-    Column("floor_arcmin", _F, "arcmin", "limit of phi_u: what the run's constant biases leave"),
+    Column("has_limit", pa.bool_(), "", "whether phi_u has a limit under the run's biases"),
+    Column("floor_arcmin", _F, "arcmin", "limit of phi_u under the run's constant biases"),
     Column("nees", _F, "", "phi' P^-1 phi at the end, phi from the truth; 3 degrees of freedom"),
     Column("nis_u", _F, "", "(phi_u - floor)^2 / P_UU at the end"),
     Column("p_above_error_share", _F, "", "share of records with P_UU > phi_u^2"),
     Column("p_above_floor_error_share", _F, "", "share of records with P_UU > (phi_u - floor)^2"),
     Column("p_above_error_steady_share", _F, "", "share of steady records with P_UU > phi_u^2"),
     Column(
-        "ok_limit", pa.bool_(), "", "in the success band about its limit, long enough, level too"
+        "ok_limit",
+        pa.bool_(),
+        "",
+        "phi_u within the success band of its limit for the dwell time, final level errors small",
     ),
     Column(
-        "ok_truth", pa.bool_(), "", "in the success band about the truth, long enough, level too"
+        "ok_truth",
+        pa.bool_(),
+        "",
+        "phi_u within the success band of the truth for the dwell time, final level errors small",
     ),
-    Column("status", _S, "", "ok as judged_from says, not_settled, diverged, no_north, nonfinite"),
+    Column("status", _S, "", "ok (see judged_from), not_settled, diverged, no_north or nonfinite"),
 )
-"""Columns of a run's verdict; without truth or reference those that need it are null."""
+"""Columns of a run's verdict; those that need a truth or reference are null without it."""
 
 CURVES = (RUN_ID, Column("time_s", _F, "s", "from the start of fine alignment"), *OBSERVED)
 """Columns of the curves dataset."""
 
 PASSES = (
-    Column("update_time_s", _F, "s", "updates so far times the sample time, passes and all"),
-    Column("tape_time_s", _F, "s", "place in the stored record, from its beginning"),
-    Column("pass", _I, "", "number of the pass, from 1; odd ones are forward"),
+    Column("update_time_s", _F, "s", "number of updates over all passes times the sample time"),
+    Column("tape_time_s", _F, "s", "position in the stored record, from its beginning"),
+    Column("pass", _I, "", "number of the pass, from 1; odd passes run forward"),
 )
-"""Further columns of the curves of repeated passes over a stored record."""
+"""Additional columns of the curves of repeated passes over a stored record."""
 
 
 def curves(*, passes: bool) -> tuple[Column, ...]:
-    """Columns of the curves of a study with or without repeated passes."""
+    """Columns of the curves, with or without those of repeated passes."""
     return (*CURVES, *(PASSES if passes else ()))
 
 
 def settle_column(band_arcmin: float, *, truth: bool = False) -> Column:
-    """The settling time of one band, about a run's limit or about the truth."""
+    """The settling time into one band about a run's limit or about the truth."""
     error = "|phi_u|" if truth else "|phi_u - floor|"
     meaning = f"end of the last record interval with {error} > {band_arcmin:g} arcmin"
     name = f"settle_{band_arcmin:g}{'_truth' if truth else ''}_s"
@@ -128,20 +134,20 @@ def settle_column(band_arcmin: float, *, truth: bool = False) -> Column:
 
 
 def settle_data_column(band_arcmin: float, *, truth: bool = False) -> Column:
-    """The data recorded by the settling time of one band, with repeated passes."""
+    """The length of data recorded by the settling time of one band, with repeated passes."""
     settled = settle_column(band_arcmin, truth=truth).name
-    meaning = f"length of the record that was stored by {settled}; null if never settled"
+    meaning = f"length of data recorded by {settled}; null if never settled"
     return Column(f"{settled.removesuffix('_s')}_data_s", _F, "s", meaning)
 
 
 def bands(study_bands: Iterable[float], success_band: float | None = None) -> tuple[float, ...]:
-    """A study's settle bands and the one that a success ends in, arcmin."""
+    """A study's settling bands, including its success band, arcmin."""
     decisive = SUCCESS_BAND_ARCMIN if success_band is None else success_band
     return tuple(dict.fromkeys((*study_bands, decisive)))
 
 
 def axis_column(key: str, values: Iterable[Any], meaning: str) -> Column:
-    """The column of a swept key, typed by its values; its unit is in its name."""
+    """The column of a swept key, typed by its values; the key's name ends in its unit."""
     kinds = {type(value) for value in values if value is not None}
     if kinds == {bool}:
         dtype = pa.bool_()
@@ -153,12 +159,12 @@ def axis_column(key: str, values: Iterable[Any], meaning: str) -> Column:
 
 
 def drawn_column(key: str, dimensions: int, meaning: str) -> Column:
-    """The column of a key that has a value a draw: a number, or a list of them."""
+    """The column of a key drawn for each draw: a number, or a list of numbers."""
     dtype = _F if dimensions == 1 else pa.list_(_F)
     return Column(key, dtype, split_unit(key)[1], f"drawn by the study: {meaning}")
 
 
-@lru_cache(maxsize=8)  # asked for with every chunk
+@lru_cache(maxsize=8)  # needed for every chunk
 def schema(columns: tuple[Column, ...]) -> pa.Schema:
     """Arrow schema with units and meanings as field metadata."""
     fields = [

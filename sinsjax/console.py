@@ -1,6 +1,6 @@
-"""Where text meets a terminal: it is text there, never rich's markup, and ends no work.
+"""Terminal output as plain text, without rich's markup, whose failure does not stop the work.
 
-Who reads it may leave before the end (``| head -1``), and a disk that it goes to may be full.
+The reader may leave early (``| head -1``), and the disk it is redirected to may be full.
 """
 
 import os
@@ -14,27 +14,27 @@ from rich.text import Text
 
 
 def plain_console() -> Console:
-    """A console on the standard output to which ``[bold]`` and ``:smile:`` are words."""
+    """A console on the standard output that prints ``[bold]`` and ``:smile:`` literally."""
     return Console(markup=False, emoji=False, highlight=False)
 
 
 def say(console: Console, text: str, *, style: str = "", wrap: bool = False) -> None:
-    """Prints a line as it stands, on any console, whatever that one makes of markup.
+    """Print a line literally, on a console with or without markup.
 
     Args:
-        console: where.
-        text: to print.
-        style: of all of it.
-        wrap: whether it is broken at the width of a terminal; a file or a pipe has none.
+        console: the console.
+        text: the line.
+        style: style of the whole line.
+        wrap: whether to wrap it at the width of a terminal; files and pipes are never wrapped.
     """
     soft = not (wrap and console.is_terminal)
     console.print(Text(text, style=style), highlight=False, soft_wrap=soft)
 
 
-class _Outlet:
-    """A stream that falls silent where it would fail; the rest is that stream's.
+class _Tolerant:
+    """A stream whose write errors are remembered instead of raised.
 
-    None is one that was closed before Python began, as of a daemon.
+    The stream is None if it was closed before Python started, as for a daemon.
     """
 
     def __init__(self, stream: Any) -> None:
@@ -57,7 +57,7 @@ class _Outlet:
             act(*given)
         except OSError as error:
             self.error = error
-            # What is still held back is lost here, and not told of once more as Python ends.
+            # Discards buffered text, or Python reports the same error once more at exit.
             with suppress(OSError, ValueError):
                 nowhere = os.open(os.devnull, os.O_WRONLY)
                 os.dup2(nowhere, self._stream.fileno())
@@ -69,14 +69,14 @@ class _Outlet:
 
 @contextmanager
 def lasting() -> Iterator[None]:
-    """Lets work go on when what it prints can go nowhere any more.
+    """Keep working when the standard output can no longer be written.
 
     Raises:
-        SystemExit: at its end, with code 2 and one line on the standard error, if a disk was full
-            or the like. Who closes a pipe has seen enough: that is no error.
+        SystemExit: at the end of the block; with code 2 and one line on the standard error if
+            output was lost, for example on a full disk. A pipe closed by its reader is no error.
     """
     streams = sys.stdout, sys.stderr
-    out, err = map(_Outlet, streams)
+    out, err = map(_Tolerant, streams)
     sys.stdout, sys.stderr = out, err
     code: Any = 0
     try:
@@ -87,8 +87,8 @@ def lasting() -> Iterator[None]:
         out.flush()
         sys.stdout, sys.stderr = streams
     if out.error is not None and not isinstance(out.error, BrokenPipeError):
-        said = out.error.strerror or out.error
-        err.write(f"error: standard output: cannot be written: {said}\n")
+        reason = out.error.strerror or out.error
+        err.write(f"error: standard output: cannot be written: {reason}\n")
         err.flush()
         code = code or 2
     raise SystemExit(code)

@@ -1,4 +1,4 @@
-"""What is wrong with a key or a value, in the words of a user."""
+"""Error messages about keys and values, in a user's terms."""
 
 import difflib
 import unicodedata
@@ -17,21 +17,21 @@ _IN_PLAIN_WORDS = {
     "too_short": "must not be empty",
 }
 
-_TURNS = "\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
+_DIRECTION_MARKS = "\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 
 
 def is_control(letter: str) -> bool:
-    """Whether a letter is obeyed rather than shown: control codes, new lines, turns of writing."""
-    return unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp") or letter in _TURNS
+    """Whether a character is a control code, a line break or a change of writing direction."""
+    return unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp") or letter in _DIRECTION_MARKS
 
 
 def shortened(text: str, most: int = 200) -> str:
-    """The beginning of a text that is too long to be echoed whole."""
+    """The text, truncated to ``most`` characters."""
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
 def one_line(text: str, most: int = 1000) -> str:
-    """A message in one line that can be seen: controls as escapes, the middle left out if long."""
+    """A message in one visible line: control characters escaped, a long middle left out."""
     line = " ".join(text.splitlines())
     if any(map(is_control, line)):
         line = "".join(repr(c)[1:-1] if is_control(c) else c for c in line)
@@ -39,18 +39,18 @@ def one_line(text: str, most: int = 1000) -> str:
 
 
 def first_line(error: BaseException) -> str:
-    """What another library says of an error, which may go on and on and quote what it read."""
+    """The first line of another library's message, which may be long and quote its input."""
     return one_line(str(error).strip().partition("\n")[0], 400)
 
 
 def near(word: str, words: Iterable[str], form: str = "{}") -> str:
-    """A hint at the known word that an unknown one resembles; empty where there is none."""
+    """A hint at the known word closest to an unknown one; empty if none is close."""
     found = difflib.get_close_matches(str(word), list(words), n=1)
     return f" (did you mean {form.format(found[0])}?)" if found else ""
 
 
 def index(error: ErrorDetails) -> str:
-    """Where in a list an error is, ``[3]`` or ``[3][0]``; empty where the value is no list."""
+    """Position of an error in a list, ``[3]`` or ``[3][0]``; empty if the value is not a list."""
     return "".join(f"[{part}]" for part in error["loc"] if isinstance(part, int))
 
 
@@ -67,7 +67,7 @@ def rule(error: ErrorDetails) -> str:
 
 
 def explained(error: ErrorDetails) -> str:
-    """The rule that a value breaks, and the value where the rule does not show it."""
+    """The rule that a value breaks, and the value unless the rule already shows it."""
     if error["type"] in ("invalid", "missing", "too_long"):
         return rule(error)
     given = error["input"]

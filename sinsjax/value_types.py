@@ -1,7 +1,6 @@
-"""The kinds of values that a study's keys take: types with their bounds and rules.
+"""Types of the values that a study's keys take, with their bounds and rules.
 
-Values stay in the file's units. A rule that is broken raises `invalid`, whose text says what is
-wrong in the words of a user.
+Values stay in the file's units. A broken rule raises `invalid` with a message in a user's terms.
 """
 
 from collections.abc import Callable, Iterable
@@ -25,21 +24,21 @@ from sinsjax.messages import is_control
 
 
 def invalid(text: str, key: str | None = None) -> PydanticCustomError:
-    """The error of a rule inside a section.
+    """The error of a broken rule within a section.
 
     Args:
         text: what is wrong.
-        key: the key to name, where the rule concerns the whole section.
+        key: the key to name, for a rule about the whole section.
     """
     return PydanticCustomError("invalid", text, {"key": key} if key else None)
 
 
 class Usual(NamedTuple):
-    """What a number of a study usually is; one outside is asked about, see `usual`.
+    """The usual range of a number; a value outside draws a warning, see `study.usual`.
 
     Attributes:
-        low: the least, in the unit of the key.
-        high: the greatest.
+        low: lowest usual value, in the unit of the key.
+        high: highest usual value.
     """
 
     low: float
@@ -47,13 +46,13 @@ class Usual(NamedTuple):
 
 
 class Default(NamedTuple):
-    """What a key is that a study leaves out, where a method of the study reads it.
+    """Default of a key that a study omits although one of its methods reads it.
 
-    It is filled in unless a key that says the same in another way is given.
+    Not filled in if the study gives an alternative key, see `Section.exclusive`.
 
     Attributes:
         value: in the unit of the key.
-        beside: a key that has to have a value, other than 'none', for this one to be read.
+        beside: a key without which, or with 'none' as its value, this one is not read.
     """
 
     value: Any
@@ -61,18 +60,18 @@ class Default(NamedTuple):
 
 
 class SameAs(NamedTuple):
-    """What the lack of a key stands for: the value of another key, or a number."""
+    """Meaning of an omitted key: the value of another key, or a number."""
 
     other: str | float
 
 
 class Whole(NamedTuple):
-    """Of what a time is a whole number, where a search gives it any value.
+    """The interval that a time must be a multiple of, to which a search rounds it.
 
     Attributes:
         interval: 'sample', or 'record' interval.
-        merged: whether times of a list that fall on one sample are one; else they are put a sample
-            apart.
+        merged: whether times of a list that round to the same sample are merged; otherwise they
+            are moved a sample apart.
     """
 
     interval: str
@@ -80,23 +79,23 @@ class Whole(NamedTuple):
 
 
 class RunTime(NamedTuple):
-    """That a number, or the last one of a list, is a time of a run: refused after its end.
+    """Marks a number, or the last number of a list, as a time within a run, not after its end.
 
     Attributes:
-        unit: 's', or 'pass' of a number of passes.
+        unit: 's', or 'pass' for a number of passes.
     """
 
     unit: str = "s"
 
 
 class ActsWhere(NamedTuple):
-    """When keys act on a run at all, whatever their values.
+    """Condition under which keys affect a run at all, whatever their values.
 
     Attributes:
-        keys: that act, or do not.
-        given: keys that decide it.
-        acts: their values -> whether the keys act; a drawn one is None.
-        refused: whether a value of theirs is refused where it does not act.
+        keys: the keys concerned.
+        given: the keys that the condition depends on.
+        acts: (values of ``given``) -> whether ``keys`` act; a drawn value is None.
+        refused: whether a value that would be ignored is an error.
     """
 
     keys: tuple[str, ...]
@@ -106,13 +105,13 @@ class ActsWhere(NamedTuple):
 
 
 ROUNDING = 1e-9
-"""Relative; how far a product of two decimal numbers may be off."""
+"""Relative tolerance for the rounding of a product of two decimal numbers."""
 
 Marks = TypeVar("Marks")
 
 
 def mark(field: FieldInfo, kind: type[Marks]) -> Marks | None:
-    """The mark of some kind beside a key's type, the outermost of several; None without one."""
+    """The outermost mark of a kind in the annotation of a key; None without one."""
     return _first([*field.metadata, field.annotation], kind)
 
 
@@ -129,16 +128,16 @@ def _shape(value: Any) -> str:
 
 
 def unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Refuses a list that names a value twice."""
+    """Reject a list with a repeated value."""
     if len(set(values)) < len(values):
-        raise invalid("names a value twice")
+        raise invalid("repeats a value")
     return values
 
 
-def _own_columns(bands: tuple[float, ...]) -> tuple[float, ...]:
-    """Refuses bands whose result columns would have one name."""
+def _distinct_columns(bands: tuple[float, ...]) -> tuple[float, ...]:
+    """Reject bands whose result columns would share a name."""
     if len({columns.settle_column(band).name for band in bands}) < len(bands):
-        raise invalid("names a value twice, to the 6 digits that its column shows")
+        raise invalid("repeats a value, to the 6 digits in the name of its column")
     return bands
 
 
@@ -155,14 +154,14 @@ def _ordered(ends: tuple[float, float]) -> tuple[float, float]:
     return ends
 
 
-def _legible(name: str) -> str:
-    """Refuses letters that a terminal or an editor obeys and nobody sees."""
+def _printable(name: str) -> str:
+    """Reject invisible characters that act on a terminal or an editor."""
     if found := next(filter(is_control, name), None):
-        raise invalid(f"must not hold control characters (\\u{ord(found):04x})")
+        raise invalid(f"must not contain control characters (\\u{ord(found):04x})")
     return name
 
 
-# Ceilings far above any use keep every product of two values finite.
+# Bounds far beyond any use keep every product of two values finite.
 Finite = Annotated[float, Field(ge=-1e12, le=1e12)]
 Positive = Annotated[float, Field(gt=0, le=1e12)]
 NonNegative = Annotated[float, Field(ge=0, le=1e12)]
@@ -171,7 +170,7 @@ Share = Annotated[float, Field(ge=0, le=1)]
 Angle = Annotated[float, Field(ge=-360, le=360)]
 HalfTurn = Annotated[float, Field(ge=-180, le=180)]
 Elevation = Annotated[float, Field(gt=-90, lt=90)]
-# What is usual is generous: outside it a number is rather one of another unit.
+# The usual ranges are generous: a number outside is most likely in another unit.
 Seconds = Annotated[Positive, Usual(1e-9, 1e8)]
 SecondsOrZero = Annotated[NonNegative, Usual(0, 1e8)]
 Period = Annotated[Positive, Usual(1e-4, 1e7)]
@@ -189,10 +188,10 @@ Bandwidth = Annotated[Positive, Usual(1e-6, 1e4)]
 Factor = Annotated[Positive, Usual(1e-9, 1e9)]
 IncreasingPair = Annotated[tuple[Finite, Finite], AfterValidator(_ordered)]
 Normal = tuple[Finite, NonNegative]
-Name = Annotated[str, Field(min_length=1), AfterValidator(_legible)]
+Name = Annotated[str, Field(min_length=1), AfterValidator(_printable)]
 Triad = tuple[Name, Name, Name]
 Times = Annotated[tuple[Seconds, ...], AfterValidator(_increasing)]
-Bands = Annotated[tuple[Band, ...], AfterValidator(unique), AfterValidator(_own_columns)]
+Bands = Annotated[tuple[Band, ...], AfterValidator(unique), AfterValidator(_distinct_columns)]
 Starts = Annotated[
     tuple[SecondsOrZero, ...],
     Field(min_length=1),
@@ -221,11 +220,11 @@ Damping = Annotated[float, Field(ge=0.01, lt=1)]
 
 
 class Section(BaseModel):
-    """A table of keys: frozen, no key unknown, no value coerced, NaN and infinity refused.
+    """A table of keys: frozen, without unknown keys, coercion, NaN or infinity.
 
     Attributes:
-        exclusive: pairs of keys that say the same thing in two ways: a study gives one of them.
-        conditions: when keys of it act; without one a key always does.
+        exclusive: pairs of alternative keys, of which a study gives one.
+        conditions: conditions under which keys act; other keys always do.
     """
 
     exclusive: ClassVar[tuple[tuple[str, str], ...]] = ()

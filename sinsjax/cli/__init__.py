@@ -1,6 +1,6 @@
-"""The command line: thin commands over `run`, `report` and `bench`; studies are run in `study`.
+"""The command line: thin commands over the package; `study` runs a study.
 
-A user's mistake prints one line and exits with code 2; nothing else of Python is shown.
+A user's mistake prints one line, without a traceback, and exits with code 2.
 """
 
 import atexit
@@ -23,29 +23,25 @@ app = typer.Typer(
     help="Initial alignment of strapdown inertial navigators, thousands of runs at a time.",
     no_args_is_help=True,
     add_completion=False,
-    rich_markup_mode=None,  # or a section such as [tune] is taken for markup and lost
+    rich_markup_mode=None,  # markup would swallow the name of a section such as [tune]
     pretty_exceptions_enable=False,
 )
 
 Config = Annotated[Path, typer.Argument(help="Study file (TOML).", show_default=False)]
 Out = Annotated[
-    str,  # a path has lost by then that it was empty
+    str,  # because an empty path would become "."
     typer.Option(
         "--out", "-o", help="Directory for the results.", show_default=False, metavar="<path>"
     ),
 ]
-Overwrite = Annotated[bool, typer.Option(help="Replace results that the directory holds.")]
+Overwrite = Annotated[bool, typer.Option(help="Replace existing results in the directory.")]
 Devices = Annotated[
     int | None,
     typer.Option(
-        help="Threads that run one compiled program, a CPU core each; all cores if left out.", min=1
+        help="Threads that run the compiled program, one per CPU core; default: all cores.", min=1
     ),
 ]
-
-
-Resume = Annotated[
-    bool, typer.Option("--resume", help="Go on with the results that the directory holds.")
-]
+Resume = Annotated[bool, typer.Option("--resume", help="Continue the results in the directory.")]
 
 
 @app.command()
@@ -72,25 +68,28 @@ def sweep(
     devices: Devices = None,
     workers: Annotated[
         int | None,
-        typer.Option(help="Processes to start here, one a core (extra `cluster`).", min=1),
+        typer.Option(help="Local processes to start, one per core (extra `cluster`).", min=1),
     ] = None,
     scheduler: Annotated[
         str | None,
-        typer.Option(help="Dask scheduler whose workers do it, tcp://host:port (extra `cluster`)."),
+        typer.Option(help="Dask scheduler to use, tcp://host:port (extra `cluster`)."),
     ] = None,
     chunk_runs: Annotated[
         int | None,
-        typer.Option(help="Runs a chunk; no row depends on it. With --resume: as begun.", min=1),
+        typer.Option(
+            help="Runs per chunk; does not affect results, and may not change with --resume.",
+            min=1,
+        ),
     ] = None,
 ) -> None:
-    """Simulate all draws and variants of a study into Parquet, with a figure and a table.
+    """Simulate all draws and variants of a study to Parquet, with a figure and a table.
 
     Example: sinsjax sweep configs/reset_sweep.toml -o out
     """
     if workers is not None and scheduler is not None:
-        raise InputError("--workers: cannot go with --scheduler (give one of them)")
+        raise InputError("--workers: conflicts with --scheduler (give one of them)")
     if devices is not None and (workers or scheduler):
-        raise InputError("--devices: cannot go with --workers or --scheduler, one core a worker")
+        raise InputError("--devices: conflicts with --workers and --scheduler (one core a worker)")
     run_study(
         config,
         out,
@@ -115,7 +114,7 @@ def align(
     resume: Resume = False,
     devices: Devices = None,
 ) -> None:
-    """Align a recorded file: attitude with its 1 sigma, from every start time of the study.
+    """Align recorded data: attitude and 1 sigma from every start time of the study.
 
     Example: sinsjax align drive.imu configs/car_test.toml -o out
     """
@@ -134,13 +133,13 @@ def align(
 def tune(
     config: Config,
     given: Out,
-    record: Annotated[Path | None, typer.Option(help="The record, of a recorded study.")] = None,
-    reference: Annotated[Path | None, typer.Option(help="And its reference attitude.")] = None,
+    record: Annotated[Path | None, typer.Option(help="Record of a recorded study.")] = None,
+    reference: Annotated[Path | None, typer.Option(help="Its reference attitude.")] = None,
     overwrite: Overwrite = False,
     resume: Resume = False,
     devices: Devices = None,
 ) -> None:
-    """Search the variables of a study's [tune] for the best ones, and judge them on other draws.
+    """Search the variables of a study's [tune] for the best, and evaluate it on other draws.
 
     Example: sinsjax tune configs/tune_condition5.toml -o out
     """
@@ -153,7 +152,7 @@ def tune(
     study = loaded(config)
     carry_out.require_tune(study)
     if study.is_recorded and record is None:
-        raise InputError(f"{config}: [record]: the study reads a record: give it with --record")
+        raise InputError(f"{config}: [record]: the study needs a record (give it with --record)")
     for file in (record, reference):
         if file is not None and not study.is_recorded:
             raise InputError(f"{config}: has no [record] section to read {file} with")
@@ -165,7 +164,7 @@ def tune(
     study = study_run.at_rate(study, tape)
     expected = forecast.of_tuning(study)
     forecast.require_room(study, expected, out, overwrite=overwrite, resume=resume)
-    say(terminal, f"{expected.told(runtime.usable_cores() if devices is None else devices)}.")
+    say(terminal, f"{expected.describe(runtime.usable_cores() if devices is None else devices)}.")
     study = made_ready(study, tape, terminal)
     with progress.interruptible(terminal) as stop:
         carry_out.tune(
@@ -190,14 +189,14 @@ def rerun(
         typer.Option(
             "--out",
             "-o",
-            help="Where to put it; DIRECTORY/reruns/RUN_ID if left out.",
+            help="Directory for the run; default: DIRECTORY/reruns/RUN_ID.",
             metavar="<path>",
         ),
     ] = None,
-    record: Annotated[Path | None, typer.Option(help="The record, of a recorded study.")] = None,
-    reference: Annotated[Path | None, typer.Option(help="And its reference attitude.")] = None,
+    record: Annotated[Path | None, typer.Option(help="Record of a recorded study.")] = None,
+    reference: Annotated[Path | None, typer.Option(help="Its reference attitude.")] = None,
 ) -> None:
-    """Do one run of some results again, alone and with its full curve, and compare its row.
+    """Repeat a single run with its full curve, and compare its row with the results.
 
     Example: sinsjax rerun out --run-id 17
     """
@@ -220,15 +219,15 @@ def report(
     page: Annotated[
         Path | None,
         typer.Option(
-            help="Also write a page (Markdown) there. Of a folder with prose (page.md.j2) and a"
-            " script (page.py), write the page that they make instead: this executes the script."
+            help="Also write a Markdown page there. For a folder with a template (page.md.j2) and a"
+            " script (page.py), write the page they produce instead: this executes the script."
         ),
     ] = None,
     html: Annotated[
-        Path | None, typer.Option(help="Also write one self-contained HTML file there.")
+        Path | None, typer.Option(help="Also write a self-contained HTML file there.")
     ] = None,
 ) -> None:
-    """Draw the figures and print the tables again, from the Parquet files alone.
+    """Draw the figures and print the tables again from the Parquet files.
 
     Example: sinsjax report out --page docs/my_sweep.md
     """
@@ -241,12 +240,12 @@ def report(
 def gains(
     level_sigma: Annotated[float, typer.Option(help="Decay rate of levelling, 1/s.")] = 0.02,
     azimuth_sigma: Annotated[float, typer.Option(help="Decay rate in azimuth, 1/s.")] = 0.01,
-    damping: Annotated[float, typer.Option(help="Damping ratio of both, over 0 and under 1.")] = 0.5
+    damping: Annotated[float, typer.Option(help="Damping ratio of both, above 0, below 1.")] = 0.5
     ** 0.5,
-    gravity: Annotated[float, typer.Option(help="m/s^2.")] = 9.8,
-    radius: Annotated[float, typer.Option(help="Of the Earth, m.")] = 6378165.0,
+    gravity: Annotated[float, typer.Option(help="Gravity, m/s^2.")] = 9.8,
+    radius: Annotated[float, typer.Option(help="Earth radius, m.")] = 6378165.0,
 ) -> None:
-    """Design the compass loops: gains from decay rates, the roots they give, and their times.
+    """Design the compass loops: gains from decay rates, the resulting roots and settling times.
 
     Example: sinsjax gains --azimuth-sigma 0.025
     """
@@ -261,15 +260,15 @@ def gains(
     }
     for option, value in numbers.items():
         if not 0 < value < (1 if option == "--damping" else math.inf):
-            over = " and under 1" if option == "--damping" else ""
-            raise InputError(f"{option}: must be over 0{over}, not {value:g}")
+            below = " and below 1" if option == "--damping" else ""
+            raise InputError(f"{option}: must be above 0{below}, not {value:g}")
     rates = (level_sigma, azimuth_sigma, damping)
     print_gains(plain_console(), *rates, gravity=gravity, radius=radius)
 
 
 @app.command()
 def info() -> None:
-    """Show versions, devices and the compiler options in force."""
+    """Show versions, devices and the compiler options in effect."""
     runtime.configure()
     runtime.require_backend()
     console = plain_console()
@@ -284,13 +283,13 @@ def info() -> None:
 
 @app.command()
 def bench(
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object a line.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object per line.")] = False,
     limit: Annotated[
         bool, typer.Option("--limit", help="Also build and run the limit kernel (needs gcc).")
     ] = False,
-    repeats: Annotated[int, typer.Option(help="Timings a row; the median is told.", min=1)] = 7,
+    repeats: Annotated[int, typer.Option(help="Timings per row; shows the median.", min=1)] = 7,
 ) -> None:
-    """Time the engine's step on one core: the short benchmark set.
+    """Time the engine's step on one core, with the short benchmark set.
 
     Example: sinsjax bench --limit
     """
@@ -301,10 +300,10 @@ def bench(
 
 def main() -> None:
     """Entry point of the ``sinsjax`` command."""
-    # What was imported stays; looking through it again and again takes a fifth of all tracing.
+    # Imported objects stay alive; scanning them repeatedly takes a fifth of the tracing time.
     gc.freeze()
     gc.set_threshold(100_000)
-    # A last collection of what ends with the process anyway takes a third of a second.
+    # A final collection of objects that die with the process takes a third of a second.
     atexit.register(gc.freeze)
     with lasting():
         try:
@@ -313,5 +312,5 @@ def main() -> None:
             print(f"error: {one_line(str(error))}", file=sys.stderr)
             raise SystemExit(2) from None
         except StudyInterrupted as interrupted:
-            print(f"interrupted: {interrupted}; --resume goes on with them", file=sys.stderr)
+            print(f"interrupted: {interrupted} (continue with --resume)", file=sys.stderr)
             raise SystemExit(130) from None

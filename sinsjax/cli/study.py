@@ -1,4 +1,4 @@
-"""A study from the command line: checked, forecast, run with its progress, and reported."""
+"""Running a study from the command line: checks, forecast, progress and report."""
 
 import threading
 from contextlib import nullcontext, suppress
@@ -13,10 +13,10 @@ from sinsjax.errors import InputError
 from sinsjax.platform import runtime
 
 MOST_RUNS = 1024
-"""Runs up to which `run` and `align` keep every curve; `run` takes no more."""
+"""Most runs of which `run` and `align` keep every curve; `run` rejects more."""
 
 _LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
-"""JAX's name of what comes before XLA compiles."""
+"""JAX's event that precedes compilation by XLA."""
 
 
 def run_study(
@@ -36,16 +36,16 @@ def run_study(
     Args:
         config: study file.
         given: directory for the results.
-        overwrite: whether results there are replaced.
-        devices: threads over one program; None for all cores.
-        curves: whether curves are kept; None takes the study's word.
-        resume: whether results there are completed.
-        chunk_runs: runs a chunk; None leaves it to the study.
-        cluster: workers to start, or the address of a Dask scheduler.
+        overwrite: whether to replace existing results.
+        devices: threads that run the compiled program; None for all cores.
+        curves: whether to keep curves; None follows the study.
+        resume: whether to complete existing results.
+        chunk_runs: runs per chunk; None for the default.
+        cluster: workers to start, and the address of a Dask scheduler.
         files: record and reference of a recorded study.
 
     Raises:
-        InputError: the study cannot be run so.
+        InputError: the study cannot be run with these options.
     """
     from sinsjax.execution import forecast, progress
     from sinsjax.execution import resume as resuming
@@ -54,7 +54,7 @@ def run_study(
     out = resuming.named(given)
     study = loaded(config)
     if study.is_recorded and files is None:
-        raise InputError(f"{config}: [record]: the study reads a record: use `sinsjax align`")
+        raise InputError(f"{config}: [record]: the study needs a record (use `sinsjax align`)")
     if files is not None and not study.is_recorded:
         raise InputError(f"{config}: has no [record] section to read {files[0]} with")
     check_options(overwrite=overwrite, resume=resume, devices=devices)
@@ -63,8 +63,8 @@ def run_study(
     terminal = plain_console()
     if curves and runs > MOST_RUNS and files is None:
         raise InputError(
-            f"{config}: {runs} runs are too many to keep every curve (at most {MOST_RUNS}):"
-            " use `sinsjax sweep`"
+            f"{config}: {runs} runs are too many to keep every curve (at most {MOST_RUNS}; use"
+            " `sinsjax sweep`)"
         )
     if curves and runs > MOST_RUNS:
         say(terminal, f"{runs} runs: curves are kept only where [study] curves = true.")
@@ -75,10 +75,10 @@ def run_study(
     expected = forecast.of(study, curves=curves)
     forecast.require_room(study, expected, out, overwrite=overwrite, resume=resume)
     cores = devices or cluster[0] or runtime.usable_cores()
-    say(terminal, f"{expected.told(1 if cluster[1] else cores)}.")
+    say(terminal, f"{expected.describe(1 if cluster[1] else cores)}.")
     study = made_ready(study, tape, terminal)
     if left := study.dropped_s:
-        say(terminal, f"The last {left:g} s are no whole record interval and are not run.")
+        say(terminal, f"The last {left:g} s do not fill a record interval and are not run.")
     if study.run_s <= study.study.window_s[0]:
         say(terminal, f"Runs that end by {study.study.window_s[0]:g} s have no window statistics.")
     with (
@@ -103,7 +103,7 @@ def run_study(
 
 
 def loaded(config: Path) -> Any:
-    """The study of a file; says what in it nothing reads any more."""
+    """Load a study, with a warning about sections that are no longer used."""
     from sinsjax.study.load import load_study, unread_sections
 
     study = load_study(config)
@@ -113,7 +113,7 @@ def loaded(config: Path) -> Any:
 
 
 def made_ready(study: Any, tape: Any, terminal: Console) -> Any:
-    """A study at the rate of its record, once all that is doubtful about it is told."""
+    """The study at the rate of its record, after printing its warnings."""
     from sinsjax.execution import run as study_run
 
     study, warnings = study_run.made_ready(study, tape)
@@ -123,36 +123,36 @@ def made_ready(study: Any, tape: Any, terminal: Console) -> Any:
 
 
 def check_options(*, overwrite: bool, resume: bool, devices: int | None) -> None:
-    """Refuses options that exclude one another, and devices that are not there."""
+    """Reject conflicting options, and more devices than cores."""
     if overwrite and resume:
-        raise InputError("--resume: cannot go with --overwrite (give one of them)")
-    if devices is not None and devices > runtime.usable_cores():
-        raise InputError(f"--devices: {devices} are more than the {runtime.usable_cores()} cores")
+        raise InputError("--resume: conflicts with --overwrite (give one of them)")
+    if devices is not None and devices > (cores := runtime.usable_cores()):
+        raise InputError(f"--devices: {devices} exceeds the {cores} available cores")
 
 
 def configure(devices: int | None) -> None:
-    """Makes JAX ready, and begins to import what a report needs."""
+    """Configure JAX, and arrange for the report's modules to be imported while it compiles."""
     runtime.configure(devices)
     runtime.require_backend()
     _import_while_compiling("sinsjax.report")
 
 
 def _import_while_compiling(name: str) -> None:
-    """Imports a module once XLA has its first program to compile, which leaves Python idle."""
+    """Import a module while XLA compiles its first program and Python is idle."""
     import jax.monitoring
 
     thread = threading.Thread(target=import_module, args=(name,), daemon=True)
 
     def listen(event: str, seconds: float, **about: Any) -> None:
         if event == _LOWERED and thread.ident is None:
-            with suppress(RuntimeError):  # another thread's program was as quick
+            with suppress(RuntimeError):  # another thread has started it at the same time
                 thread.start()
 
     jax.monitoring.register_event_duration_secs_listener(listen)
 
 
 def _executor(workers: int | None, scheduler: str | None) -> Any:
-    """Who does the tasks: this process, or Dask workers."""
+    """A context with the executor of the tasks: Dask workers, or None for this process."""
     if workers is None and scheduler is None:
         return nullcontext()
     from sinsjax.execution import dask_pool

@@ -80,7 +80,7 @@ def local(workers: int) -> Iterator[Any]:
     dask, distributed = _dask()
     cores = runtime.usable_cores()
     if workers > cores:
-        raise InputError(f"--workers: {workers} are more than the {cores} cores")
+        raise InputError(f"--workers: {workers} exceeds the {cores} available cores")
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(_CONFIG))
         stack.enter_context(_environment(_for_workers()))

@@ -74,7 +74,7 @@ class Forecast(NamedTuple):
         """All runs."""
         return sum(batch.runs for batch in self.batches)
 
-    def told(self, cores: int) -> str:
+    def describe(self, cores: int) -> str:
         """One line for a user, with the time that so many cores take."""
         runs = f"{self.runs:,} run{'s' if self.runs != 1 else ''} of up to {self.length_s:g} s"
         takes = _time(self.runs * self.run_s / cores)

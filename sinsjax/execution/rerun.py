@@ -90,7 +90,7 @@ def rerun_into(
     if files[0] is None and files[1] is not None:
         raise InputError("--reference: needs the record too (give --record)")
     if study.is_recorded and files[0] is None:
-        raise InputError(f"{directory}: its study reads a record: give it with --record")
+        raise InputError(f"{directory}: its study needs a record (give it with --record)")
     tape = None if files[0] is None else load_tape(study, files[0], files[1])
     told = result_tables.read_manifest(directory).get("identity")
     if told not in (None, Job(study, tape).identity):

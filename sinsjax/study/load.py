@@ -237,7 +237,7 @@ def _check_forms(where: Where) -> None:
     for one, other in (pair for section in SECTIONS.values() for pair in section.exclusive):
         if one in where and other in where:
             raise InputError(
-                f"{where[one]} {one}: cannot go with {other} in {where[other]} (give one of them)"
+                f"{where[one]} {one}: conflicts with {other} in {where[other]} (give one of them)"
             )
 
 

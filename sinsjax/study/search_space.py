@@ -174,7 +174,7 @@ def check(study: Study) -> None:
     tune = study.tune
     assert tune is not None
     if study.stop_when:
-        _refuse("[stop_when]", "cannot go with [tune], whose draws are counted")
+        _refuse("[stop_when]", "conflicts with [tune], whose draws are counted")
     if study.record and len(study.record.start_s) < 2:
         _refuse("[record] start_s", "tuning needs two start times, one to tune and one to judge by")
     bands = success.bands(study)

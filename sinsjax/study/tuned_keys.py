@@ -95,7 +95,7 @@ def _check_keys(table: TomlTable, swept: Mapping[str, str], place: str) -> None:
 
 def _check_rivals(key: str, taken: Mapping[str, str], place: str) -> None:
     for other in sorted(rivals(key) & taken.keys()):
-        text = f"cannot go with {other} in {taken[other]} (give one of them)"
+        text = f"conflicts with {other} in {taken[other]} (give one of them)"
         raise InputError(f"{place} {key}: {text}")
 
 
@@ -159,7 +159,7 @@ def _range(place: str, key: str | None, value: Any) -> Range:
         at = f"{place}.candidates"
         values = tuple(checked(v, key, f"{at}[{i}]") for i, v in enumerate(kind.candidates))
         if len(set(values)) < len(values):
-            raise InputError(f"{at}: names a value twice")
+            raise InputError(f"{at}: repeats a value")
         return kind.model_copy(update={"candidates": values})
     return kind
 

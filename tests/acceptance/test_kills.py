@@ -225,7 +225,7 @@ def test_a_person_or_a_scheduler_may_stop_it(sweeps: Sweeps, whole: Path) -> Non
         assert code == 130
         assert "Stopping: the chunks under way are finished first" in " ".join(told.split())
         done = f"{count(out) * CHUNK_RUNS:,} of {CHUNKS * CHUNK_RUNS:,} runs are in {out}"
-        assert error == f"interrupted: {done}; --resume goes on with them\n"
+        assert error == f"interrupted: {done} (continue with --resume)\n"
         state = manifest(out)
         assert state["state"] == "interrupted"
         assert state["runs_done"] == count(out) * CHUNK_RUNS

@@ -329,7 +329,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], list[str], str]] = {
         [],
         "swing: has no [tune] section that says what to tune",
     ),
-    "two minds": ({}, ["--resume", "--overwrite"], "--resume: cannot go with --overwrite"),
+    "two minds": ({}, ["--resume", "--overwrite"], "--resume: conflicts with --overwrite"),
     "a record for nothing": ({}, ["--record", "x.imu"], "has no [record] section to read x.imu"),
     "a reference for nothing": (
         {},
@@ -345,9 +345,9 @@ MISTAKES: dict[str, tuple[dict[str, Any], list[str], str]] = {
             "tune": {"variables": {"p0_yaw_deg": {"fixed": 3.0}}, "searches": ["grid"]},
         },
         [],
-        "[record]: the study reads a record: give it with --record",
+        "[record]: the study needs a record (give it with --record)",
     ),
-    "devices that are not there": ({}, ["--devices", "1000"], "--devices: 1000 are more than"),
+    "devices that are not there": ({}, ["--devices", "1000"], "--devices: 1000 exceeds the"),
 }
 
 

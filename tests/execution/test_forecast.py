@@ -124,7 +124,7 @@ def test_a_stopped_study_needs_room_for_its_first_look(disk: Any, tmp_path: Path
     stop = {"statistic": "success_rate", "half_width": 0.01}
     study = small_study(study={"draws": 10**6}, stop_when=stop)
     expected = forecast.of(study)
-    assert expected.told(2).startswith("At most 1,000,000 runs of up to 6 s: ")
+    assert expected.describe(2).startswith("At most 1,000,000 runs of up to 6 s: ")
     disk(free=65 * expected.run_bytes)
     forecast.require_room(study, expected, tmp_path, overwrite=False, resume=False)
 
@@ -153,7 +153,7 @@ def test_a_tuning_is_asked_about_as_a_whole(disk: Any, tmp_path: Path):
     ],
 )
 def test_what_is_told(draws: int, cores: int, text: str):
-    assert forecast.of(small_study(study={"draws": draws})).told(cores).startswith(text)
+    assert forecast.of(small_study(study={"draws": draws})).describe(cores).startswith(text)
 
 
 def test_compass_runs_take_less_than_filters():

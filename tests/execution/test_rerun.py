@@ -199,7 +199,7 @@ def test_a_recorded_run_needs_its_record(tmp_path: Path, tape: StoredRecord) -> 
     study = recorded_study(earth={"latitude_deg": 32.0})
     read = StoredRecord(read_psins(path, PSINS_LAYOUT), None)
     study_run.run_into(study, tmp_path / "out", read, curves=True)
-    with pytest.raises(InputError, match="reads a record: give it with --record"):
+    with pytest.raises(InputError, match=r"needs a record \(give it with --record\)"):
         rerun_into(tmp_path / "out", 3)
     with pytest.raises(InputError, match="was made from another record or reference"):
         rerun_into(tmp_path / "out", 3, files=(other, None))

@@ -141,7 +141,7 @@ def resolve(study: Study) -> None:
     try:
         if study.study.rate_hz:
             expected = forecast.of_tuning(study) if study.tune else forecast.of(study)
-            expected.told(2)
+            expected.describe(2)
             if study.n_variants > _MANY or expected.memory > _MUCH:
                 return
         if not study.is_recorded:

@@ -151,7 +151,7 @@ def test_letters_that_nobody_sees_are_refused(letter: str) -> None:
         with pytest.raises(InputError) as error:
             small_study(**changes)
         line = str(error.value)
-        assert line.startswith(f"study: {place}: must not hold control characters")
+        assert line.startswith(f"study: {place}: must not contain control characters")
         assert letter not in line and line.isprintable()
 
 

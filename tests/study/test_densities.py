@@ -48,7 +48,7 @@ def test_a_study_with_densities_is_read_again_as_it_is_told() -> None:
     [
         (
             {"filter": {"q_reading": "psd", "q_gyro_deg_per_h": 1.0, **GYRO}},
-            "study: [filter] q_gyro_deg_per_h: cannot go with q_gyro_deg_per_h_per_sqrt_hz in"
+            "study: [filter] q_gyro_deg_per_h: conflicts with q_gyro_deg_per_h_per_sqrt_hz in"
             " [filter] (give one of them)",
         ),
         (

@@ -653,8 +653,8 @@ def test_unknown_names(tables: dict[str, Any], line: str):
         ("study", "curves", 1, "must be true or false, not 1"),
         ("study", "consistency_after_s", -1, "must be greater than or equal to 0"),
         ("study", "settle_bands_arcmin", 10, "must be a list, not 10"),
-        ("study", "settle_bands_arcmin", [10, 10.0], "names a value twice"),
-        ("study", "settle_bands_arcmin", [3, 3.0000001], "names a value twice, to the 6 digits"),
+        ("study", "settle_bands_arcmin", [10, 10.0], "repeats a value"),
+        ("study", "settle_bands_arcmin", [3, 3.0000001], "repeats a value, to the 6 digits"),
         # 10 arcmin is always a column.
         ("study", "settle_bands_arcmin", [10.0000001], "gives another of the bands the same name"),
         ("study", "judged_from", "reference", "'truth' or 'limit'"),
@@ -849,7 +849,7 @@ def test_case_values(cases: Any, start: str):
     ],
 )
 def test_noise_is_given_in_one_way(one: str, other: str):
-    expected = f"{one}: cannot go with {other} in [sensors] (give one of them)"
+    expected = f"{one}: conflicts with {other} in [sensors] (give one of them)"
     assert refusal(sensors={one: 1, other: 1}) == f"[sensors] {expected}"
     assert refusal(sensors={other: 1}, axes={one: [1]}) == f"[axes] {expected}"
     study = built(sensors={other: 1})
@@ -862,22 +862,22 @@ def test_noise_is_given_in_one_way(one: str, other: str):
         (
             {"reset_times_s": [1], "reset_count": 0},
             {},
-            "[resets] reset_times_s: cannot go with reset_count in [resets] (give one of them)",
+            "[resets] reset_times_s: conflicts with reset_count in [resets] (give one of them)",
         ),
         (
             {"reset_times_s": [1], "reset_cycle_s": 50},
             {},
-            "[resets] reset_times_s: cannot go with reset_cycle_s in [resets] (give one of them)",
+            "[resets] reset_times_s: conflicts with reset_cycle_s in [resets] (give one of them)",
         ),
         (
             {"reset_count": 1, "reset_cycle_s": 50},
             {"reset_times_s": [[1], [2]]},
-            "[axes] reset_times_s: cannot go with reset_count in [resets] (give one of them)",
+            "[axes] reset_times_s: conflicts with reset_count in [resets] (give one of them)",
         ),
         (
             {"reset_times_s": [1]},
             {"reset_count": [0, 1]},
-            "[resets] reset_times_s: cannot go with reset_count in [axes] (give one of them)",
+            "[resets] reset_times_s: conflicts with reset_count in [axes] (give one of them)",
         ),
         (
             {"reset_count": 1},
@@ -931,7 +931,7 @@ def test_noise_is_given_in_one_way(one: str, other: str):
         (
             {"reset_times_s": [1], "reset_first_s": 50},
             {},
-            "[resets] reset_times_s: cannot go with reset_first_s in [resets] (give one of them)",
+            "[resets] reset_times_s: conflicts with reset_first_s in [resets] (give one of them)",
         ),
         (
             {"reset_first_s": 25},
@@ -1233,7 +1233,7 @@ def test_loops_are_given_in_one_way(one: str, others: tuple[str, ...]):
     for other in others:
         pair = {key: given[key] for key in (one, other)}
         line = refusal(COMPASS, compass=pair, **extra)
-        assert line == f"[compass] {one}: cannot go with {other} in [compass] (give one of them)"
+        assert line == f"[compass] {one}: conflicts with {other} in [compass] (give one of them)"
     more = {"sigma_factors": [2.0, 1.0]} if one == "sigma_passes" else {}
     alone = built(COMPASS, compass={one: given[one]} | more, **extra).compass
     assert alone is not None and all(getattr(alone, other) is None for other in others)
@@ -1489,7 +1489,7 @@ def test_an_amplitude_needs_its_period():
             "[axes] coarse_duration_s: cannot be swept (it is a key of [coarse])",
         ),
         ({"record": {"start_s": [0, -1]}}, "[record] start_s[1]: must be greater than or equal to"),
-        ({"record": {"start_s": [0, 30, 0.0]}}, "[record] start_s: names a value twice"),
+        ({"record": {"start_s": [0, 30, 0.0]}}, "[record] start_s: repeats a value"),
         ({"record": {"start_s": []}}, "[record] start_s: must not be empty"),
         ({"record": {"start_s": "0"}}, "[record] start_s[0]: must be a number, not '0'"),
         (

@@ -356,7 +356,7 @@ def test_drawn_is_given_nowhere_else():
         ),
         (
             {"gyro_noise_deg_per_h": {"values": [1]}, "gyro_arw_deg_per_sqrt_h": {"values": [1]}},
-            "[drawn] gyro_noise_deg_per_h: cannot go with gyro_arw_deg_per_sqrt_h in [drawn]",
+            "[drawn] gyro_noise_deg_per_h: conflicts with gyro_arw_deg_per_sqrt_h in [drawn]",
         ),
     ],
 )
@@ -365,7 +365,7 @@ def test_tables_of_drawn_keys(laws: Any, line: str):
 
 
 def test_rivals_of_a_drawn_key():
-    line = "[drawn] accel_noise_ug: cannot go with accel_vrw_ug_per_sqrt_hz in [sensors]"
+    line = "[drawn] accel_noise_ug: conflicts with accel_vrw_ug_per_sqrt_hz in [sensors]"
     sensors = {"accel_vrw_ug_per_sqrt_hz": 1.0}
     assert refusal({"accel_noise_ug": {"values": [1]}}, sensors=sensors).startswith(line)
 

@@ -107,7 +107,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "candidate twice": (
         {"reset_kind": {"candidates": ["full", "full"]}},
-        "[tune.variables] reset_kind.candidates: names a value twice",
+        "[tune.variables] reset_kind.candidates: repeats a value",
     ),
     "candidates of an entry": (
         {"reset_times_s": [{"candidates": [1.0, 2.0]}]},
@@ -129,12 +129,12 @@ MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
     "no key": ({}, "[tune.variables]: names no key to tune"),
     "rivals": (
         {"reset_times_s": TIMES, "reset_cycle_s": YAW},
-        "[tune.variables] reset_times_s: cannot go with reset_cycle_s in [tune.variables] (give one"
+        "[tune.variables] reset_times_s: conflicts with reset_cycle_s in [tune.variables] (give one"
         " of them)",
     ),
     "count of times that are no ranges": (
         {"reset_times_s": {"fixed": [1.0]}, "reset_count": {"fixed": 1}},
-        "[tune.variables] reset_times_s: cannot go with reset_count in [tune.variables] (give one"
+        "[tune.variables] reset_times_s: conflicts with reset_count in [tune.variables] (give one"
         " of them)",
     ),
     "more resets than ranges": (
@@ -187,7 +187,7 @@ OTHERS: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "search twice": (
         {},
         {"variables": {"p0_yaw_deg": YAW}, "searches": ["grid", "grid"]},
-        "[tune] searches: names a value twice",
+        "[tune] searches: repeats a value",
     ),
     "unknown band": (
         {},
@@ -223,7 +223,7 @@ OTHERS: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "rival of an axis": (
         {"resets": {"reset_cycle_s": 1.0}, "axes": {"reset_count": [0, 1]}},
         {"variables": {"reset_times_s": TIMES}},
-        "[tune.variables] reset_times_s: cannot go with reset_count in [axes] (give one of them)",
+        "[tune.variables] reset_times_s: conflicts with reset_count in [axes] (give one of them)",
     ),
     "baseline of an axis": (
         {"axes": {"p0_yaw_deg": [1.0]}},
@@ -251,7 +251,7 @@ OTHERS: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
             "variables": {"p0_yaw_deg": YAW},
             "baseline": {"reset_times_s": [1.0], "reset_count": 1},
         },
-        "[tune.baseline] reset_times_s: cannot go with reset_count in [tune.baseline] (give one of"
+        "[tune.baseline] reset_times_s: conflicts with reset_count in [tune.baseline] (give one of"
         " them)",
     ),
     "baseline that makes no study": (
@@ -272,7 +272,7 @@ OTHERS: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "stop_when": (
         {"stop_when": {"statistic": "success_rate", "half_width": 0.1}},
         {"variables": {"p0_yaw_deg": YAW}, "searches": ["grid"]},
-        "[stop_when]: cannot go with [tune], whose draws are counted",
+        "[stop_when]: conflicts with [tune], whose draws are counted",
     ),
 }
 
