@@ -75,10 +75,12 @@ class FilterResults(NamedTuple):
     Attributes:
         trigger_counts: what its trigger did; None without one.
         innovations: their sum; None where they are not summed up.
+        own: what the columns of this filter alone are made of; None of one without.
     """
 
     trigger_counts: TriggerCounts | None
     innovations: Innovations | None
+    own: Any = None
 
 
 class AttitudeCovariance(NamedTuple):
@@ -151,8 +153,8 @@ class Method(NamedTuple):
         limit: (params, place, biases, `Ending`) -> `Limit` that constant biases leave; the place is
             that of a forward pass. `limits.unaided` where a method finds no heading: its level part
             counts all the same.
-        results: state -> what the method's own columns are made of at the end of a run, see
-            `description.OwnColumn`; None of a method without.
+        results: (site, state) -> what the method's own columns are made of at the end of a run,
+            see `description.OwnColumn`; None of a method without.
         close: (params, state, n) -> state after what is due after the n-th sample: feedback and
             reset. Where nothing is due it is the state as it stands, to the bit. None of a method
             whose loop is closed within the step.
@@ -171,7 +173,7 @@ class Method(NamedTuple):
     covariance: Callable[[Any], AttitudeCovariance]
     normalise: Callable[[Any], Any]
     limit: Callable[[Any, Place, Biases, Ending], Limit]
-    results: Callable[[Any], Any] | None = None
+    results: Callable[[Site, Any], Any] | None = None
     close: Callable[[Any, Any, Scalar], Any] | None = None
     next_event: Callable[[Any, Any, Scalar], Scalar | None] | None = None
     called: Callable[[Any, Scalar], Flag] | None = None

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 
 from sinsjax.alignment.compass.description import COMPASS
 from sinsjax.alignment.description import Description
+from sinsjax.alignment.sincos.description import SINCOS
 from sinsjax.alignment.zero_velocity.description import KALMAN5, KALMAN10
 from sinsjax.value_types import Section
 
@@ -12,6 +13,7 @@ METHODS: dict[str, Description] = {
     for method in (
         KALMAN5,
         KALMAN10,
+        SINCOS,
         COMPASS,
     )
 }

@@ -4,6 +4,7 @@ Times are sample counts, kept as floating-point numbers: whole below 2^53, and c
 leaving the vector units' float lanes.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -27,10 +28,10 @@ class Feedback(NamedTuple):
 class CovarianceReset(NamedTuple):
     """What becomes of P when it is reset.
 
-    Entries that touch the yaw state are multiplied by ``keep_yaw``, all others by ``keep``; then
-    ``added`` times the variance that is reset to is added to each diagonal entry, ``added_yaw``
-    times for yaw. So (0, 0, 1, 1) is the full reset, (1, 0, 0, 1) resets yaw and clears its cross
-    terms, (a, a, 0, 0) multiplies P by a, and (1, 1, 0, 0) leaves it.
+    Entries that touch a state of heading are multiplied by ``keep_yaw``, all others by ``keep``;
+    then ``added`` times the variance that is reset to is added to each diagonal entry,
+    ``added_yaw`` times for heading. So (0, 0, 1, 1) is the full reset, (1, 0, 0, 1) resets heading
+    and clears its cross terms, (a, a, 0, 0) multiplies P by a, and (1, 1, 0, 0) leaves it.
 
     Attributes:
         keep: see above.
@@ -138,7 +139,11 @@ def mix(share: Array, one: Array | float, other: Array | float) -> Array:
 
 
 def reset_covariance(
-    covariance_reset: CovarianceReset, p: Triangle, to: tuple[Scalar, ...], *, yaw: int
+    covariance_reset: CovarianceReset,
+    p: Triangle,
+    to: tuple[Scalar, ...],
+    *,
+    heading: Sequence[int],
 ) -> Triangle:
     """P after a reset.
 
@@ -146,15 +151,15 @@ def reset_covariance(
         covariance_reset: what a reset does.
         p: covariance of n states.
         to: n variances that a full reset sets.
-        yaw: number of the yaw state.
+        heading: numbers of the states of heading.
     """
     keep, keep_yaw, new, new_yaw = covariance_reset
     out = list(p)
     for (i, j), k in triangle_index(len(to)).items():
         if i <= j:
-            out[k] = p[k] * (keep_yaw if yaw in (i, j) else keep)
+            out[k] = p[k] * (keep_yaw if i in heading or j in heading else keep)
         if i == j:
-            out[k] = out[k] + (new_yaw if i == yaw else new) * to[i]
+            out[k] = out[k] + (new_yaw if i in heading else new) * to[i]
     return tuple(out)
 
 

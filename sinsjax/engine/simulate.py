@@ -110,7 +110,9 @@ def simulate(
     records = (jnp.arange(static.records), attitudes(static, environment, setup.draw))
     over = partial(over_record, static, environment, setup)
     (run, _), curves = jax.lax.scan(over, (run, before), records)
-    return end(static, run, setup.limit), metrics.from_rows(curves) if static.curves else None
+    return end(static, setup.site, run, setup.limit), metrics.from_rows(
+        curves
+    ) if static.curves else None
 
 
 def set_up(static: Static, environment: Environment, draw: Draw, params: RunParams) -> Setup:
@@ -276,8 +278,8 @@ def observe(
     )
 
 
-def end(static: Static, run: Run, limit: Limit) -> Outcome:
+def end(static: Static, site: Site, run: Run, limit: Limit) -> Outcome:
     """The outcome of a run after its last record."""
     method = method_of(static)
-    results = None if method.results is None else method.results(run.state)
+    results = None if method.results is None else method.results(site, run.state)
     return metrics.finish(run.metrics, method.covariance(run.state), limit, results)

@@ -111,7 +111,8 @@ def run_tile(
         q_true = over_draws(partial(attitudes, static, environment), setup.draws, out_axes=1)
     over = partial(over_record, static, environment, setup, shown)
     (runs, _), curves = jax.lax.scan(over, (runs, before), (jnp.arange(static.records), q_true))
-    outcome = jax.vmap(partial(simulate.end, static))(runs, setup.limit)
+    end = jax.vmap(partial(simulate.end, static), in_axes=(setup.site_axis, 0, 0))
+    outcome = end(setup.site, runs, setup.limit)
     return outcome, metrics.from_rows(curves) if static.curves else None
 
 

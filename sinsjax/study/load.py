@@ -14,8 +14,8 @@ from typing import Any
 import tomli_w
 from pydantic import ValidationError
 
+from sinsjax.alignment.filters.section import Q_DENSITIES
 from sinsjax.alignment.methods import METHODS, SECTIONS_OF_METHODS, keys_unread
-from sinsjax.alignment.zero_velocity.section import Q_DENSITIES
 from sinsjax.errors import InputError
 from sinsjax.messages import explained, index, near, one_line
 from sinsjax.study import axes, search_space, tuned_keys, usual

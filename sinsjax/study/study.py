@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, create_model
 
+from sinsjax.alignment.filters.section import OF_SCHEDULES, reset_times
 from sinsjax.alignment.methods import SECTIONS_OF_METHODS
 from sinsjax.alignment.sections import AlignmentSection, CoarseSection, PassesSection
-from sinsjax.alignment.zero_velocity.section import OF_SCHEDULES, reset_times
 from sinsjax.study.distributions import DrawnSection, StopWhenSection
 from sinsjax.study.ranges import TuneSection
 from sinsjax.study.resolved import Coded, Dimension, Resolved, same

@@ -10,7 +10,7 @@ from oracles.in_engine import navigation, site, step_and_close
 from oracles.naive import PAPER
 
 from sinsjax.alignment import kalman
-from sinsjax.alignment.filters import Filter, FilterParams, FilterState, with_innovations
+from sinsjax.alignment.filters.stages import Filter, FilterParams, FilterState, with_innovations
 from sinsjax.alignment.kalman import Belief
 from sinsjax.alignment.limits import unaided
 from sinsjax.alignment.schedules import CovarianceReset, Feedback, Resets, reset_covariance
@@ -61,7 +61,7 @@ def made_up():
         propagate=propagate,
         update=update,
         feed_back=feed_back,
-        reset=partial(reset_covariance, yaw=-1),
+        reset=partial(reset_covariance, heading=()),
         reverse=reverse,
         place=lambda site, nav: site.place,
         at_rest=lambda nav, place: {},
@@ -109,7 +109,7 @@ def engine(trigger, reversals):
         n = 1.0 + np.arange(SAMPLES)
         start = method.init(filt, navigation(np.eye(3), (1.0, -2.0), 0.5))
         state, rows = jax.lax.scan(step, start, (samples, n, np.isin(n, reversals)))
-        return jnp.stack(rows, axis=1), method.results(state)
+        return jnp.stack(rows, axis=1), method.results(here, state)
 
     return run(samples)
 

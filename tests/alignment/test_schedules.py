@@ -113,7 +113,7 @@ def test_p_after_a_reset(kind, seed):
     half = rng.normal(size=(5, 5))
     p, to = half @ half.T, rng.random(5)
     rows, across = np.triu_indices(5)
-    got = reset_covariance(KINDS[kind], tuple(p[rows, across]), tuple(to), yaw=4)
+    got = reset_covariance(KINDS[kind], tuple(p[rows, across]), tuple(to), heading=(4,))
     expected = {"full": np.diag(to), "scale": 10 * p, "shrunk": 0.01 * p, "yaw": p.copy()}[kind]
     if kind == "yaw":
         expected[4], expected[:, 4] = 0, 0
@@ -126,7 +126,7 @@ def renewed(shares, covariance_reset, p, to):
     """P after some shares of a reset, one after the other."""
 
     def one(p, share):
-        return reset_covariance(where_due(share, covariance_reset), p, to, yaw=4), None
+        return reset_covariance(where_due(share, covariance_reset), p, to, heading=(4,)), None
 
     return jax.lax.scan(one, p, shares)[0]
 
@@ -140,7 +140,7 @@ def test_the_renewals_of_a_window_make_one_reset(kind, width):
     to = tuple(np.linspace(1.0, 2.0, 5))
     share = shares(np.array([500.3]), width)
     p = renewed(share, CovarianceReset(*map(np.float64, KINDS[kind])), before, to)
-    hard = reset_covariance(KINDS[kind], before, to, yaw=4)
+    hard = reset_covariance(KINDS[kind], before, to, heading=(4,))
     left = np.prod(1 - np.asarray(share))
     off, at_once = np.subtract(p, hard), np.subtract(before, hard)
     assert left < 6e-4 and np.all(np.abs(off) <= left * np.abs(at_once) * (1 + 1e-9))

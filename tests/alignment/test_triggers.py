@@ -27,7 +27,7 @@ from oracles.naive_triggers import Seen as NaiveSeen
 from support.studies import small_study
 
 from sinsjax.alignment import passes
-from sinsjax.alignment.base import Options
+from sinsjax.alignment.base import AttitudeCovariance, Options
 from sinsjax.alignment.kalman import Belief, predict
 from sinsjax.alignment.kalman import update as kalman_update
 from sinsjax.alignment.methods import METHODS
@@ -113,6 +113,13 @@ def entries(matrices):
     return {pair: matrices[..., pair[0], pair[1]] for pair in pairs}
 
 
+def attitude_covariance(belief):
+    """That of the last three of five states."""
+    at = triangle_index(5)
+    pairs = ((i, j) for i in (2, 3, 4) for j in (2, 3, 4) if i <= j)
+    return AttitudeCovariance(*(belief.p[at[pair]] for pair in pairs))
+
+
 def columns_of(rows):
     return tuple(rows[:, i] for i in range(rows.shape[1]))
 
@@ -140,6 +147,8 @@ def driven(name):
                 variance,
                 Belief(x, updated),
                 Vec3(*(a + b for a, b in zip(trigger_state.fed, x[2:], strict=True))),
+                Vec3(*x[2:]),
+                attitude_covariance,
                 at_rest,
                 here,
                 DT,
@@ -296,6 +305,8 @@ def test_a_linearisation_that_holds_scores_one_and_grows_with_corrections(seed, 
             upper(step.variance),
             Belief((zero, zero, np.float64(e), np.float64(n), zero), p),
             Vec3(np.float64(1.0), np.float64(-1.0), np.float64(turned)),
+            Vec3(np.float64(e), np.float64(n), zero),
+            attitude_covariance,
             at_rest,
             place(PAPER, LATITUDE),
             DT,

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sinsjax.alignment.base import TriggerCounts
+from sinsjax.alignment.base import AttitudeCovariance, TriggerCounts
 from sinsjax.alignment.kalman import Belief
 from sinsjax.maths.algebra import Entries, Triangle
 from sinsjax.strapdown.earth import Place
@@ -56,6 +56,8 @@ class FilterSnapshot(NamedTuple):
         belief: after the update.
         correction: of the attitude since the last reset or direction reversal: what was fed back
             and what is not yet, rad.
+        left: estimated misalignment that is not yet fed back, rad.
+        covariance: belief -> of the misalignment, were this what the filter believes.
         at_rest: transition of a base at rest, its specific force (0, 0, g).
         place: Earth rates there.
         dt: s.
@@ -65,6 +67,8 @@ class FilterSnapshot(NamedTuple):
     variance: tuple[Scalar, Scalar, Scalar]
     belief: Belief
     correction: Vec3
+    left: Vec3
+    covariance: Callable[[Belief], AttitudeCovariance]
     at_rest: Entries
     place: Place
     dt: float

@@ -17,7 +17,7 @@ from sinsjax.alignment.triggers.base import (
     TriggerParams,
 )
 from sinsjax.maths.algebra import Triangle, triangle_index
-from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN
+from sinsjax.strapdown.error_model import VE, VN
 from sinsjax.types import Flag, Scalar
 from sinsjax.units import DEG
 
@@ -117,7 +117,7 @@ def _tilt_drift(
     goes on correcting is more than its belief allows where that is false.
     """
     levels, full, (east, _) = _drift(trigger_params, levels, snapshot)
-    p_uu = snapshot.belief.p[triangle_index(len(snapshot.belief.x))[PHI_U, PHI_U]]
+    p_uu = snapshot.covariance(snapshot.belief).uu
     score = (east / snapshot.place.rate_n) ** 2 / p_uu
     return levels, jnp.where(full, score, 0.0)
 
@@ -164,13 +164,12 @@ def _linearisation(
     zeros = tuple(jnp.zeros_like(v) for v in snapshot.belief.x)
     honest = kalman.predict(Belief(zeros, p), snapshot.at_rest, noise.q)
     honest = kalman.update(honest, (VE, VN), (zeros[VE], zeros[VN]), noise.r)
-    at = triangle_index(len(zeros))
-    p_ee, p_nn, p_uu = (honest.p[at[i, i]] for i in (PHI_E, PHI_N, PHI_U))
-    believed = snapshot.belief.p[at[PHI_U, PHI_U]]
-    done, left = snapshot.correction, snapshot.belief.x
-    known = _counts(done.x, done.y) * (p_uu / believed - 1)
-    jump = _counts(left[PHI_E], left[PHI_N])
-    jump = jump * p_uu * (left[PHI_E] ** 2 / p_ee + left[PHI_N] ** 2 / p_nn) / 4
+    p_star = snapshot.covariance(honest._replace(x=snapshot.belief.x))
+    believed = snapshot.covariance(snapshot.belief).uu
+    done, left = snapshot.correction, snapshot.left
+    known = _counts(done.x, done.y) * (p_star.uu / believed - 1)
+    jump = _counts(left.x, left.y)
+    jump = jump * p_star.uu * (left.x**2 / p_star.ee + left.y**2 / p_star.nn) / 4
     left_out = (done.z - _sine(done.z)) ** 2 / (believed + _SMALL_HEADING**2)
     return honest.p, jnp.sqrt(1 + known + jump + left_out)
 

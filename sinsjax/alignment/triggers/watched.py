@@ -2,13 +2,14 @@
 
 from typing import Any
 
-from sinsjax.alignment.base import FilterResults, Method, Site
-from sinsjax.alignment.filters import (
+from sinsjax.alignment.base import FilterResults, Method, Options, Site
+from sinsjax.alignment.filters.stages import (
     Filter,
     closed_loop,
     fed_back_and_reset,
     only_where,
     scheduled,
+    with_innovations,
     with_process_noise,
 )
 from sinsjax.alignment.triggers import base as triggers
@@ -16,6 +17,12 @@ from sinsjax.alignment.triggers.base import AssumedNoise, FilterSnapshot
 from sinsjax.alignment.triggers.description import TRIGGERS
 from sinsjax.maths.algebra import add
 from sinsjax.types import Flag, Navigation, Sample, Scalar
+
+
+def method_of(filter_: Filter, options: Options) -> Method:
+    """The method of a filter, with its innovations summed up and a trigger as options say."""
+    watched = with_innovations(filter_) if options.innovations else filter_
+    return with_trigger(watched, options.trigger)
 
 
 def with_trigger(filter_: Filter, name: str) -> Method:
@@ -35,7 +42,7 @@ def with_trigger(filter_: Filter, name: str) -> Method:
         return state._replace(trigger_state=triggers.start(trigger, params.trigger, state.belief.p))
 
     def step(params: Any, site: Site, state: Any, sample: Sample, n: Scalar) -> Any:
-        before, noise = state.nav, AssumedNoise(params.q, params.r)
+        before, noise = state, AssumedNoise(params.q, params.r)
         state = filter_.propagate(params, site, state, sample)
         measured = state.nav.ve, state.nav.vn
         watched, belief = triggers.fade(
@@ -43,12 +50,15 @@ def with_trigger(filter_: Filter, name: str) -> Method:
         )
         faded = with_process_noise(params, state._replace(belief=belief))
         state, innovation = filter_.update(params, faded)
-        place = filter_.place(site, before)
+        place = filter_.place(site, before.nav)
+        left = filter_.misalignment(state)
         snapshot = FilterSnapshot(
             innovation=innovation.value,
             variance=innovation.variance,
             belief=state.belief,
-            correction=add(watched.fed, filter_.misalignment(state)),
+            correction=add(watched.fed, left),
+            left=left,
+            covariance=lambda belief: filter_.covariance(state._replace(belief=belief)),
             at_rest=filter_.at_rest(before, place),
             place=place,
             dt=filter_.dt,
@@ -77,8 +87,11 @@ def with_trigger(filter_: Filter, name: str) -> Method:
     def called(state: Any, n: Scalar) -> Flag:
         return triggers.fires(state.trigger_state, n)
 
-    def results(state: Any) -> FilterResults:
-        return FilterResults(state.trigger_state.trigger_counts, state.innovations)
+    def results(site: Site, state: Any) -> FilterResults:
+        assert plain.results is not None
+        return plain.results(site, state)._replace(
+            trigger_counts=state.trigger_state.trigger_counts
+        )
 
     return plain._replace(
         init=init,

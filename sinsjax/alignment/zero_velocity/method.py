@@ -7,14 +7,21 @@ into velocity and attitude (closed loop, [P1] section 2.3).
 from functools import partial
 
 from sinsjax.alignment import kalman
-from sinsjax.alignment.base import AttitudeCovariance, Ending, Method, Options, Site
-from sinsjax.alignment.filters import Filter, FilterParams, FilterState, with_innovations
-from sinsjax.alignment.kalman import Belief, Innovation
-from sinsjax.alignment.limits import Biases, Limit, unaided
+from sinsjax.alignment.base import AttitudeCovariance, Method, Options, Site
+from sinsjax.alignment.filters.stages import (
+    Filter,
+    FilterParams,
+    FilterState,
+    begin,
+    place_of,
+    reversed_by,
+    unaided,
+    update_by_velocity,
+)
 from sinsjax.alignment.schedules import reset_covariance
-from sinsjax.alignment.triggers.watched import with_trigger
+from sinsjax.alignment.triggers.watched import method_of
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import Entries, change_signs, triangle_index
+from sinsjax.maths.algebra import Entries, triangle_index
 from sinsjax.strapdown import earth, mechanisation
 from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN, ErrorModel
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
@@ -29,8 +36,7 @@ def build(model: ErrorModel, options: Options) -> Method:
         model: linear error model; its first five states are those of [P1] eq. (1).
         options: what decides the program.
     """
-    plain = filter_of(model, options)
-    return with_trigger(with_innovations(plain) if options.innovations else plain, options.trigger)
+    return method_of(filter_of(model, options), options)
 
 
 def filter_of(model: ErrorModel, options: Options) -> Filter:
@@ -38,13 +44,11 @@ def filter_of(model: ErrorModel, options: Options) -> Filter:
     dt = options.dt
     assumed_at_rest = options.specific_force == "gravity"
     integrated = options.position == "integrated"
+    place = place_of(options.position)
 
-    def place(site: Site, nav: Navigation) -> earth.Place:
-        return earth.place(site.earth, nav.latitude) if integrated else site.place
-
-    def at_rest(nav: Navigation, place: earth.Place) -> Entries:
+    def at_rest(state: FilterState, place: earth.Place) -> Entries:
         gravity = Vec3(0.0, 0.0, place.gravity * dt)
-        return model.transition(nav._replace(ve=0.0, vn=0.0), place, gravity, dt)
+        return model.transition(state.nav._replace(ve=0.0, vn=0.0), place, gravity, dt)
 
     def propagate(
         params: FilterParams, site: Site, state: FilterState, sample: Sample
@@ -56,7 +60,7 @@ def filter_of(model: ErrorModel, options: Options) -> Filter:
         if integrated:
             nav = mechanisation.travel(nav, here, dt)
         if assumed_at_rest:
-            transition = at_rest(before, here)
+            transition = at_rest(state, here)
         else:
             transition = model.transition(before, here, f_dt, dt)
         return state._replace(nav=nav, belief=kalman.propagate(state.belief, transition))
@@ -65,31 +69,23 @@ def filter_of(model: ErrorModel, options: Options) -> Filter:
         dt,
         _init,
         propagate,
-        _update,
+        update_by_velocity,
         _feed_back,
-        partial(reset_covariance, yaw=PHI_U),
+        partial(reset_covariance, heading=(PHI_U,)),
         partial(_reverse, model),
         place,
         at_rest,
         _misalignment,
         _attitude,
         _covariance,
-        _limit,
+        unaided,
         common_covariance=assumed_at_rest and not integrated and not model.uses_attitude,
     )
 
 
 def _init(params: FilterParams, nav: Navigation) -> FilterState:
-    belief = kalman.start(params.p0)
-    return FilterState(nav, belief, belief.x[len(_LEVEL_AND_YAW) :], params.feedback.every)
-
-
-def _update(params: FilterParams, state: FilterState) -> tuple[FilterState, Innovation]:
-    """Velocity should be zero: [P1] eqs (10)-(12)."""
-    measured = state.nav.ve, state.nav.vn
-    innovation = kalman.innovation(state.belief, (VE, VN), measured, params.r)
-    belief = kalman.update(state.belief, (VE, VN), measured, params.r)
-    return state._replace(belief=belief), innovation
+    state = begin(params, nav)
+    return state._replace(bias=state.belief.x[len(_LEVEL_AND_YAW) :])
 
 
 def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:
@@ -108,13 +104,9 @@ def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:
 
 
 def _reverse(model: ErrorModel, state: FilterState) -> FilterState:
-    signs, (x, p) = model.reversal, state.belief
-    biases = zip(signs[len(_LEVEL_AND_YAW) :], state.bias, strict=True)
-    return state._replace(
-        nav=mechanisation.reverse(state.nav),
-        belief=Belief(tuple(s * a for s, a in zip(signs, x, strict=True)), change_signs(signs, p)),
-        bias=tuple(s * b for s, b in biases),
-    )
+    biases = zip(model.reversal[len(_LEVEL_AND_YAW) :], state.bias, strict=True)
+    turned = reversed_by(model.reversal, state)
+    return turned._replace(bias=tuple(s * b for s, b in biases))
 
 
 def _misalignment(state: FilterState) -> Vec3:
@@ -130,7 +122,3 @@ def _covariance(state: FilterState) -> AttitudeCovariance:
     at = triangle_index(len(state.belief.x))
     angles = (PHI_E, PHI_N, PHI_U)
     return AttitudeCovariance(*(state.belief.p[at[i, j]] for i in angles for j in angles if i <= j))
-
-
-def _limit(params: FilterParams, place: earth.Place, biases: Biases, ending: Ending) -> Limit:
-    return unaided(place, biases)

@@ -1,34 +1,21 @@
 """How a filter's numbers follow the keys of a study, to be differentiated by them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax.numpy as jnp
 
 from sinsjax.alignment.base import Change, Relaxed
 from sinsjax.alignment.description import StudyView
+from sinsjax.alignment.filters.section import Q_DENSITIES
+from sinsjax.alignment.filters.stages import FilterParams
+from sinsjax.alignment.filters.states import STATES, StateKind
 from sinsjax.alignment.schedules import Windows
 from sinsjax.alignment.triggers.section import any_trigger
-from sinsjax.alignment.zero_velocity.method import FilterParams
-from sinsjax.strapdown.error_model import (
-    EPS_X,
-    EPS_Y,
-    EPS_Z,
-    NABLA_X,
-    NABLA_Y,
-    PHI_E,
-    PHI_N,
-    PHI_U,
-    VE,
-    VN,
-)
 from sinsjax.types import Array, Scalar
 
 _NEVER = 1e15
 """Sample of a reset that there is not, instead of infinity."""
-
-_LEVEL, _VELOCITY = (PHI_E, PHI_N), (VE, VN)
-_ACCEL_BIASES, _GYRO_BIASES = (NABLA_X, NABLA_Y), (EPS_X, EPS_Y, EPS_Z)
 
 
 def _scaled(values: tuple[Scalar, ...], states: Sequence[int], factor: Scalar) -> tuple:
@@ -86,31 +73,30 @@ def _with_samples(params: FilterParams, samples: Array) -> FilterParams:
 _CHANGES: dict[str, Change] = {
     "reset_first_s": _first,
     "reset_cycle_s": _cycle,
-    "reset_velocity_m_per_s": _reset_to(_VELOCITY),
-    "reset_level_deg": _reset_to(_LEVEL),
-    "reset_yaw_deg": _reset_to((PHI_U,)),
-    "reset_accel_bias_ug": _reset_to(_ACCEL_BIASES),
-    "reset_gyro_bias_deg_per_h": _reset_to(_GYRO_BIASES),
-    "p0_velocity_m_per_s": _p0(_VELOCITY),
-    "p0_level_deg": _p0(_LEVEL),
-    "p0_yaw_deg": _p0((PHI_U,)),
-    "p0_accel_bias_ug": _p0(_ACCEL_BIASES),
-    "p0_gyro_bias_deg_per_h": _p0(_GYRO_BIASES),
-    "q_scale": _q((*_VELOCITY, *_LEVEL, PHI_U), 1),
-    "q_accel_ug": _q(_VELOCITY, 2),
-    "q_gyro_deg_per_h": _q((*_LEVEL, PHI_U), 2),
-    "q_accel_ug_per_sqrt_hz": _q(_VELOCITY, 2),
-    "q_gyro_deg_per_h_per_sqrt_hz": _q((*_LEVEL, PHI_U), 2),
-    "q_gyro_arw_deg_per_sqrt_h": _q((*_LEVEL, PHI_U), 2),
     "r_scale": _r(1),
     "r_velocity_m_per_s": _r(2),
     "feedback_time_constant_s": _feedback,
 }
+"""Of the keys that concern no state."""
 
-_FOLLOWS = {key: key.replace("p0_", "reset_") for key in _CHANGES if key.startswith("p0_")} | {
-    "reset_cycle_s": "reset_first_s"
-}
-"""What P is reset to is what it is at the start; the first reset comes after a cycle."""
+
+def _changes(states: Sequence[str]) -> dict[str, Change]:
+    kinds = [STATES[state] for state in states]
+
+    def places(of: Callable[[StateKind], str | None], key: str) -> list[int]:
+        return [place for place, kind in enumerate(kinds) if of(kind) == key]
+
+    changes = dict(_CHANGES)
+    for kind in dict.fromkeys(kinds):
+        if kind.p0 is not None and kind.reset_to is not None:
+            at = places(lambda kind: kind.p0, kind.p0)
+            changes |= {kind.p0: _p0(at), kind.reset_to: _reset_to(at)}
+    noisy = [place for place, kind in enumerate(kinds) if kind.q is not None]
+    changes["q_scale"] = _q(noisy, 1)
+    for key, densities in Q_DENSITIES.items():
+        of_key = _q(places(lambda kind: kind.q, key), 2)
+        changes |= dict.fromkeys((key, *densities), of_key)
+    return changes
 
 
 def _soften(params: FilterParams, times: Array | None, width: Scalar) -> FilterParams:
@@ -130,4 +116,10 @@ def _refused(study: StudyView) -> str | None:
     return "[resets] reset_trigger" if any_trigger(study) else None
 
 
-RELAXED = Relaxed(_CHANGES, _FOLLOWS, "reset_times_s", _soften, _refused)
+def relaxed(states: Sequence[str]) -> Relaxed:
+    """How the numbers of a filter follow the keys of a study; its states by name in `STATES`."""
+    changes = _changes(states)
+    # What P is reset to is what it is at the start; the first reset comes after a cycle.
+    follows = {key: key.replace("p0_", "reset_") for key in changes if key.startswith("p0_")}
+    follows["reset_cycle_s"] = "reset_first_s"
+    return Relaxed(changes, follows, "reset_times_s", _soften, _refused)

@@ -1,17 +1,18 @@
-"""[filter], [resets] and the feedback of [alignment] as the numbers of a zero-velocity filter."""
+"""[filter], [resets] and the feedback of [alignment] as the numbers of a filter."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from sinsjax.alignment.base import Site
+from sinsjax.alignment.filters.section import OF_SCHEDULES, Q_DENSITIES, reset_times
+from sinsjax.alignment.filters.stages import FilterParams
+from sinsjax.alignment.filters.states import STATES, StateKind
 from sinsjax.alignment.parameters import Columns, column_or, in_samples
 from sinsjax.alignment.schedules import UNCHANGED, CovarianceReset, Feedback, Resets
 from sinsjax.alignment.triggers.base import TriggerParams
-from sinsjax.alignment.zero_velocity.method import FilterParams
-from sinsjax.alignment.zero_velocity.section import OF_SCHEDULES, Q_DENSITIES, reset_times
-from sinsjax.strapdown.error_model import MODELS
-from sinsjax.units import DEG, DEG_PER_H
+from sinsjax.units import DEG_PER_H
 
 _COVARIANCE_RESETS: dict[str, tuple[float | None, ...]] = {
     # keep, keep_yaw, renew, renew_yaw; None for the study's factor
@@ -25,46 +26,46 @@ _COVARIANCE_RESETS: dict[str, tuple[float | None, ...]] = {
 """What becomes of P, by the names of ``reset_kind`` and ``turn_covariance``."""
 
 
-def parameters(columns: Columns, site: Site, ug: float) -> FilterParams:
+def parameters(states: Sequence[str], columns: Columns, site: Site, ug: float) -> FilterParams:
     """Numbers of a filter, leaves (variants,).
 
     Args:
+        states: names of its states in `STATES`.
         columns: of variants with one method.
         site: Earth and place; a filter asks nothing of them.
         ug: micro-g in m/s^2.
     """
-    states = MODELS[columns.common("method")].states
     dt = 1 / columns.rate_hz
-    velocity = columns.column("p0_velocity_m_per_s") ** 2
-    level = columns.column("p0_level_deg", DEG) ** 2
-    yaw = columns.column("p0_yaw_deg", DEG) ** 2
-    nabla = columns.column("p0_accel_bias_ug", ug) ** 2
-    eps = columns.column("p0_gyro_bias_deg_per_h", DEG_PER_H) ** 2
+    zero = np.zeros(columns.count)
     readings = {"per_step": 1.0, "psd": dt, "per_sample": dt * dt}
     reading = columns.each(readings.__getitem__, "q_reading")
     q_scale, r_scale = (column_or(columns, key, 1.0) for key in ("q_scale", "r_scale"))
-    q_v = (_q(columns, "q_accel_ug") * ug) ** 2 * reading * q_scale
-    q_phi = (_q(columns, "q_gyro_deg_per_h") * DEG_PER_H) ** 2 * reading * q_scale
+    units = {"q_accel_ug": ug, "q_gyro_deg_per_h": DEG_PER_H}
+    q = {key: (_q(columns, key) * unit) ** 2 * reading * q_scale for key, unit in units.items()}
     spread = columns.each(lambda name: 1.0 if name == "per_update" else dt, "r_reading")
-    zero = np.zeros_like(velocity)
-    p0 = {"dve": velocity, "dvn": velocity, "phi_e": level, "phi_n": level, "phi_u": yaw}
-    p0 |= {f"nabla_{axis}": nabla for axis in "xyz"} | {f"eps_{axis}": eps for axis in "xyz"}
-    q = {"dve": q_v, "dvn": q_v, "phi_e": q_phi, "phi_n": q_phi, "phi_u": q_phi}
-    start = tuple(p0[state] for state in states)
+    kinds = [STATES[state] for state in states]
+    p0 = [_p0(columns, kind, ug) for kind in kinds]
     return FilterParams(
-        p0=start,
-        q=tuple(q.get(state, zero) for state in states),  # biases are constant
+        p0=tuple(p0),
+        q=tuple(zero if kind.q is None else q[kind.q] for kind in kinds),
         r=columns.column("r_velocity_m_per_s") ** 2 / spread * r_scale,
         feedback=_feedback(columns),
         resets=_resets(columns),
         reset_to=tuple(
-            _reset_to(columns, state, p, ug) for state, p in zip(states, start, strict=True)
+            _reset_to(columns, kind, start, ug) for kind, start in zip(kinds, p0, strict=True)
         ),
         turn=_covariance_reset(columns, "turn_covariance", "turn_inflation")
         if columns.has("passes")
         else CovarianceReset(*(np.broadcast_to(k, zero.shape) for k in UNCHANGED)),
         trigger=_trigger(columns),
     )
+
+
+def _p0(columns: Columns, kind: StateKind, ug: float) -> np.ndarray:
+    """The initial variance of a state, (variants,)."""
+    if kind.p0 is None:
+        return np.full(columns.count, kind.variance)
+    return columns.column(kind.p0, ug if kind.unit is None else kind.unit) ** 2
 
 
 def _q(columns: Columns, key: str) -> np.ndarray:
@@ -74,18 +75,12 @@ def _q(columns: Columns, key: str) -> np.ndarray:
     return columns.column(given, forms[given])
 
 
-def _reset_to(columns: Columns, state: str, p0: np.ndarray, ug: float) -> np.ndarray:
+def _reset_to(columns: Columns, kind: StateKind, p0: np.ndarray, ug: float) -> np.ndarray:
     """The variance of a state that P is reset to: its own, or that of the start."""
-    key, unit = {
-        "dve": ("reset_velocity_m_per_s", 1.0),
-        "dvn": ("reset_velocity_m_per_s", 1.0),
-        "phi_e": ("reset_level_deg", DEG),
-        "phi_n": ("reset_level_deg", DEG),
-        "phi_u": ("reset_yaw_deg", DEG),
-        "nabla": ("reset_accel_bias_ug", ug),
-        "eps": ("reset_gyro_bias_deg_per_h", DEG_PER_H),
-    }[state if state.startswith(("d", "phi")) else state.partition("_")[0]]
-    own = columns.each(lambda v: math.nan if v is None else (v * unit) ** 2, key)
+    if kind.reset_to is None:
+        return p0
+    unit = ug if kind.unit is None else kind.unit
+    own = columns.each(lambda v: math.nan if v is None else (v * unit) ** 2, kind.reset_to)
     return np.where(np.isnan(own), p0, own)
 
 

@@ -6,14 +6,14 @@ feedback and resets and direction reversals are the same for every filter, whate
 are the sum of innovations and triggers (`triggers.watched`), which come in between its stages.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from sinsjax.alignment import kalman
+from sinsjax.alignment import kalman, limits
 from sinsjax.alignment.base import (
     AttitudeCovariance,
     Ending,
@@ -22,7 +22,7 @@ from sinsjax.alignment.base import (
     Method,
     Site,
 )
-from sinsjax.alignment.kalman import Innovation
+from sinsjax.alignment.kalman import Belief, Innovation
 from sinsjax.alignment.limits import Biases, Limit
 from sinsjax.alignment.schedules import (
     CovarianceReset,
@@ -35,8 +35,10 @@ from sinsjax.alignment.schedules import (
     where_due,
 )
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import Entries, Triangle
+from sinsjax.maths.algebra import Entries, Triangle, change_signs
+from sinsjax.strapdown import earth, mechanisation
 from sinsjax.strapdown.earth import Place
+from sinsjax.strapdown.error_model import VE, VN
 from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar, Vec3
 
 
@@ -101,12 +103,13 @@ class Filter(NamedTuple):
         reset: (covariance reset, P, variances) -> P.
         reverse: state -> state with which the record is read in the other direction.
         place: (site, navigation) -> Earth there.
-        at_rest: (navigation, place) -> transition of a base at rest, whose specific force is
+        at_rest: (state, place) -> transition of a base at rest, whose specific force is
             (0, 0, g).
         misalignment: state -> estimated misalignment that is not fed back yet, rad.
         attitude: state -> best attitude.
         covariance: state -> of that attitude.
         limit: see `Method.limit`.
+        own_results: (site, state) -> `FilterResults.own`; None of a filter without.
         common_covariance: see `Method.common_covariance`.
     """
 
@@ -118,11 +121,12 @@ class Filter(NamedTuple):
     reset: Callable[[CovarianceReset, Triangle, tuple[Scalar, ...]], Triangle]
     reverse: Callable[[Any], Any]
     place: Callable[[Site, Navigation], Place]
-    at_rest: Callable[[Navigation, Place], Entries]
+    at_rest: Callable[[Any, Place], Entries]
     misalignment: Callable[[Any], Vec3]
     attitude: Callable[[Any], Quat]
     covariance: Callable[[Any], AttitudeCovariance]
     limit: Callable[[Any, Place, Biases, Ending], Limit]
+    own_results: Callable[[Site, Any], Any] | None = None
     common_covariance: bool = False
 
 
@@ -148,11 +152,16 @@ def closed_loop(filter_: Filter) -> Method:
         filter_.covariance,
         _normalise,
         filter_.limit,
-        results=lambda state: FilterResults(None, state.innovations),
+        results=partial(_results, filter_),
         close=partial(_close, filter_),
         next_event=_next_event,
         common_covariance=filter_.common_covariance,
     )
+
+
+def _results(filter_: Filter, site: Site, state: Any) -> FilterResults:
+    own = None if filter_.own_results is None else filter_.own_results(site, state)
+    return FilterResults(None, state.innovations, own)
 
 
 def _step(filter_: Filter, params: Any, site: Site, state: Any, sample: Sample, n: Scalar) -> Any:
@@ -233,3 +242,35 @@ def with_innovations(filter_: Filter) -> Filter:
         return updated._replace(innovations=Innovations(total, count + 1)), innovation
 
     return filter_._replace(init=init, update=update)
+
+
+def place_of(position: str) -> Callable[[Site, Navigation], Place]:
+    """`Filter.place` by `Options.position`: fixed, or at the latitude of the solution."""
+    if position == "integrated":
+        return lambda site, nav: earth.place(site.earth, nav.latitude)
+    return lambda site, nav: site.place
+
+
+def begin(params: FilterParams, nav: Navigation) -> FilterState:
+    """A filter whose estimates begin with zero; it has fed no bias back."""
+    return FilterState(nav, kalman.start(params.p0), (), params.feedback.every)
+
+
+def update_by_velocity(params: Any, state: Any) -> tuple[Any, Innovation]:
+    """Velocity should be zero: [P1] eqs (10)-(12)."""
+    measured = state.nav.ve, state.nav.vn
+    innovation = kalman.innovation(state.belief, (VE, VN), measured, params.r)
+    belief = kalman.update(state.belief, (VE, VN), measured, params.r)
+    return state._replace(belief=belief), innovation
+
+
+def reversed_by(signs: Sequence[float], state: Any) -> Any:
+    """The state in reversed time: velocity the other way, each estimate with its sign."""
+    x, p = state.belief
+    belief = Belief(tuple(s * a for s, a in zip(signs, x, strict=True)), change_signs(signs, p))
+    return state._replace(nav=mechanisation.reverse(state.nav), belief=belief)
+
+
+def unaided(params: Any, place: Place, biases: Biases, ending: Ending) -> Limit:
+    """`Filter.limit` of a filter that does not tell sensor biases from misalignment."""
+    return limits.unaided(place, biases)

@@ -1,0 +1,1 @@
+"""Zero-velocity alignment with sine and cosine of the azimuth as states: from any heading."""

@@ -1,0 +1,58 @@
+"""The filter with sine and cosine of the azimuth, as studies know it."""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from sinsjax.alignment.description import Implementation, OwnColumn
+from sinsjax.alignment.filters.description import COLUMNS, OF_BIASES, filter_description
+from sinsjax.columns import Column
+from sinsjax.units import DEG_PER_H
+
+
+def _load() -> Implementation:
+    from sinsjax.alignment.filters.parameters import parameters
+    from sinsjax.alignment.filters.relaxed import relaxed
+    from sinsjax.alignment.sincos.method import STATES, build
+
+    return Implementation(build, partial(parameters, STATES), relaxed=relaxed(STATES))
+
+
+def _drift(results: Any, rate_hz: float) -> NDArray:
+    return np.asarray(results.own.value) / DEG_PER_H
+
+
+def _drift_sigma(results: Any, rate_hz: float) -> NDArray:
+    return np.asarray(results.own.sigma) / DEG_PER_H
+
+
+NORTH_DRIFT = (
+    OwnColumn(
+        Column(
+            "gyro_north_drift_deg_per_h",
+            pa.float64(),
+            "deg/h",
+            "north gyro drift by the estimated sine and cosine of the azimuth",
+        ),
+        _drift,
+    ),
+    OwnColumn(
+        Column(
+            "gyro_north_drift_sigma_deg_per_h", pa.float64(), "deg/h", "the filter's sigma of it"
+        ),
+        _drift_sigma,
+    ),
+)
+
+SINCOS = filter_description(
+    name="kalman_sincos",
+    summary="Kalman filter with sine and cosine of the azimuth, linear from any heading",
+    source="Dmitriyev, Stepanov and Shepel (1997), Rogers (1997)",
+    load=_load,
+    silent=(*OF_BIASES, "p0_yaw_deg", "reset_yaw_deg"),
+    columns=(*COLUMNS, *NORTH_DRIFT),
+    step_s=15e-9,
+)
