@@ -11,9 +11,9 @@ from oracles.naive import DEG, STATES, WGS84, Filter, Loops, Planet, Swing, quat
 from sinsjax.alignment.base import Site
 from sinsjax.alignment.compass import method as compass
 from sinsjax.alignment.compass.design import AzimuthGains, LevelGains
+from sinsjax.alignment.filters.stages import FilterParams
 from sinsjax.alignment.limits import NO_BIASES
 from sinsjax.alignment.schedules import CovarianceReset, Feedback, Pieces, Resets
-from sinsjax.alignment.zero_velocity import method as zero_velocity
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.realisations import Draw, Environment, Static
 from sinsjax.engine.simulate import (
@@ -98,19 +98,26 @@ def by_state(values: np.ndarray) -> tuple[Any, ...]:
     return tuple(of[name] for name in _MODEL_OF[len(of)].states)
 
 
-def params(filt: Filter) -> zero_velocity.FilterParams:
+def params(filt: Filter) -> FilterParams:
+    """Numbers of [P1]'s filter; the naive order of states is not the engine's."""
+    return filter_params(filt._replace(p0=by_state(filt.p0), q=by_state(filt.q)))
+
+
+def filter_params(filt: Filter) -> FilterParams:
+    """Numbers of a filter whose states are in one order here and there."""
     scale = (filt.factor, filt.factor, 0.0, 0.0)
     when = [*filt.resets] + [np.inf] * (RESETS - len(filt.resets))
-    return zero_velocity.FilterParams(
-        p0=by_state(filt.p0),
-        q=by_state(filt.q),
+    p0 = tuple(map(np.float64, filt.p0))
+    return FilterParams(
+        p0=p0,
+        q=tuple(map(np.float64, filt.q)),
         r=np.float64(filt.r),
         feedback=Feedback(np.float64(filt.every), np.float64(filt.gain)),
         resets=Resets(
             np.array(when, dtype=float),
             CovarianceReset(*map(np.float64, _KINDS.get(filt.kind, scale))),
         ),
-        reset_to=by_state(filt.p0),
+        reset_to=p0,
         turn=CovarianceReset(*map(np.float64, _turn(filt))),
     )
 

@@ -191,7 +191,10 @@ def _about_vertical(sine: Scalar, cosine: Scalar) -> Quat:
 
 
 def _covariance(state: FilterState) -> AttitudeCovariance:
-    """Of the misalignment: the tilt's, turned by a, and to first order that of a."""
+    """Of the misalignment: the tilt's, turned by a, and to first order that of a.
+
+    A heading is never known less than if it were anywhere.
+    """
     at, p, d = triangle_index(len(STATES)), state.belief.p, _direction(state)
 
     def of(i: int, j: int) -> Scalar:
@@ -199,22 +202,22 @@ def _covariance(state: FilterState) -> AttitudeCovariance:
 
     # da = (C ds + s dk) / (s^2 + C^2).
     by_sine, by_versine = d.cosine / d.amplitude, d.sine / d.amplitude
-    zero = jnp.zeros_like(d.sine)
-    level_e, level_n = (
-        jnp.where(d.known, by_sine * of(i, SINE) + by_versine * of(i, VERSINE), zero)
-        for i in (TILT_E, TILT_N)
-    )
     heading = by_sine * by_sine * of(SINE, SINE) + by_versine * by_versine * of(VERSINE, VERSINE)
     heading = heading + 2 * by_sine * by_versine * of(SINE, VERSINE)
+    told = d.known & (heading < UNKNOWN_VARIANCE)
+    tilt_e, tilt_n = (
+        jnp.where(told, by_sine * of(i, SINE) + by_versine * of(i, VERSINE), 0.0)
+        for i in (TILT_E, TILT_N)
+    )
     ee, en, nn = of(TILT_E, TILT_E), of(TILT_E, TILT_N), of(TILT_N, TILT_N)
     c, s = d.cosine, d.sine
     return AttitudeCovariance(
         ee=c * c * ee - 2 * c * s * en + s * s * nn,
         en=c * s * (ee - nn) + (c * c - s * s) * en,
-        eu=c * level_e - s * level_n,
+        eu=c * tilt_e - s * tilt_n,
         nn=s * s * ee + 2 * c * s * en + c * c * nn,
-        nu=s * level_e + c * level_n,
-        uu=jnp.where(d.known, heading, UNKNOWN_VARIANCE),
+        nu=s * tilt_e + c * tilt_n,
+        uu=jnp.where(told, heading, UNKNOWN_VARIANCE),
     )
 
 
