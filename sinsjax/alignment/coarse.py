@@ -45,7 +45,7 @@ def analytic(samples: Sample, place: Place, dt: Scalar) -> Quat:
     reaction = rotate(exp(scale(0.5 * dt, rate)), _up(place, dt))
     turns = jax.vmap(log)(samples.turn)
     felt = jnp.stack([_mean(samples.dv), _mean(turns)])
-    return _two_vectors(felt, jnp.stack([jnp.stack(reaction), jnp.stack(rate)]))
+    return two_vectors(felt, jnp.stack([jnp.stack(reaction), jnp.stack(rate)]))
 
 
 def inertial(samples: Sample, place: Place, dt: Scalar) -> Quat:
@@ -91,7 +91,7 @@ def inertial(samples: Sample, place: Place, dt: Scalar) -> Quat:
     tau = 2 * middle / n - 1
     weight = 1 - tau * tau
     moments = jnp.stack([weight, weight * tau])
-    return _two_vectors(moments @ felt, moments @ _expected(place, dt, (middle - n) * dt))
+    return two_vectors(moments @ felt, moments @ _expected(place, dt, (middle - n) * dt))
 
 
 COARSE: dict[str, Coarse] = {"analytic": analytic, "inertial": inertial}
@@ -135,7 +135,7 @@ def _mean(rows: Vec3) -> Array:
     return jnp.stack(rows).mean(axis=1)
 
 
-def _two_vectors(body: Array, n: Array) -> Quat:
+def two_vectors(body: Array, n: Array) -> Quat:
     """TRIAD: q_nb from two vectors (2, 3) known in b and in n; the first is met exactly.
 
     Lengths do not matter. The row of q q' with the largest diagonal element gives q without

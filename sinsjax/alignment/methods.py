@@ -4,6 +4,7 @@ from collections.abc import Iterable
 
 from sinsjax.alignment.compass.description import COMPASS
 from sinsjax.alignment.description import Description
+from sinsjax.alignment.inertial_frame.description import INERTIAL, OPTIMISATION
 from sinsjax.alignment.sincos.description import SINCOS
 from sinsjax.alignment.zero_velocity.description import KALMAN5, KALMAN10
 from sinsjax.value_types import Section
@@ -14,6 +15,8 @@ METHODS: dict[str, Description] = {
         KALMAN5,
         KALMAN10,
         SINCOS,
+        OPTIMISATION,
+        INERTIAL,
         COMPASS,
     )
 }

@@ -101,7 +101,7 @@ def run(name, phi, v=(0.0, 0.0), **changes):
     return np.array(left), p, np.hypot(nav.ve, nav.vn)
 
 
-FROM_ANY_HEADING = {"kalman_sincos"}
+FROM_ANY_HEADING = {"kalman_sincos", "optimisation", "inertial"}
 """Methods that take the heading of the start for no better than any other."""
 
 

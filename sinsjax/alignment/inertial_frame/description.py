@@ -1,0 +1,48 @@
+"""The methods in the inertial frame, as studies know them."""
+
+from functools import partial
+
+from sinsjax.alignment.description import INITIAL_KEYS, CheckedStudy, Description, Implementation
+
+
+def _load(name: str) -> Implementation:
+    from sinsjax.alignment.inertial_frame import method
+
+    # They have no numbers of their own.
+    return Implementation(getattr(method, name), lambda columns, site, ug: ())
+
+
+def check_passes(study: CheckedStudy) -> None:
+    """Refuse repeated passes, which hold nothing that the first has not told."""
+    if not study.has("passes"):
+        return
+    for point in study.combinations("method", "tape_s"):
+        if point["method"] in ("optimisation", "inertial") and point["tape_s"] is not None:
+            text = f"method {point['method']} takes a record in once: read again it tells no more"
+            study.refuse("tape_s", text)
+
+
+_inertial_frame = partial(
+    Description,
+    sections={},
+    reads=INITIAL_KEYS,
+    silent=INITIAL_KEYS,
+    has_covariance=False,
+    rules=(check_passes,),
+)
+
+OPTIMISATION = _inertial_frame(
+    name="optimisation",
+    summary="attitude that takes all integrated velocities closest to gravity's in inertial space",
+    source="Wu et al. (2011), Wu and Pan (2013)",
+    load=partial(_load, "optimisation"),
+    step_s=3e-9,
+)
+
+INERTIAL = _inertial_frame(
+    name="inertial",
+    summary="the same from two weighted means of the specific force, as coarse alignment does",
+    source="weighted TRIAD, see alignment.coarse",
+    load=partial(_load, "inertial"),
+    step_s=5e-9,
+)

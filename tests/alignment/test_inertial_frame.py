@@ -1,0 +1,172 @@
+"""Methods in the inertial frame against naive sums, coarse alignment and closed forms."""
+
+from functools import cache, partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles.in_engine import (
+    DEG_PER_H,
+    PAPER1,
+    UG,
+    navigation,
+    place,
+    site,
+    step_and_close,
+    swing_increments,
+)
+from oracles.naive import DEG, PAPER, WGS84, compensate, exp, log, of_quaternion
+from scipy.integrate import quad_vec
+from scipy.spatial.transform import Rotation
+from support.studies import refusal, small_study
+
+from sinsjax import run as run_study
+from sinsjax.alignment.base import Options
+from sinsjax.alignment.coarse import COARSE
+from sinsjax.alignment.inertial_frame.eigenvector import of_largest
+from sinsjax.alignment.inertial_frame.method import reaction_velocity
+from sinsjax.alignment.methods import METHODS
+from sinsjax.strapdown import sensors
+from sinsjax.units import ARCMIN
+
+RATE, SECONDS, LATITUDE = 100, 60, 32 * DEG
+SWING = PAPER1._replace(center=np.array([0.5, -0.3, 2.0]))
+NAMES = ("optimisation", "inertial")
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(-9, 0), st.floats(-3, 12), st.floats(0, 1e-7))
+@settings(max_examples=100, deadline=None)
+def test_the_eigenvector_of_the_larger_of_two_close_eigenvalues(seed, gap, size, above):
+    """To what rounding the matrix leaves of it: some 1e-16 over the gap."""
+    rng, gap = np.random.default_rng(seed), 10**gap
+    axes, _ = np.linalg.qr(rng.normal(size=(4, 4)))
+    k = axes * np.array([1.0, 1 - gap, -0.9, -1.1 + gap]) @ axes.T * 10**size
+    triangle = tuple(jnp.asarray(entry) for entry in ((k + k.T) / 2)[np.triu_indices(4)])
+    found = np.array(of_largest(triangle, jnp.asarray(10**size * (1 + above))))
+    assert np.linalg.norm(found) == pytest.approx(1, rel=1e-14)
+    off = axes[:, 0] * np.sign(axes[:, 0] @ found) - found
+    assert np.linalg.norm(off) < 5e-14 + 5e-15 / gap
+
+
+@given(st.floats(0.01, 1e5), st.floats(-80, 80))
+@settings(max_examples=30, deadline=None)
+def test_the_velocity_of_gravitys_reaction_in_the_inertial_frame(t, latitude_deg):
+    here = place(WGS84, latitude_deg * DEG)
+    rate = np.array([0.0, here.rate_n, here.rate_u])
+    expected, _ = quad_vec(
+        lambda s: Rotation.from_rotvec(rate * s).apply([0.0, 0.0, here.gravity]), 0, t
+    )
+    found = np.array(reaction_velocity(here, jnp.asarray(t)))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * here.gravity * t)
+
+
+@cache
+def runner(name):
+    """A compiled run that returns the attitude after every second."""
+    method = METHODS[name](Options(1 / RATE))
+
+    @jax.jit
+    def run(here, nav, rows):
+        samples = sensors.compensate_record(rows, rows[0])
+        counts = 1.0 + jnp.arange(float(len(rows)))
+
+        def step(state, xs):
+            state = step_and_close(method, (), here, state, *xs)
+            due = xs[1] % RATE == 0
+            state = jax.tree.map(partial(jnp.where, due), method.normalise(state), state)
+            return state, method.attitude(state)
+
+        return jax.lax.scan(step, method.init((), nav), (samples, counts))[1]
+
+    def attitudes(rows, start=None):
+        start = np.eye(3) if start is None else start
+        nav = navigation(start, np.zeros(2), LATITUDE)
+        q = run(site(PAPER, LATITUDE), nav, rows)
+        return of_quaternion(np.stack(q, axis=1)[RATE - 1 :: RATE])
+
+    return attitudes
+
+
+@cache
+def measured():
+    return swing_increments(
+        SWING,
+        PAPER,
+        LATITUDE,
+        rate=RATE,
+        samples=RATE * SECONDS,
+        gyro=((0.2 * DEG_PER_H, -0.1 * DEG_PER_H, 0.3 * DEG_PER_H), 0.2 * DEG_PER_H),
+        accel=((1e3 * UG, -5e2 * UG, 3e2 * UG), 1e3 * UG),
+    )
+
+
+def test_optimisation_is_the_least_squares_fit_of_the_velocities():
+    """SciPy's solution of Wahba's problem, by singular values, of sums in plain loops."""
+    w_ie = np.array(PAPER.rates(LATITUDE, (0.0, 0.0))[0])
+    theta, dvs = compensate(measured())
+    turns, dt = Rotation.from_rotvec(theta), 1 / RATE
+    body, alpha, b = np.eye(3), np.zeros(3), np.zeros((3, 3))
+    beta, up = np.zeros(3), np.array([0.0, 0.0, PAPER.gravity])
+    for k, (turn, dv) in enumerate(zip(turns.as_matrix(), dvs, strict=True)):
+        alpha = alpha + body @ dv
+        # Simpson's rule over the sample.
+        times = np.array([k, k + 0.5, k + 1]) * dt
+        beta = beta + dt / 6 * np.array([1, 4, 1]) @ (
+            Rotation.from_rotvec(times[:, None] * w_ie).apply(up)
+        )
+        body = body @ turn
+        b = b + np.outer(beta, alpha)
+        if (k + 1) % (20 * RATE) == 0:
+            left, _, right = np.linalg.svd(b)
+            n0 = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
+            expected = exp(-w_ie * (k + 1) * dt) @ n0 @ body
+            found = runner("optimisation")(measured())[(k + 1) // RATE - 1]
+            assert np.abs(log(expected @ found.T)).max() < 1e-3 * ARCMIN
+
+
+def test_inertial_is_coarse_alignment_as_it_goes():
+    samples = sensors.compensate_record(measured(), measured()[0])
+    found = runner("inertial")(measured())
+    for seconds in (1, 20, SECONDS):
+        some = jax.tree.map(lambda a, n=seconds * RATE: a[:n], samples)
+        q = jax.jit(COARSE["inertial"])(some, place(PAPER, LATITUDE), 1 / RATE)
+        turn = log(of_quaternion(np.array(q)) @ found[seconds - 1].T)
+        assert np.abs(turn).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_without_sensor_errors_it_finds_the_attitude_within_a_minute(name):
+    rows = swing_increments(SWING, PAPER, LATITUDE, rate=RATE, samples=RATE * SECONDS)
+    found = runner(name)(rows)
+    assert np.abs(log(SWING.matrix(SECONDS) @ found[-1].T)).max() < 0.05 * ARCMIN
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_a_run_begins_with_makes_no_difference(name):
+    one, other = (runner(name)(measured(), start) for start in (np.eye(3), exp([1.0, 2.0, 3.0])))
+    np.testing.assert_array_equal(one, other)
+
+
+def test_all_methods_stand_in_one_study():
+    """Each ignores the keys of the others; those that nothing acts on have the same runs."""
+    study = small_study(
+        study={"draws": 2, "duration_s": 4.0, "window_s": [1, 4]},
+        filter={"p0_yaw_deg": 60.0},
+        axes={"method": sorted(METHODS), "phi_u0_deg": [0.0, 90.0]},
+    )
+    summary = run_study(study).summary
+    final = summary["phi_u_mean_arcmin"].to_numpy().reshape(2, len(METHODS), 2)
+    same = dict(zip(sorted(METHODS), (final[..., 0] == final[..., 1]).T, strict=True))
+    for name, alike in same.items():
+        assert np.all(alike == (name in NAMES)), name
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_passes_are_refused_with_the_reason(name):
+    line = refusal(alignment={"method": name}, passes={"tape_s": 2.0})
+    assert line == (
+        f"[passes] tape_s: method {name} takes a record in once: read again it tells no more"
+    )
