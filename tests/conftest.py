@@ -19,8 +19,11 @@ from pathlib import Path
 import hypothesis
 import jax
 import pytest
+from support import type_checks
 
-from sinsjax.platform import runtime
+type_checks.install("sinsjax")
+
+from sinsjax.platform import runtime  # noqa: E402  (to be checked, it is imported last)
 
 runtime.configure(devices=2, x64=True)
 jax.config.update("jax_legacy_prng_key", "error")
