@@ -1,6 +1,7 @@
 """Values of a study that no run ever comes to: times after its end, and keys that nobody reads."""
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 from sinsjax.errors import InputError
@@ -24,13 +25,19 @@ def check(study: Study, where: Mapping[str, str]) -> None:
     for name, section in SECTIONS.items():
         if not study.has(name):
             continue
-        for key, field in section.model_fields.items():
-            if time := mark(field, RunTime):
-                default = mark(field, Default)
-                _check_time(study, f"{where.get(key, f'[{name}]')} {key}", key, time, default)
+        for key, (time, default) in _times(name).items():
+            _check_time(study, f"{where.get(key, f'[{name}]')} {key}", key, time, default)
         for condition in section.conditions:
             if condition.refused:
                 _check_unread(study, where, name, condition)
+
+
+@cache
+def _times(section: str) -> dict[str, tuple[RunTime, Default | None]]:
+    """The keys of a section that are times within a run."""
+    fields = SECTIONS[section].model_fields.items()
+    times = {key: (mark(field, RunTime), mark(field, Default)) for key, field in fields}
+    return {key: (time, default) for key, (time, default) in times.items() if time}
 
 
 def _check_time(study: Study, place: str, key: str, time: RunTime, default: Default | None) -> None:

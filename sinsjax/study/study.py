@@ -6,7 +6,7 @@ The rules between its keys stand in `checks`.
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -76,6 +76,7 @@ def meaning(key: str) -> str:
     return SECTIONS[SECTION_OF[key]].model_fields[key].description or ""
 
 
+@cache
 def marked(key: str, kind: type[Marks]) -> Marks | None:
     """The mark of some kind beside a leaf key's type, see `value_types`; None without one."""
     return mark(SECTIONS[SECTION_OF[key]].model_fields[key], kind)
