@@ -23,7 +23,9 @@ from support import type_checks
 
 type_checks.install("sinsjax")
 
-from sinsjax.platform import runtime  # noqa: E402  (to be checked, it is imported last)
+from support import compilation  # noqa: E402  (imports what is to be checked)
+
+from sinsjax.platform import runtime  # noqa: E402
 
 runtime.configure(devices=2, x64=True)
 jax.config.update("jax_legacy_prng_key", "error")
@@ -38,6 +40,12 @@ def pytest_configure(config: pytest.Config) -> None:
     """A program that another process is just writing is compiled here instead; JAX warns of it."""
     line = "ignore:Error reading persistent compilation cache entry:UserWarning"
     config.addinivalue_line("filterwarnings", line)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Before any fixture, which may compile."""
+    compilation.suit(item)
 
 
 @pytest.fixture(scope="session")

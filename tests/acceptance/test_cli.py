@@ -22,6 +22,8 @@ from sinsjax.engine import build
 from sinsjax.execution import tables
 from sinsjax.records import PSINS_LAYOUT, Layout, read_psins, write_csv, write_parquet, write_psins
 
+pytestmark = pytest.mark.optimised(False)
+
 Command = Callable[..., tuple[int, str, str]]
 
 

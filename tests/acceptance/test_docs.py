@@ -9,6 +9,8 @@ from support.studies import small_study
 import sinsjax
 from sinsjax.execution import run
 
+pytestmark = pytest.mark.optimised(False)
+
 ROOT = Path(__file__).parents[2]
 RESULTS = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
 

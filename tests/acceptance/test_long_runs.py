@@ -13,6 +13,8 @@ from sinsjax.engine import lanes as lane_layout
 from sinsjax.engine.realisations import aligned_record
 from sinsjax.execution import run
 
+pytestmark = pytest.mark.optimised(False)
+
 DAY_S = 86_400.0
 MOST_BYTES = 60e6
 """Of one array in the program of a day's run; its curves are 6 MB, those of 8 sets of lanes 50."""

@@ -25,6 +25,8 @@ from sinsjax.study import times as study_times
 from sinsjax.study.load import study_from_dict
 from sinsjax.types import Quat
 
+pytestmark = pytest.mark.optimised(False)
+
 BASE: dict[str, Any] = {
     "study": {"duration_s": 8.0, "rate_hz": 50.0, "draws": 2, "window_s": [1, 3], "curves": True},
     "earth": {"latitude_deg": 32.0},
@@ -109,6 +111,7 @@ def swept() -> study_run.Results:
     return run(QUICK, {"passes": {}, "axes": {"tape_s": [3.0, 4.0]} | TURNS})
 
 
+@pytest.mark.optimised(True)
 def test_columns_of_the_curves_and_of_the_summary() -> None:
     curves, summary = swept().curves, swept().summary
     got = columns_of(curves, 0, *PLACES)
@@ -126,6 +129,7 @@ def test_columns_of_the_curves_and_of_the_summary() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.optimised(True)
 def test_a_tape_as_long_as_the_study_changes_no_bit() -> None:
     """The program that could turn gives what the one that cannot does, for any method."""
     methods = {"axes": {"method": ["compass", "kalman5"]}, "compass": QUICK["compass"]}
@@ -136,6 +140,7 @@ def test_a_tape_as_long_as_the_study_changes_no_bit() -> None:
             assert b.select(a.column_names).equals(a)
 
 
+@pytest.mark.optimised(True)
 def test_tapes_swept_together_give_the_rows_of_each_alone() -> None:
     """Every bit of them, though the parts share a tape of one length."""
     alone = run(QUICK, {"passes": {"tape_s": 3.0}, "axes": TURNS})
@@ -150,27 +155,26 @@ def test_tapes_swept_together_give_the_rows_of_each_alone() -> None:
         assert together != columns_of(swept().curves, 4 * draw + 2 + turn, *names)
 
 
-@pytest.mark.parametrize("method", ["compass", pytest.param("kalman10", marks=pytest.mark.slow)])
-def test_at_truth_a_run_stays_at_truth_over_every_pass(method: str) -> None:
-    """What a run is compared with is the attitude at its place on the tape, backward too."""
-    start = {"alignment": {"method": method, "phi_e0_deg": 0.0, "phi_n0_deg": 0, "phi_u0_deg": 0}}
-    loops = {"compass": QUICK["compass"]} if method == "compass" else {}
-    out = run(PERFECT, loops, start, {"passes": {"tape_s": 3.0}})
-    for axis in "enu":
-        assert np.abs(np.array(out.curves[f"phi_{axis}_arcmin"])).max() < 1e-3
-    t = np.array(columns_of(out.curves, 0, "tape_time_s")[0])
-    motion = BASE["motion"]
-    for angle, center in (("pitch", 0.0), ("roll", 0.0), ("yaw", 10.0)):
-        turn = 2 * np.pi * t / motion[f"{angle}_period_s"]
-        swing = center + motion[f"{angle}_amplitude_deg"] * np.sin(turn)
-        got = columns_of(out.curves, 0, f"{angle}_deg")[0]
-        np.testing.assert_allclose(got, swing, rtol=0, atol=1e-5)
+@pytest.mark.optimised(True)
+def test_a_pass_hears_the_noise_of_the_tape_again() -> None:
+    """Without gains the noise of the way there is undone on the way back, to the last digits."""
+    still = {"level_gains": [0.0] * 3, "azimuth_gains": [0.0] * 4, "allow_unstable": True}
+    start = {"method": "compass", "phi_e0_deg": 0.0, "phi_n0_deg": 0.0, "phi_u0_deg": 0.0}
+    loops = {"alignment": start, "compass": still}
+    loud = {"sensors": {"gyro_noise_deg_per_h": 1e4, "accel_noise_ug": 0.0}}
+    out = run(loops, loud, {"passes": {"tape_s": 4.0}, "axes": TURNS})
+    flipped = out.summary.filter(pc.equal(out.summary["turn"], "velocity"))["run_id"]
+    assert len(flipped) == 2
+    for run_id in flipped.to_pylist():
+        (phi,) = columns_of(out.curves, run_id, "phi_u_arcmin")
+        assert abs(phi[3]) > 1 and abs(phi[7]) < 1e-6 * abs(phi[3])
+        np.testing.assert_allclose(phi[:3], phi[6:3:-1], rtol=1e-6)
 
 
 @pytest.mark.parametrize(
     "tables",
     [
-        pytest.param(QUICK | {"axes": TURNS}, id="compass"),
+        pytest.param(QUICK | {"axes": TURNS}, id="compass", marks=pytest.mark.optimised(True)),
         pytest.param(
             {
                 "alignment": {"specific_force": "gravity"},
@@ -197,19 +201,21 @@ def test_a_run_among_many_is_itself_alone(tables: dict[str, Any]) -> None:
             np.testing.assert_allclose(a, b[run_id], rtol=1e-9, atol=1e-9)
 
 
-def test_a_pass_hears_the_noise_of_the_tape_again() -> None:
-    """Without gains the noise of the way there is undone on the way back, to the last digits."""
-    still = {"level_gains": [0.0] * 3, "azimuth_gains": [0.0] * 4, "allow_unstable": True}
-    start = {"method": "compass", "phi_e0_deg": 0.0, "phi_n0_deg": 0.0, "phi_u0_deg": 0.0}
-    loops = {"alignment": start, "compass": still}
-    loud = {"sensors": {"gyro_noise_deg_per_h": 1e4, "accel_noise_ug": 0.0}}
-    out = run(loops, loud, {"passes": {"tape_s": 4.0}, "axes": TURNS})
-    flipped = out.summary.filter(pc.equal(out.summary["turn"], "velocity"))["run_id"]
-    assert len(flipped) == 2
-    for run_id in flipped.to_pylist():
-        (phi,) = columns_of(out.curves, run_id, "phi_u_arcmin")
-        assert abs(phi[3]) > 1 and abs(phi[7]) < 1e-6 * abs(phi[3])
-        np.testing.assert_allclose(phi[:3], phi[6:3:-1], rtol=1e-6)
+@pytest.mark.parametrize("method", ["compass", pytest.param("kalman10", marks=pytest.mark.slow)])
+def test_at_truth_a_run_stays_at_truth_over_every_pass(method: str) -> None:
+    """What a run is compared with is the attitude at its place on the tape, backward too."""
+    start = {"alignment": {"method": method, "phi_e0_deg": 0.0, "phi_n0_deg": 0, "phi_u0_deg": 0}}
+    loops = {"compass": QUICK["compass"]} if method == "compass" else {}
+    out = run(PERFECT, loops, start, {"passes": {"tape_s": 3.0}})
+    for axis in "enu":
+        assert np.abs(np.array(out.curves[f"phi_{axis}_arcmin"])).max() < 1e-3
+    t = np.array(columns_of(out.curves, 0, "tape_time_s")[0])
+    motion = BASE["motion"]
+    for angle, center in (("pitch", 0.0), ("roll", 0.0), ("yaw", 10.0)):
+        turn = 2 * np.pi * t / motion[f"{angle}_period_s"]
+        swing = center + motion[f"{angle}_amplitude_deg"] * np.sin(turn)
+        got = columns_of(out.curves, 0, f"{angle}_deg")[0]
+        np.testing.assert_allclose(got, swing, rtol=0, atol=1e-5)
 
 
 def test_the_sensors_of_a_study_put_out_one_tape() -> None:

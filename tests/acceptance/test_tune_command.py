@@ -32,6 +32,8 @@ from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.tuning import carry_out, history, objective, search
 from sinsjax.tuning.history import Evaluation, Found
 
+pytestmark = pytest.mark.optimised(False)
+
 Command = Callable[..., tuple[int, str, str]]
 
 TUNE: dict[str, Any] = {

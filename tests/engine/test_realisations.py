@@ -18,6 +18,8 @@ from sinsjax.study.load import study_from_dict
 from sinsjax.study.schema import SensorsSection
 from sinsjax.study.study import SECTION_OF
 
+pytestmark = pytest.mark.optimised(False)
+
 DRAWS = 5
 NOISE = {key: value for key, value in BASE["sensors"].items() if "bias" not in key}
 ALL = {
@@ -67,7 +69,6 @@ THREE = {"axes": {"p0_yaw_deg": [40.0, 50.0, 80.0]}}
 @pytest.mark.parametrize(
     ("keys", "sampling", "changes"),
     [
-        (SOME, "random", EULER | THREE),
         (["gyro_bias_deg_per_h", "accel_scale_ppm", "gyro_misalignment_arcsec"], "random", THREE),
         (["latitude_deg"], "sobol", {"earth": {"earth": "wgs84"}} | THREE),
         (
@@ -75,7 +76,6 @@ THREE = {"axes": {"p0_yaw_deg": [40.0, 50.0, 80.0]}}
             "random",
             {"motion": STILL} | THREE,
         ),
-        (list(ALL), "sobol", EULER | THREE),
         (
             ["yaw_center_deg", "gyro_bias_deg_per_h", "phi_u0_deg"],
             "random",
@@ -90,6 +90,9 @@ THREE = {"axes": {"p0_yaw_deg": [40.0, 50.0, 80.0]}}
                 "compass": {"level_time_s": 1.0},
             },
         ),
+        # Of the programs whose bits are compared below.
+        pytest.param(SOME, "random", EULER | THREE, marks=pytest.mark.optimised(True)),
+        pytest.param(list(ALL), "sobol", EULER | THREE, marks=pytest.mark.optimised(True)),
     ],
 )
 def test_a_drawn_value_is_a_given_value(
@@ -114,6 +117,19 @@ def test_a_drawn_value_is_a_given_value(
                 assert got[name] == value, name
 
 
+@pytest.mark.slow
+@pytest.mark.optimised(True)
+@pytest.mark.parametrize("keys", [SOME, list(ALL)])
+def test_rows_of_drawn_studies_have_the_same_bits_for_any_chunk_and_number_of_draws(
+    keys: list[str],
+) -> None:
+    data = drawn_study(keys, "sobol", study={"draws": 130}, **EULER, **THREE)
+    whole = run.run(study_from_dict(data)).summary
+    assert run.run(study_from_dict(data), chunk_runs=64).summary.equals(whole)
+    fewer = study_from_dict(data | {"study": data["study"] | {"draws": 70}})
+    assert run.run(fewer).summary.equals(whole.slice(0, 70 * 3))
+
+
 def test_draws_differ_in_what_is_drawn_and_share_the_rest() -> None:
     axes = {"q_reading": ["psd", "per_step"]}
     data = drawn_study(["phi_u0_deg", "gyro_bias_deg_per_h"], motion=STILL, axes=axes)
@@ -124,18 +140,6 @@ def test_draws_differ_in_what_is_drawn_and_share_the_rest() -> None:
         assert len({tuple(row) for row in told[:, 0]}) == DRAWS
         np.testing.assert_array_equal(told[:, 0], told[:, 1])
     assert len(set(table["phi_n0_deg"].to_pylist())) == 1
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("keys", [SOME, list(ALL)])
-def test_rows_of_drawn_studies_have_the_same_bits_for_any_chunk_and_number_of_draws(
-    keys: list[str],
-) -> None:
-    data = drawn_study(keys, "sobol", study={"draws": 130}, **EULER, **THREE)
-    whole = run.run(study_from_dict(data)).summary
-    assert run.run(study_from_dict(data), chunk_runs=64).summary.equals(whole)
-    fewer = study_from_dict(data | {"study": data["study"] | {"draws": 70}})
-    assert run.run(fewer).summary.equals(whole.slice(0, 70 * 3))
 
 
 def test_a_study_that_draws_only_noise_runs_the_program_it_always_did() -> None:

@@ -20,6 +20,8 @@ from sinsjax.study import success
 from sinsjax.study.fingerprint import fingerprint
 from sinsjax.study.load import Study, load_study, study_to_toml
 
+pytestmark = pytest.mark.optimised(False)
+
 AXES = {"phi_u0_deg": [0.0, 1.0]}
 
 

@@ -15,6 +15,8 @@ from sinsjax.report.attitudes import innovations
 from sinsjax.report.base import Source
 from sinsjax.study.load import Study, study_from_dict
 
+pytestmark = pytest.mark.optimised(False)
+
 RECORDED: dict[str, Any] = {
     "study": {"duration_s": 2.0, "draws": None, "window_s": [0, 2]},
     "motion": None,

@@ -23,6 +23,8 @@ from sinsjax.records.turning import attitudes
 from sinsjax.study.load import Study, load_study, study_from_dict
 from sinsjax.units import DEG, DEG_PER_H, micro_g
 
+pytestmark = pytest.mark.optimised(False)
+
 RATES = {"quantity": "rates", "gyro_unit": "rad_per_s", "accel_unit": "m_per_s2"}
 LAYOUT = Layout("csv", gyro_columns=("a", "b", "c"), accel_columns=("d", "e", "f"), **RATES)
 SPAN = (0, 20_000)

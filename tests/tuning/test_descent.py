@@ -21,6 +21,8 @@ from sinsjax.tuning import carry_out, descent, history, objective, search
 from sinsjax.tuning.descent import TANGENT_STEPS, Slope, Softness
 from sinsjax.tuning.relaxation import Relaxation
 
+pytestmark = pytest.mark.optimised(False)
+
 
 def log(low: float, high: float) -> dict[str, Any]:
     return {"low": low, "high": high, "scale": "log"}

@@ -20,6 +20,8 @@ from sinsjax.tuning import history, objective, search
 from sinsjax.tuning.history import Evaluation, Found
 from sinsjax.tuning.search import SearchSession
 
+pytestmark = pytest.mark.optimised(False)
+
 TIMES = [{"low": 1.0, "high": 3.0}, {"low": 1.0, "high": 3.0}]
 YAW = {"low": 10.0, "high": 90.0}
 
