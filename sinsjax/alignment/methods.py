@@ -2,9 +2,11 @@
 
 from collections.abc import Iterable
 
+from sinsjax.alignment.azimuth.description import EKF_AZIMUTH, UNSCENTED
 from sinsjax.alignment.compass.description import COMPASS
 from sinsjax.alignment.description import Description
 from sinsjax.alignment.inertial_frame.description import INERTIAL, OPTIMISATION
+from sinsjax.alignment.invariant.description import INVARIANT
 from sinsjax.alignment.sincos.description import SINCOS
 from sinsjax.alignment.zero_velocity.description import KALMAN5, KALMAN10
 from sinsjax.value_types import Section
@@ -15,6 +17,9 @@ METHODS: dict[str, Description] = {
         KALMAN5,
         KALMAN10,
         SINCOS,
+        EKF_AZIMUTH,
+        INVARIANT,
+        UNSCENTED,
         OPTIMISATION,
         INERTIAL,
         COMPASS,

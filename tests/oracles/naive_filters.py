@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oracles.naive import Filter, exp, mechanise, update, updates
+from oracles.naive import Filter, error_matrix, exp, mechanise, update, updates
 
 
 class Model(NamedTuple):
@@ -15,8 +15,8 @@ class Model(NamedTuple):
         signs: of the states under time reversal.
         heading: numbers of the states that a reset of yaw touches.
         start: x before the first sample.
-        predict: (x, p, f, earth, latitude, dt) -> x, p after a sample, without Q.
-        feed: (share of x, c, v) -> c, v corrected.
+        predict: (x, p, earth, latitude, dt) -> x, p after a sample, without Q.
+        feed: (share of x, c, v) -> c, v corrected; v with the vertical velocity.
         kept: numbers of the states that are not fed back.
         corrected: (x, c) -> attitude with all that is estimated taken out.
     """
@@ -45,15 +45,18 @@ def closed_loop(
 ) -> History:
     """Mechanise, predict, update, feed back and reset, sample after sample, over a tape."""
     n = len(filt.p0)
-    x, p, h = model.start, np.diag(filt.p0), np.eye(n)[:2]
+    x, p, h, v = model.start, np.diag(filt.p0), np.eye(n)[:2], np.array([*v, 0.0])
     flip, history = np.diag(model.signs), []
     for k, turn, dv, way, turns in updates(increments, tape, count):
         if turns:
             v, x, p = -v, flip @ x, flip @ p @ flip.T
         earth = planet._replace(rate=way * planet.rate)
-        c, v, f = mechanise(c, v, turn, dv, earth, latitude, dt)
-        x, p = model.predict(x, p, f, earth, latitude, dt)
-        x, p = update(x, p + np.diag(filt.q), h, v, filt.r)
+        w_ie, w_en = earth.rates(latitude, v[:2])
+        upward = np.cross(2 * w_ie + w_en, [*v[:2], 0.0])[2]
+        c, level, f = mechanise(c, v[:2], turn, dv, earth, latitude, dt)
+        v = np.array([*level, v[2] + dt * (f[2] - planet.g(latitude) - upward)])
+        x, p = model.predict(x, p, earth, latitude, dt)
+        x, p = update(x, p + np.diag(filt.q), h, v[:2], filt.r)
         due = k in filt.resets
         share = 1.0 if due else filt.gain if k % filt.every == 0 else 0.0
         fed = share * x
@@ -126,8 +129,106 @@ SINCOS = Model(
     np.array([-1.0, -1.0, 1.0, 1.0, 1.0, 1.0]),
     (4, 5),
     np.array([0.0] * 5 + [1.0]),
-    lambda x, p, f, earth, latitude, dt: linear(sincos_matrix(earth, latitude), x, p, dt),
-    lambda fed, c, v: (upright(fed[2:4]) @ c, v - fed[:2]),
+    lambda x, p, earth, latitude, dt: linear(sincos_matrix(earth, latitude), x, p, dt),
+    lambda fed, c, v: (upright(fed[2:4]) @ c, v - np.array([*fed[:2], 0.0])),
     (4, 5),
     _sincos_corrected,
+)
+
+
+def azimuth_rates(x, planet, latitude):
+    """X' of dVE dVN tE tN a, nonlinear in a."""
+    _, wn, wu = planet.rates(latitude, (0.0, 0.0))[0]
+    c, g, t = 1 / planet.radii(latitude)[1], planet.g(latitude), np.tan(latitude)
+    ve, vn, e, n, a = x
+    return np.array(
+        [
+            2 * wu * vn - g * n,
+            -2 * wu * ve + g * e,
+            -c * vn + wu * n - wn * np.sin(a),
+            c * ve - wu * e + wn * (1 - np.cos(a)),
+            wn * (e * (1 + np.cos(a)) - n * np.sin(a)) / 2 + c * t * ve,
+        ]
+    )
+
+
+def _slope(function, x):
+    """Its derivative by complex steps."""
+    steps = 1e-30j * np.eye(len(x))
+    return np.array([function(x + step).imag / 1e-30 for step in steps]).T
+
+
+def _extended(x, p, earth, latitude, dt):
+    def after(x):
+        return x + dt * azimuth_rates(x, earth, latitude)
+
+    slope = _slope(after, x)
+    return after(x), slope @ p @ slope.T
+
+
+def unscented_transform(after, x, p, alpha, beta=2.0):
+    """Mean and covariance by the textbook's weights, kappa = 0."""
+    n = len(x)
+    scaled = alpha**2 * n - n
+    root = np.linalg.cholesky((n + scaled) * p)
+    points = np.array([x, *(x + column for column in root.T), *(x - column for column in root.T)])
+    means = np.full(2 * n + 1, 1 / (2 * (n + scaled)))
+    means[0] = scaled / (n + scaled)
+    spreads = means.copy()
+    spreads[0] += 1 - alpha**2 + beta
+    moved = np.array([after(point) for point in points])
+    mean = means @ moved
+    return mean, (spreads * (moved - mean).T) @ (moved - mean)
+
+
+def _sigma_points(x, p, earth, latitude, dt):
+    def after(x):
+        return x + dt * azimuth_rates(x, earth, latitude)
+
+    return unscented_transform(after, x, p, 0.5)
+
+
+def _turned(x):
+    return about_up(x[4]) @ upright(x[2:4])
+
+
+EXTENDED, UNSCENTED = (
+    Model(
+        np.array([-1.0, -1.0, 1.0, 1.0, 1.0]),
+        (4,),
+        np.zeros(5),
+        predict,
+        lambda fed, c, v: (_turned(fed) @ c, v - np.array([*fed[:2], 0.0])),
+        (),
+        lambda x, c: _turned(x) @ c,
+    )
+    for predict in (_extended, _sigma_points)
+)
+
+
+def jacobian(phi):
+    """The left Jacobian of the rotations: the mean of exp(s phi) over s from 0 to 1."""
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    return sum(0.5 * w * exp(0.5 * (1 + s) * phi) for s, w in zip(nodes, weights, strict=True))
+
+
+def _by_the_group(fed, c, v):
+    turn = exp(fed[2:5])
+    v = turn @ v - jacobian(fed[2:5]) @ np.array([*fed[:2], 0.0])
+    return turn @ c, np.array([*v[:2], 0.0])
+
+
+def _at_rest(x, p, earth, latitude, dt):
+    force = np.array([0.0, 0.0, earth.g(latitude)])
+    return linear(error_matrix((0.0, 0.0), force, earth, latitude), x, p, dt)
+
+
+INVARIANT = Model(
+    np.array([-1.0, -1.0, 1.0, 1.0, 1.0]),
+    (4,),
+    np.zeros(5),
+    _at_rest,
+    _by_the_group,
+    (),
+    lambda x, c: exp(x[2:5]) @ c,
 )

@@ -54,6 +54,7 @@ class FilterParams(NamedTuple):
         reset_to: variances that a full reset sets, SI squared.
         turn: what becomes of P when the direction is reversed.
         trigger: `triggers.base.TriggerParams`, None without a trigger.
+        own: numbers of this filter alone; None of one without.
     """
 
     p0: tuple[Scalar, ...]
@@ -64,6 +65,7 @@ class FilterParams(NamedTuple):
     reset_to: tuple[Scalar, ...]
     turn: CovarianceReset
     trigger: Any = None
+    own: Any = None
 
 
 class FilterState(NamedTuple):
@@ -76,6 +78,7 @@ class FilterState(NamedTuple):
         feedback_at: sample count of the next feedback.
         trigger_state: `triggers.base.TriggerState`, None without a trigger.
         innovations: `Innovations` so far, None where none are summed up.
+        own: what this filter alone carries along; None of one without.
     """
 
     nav: Navigation
@@ -84,6 +87,7 @@ class FilterState(NamedTuple):
     feedback_at: Scalar
     trigger_state: Any = None
     innovations: Innovations | None = None
+    own: Any = None
 
 
 class Filter(NamedTuple):

@@ -32,6 +32,7 @@ from sinsjax.alignment.filters.stages import (
     unaided,
     update_by_velocity,
 )
+from sinsjax.alignment.filters.tilt import shortest_turn, turned, turned_covariance
 from sinsjax.alignment.schedules import reset_covariance
 from sinsjax.alignment.triggers.watched import method_of
 from sinsjax.maths import rotations
@@ -144,13 +145,6 @@ def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:
     return corrected, Vec3(fed[TILT_E], fed[TILT_N], jnp.zeros_like(fed[TILT_E]))
 
 
-def shortest_turn(tilt_e: Scalar, tilt_n: Scalar) -> Quat:
-    """The shortest rotation of the true vertical (-t_N, t_E, u_z), seen in n', to z."""
-    u_z = jnp.sqrt(jnp.maximum(1 - tilt_e * tilt_e - tilt_n * tilt_n, 0.0))
-    w = jnp.sqrt((1 + u_z) / 2)
-    return Quat(w, tilt_e / (2 * w), tilt_n / (2 * w), jnp.zeros_like(w))
-
-
 def _direction(state: Any) -> Direction:
     s, c = state.belief.x[SINE], 1 - state.belief.x[VERSINE]
     square = s * s + c * c
@@ -173,21 +167,7 @@ def _misalignment(state: FilterState) -> Vec3:
 
 def _attitude(state: FilterState) -> Quat:
     x, at = state.belief.x, _direction(state)
-    levelled = rotations.multiply(shortest_turn(x[TILT_E], x[TILT_N]), state.nav.q)
-    return rotations.multiply(_about_vertical(at.sine, at.cosine), levelled)
-
-
-def _about_vertical(sine: Scalar, cosine: Scalar) -> Quat:
-    """Rz(a) of the angle with this sine and cosine."""
-    ahead = cosine >= 0
-    # The larger of cos(a/2) and |sin(a/2)| by a root, the other from sin a.
-    larger = jnp.sqrt((1 + jnp.abs(cosine)) / 2)
-    smaller = jnp.abs(sine) / (2 * larger)
-    side = jnp.where(sine < 0, -1.0, 1.0)
-    zero = jnp.zeros_like(sine)
-    return Quat(
-        jnp.where(ahead, larger, smaller), zero, zero, side * jnp.where(ahead, smaller, larger)
-    )
+    return rotations.multiply(turned(x[TILT_E], x[TILT_N], at.sine, at.cosine), state.nav.q)
 
 
 def _covariance(state: FilterState) -> AttitudeCovariance:
@@ -209,16 +189,15 @@ def _covariance(state: FilterState) -> AttitudeCovariance:
         jnp.where(told, by_sine * of(i, SINE) + by_versine * of(i, VERSINE), 0.0)
         for i in (TILT_E, TILT_N)
     )
-    ee, en, nn = of(TILT_E, TILT_E), of(TILT_E, TILT_N), of(TILT_N, TILT_N)
-    c, s = d.cosine, d.sine
-    return AttitudeCovariance(
-        ee=c * c * ee - 2 * c * s * en + s * s * nn,
-        en=c * s * (ee - nn) + (c * c - s * s) * en,
-        eu=c * tilt_e - s * tilt_n,
-        nn=s * s * ee + 2 * c * s * en + c * c * nn,
-        nu=s * tilt_e + c * tilt_n,
+    of_tilt = AttitudeCovariance(
+        ee=of(TILT_E, TILT_E),
+        en=of(TILT_E, TILT_N),
+        eu=tilt_e,
+        nn=of(TILT_N, TILT_N),
+        nu=tilt_n,
         uu=jnp.where(told, heading, UNKNOWN_VARIANCE),
     )
+    return turned_covariance(of_tilt, d.sine, d.cosine)
 
 
 class NorthDrift(NamedTuple):

@@ -1,0 +1,48 @@
+"""The filters with a large azimuth, as studies know them."""
+
+from functools import partial
+
+from sinsjax.alignment.azimuth.section import AzimuthSection, UnscentedSection
+from sinsjax.alignment.description import Implementation
+from sinsjax.alignment.filters.description import filter_description
+from sinsjax.alignment.filters.section import FilterSection, ResetsSection
+from sinsjax.value_types import Section
+
+
+def _load(name: str) -> Implementation:
+    from sinsjax.alignment.azimuth import prediction
+    from sinsjax.alignment.azimuth.method import build
+    from sinsjax.alignment.azimuth.model import STATES
+    from sinsjax.alignment.azimuth.parameters import parameters
+    from sinsjax.alignment.filters.relaxed import relaxed
+
+    return Implementation(
+        partial(build, getattr(prediction, name)),
+        partial(parameters, sigma_points=name == "unscented"),
+        relaxed=relaxed(STATES),
+    )
+
+
+_SECTIONS: dict[str, type[Section]] = {
+    "filter": FilterSection,
+    "resets": ResetsSection,
+    "azimuth": AzimuthSection,
+}
+
+EKF_AZIMUTH = filter_description(
+    name="ekf_azimuth",
+    summary="extended Kalman filter, its model nonlinear in the azimuth",
+    source="after Yan, Strapdown Inertial Navigation, eq. (4-23)",
+    sections=_SECTIONS,
+    load=partial(_load, "linearised"),
+    step_s=25e-9,
+)
+
+UNSCENTED = filter_description(
+    name="unscented",
+    summary="the same model with an unscented transform",
+    source="Julier (2002); Wan and van der Merwe (2000)",
+    sections={**_SECTIONS, "unscented": UnscentedSection},
+    load=partial(_load, "unscented"),
+    step_s=60e-9,
+)

@@ -1,0 +1,18 @@
+"""[azimuth] and [unscented] as numbers, beside those of every filter."""
+
+from typing import Any
+
+import numpy as np
+
+from sinsjax.alignment.azimuth.method import AzimuthParams
+from sinsjax.alignment.azimuth.model import STATES
+from sinsjax.alignment.filters import parameters as filters
+from sinsjax.alignment.parameters import Columns
+
+
+def parameters(columns: Columns, site: Any, ug: float, *, sigma_points: bool) -> Any:
+    """Numbers of a filter with a large azimuth, leaves (variants,); see `filters.parameters`."""
+    by_angles = columns.each(lambda form: float(form == "angles"), "azimuth_feedback")
+    alpha = columns.column("sigma_point_alpha") if sigma_points else np.ones(columns.count)
+    of_filter = filters.parameters(STATES, columns, site, ug)
+    return of_filter._replace(own=AzimuthParams(by_angles, alpha))
