@@ -1,1 +1,1 @@
-"""A study carried out: tasks, tables, directories that survive, and workers."""
+"""Running studies: tasks, result tables, resumable results directories, and workers."""

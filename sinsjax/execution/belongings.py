@@ -1,4 +1,4 @@
-"""Which files in a directory of results were made here: nothing else in it is ever removed."""
+"""The files in a results directory that sinsjax wrote; it never removes any others."""
 
 import hashlib
 import json
@@ -11,19 +11,19 @@ from sinsjax.platform.files import replacing
 
 DATASETS = ("summary", "curves")
 RERUN = ("summary.parquet", "curve.parquet", "curve.png")
-"""What is kept of a run done again."""
+"""Files of a repeated run."""
 
 FIGURES = ".figures.json"
-"""The list of the figures that were drawn, beside their folder."""
+"""List of the figures drawn, in the results directory."""
 
 
 def is_part(path: Path) -> bool:
-    """Whether a file has the name of a part, which no other file of a user has by chance."""
+    """Whether a file is named like a part, which no user's file is by chance."""
     return re.fullmatch(r"part-\d{4,}-\d{6,}\.parquet", path.name) is not None
 
 
 def left_behind(directory: Path) -> list[Path]:
-    """What killed processes left of files of ours that were not yet whole, a tuning's too."""
+    """Temporary files left by processes killed while writing results or a tuning run."""
     names = [".manifest.json", ".study.toml", f".{FIGURES}", "figures/.*.png"]
     names += [".tuned.toml", ".history.parquet"]
     patterns = (f"{name}.*.tmp" for name in names)
@@ -33,9 +33,9 @@ def left_behind(directory: Path) -> list[Path]:
 
 
 def made_here(directory: Path) -> list[Path]:
-    """The files in a directory that were made here: by their names, figures by their list.
+    """Files in a directory that sinsjax wrote, identified by name, and figures by their list.
 
-    Not what a person has put beside them, nor a figure that is no longer as it was drawn.
+    This excludes files added by the user, and figures changed since they were drawn.
     """
     parts = (p for name in DATASETS for p in directory.glob(f"{name}/*.parquet") if is_part(p))
     again = (
@@ -50,22 +50,22 @@ def made_here(directory: Path) -> list[Path]:
 
 
 def list_figures(images: Mapping[str, bytes], directory: Path) -> None:
-    """Notes which figures of a directory were drawn here, beside those noted before.
+    """Add figures to the list of those drawn in a directory.
 
     Args:
-        images: PNG files by their names.
-        directory: of the results.
+        images: contents of PNG files by file name.
+        directory: results directory.
 
     Raises:
-        InputError: it cannot be written.
+        InputError: the list cannot be written.
     """
-    told = _listed(directory) | {name: _sha256(content) for name, content in images.items()}
+    listed = _listed(directory) | {name: _sha256(content) for name, content in images.items()}
     with replacing(directory / FIGURES) as file:
-        file.write((json.dumps(told, indent=1) + "\n").encode())
+        file.write((json.dumps(listed, indent=1) + "\n").encode())
 
 
 def _figures(directory: Path) -> Iterator[Path]:
-    """The figures that were drawn here and are as they were, and their list."""
+    """Listed figures that have not changed since they were drawn, and the list itself."""
     for name, sha in _listed(directory).items():
         path = directory / "figures" / Path(name).name
         with suppress(OSError):
@@ -77,10 +77,10 @@ def _figures(directory: Path) -> Iterator[Path]:
 
 def _listed(directory: Path) -> dict[str, str]:
     try:
-        told = json.loads((directory / FIGURES).read_text(encoding="utf-8"))
+        listed = json.loads((directory / FIGURES).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return {}
-    return {str(k): str(v) for k, v in told.items()} if isinstance(told, dict) else {}
+    return {str(k): str(v) for k, v in listed.items()} if isinstance(listed, dict) else {}
 
 
 def _sha256(content: bytes) -> str:

@@ -1,4 +1,4 @@
-"""Dask clients: of a scheduler that others started, or of one here with workers of its own."""
+"""Dask clients of an existing scheduler, or of a local one with its own workers."""
 
 import asyncio
 import gc
@@ -17,17 +17,17 @@ from sinsjax.messages import first_line
 from sinsjax.platform import affinity, runtime, xla
 
 CONNECT_S = 10.0
-"""Within this time a scheduler has answered, or there is none."""
+"""Time allowed for a scheduler to answer, s."""
 
 _CONFIG = {
-    "distributed.worker.multiprocessing-method": "spawn",  # jax does not survive a fork
-    "distributed.admin.large-graph-warning-threshold": "1 GiB",  # a record, once a worker
+    "distributed.worker.multiprocessing-method": "spawn",  # JAX does not survive a fork
+    "distributed.admin.large-graph-warning-threshold": "1 GiB",  # a record, once per worker
 }
 
 
 @contextmanager
 def connected(address: str) -> Iterator[Any]:
-    """A client of a scheduler that is there."""
+    """A client of an existing scheduler."""
     dask, distributed = _dask()
     with dask.config.set(_CONFIG):
         since = time.monotonic()
@@ -35,7 +35,7 @@ def connected(address: str) -> Iterator[Any]:
             _require_scheduler(address)
             left = max(1.0, since + CONNECT_S - time.monotonic())
             client = distributed.Client(address, timeout=left, set_as_default=False)
-        except Exception as error:  # whatever else may answer there
+        except Exception as error:  # any other service may answer at this address
             text = f"{address}: no Dask scheduler answers there ({first_line(error)})"
             raise InputError(text) from error
         with client:
@@ -43,40 +43,40 @@ def connected(address: str) -> Iterator[Any]:
 
 
 def _require_scheduler(address: str) -> None:
-    """Ask who is there; a client would wait for ever for one that listens and is no scheduler."""
+    """Check that a scheduler answers; a client would wait forever for any other service."""
     from distributed import Security, rpc
 
-    wait_s = 0.8 * CONNECT_S  # a client has the rest
+    wait_s = 0.8 * CONNECT_S  # leaving the rest to the client
 
     async def ask() -> str:
         arguments = Security().get_connection_args("client")
         async with rpc(address, timeout=0.9 * wait_s, connection_args=arguments) as there:
             return (await there.identity())["type"]
 
-    said: list[str | BaseException] = []
+    answers: list[str | BaseException] = []
 
     def within_time() -> None:
         try:
-            said.append(asyncio.run(asyncio.wait_for(ask(), wait_s)))
+            answers.append(asyncio.run(asyncio.wait_for(ask(), wait_s)))
         except TimeoutError as error:
-            said.append(TimeoutError(first_line(error) or f"nothing in {wait_s:g} s"))
+            answers.append(TimeoutError(first_line(error) or f"no answer in {wait_s:g} s"))
         except BaseException as error:
-            said.append(error)
+            answers.append(error)
 
-    # In a thread: a notebook has a loop of its own, and whatever blocks this one holds up no more.
+    # In a thread, because a notebook already runs an event loop, and to limit the time if it hangs.
     asking = threading.Thread(target=within_time, daemon=True)
     asking.start()
     asking.join(CONNECT_S)
-    who = said[0] if said else TimeoutError(f"nothing in {wait_s:g} s")
-    if isinstance(who, BaseException):
-        raise who
-    if who != "Scheduler":
-        raise ValueError(f"but a Dask {who.lower()}")
+    kind = answers[0] if answers else TimeoutError(f"no answer in {wait_s:g} s")
+    if isinstance(kind, BaseException):
+        raise kind
+    if kind != "Scheduler":
+        raise ValueError(f"found a Dask {kind.lower()}")
 
 
 @contextmanager
 def local(workers: int) -> Iterator[Any]:
-    """A client of a scheduler in this process, and of workers that are its children."""
+    """A client of a scheduler in this process, with child processes as workers."""
     dask, distributed = _dask()
     cores = runtime.usable_cores()
     if workers > cores:
@@ -84,7 +84,7 @@ def local(workers: int) -> Iterator[Any]:
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(_CONFIG))
         stack.enter_context(_environment(_for_workers()))
-        with _signals_kept_away(), _collector_off():
+        with _signals_blocked(), _collector_off():
             cluster = stack.enter_context(
                 distributed.LocalCluster(
                     n_workers=workers,
@@ -113,7 +113,7 @@ def _dask() -> tuple[Any, Any]:
 
 
 def _for_workers() -> dict[str, str]:
-    """The environment that worker processes take over, read before they import jax."""
+    """Environment variables for worker processes, which read them before importing JAX."""
     flags = os.environ.get("XLA_FLAGS", "")
     if not (xla.opted_out() or xla.names_a_file(flags)):
         refused = xla.refused_flags(runtime.versions()["jaxlib"])
@@ -121,14 +121,14 @@ def _for_workers() -> dict[str, str]:
     return {
         affinity.VARIABLE: "1",
         "XLA_FLAGS": flags,
-        xla.OPT_OUT: "0",  # the flags stand; nothing is warned of a second time
+        xla.OPT_OUT: "0",  # the flags are final; warnings are not repeated
         "JAX_PLATFORMS": os.environ.get("JAX_PLATFORMS", "cpu"),
     }
 
 
 @contextmanager
 def _environment(values: dict[str, str]) -> Iterator[None]:
-    """Variables set for this process and its children, as long as workers may be started again."""
+    """Set variables for this process and its children while workers may be restarted."""
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:
@@ -143,7 +143,7 @@ def _environment(values: dict[str, str]) -> Iterator[None]:
 
 @contextmanager
 def _collector_off() -> Iterator[None]:
-    """No garbage collection: Dask hooks into it as it starts, and one under way would trip it."""
+    """Disable garbage collection, since a collection breaks Dask while it installs its hooks."""
     was_on = gc.isenabled()
     gc.disable()
     try:
@@ -154,16 +154,16 @@ def _collector_off() -> Iterator[None]:
 
 
 @contextmanager
-def _signals_kept_away() -> Iterator[None]:
-    """Threads started here, and the processes that those start, get no Ctrl-C and no SIGTERM.
+def _signals_blocked() -> Iterator[None]:
+    """Block Ctrl-C and SIGTERM in threads started here, and in the processes they start.
 
-    A terminal sends Ctrl-C to all processes, a batch system SIGTERM: they are for the process that
-    asked, which lets the workers finish.
+    A terminal sends Ctrl-C, and a batch system SIGTERM, to all processes; only the main process
+    should handle them, and it lets the workers finish.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    # The first lock starts Python's resource tracker, which would open the mask again.
+    # The first lock starts Python's resource tracker, which would unblock the signals.
     multiprocessing.get_context("spawn").Lock()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:

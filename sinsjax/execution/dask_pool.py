@@ -1,8 +1,8 @@
-"""Tasks done by Dask workers: processes of this machine, or those of a scheduler.
+"""Tasks run by Dask workers, either local processes or those of an existing scheduler.
 
-The workers hand Parquet files back and write nothing; the process that asked writes them all. A
-worker that is lost costs the tasks that it had, which Dask gives to others. Every answer carries
-what the worker computed it with, so that no row of another version is ever written.
+The workers return Parquet files and write nothing; the main process writes all of them. If a worker
+is lost, Dask reassigns its tasks to others. Every answer includes the worker's versions, so that no
+row of another version is ever written.
 """
 
 import pickle
@@ -23,7 +23,7 @@ from sinsjax.messages import first_line
 from sinsjax.platform import runtime, xla
 
 AHEAD = 2
-"""Tasks that a thread of a worker has at a time, so that it never waits for the next one."""
+"""Tasks submitted per worker thread, so that no thread waits for the next one."""
 
 _RETRIES = 2
 _PATIENCE_S = 600.0  # without any worker
@@ -32,22 +32,21 @@ _LOOK_S = 2.0
 
 @contextmanager
 def executor(*, workers: int | None = None, scheduler: str | None = None) -> Iterator[Executor]:
-    """Dask workers that do tasks, for the time of a ``with`` block.
+    """Run tasks on Dask workers, for the duration of a ``with`` block.
 
     Args:
-        workers: processes to start on this machine, each on a core of its own; they end with the
-            block. As with all processes that Python spawns, a script that calls this has its
-            code below ``if __name__ == "__main__":``.
+        workers: processes to start on this machine, one per core; they end with the block. As with
+            all processes that Python spawns, a script that calls this must have its code below
+            ``if __name__ == "__main__":``.
         scheduler: address of a scheduler to use instead, ``tcp://host:port``.
 
     Yields:
-        Executor for `sinsjax.run_into`. A record travels to every worker once.
+        Executor for `sinsjax.run_into`. A record is sent to every worker once.
 
     Raises:
         InputError: Dask is not installed, there are more processes than cores, no scheduler
-            answers within 10 s, it has no worker for 10 min, or a worker has another version of
-            what decides the rows, or another instruction set than the others. Tasks raise it too
-            where one fails again and again.
+            answers within 10 s, it has no worker for 10 min, or the workers' package versions or
+            instruction sets differ. Running tasks also raises it if a task fails repeatedly.
     """
     with ExitStack() as stack:
         if scheduler is None:
@@ -60,11 +59,11 @@ def executor(*, workers: int | None = None, scheduler: str | None = None) -> Ite
 
 
 class _SubmittedTasks:
-    """Tasks that workers have, and how a job reaches every worker once.
+    """Tasks submitted to workers, sending the job to every worker only once.
 
-    A record may be long, so a task goes without its job. A worker that wants the job says so, and
-    is sent it with that task; others that come back from there meanwhile wait until it has been
-    brought. Data of Dask's own would keep tasks near those that have it, and be lost with them.
+    A record may be long, so tasks are sent without their job. A worker without the job returns the
+    task and is sent both again; other tasks it returns meanwhile wait until it has the job. Data
+    scattered by Dask would bind tasks to the workers that hold it, and be lost with them.
     """
 
     def __init__(self, client: Any, job: Job) -> None:
@@ -79,9 +78,9 @@ class _SubmittedTasks:
         return len(self._under_way) + sum(map(len, self._waiting.values()))
 
     def send(self, task: Task, to: str | None = None) -> None:
-        """Give a task to any worker; with the job, to one that wants it if that is still there."""
+        """Submit a task to any worker; or, with the job, preferably to the worker ``to``."""
         self._sendings += 1
-        # No dependency on data of one worker, near which Dask would keep the tasks.
+        # No dependency on scattered data, since Dask would bind the tasks to the worker with it.
         future = self._client.submit(
             answer,
             self._key,
@@ -95,44 +94,44 @@ class _SubmittedTasks:
         future.add_done_callback(self.finished.put)
 
     def take(self, future: Any) -> tuple[Task, Any, str | None]:
-        """Of a future that is done: its task, itself, and the worker that it brought the job."""
+        """Remove a finished future; gives its task, itself, and the worker sent the job with it."""
         return self._under_way.pop(future.key)
 
-    def bring(self, worker: str, task: Task) -> None:
-        """A worker handed a task back, wanting the job."""
+    def send_job(self, worker: str, task: Task) -> None:
+        """Send a task again, with the job, to a worker that returned it for lack of the job."""
         if worker in self._waiting:
             self._waiting[worker].append(task)
         else:
             self._waiting[worker] = []
             self.send(task, to=worker)
 
-    def brought(self, worker: str | None) -> None:
-        """A worker has the job, if any: what waited for that goes out again."""
+    def job_received(self, worker: str | None) -> None:
+        """Submit again the tasks that waited until a worker, if any, had the job."""
         for task in self._waiting.pop(worker, ()) if worker else ():
             self.send(task)
 
     def cancel(self) -> None:
-        """Leave what is under way."""
+        """Cancel all submitted tasks."""
         if self._under_way:
             self._client.cancel([future for _, future, _ in self._under_way.values()])
 
 
 class DaskPool:
-    """The workers of a scheduler, seen from the process that asks."""
+    """The workers of a scheduler, as seen from the main process."""
 
     def __init__(self, client: Any, name: str) -> None:
         self._client, self._name = client, name
         self._machine: WorkerMachine | None = None
-        self._instructions = ("", "")  # of all workers, and the one that told it first
-        self._told = self._waiting = False
+        self._instructions = ("", "")  # of all workers, and the first worker that reported it
+        self._warned = self._waiting = False
 
     def ready(self) -> int:
-        """Wait for workers, check their versions and instructions; tells how many there are."""
+        """Wait for workers and check their versions and instruction sets; gives their number."""
         since = time.monotonic()
         while not (there := self._threads()):
             self._alone(since)
             time.sleep(_LOOK_S / 10)
-        # Dask compares by name, so this works whatever sinsjax the workers have, or none.
+        # By package name, which works with any version of sinsjax on the workers, or none.
         found = self._ask("get_versions", packages=list(runtime.DECISIVE))
         ours = found["client"]["packages"]
         for worker, about in found["workers"].items():
@@ -143,12 +142,12 @@ class DaskPool:
         return len(there)
 
     def facts(self) -> dict[str, Any]:
-        """What the manifest says of the workers: they make the rows, not the process that asks."""
+        """Manifest entries of the workers, which compute the rows instead of this process."""
         instructions, _ = self._instructions
         return {"instructions": instructions} if instructions else {}
 
     def do(self, runner: TaskRunner, tasks: Iterable[Task]) -> Iterator[EncodedResult]:
-        """See `Executor`."""
+        """Run tasks, see `Executor`."""
         submitted = _SubmittedTasks(self._client, runner.job)
         left = iter(tasks)
         try:
@@ -162,9 +161,9 @@ class DaskPool:
                 got = self._result(task, future)
                 future.release()
                 if isinstance(got, Wanting):
-                    submitted.bring(got.worker, task)
+                    submitted.send_job(got.worker, task)
                     continue
-                submitted.brought(to)
+                submitted.job_received(to)
                 self.check(got)
                 yield got.encoded
         finally:
@@ -172,7 +171,7 @@ class DaskPool:
                 submitted.cancel()
 
     def _next(self, finished: queue.SimpleQueue) -> Any:
-        """The next task that is done or failed."""
+        """The next future that finished or failed."""
         seen = time.monotonic()
         while True:
             try:
@@ -195,21 +194,21 @@ class DaskPool:
         if isinstance(error, InputError):
             text = str(error)
         elif isinstance(error, KilledWorker):
-            text = f"{error.allowed_failures + 1} workers died with it (out of memory?)"
+            text = f"{error.allowed_failures + 1} workers died while running it (out of memory?)"
         else:
             text = f"failed on a worker: {type(error).__name__}: {first_line(error)}"
         raise InputError(f"{task.name}: {text}") from error
 
     def check(self, answer: WorkerAnswer) -> None:
-        """Refuse rows of other versions or instructions; say once that machines differ."""
+        """Reject rows of other versions or instruction sets; warn once if machines differ."""
         _check_versions(answer.worker, answer.versions, versions())
         self._check_instructions(answer.worker, answer.machine.instructions)
         self._machine = self._machine or answer.machine
-        if answer.machine != self._machine and not self._told:
-            self._told = True
-            _say(
-                f"{answer.worker}: computes with {_said(answer.machine)}, others with"
-                f" {_said(self._machine)}: rows may differ in their last digits"
+        if answer.machine != self._machine and not self._warned:
+            self._warned = True
+            _warn(
+                f"{answer.worker}: computes with {_described(answer.machine)}, others with"
+                f" {_described(self._machine)}: rows may differ in their last digits"
             )
 
     def _check_instructions(self, worker: str, theirs: str) -> None:
@@ -218,31 +217,31 @@ class DaskPool:
         ours, first = self._instructions
         if theirs != ours:
             raise InputError(
-                f"{worker}: the worker has instruction set {theirs}, {first} has {ours}: rows"
-                " would differ (start all with XLA_FLAGS=--xla_cpu_max_isa= and the smaller one)"
+                f"{worker}: the worker has instruction set {theirs}, {first} has {ours}: rows would"
+                " differ (start all with XLA_FLAGS=--xla_cpu_max_isa= set to the smaller one)"
             )
 
     def _alone(self, since: float) -> None:
-        """There are no workers: say so once, and give up in the end."""
+        """Warn once that there are no workers, and give up after a while."""
         waited_s = time.monotonic() - since
         if waited_s > _PATIENCE_S:
             raise InputError(f"{self._name}: no worker for {_PATIENCE_S / 60:g} min")
         if waited_s > dask_client.CONNECT_S and not self._waiting:
             self._waiting = True
-            _say(f"{self._name}: no worker there: waiting, {_PATIENCE_S / 60:g} min at the most")
+            _warn(f"{self._name}: no workers yet (waiting up to {_PATIENCE_S / 60:g} min)")
 
     def _threads(self) -> dict[str, int]:
-        """How many threads each worker has."""
+        """Number of threads of each worker."""
         return dict(self._ask("nthreads"))
 
     def _ask(self, what: str, **arguments: Any) -> Any:
         try:
             return getattr(self._client, what)(**arguments)
-        except Exception as error:  # Dask has many names for it
+        except Exception as error:  # Dask raises many different ones
             raise self._gone() from error
 
     def _gone(self) -> InputError:
-        return InputError(f"{self._name}: the scheduler is gone (--resume goes on)")
+        return InputError(f"{self._name}: lost the scheduler (continue with --resume)")
 
 
 def _check_versions(worker: str, theirs: dict[str, Any], ours: dict[str, Any]) -> None:
@@ -254,10 +253,10 @@ def _check_versions(worker: str, theirs: dict[str, Any], ours: dict[str, Any]) -
             )
 
 
-def _said(about: WorkerMachine) -> str:
+def _described(about: WorkerMachine) -> str:
     options = ", ".join("=".join(option) for option in about.options) or "no XLA options"
     return f"{about.cpu} ({about.platform}; {options})"
 
 
-def _say(text: str) -> None:
+def _warn(text: str) -> None:
     print(text, file=sys.stderr, flush=True)

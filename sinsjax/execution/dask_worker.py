@@ -1,7 +1,7 @@
-"""What runs on a worker of `dask_pool`, and what it tells of itself.
+"""Code that runs on the workers of `dask_pool`.
 
-Every answer carries what the worker computed it with, so that no row of another version is ever
-written, and rows of unlike machines are noticed.
+Every answer includes the worker's versions and machine, so that no row of another version is ever
+written, and a mix of machines is noticed.
 """
 
 import logging
@@ -16,13 +16,13 @@ from sinsjax.platform import affinity, runtime, xla
 
 
 class WorkerMachine(NamedTuple):
-    """What decides the last bits of a worker's rows, beside the versions.
+    """Properties of a worker, besides the versions, that may change the last bits of its rows.
 
     Attributes:
-        cpu: model.
-        instructions: the instruction set in force.
-        options: XLA:CPU options by name, as far as they are set.
-        platform: of JAX: cpu, gpu.
+        cpu: model of the processor.
+        instructions: instruction set in use.
+        options: names and values of the XLA:CPU options that are set.
+        platform: JAX platform, cpu or gpu.
     """
 
     cpu: str
@@ -32,12 +32,12 @@ class WorkerMachine(NamedTuple):
 
 
 class WorkerAnswer(NamedTuple):
-    """What a worker hands back.
+    """A worker's answer to a task.
 
     Attributes:
         encoded: files of the task.
-        worker: its address.
-        versions: of the packages that decide the rows and the files.
+        worker: address of the worker.
+        versions: of the packages that may change the rows or the files.
         machine: see `WorkerMachine`.
     """
 
@@ -48,34 +48,33 @@ class WorkerAnswer(NamedTuple):
 
 
 class Wanting(NamedTuple):
-    """What a worker says that has not the job of a task.
+    """The answer of a worker that does not have the job of a task.
 
     Attributes:
-        worker: its address.
+        worker: address of the worker.
     """
 
     worker: str
 
 
 def dask_setup(worker: Any) -> None:
-    """Called by Dask in the workers that `dask_pool` starts, which preload this module.
+    """Silence Dask's log; Dask calls this in local workers, which preload this module.
 
-    What fails is told to the process that asked, and told there once; what is left is that this
-    process is gone.
+    The main process reports failures once; the log would only add that the process has gone.
     """
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
 
 
 def answer(key: str, sent: bytes | None, task: Task) -> WorkerAnswer | Wanting:
-    """Do a task; to be called by a Dask worker.
+    """Run a task; called on a Dask worker.
 
     Args:
-        key: tells jobs apart.
-        sent: pickled `Job`; None: it may be here already.
-        task: one of its tasks.
+        key: identifies the job.
+        sent: pickled `Job`; None if the worker may already have it.
+        task: one of the job's tasks.
 
     Raises:
-        InputError: the job cannot be done here.
+        InputError: the job cannot be run here.
     """
     from distributed import get_worker
 
@@ -91,7 +90,7 @@ _building = threading.Lock()
 
 
 def _runner(key: str, sent: bytes | None, threads: int) -> TaskRunner | None:
-    """The task runner of a job, made once in a worker and kept until another job comes."""
+    """The task runner of a job, created once per worker and kept until the next job."""
     with _building:
         if key not in _held:
             if sent is None:
@@ -106,14 +105,14 @@ def _runner(key: str, sent: bytes | None, threads: int) -> TaskRunner | None:
 
 
 def versions() -> dict[str, str]:
-    """The versions of the packages in `runtime.DECISIVE`."""
+    """Versions of the packages in `runtime.DECISIVE`."""
     every = runtime.versions()
     return {name: every[name] for name in runtime.DECISIVE}
 
 
 @cache
 def machine_here() -> WorkerMachine:
-    """Of this process; starts JAX's backend."""
+    """Properties of this process; starts JAX's backend."""
     import jax
 
     given = xla.given()

@@ -1,7 +1,7 @@
-"""What a study will take: runs, time, memory and room on the disk, before anything is made.
+"""Forecast of a study's runs, time, memory and disk space, before anything is created.
 
-All of it is rough, and none of it needs more than the lengths of the axes: a study of a thousand
-million runs is told, and refused, as fast as one of three.
+The estimates are rough and use only the lengths of the axes, so that a study of a billion runs is
+forecast, and rejected, as fast as one of three.
 """
 
 import math
@@ -24,23 +24,23 @@ from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 
 _PACKED = 0.8
-"""What Parquet leaves of 8-byte numbers: 0.6 to 0.95, measured on sweeps with and without nulls."""
+"""Compression ratio of 8-byte numbers in Parquet: 0.6 to 0.95 on sweeps with and without nulls."""
 
 _BASE, _A_SAMPLE, _A_VARIANT, _A_RUN, _A_RECORD, _A_RESET = 400e6, 160, 600, 2, 500, 60
-"""Memory, bytes: of a process with JAX, and of each of these; measured."""
+"""Measured memory, bytes: of a process with JAX, and of each of these."""
 
-_A_POINT = 2000  # of a search
+_A_POINT = 2000  # bytes for each point of a search
 
 
 class Batch(NamedTuple):
-    """Runs whose results go into one directory.
+    """Runs whose results are stored in one directory.
 
     Attributes:
-        name: of the directory below that of the whole; empty for that one.
-        runs: how many, at the most.
-        sure: how many at the least, where it may be stopped early.
-        variants: over which they are spread.
-        points: of a search.
+        name: subdirectory of the results directory; empty for that directory itself.
+        runs: number of runs, at most.
+        sure: number of runs, at least, if the study may stop early.
+        variants: number of variants.
+        points: number of points of a search.
     """
 
     name: str
@@ -51,15 +51,15 @@ class Batch(NamedTuple):
 
 
 class Forecast(NamedTuple):
-    """What a study will take, roughly.
+    """Rough requirements of a study.
 
     Attributes:
-        batches: of runs.
-        run_bytes: on the disk, each run.
-        run_s: of one core, each run.
-        memory: bytes at the peak.
-        at_most: whether it may be stopped early.
-        length_s: of the longest run.
+        batches: batches of runs.
+        run_bytes: disk space per run, bytes.
+        run_s: time per run on one core, s.
+        memory: peak memory, bytes.
+        at_most: whether the study may stop early.
+        length_s: length of the longest run, s.
     """
 
     batches: tuple[Batch, ...]
@@ -71,11 +71,11 @@ class Forecast(NamedTuple):
 
     @property
     def runs(self) -> int:
-        """All runs."""
+        """Total number of runs."""
         return sum(batch.runs for batch in self.batches)
 
     def describe(self, cores: int) -> str:
-        """One line for a user, with the time that so many cores take."""
+        """One line for a user, with the time on a number of cores."""
         runs = f"{self.runs:,} run{'s' if self.runs != 1 else ''} of up to {self.length_s:g} s"
         takes = _time(self.runs * self.run_s / cores)
         most = "At most " if self.at_most else ""
@@ -87,11 +87,11 @@ class Forecast(NamedTuple):
 
 
 def of(study: Study, *, curves: bool | None = None) -> Forecast:
-    """What a sweep takes.
+    """Forecast of a sweep.
 
     Args:
         study: checked study, whose rate is known.
-        curves: whether curves are kept; None takes the study's word.
+        curves: whether to keep curves; None follows the study.
     """
     sure = min(study.n_draws, stopping.FIRST_INTERIM) if study.stop_when else study.n_draws
     variants = study.n_variants
@@ -100,7 +100,7 @@ def of(study: Study, *, curves: bool | None = None) -> Forecast:
 
 
 def of_tuning(study: Study) -> Forecast:
-    """What a tuning takes: of a descent its steps, and no more than a guess at their cost."""
+    """Forecast of a tuning run; the cost of a descent's steps is only a guess."""
     tune = study.tune
     assert tune is not None
     if study.record:
@@ -129,17 +129,17 @@ def of_tuning(study: Study) -> Forecast:
 def require_room(
     study: Study, forecast: Forecast, directory: Path, *, overwrite: bool, resume: bool
 ) -> None:
-    """Refuses what the disk or the memory cannot hold; what is resumed needs what is missing.
+    """Reject a study that exceeds the disk or the memory; a resumed one needs only missing runs.
 
     Args:
-        study: whose forecast.
-        forecast: of it.
-        directory: of the results.
-        overwrite: whether what is there is removed first.
-        resume: whether what is there is kept.
+        study: checked study.
+        forecast: forecast of the study.
+        directory: results directory.
+        overwrite: whether existing results are removed first.
+        resume: whether existing results are kept.
 
     Raises:
-        InputError: with what is needed and what there is.
+        InputError: states what is needed and what is available.
     """
     need = 0.0
     for batch in forecast.batches:
@@ -150,14 +150,14 @@ def require_room(
         free += _size_of_parts(directory / batch.name for batch in forecast.batches)
     if need > free:
         raise InputError(
-            f"{directory}: the results of {forecast.runs:,} runs need some {_size(need)}, the disk"
-            f" has {_size(free)} free"
+            f"{directory}: the results of {forecast.runs:,} runs need about {_size(need)}, but the"
+            f" disk has only {_size(free)} free"
         )
     there = machine.memory_bytes()
     if forecast.memory > there:
         raise InputError(
-            f"{study.name}: {forecast.runs:,} runs need some {_size(forecast.memory)} of"
-            f" memory, this machine has {_size(there)}"
+            f"{study.name}: {forecast.runs:,} runs need about {_size(forecast.memory)} of memory,"
+            f" but this machine has only {_size(there)}"
         )
 
 
@@ -166,7 +166,7 @@ def _forecast(study: Study, batches: Sequence[Batch], curves: bool) -> Forecast:
     samples = records * study.record_every
     step_s = max(METHODS[name].step_s for name in study.methods)
     run_bytes = _row_bytes(study, layouts.summary(study))
-    # The increments of a longer simulation are not kept.
+    # Longer simulations do not keep their increments.
     kept = samples if study.is_recorded else min(samples, MOST_STORED_SAMPLES)
     memory = _BASE + _A_SAMPLE * kept
     counts = study.combinations("reset_count") if study.has("resets") else ()
@@ -183,7 +183,7 @@ def _forecast(study: Study, batches: Sequence[Batch], curves: bool) -> Forecast:
 
 
 def _row_bytes(study: Study, columns: Iterable[Column]) -> float:
-    """What a row takes on the disk: its numbers, as what a study sweeps or counts packs well."""
+    """Disk space per row, from its continuous numbers; swept values and counts compress well."""
     numbers = 0
     for column in columns:
         if column.name in study.drawn_keys:
@@ -194,7 +194,7 @@ def _row_bytes(study: Study, columns: Iterable[Column]) -> float:
 
 
 def _done(directory: Path) -> int:
-    """Runs whose results are there."""
+    """Number of runs with stored results."""
     try:
         done: Any = read_manifest(directory).get("runs_done")
     except InputError:
@@ -208,7 +208,7 @@ def _size_of_parts(directories: Iterable[Path]) -> int:
 
 
 def _size(count: float) -> str:
-    """Bytes, to be read by a person."""
+    """A number of bytes as text."""
     for unit in ("B", "kB", "MB", "GB"):
         if count < 999.5:
             return f"{count:.3g} {unit}"

@@ -1,4 +1,4 @@
-"""Which columns the results of a study have."""
+"""Columns of a study's results."""
 
 from sinsjax import columns
 from sinsjax.alignment.description import OwnColumn
@@ -10,7 +10,7 @@ from sinsjax.study.success import bands
 
 
 def summary(study: Study) -> tuple[Column, ...]:
-    """Columns of the summary; the study's axes cost no more than they are long."""
+    """Columns of the summary; the cost is proportional to the total length of the axes."""
     known = {c.name for c in columns.IDENTITY}
     swept = {key: values for dimension in study.dimensions for key, values in dimension.items()}
     extra = [
@@ -32,7 +32,7 @@ def summary(study: Study) -> tuple[Column, ...]:
 
 
 def of_methods(study: Study) -> dict[str, OwnColumn]:
-    """The columns that the study's methods bring, by name; methods may share one."""
+    """Columns specific to the study's methods, by name; methods may share a column."""
     methods = (method for name, method in METHODS.items() if name in study.methods)
     return {own.column.name: own for method in methods for own in method.columns_of(study)}
 
@@ -43,6 +43,6 @@ def curves(study: Study) -> tuple[Column, ...]:
 
 
 def _settling(study: Study) -> list[Column]:
-    """Settling times of all bands about the limit and the truth; then the data there was."""
+    """Settling times of all bands about the limit and the truth; then the data used until then."""
     kinds = [columns.settle_column, *([columns.settle_data_column] * bool(study.passes))]
     return [kind(b, truth=t) for kind in kinds for t in (False, True) for b in bands(study)]

@@ -1,7 +1,7 @@
-"""The parts of a directory of results, and whether they are what was written.
+"""Parts of a results directory, and their verification against the manifest.
 
-A page of Parquet has a checksum of 32 bits, a footer has none: what the manifest says of a whole
-file is compared before anything in it is believed, once a process for every file.
+A Parquet page has a 32-bit checksum, but the footer has none; so each file is compared with its
+SHA-256 in the manifest before it is used, once per process.
 """
 
 import hashlib
@@ -19,13 +19,13 @@ from sinsjax.errors import InputError
 from sinsjax.messages import first_line, shortened
 
 MANIFEST = "manifest.json"
-_HINT = "`sinsjax sweep --resume` makes broken parts again"
+_HINT = "`sinsjax sweep --resume` recomputes broken parts"
 _TICK_NS = 10**9
-_READERS = 4  # hashing leaves Python's lock alone
+_READERS = 4  # threads; hashing releases Python's lock
 
 
 class _File(NamedTuple):
-    """A file as it is at a moment: one that changes is another."""
+    """A file at a moment; a changed file compares unequal."""
 
     path: Path
     size: int
@@ -38,30 +38,30 @@ class _File(NamedTuple):
 
     @property
     def is_settled(self) -> bool:
-        """Whether a later change has a later time: clocks of file systems tick coarsely."""
+        """Whether any later change will show in the time, despite a file system's coarse clock."""
         return time.time_ns() - self.mtime_ns > _TICK_NS
 
 
 _found: dict[_File, str] = {}
-"""The SHA-256 of the files that this process has read whole."""
+"""SHA-256 of the files that this process has hashed."""
 
-_told: dict[_File, dict[str, str]] = {}
-"""What the manifests that this process has read say of their parts."""
+_recorded: dict[_File, dict[str, str]] = {}
+"""SHA-256 of the parts by their manifest, for the manifests that this process has read."""
 
 
 def ask(
     directory: Path, name: str, question: Callable[[ds.Dataset], Any], *, verify: bool = True
 ) -> Any:
-    """The answer to a question about a dataset, its pages checked.
+    """Query a dataset, verifying page checksums.
 
     Args:
-        directory: of the results.
-        name: of the dataset.
-        question: asked of all of its parts.
-        verify: whether the parts are compared with the manifest first.
+        directory: results directory.
+        name: name of the dataset.
+        question: function of the dataset that gives the answer.
+        verify: whether to compare the parts with the manifest first.
 
     Raises:
-        InputError: there is no part, one is not what was written, or it cannot be read.
+        InputError: there are no parts, or a part has changed or cannot be read.
     """
     if not is_there(directory, name, verify=verify):
         raise InputError(f"{directory}: holds no results (no part in {name}/)")
@@ -78,15 +78,15 @@ def ask(
 
 
 def is_there(directory: Path, name: str, *, verify: bool = True) -> bool:
-    """Whether a dataset has a part.
+    """Whether a dataset has any parts.
 
     Args:
-        directory: of the results.
-        name: of the dataset.
-        verify: whether the manifest is asked, too.
+        directory: results directory.
+        name: name of the dataset.
+        verify: whether to check the manifest too.
 
     Raises:
-        InputError: the manifest has parts, and the directory has none.
+        InputError: the manifest lists parts, but the directory has none.
     """
     if any(find(directory, name)):
         return True
@@ -96,15 +96,15 @@ def is_there(directory: Path, name: str, *, verify: bool = True) -> bool:
 
 
 def find(directory: Path, name: str) -> Iterator[Path]:
-    """The parts of a dataset, whole ones as they have their names, and nothing else."""
+    """Parts of a dataset; a file has its final name only once it is complete."""
     return directory.glob(f"{name}/part-[0-9]*.parquet")
 
 
 def read_manifest(directory: str | Path) -> dict[str, Any]:
-    """The manifest of a directory of results.
+    """Read the manifest of a results directory.
 
     Raises:
-        InputError: there is none that can be read.
+        InputError: there is no readable manifest.
     """
     try:
         manifest = json.loads(Path(directory, MANIFEST).read_text(encoding="utf-8"))
@@ -112,48 +112,48 @@ def read_manifest(directory: str | Path) -> dict[str, Any]:
         what = shortened(str(error))
         raise InputError(f"{directory}: holds no readable {MANIFEST} ({what})") from error
     if not isinstance(manifest, dict):
-        raise InputError(f"{directory}: holds no readable {MANIFEST} (it is no table)")
+        raise InputError(f"{directory}: holds no readable {MANIFEST} (not a JSON object)")
     return manifest
 
 
 def _verify(directory: Path, name: str, parts: Iterable[Path]) -> None:
-    """Compares parts with the manifest; without one there is nothing to compare them with."""
-    told = {file: sha for file, sha in _checksums(directory).items() if file.startswith(f"{name}/")}
+    """Compare parts with the manifest, if there is one."""
+    recorded = {k: sha for k, sha in _checksums(directory).items() if k.startswith(f"{name}/")}
     there = {f"{name}/{path.name}": path for path in parts}
-    for file in sorted(told.keys() - there.keys()):
-        # One that came after `parts` were listed, and before the manifest was read, is there.
+    for file in sorted(recorded.keys() - there.keys()):
+        # It may have been written after `parts` were listed and before the manifest was read.
         if not (directory / file).exists():
-            raise InputError(f"{directory / file}: is missing, by the manifest ({_HINT})")
-    known = [file for file in there if file in told]  # what is newer than it, it does not know
+            raise InputError(f"{directory / file}: listed in the manifest but missing ({_HINT})")
+    known = [file for file in there if file in recorded]  # others are newer than the manifest
     with ThreadPoolExecutor(_READERS) as pool:
         found = pool.map(_sha256, map(there.__getitem__, known))
         for file, sha in zip(known, found, strict=True):
-            if sha != told[file]:
+            if sha != recorded[file]:
                 raise InputError(
-                    f"{directory / file}: is not what was written: its SHA-256 is not that of the"
-                    f" manifest ({_HINT})"
+                    f"{directory / file}: has changed: its SHA-256 differs from the manifest's"
+                    f" ({_HINT})"
                 )
 
 
 def _checksums(directory: Path) -> dict[str, str]:
-    """The SHA-256 of every part that the manifest knows, by its place in the directory."""
+    """SHA-256 of every part in the manifest, by its path in the directory."""
     try:
         file = _File.of(directory / MANIFEST)
     except FileNotFoundError:
         return {}
-    if (known := _told.get(file)) is not None:
+    if (known := _recorded.get(file)) is not None:
         return known
     chunks = read_manifest(directory).get("chunks", [])
     try:
         files = [entry for chunk in chunks for entry in chunk.get("files", ())]
-        told = {str(entry["file"]): str(entry["sha256"]) for entry in files}
+        recorded = {str(entry["file"]): str(entry["sha256"]) for entry in files}
     except (AttributeError, KeyError, TypeError):
         raise InputError(
-            f"{directory}: {MANIFEST}: its chunks cannot be read (`sinsjax sweep --resume`)"
+            f"{directory}: {MANIFEST}: invalid chunks (`sinsjax sweep --resume` rewrites them)"
         ) from None
     if file.is_settled:
-        _told[file] = told
-    return told
+        _recorded[file] = recorded
+    return recorded
 
 
 def _sha256(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""What is doubtful about a study before it runs: its record, or what it is sampled by."""
+"""Warnings about a study before it runs: its record, or its sample rate."""
 
 from collections.abc import Iterator
 
@@ -16,19 +16,19 @@ from sinsjax.study.variants import Variants
 from sinsjax.units import DEG_PER_H, micro_g
 
 _BIASES = {"gyro_bias_deg_per_h": 10.0, "accel_bias_ug": 5000.0}
-_DRAWS = 1024  # that a drawn period is looked at in
+_DRAWS = 1024  # draws in which a drawn period is checked
 
 
 def warnings_of(study: Study, tape: StoredRecord | None = None) -> list[str]:
-    """One line for everything that a user should know before a study runs.
+    """Warnings for the user before a study runs, one line each.
 
     Args:
         study: checked study, at the rate of its record.
         tape: the record of a recorded study.
 
     Raises:
-        InputError: a record that cannot be what it is taken for, unless the study trusts it; one
-            that does not hold what the study reads.
+        InputError: the record is certainly wrong and the study does not trust it, or it does not
+            cover the span that the study reads.
     """
     if tape is None:
         hidden = hidden_north(study)
@@ -37,7 +37,7 @@ def warnings_of(study: Study, tape: StoredRecord | None = None) -> list[str]:
 
 
 def layout_of(study: Study) -> Layout:
-    """How the record of a study is laid out."""
+    """Layout of a study's record."""
     assert study.record is not None
     return study.record.layout(study.study.rate_hz)
 
@@ -66,13 +66,13 @@ def _of_record(study: Study, tape: StoredRecord) -> Iterator[str]:
         where = f"{record.source}: {begin / record.rate_hz:g} to {end / record.rate_hz:g} s"
         for finding in findings(record, (begin, end), layout_of(study), expected):
             if finding.hard and not section.trust:
-                hint = "[record] trust = true aligns it all the same"
+                hint = "[record] trust = true aligns it anyway"
                 raise InputError(f"{where}: {finding.text} ({hint})")
             yield f"{where}: {finding.text}"
 
 
 def _used(study: Study, record: Record) -> list[tuple[int, int]]:
-    """The samples that a study reads: spans without overlap, all there."""
+    """Spans of samples that a study reads, merged where they overlap; none are missing."""
     coarse, starts = starts_of(study, record.rate_hz)
     needed = coarse + max(span.read for span in study.distinct_spans) * study.record_every
     merged: list[tuple[int, int]] = []
@@ -86,14 +86,14 @@ def _used(study: Study, record: Record) -> list[tuple[int, int]]:
     end = study.record.to_s
     if end is not None and merged[-1][1] / record.rate_hz > end * (1 + 1e-9):
         raise InputError(
-            f"{record.source}: the study needs it up to {merged[-1][1] / record.rate_hz:g} s, but"
+            f"{record.source}: the study needs data up to {merged[-1][1] / record.rate_hz:g} s, but"
             f" [record] to_s is {end:g}"
         )
     return merged
 
 
 def _fast_sways(study: Study) -> Iterator[str]:
-    """Sways that the sample rate cannot show."""
+    """Warnings about sways above the Nyquist frequency."""
     half = study.rate_hz / 2
     for angle in ("pitch", "roll", "yaw"):
         amplitude, period = f"{angle}_amplitude_deg", f"{angle}_period_s"
@@ -104,5 +104,5 @@ def _fast_sways(study: Study) -> Iterator[str]:
         if periods and 1 / min(periods) > half:
             yield (
                 f"[motion] {period}: a sway of {1 / min(periods):.4g} Hz is above half of rate_hz ="
-                f" {study.rate_hz:g}: samples of it look like a slower one"
+                f" {study.rate_hz:g}, so it is aliased to a slower one"
             )

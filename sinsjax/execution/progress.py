@@ -1,4 +1,4 @@
-"""What a person sees of a running study, and how to stop it."""
+"""Progress display of a running study, and stopping it by a signal."""
 
 import os
 import signal
@@ -16,15 +16,15 @@ from sinsjax import console as screen
 from sinsjax.execution.run import RunProgress, Tell
 
 _PLAIN_EVERY_S = 10.0
-_STOPPING = "Stopping: the chunks under way are finished first (again: drop them)."
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)  # a cluster's scheduler sends the second
+_STOPPING = "Stopping after the running chunks (repeat to abandon them)."
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)  # batch systems send the second
 
 
 @contextmanager
 def progress(console: Console, name: str) -> Iterator[Tell]:
-    """A bar on a terminal; elsewhere a plain line every tenth of the way, or every 10 s.
+    """A progress bar on a terminal; otherwise a plain line every 10 % of the runs, or every 10 s.
 
-    Both tell the runs done, runs a second, the time left and the failures so far.
+    Both show the completed runs, runs per second, the time left and the failures so far.
     """
     if not console.is_terminal:
         yield _plainly(console, name, _Pace())
@@ -49,31 +49,31 @@ def progress(console: Console, name: str) -> Iterator[Tell]:
 
 
 def _plainly(console: Console, name: str, pace: "_Pace") -> Tell:
-    told, last = -1, time.monotonic()
+    shown, last = -1, time.monotonic()
 
     def tell(now: RunProgress) -> None:
-        nonlocal told, last
+        nonlocal shown, last
         text = pace.text(now)
         tenth, clock = now.done * 10 // now.total, time.monotonic()
         began = now.done == now.before
-        news = now.before > 0 if began else tenth != told or clock >= last + _PLAIN_EVERY_S
-        if not news:
+        due = now.before > 0 if began else tenth != shown or clock >= last + _PLAIN_EVERY_S
+        if not due:
             return
-        told, last = tenth, clock
-        there = ", there already" if began else text
-        screen.say(console, f"{name}: {now.done:,} of {now.total:,} runs{there}")
+        shown, last = tenth, clock
+        pace_text = " already there" if began else text
+        screen.say(console, f"{name}: {now.done:,} of {now.total:,} runs{pace_text}")
 
     return tell
 
 
 class _Pace:
-    """Runs a second since the first chunk came in: what is before it is mostly compiling."""
+    """Runs per second since the first chunk finished; the time before is mostly compilation."""
 
     def __init__(self) -> None:
         self._first: tuple[float, int] | None = None
 
     def text(self, now: RunProgress) -> str:
-        """The pace in words; empty before there is a chunk."""
+        """The pace as text; empty before the first chunk."""
         if now.done == now.before:
             return ""
         clock = time.monotonic()
@@ -93,9 +93,9 @@ def _clock(seconds: float) -> str:
 
 @contextmanager
 def interruptible(console: Console) -> Iterator[threading.Event]:
-    """An event that Ctrl-C or a termination signal sets; a second one ends the process at once.
+    """An event set by Ctrl-C or a termination signal; a second signal ends the process at once.
 
-    At once loses the chunks under way and nothing else: files appear whole or not at all.
+    Ending at once loses only the running chunks: files are written atomically.
     """
     stop = threading.Event()
 
@@ -103,7 +103,7 @@ def interruptible(console: Console) -> Iterator[threading.Event]:
         if stop.is_set():
             os._exit(128 + number)
         stop.set()
-        # In a thread: the signal may have come while this one was printing.
+        # In a thread, because the signal may have interrupted this one while printing.
         threading.Thread(target=screen.say, args=(console, _STOPPING), daemon=True).start()
 
     before = {number: signal.signal(number, handle) for number in _SIGNALS}

@@ -1,4 +1,4 @@
-"""One run of some results, done again alone: its row must come out the same, and has a curve."""
+"""Repeating a single run of a study with its curve; its row must be identical."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,11 +25,11 @@ from sinsjax.study.study import Study
 
 
 class Rerun(NamedTuple):
-    """A run done again.
+    """A repeated run.
 
     Attributes:
-        row: of the summary, one row.
-        curve: one row a record time.
+        row: its row of the summary.
+        curve: one row per record time.
     """
 
     row: pa.Table
@@ -37,10 +37,10 @@ class Rerun(NamedTuple):
 
 
 def rerun(study: Study, run_id: int, tape: StoredRecord | None = None) -> Rerun:
-    """Do one run of a study, with its curve: its row is that of the whole study, to the last bit.
+    """Repeat one run of a study, with its curve; the row equals that of the study bit for bit.
 
     Raises:
-        InputError: the study has no such run, or a record that does not fit.
+        InputError: the study has no such run, or the record does not fit it.
         RuntimeError: double precision is off.
     """
     _check_number(study, run_id, study.name)
@@ -49,7 +49,7 @@ def rerun(study: Study, run_id: int, tape: StoredRecord | None = None) -> Rerun:
     number = next(i for i, ids in enumerate(scenario.variant_ids) if variant in ids)
     group, ids = scenario.part(number, range(draw, draw + 1))
     place = int(np.flatnonzero(group.draws.draw_id == draw)[0])
-    # The smallest call there is: which lane and which call a run has leaves its bits alone.
+    # The smallest possible call: a run's bits do not depend on its lane or call.
     calls = Calls(group, tiles_a_chunk=1)
     chunk = calls.chunk(calls.plan.call_of(place, int(np.flatnonzero(ids == variant)[0])))
     tables = Tables(study, has_truth=scenario.has_truth)
@@ -60,7 +60,7 @@ def rerun(study: Study, run_id: int, tape: StoredRecord | None = None) -> Rerun:
 def _check_number(study: Study, run_id: int, source: str | Path) -> None:
     runs = study.n_draws * study.n_variants
     if not 0 <= run_id < runs:
-        raise InputError(f"{source}: has no run {run_id} (runs are 0 to {runs - 1})")
+        raise InputError(f"{source}: has no run {run_id} (runs are numbered 0 to {runs - 1})")
 
 
 def rerun_into(
@@ -71,45 +71,46 @@ def rerun_into(
     out: Path | None = None,
     files: tuple[Path | None, Path | None] = (None, None),
 ) -> bool:
-    """Do one run of a directory of results again, compare its row, and keep row, curve and figure.
+    """Repeat one run of stored results, compare its row, and write row, curve and figure.
 
     Args:
-        directory: of the results.
-        run_id: which run.
-        console: where is told what came out.
-        out: where to put it; None: ``reruns/RUN_ID`` in the directory.
+        directory: results directory.
+        run_id: number of the run.
+        console: where to print the row and the comparison.
+        out: directory to write to; None for ``reruns/RUN_ID`` in the results directory.
         files: record and reference of a recorded study.
 
     Returns:
-        Whether the row came out the same.
+        Whether the row is identical to the stored one.
 
     Raises:
-        InputError: no results, no such run, another record, or nothing can be written.
+        InputError: there are no results or no such run, the record is a different one, or the
+            files cannot be written.
     """
     study = load_study(directory / "study.toml")
     if files[0] is None and files[1] is not None:
-        raise InputError("--reference: needs the record too (give --record)")
+        raise InputError("--reference: requires --record")
     if study.is_recorded and files[0] is None:
         raise InputError(f"{directory}: its study needs a record (give it with --record)")
     tape = None if files[0] is None else load_tape(study, files[0], files[1])
-    told = result_tables.read_manifest(directory).get("identity")
-    if told not in (None, Job(study, tape).identity):
-        raise InputError(f"{directory}: was made from another record or reference than is given")
+    identity = result_tables.read_manifest(directory).get("identity")
+    if identity not in (None, Job(study, tape).identity):
+        raise InputError(f"{directory}: the results are of another record or reference")
     _check_number(study, run_id, directory)
     stored = result_tables.read_summary(directory, run_ids=[run_id])
     if not stored.num_rows:
-        raise InputError(f"{directory}: holds no row of run {run_id} (yet)")
+        raise InputError(f"{directory}: has no row of run {run_id} yet")
     if stored.num_rows > 1:
-        text = f"holds {stored.num_rows} rows of run {run_id}: a part there is not of a summary"
+        text = f"has {stored.num_rows} rows of run {run_id}: a part is not of a summary"
         raise InputError(f"{directory / 'summary'}: {text} (of the curves?)")
     if out is not None and (there := [name for name in RERUN if (out / name).exists()]):
-        raise InputError(f"{out}: holds a {there[0]} already: give another one")
+        raise InputError(f"{out}: already holds a {there[0]} (give another directory)")
     made = rerun(study, run_id, tape)
     target = directory / "reruns" / str(run_id) if out is None else out
     _write(target, made, study)
     differ = _differing(stored, made.row)
     for line in [
-        *_told(made.row),
+        *_printed(made.row),
         "",
         _verdict(stored, made.row, differ),
         f"Row, curve and figure: {target}",
@@ -147,26 +148,26 @@ def _figure(made: Rerun, study: Study) -> Any:
     )
 
 
-def _told(row: pa.Table) -> list[str]:
+def _printed(row: pa.Table) -> list[str]:
     (values,) = row.to_pylist()
     width = max(map(len, values))
     return [f"{name:>{width}}  {value}" for name, value in values.items()]
 
 
 def _differing(stored: pa.Table, again: pa.Table) -> list[str]:
-    """Columns in which two rows are not the same."""
+    """Columns in which two rows differ."""
     (one,), (other,) = stored.to_pylist(), again.to_pylist()
     return [name for name in dict.fromkeys((*one, *other)) if one.get(name) != other.get(name)]
 
 
 def _verdict(stored: pa.Table, again: pa.Table, differ: list[str]) -> str:
-    """Whether two rows are the same, else where they are not."""
+    """A sentence that says whether two rows are identical, or where they differ."""
     (one,), (other,) = stored.to_pylist(), again.to_pylist()
     if not differ:
-        return f"The row is identical to the stored one, in all {len(one)} columns."
-    said = [f"{name} {one.get(name)} there, {other.get(name)} here" for name in differ[:3]]
+        return f"The row is identical to the stored one in all {len(one)} columns."
+    shown = [f"{name} {one.get(name)} there, {other.get(name)} here" for name in differ[:3]]
     return (
-        f"{len(differ)} of {len(one)} columns differ from the stored row: {', '.join(said)}. Last"
-        " bits depend on jaxlib, its flags and the processor; `manifest.json` tells those of the"
+        f"{len(differ)} of {len(one)} columns differ from the stored row: {', '.join(shown)}. Last"
+        " bits depend on jaxlib, its flags and the processor; `manifest.json` has those of the"
         " stored row."
     )

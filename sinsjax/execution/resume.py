@@ -1,4 +1,4 @@
-"""What a directory of results holds, and whether a study may be written there."""
+"""State of a results directory, and whether a study may be written to it."""
 
 import json
 from collections.abc import Iterable, Iterator
@@ -26,12 +26,12 @@ _NAMES = (*DATASETS, "figures", "study.toml", MANIFEST)
 
 
 def locked(directory: Path) -> filelock.FileLock:
-    """Take hold of a directory, which is made if it is missing: nobody else writes there.
+    """Lock a directory, created if missing, against other writers.
 
-    The lock is the operating system's: released, or let go by a process that ends.
+    The operating system releases the lock when the process ends.
 
     Raises:
-        InputError: somebody writes there, or nobody can.
+        InputError: another process is writing there, or the directory is not writable.
     """
     try:
         directory.mkdir(parents=True, exist_ok=True)
@@ -49,13 +49,13 @@ class _Checked(BaseModel):
 
 
 class RunSession(_Checked):
-    """What a manifest says of a process that wrote.
+    """Manifest entry of a process that wrote results.
 
     Attributes:
-        started_unix_s: when.
-        wall_s: how long.
-        versions: of the packages that decide rows.
-        instructions: the instruction set that its rows were made with.
+        started_unix_s: start time, s since 1970.
+        wall_s: duration, s.
+        versions: of the packages that may change the rows.
+        instructions: instruction set that computed the rows.
     """
 
     started_unix_s: float
@@ -65,7 +65,7 @@ class RunSession(_Checked):
 
 
 class File(_Checked):
-    """What a manifest says of a part: its place in the directory, its rows and its checksum."""
+    """Manifest entry of a part: its path in the directory, number of rows and checksum."""
 
     file: str
     rows: int
@@ -73,7 +73,7 @@ class File(_Checked):
 
 
 class Done(_Checked):
-    """What a manifest says of a chunk; without files it is not done."""
+    """Manifest entry of a chunk; without files it is missing."""
 
     name: str
     state: str
@@ -82,14 +82,14 @@ class Done(_Checked):
 
 
 class Manifest(_Checked):
-    """What of a manifest is needed to go on with its results.
+    """The entries of a manifest that are needed to resume its results.
 
     Attributes:
         identity: of the job, see `Job.identity`.
-        curves: whether curves are kept; None takes the study's word.
-        chunk_runs: runs a chunk, as the job was given it.
-        sessions: processes that wrote.
-        chunks: every chunk of the study.
+        curves: whether curves are kept; None follows the study.
+        chunk_runs: runs per chunk, as given to the job.
+        sessions: processes that wrote results.
+        chunks: all chunks of the study.
     """
 
     identity: str
@@ -100,7 +100,7 @@ class Manifest(_Checked):
 
 
 def manifest(directory: Path) -> Manifest | None:
-    """The manifest of a directory; None if it has none with which one can go on."""
+    """The manifest of a directory; None if missing or not suitable for resuming."""
     try:
         return Manifest.model_validate(read_manifest(directory))
     except (InputError, ValidationError):
@@ -108,27 +108,27 @@ def manifest(directory: Path) -> Manifest | None:
 
 
 def resumed(directory: Path, job: Job, instructions: str | None = None) -> Job:
-    """A job as the directory of its results began it: with its chunks, and with curves or not.
+    """The job with the runs per chunk and the choice of curves that its results began with.
 
     Args:
-        directory: where its results are.
-        job: as it is asked for now.
-        instructions: the instruction set of whoever will do it; None is this process's.
+        directory: results directory.
+        job: the job as requested now.
+        instructions: instruction set that will run it; None for this process's.
 
     Raises:
-        InputError: the directory holds results of another study or record, the keys that differ
-            are named; or of another version or instruction set.
+        InputError: the directory holds results of another study (names the keys that differ),
+            record, version or instruction set.
     """
     kept = _kept_study(directory)
     if kept is not None and fingerprint(kept) != fingerprint(job.study):
-        text = "; ".join(differences(kept, job.study)) or "another version wrote them"
+        text = "; ".join(differences(kept, job.study)) or "written by another version"
         raise InputError(f"{directory}: holds results of another study: {text}")
-    known = manifest(directory) or _told_by_parts(directory)
+    known = manifest(directory) or _from_parts(directory)
     if known is None:
         if (directory / MANIFEST).exists():
             raise InputError(
-                f"{directory}: holds results of another version of sinsjax, which cannot be gone on"
-                " with (give --overwrite to replace them)"
+                f"{directory}: holds results of another version of sinsjax, which cannot be resumed"
+                " (give --overwrite to replace them)"
             )
         return job
     _check_chunks(directory, known)
@@ -142,31 +142,31 @@ def resumed(directory: Path, job: Job, instructions: str | None = None) -> Job:
 
 
 def _check_versions(directory: Path, known: Manifest) -> None:
-    """Refuses to add rows of other versions: last bits and chunks may differ."""
+    """Reject rows of other versions: last bits and chunks may differ."""
     here = runtime.versions()
     for session in known.sessions:
         for name in runtime.DECISIVE:
             there = shortened(one_line(session.versions.get(name, here[name])))
             if there != here[name]:
                 raise InputError(
-                    f"{directory}: was made with {name} {there}, here is {here[name]}: install that"
-                    " one, or give --overwrite"
+                    f"{directory}: was computed with {name} {there}, but here is {here[name]}"
+                    " (install that one, or give --overwrite)"
                 )
 
 
 def _check_instructions(directory: Path, known: Manifest, here: str) -> None:
-    """Refuses to add rows of another instruction set: last bits differ, and grow over a run."""
+    """Reject rows of another instruction set: last bits differ, and the difference grows."""
     for session in known.sessions:
         if (there := shortened(one_line(session.instructions or here))) != here:
             raise InputError(
-                f"{directory}: was made with instruction set {there}, here is {here}: use a machine"
-                f" with that one, or XLA_FLAGS=--xla_cpu_max_isa={there} on a larger, or give"
-                " --overwrite"
+                f"{directory}: was computed with instruction set {there}, but here is {here} (use a"
+                f" machine with that one, XLA_FLAGS=--xla_cpu_max_isa={there} on a larger one, or"
+                " --overwrite)"
             )
 
 
 def _kept_study(directory: Path) -> Study | None:
-    """The study of a directory; None if it cannot be read: its parts know whose they are."""
+    """The study of a directory; None if unreadable, as the parts identify their study too."""
     try:
         return load_study(directory / "study.toml")
     except InputError:
@@ -174,50 +174,50 @@ def _kept_study(directory: Path) -> Study | None:
 
 
 def _check_chunks(directory: Path, known: Manifest) -> None:
-    """Refuses to cut a study otherwise than its parts are: all of them would be made again."""
-    cuts = set()
-    for said in _parts_say(directory):
-        if said.chunk_runs == known.chunk_runs:
+    """Reject chunks that differ from the stored parts: all of them would be recomputed."""
+    sizes = set()
+    for part in _readable_parts(directory):
+        if part.chunk_runs == known.chunk_runs:
             return
-        cuts.add("none" if said.chunk_runs is None else said.chunk_runs)
-    if cuts:
+        sizes.add("none" if part.chunk_runs is None else part.chunk_runs)
+    if sizes:
         here = "none" if known.chunk_runs is None else known.chunk_runs
         raise InputError(
-            f"{directory}: manifest.json: chunk_runs: is {here}, but its parts were made with"
-            f" {min(cuts, key=str)} (put that back, or give --overwrite)"
+            f"{directory}: manifest.json: chunk_runs: is {here}, but its parts were written with"
+            f" {min(sizes, key=str)} (restore that value, or give --overwrite)"
         )
 
 
-def _told_by_parts(directory: Path) -> Manifest | None:
-    """What the first part that can be read says of all; None if there is none."""
-    return next(_parts_say(directory), None)
+def _from_parts(directory: Path) -> Manifest | None:
+    """A manifest from the first readable part; None if there is none."""
+    return next(_readable_parts(directory), None)
 
 
-def _parts_say(directory: Path) -> Iterator[Manifest]:
-    """What each part that can be read says of all."""
+def _readable_parts(directory: Path) -> Iterator[Manifest]:
+    """A manifest from the metadata of each readable part."""
     curves = True if any(find(directory, "curves")) else None
     for path in sorted(find(directory, "summary")):
         try:
-            said = pq.read_schema(path).metadata or {}
-            chunk, identity = json.loads(said[b"sinsjax.chunk"]), said[b"sinsjax.study"].decode()
+            marks = pq.read_schema(path).metadata or {}
+            chunk, identity = json.loads(marks[b"sinsjax.chunk"]), marks[b"sinsjax.study"].decode()
             yield Manifest(identity=identity, curves=curves, chunk_runs=chunk["chunk_runs"])
         except (OSError, ValueError, RecursionError, pa.ArrowException, KeyError, TypeError):
             continue
 
 
 def differences(there: Study, here: Study) -> list[str]:
-    """The keys in which two studies differ, with both values, as far as results depend on them."""
+    """Keys that affect results and differ between two studies, with both values."""
     old, new = _by_key(there), _by_key(here)
     found = [
-        f"{key}: {_said(old.get(key))} there, {_said(new.get(key))} here"
+        f"{key}: {_shown(old.get(key))} there, {_shown(new.get(key))} here"
         for key in dict.fromkeys((*old, *new))
         if old.get(key) != new.get(key)
     ]
-    return found or ["its keys stand in another order"]
+    return found or ["its keys are in another order"]
 
 
 def _by_key(study: Study) -> dict[str, Any]:
-    """The values of a study by the place and key that its file gives them."""
+    """Values of a study by section and key of its file."""
     content = study.model_dump(exclude={"tune"}, exclude_none=True)
     for key in ("name", "unchecked"):
         content["study"].pop(key, None)
@@ -233,15 +233,16 @@ def _by_key(study: Study) -> dict[str, Any]:
     }
 
 
-def _said(value: Any) -> str:
+def _shown(value: Any) -> str:
     text = "none" if value is None else str(list(value) if isinstance(value, tuple) else value)
     return shortened(text, 60)
 
 
 def check_free(directory: Path, *, overwrite: bool) -> None:
-    """Refuse a directory that holds results, unless they may be used, or files like ours.
+    """Reject a directory that holds results, unless they may be used, or foreign files.
 
-    Results are known by their manifest or their parts: other files of our names are never touched.
+    Results are identified by their manifest or parts; a foreign file of the same name is never
+    touched.
 
     Raises:
         InputError: the directory cannot be used.
@@ -250,19 +251,21 @@ def check_free(directory: Path, *, overwrite: bool) -> None:
     if not taken:
         return
     if not _is_ours(directory):
-        raise InputError(f"{directory}: holds a {taken[0]} that is no result: give another one")
+        raise InputError(
+            f"{directory}: holds a {taken[0]} that is not a result (give another directory)"
+        )
     if not overwrite:
         raise InputError(
-            f"{directory}: holds results already (give --resume to go on with them, or --overwrite"
+            f"{directory}: already holds results (give --resume to continue them, or --overwrite"
             " to replace them)"
         )
 
 
 def names_taken(directory: Path, names: Iterable[str]) -> list[str]:
-    """Which of some names a directory has already, which need not be there itself.
+    """Which of some names exist in a directory, which may be missing itself.
 
     Raises:
-        InputError: it is a file, or cannot be looked into.
+        InputError: the directory is a file, or cannot be read.
     """
     try:
         if directory.exists() and not directory.is_dir():
@@ -273,21 +276,21 @@ def names_taken(directory: Path, names: Iterable[str]) -> list[str]:
 
 
 def _is_ours(directory: Path) -> bool:
-    """Whether a directory holds results, by its manifest, or its parts where that is none."""
+    """Whether a directory holds results, by its manifest or else by its parts."""
     try:
         if "fingerprint" in read_manifest(directory):
             return True
     except InputError:
         pass
-    return _told_by_parts(directory) is not None
+    return _from_parts(directory) is not None
 
 
 def named(directory: str | Path) -> Path:
-    """A directory as it is given.
+    """The path of a results directory.
 
     Raises:
-        InputError: it has no name: that is no way to say *here*.
+        InputError: the path is empty.
     """
     if not str(directory):
-        raise InputError("the directory of results must not be empty (the current one is '.')")
+        raise InputError("the results directory must not be empty (use '.' for the current one)")
     return Path(directory)

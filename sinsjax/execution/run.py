@@ -1,4 +1,4 @@
-"""A study carried out: every task of it, into tables in memory or into a directory."""
+"""Running all tasks of a study, into tables in memory or into a directory."""
 
 import threading
 from collections.abc import Callable, Iterable
@@ -25,11 +25,11 @@ from sinsjax.study.study import Study
 
 
 class Results(NamedTuple):
-    """What a study gave.
+    """Results of a study.
 
     Attributes:
-        summary: one row a run, by run_id.
-        curves: one row a run and record time; empty if curves were not kept.
+        summary: one row per run, ordered by run_id.
+        curves: one row per run and record time; empty if curves were not kept.
     """
 
     summary: pa.Table
@@ -37,13 +37,13 @@ class Results(NamedTuple):
 
 
 class RunProgress(NamedTuple):
-    """How far a study has come.
+    """Progress of a study.
 
     Attributes:
-        done: runs that are there.
-        total: runs in all; with [stop_when], the most there can be.
-        failures: of the runs of this session, those that diverged or broke.
-        before: runs that were there when the session began.
+        done: completed runs.
+        total: number of runs; with [stop_when], at most.
+        failures: runs of this session that diverged or became non-finite.
+        before: runs completed before this session.
     """
 
     done: int
@@ -53,16 +53,16 @@ class RunProgress(NamedTuple):
 
 
 Tell = Callable[[RunProgress], None]
-"""Called before the first chunk and after every one."""
+"""Progress callback, called before the first chunk and after every one."""
 
 
 def load_tape(
     study: Study, record: str | Path, reference: str | Path | None = None
 ) -> StoredRecord:
-    """Read the record of a recorded study, and a reference attitude if there is one.
+    """Read the record of a recorded study, and the reference attitude if given.
 
     Raises:
-        InputError: a file that cannot be used, or a study without [record].
+        InputError: a file cannot be used, or the study has no [record].
     """
     if study.record is None:
         raise InputError(f"{study.name}: has no [record] section")
@@ -75,10 +75,10 @@ def load_tape(
 
 
 def at_rate(study: Study, tape: StoredRecord | None) -> Study:
-    """A study at the rate of its record.
+    """The study at the rate of its record.
 
     Raises:
-        InputError: at this rate it is none.
+        InputError: the study is invalid at this rate.
     """
     if tape is not None and study.is_recorded:
         return with_rate(study, tape.record.rate_hz)
@@ -86,13 +86,13 @@ def at_rate(study: Study, tape: StoredRecord | None) -> Study:
 
 
 def made_ready(study: Study, tape: StoredRecord | None) -> tuple[Study, list[str]]:
-    """A study as it runs, at the rate of its record, and one line for everything doubtful about it.
+    """The study at the rate of its record, and warnings about it, one line each.
 
     Raises:
-        InputError: a record that does not fit, or cannot be what it is taken for.
+        InputError: the record does not fit the study, or is certainly wrong.
     """
     study = at_rate(study, tape)
-    if study.is_recorded != (tape is not None):  # refused where it is run
+    if study.is_recorded != (tape is not None):  # rejected when it is run
         return study, []
     return study, warnings_of(study, tape)
 
@@ -110,15 +110,15 @@ def run(
     Args:
         study: checked study.
         tape: the record of a recorded study.
-        curves: whether curves are kept; None takes the study's word.
-        chunk_runs: runs a chunk; no row depends on it.
-        tell: told how far it is, after every chunk.
+        curves: whether to keep curves; None follows the study.
+        chunk_runs: runs per chunk; does not affect the rows.
+        tell: called with the progress after every chunk.
 
     Returns:
         Tables of all runs.
 
     Raises:
-        InputError: a record that does not fit.
+        InputError: the record does not fit the study.
         RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
     study, _ = made_ready(study, tape)
@@ -153,27 +153,27 @@ def run_into(
     stop: threading.Event | None = None,
     source: Path | None = None,
 ) -> None:
-    """Run a study into a directory, a Parquet part a chunk.
+    """Run a study into a directory, one Parquet part per chunk.
 
     Args:
         study: checked study.
-        directory: where; must hold no results unless ``overwrite`` or ``resume``.
+        directory: results directory; must hold no results unless ``overwrite`` or ``resume``.
         tape: the record of a recorded study.
-        curves: whether curves are kept; None takes the study's word.
-        chunk_runs: runs a chunk; no row depends on it. A directory keeps the one it began with.
-        overwrite: whether earlier results are removed.
-        resume: whether whole parts of the same study are kept, and only the others made.
-        executor: who does the tasks; None: all devices of this process.
-        tell: told how far it is, before the first chunk and after every one.
-        stop: set from elsewhere, it ends the study after the chunks under way.
-        source: the study's file, named in the manifest; without its folders if they begin at
-            the root, which mean nothing on another machine.
+        curves: whether to keep curves; None follows the study.
+        chunk_runs: runs per chunk; does not affect the rows. Fixed when a directory is begun.
+        overwrite: whether to remove existing results.
+        resume: whether to keep complete parts of the same study and compute only the others.
+        executor: runs the tasks; None for all devices of this process.
+        tell: called with the progress before the first chunk and after every one.
+        stop: event that ends the study after the running chunks.
+        source: the study's file, named in the manifest; an absolute path is shortened to the file
+            name, since it means nothing on another machine.
 
     Raises:
-        InputError: a record that does not fit, or a directory that cannot be used. Nothing is
-            written or removed before both are known to be good. Also a directory that can no
-            longer be written: what is complete stays.
-        StudyInterrupted: ``stop`` was set; all that was under way is stored.
+        InputError: the record does not fit, or the directory cannot be used; both are checked
+            before anything is written or removed. Also if the directory can no longer be written;
+            complete parts are kept.
+        StudyInterrupted: ``stop`` was set; the running chunks have been stored.
         RuntimeError: double precision is off.
     """
     directory = resuming.named(directory)

@@ -1,7 +1,7 @@
-"""When enough draws have been run: the rule of ``[stop_when]``.
+"""Early stopping of a study by ``[stop_when]``.
 
-It looks at fixed numbers of draws only, at all rows below that number: so it stops at the same
-place for any chunk, worker and order.
+Interim analyses take place at fixed numbers of draws and use all rows of those draws, so the result
+does not depend on chunks, workers or their order.
 """
 
 import math
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
     from sinsjax.analysis import Estimate
 
 FIRST_INTERIM = 64
-"""Draws at the first look; each further one is at twice as many."""
+"""Draws at the first interim analysis; each further one has twice as many."""
 
 
 class InterimAnalysis(NamedTuple):
-    """What a look at the rows found.
+    """Result of an interim analysis.
 
     Attributes:
-        draws: looked at.
-        half_width: the widest over the variants, of the statistic's 95 % interval; infinite where
-            a variant has too few settled runs for one.
-        enough: whether it is narrow enough.
+        draws: number of draws analysed.
+        half_width: largest half width over the variants of the statistic's 95 % interval; infinite
+            if a variant has too few settled runs for an interval.
+        enough: whether that is narrow enough.
     """
 
     draws: int
@@ -36,7 +36,7 @@ class InterimAnalysis(NamedTuple):
 
 
 def interim_draws(study: Study) -> list[int]:
-    """Numbers of draws after which is looked, the last one being the most."""
+    """Numbers of draws at the interim analyses; the last is the maximum."""
     if study.stop_when is None:
         return [study.n_draws]
     ends = [FIRST_INTERIM]
@@ -46,13 +46,13 @@ def interim_draws(study: Study) -> list[int]:
 
 
 def columns(study: Study) -> list[str]:
-    """Columns of the summary that a look needs."""
+    """Columns of the summary that an interim analysis needs."""
     assert study.stop_when is not None
     return ["run_id", "draw_id", "variant_id", _needed(study)]
 
 
 def _needed(study: Study) -> str:
-    """The column of the summary that the statistic is made of: from truth or limit, as judged."""
+    """Column of the statistic, about truth or limit according to the study's success criterion."""
     assert study.stop_when is not None
     name = study.stop_when.statistic
     if name == "success_rate":
@@ -66,14 +66,14 @@ def _needed(study: Study) -> str:
 
 
 def analyse_interim(study: Study, table: pa.Table, draws: int) -> InterimAnalysis:
-    """Judge the rows of the first draws.
+    """Analyse the rows of the first draws.
 
     Args:
-        study: with [stop_when].
-        table: `columns` of the summary, in any order, all runs of the draws at least.
-        draws: how many.
+        study: study with [stop_when].
+        table: `columns` of the summary in any order, with at least all runs of these draws.
+        draws: number of draws.
     """
-    from sinsjax import analysis  # late: scipy takes a quarter of a second, and few studies ask
+    from sinsjax import analysis  # late: scipy takes a quarter of a second, and few studies need it
 
     assert study.stop_when is not None
     rows = table.filter(pa.compute.less(table["draw_id"], draws)).sort_by("run_id")

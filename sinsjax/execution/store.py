@@ -1,8 +1,8 @@
-"""A directory that a study's results are streamed to, so that nothing is lost and nothing doubled.
+"""Streaming of a study's results to a directory, without losing or duplicating any.
 
-Every file is written under a temporary name, synced and renamed. A part is known by its own
-metadata and page checksums, and is trusted over the manifest: whoever kills a sweep at any point
-leaves whole parts, or none. The lock is the operating system's and dies with its process.
+Every file is written under a temporary name, synced and renamed, so a sweep killed at any point
+leaves only complete parts. A part is verified by its own metadata and page checksums, which take
+precedence over the manifest. The operating system releases the lock when the process ends.
 """
 
 import hashlib
@@ -26,17 +26,17 @@ from sinsjax.platform.files import replacing, unwritable
 from sinsjax.study.fingerprint import fingerprint
 from sinsjax.study.load import study_to_toml
 
-_MANIFEST_SHARE = 0.05  # of the time, at the most, goes into writing manifests
-_MANIFEST_EVERY_S = 1.0  # at the most: nobody reads them faster, and they hold up the threads
+_MANIFEST_SHARE = 0.05  # largest share of the time spent on writing manifests
+_MANIFEST_EVERY_S = 1.0  # least interval: writing manifests blocks the threads
 _OF_ALL = ("versions", "instructions", "devices", "devices_are")
-"""What the last session says for the whole directory."""
+"""Entries of the last session that are repeated for the whole directory."""
 
 
 class Store:
-    """The writer of a directory of results; there is never a second one.
+    """The only writer of a results directory.
 
     Attributes:
-        directory: where.
+        directory: results directory.
     """
 
     def __init__(
@@ -48,17 +48,17 @@ class Store:
         overwrite: bool = False,
         facts: dict[str, Any] | None = None,
     ) -> None:
-        """Take hold of a directory, and make it ready.
+        """Lock and prepare a directory.
 
         Args:
-            directory: where; made if missing.
-            runner: of the job whose results are stored.
-            resume: whether results of the same job are kept and added to.
-            overwrite: whether earlier results are removed.
-            facts: for the manifest: of the job, and under ``session`` of this process.
+            directory: results directory, created if missing.
+            runner: task runner of the job.
+            resume: whether to keep results of the same job and add to them.
+            overwrite: whether to remove existing results.
+            facts: manifest entries of the job, and of this process under ``session``.
 
         Raises:
-            InputError: the directory holds results, cannot be written, or has a writer.
+            InputError: the directory holds results, cannot be written, or has another writer.
         """
         self.directory = directory
         self._runner, self._facts = runner, dict(facts or {})
@@ -77,7 +77,7 @@ class Store:
             raise
 
     def _begin(self, *, resume: bool, overwrite: bool) -> None:
-        # Once more, as what is there may have changed before the lock was ours.
+        # Again, since the directory may have changed before it was locked.
         resuming.check_free(self.directory, overwrite=overwrite or resume)
         job = self._runner.job
         if resume and self._resumed()[2:] != job[2:]:
@@ -89,7 +89,7 @@ class Store:
             self._sessions = [session.model_dump() for session in known.sessions]
             self._chunks = {c.name: c.model_dump() for c in known.chunks if c.state == "done"}
         else:
-            # First of all, so that what a killed run leaves is known to be ours.
+            # First, so that the files of a killed run are recognised as results.
             self._write_manifest("running")
         _write(self.directory / "study.toml", study_to_toml(job.study).encode())
 
@@ -98,14 +98,14 @@ class Store:
         return resuming.resumed(self.directory, self._runner.job, instructions)
 
     def release(self) -> None:
-        """Let another process write."""
+        """Unlock the directory."""
         self._lock.release()
 
     def missing(self, tasks: Iterable[Task]) -> list[Task]:
-        """The tasks of which no whole part is there; what is there of others is removed.
+        """Tasks without complete parts; parts of unknown or incomplete tasks are removed.
 
         Args:
-            tasks: all that the study can have.
+            tasks: all tasks of the study.
 
         Raises:
             InputError: the directory cannot be written.
@@ -133,7 +133,7 @@ class Store:
             InputError: the directory cannot be written.
         """
         files = []
-        # The summary last: where it is, the curves are.
+        # The summary last, so that a summary implies the curves.
         for dataset in reversed(DATASETS):
             if (content := encoded.files.get(dataset)) is None:
                 continue
@@ -156,7 +156,7 @@ class Store:
             self._write_manifest("running")
 
     def summary(self, names: list[str]) -> pa.Table:
-        """Some columns of all rows that are there."""
+        """Some columns of all stored rows of the summary."""
         paths = [self._path("summary", t) for t in self._planned if t.name in self._chunks]
         return pa.concat_tables([pq.ParquetFile(path).read(columns=names) for path in paths])
 
@@ -164,11 +164,11 @@ class Store:
         """Write the last manifest of this session.
 
         Args:
-            state: "complete", or "interrupted".
-            facts: whatever else is worth keeping.
+            state: "complete" or "interrupted".
+            facts: further entries.
         """
         self._facts |= facts
-        if state == "complete":  # what [stop_when] made needless is not missing
+        if state == "complete":  # tasks that [stop_when] skipped are not missing
             self._planned = [task for task in self._planned if task.name in self._chunks]
         self._write_manifest(state)
 
@@ -183,9 +183,9 @@ class Store:
         }
 
     def _found(self, task: Task) -> dict[str, Any] | None:
-        """What the manifest shall say of a task whose parts are whole; None if they are not."""
+        """Manifest entry of a task with complete parts; None if they are not."""
         known = self._chunks.get(task.name, {})
-        told = {entry["file"]: entry for entry in known.get("files", [])}
+        recorded = {entry["file"]: entry for entry in known.get("files", [])}
         files = []
         for dataset, rows in (("curves", task.runs * task.records), ("summary", task.runs)):
             if not rows:
@@ -196,7 +196,7 @@ class Store:
             except OSError:
                 return None
             entry = self._entry(path, rows, content)
-            same = told.get(entry["file"]) == entry
+            same = recorded.get(entry["file"]) == entry
             if not same and not self._is_whole(dataset, content, rows, task):
                 return None
             files.append(entry)
@@ -206,11 +206,11 @@ class Store:
         }
 
     def _is_whole(self, dataset: str, content: bytes, rows: int, task: Task) -> bool:
-        """Whether a part whose checksum is not known is what it would be if written again."""
+        """Whether a part with unknown checksum is identical to its table written again."""
         try:
             part = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
             table = part.read()
-            # The pages have checksums of their own, the footer has none.
+            # Pages have their own checksums, the footer has none.
             return table.num_rows == rows and self._runner.parquet(dataset, table, task) == content
         except (OSError, ValueError, pa.ArrowException):
             return False

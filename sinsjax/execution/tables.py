@@ -1,8 +1,8 @@
-"""Results as tables: from the engine's arrays to Arrow tables, and from Parquet back.
+"""Result tables: conversion of the engine's arrays to Arrow, and reading from Parquet.
 
-A directory of results holds ``summary/`` and perhaps ``curves/`` (Parquet datasets, one part a
+A results directory holds ``summary/`` and optionally ``curves/`` (Parquet datasets, one part per
 chunk), ``study.toml`` (the resolved study) and ``manifest.json`` (versions, parts, timing); `store`
-writes it. Parts, like rows, depend on the study alone.
+writes it. Parts, like rows, depend only on the study.
 """
 
 import re
@@ -38,14 +38,14 @@ from sinsjax.units import ARCMIN, DEG
 
 
 class Tables:
-    """Turns chunks of a study's runs into tables."""
+    """Conversion of a study's chunks to tables."""
 
     def __init__(self, study: Study, *, has_truth: bool = True) -> None:
-        """Prepare the columns that repeat from chunk to chunk.
+        """Prepare the columns that do not depend on the chunk.
 
         Args:
-            study: whose runs.
-            has_truth: False for a record without a reference: what needs one is null.
+            study: checked study.
+            has_truth: False for a record without a reference; columns that need one are null.
         """
         self._study = study
         self._has_truth = has_truth
@@ -79,7 +79,7 @@ class Tables:
             self._start_s = starts_of(study, study.rate_hz)[1] / study.rate_hz
 
     def summary(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
-        """One row a run.
+        """Summary of a chunk, one row per run.
 
         Args:
             chunk: engine results.
@@ -126,11 +126,11 @@ class Tables:
         return _table(self.summary_columns, values)
 
     def curves(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
-        """One row a run and record time; `Chunk.curves` must be there."""
+        """Curves of a chunk that has them, one row per run and record time."""
         assert chunk.curves is not None
         run_id = chunk.draw * self._study.n_variants + variant_ids[chunk.variant]
         codes, spans = self._study.lengths
-        span = spans[codes[variant_ids[0]]]  # that of all variants of a part
+        span = spans[codes[variant_ids[0]]]  # common to all variants of a part
         time_s = update_times(self._study, span)
         values = {"run_id": np.repeat(run_id, len(time_s)), "time_s": np.tile(time_s, len(run_id))}
         if self._study.passes:
@@ -144,17 +144,17 @@ class Tables:
         values |= {f"sigma_{a}_arcmin": _nullable(v / ARCMIN) for a, v in _axes(seen.sigma)}
         angles = {"pitch": seen.pitch, "roll": seen.roll, "yaw": seen.yaw}
         values |= {f"{name}_deg": _nullable(v / DEG) for name, v in angles.items()}
-        # Twice, as what is left of the smallest negative angle is rounded up to the whole turn.
+        # Twice, because a tiny negative angle is rounded to 360.
         heading = np.mod(np.mod(-np.asarray(seen.yaw) / DEG, 360.0), 360.0)
         return values | {"heading_deg": _nullable(heading)}
 
     def _method(self, variant: np.ndarray) -> Description:
-        """The method of a chunk's variants, which is one."""
+        """The method of a chunk's variants, common to all of them."""
         codes, names = self._methods
         return METHODS[names[codes[variant[0]]]]
 
     def _of_method(self, chunk: Chunk, variant: np.ndarray) -> dict[str, pa.Array]:
-        """The columns that methods bring; all runs of a chunk have one method."""
+        """Columns specific to methods; all runs of a chunk have the same method."""
         method = self._method(variant)
         own = {column.column.name for column in method.columns_of(self._study)}
         values = {}
@@ -165,7 +165,7 @@ class Tables:
         return values
 
     def _known(self, values: Any) -> pa.Array:
-        """Values that need a truth: null without one, and where they are no number."""
+        """Values that need a truth: null without one, and where they are not finite."""
         return _nullable(values if self._has_truth else np.full(np.shape(values), np.nan))
 
     def _if_known(self, flags: np.ndarray) -> pa.Array:
@@ -188,7 +188,7 @@ class Tables:
         return values
 
     def _has_limit(self, chunk: Chunk, variant: np.ndarray) -> np.ndarray:
-        """Which runs have a limit, their last reset being one of the schedule or the trigger's."""
+        """Which runs have a limit, given the last reset of their schedule or trigger."""
         method = self._method(variant)
         called = method.last_called(chunk.outcome.results)
         if called is None and not self._study.drawn_keys:
@@ -200,14 +200,14 @@ class Tables:
 
     @cached_property
     def _limit_by_variant(self) -> np.ndarray:
-        """Which variants have a limit, where neither draws nor triggers decide."""
+        """Which variants have a limit, if that depends neither on draws nor on triggers."""
         study = self._study
         variants = np.arange(study.n_variants)
         return has_limit(study, np.zeros_like(variants), variants, self._last_reset_s)
 
 
 def _swept(column: Coded, dtype: pa.DataType) -> pa.Array:
-    """Values of a key, one a variant; a number among lists stands for all its axes."""
+    """Values of a key, one per variant; a number among lists applies to all axes."""
     codes, choices = column
     if pa.types.is_list(dtype):
         choices = tuple([v] if isinstance(v, int | float) else v for v in choices)
@@ -235,17 +235,16 @@ def read_summary(
     run_ids: list[int] | None = None,
     verify: bool = True,
 ) -> pa.Table:
-    """Rows of the summary, by run_id.
+    """Read rows of the summary, ordered by run_id.
 
     Args:
-        directory: of the results.
-        names: which columns, in this order; all of them without it.
-        run_ids: which runs; all of them without it.
-        verify: whether every part is compared with the manifest's SHA-256, once a process.
+        directory: results directory.
+        names: columns to read, in this order; None for all.
+        run_ids: runs to read; None for all.
+        verify: whether to compare every part with the manifest's SHA-256, once per process.
 
     Raises:
-        InputError: the directory holds no results, a part is not what was written, or a column is
-            missing.
+        InputError: the directory holds no results, a part has changed, or a column is missing.
     """
     directory = Path(directory)
     rows = None if run_ids is None else ds.field("run_id").isin(run_ids)
@@ -259,21 +258,21 @@ def read_summary(
     table = _read(directory, "summary", verify=verify, columns=names, filter=rows)
     table = table.sort_by("run_id")
     for name in needed & later.keys():
-        told_by = later[name]
+        source = later[name]
         dtype = pa.bool_() if name in _FLAGS else pa.float64()
-        told = pc.is_valid(table[told_by]) if told_by else pa.nulls(table.num_rows, dtype)
-        table = table.append_column(name, told)
+        values = pc.is_valid(table[source]) if source else pa.nulls(table.num_rows, dtype)
+        table = table.append_column(name, values)
     return table.select(wanted)
 
 
 _FLAGS = {"has_limit": "floor_arcmin", "ok_limit": "settle_10_s", "ok_truth": None}
-"""Flags that came with schema 2, and what column of schema 1 says the same by having a value."""
+"""Flags added in schema 2, and the columns of schema 1 that are not null where a flag is true."""
 
 
 def _later(there: pa.Schema) -> dict[str, str | None]:
-    """The columns that a summary of schema 1 lacks, and what tells a flag, as in `_FLAGS`.
+    """Columns missing from a summary of schema 1, with the source column of flags as in `_FLAGS`.
 
-    A settling time about the truth was not recorded: it is null.
+    Settling times about the truth were not recorded and are null.
     """
     if (there.metadata or {}).get(b"sinsjax.schema") != b"1":
         return {}
@@ -283,10 +282,10 @@ def _later(there: pa.Schema) -> dict[str, str | None]:
 
 
 def count_runs(directory: str | Path) -> int:
-    """Number of rows of the summary, every part of it compared with the manifest.
+    """Number of rows of the summary, after comparing every part with the manifest.
 
     Raises:
-        InputError: the directory holds no results, or a part is not what was written.
+        InputError: the directory holds no results, or a part has changed.
     """
     return ask(Path(directory), "summary", lambda dataset: dataset.count_rows())
 
@@ -294,15 +293,15 @@ def count_runs(directory: str | Path) -> int:
 def read_curves(
     directory: str | Path, run_ids: list[int] | None = None, *, verify: bool = True
 ) -> pa.Table:
-    """Rows of the curves, by run_id and time; empty where none were stored.
+    """Read rows of the curves, ordered by run_id and time; empty if none were stored.
 
     Args:
-        directory: of the results.
-        run_ids: which runs; None for all.
-        verify: whether every part is compared with the manifest's SHA-256, once a process.
+        directory: results directory.
+        run_ids: runs to read; None for all.
+        verify: whether to compare every part with the manifest's SHA-256, once per process.
 
     Raises:
-        InputError: a part is not what was written, or cannot be read.
+        InputError: a part has changed or cannot be read.
     """
     directory = Path(directory)
     if not is_there(directory, "curves", verify=verify):
@@ -315,5 +314,5 @@ def read_curves(
 def _read(directory: Path, name: str, *, verify: bool, **options: Any) -> pa.Table:
     """Rows of a dataset."""
     table = ask(directory, name, lambda dataset: dataset.to_table(**options), verify=verify)
-    # What the first part says of itself does not hold for the rows of all.
+    # The metadata of the first part does not apply to the others.
     return table.replace_schema_metadata({"sinsjax.schema": columns.SCHEMA_VERSION})

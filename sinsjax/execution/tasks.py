@@ -1,7 +1,7 @@
-"""A study cut into tasks, and what one task gives: the same on any machine, in any order.
+"""Division of a study into tasks, each with the same result on any machine and in any order.
 
-A task is a chunk of runs, a call of the compiled program. How a study is cut depends on the study
-and on nothing else, so that a task can be done, lost and done again anywhere.
+A task is one chunk of runs, computed by one call of the compiled program. The division depends only
+on the study, so that a task can be repeated anywhere.
 """
 
 import hashlib
@@ -31,18 +31,18 @@ from sinsjax.study.acting import first_alike
 from sinsjax.study.fingerprint import fingerprint
 from sinsjax.study.study import Study
 
-_DRAWS_READY = 2**16  # some 30 MB where everything is drawn
-_PARTS_READY = 3  # a part has its own increments; threads at the seam of two parts need both
+_DRAWS_READY = 2**16  # about 30 MB if everything is drawn
+_PARTS_READY = 3  # a part has its own increments; threads at the border of two parts need both
 
 
 class Job(NamedTuple):
-    """What is to be run; all that a worker has to know.
+    """All that a worker needs to run a study.
 
     Attributes:
         study: checked study.
         tape: the record of a recorded study.
-        curves: whether curves are kept; None takes the study's word.
-        chunk_runs: runs a chunk, rounded to whole tiles, two or more; None leaves it to the study.
+        curves: whether to keep curves; None follows the study.
+        chunk_runs: runs per chunk, rounded to two or more whole tiles; None for the default.
     """
 
     study: Study
@@ -52,7 +52,7 @@ class Job(NamedTuple):
 
     @property
     def identity(self) -> str:
-        """Hex digits that tell the rows that this job gives: of the study and of its record."""
+        """Hash of everything that determines the rows: the study and its record, as hex digits."""
         whole = hashlib.sha256(fingerprint(self.study).encode())
         if self.tape is not None:
             record, reference = self.tape
@@ -67,12 +67,12 @@ class Task(NamedTuple):
     """A chunk of a study's runs.
 
     Attributes:
-        name: of its files, without extension.
+        name: name of its files, without extension.
         part: number of the part, see `build`.
         draws: first draw of its group and the one after the last.
         call: number of the call in the group's plan.
-        runs: how many it has.
-        records: rows of curves a run.
+        runs: number of runs.
+        records: rows of curves per run.
     """
 
     name: str
@@ -87,10 +87,10 @@ class TaskResult(NamedTuple):
     """Tables of one task.
 
     Attributes:
-        task: whose.
-        summary: one row a run.
-        curves: one row a run and record time, or None.
-        seconds: what it took, without compiling.
+        task: the task.
+        summary: one row per run.
+        curves: one row per run and record time, or None.
+        seconds: time taken without compilation, s.
     """
 
     task: Task
@@ -103,10 +103,10 @@ class EncodedResult(NamedTuple):
     """A task's tables as Parquet files.
 
     Attributes:
-        task: whose.
-        files: bytes by the name of the dataset.
-        failures: runs that diverged or broke.
-        seconds: what the task took, without compiling.
+        task: the task.
+        files: contents by the name of the dataset.
+        failures: runs that diverged or became non-finite.
+        seconds: time taken without compilation, s.
     """
 
     task: Task
@@ -116,20 +116,20 @@ class EncodedResult(NamedTuple):
 
 
 class TaskRunner:
-    """Does the tasks of a job; every thread may ask it to.
+    """Thread-safe runner of a job's tasks.
 
     Attributes:
-        job: whose tasks.
-        identity: of the job.
-        scenario: its study, ready to be run.
-        tables: that its rows go into.
+        job: the job.
+        identity: hash that identifies the job.
+        scenario: the study, ready to run.
+        tables: converter of chunks to tables.
     """
 
     def __init__(self, job: Job) -> None:
-        """Check a job, by making its first part.
+        """Check a job by building its first part.
 
         Raises:
-            InputError: a record that does not fit, or a study that cannot be run.
+            InputError: the record does not fit, or the study cannot be run.
             RuntimeError: double precision is off.
         """
         self.job = job
@@ -154,7 +154,7 @@ class TaskRunner:
 
     @property
     def stages(self) -> list[range]:
-        """Draws that are run one after another, with a look at the results between them."""
+        """Ranges of draws run one after another, with an interim analysis after each."""
         ends = stopping.interim_draws(self.job.study)
         return [range(a, b) for a, b in zip([0, *ends], ends, strict=False)]
 
@@ -182,15 +182,15 @@ class TaskRunner:
         return staged
 
     def _blocks(self, stage: range) -> list[range]:
-        """The draws of a stage, in groups that fit into memory with all that is drawn for them."""
+        """The draws of a stage in groups that fit in memory with their drawn values."""
         if not self.job.study.drawn_keys:
             return [stage]
         firsts = range(stage.start, stage.stop, _DRAWS_READY)
         return [range(first, min(first + _DRAWS_READY, stage.stop)) for first in firsts]
 
     def do(self, task: Task) -> TaskResult:
-        """The tables of one task."""
-        with self._lock:  # or every thread would compile
+        """Compute the tables of one task."""
+        with self._lock:  # otherwise every thread would compile
             calls = self._calls(task.part, range(*task.draws))
         ids = self.scenario.variant_ids[task.part]
         since = time.perf_counter()
@@ -202,7 +202,7 @@ class TaskRunner:
         return TaskResult(task, self.tables.summary(chunk, ids), curves, seconds)
 
     def pack(self, task: Task) -> EncodedResult:
-        """The Parquet files of one task: the same bytes wherever it is done."""
+        """Compute the Parquet files of one task: the same bytes on any machine."""
         result = self.do(task)
         tables = {"summary": result.summary}
         if result.curves is not None:
@@ -214,20 +214,20 @@ class TaskRunner:
         """A table of a task as a Parquet file: the same rows give the same bytes.
 
         Raises:
-            ValueError: the table has not the columns of the dataset.
+            ValueError: the table lacks columns of the dataset.
         """
         made = self.tables
         layout = made.summary_columns if dataset == "summary" else made.curve_columns
         schema = columns.schema(layout)
         marked = table.cast(schema.with_metadata(schema.metadata | self._marks(task)))
         sink = pa.BufferOutputStream()
-        # Numbers seldom repeat: coded by a dictionary they are larger, and take thrice as long.
+        # Numbers seldom repeat: a dictionary would make them larger and three times as slow.
         encoded = {"compression": "zstd", "use_dictionary": False, "write_page_checksum": True}
         pq.write_table(marked, sink, **encoded)
         return sink.getvalue().to_pybytes()
 
     def _marks(self, task: Task) -> dict[bytes, bytes]:
-        """What a part says of itself in its metadata: no time and no host, which would differ."""
+        """Metadata of a part, without time or host name, which would change its bytes."""
         chunk = {**task._asdict(), "chunk_runs": self.job.chunk_runs}
         del chunk["records"]
         return {
@@ -247,24 +247,24 @@ class TaskRunner:
         engine = Calls(blank, tiles_a_chunk=self._tiles)
         with ThreadPoolExecutor(1) as beside:
             compiling = beside.submit(engine.compile)
-            made = self._part(part, draws)  # XLA takes another core for its truth
+            made = self._part(part, draws)  # meanwhile, on another core
             compiling.result()
         return Calls(made, tiles_a_chunk=self._tiles)
 
 
 def failures(summary: pa.Table) -> int:
-    """How many runs of a summary diverged, or ended in no number."""
+    """Number of runs of a summary that diverged or became non-finite."""
     status = summary["status"].to_pylist()
     return status.count("diverged") + status.count("nonfinite")
 
 
 class Executor(NamedTuple):
-    """Who does tasks.
+    """A means of running tasks.
 
     Attributes:
-        do: hands tasks back when they are done, in any order. It takes the next one from the
-            iterable when it has a place for it, and no more once the iterable ends.
-        facts: what the manifest says of this session's machines.
+        do: yields results in any order. It takes the next task from the iterable only when it has
+            room for it, so that the caller can stop early.
+        facts: manifest entries about the machines of this session.
     """
 
     do: Callable[[TaskRunner, Iterable[Task]], Iterator[EncodedResult]]
@@ -272,7 +272,7 @@ class Executor(NamedTuple):
 
 
 def on_this_machine() -> Executor:
-    """All devices of this process: on a CPU threads over one program, else a program each."""
+    """Executor on all devices of this process: threads of one program on a CPU."""
     devices = len(jax.devices())
     are = "threads over one program" if len(targets()) == 1 else "devices with a program each"
     return Executor(

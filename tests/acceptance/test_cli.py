@@ -157,7 +157,7 @@ def test_files_that_only_look_like_results_are_never_touched(
     (tmp_path / "figures" / "thesis.png").write_text("mine")
     config = write_study(tmp_path)
     code, _, error = sinsjax("sweep", config, "-o", tmp_path, "--overwrite")
-    assert code == 2 and error.count("\n") == 1 and "no result" in error
+    assert code == 2 and error.count("\n") == 1 and "not a result" in error
     assert (tmp_path / "figures" / "thesis.png").read_text() == "mine"
     assert config.read_text()
 
@@ -181,14 +181,14 @@ def test_a_sweep_is_gone_on_with_where_it_was_left(sinsjax: Command, tmp_path: P
     lost.unlink()
     code, told, _ = sinsjax(*words)
     assert code == 0
-    assert "study: 72 of 200 runs, there already" in told
+    assert "study: 72 of 200 runs already there" in told
     assert "study: 200 of 200 runs" in told
     assert {k: v[0] for k, v in everything(out).items() if "summary" in k} == {
         k: v[0] for k, v in before.items() if "summary" in k
     }
     assert kept[0].stat().st_mtime_ns == before[str(kept[0].relative_to(out))][1]
     code, told, _ = sinsjax(*words)
-    assert code == 0 and "study: 200 of 200 runs, there already" in told
+    assert code == 0 and "study: 200 of 200 runs already there" in told
     assert "Window" in told
 
 
@@ -246,7 +246,7 @@ def test_a_recorded_run_is_gone_on_with_and_done_again(
     assert_refused(told, tmp_path / "none", str(out), "another record")
     assert everything(out) == before
     code, told, _ = sinsjax("align", path, config, "-o", out, "--resume")
-    assert code == 0 and "2 of 2 runs, there already" in told
+    assert code == 0 and "2 of 2 runs already there" in told
     code, told, _ = sinsjax("rerun", out, "--run-id", 1, "--record", path)
     assert code == 0 and "identical to the stored one" in told
 

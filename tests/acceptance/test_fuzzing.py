@@ -91,7 +91,7 @@ def test_a_version_is_told_in_one_line_that_can_be_seen(key: str, text: str, tmp
     session = {"started_unix_s": 1.0, "wall_s": 1.0}
     session |= {key: {"numpy": text} if key == "versions" else text}
     out = directory_with({"sessions": [session]}, tmp_path)
-    with pytest.raises(InputError, match="was made with (numpy|instruction set)") as caught:
+    with pytest.raises(InputError, match="was computed with (numpy|instruction set)") as caught:
         resume.resumed(out, Job(manifests.STUDY))
     assert len(line_of(caught.value, out)) < 1000
 

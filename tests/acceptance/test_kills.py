@@ -185,7 +185,7 @@ def test_twenty_kills_cost_nothing(sweeps: Sweeps, whole: Path) -> None:
     assert count(out) < CHUNKS
     code, told, error = sweeps.ended(following.go())
     assert (code, error) == (0, "")
-    assert "runs, there already" in told
+    assert "runs already there" in told
     assert_sound(out, whole, made)
     assert_complete(out, whole)
     assert tables.read_summary(out).equals(tables.read_summary(whole))
@@ -223,7 +223,7 @@ def test_a_person_or_a_scheduler_may_stop_it(sweeps: Sweeps, whole: Path) -> Non
         process.send(number)
         code, told, error = sweeps.ended(process)
         assert code == 130
-        assert "Stopping: the chunks under way are finished first" in " ".join(told.split())
+        assert "Stopping after the running chunks" in " ".join(told.split())
         done = f"{count(out) * CHUNK_RUNS:,} of {CHUNKS * CHUNK_RUNS:,} runs are in {out}"
         assert error == f"interrupted: {done} (continue with --resume)\n"
         state = manifest(out)

@@ -135,9 +135,7 @@ def test_curves_in_place_of_a_summary_are_no_row(tmp_path: Path, sinsjax: Comman
     curves = pa.table({"run_id": [0, 0, 1, 1], "time_s": [1.0, 2.0, 1.0, 2.0]})
     out = store(tmp_path / "out", small_study(), curves)
     code, error = sinsjax("rerun", out, "--run-id", 1)
-    assert code == 2 and error.startswith(
-        f"error: {out}/summary: holds 2 rows of run 1: a part there"
-    )
+    assert code == 2 and error.startswith(f"error: {out}/summary: has 2 rows of run 1: a part")
     assert error.count("\n") == 1
 
 

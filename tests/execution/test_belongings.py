@@ -43,7 +43,7 @@ def test_an_empty_name_is_not_the_current_directory(
         with pytest.raises(SystemExit) as stop:
             cli.main()
         assert stop.value.code == 2
-        line = "error: the directory of results must not be empty (the current one is '.')\n"
+        line = "error: the results directory must not be empty (use '.' for the current one)\n"
         assert capsys.readouterr().err == line
     with pytest.raises(InputError, match="must not be empty"):
         sinsjax.run_into(small_study(), "")

@@ -54,16 +54,16 @@ def test_896_million_runs_are_refused_at_once(disk: Any, tmp_path: Path):
     line = refused(huge(), tmp_path / "out")
     assert time.monotonic() - since < 10
     assert line == (
-        f"{tmp_path / 'out'}: the results of 896,000,000 runs need some 212 GB, the disk has 2 GB"
-        " free"
+        f"{tmp_path / 'out'}: the results of 896,000,000 runs need about 212 GB, but the disk has"
+        " only 2 GB free"
     )
 
 
 def test_what_the_memory_cannot_hold_is_refused(disk: Any, tmp_path: Path):
     disk(memory=5e8)
     line = refused(huge(draws=1), tmp_path / "out")
-    assert line.startswith("study: 896,000 runs need some ")
-    assert line.endswith("MB of memory, this machine has 500 MB")
+    assert line.startswith("study: 896,000 runs need about ")
+    assert line.endswith("MB of memory, but this machine has only 500 MB")
 
 
 def test_what_fits_is_not_refused(disk: Any, tmp_path: Path):
@@ -72,7 +72,7 @@ def test_what_fits_is_not_refused(disk: Any, tmp_path: Path):
     study = small_study()
     forecast.require_room(study, expected, tmp_path, overwrite=False, resume=False)
     disk(free=2.9 * expected.run_bytes)
-    with pytest.raises(InputError, match="the results of 3 runs need some"):
+    with pytest.raises(InputError, match="the results of 3 runs need about"):
         forecast.require_room(study, expected, tmp_path, overwrite=False, resume=False)
 
 
@@ -134,12 +134,12 @@ def test_a_tuning_is_asked_about_as_a_whole(disk: Any, tmp_path: Path):
     expected = forecast.of_tuning(study)
     assert [batch.runs for batch in expected.batches] == [5 * 4, 2 * 8]
     disk(free=35 * expected.run_bytes)
-    with pytest.raises(InputError, match="the results of 36 runs need some"):
+    with pytest.raises(InputError, match="the results of 36 runs need about"):
         carry_out.tune(study, tmp_path / "out")
     assert not (tmp_path / "out").exists()
     tables = {"tune": TUNE | {"searches": ["sobol", "gradient"], "sobol_points": 10**9}}
     disk(memory=1e12)
-    with pytest.raises(InputError, match="of memory, this machine has 1 TB"):
+    with pytest.raises(InputError, match="of memory, but this machine has only 1 TB"):
         carry_out.tune(small_study(**tables), tmp_path / "out")
 
 

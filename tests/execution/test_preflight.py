@@ -210,7 +210,7 @@ def test_nothing_beyond_to_s_is_used() -> None:
     study = recorded(record={"from_s": 100.0, "to_s": 190.0})
     assert not run.made_ready(study, tape)[1]
     study = recorded(record={"from_s": 101.0, "to_s": 190.0})
-    with pytest.raises(InputError, match=r"needs it up to 191 s, but \[record\] to_s is 190"):
+    with pytest.raises(InputError, match=r"needs data up to 191 s, but \[record\] to_s is 190"):
         run.made_ready(study, tape)
 
 
@@ -271,8 +271,8 @@ def test_a_sway_above_half_the_sample_rate_is_told(tmp_path: Path) -> None:
     study = small_study(motion={"roll_period_s": 0.0125})
     (line,) = warnings_of(study)
     assert line == (
-        "[motion] roll_period_s: a sway of 80 Hz is above half of rate_hz = 100: samples of it look"
-        " like a slower one"
+        "[motion] roll_period_s: a sway of 80 Hz is above half of rate_hz = 100, so it is"
+        " aliased to a slower one"
     )
     run.run_into(study, tmp_path / "out")
     assert tables.read_manifest(tmp_path / "out")["warnings"] == [line]

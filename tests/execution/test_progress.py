@@ -73,7 +73,7 @@ def test_what_was_there_before_is_told_and_does_not_make_the_pace(clock: Clock) 
         clock.now += 5.0
         tell(RunProgress(1000, 1000, 2, 900))
     assert file.getvalue().splitlines() == [
-        "swing: 900 of 1,000 runs, there already",
+        "swing: 900 of 1,000 runs already there",
         "swing: 1,000 of 1,000 runs, 10 runs/s, 0:00 left, 2 failed",
     ]
 
@@ -82,7 +82,7 @@ def test_what_is_complete_already_says_so(clock: Clock) -> None:
     screen, file = plain()
     with progress.progress(screen, "swing") as tell:
         tell(RunProgress(1000, 1000, 0, 1000))
-    assert file.getvalue() == "swing: 1,000 of 1,000 runs, there already\n"
+    assert file.getvalue() == "swing: 1,000 of 1,000 runs already there\n"
 
 
 def test_a_terminal_has_a_bar(clock: Clock) -> None:
@@ -123,7 +123,7 @@ def test_a_signal_asks_for_a_stop_and_says_so(
         for thread in threading.enumerate():
             if thread is not threading.current_thread() and thread.daemon:
                 thread.join(0.2)
-        assert " ".join(file.getvalue().split()).startswith("Stopping: the chunks under way")
+        assert " ".join(file.getvalue().split()).startswith("Stopping after the running chunks")
         assert not ended
         os.kill(os.getpid(), number)
         assert ended == [128 + number]

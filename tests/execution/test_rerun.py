@@ -132,7 +132,7 @@ def test_a_run_of_a_directory_is_told_and_kept(out: Path, tmp_path: Path) -> Non
     before = everything(out)
     told = rerun_into(out, 77, out=tmp_path / "one")
     stored = tables.read_summary(out, run_ids=[77])
-    assert f"The row is identical to the stored one, in all {stored.num_columns} columns." in told
+    assert f"The row is identical to the stored one in all {stored.num_columns} columns." in told
     assert f"phi_u_arcmin  {stored['phi_u_arcmin'][0].as_py()}\n" in told
     assert pq.read_table(tmp_path / "one" / "summary.parquet").to_pylist() == stored.to_pylist()
     curve = pq.read_table(tmp_path / "one" / "curve.parquet")
@@ -174,7 +174,7 @@ def test_what_cannot_be_done_again_is_one_clear_line(
     out: Path, tmp_path: Path, tape: StoredRecord
 ) -> None:
     runs = STUDY.n_draws * STUDY.n_variants
-    with pytest.raises(InputError, match=f"has no run {runs} .runs are 0 to {runs - 1}"):
+    with pytest.raises(InputError, match=f"has no run {runs} .runs are numbered 0 to {runs - 1}"):
         rerun_into(out, runs)
     with pytest.raises(InputError, match="nothing"):
         rerun_into(tmp_path / "nothing", 0)
@@ -188,7 +188,7 @@ def test_what_cannot_be_done_again_is_one_clear_line(
 
 def test_a_run_that_is_not_there_yet_is_one_clear_line(out: Path, tmp_path: Path) -> None:
     study_run.run_into(stopping_study(), tmp_path / "out")
-    with pytest.raises(InputError, match="holds no row of run 384"):
+    with pytest.raises(InputError, match="has no row of run 384 yet"):
         rerun_into(tmp_path / "out", 384)
 
 
@@ -201,7 +201,7 @@ def test_a_recorded_run_needs_its_record(tmp_path: Path, tape: StoredRecord) -> 
     study_run.run_into(study, tmp_path / "out", read, curves=True)
     with pytest.raises(InputError, match=r"needs a record \(give it with --record\)"):
         rerun_into(tmp_path / "out", 3)
-    with pytest.raises(InputError, match="was made from another record or reference"):
+    with pytest.raises(InputError, match="the results are of another record or reference"):
         rerun_into(tmp_path / "out", 3, files=(other, None))
     told = rerun_into(tmp_path / "out", 3, files=(path, None))
     assert "The row is identical to the stored one" in told

@@ -41,7 +41,7 @@ ZIP = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 1.0, 2.0]}
         (
             {"axes": {"p0_yaw_deg": [1.0], "phi_u0_deg": [2.0]}},
             {"axes": {"phi_u0_deg": [2.0], "p0_yaw_deg": [1.0]}},
-            ["its keys stand in another order"],
+            ["its keys are in another order"],
         ),
     ],
 )
@@ -60,7 +60,7 @@ def test_rows_of_other_versions_are_not_added(
     before = (out / "manifest.json").read_bytes()
     other = runtime.versions() | {name: "0.0"}
     monkeypatch.setattr(runtime, "versions", lambda: other)
-    with pytest.raises(InputError, match=f"out: was made with {name} .*, here is 0.0"):
+    with pytest.raises(InputError, match=f"out: was computed with {name} .*, but here is 0.0"):
         run.run_into(study, out, resume=True)
     assert (out / "manifest.json").read_bytes() == before
 
@@ -83,7 +83,7 @@ def test_rows_of_another_instruction_set_are_not_added(tmp_path: Path) -> None:
     assert manifest["instructions"] == manifest["sessions"][0]["instructions"] == "SSE4_2"
     before = (out / "manifest.json").read_bytes()
     here = xla.instructions()
-    told = f"out: was made with instruction set SSE4_2, here is {here}: .*max_isa=SSE4_2"
+    told = f"out: was computed with instruction set SSE4_2, but here is {here} .use.*max_isa=SSE4_2"
     with pytest.raises(InputError, match=told):
         run.run_into(study, out, resume=True)
     # Workers are asked, not the process that hands their rows on.

@@ -363,7 +363,7 @@ def test_a_garbled_manifest_costs_nothing(whole: Path, out: Path, name: str) -> 
     path = out / "manifest.json"
     path.write_bytes(GARBLED[name] or path.read_bytes()[: path.stat().st_size // 2])
     before = times(out)
-    with pytest.raises(InputError, match="holds results already"):
+    with pytest.raises(InputError, match="already holds results"):
         sweep(out)
     assert sweep(out, resume=True) == []
     assert times(out) == before
@@ -376,7 +376,7 @@ def test_chunks_of_another_size_cost_no_part(out: Path, edited: int | None, said
     told = manifest(out) | {"chunk_runs": edited}
     (out / "manifest.json").write_text(json.dumps(told))
     before = everything(out)
-    line = f"manifest.json: chunk_runs: is {said}, but its parts were made with {CHUNK_RUNS} "
+    line = f"manifest.json: chunk_runs: is {said}, but its parts were written with {CHUNK_RUNS} "
     with pytest.raises(InputError, match=line):
         sweep(out, resume=True)
     assert everything(out) == before
@@ -424,7 +424,9 @@ def test_what_is_not_ours_is_never_touched(
         mine = mine / "part-of-my-thesis.parquet"
     mine.write_text("mine")
     before = everything(tmp_path)
-    with pytest.raises(InputError, match=f"holds a {name} that is no result: give another one"):
+    with pytest.raises(
+        InputError, match=f"holds a {name} that is not a result .give another directory"
+    ):
         sweep(tmp_path, **options)
     assert everything(tmp_path) == before
 

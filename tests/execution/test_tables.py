@@ -365,7 +365,7 @@ def test_no_bit_of_a_part_turns_unseen(stored: Path, dataset: str) -> None:
         with pytest.raises(InputError) as told:
             READERS[dataset](stored)
         line = str(told.value)
-        assert f"{dataset}/{path.name}: is not what was written" in line and "--resume" in line
+        assert f"{dataset}/{path.name}: has changed: its SHA-256" in line and "--resume" in line
         assert "\n" not in line
     path.write_bytes(content)
     assert READERS[dataset](stored)
@@ -376,11 +376,13 @@ def test_reading_may_be_trusting(stored: Path) -> None:
     path = stored / "summary" / "part-0000-000001.parquet"
     table = pq.read_table(path)
     pq.write_table(table, path)
-    with pytest.raises(InputError, match="is not what was written"):
+    with pytest.raises(InputError, match="has changed: its SHA-256"):
         tables.count_runs(stored)
     assert tables.read_summary(stored, verify=False)["run_id"].to_pylist() == [0, 1, 2, 3]
     (stored / "curves" / path.name).unlink()
-    with pytest.raises(InputError, match=r"part-0000-000001.parquet: is missing, by the manifest"):
+    with pytest.raises(
+        InputError, match=r"part-0000-000001.parquet: listed in the manifest but missing"
+    ):
         tables.read_curves(stored)
     assert tables.read_curves(stored, verify=False).num_rows == 4
 
@@ -402,7 +404,9 @@ def test_parts_that_are_all_lost_are_named(stored: Path, name: str) -> None:
     lost = sorted((stored / name).glob("*.parquet"))
     for path in lost:
         path.unlink()
-    with pytest.raises(InputError, match=f"{name}/{lost[0].name}: is missing, by the manifest"):
+    with pytest.raises(
+        InputError, match=f"{name}/{lost[0].name}: listed in the manifest but missing"
+    ):
         read(stored)
     if name == "curves":
         assert read(stored, verify=False).num_rows == 0
@@ -430,6 +434,6 @@ def test_a_part_is_hashed_once_a_process(stored: Path, monkeypatch: pytest.Monke
 @pytest.mark.parametrize("chunks", ["3", "[3]", '[{"files": [{}]}]', '[{"files": 3}]'])
 def test_a_manifest_of_another_shape_is_one_clear_line(stored: Path, chunks: str) -> None:
     (stored / "manifest.json").write_text(f'{{"chunks": {chunks}}}')
-    with pytest.raises(InputError, match="manifest.json: its chunks cannot be read"):
+    with pytest.raises(InputError, match="manifest.json: invalid chunks"):
         tables.read_summary(stored)
     assert tables.read_summary(stored, verify=False).num_rows == 4

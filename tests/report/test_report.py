@@ -371,7 +371,7 @@ def test_a_stopped_study_that_lacks_a_part_is_told(tmp_path):
     assert base.Source.read(tmp_path / "out").draws == 64
     for path in (tmp_path / "out" / "summary").glob("part-0001-*"):
         path.unlink()
-    with pytest.raises(InputError, match=r"part-0001-.*: is missing, by the manifest"):
+    with pytest.raises(InputError, match=r"part-0001-.*: listed in the manifest but missing"):
         base.Source.read(tmp_path / "out")
     (tmp_path / "out" / "manifest.json").write_text("{}")  # which knows of no part
     with pytest.raises(InputError, match="64 runs where the study has 128"):
