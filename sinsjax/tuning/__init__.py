@@ -1,5 +1,6 @@
-"""A study tuned: its variables searched on some draws, what was found judged on others.
+"""Tuning of a study: searching its variables on some draws and evaluating the best on others.
 
-`objective` is what is made small, `search` looks at points of a grid or of a sequence, `history`
-keeps what was looked at, `carry_out` does all that a study's [tune] asks for.
+`objective` is the quantity to minimise, `search` evaluates points of a grid or a sequence,
+`descent` follows the gradient, `history` records the evaluations, and `carry_out` runs all that a
+study's [tune] specifies.
 """

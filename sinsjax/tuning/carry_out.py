@@ -1,8 +1,8 @@
-"""All that a study's [tune] asks for: its searches, the rival at equal cost, the judging, a study.
+"""A complete tuning run: the searches of [tune], their evaluation on other draws, the tuned study.
 
-In order: the searches; with a gradient a Sobol search with as many points as its cost pays for; all
-that was found, and the baseline, on draws that tuned nothing; ``tuned.toml`` with the best point on
-the tuning draws. Whatever is complete is kept when a tuning is gone on with.
+In order: the searches; after a gradient search, a Sobol search of equal cost; the evaluation of all
+best points and the baseline on draws not used for tuning; ``tuned.toml`` with the best point on the
+tuning draws. Complete stages are kept when a tuning run is resumed.
 """
 
 import threading
@@ -47,22 +47,22 @@ def tune(
 ) -> None:
     """Tune a study into a directory.
 
-    It holds ``tuned.toml`` at the end, which is the study with the best point that was found put
-    in, the results of each search and of the judging, and what `history.read_history` reads.
+    At the end it holds ``tuned.toml`` (the study with the best point), the results of each search
+    and of the evaluation, and the history that `history.read_history` reads.
 
     Args:
-        study: with [tune].
-        directory: where; must hold no tuning unless ``overwrite`` or ``resume``.
+        study: study with [tune].
+        directory: must hold no tuning run unless ``overwrite`` or ``resume``.
         tape: the record of a recorded study, with a reference (`run.load_tape`).
-        overwrite: whether an earlier tuning is replaced.
-        resume: whether whole searches of the same tuning are kept, and only the rest is made.
-        watch: gives, by the name of a search, what is told how far it is.
-        stop: set from elsewhere, it ends the tuning; what is complete stays.
+        overwrite: whether to replace an earlier tuning run.
+        resume: whether to keep complete searches of the same tuning run and do only the rest.
+        watch: gives the progress callback for the name of a search.
+        stop: event that ends the tuning run; complete stages are kept.
         source: the study's file, named in manifests.
 
     Raises:
-        InputError: nothing to tune or to judge by, a variable without a gradient, a record that
-            does not fit, or a directory that cannot be used.
+        InputError: no [tune] or no reference, a variable without a gradient, a record that does not
+            fit, or a directory that cannot be used.
         StudyInterrupted: ``stop`` was set.
         RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
@@ -71,7 +71,7 @@ def tune(
     if tape is not None and study.is_recorded:
         study = with_rate(study, tape.record.rate_hz)
     if tape is not None and tape.reference is None:
-        text = "a record is tuned by a reference (give it with --reference)"
+        text = "tuning on a record needs a reference (give it with --reference)"
         raise InputError(f"{study.name}: [tune]: {text}")
     space = SearchSpace.of(study)
     check_free(directory, overwrite=overwrite or resume)
@@ -80,7 +80,7 @@ def tune(
         forecast.require_room(study, expected, directory, overwrite=overwrite, resume=resume)
     if GRADIENT in settings.searches:
         for combination in space.combinations:
-            Relaxation(study, space, combination)  # refuses what has no gradient, before any run
+            Relaxation(study, space, combination)  # rejects variables without gradient before runs
     session = SearchSession(
         directory,
         tape,
@@ -92,7 +92,7 @@ def tune(
     )
     lock = resuming.locked(directory)
     try:
-        # Once more, as what is there may have changed before the lock was ours.
+        # Again, since the directory may have changed before it was locked.
         check_free(directory, overwrite=overwrite or resume)
         _carry_out(study, space, session)
     finally:
@@ -111,7 +111,7 @@ def _carry_out(study: Study, space: SearchSpace, session: SearchSession) -> None
             design = search.sobol(space, counts, search.seed_of(study, EQUAL_COST))
             found.append(search.evaluate(study, EQUAL_COST, design, session))
             history.write(directory, space, found)
-    _judge(study, space, found, session)
+    _evaluate(study, space, found, session)
     best = min(found, key=lambda one: one.best.objective)
     tuned = study_to_toml(with_point(study, best.point(space)))
     with replacing(directory / TUNED) as file:
@@ -119,35 +119,37 @@ def _carry_out(study: Study, space: SearchSpace, session: SearchSession) -> None
 
 
 def require_tune(study: Study) -> TuneSection:
-    """The section [tune] of a study.
+    """The [tune] section of a study.
 
     Raises:
-        InputError: it has none.
+        InputError: there is none.
     """
     if study.tune is None:
-        raise InputError(f"{study.name}: has no [tune] section that says what to tune")
+        raise InputError(f"{study.name}: has no [tune] section")
     return study.tune
 
 
 def check_free(directory: Path, *, overwrite: bool) -> None:
-    """Refuse a directory that holds a tuning, unless it may be used, or files like ours.
+    """Reject a directory that holds a tuning run, unless it may be used, or foreign files.
 
     Raises:
         InputError: the directory cannot be used.
     """
     taken = resuming.names_taken(directory, _NAMES)
     if taken and not is_tuning(directory):
-        raise InputError(f"{directory}: holds a {taken[0]} that is of no tuning: give another one")
+        raise InputError(
+            f"{directory}: holds a {taken[0]} that is not of a tuning run (give another directory)"
+        )
     if taken and not overwrite:
         raise InputError(
-            f"{directory}: holds a tuning already (give --resume to go on with it, or --overwrite"
+            f"{directory}: already holds a tuning run (give --resume to continue it, or --overwrite"
             " to replace it)"
         )
 
 
 def is_tuning(directory: Path) -> bool:
-    """Whether a directory holds a tuning, be it one that is not complete."""
-    if (directory / MANIFEST).exists():  # results of a study that could be tuned
+    """Whether a directory holds a tuning run, complete or not."""
+    if (directory / MANIFEST).exists():  # plain results of a study with [tune]
         return False
     try:
         return load_study(directory / STUDY).tune is not None
@@ -156,7 +158,7 @@ def is_tuning(directory: Path) -> bool:
 
 
 def _begin(study: Study, space: SearchSpace, session: SearchSession) -> list[Found]:
-    """Makes a directory ready; gives the searches that it is gone on with."""
+    """Prepare a directory; gives the complete searches when resuming."""
     directory, known = session.directory, []
     try:
         for path in belongings.left_behind(directory):
@@ -176,19 +178,19 @@ def _begin(study: Study, space: SearchSpace, session: SearchSession) -> list[Fou
 
 
 def _check_same(there: Study, here: Study, directory: Path) -> None:
-    """Refuses to go on with the tuning of another study."""
+    """Reject resuming the tuning run of another study."""
     old, new = (require_tune(study).model_dump() for study in (there, here))
     differ = [f"[tune] {key}" for key in old if old[key] != new[key]]
     if fingerprint(there) != fingerprint(here):
         differ += resuming.differences(there, here)
     if differ:
-        raise InputError(f"{directory}: holds a tuning of another study: {'; '.join(differ)}")
+        raise InputError(f"{directory}: holds a tuning run of another study: {'; '.join(differ)}")
 
 
 def _search(
     study: Study, space: SearchSpace, name: str, session: SearchSession, known: Sequence[Found]
 ) -> Found:
-    """What one search finds."""
+    """Run one search, or take it from the known ones."""
     settings = require_tune(study)
     if name == GRADIENT:
         done = [one for one in known if one.search == GRADIENT]
@@ -202,22 +204,22 @@ def _search(
 
 
 def _gradient(study: Study, session: SearchSession) -> Found:
-    # Optax takes a while to import, and only this search needs it.
+    # Optax is slow to import, and only this search needs it.
     from sinsjax.tuning import descent
 
     with session.watch(GRADIENT) as tell:
 
-        def told(progress: RunProgress) -> None:
+        def tell_or_stop(progress: RunProgress) -> None:
             if session.stop.is_set():
-                raise StudyInterrupted(f"what was complete before is in {session.directory}")
+                raise StudyInterrupted(f"the complete searches are in {session.directory}")
             if tell is not None:
                 tell(progress)
 
-        return descent.descend(study, session.tape, tell=told)
+        return descent.descend(study, session.tape, tell=tell_or_stop)
 
 
 def _counts(study: Study, space: SearchSpace, cost: int) -> list[int]:
-    """Points of a search that costs as much as another one, shared out over the combinations."""
+    """Number of points per combination for a search of a given cost."""
     point = space.point(space.values([0.5] * len(space.variables)), space.combinations[0])
     each = search.cost(search.derive(study, {"one": point}, name=study.name))
     count = len(space.combinations)
@@ -225,14 +227,14 @@ def _counts(study: Study, space: SearchSpace, cost: int) -> list[int]:
     return [points // count + (number < points % count) for number in range(count)]
 
 
-def _judge(
+def _evaluate(
     study: Study, space: SearchSpace, found: Sequence[Found], session: SearchSession
 ) -> None:
-    """Runs all that was found, and the baseline, on draws that tuned nothing."""
+    """Run the best points and the baseline on draws not used for tuning."""
     baseline = with_point(study, require_tune(study).baseline)
     points = {one.search.replace("_", " "): one.point(space) for one in found}
     cases: dict[tuple[object, ...], tuple[list[str], TomlTable]] = {}
     for name, point in comparable(study, baseline, points).items():
         cases.setdefault(tuple(point.values()), ([], point))[0].append(name)
-    judged = {", ".join(names): point for names, point in cases.values()}
-    session.run(search.derive(study, judged, name=study.name, judging=True), EVALUATION)
+    labelled = {", ".join(names): point for names, point in cases.values()}
+    session.run(search.derive(study, labelled, name=study.name, judging=True), EVALUATION)

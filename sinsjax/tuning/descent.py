@@ -1,9 +1,8 @@
-"""Search by gradient: several descents in parallel lanes, differentiated in forward mode.
+"""Gradient search: several descents in parallel lanes, differentiated in forward mode.
 
-A descent begins at the best of some points, looked at on a few draws. A step looks at a few draws,
-the next step at the next ones. Resets are smooth windows and the edge of the band is soft; both
-sharpen from step to step. What the descents end with is scored as any other point: with hard
-resets, on all tuning draws.
+Descents start at the best of some points evaluated on a few draws, and each step uses the next few
+draws. Resets are smooth windows and the edge of the band is soft; both sharpen from step to step.
+The final points are scored like any other point, with hard resets on all tuning draws.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,15 +36,15 @@ from sinsjax.types import Array, Count
 NAME = "gradient"
 
 TANGENT_STEPS = 2
-"""Plain-run steps that one tangent of a step counts as; the benchmark ``derivative`` times it."""
+"""Cost of one tangent of a step, in steps of a plain run; timed by the benchmark ``derivative``."""
 
 
 class Softness(NamedTuple):
-    """How far a step is relaxed.
+    """Degree of relaxation of a step.
 
     Attributes:
         window_s: half width of the reset windows, s.
-        sharpness: of the band's edge, see `metrics.Criteria`.
+        sharpness: sharpness of the band's edge, see `metrics.Criteria`.
     """
 
     window_s: float
@@ -53,11 +52,11 @@ class Softness(NamedTuple):
 
 
 class Lane(NamedTuple):
-    """What a lane runs.
+    """Parameters of a lane.
 
     Attributes:
         base: `Params` of the method at the base point.
-        start: number of the descent whose point it is moved to.
+        start: number of the descent that the lane belongs to.
     """
 
     base: Any
@@ -70,8 +69,8 @@ def sensitivities(
     """Value and derivatives of a function along some directions, in one forward pass.
 
     Args:
-        function: of an array of the shape of ``point``.
-        point: where.
+        function: function of an array of the shape of ``point``.
+        point: where to differentiate.
         directions: (p, *shape of the point).
 
     Returns:
@@ -81,7 +80,7 @@ def sensitivities(
     def along(direction: Array) -> tuple[Any, Any]:
         return jax.jvp(function, (point,), (direction,))
 
-    # The value does not depend on the direction: it is computed once for all of them.
+    # The value does not depend on the direction, so it is computed once for all of them.
     return jax.vmap(along, out_axes=(None, 0))(directions)
 
 
@@ -89,10 +88,10 @@ class Slope:
     """The relaxed objective of some descents and its gradient, for one combination of candidates.
 
     Attributes:
-        used: places in the space of the variables that the combination uses, (p,).
-        draws: that a step looks at.
-        n_draws: that there are to tune by.
-        run_steps: plain-run steps of one draw and descent.
+        used: (p,) indices in the search space of the variables that the combination uses.
+        draws: number of draws per step.
+        n_draws: number of tuning draws.
+        run_steps: steps of one draw and descent, all variants together.
     """
 
     def __init__(
@@ -101,14 +100,14 @@ class Slope:
         """Prepare the runs.
 
         Args:
-            study: with [tune].
+            study: study with [tune].
             tape: the record of a recorded study.
-            number: of the combination of candidates.
+            number: number of the combination of candidates.
             starts: number of descents.
-            draws: that a step looks at, at the most.
+            draws: number of draws per step, at most.
 
         Raises:
-            InputError: a variable without a gradient, or a record that does not fit.
+            InputError: a variable has no gradient, or the record does not fit.
         """
         assert study.tune is not None
         space = SearchSpace.of(study)
@@ -128,7 +127,7 @@ class Slope:
 
     @property
     def cost(self) -> int:
-        """Plain-run steps that one gradient of all descents costs, tangents included."""
+        """Cost of one gradient of all descents, in steps of a plain run, tangents included."""
         factor = 1 + TANGENT_STEPS * len(self.used)
         return self._starts * self.draws * self.run_steps * factor
 
@@ -136,12 +135,12 @@ class Slope:
         """The objective of each descent, and its gradient.
 
         Args:
-            box: (starts, p) places of the variables, from 0 to 1.
-            draws: (draws,) places of the draws to look at.
-            softness: how far it is relaxed.
+            box: (starts, p) positions of the variables in their ranges, 0 to 1.
+            draws: (draws,) indices of the draws to use.
+            softness: degree of relaxation.
 
         Returns:
-            (starts,) in the unit of the objective, and (starts, p).
+            The objective (starts,) in its unit, and its gradient (starts, p).
         """
         found = [self._runs(part, box, draws, softness) for part in self._parts]
         runs, slopes = (np.concatenate(some, axis=1) for some in zip(*found, strict=True))
@@ -151,7 +150,7 @@ class Slope:
     def programs(
         self, box: NDArray, draws: NDArray, softness: Softness
     ) -> list[jax.stages.Compiled]:
-        """What a call with these arguments runs, compiled: one a group of runs."""
+        """The compiled programs of a call with these arguments, one per group of runs."""
         first = [(part, self._arguments(part, box, draws, softness)[0]) for part in self._parts]
         return [part.program.lower(*arguments).compile() for part, arguments in first]
 
@@ -163,7 +162,7 @@ class Slope:
         start = np.repeat(np.arange(self._starts), group.sizes[1])
         group = group._replace(variants=params._replace(method=Lane(params.method, start)))
         runs, devices = self.draws * len(start), len(jax.devices())
-        # Few runs take fewer lanes, and a call has two blocks at the least.
+        # Few runs need fewer lanes, and a call has at least two blocks.
         lanes = min(LANES, 1 << (max(runs // (2 * devices), 8) - 1).bit_length())
         tiles = -(-runs // (lanes * devices))
         plan = Plan(group.static, self.draws, len(start), tiles_a_chunk=tiles, lanes=lanes)
@@ -172,10 +171,10 @@ class Slope:
     def _runs(
         self, part: "_PartRuns", box: NDArray, draws: NDArray, softness: Softness
     ) -> tuple[NDArray, NDArray]:
-        """Relaxed numbers of runs (starts, variants, draws), and their derivatives (..., p)."""
+        """Relaxed values of runs (starts, variants, draws), and their derivatives (..., p)."""
         group, plan, program = part
         arguments = self._arguments(part, box, draws, softness)
-        program.lower(*arguments[0]).compile()  # or every thread would
+        program.lower(*arguments[0]).compile()  # otherwise every thread would compile
         calls = batch.in_threads(
             lambda one: jax.device_get(program(*one)), arguments, len(jax.devices())
         )
@@ -194,7 +193,7 @@ class Slope:
     def _arguments(
         self, part: "_PartRuns", box: NDArray, draws: NDArray, softness: Softness
     ) -> list[tuple]:
-        """Those of every call of a program."""
+        """The arguments of every call of a program."""
         group = part.group
         some = jax.tree.map(lambda a: a[draws] if np.ndim(a) else a, group.draws)
         group = group._replace(draws=some, q=group.q[draws])
@@ -206,7 +205,7 @@ class Slope:
     def _tiles(
         self, group: Group, environment: Environment, tiles: Tiles, box: Array, width: Array
     ) -> tuple[Array, Array]:
-        """Numbers of the runs of some tiles, and their derivatives by the place of their start."""
+        """Values of the runs of some tiles, and their derivatives by their descent's position."""
         p = len(self.used)
         directions = jnp.broadcast_to(jnp.eye(p)[:, None, :], (p, self._starts, p))
 
@@ -228,7 +227,7 @@ class Slope:
 
 
 class _PartRuns(NamedTuple):
-    """A group of runs with lanes for each descent, how they are laid out, and their program."""
+    """A group of runs with lanes for each descent, its plan of calls, and its program."""
 
     group: Group
     plan: Plan
@@ -239,16 +238,16 @@ def descend(study: Study, tape: StoredRecord | None = None, *, tell: Tell | None
     """Tune a study by gradient, for every combination of its candidates.
 
     Args:
-        study: with [tune].
+        study: study with [tune].
         tape: the record of a recorded study.
-        tell: told how far it is, in runs, after every step.
+        tell: called with the progress, in runs, after every step.
 
     Returns:
-        Every step of every descent with its relaxed objective, and what the descents ended with,
-        scored hard on all tuning draws.
+        Every step of every descent with its relaxed objective, and the final points with their
+        unrelaxed objective on all tuning draws.
 
     Raises:
-        InputError: a variable without a gradient, or a record that does not fit.
+        InputError: a variable has no gradient, or the record does not fit.
     """
     looks: list[Evaluation] = []
     for number in range(len(SearchSpace.of(study).combinations)):
@@ -265,7 +264,7 @@ class _Descents:
         self._tune, self._space = study.tune, SearchSpace.of(study)
 
     def looks(self, tell: Tell | None) -> list[Evaluation]:
-        """All that is looked at, in its order."""
+        """Run the descents; gives all evaluations in order."""
         tune, steps = self._tune, self._tune.descent_steps
         if not self._space.used(self._space.combinations[self._number]):
             return self._scored(np.empty((1, 0)), [])
@@ -299,7 +298,7 @@ class _Descents:
         return [*looks, *self._scored(box, slope.used)]
 
     def _begin(self, slope: Slope) -> NDArray:
-        """(starts, p) places at which the descents begin: the best of some, on a few draws."""
+        """(starts, p) initial positions of the descents: the best of some, on a few draws."""
         count = max(self._tune.descent_screen, self._tune.descent_starts)
         counts = [count] * len(self._space.combinations)
         design = search.sobol(self._space, counts, search.seed_of(self._study, NAME))
@@ -310,7 +309,7 @@ class _Descents:
         return box[np.argsort(scores, kind="stable")[: self._tune.descent_starts]]
 
     def _scored(self, box: NDArray, used: Sequence[int]) -> list[Evaluation]:
-        """The ends of the descents on all tuning draws."""
+        """Evaluate the final points of the descents on all tuning draws."""
         values = self._values(box, used)
         scores = self._hard(values, None)
         step = self._tune.descent_steps
@@ -320,7 +319,7 @@ class _Descents:
         ]
 
     def _values(self, box: NDArray, used: Sequence[int]) -> list[list[float]]:
-        """Values of all variables at some places of the used ones; NaN for the others."""
+        """Values of all variables at positions of the used ones; NaN for the others."""
         whole = np.full((len(box), len(self._space.variables)), np.nan)
         whole[:, used] = box
         return [self._space.values(row) for row in whole]
@@ -342,7 +341,7 @@ class _Descents:
 
 
 def _softness(tune: TuneSection, step: int) -> Softness:
-    """How far a step is relaxed: from the first to the last geometrically."""
+    """Degree of relaxation of a step, geometrically from the first to the last."""
     way = step / max(tune.descent_steps - 1, 1)
     ends = (tune.relaxed_window_s, tune.relaxed_sharpness)
     return Softness(*(first * (last / first) ** way for first, last in ends))

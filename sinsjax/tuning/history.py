@@ -1,4 +1,4 @@
-"""What a tuning has looked at: one row a point, in the order in which it was looked at."""
+"""History of a tuning run: one row per evaluated point, in order of evaluation."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -21,17 +21,17 @@ _F, _I, _S = pa.float64(), pa.int64(), pa.string()
 
 
 class Evaluation(NamedTuple):
-    """A point that a search looked at.
+    """A point evaluated by a search.
 
     Attributes:
-        step: number of the look, or of the step of a descent, from 0.
+        step: number of the evaluation, or of the step of a descent, from 0.
         candidate: number of the combination of candidates.
-        values: one a variable, in the units of the file; NaN for those that are not used.
-        objective: of the tuning draws; relaxed where there is a window.
-        cost: plain-run steps of the search up to here, tangents included.
-        start: number of the descent; None for searches without one.
-        window_s: half width of the relaxed resets, s; None for what is not relaxed.
-        sharpness: of the band's relaxed edge; None for what is not relaxed.
+        values: one per variable, in the units of the file; NaN for unused variables.
+        objective: over the tuning draws; relaxed where a window is given.
+        cost: steps of the search so far, in steps of a plain run, tangents included.
+        start: number of the descent; None for other searches.
+        window_s: half width of the relaxed resets, s; None if not relaxed.
+        sharpness: sharpness of the band's relaxed edge; None if not relaxed.
     """
 
     step: int
@@ -45,11 +45,11 @@ class Evaluation(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What a search found.
+    """Result of a search.
 
     Attributes:
-        search: its name.
-        looks: all points, in the order in which they were looked at.
+        search: name of the search.
+        looks: all evaluations, in their order.
     """
 
     search: str
@@ -57,18 +57,18 @@ class Found(NamedTuple):
 
     @property
     def best(self) -> Evaluation:
-        """The best of the looks that are not relaxed, the first of equals."""
+        """The best evaluation that is not relaxed; the first of equals."""
         hard = (look for look in self.looks if look.window_s is None)
         return min(hard, key=lambda look: look.objective)
 
     @property
     def cost(self) -> int:
-        """Plain-run steps of all of it."""
+        """Cost of the whole search, in steps of a plain run."""
         return max(look.cost for look in self.looks)
 
     def point(self, space: SearchSpace) -> TomlTable:
-        """The keys of the best look."""
-        # A variable that is not used has no value, and any will do.
+        """The keys and values of the best point."""
+        # The value of an unused variable does not matter.
         values = np.nan_to_num(self.best.values)
         return space.point(list(values), space.combinations[self.best.candidate])
 
@@ -76,23 +76,23 @@ class Found(NamedTuple):
 def columns_of(space: SearchSpace) -> tuple[Column, ...]:
     """The columns of a history."""
     return (
-        Column("search", _S, "", "which search"),
-        Column("step", _I, "", "number of the look, or of the step of a descent"),
+        Column("search", _S, "", "name of the search"),
+        Column("step", _I, "", "number of the evaluation, or of the step of a descent"),
         Column("start", _I, "", "number of the descent"),
         Column("candidate", _I, "", "number of the combination of candidates"),
-        Column("objective", _F, "", "of the tuning draws; relaxed where there is a window"),
+        Column("objective", _F, "", "over the tuning draws; relaxed where a window is given"),
         *(
-            Column(v.name, _F, split_unit(v.key)[1], f"{meaning(v.key)}; null where not used")
+            Column(v.name, _F, split_unit(v.key)[1], f"{meaning(v.key)}; null if not used")
             for v in space.variables
         ),
-        Column("cost", _I, "", "plain-run steps of the search up to here, tangents included"),
-        Column("window_s", _F, "s", "half width of relaxed resets; null for what is not relaxed"),
-        Column("sharpness", _F, "", "of the band's relaxed edge; null for what is not relaxed"),
+        Column("cost", _I, "", "steps so far, in steps of a plain run, tangents included"),
+        Column("window_s", _F, "s", "half width of relaxed resets; null if not relaxed"),
+        Column("sharpness", _F, "", "sharpness of the band's relaxed edge; null if not relaxed"),
     )
 
 
 def write(directory: Path, space: SearchSpace, found: Iterable[Found]) -> None:
-    """Writes the history of some searches, whole or not at all."""
+    """Write the history of some searches atomically."""
     with replacing(directory / FILE) as file:
         pq.write_table(_table(space, found), file, compression="zstd")
 
@@ -118,18 +118,18 @@ def _table(space: SearchSpace, found: Iterable[Found]) -> pa.Table:
 
 
 def read_history(directory: str | Path) -> pa.Table:
-    """Read what a tuning has looked at.
+    """Read the history of a tuning run.
 
     Args:
-        directory: of the tuning.
+        directory: directory of the tuning run.
 
     Returns:
-        One row a point looked at, in the order in which they were: ``search``, ``step``, ``start``,
-        ``candidate``, ``objective``, a column a variable, ``cost``, ``window_s``, ``sharpness``;
-        the schema has units and meanings.
+        One row per evaluated point, in order of evaluation: ``search``, ``step``, ``start``,
+        ``candidate``, ``objective``, one column per variable, ``cost``, ``window_s``,
+        ``sharpness``; the schema has units and meanings.
 
     Raises:
-        InputError: there is none, or it cannot be read.
+        InputError: there is no history, or it cannot be read.
     """
     path = Path(directory) / FILE
     try:
@@ -139,10 +139,10 @@ def read_history(directory: str | Path) -> pa.Table:
 
 
 def read(directory: Path, space: SearchSpace) -> list[Found]:
-    """The searches of a history, in the order in which they were made.
+    """Read the searches of a history, in their order.
 
     Raises:
-        InputError: it cannot be read, or is that of other variables.
+        InputError: the history cannot be read, or is of other variables.
     """
     table = read_history(directory)
     missing = {column.name for column in columns_of(space)}.difference(table.column_names)

@@ -1,4 +1,4 @@
-"""What a tuning makes small: a number a run, and one number of all runs of a point."""
+"""Objective of a tuning run: a value for each run, and one score for all runs of a point."""
 
 from collections.abc import Callable
 from functools import partial
@@ -31,7 +31,7 @@ _OVER_DRAWS: dict[str, Callable[[TuneSection, NDArray], NDArray]] = {
 
 
 def columns_of(tune: TuneSection, study: Study) -> list[str]:
-    """Columns of the summary that the numbers of runs are made of."""
+    """Columns of the summary from which the values of runs are computed."""
     truth = success_of(study).from_truth
     if tune.objective == "final_error":
         return ["run_id", "phi_u_arcmin", *([] if truth else ["floor_arcmin"])]
@@ -39,17 +39,16 @@ def columns_of(tune: TuneSection, study: Study) -> list[str]:
 
 
 def values(tune: TuneSection, study: Study, table: pa.Table) -> NDArray:
-    """The number of each run that the objective is made of.
+    """The value of each run, of which the objective is a statistic.
 
     Args:
         tune: the objective.
-        study: whose runs.
+        study: study of the runs.
         table: `columns_of` the summary, all runs.
 
     Returns:
-        (variants, draws): the settling time, s, which is the run's length where it never settled;
-        the heading from its limit or from the truth at the end, arcmin; or 1 for a failure, 0 for a
-        success.
+        (variants, draws): settling time, s, or the run's length if it never settled; final heading
+        error about the limit or the truth, arcmin; or 1 for a failure and 0 for a success.
     """
     order = np.argsort(analysis.numbers(table, "run_id"))
     end = spans_s(study)[:, :1]
@@ -67,7 +66,7 @@ def values(tune: TuneSection, study: Study, table: pa.Table) -> NDArray:
 
 
 def failing(tune: TuneSection, study: Study) -> float:
-    """The objective where every run fails; infinite for one that has no such end."""
+    """The objective if every run fails; infinite if it has no upper bound."""
     if tune.objective == "final_error":
         return np.inf
     end = np.ones((1, 1)) if tune.objective == "failure_rate" else spans_s(study)[:, :1]
@@ -75,11 +74,11 @@ def failing(tune: TuneSection, study: Study) -> float:
 
 
 def score(tune: TuneSection, values: NDArray) -> float:
-    """The objective of some runs, in the unit of their numbers.
+    """The objective of some runs, in the unit of their values.
 
     Args:
         tune: the objective.
-        values: (variants, draws), as `values` gives them.
+        values: (variants, draws), from `values`.
     """
     each = _OVER_DRAWS[tune.objective](tune, values)
     return float(np.max(each) if tune.objective_across == "worst" else np.mean(each))
@@ -88,17 +87,17 @@ def score(tune: TuneSection, values: NDArray) -> float:
 def relaxed_values(
     tune: TuneSection, criteria: Criteria, outcome: Outcome, *, truth: bool
 ) -> Array:
-    """The numbers of relaxed runs, as `values` has them of whole ones.
+    """The values of relaxed runs, corresponding to `values` of ordinary ones.
 
     Args:
         tune: the objective.
         criteria: of the study, with a sharpness.
         outcome: leaves (runs, ...).
-        truth: whether headings count from the truth, or else from their limit.
+        truth: whether heading errors are about the truth rather than the limit.
 
     Returns:
-        (runs,): settling times whose band has a soft edge, s; headings from their limit
-        or from the truth at the end, arcmin; or the share to which the end is outside the band.
+        (runs,): settling times into a band with a soft edge, s; final heading errors about the
+        limit or the truth, arcmin; or the degree, 0 to 1, to which the end is outside the band.
     """
     error = outcome.last.phi.z - (0.0 if truth else outcome.limit.phi.z)
     if tune.objective == "final_error":
@@ -110,17 +109,17 @@ def relaxed_values(
 
 
 def relaxed_score(tune: TuneSection, values: NDArray) -> tuple[Array, Array]:
-    """The smooth objective of some points, and its derivatives by the numbers of runs.
+    """The smooth objective of some points, and its derivatives with respect to the runs' values.
 
-    A quantile is Harrell and Davis's (1982), a weighted mean of all; the worst variant is a power
-    mean, the mean of 16th powers.
+    A quantile is Harrell and Davis's (1982), a weighted mean of all values; the worst variant is
+    approximated by the power mean of order 16.
 
     Args:
         tune: the objective.
         values: (points, variants, draws).
 
     Returns:
-        (points,), and the derivatives (points, variants, draws).
+        The objective (points,) and its derivatives (points, variants, draws).
     """
     weights = np.full(values.shape[-1], 1 / values.shape[-1])
     if tune.objective == "settle_quantile":
@@ -133,7 +132,7 @@ _WORST = 16
 
 
 def _harrell_davis(n: int, q: float) -> NDArray:
-    """Weights of n sorted values, whose sum is their quantile q."""
+    """Weights of n sorted values whose weighted sum is their quantile q."""
     edges = special.betainc((n + 1) * q, (n + 1) * (1 - q), np.arange(n + 1) / n)
     return np.diff(edges)
 

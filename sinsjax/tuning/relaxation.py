@@ -1,7 +1,7 @@
-"""Variables as numbers of the engine, to be differentiated by.
+"""Differentiable dependence of a method's parameters on the tuning variables.
 
-Each variable changes the numbers of its method by the ratio of its value to that of a base point,
-see `alignment.base.Relaxed`. Resets become smooth windows.
+Each variable changes its method's parameters by the ratio of its value to that at a base point, see
+`alignment.base.Relaxed`. Resets become smooth windows.
 """
 
 from typing import Any, NoReturn
@@ -19,15 +19,15 @@ from sinsjax.types import Array, Scalar
 
 
 class Relaxation:
-    """Takes the numbers of runs from a base point to any other, resets spread over windows."""
+    """Conversion of a method's parameters from a base point to any other, with resets relaxed."""
 
     def __init__(self, study: Study, space: SearchSpace, combination: TomlTable) -> None:
-        """Check that there is a gradient.
+        """Check that all variables have a gradient.
 
         Args:
-            study: with [tune].
-            space: of the tuning.
-            combination: of candidates.
+            study: study with [tune].
+            space: search space of the study.
+            combination: values of the candidates.
 
         Raises:
             InputError: ``[tune.variables] key: what is wrong (hint)``.
@@ -56,12 +56,12 @@ class Relaxation:
         self._fixed = [kind.fixed for kind in ranges[:count]]
 
     def __call__(self, method: str, params: Any, box: Array, width: Scalar) -> Any:
-        """The method's numbers of one run at a point.
+        """The method's parameters of one run at a point.
 
         Args:
-            method: its name.
-            params: of the method, at the base point.
-            box: (p,) places of the variables that are used, from 0 to 1.
+            method: name of the method.
+            params: parameters of the method at the base point.
+            box: (p,) positions of the used variables in their ranges, 0 to 1.
             width: half width of the windows, samples.
         """
         relaxed = METHODS[method].implementation.relaxed or Relaxed({})

@@ -1,7 +1,7 @@
-"""Searches without a gradient: a sweep over points of the box, and the best one of them.
+"""Searches without a gradient: sweeps over points of the search space.
 
-A search is a study of its own, with the points as its cases and the tuning draws as its draws: a
-directory of results as any other.
+Each search is a study whose cases are the points and whose draws are the tuning draws, with an
+ordinary results directory.
 """
 
 import threading
@@ -31,15 +31,15 @@ _SEEDS = 2**63
 
 
 class SearchSession(NamedTuple):
-    """How the runs of a tuning are made.
+    """Settings for running the searches of a tuning run.
 
     Attributes:
-        directory: of the tuning.
+        directory: directory of the tuning run.
         tape: the record of a recorded study.
-        overwrite: whether earlier results are removed.
-        resume: whether whole results are kept.
-        watch: gives, by a name, what is told how far something is.
-        stop: set from elsewhere, it ends the tuning.
+        overwrite: whether to remove earlier results.
+        resume: whether to keep complete results.
+        watch: gives the progress callback for the name of a search.
+        stop: event that ends the tuning run.
         source: the study's file, named in manifests.
     """
 
@@ -52,7 +52,7 @@ class SearchSession(NamedTuple):
     source: Path | None
 
     def run(self, study: Study, name: str) -> Path:
-        """Runs a study into a folder of the directory, without curves; gives the folder."""
+        """Run a study without curves into a subdirectory; gives its path."""
         with self.watch(name) as tell:
             study_run.run_into(
                 study,
@@ -72,8 +72,8 @@ class Design(NamedTuple):
     """The points of a search.
 
     Attributes:
-        candidate: (n,) number of the combination of each point.
-        box: (n, p) places from 0 to 1; NaN for variables that are not used.
+        candidate: (n,) number of each point's combination of candidates.
+        box: (n, p) positions of the variables in their ranges, 0 to 1; NaN for unused variables.
     """
 
     candidate: NDArray
@@ -81,11 +81,11 @@ class Design(NamedTuple):
 
 
 def grid(space: SearchSpace, points: int) -> Design:
-    """All points of a grid, ends included, the last variable fastest.
+    """All points of a grid including the ends, the last variable fastest.
 
     Args:
-        space: of the tuning.
-        points: a variable.
+        space: search space of the study.
+        points: number of points per variable.
     """
     places = np.linspace(0.0, 1.0, points)
 
@@ -99,25 +99,25 @@ def sobol(space: SearchSpace, counts: Sequence[int], seed: np.random.SeedSequenc
     """Scrambled Sobol points.
 
     Args:
-        space: of the tuning.
-        counts: of points, one a combination.
-        seed: of the scrambling.
+        space: search space of the study.
+        counts: number of points for each combination.
+        seed: seed of the scrambling.
     """
-    # A second or more to import, and few studies need it.
+    # It takes a second to import, and few studies need it.
     from scipy.stats import qmc
 
     seeds = seed.spawn(len(counts))
 
     def own(number: int, count: int) -> NDArray:
         engine = qmc.Sobol(count, rng=np.random.Generator(np.random.PCG64(seeds[number])))
-        # One point at first: scipy warns where a first call asks for another number than 2^m.
+        # A single point first, because scipy warns if the first call is not for 2^m points.
         return np.concatenate([engine.random(1), engine.random(counts[number] - 1)])
 
     return _design(space, own)
 
 
 def random(space: SearchSpace, counts: Sequence[int], seed: np.random.SeedSequence) -> Design:
-    """Independent points; arguments as those of `sobol`."""
+    """Independent random points; arguments as for `sobol`."""
     seeds = seed.spawn(len(counts))
 
     def own(number: int, count: int) -> NDArray:
@@ -127,7 +127,7 @@ def random(space: SearchSpace, counts: Sequence[int], seed: np.random.SeedSequen
 
 
 def _design(space: SearchSpace, own: Callable[[int, int], NDArray]) -> Design:
-    """A design from the points of each combination, by its number and its number of variables."""
+    """A design from a function that gives a combination's points by its number and dimension."""
     candidates, boxes = [], []
     for number, combination in enumerate(space.combinations):
         used = space.used(combination)
@@ -140,21 +140,21 @@ def _design(space: SearchSpace, own: Callable[[int, int], NDArray]) -> Design:
 
 
 def seed_of(study: Study, name: str) -> np.random.SeedSequence:
-    """The seed of what is drawn for a search: of the study and of its name."""
+    """The seed of a search, from the study's seed and the name of the search."""
     return np.random.SeedSequence(study.seed, spawn_key=tuple(name.encode()))
 
 
 def evaluate(study: Study, name: str, design: Design, session: SearchSession) -> Found:
-    """Runs the points of a design on the tuning draws.
+    """Evaluate the points of a design on the tuning draws.
 
     Args:
-        study: with [tune].
-        name: of the search, and of the folder of its results.
-        design: its points; those that come to the same keys are run once.
-        session: how.
+        study: study with [tune].
+        name: name of the search and of its results directory.
+        design: points; those with equal keys are run once.
+        session: settings.
 
     Raises:
-        InputError: a directory that cannot be used, or a record that does not fit.
+        InputError: the directory cannot be used, or the record does not fit.
         StudyInterrupted: the session was stopped.
     """
     assert study.tune is not None
@@ -184,16 +184,16 @@ def evaluate(study: Study, name: str, design: Design, session: SearchSession) ->
 def scored(
     study: Study, name: str, points: Sequence[TomlTable], run: Callable[[Study], pa.Table]
 ) -> tuple[list[float], list[int], int]:
-    """The objective at some points, those that come to the same keys being run once.
+    """The objective at some points; those with equal values are run once.
 
     Args:
-        study: with [tune].
-        name: of the search.
-        points: with the same keys each.
-        run: gives the summary of a study, `objective.columns_of` it at least.
+        study: study with [tune].
+        name: name of the search.
+        points: points with the same keys.
+        run: gives the summary of a study with at least `objective.columns_of`.
 
     Returns:
-        By point its objective and the number of its case; and the steps of a case.
+        The objective of each point, the number of its case, and the steps of one case.
     """
     assert study.tune is not None
     cases: dict[str, TomlTable] = {}
@@ -209,11 +209,11 @@ def scored(
 
 
 def run_values(study: Study, derived: Study, table: pa.Table) -> NDArray:
-    """The numbers of all runs that the objective is made of, (points, variants, draws).
+    """The values of all runs for the objective, (points, variants, draws).
 
     Args:
-        study: with [tune].
-        derived: the study of the runs, whose cases are the points.
+        study: study with [tune].
+        derived: study of the runs, whose cases are the points.
         table: `objective.columns_of` its summary.
     """
     assert study.tune is not None
@@ -222,7 +222,7 @@ def run_values(study: Study, derived: Study, table: pa.Table) -> NDArray:
 
 
 def cost(study: Study) -> int:
-    """Steps of all runs of a study."""
+    """Total number of steps of a study's runs."""
     records = study.lengths.each(lambda span: span.records, int)
     return int(records.sum()) * study.record_every * study.n_draws
 
@@ -230,17 +230,17 @@ def cost(study: Study) -> int:
 def derive(
     study: Study, points: Mapping[str, TomlTable], *, name: str, judging: bool = False
 ) -> Study:
-    """The study of some points on the tuning draws, or on those that judge.
+    """The study of some points on the tuning draws, or on those for evaluation.
 
     Args:
-        study: with [tune]; what it sweeps itself is swept at every point.
-        points: with the same keys each, by the label of their case.
-        name: of the new study.
-        judging: whether it has the draws that judge: those of another seed, or of the other start
+        study: study with [tune]; its own axes are swept at every point.
+        points: points with the same keys, by the label of their case.
+        name: name of the new study.
+        judging: whether to use the evaluation draws: those of another seed, or the other start
             times of a record.
 
     Returns:
-        A study without [tune], whose outermost dimension is the points.
+        A study without [tune], with the points as its outermost dimension.
     """
     tune = study.tune
     assert tune is not None
@@ -258,7 +258,7 @@ def derive(
         count = len(tables["record"]["start_s"]) if study.record else tables["study"]["draws"]
         tables["drawn"] = sampling.of_fewer(study.drawn, count)
     own = {key: values for key, values in _own_cases(study).items() if key != "case"}
-    if own:  # labels are those of the points now
+    if own:  # the labels are now those of the points
         tables["axes"] = tables.get("axes", {}) | {_free_name(study): own}
     tables["cases"] = [{"case": label} | point for label, point in points.items()]
     return study_from_dict(tables, name)

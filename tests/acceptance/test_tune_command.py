@@ -190,7 +190,7 @@ def test_a_judging_that_lacks_runs_is_not_reported(made: Path, tmp_path: Path) -
     out = shutil.copytree(made, tmp_path / "out")
     (part,) = (out / "evaluation" / "summary").iterdir()
     pq.write_table(pq.read_table(part).slice(1), part)
-    with pytest.raises(InputError, match="part-0000-000000.parquet: is not what was written"):
+    with pytest.raises(InputError, match="part-0000-000000.parquet: has changed: its SHA-256"):
         told(out)
     (out / "evaluation" / "manifest.json").write_text("{}")  # which knows of no part
     with pytest.raises(InputError, match=r"evaluation: 31 runs where the study has 32: are the re"):
@@ -243,21 +243,21 @@ def test_a_directory_with_a_tuning_is_not_overwritten_unasked(
     code, _, error = sinsjax_("tune", config, "-o", made)
     assert code == 2
     assert error == (
-        f"error: {made}: holds a tuning already (give --resume to go on with it, or --overwrite to"
-        " replace it)\n"
+        f"error: {made}: already holds a tuning run (give --resume to continue it, or --overwrite"
+        " to replace it)\n"
     )
     code, _, error = sinsjax_("sweep", config, "-o", made, "--overwrite")
-    assert code == 2 and "is no result" in error
+    assert code == 2 and "is not a result" in error
     assert everything(made / "evaluation") == before
     other = write(tmp_path / "swing.toml", tune=TUNE | {"grid_points": 4})
     code, _, error = sinsjax_("tune", other, "-o", made, "--resume")
     assert (code, error) == (
         2,
-        f"error: {made}: holds a tuning of another study: [tune] grid_points\n",
+        f"error: {made}: holds a tuning run of another study: [tune] grid_points\n",
     )
     changed = write(tmp_path / "swing.toml", resets={"reset_count": 1, "reset_cycle_s": 5.0})
     code, _, error = sinsjax_("tune", changed, "-o", made, "--resume")
-    text = "holds a tuning of another study: [resets] reset_count: 2 there, 1 here"
+    text = "holds a tuning run of another study: [resets] reset_count: 2 there, 1 here"
     assert (code, error) == (2, f"error: {made}: {text}\n")
 
 
@@ -321,7 +321,7 @@ def test_a_tuning_can_be_interrupted(tmp_path: Path, faked: Any) -> None:
     with pytest.MonkeyPatch.context() as patch:
         fake = sys.modules["sinsjax.tuning.descent"]
         patch.setattr(fake, "descend", lambda study, tape, tell: tell(RunProgress(0, 1, 0, 0)))
-        with pytest.raises(StudyInterrupted, match="what was complete before is in"):
+        with pytest.raises(StudyInterrupted, match="the complete searches are in"):
             carry_out.tune(alone, tmp_path / "alone", stop=stop)
 
 
@@ -329,7 +329,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], list[str], str]] = {
     "nothing to tune": (
         {"tune": None},
         [],
-        "swing: has no [tune] section that says what to tune",
+        "swing: has no [tune] section",
     ),
     "two minds": ({}, ["--resume", "--overwrite"], "--resume: conflicts with --overwrite"),
     "a record for nothing": ({}, ["--record", "x.imu"], "has no [record] section to read x.imu"),
@@ -392,7 +392,7 @@ def test_files_of_others_are_never_touched(tmp_path: Path, sinsjax_: Command) ->
     config = write(tmp_path / "swing.toml")
     (tmp_path / "figures").mkdir()
     code, _, error = sinsjax_("tune", config, "-o", tmp_path, "--overwrite")
-    assert code == 2 and "holds a figures that is of no tuning: give another one" in error
+    assert code == 2 and "holds a figures that is not of a tuning run (give another" in error
     code, _, error = sinsjax_("tune", config, "-o", config)
     assert code == 2 and f"{config}: is a file, not a directory" in error
 
@@ -438,7 +438,7 @@ def test_a_record_is_tuned(tmp_path: Path, sinsjax_: Command) -> None:
     config.write_text(tomli_w.dumps(data))
     words = ["tune", config, "-o", tmp_path / "out", "--record", tmp_path / "swing.imu"]
     code, _, error = sinsjax_(*words)
-    assert code == 2 and "[tune]: a record is tuned by a reference (give it with --ref" in error
+    assert code == 2 and "[tune]: tuning on a record needs a reference (give it with --ref" in error
     code, said, error = sinsjax_(*words, "--reference", tmp_path / "true.csv")
     assert (code, error) == (0, "")
     assert "Tuned on 2 start times, judged on 1 others" in said

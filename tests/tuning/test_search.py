@@ -215,7 +215,7 @@ def test_a_history_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert table.schema.field("window_s").metadata[b"unit"] == b"s"
     assert table.schema.field("reset_times_s[0]").metadata == {
         b"unit": b"s",
-        b"meaning": b"explicit reset times, s; null where not used",
+        b"meaning": b"explicit reset times, s; null if not used",
     }
     other_space = SearchSpace.of(tuned({"p0_yaw_deg": YAW}))
     with pytest.raises(InputError, match=r"history\.parquet: column p0_yaw_deg is missing"):
