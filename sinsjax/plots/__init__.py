@@ -1,7 +1,7 @@
-"""Figures from tables: one style, one file a kind of figure, nothing computed that is not drawn.
+"""Figures from tables, in one style; each module holds one kind of figure.
 
-Every function returns a matplotlib `Figure` of its own; `png` turns it into bytes that depend on
-the figure alone. Nothing here touches matplotlib's global state.
+Every function returns a new matplotlib `Figure`; `png` converts it to bytes that depend only on the
+figure. Nothing here changes matplotlib's global state.
 """
 
 from sinsjax.plots.beliefs import BeliefPanel, beliefs

@@ -1,4 +1,4 @@
-"""Figures of what a filter believes of its error, against what the error is."""
+"""Figures of a filter's consistency: its covariance against its actual errors."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -15,18 +15,18 @@ from sinsjax.plots.spreads import steps
 from sinsjax.plots.style import GREY, colour, legend_outside, styled
 
 _WITHIN_SIGMA = float(special.erf(0.5**0.5))  # share of a normal variable within 1 sigma
-_FAR = (1e-2, 1e4)  # of the NEES axis, which may be narrower
+_FAR = (1e-2, 1e4)  # widest range of the NEES axis
 _MARKS = ("o", "s", "^")
 _WIDTH, _THINNER = 3.2, 0.35
 
 
 class BeliefPanel(NamedTuple):
-    """A line's runs.
+    """Runs of one line.
 
     Attributes:
-        label: what the legend calls it.
-        nees: (runs,).
-        shares: of records with P above the squared error, by what the error is counted from.
+        label: label in the legend.
+        nees: (runs,) NEES.
+        shares: share of records with P above the squared error, by reference of the error.
     """
 
     label: str
@@ -36,11 +36,11 @@ class BeliefPanel(NamedTuple):
 
 @styled
 def beliefs(shown: Sequence[BeliefPanel], title: str) -> Figure:
-    """The distribution of NEES against chi-square, and how often P lies above the error.
+    """Distribution of NEES against chi-square, and how often P exceeds the squared error.
 
     Args:
-        shown: one line each; all with shares by the same names.
-        title: of the figure.
+        shown: one line each; all with shares of the same names.
+        title: title of the figure.
     """
     figure = Figure(figsize=(9.2, 4.8))
     figure.suptitle(title)
@@ -54,7 +54,7 @@ def beliefs(shown: Sequence[BeliefPanel], title: str) -> Figure:
 def _nees(axes: Axes, shown: Sequence[BeliefPanel]) -> None:
     for i, belief in enumerate(shown):
         x, share = steps(belief.nees)
-        width = _WIDTH - _THINNER * i  # what lies under another line shows beside it
+        width = _WIDTH - _THINNER * i  # so that a line under another one remains visible
         line: Any = {"color": colour(i), "linewidth": width, "label": belief.label}
         axes.plot(x, share[: x.size], drawstyle="steps-post", **line)
     known = np.concatenate([b.nees[np.isfinite(b.nees) & (b.nees > 0)] for b in shown])

@@ -1,4 +1,4 @@
-"""Figures over cells that have names: ratios in classes."""
+"""Figures of ratios over named cells, coloured by class."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -18,13 +18,13 @@ _CELL = 0.2  # in, height of one of its cells
 
 
 class Class(NamedTuple):
-    """Ratios that share a colour.
+    """A range of ratios that share a colour.
 
     Attributes:
-        most: the largest of them; those of the class before are smaller.
-        name: in the legend.
-        colour: of their cells.
-        dark: whether the number in such a cell is white.
+        most: largest ratio; smaller ones may belong to the previous class.
+        name: label in the legend.
+        colour: colour of the cells.
+        dark: whether the colour is dark, so that the number is white.
     """
 
     most: float
@@ -45,17 +45,17 @@ def ratio_maps(
     only: str = "",
     across: int = 4,
 ) -> Figure:
-    """Maps of ratios over cells with names, side by side, a colour a class.
+    """Maps of ratios over named cells, side by side, coloured by class.
 
     Args:
         panels: title and ratios (rows, columns) of each; infinite ones are *never*, in grey.
         classes: by their largest ratio, ascending, the last one without a limit.
-        title: of the figure.
-        rows: their names, from the top.
-        columns: their names, from left to right.
-        side: what the rows are.
-        only: what a ratio of 0 means, in the legend; its cells have a star.
-        across: panels in a line.
+        title: title of the figure.
+        rows: names of the rows, from the top.
+        columns: names of the columns, from left to right.
+        side: label of the rows.
+        only: meaning of a ratio of 0, for the legend; its cells are marked with a star.
+        across: panels per row.
     """
     across = min(across, len(panels))
     height = -(-len(panels) // across)
@@ -87,7 +87,7 @@ def ratio_maps(
 
 def _classed(axes: Axes, values: NDArray, classes: Sequence[Class]) -> None:
     limits = [one.most for one in classes[:-1]]
-    found = np.searchsorted(limits, values)  # a limit belongs to the class below it
+    found = np.searchsorted(limits, values)  # a limit belongs to the class below
     axes.imshow(
         np.ma.masked_where(~np.isfinite(values), found),
         cmap=ListedColormap([one.colour for one in classes]),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sinsjax.plots.style import GREY, both_sides, colour, legend_outside, styled
 
 BAND = (0.025, 0.975)
-"""Quantiles over the draws that bound a band."""
+"""Quantiles over the draws at the edges of a band."""
 
 _LINEAR = 10.0  # arcmin; an asinh axis is about linear up to here, and logarithmic far out
 _WIDE = 60.0  # arcmin; beyond it a linear axis would hide how a run ends
@@ -21,10 +21,10 @@ _NAMES = {"e": "level error, east", "n": "level error, north", "u": "heading err
 
 
 class Ensemble(NamedTuple):
-    """Curves of several runs that make one line with its band.
+    """Curves of several runs, drawn as one line with its band.
 
     Attributes:
-        label: what the legend calls them.
+        label: label in the legend.
         time_s: (T,) record times, s.
         columns: column name to values, (runs, T).
     """
@@ -35,14 +35,14 @@ class Ensemble(NamedTuple):
 
 
 class Line(NamedTuple):
-    """One line of a figure: its values over the runs, and how it is drawn.
+    """One line of a figure.
 
     Attributes:
-        label: what the legend calls it.
-        time_s: (T,) s.
-        values: (runs, T).
-        colour: of the line and its band.
-        style: matplotlib's line style.
+        label: label in the legend.
+        time_s: (T,) times, s.
+        values: (runs, T) values.
+        colour: colour of the line and its band.
+        style: matplotlib line style.
     """
 
     label: str
@@ -53,11 +53,11 @@ class Line(NamedTuple):
 
 
 def ensembles(curves: pa.Table, runs: Mapping[str, Iterable[int]]) -> list[Ensemble]:
-    """Curves arranged by run and record.
+    """Arrange curves by run and record time.
 
     Args:
-        curves: one row a run and record time, by run_id and time.
-        runs: which runs make which line.
+        curves: one row per run and record time, ordered by run_id and time.
+        runs: label to the runs of a line.
     """
     made = []
     for name, run_ids in runs.items():
@@ -73,7 +73,7 @@ def ensembles(curves: pa.Table, runs: Mapping[str, Iterable[int]]) -> list[Ensem
 
 
 class Extent(NamedTuple):
-    """What a line covers: its band's lower and upper edge over time."""
+    """Lower and upper edge of a line's band over time."""
 
     time_s: NDArray
     low: NDArray
@@ -81,11 +81,11 @@ class Extent(NamedTuple):
 
 
 def draw(axes: Axes, line: Line) -> Extent:
-    """Draws a line's mean over the runs and the band that holds 95 % of them.
+    """Draw a line's mean over the runs and the band that contains 95 % of them.
 
     Args:
-        axes: to draw on.
-        line: to draw; records at which a run has no value are left out.
+        axes: axes to draw on.
+        line: line to draw; times at which a run has no value are omitted.
     """
     known = np.isfinite(line.values).all(axis=0)
     time, values = line.time_s[known], line.values[:, known]
@@ -111,12 +111,12 @@ def misalignment(
     """Misalignment about east, north and up: the whole run, and its end enlarged.
 
     Args:
-        shown: one line each, with the phi columns (and sigma, if it is drawn).
-        title: of the figure.
+        shown: one line each, with the phi columns (and sigma, if drawn).
+        title: title of the figure.
         limits: grey lines at ``{"e": ..., "n": ..., "u": ...}``, arcmin.
-        resets_s: dotted lines at reset moments, s.
-        zoom_s: time span of the enlargement; none is drawn without it.
-        with_sigma: whether the filter's own 1 sigma is drawn, dashed on both sides of 0.
+        resets_s: dotted lines at reset times, s.
+        zoom_s: time span to enlarge, s; None for no enlargement.
+        with_sigma: whether to draw the filter's 1 sigma, dashed on both sides of 0.
     """
     figure = Figure(figsize=(9.2, 7.8))
     figure.suptitle(title)
@@ -160,7 +160,7 @@ def _draw_misalignment(
 
 
 def _fit(axes: Axes, extents: Sequence[Extent]) -> str:
-    """Makes a wide range of values legible from its start to its end; says so for the label."""
+    """Make a wide range of values legible; gives a note for the axis label."""
     edges = np.concatenate([edge for extent in extents for edge in extent[1:]])
     if np.abs(edges).max(initial=0.0) <= _WIDE:
         return ""
@@ -168,7 +168,7 @@ def _fit(axes: Axes, extents: Sequence[Extent]) -> str:
 
 
 def _enlarge(axes: Axes, span: tuple[float, float], extents: Sequence[Extent]) -> None:
-    """Shows a time span, with the vertical axis fitted to what the lines do in it."""
+    """Show a time span, with the vertical axis fitted to the lines within it."""
     axes.set_xlim(*span)
     inside = [(e.time_s >= span[0]) & (e.time_s <= span[1]) for e in extents]
     values = [edge[there] for e, there in zip(extents, inside, strict=True) for edge in e[1:]]
@@ -186,11 +186,11 @@ def _mark(axes: Axes, times_s: Sequence[float]) -> None:
 
 @styled
 def attitude(shown: Sequence[Ensemble], title: str) -> Figure:
-    """Pitch, roll and yaw with the filter's own 1 sigma shaded: what a user without a truth gets.
+    """Pitch, roll and yaw with the filter's 1 sigma shaded, for runs without a truth.
 
     Args:
-        shown: one line each; the mean over its runs, and their mean sigma.
-        title: of the figure.
+        shown: one line each: the mean over its runs, and their mean sigma.
+        title: title of the figure.
     """
     figure = Figure(figsize=(9.2, 7.2))
     figure.suptitle(title)
@@ -221,9 +221,9 @@ def squares(
     """Squared quantities on a log axis: the filter's variance against the true squared error.
 
     Args:
-        panels: lines in arcmin^2 by panel title.
-        title: of the figure.
-        resets_s: dotted lines at reset moments, s.
+        panels: panel title to lines, arcmin^2.
+        title: title of the figure.
+        resets_s: dotted lines at reset times, s.
         floor: lower end of the axis, arcmin^2.
     """
     figure = Figure(figsize=(9.2, 4.8))
@@ -244,11 +244,11 @@ def squares(
 
 @styled
 def yaw_errors(panels: Mapping[str, Sequence[Ensemble]], title: str) -> Figure:
-    """Yaw error over time, a panel for each setting.
+    """Yaw error over time, one panel per setting.
 
     Args:
-        panels: lines with the ``phi_u_arcmin`` column by panel title.
-        title: of the figure.
+        panels: panel title to lines with the ``phi_u_arcmin`` column.
+        title: title of the figure.
     """
     width = min(2, len(panels))
     height = -(-len(panels) // width)

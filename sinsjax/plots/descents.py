@@ -1,4 +1,4 @@
-"""Figures of a tuning: descents over the landscape that a search saw, best against cost."""
+"""Figures of a tuning run: descents over the sampled objective, and best objective by cost."""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -20,18 +20,18 @@ from sinsjax.plots.style import COLOURS, GREY, colour, legend_outside, styled
 _COLOURS = "viridis_r"  # light where the objective is small
 _MARKERS = ("*", "D", "^", "s", "o", "P")
 _EDGE: Any = [withStroke(linewidth=3.0, foreground="black")]
-_LETTERS = 44  # of a line of an axis label
-_MOST_PANELS = 10  # of pairs of variables, some more than any figure is read for
+_LETTERS = 44  # characters per line of an axis label
+_MOST_PANELS = 10  # pairs of variables; more would not be legible
 
 
 class Side(NamedTuple):
-    """A variable along a side of a figure.
+    """A variable along one axis of a figure.
 
     Attributes:
         name: axis label, with its unit.
-        low: least value.
-        high: greatest value.
-        log: whether it is drawn logarithmically.
+        low: lowest value.
+        high: highest value.
+        log: whether the axis is logarithmic.
     """
 
     name: str
@@ -41,14 +41,14 @@ class Side(NamedTuple):
 
 
 class Landscape(NamedTuple):
-    """What a search has seen.
+    """The objective at the points of a search.
 
     Attributes:
-        sides: p of them.
+        sides: the p variables.
         values: (n, p) points.
-        objective: (n,) of each point; infinite where it has none.
-        shape: points along each variable, where they are a grid with the last one fastest.
-        name: of the objective, with its unit.
+        objective: (n,) objective of each point; infinite where it has none.
+        shape: number of points along each variable if they form a grid, the last one fastest.
+        name: name of the objective, with its unit.
     """
 
     sides: Sequence[Side]
@@ -66,12 +66,12 @@ class Way(NamedTuple):
 
 
 class Spot(NamedTuple):
-    """A point to be marked.
+    """A marked point.
 
     Attributes:
-        name: in the legend.
-        values: (p,).
-        objective: None where it is not known.
+        name: label in the legend.
+        values: (p,) values of the variables.
+        objective: its objective; None if unknown.
         look: number of its marker and colour.
     """
 
@@ -82,14 +82,14 @@ class Spot(NamedTuple):
 
 
 class CostCurve(NamedTuple):
-    """How a search went on.
+    """Progress of a search.
 
     Attributes:
-        name: of the search.
-        cost: (n,) so far, ascending.
-        best: (n,) objective at that cost.
-        relaxed: whether that is a relaxed one.
-        final: cost and objective at the end of a relaxed search, else None.
+        name: name of the search.
+        cost: (n,) cost so far, ascending.
+        best: (n,) best objective at that cost.
+        relaxed: whether the objective is relaxed.
+        final: final cost and unrelaxed objective of a relaxed search, else None.
     """
 
     name: str
@@ -101,13 +101,13 @@ class CostCurve(NamedTuple):
 
 @styled
 def descent(landscape: Landscape, ways: Sequence[Way], spots: Sequence[Spot], title: str) -> Figure:
-    """Descents over a landscape: a curve of one variable, a map of two, else all pairs of them.
+    """Descents over a landscape: a curve of one variable, a map of two, or all pairs of more.
 
     Args:
-        landscape: of one variable or more.
-        ways: of the descents.
-        spots: marked, such as the best point of each search.
-        title: of the figure.
+        landscape: objective at points of one or more variables.
+        ways: paths of the descents.
+        spots: marked points, such as the best point of each search.
+        title: title of the figure.
     """
     count = len(landscape.sides)
     if count == 1:
@@ -186,7 +186,7 @@ def _curve(axes: Axes, landscape: Landscape, ways: Sequence[Way], spots: Sequenc
 
 
 def _map(axes: Axes, landscape: Landscape, norm: Normalize) -> None:
-    """Cells about the points of a grid; the first variable goes to the right."""
+    """Cells around the points of a grid; the first variable is horizontal."""
     assert landscape.shape is not None
     across, up = (
         _edges(np.unique(landscape.values[:, i]), side) for i, side in enumerate(landscape.sides)
@@ -197,7 +197,7 @@ def _map(axes: Axes, landscape: Landscape, norm: Normalize) -> None:
 
 
 def _edges(middles: NDArray, side: Side) -> NDArray:
-    """The edges of cells about their middles, of which there are two or more."""
+    """Edges of cells around their centres, of which there are at least two."""
     places = np.log(middles) if side.log else middles
     inner = (places[1:] + places[:-1]) / 2
     ends = 2 * places[[0, -1]] - inner[[0, -1]]
@@ -206,7 +206,7 @@ def _edges(middles: NDArray, side: Side) -> NDArray:
 
 
 def _scatter(axes: Axes, landscape: Landscape, pair: tuple[int, int], norm: Normalize) -> None:
-    """All points, the best ones on top."""
+    """All points, with the best on top."""
     order = np.argsort(-landscape.objective)
     x, y = (landscape.values[order, i] for i in pair)
     axes.scatter(x, y, c=landscape.objective[order], cmap=_COLOURS, norm=norm, s=16)
@@ -266,12 +266,12 @@ def _spot_style(number: int) -> dict[str, Any]:
 
 @styled
 def best_by_cost(searches: Sequence[CostCurve], name: str, title: str) -> Figure:
-    """The best objective of each search against what it had cost by then.
+    """The best objective of each search against its cost so far.
 
     Args:
         searches: in the order of the legend.
-        name: of the objective, with its unit.
-        title: of the figure.
+        name: name of the objective, with its unit.
+        title: title of the figure.
     """
     figure = Figure(figsize=(8.4, 5.2))
     figure.suptitle(title)

@@ -1,4 +1,4 @@
-"""Figures of attitude errors in the units and columns of paper 2, and of any lines over time."""
+"""Figures of attitude errors in the units and layout of paper 2, and of lines over time."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -12,13 +12,13 @@ from sinsjax.plots.style import GREY, legend_outside, styled
 
 
 class Mark(NamedTuple):
-    """A level along an attitude error, such as its limit.
+    """A horizontal level for attitude errors, such as their limit.
 
     Attributes:
-        label: what the legend calls it; the same one in all panels.
-        values: by angle, deg; an angle without it has none.
-        style: matplotlib's line style.
-        colour: of the line.
+        label: label in the legend, the same in all panels.
+        values: by angle, deg; angles without a level are missing.
+        style: matplotlib line style.
+        colour: colour of the line.
     """
 
     label: str
@@ -36,15 +36,15 @@ def attitude_errors(
     zoom_s: tuple[float, float],
     reach: float = np.inf,
 ) -> Figure:
-    """Errors of pitch, roll and heading: the whole run, and a time span of it enlarged.
+    """Errors of pitch, roll and heading: the whole run, and a time span enlarged.
 
     Args:
         lines: by angle, deg.
-        title: of the figure.
-        marks: levels, in the enlargement only.
-        zoom_s: time span of the enlargement, s.
-        reach: an enlargement is fitted to the marks and to those lines whose mean in it is no
-            further than this from one of them, deg.
+        title: title of the figure.
+        marks: levels, drawn only in the enlargement.
+        zoom_s: time span to enlarge, s.
+        reach: an enlargement is fitted to the marks and to the lines whose mean within it is at
+            most this far from a mark, deg.
     """
     figure = Figure(figsize=(9.2, 7.8))
     figure.suptitle(title)
@@ -79,7 +79,7 @@ def _enlarge(
     levels: Sequence[float],
     reach: float,
 ) -> None:
-    """Shows a time span, with the vertical axis fitted to the levels and the lines near them."""
+    """Show a time span, with the vertical axis fitted to the levels and the lines near them."""
     axes.set_xlim(*span)
     shown = [np.asarray(levels, dtype=float)]
     for time, low, high in extents:
@@ -104,10 +104,10 @@ def over_time(
     """Lines over update time, panels side by side.
 
     Args:
-        panels: lines by panel title, all in one unit.
-        title: of the figure.
+        panels: panel title to lines, all in the same unit.
+        title: title of the figure.
         quantity: label of the vertical axis, with its unit.
-        floor: lower end of a logarithmic axis; linear without it.
+        floor: lower end of a logarithmic axis; None for a linear one.
     """
     figure = Figure(figsize=(9.2, 4.6))
     figure.suptitle(title)

@@ -1,4 +1,4 @@
-"""Figures of a grid of settings: heat maps over two axes, verdicts of readings."""
+"""Figures over a grid of settings: heat maps over two axes, and matrices of verdicts."""
 
 import math
 from collections.abc import Sequence
@@ -21,17 +21,17 @@ from sinsjax.plots.words import label
 _NEVER, _NEVER_EDGE = "#dcdcdc", "#b5b5b5"
 _HATCH = "////"
 _CONTOUR = COLOURS[1]
-_ROOMY = 6  # cells side by side in a panel that have room for numbers of full size,
-_LEGIBLE = 10  # and for small ones
-_LETTERS = 9  # of a panel's title in an inch
-_LIGHT = 0.5  # of the colour map; cells beyond it are light and carry dark numbers
+_ROOMY = 6  # most cells side by side in a panel with full-size numbers
+_LEGIBLE = 10  # most cells side by side with small numbers
+_LETTERS = 9  # characters per inch in a panel's title
+_LIGHT = 0.5  # position in the colour map beyond which cells are light and have dark numbers
 
 
 class Scale(NamedTuple):
-    """A swept key along one side of a heat map.
+    """A swept key along one axis of a heat map.
 
     Attributes:
-        key: leaf key, unit in its name.
+        key: leaf key, with the unit in its name.
         values: in the order of the grid.
     """
 
@@ -40,16 +40,16 @@ class Scale(NamedTuple):
 
 
 class Shown(NamedTuple):
-    """The quantity that a heat map shows.
+    """The quantity shown by a heat map.
 
     Attributes:
-        name: axis label of the colour bar, with its unit.
+        name: label of the colour bar, with the unit.
         low: value at the dark end of the colours.
         high: value at the light end.
-        reverse: whether low values are the light ones.
+        reverse: whether low values are light instead.
         digits: decimals of the number in a cell.
-        log: whether the colours go by the logarithm; then cells have two significant digits.
-        numbers: whether cells tell their value.
+        log: whether the colour scale is logarithmic, with two significant digits in cells.
+        numbers: whether cells show their value.
     """
 
     name: str
@@ -62,7 +62,7 @@ class Shown(NamedTuple):
 
     @property
     def norm(self) -> Normalize:
-        """From a value to its place on the colour map, 0 to 1."""
+        """Normalisation of a value to its position on the colour map, 0 to 1."""
         return (LogNorm if self.log else Normalize)(self.low, self.high, clip=True)
 
     def text(self, value: float) -> str:
@@ -74,12 +74,12 @@ class Shown(NamedTuple):
 
 
 class Contours(NamedTuple):
-    """Lines of equal value over heat maps.
+    """Contour lines over heat maps.
 
     Attributes:
-        name: of the quantity, in the legend.
-        levels: ascending.
-        values: (n, m) of each panel, spread evenly over it from edge to edge, see `spread`.
+        name: name of the quantity in the legend.
+        levels: ascending levels.
+        values: (n, m) values for each panel, evenly spaced from edge to edge, see `spread`.
     """
 
     name: str
@@ -88,14 +88,14 @@ class Contours(NamedTuple):
 
 
 def spread(values: Sequence[float], count: int) -> NDArray:
-    """Positive values of an axis at places spread evenly from edge to edge of its cells.
+    """Positive values of an axis, evenly spaced on the figure from edge to edge of its cells.
 
     Args:
-        values: at the middles of two cells or more, ascending.
-        count: number of places.
+        values: values at the centres of two or more cells, ascending.
+        count: number of values.
 
     Returns:
-        (count,), geometric between the middles and beyond the outer ones.
+        (count,) values, geometric between the centres and beyond the outer ones.
     """
     logs, last = np.log(values), len(values) - 1
     middles = np.arange(-1, last + 2)
@@ -119,19 +119,19 @@ def heat_maps(
     """Heat maps of one quantity over two swept keys, side by side.
 
     Args:
-        panels: title and values (rows, columns) of each; a value that is not finite is *never*,
-            drawn hatched in grey.
-        title: of the figure.
-        shown: the quantity.
-        rows: the key from bottom to top.
-        columns: the key from left to right.
-        contours: drawn over the panels.
-        across: panels in a line, such as the values of a third key; 4 at most.
-        repeated: of each panel, (rows, columns) cells in which no number is written.
+        panels: title and values (rows, columns) of each; a non-finite value means *never* and is
+            hatched in grey.
+        title: title of the figure.
+        shown: quantity to show.
+        rows: key from bottom to top.
+        columns: key from left to right.
+        contours: contour lines over the panels.
+        across: panels per row, such as the values of a third key; at most 4.
+        repeated: for each panel, the (rows, columns) cells without a number.
     """
     width = min(4, across or 4, len(panels))
     height = -(-len(panels) // width)
-    side = max(2.5, 7.2 / width)  # in, of a panel; together as wide as the title
+    side = max(2.5, 7.2 / width)  # width of a panel, in; together as wide as the title
     names = [fill(name, int(_LETTERS * side)) for name, _ in panels]
     line = 0.2 * max(name.count("\n") for name in names)
     figure = Figure(figsize=(1.2 + side * width, 1.4 + (2.5 + line) * height))
@@ -177,18 +177,18 @@ def _contour(axes: Axes, levels: Sequence[float], values: NDArray) -> None:
 
 
 def _level_styles(levels: Sequence[float]) -> list[Any]:
-    """A line style a level, from the sparsest to solid."""
+    """A line style for each level, from the sparsest to solid."""
     return [*((0, (1 + 2 * i, 1.5)) for i in range(len(levels) - 1)), "-"]
 
 
 def label_rim(grid: NDArray, panels: int, *, rows: Scale, columns: Scale) -> None:
-    """Names the scales at the left and lower rim of a grid of axes, and hides the unused ones.
+    """Label the left and lower edge of a grid of axes, and hide the unused axes.
 
     Args:
-        grid: of axes, two-dimensional.
-        panels: how many of them are used, row by row.
-        rows: what the panels' y axes show.
-        columns: what their x axes show.
+        grid: two-dimensional array of axes.
+        panels: number of axes used, row by row.
+        rows: scale of the y axes.
+        columns: scale of the x axes.
     """
     for axes in list(grid.flat)[panels:]:
         axes.set_visible(False)
@@ -225,14 +225,14 @@ def _write(axes: Axes, cell: tuple[int, int], value: float, shown: Shown, *, siz
 
 
 class Verdicts(NamedTuple):
-    """Statements judged under several readings.
+    """Statements tested under several readings of a paper.
 
     Attributes:
-        readings: a name for each row.
-        statements: a name for each column.
+        readings: names of the rows.
+        statements: names of the columns.
         holds: (readings, statements) bool.
-        straddles: (readings, statements) bool, whether the interval reaches across the threshold.
-        best: the row that is pointed out.
+        straddles: (readings, statements) bool, whether the interval includes the threshold.
+        best: row to highlight.
     """
 
     readings: Sequence[str]
@@ -244,11 +244,11 @@ class Verdicts(NamedTuple):
 
 @styled
 def verdict_matrix(verdicts: Verdicts, title: str) -> Figure:
-    """Which statement holds under which reading, a cell each.
+    """Matrix of which statement holds under which reading.
 
     Args:
-        verdicts: rows in the order in which they are drawn, from the top.
-        title: of the figure.
+        verdicts: rows in drawing order, from the top.
+        title: title of the figure.
     """
     rows, columns = verdicts.holds.shape
     figure = Figure(figsize=(9.2, 3.2 + 0.17 * rows))

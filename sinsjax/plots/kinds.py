@@ -1,4 +1,4 @@
-"""Figures of verdicts over two swept keys."""
+"""Figures of categories over two swept keys."""
 
 from collections.abc import Sequence
 from textwrap import fill
@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 from sinsjax.plots.grids import Scale, label_rim
 from sinsjax.plots.style import styled
 
-_LETTERS = 24  # of a panel's title in a line
+_LETTERS = 24  # characters per line of a panel's title
 
 
 class Kind(NamedTuple):
-    """What a cell can be.
+    """Category of a cell.
 
     Attributes:
-        mark: a letter or sign in the cell, so that no one needs the colours.
-        name: in the legend.
-        colour: of the cell.
-        dark: whether the mark is white.
+        mark: letter or sign in the cell, so that colours are not essential.
+        name: label in the legend.
+        colour: colour of the cell.
+        dark: whether the colour is dark, so that the mark is white.
     """
 
     mark: str
@@ -43,15 +43,15 @@ def kind_maps(
     columns: Scale,
     across: int,
 ) -> Figure:
-    """Maps of what holds at each point of two swept keys, side by side.
+    """Maps of categories over two swept keys, side by side.
 
     Args:
-        panels: title and values (rows, columns) of each, places in ``kinds``.
-        kinds: what a cell can be; all of them are in the legend.
-        title: of the figure.
-        rows: the key from bottom to top.
-        columns: the key from left to right.
-        across: panels in a line.
+        panels: title and values (rows, columns) of each, indices into ``kinds``.
+        kinds: categories, all of which appear in the legend.
+        title: title of the figure.
+        rows: key from bottom to top.
+        columns: key from left to right.
+        across: panels per row.
     """
     height = -(-len(panels) // across)
     line = 0.2 * max(fill(name, _LETTERS).count("\n") for name, _ in panels)
@@ -76,7 +76,7 @@ def kind_maps(
 
 
 def _mark(axes: Axes, values: NDArray, kinds: Sequence[Kind]) -> None:
-    """Writes the marks into the cells, and draws lines between these."""
+    """Write the marks into the cells and draw lines between the cells."""
     for (row, column), value in np.ndenumerate(values):
         kind = kinds[value]
         shade = "white" if kind.dark else "black"

@@ -15,19 +15,19 @@ from sinsjax.plots.style import GREY, both_sides, colour, legend_outside, styled
 from sinsjax.plots.words import label
 
 _MARKS = "os^Dv*P"
-_DODGE = 0.008  # of the axis, between the marks of two lines: none hides another
+_DODGE = 0.008  # share of the axis by which the marks of two lines are offset to remain visible
 _MOST_STEPS = 1000
-_APART = 0.06  # share of an axis that its marks need between them
-_LINE = 0.055  # height of a line of text, of the axes
+_APART = 0.06  # share of the axis needed between marks
+_LINE = 0.055  # height of a line of text, as a share of the axes
 
 
 class Expected(NamedTuple):
-    """What a quantity should be.
+    """Expected value of a quantity.
 
     Attributes:
-        name: in the legend.
-        value: drawn as a line.
-        band: lower and upper end of a shaded band about it.
+        name: label in the legend.
+        value: value, drawn as a line.
+        band: lower and upper end of a shaded band around it.
     """
 
     name: str
@@ -48,13 +48,13 @@ def along_axis(
     """Estimates with their 95 % intervals along one swept key.
 
     Args:
-        key: leaf key, unit in its name.
-        values: of the key.
-        panels: quantity, with its unit, to lines; line label to one estimate a value; infinite ones
-            are marked at the upper edge as *never*.
-        title: of the figure.
-        expected: drawn in every panel.
-        log: whether the quantities are drawn logarithmically.
+        key: leaf key, with the unit in its name.
+        values: values of the key.
+        panels: quantity, with its unit, to line label to one estimate per value; infinite ones are
+            marked at the upper edge as *never*.
+        title: title of the figure.
+        expected: expected value, drawn in every panel.
+        log: whether the vertical axes are logarithmic.
     """
     figure = Figure(figsize=(9.2, 1.2 + 2.5 * len(panels)))
     figure.suptitle(title)
@@ -99,9 +99,9 @@ class DistributionPanel(NamedTuple):
 
     Attributes:
         quantity: axis label, with its unit.
-        lines: line label to one value a run, (runs,).
-        missing: what a value that is not finite means.
-        far: size of a value beyond which the axis is logarithmic on both sides of 0.
+        lines: line label to (runs,) values.
+        missing: meaning of a non-finite value.
+        far: magnitude beyond which the axis is logarithmic on both sides of 0.
     """
 
     quantity: str
@@ -114,12 +114,12 @@ class DistributionPanel(NamedTuple):
 def distributions(panels: Sequence[DistributionPanel], title: str) -> Figure:
     """Cumulative distributions over the runs: the share of runs at or below a value.
 
-    A line with values that are not finite ends below 1 and goes on dotted; beside it stands the
-    share that is missing.
+    A line with non-finite values ends below 1 and continues dotted, labelled with the missing
+    share.
 
     Args:
-        panels: side by side, with the same lines.
-        title: of the figure.
+        panels: panels side by side, with the same lines.
+        title: title of the figure.
     """
     figure = Figure(figsize=(max(9.2, 4.2 * len(panels)), 4.8))
     figure.suptitle(title)
@@ -132,23 +132,23 @@ def distributions(panels: Sequence[DistributionPanel], title: str) -> Figure:
         wide = np.abs(np.concatenate(ends)).max(initial=0.0) > panel.far
         axes.set_xlabel(panel.quantity + (both_sides(axes.xaxis, panel.far / 6) if wide else ""))
         axes.set_ylim(0, 1.02)
-        # Of no runs nothing is missing.
+        # Without runs nothing is missing.
         known = [values.size > 0 for values in panel.lines.values()]
-        _tell_missing(axes, drawn, known, panel.missing)
+        _mark_missing(axes, drawn, known, panel.missing)
     grid[0].set_ylabel("share of runs")
     legend_outside(figure, grid[0])
     return figure
 
 
 def steps(values: NDArray) -> tuple[NDArray, NDArray]:
-    """The cumulative distribution of some values as points of a staircase.
+    """The cumulative distribution of some values as points of a step function.
 
     Args:
-        values: (n,); what is not finite counts among them, but is at no place.
+        values: (n,) values; non-finite ones count but have no position.
 
     Returns:
-        Places, ascending, and the share of the values up to each; of many values so few that a
-        line through them looks the same.
+        Ascending positions and the share of the values up to each, thinned out for many values
+        without a visible change.
     """
     known = np.sort(values[np.isfinite(values)])
     if known.size == 0:
@@ -159,10 +159,10 @@ def steps(values: NDArray) -> tuple[NDArray, NDArray]:
     return known[np.maximum(ranks - 1, 0)], ranks / values.size
 
 
-def _tell_missing(
+def _mark_missing(
     axes: Axes, drawn: Sequence[tuple[NDArray, NDArray]], known: Sequence[bool], word: str
 ) -> None:
-    """Goes on with lines that end below 1, and writes what is missing beside them."""
+    """Continue lines that end below 1, and label them with the missing share."""
     left, right = axes.get_xlim()
     axes.set_xlim(left, right)
     ends = [
@@ -174,7 +174,7 @@ def _tell_missing(
     height = -math.inf
     for share, x, i in sorted(end for end in ends if end[0] < 1):
         axes.plot([x, right], [share, share], ":", color=colour(i))
-        height = max(share, height + _LINE)  # apart, so that all of them can be read
+        height = max(share, height + _LINE)  # so that the labels do not overlap
         percent = 100 * (1 - share)
         text = f"{percent:.{0 if percent >= 1 else 1}f} % {word}"
         axes.text(1.02, height, text, color=colour(i), va="center", size=10, transform=beside)

@@ -1,4 +1,4 @@
-"""Figures of runs from several start times of a record: spreads, by start time, pass by pass."""
+"""Figures of runs from several start times of a record: scatter, by start time, by pass."""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,21 +12,21 @@ from sinsjax.analysis import Estimate
 from sinsjax.plots.curves import Line, draw
 from sinsjax.plots.style import GREY, colour, legend_outside, styled
 
-_LINEAR = 1.0  # an asinh axis is about linear up to here, and logarithmic far out
+_LINEAR = 1.0  # asinh axes are nearly linear up to here, and logarithmic far beyond
 
 
 @styled
 def strips(
     rows: Mapping[str, NDArray], title: str, quantity: str, *, kinds: Sequence[str]
 ) -> Figure:
-    """One dot a start time, a row of them a case, with a line at the median.
+    """One dot per start time and one row per case, with a line at the median.
 
     Args:
         rows: case to (starts,) values, from the top.
-        title: of the figure.
-        quantity: label of the values, with their unit; they are drawn about linear near 0 and
+        title: title of the figure.
+        quantity: label of the values, with their unit; the axis is nearly linear near 0 and
             logarithmic far from it.
-        kinds: what each row is, in the legend; rows of a kind share a colour.
+        kinds: category of each row for the legend; rows of a category share a colour.
     """
     figure = Figure(figsize=(9.2, 1.6 + 0.26 * len(rows)))
     figure.suptitle(title)
@@ -67,9 +67,9 @@ def by_start(
     """Values over the start time in a record, panels side by side.
 
     Args:
-        starts_s: (starts,) s.
+        starts_s: (starts,) start times, s.
         panels: panel title to line label to (starts,) values.
-        title: of the figure.
+        title: title of the figure.
         quantity: label of the values, with their unit.
     """
     figure = Figure(figsize=(9.2, 3.9))
@@ -99,11 +99,11 @@ def falling(
     """Estimates with their intervals along a positive setting, both axes logarithmic.
 
     Args:
-        label: of the setting, with its unit.
-        values: of the setting.
-        lines: line label to one estimate a value; an end of an interval that is NaN is not drawn.
+        label: label of the setting, with its unit.
+        values: values of the setting.
+        lines: line label to one estimate per value; ends of intervals that are NaN are not drawn.
         levels: label to a value that does not depend on the setting.
-        title: of the figure.
+        title: title of the figure.
         quantity: label of the estimates, with their unit.
     """
     figure = Figure(figsize=(7.6, 4.2))
@@ -147,13 +147,13 @@ def over_passes(
     quantity: str,
     turns_s: Mapping[str, Sequence[float]],
 ) -> Figure:
-    """Lines over update time, a panel below the other, with the direction reversals marked.
+    """Lines over update time, panels one below the other, with the direction reversals marked.
 
     Args:
-        panels: panel title to its lines, drawn about linear near 0 and logarithmic far from it.
-        title: of the figure.
+        panels: panel title to lines; the axis is nearly linear near 0 and logarithmic far from it.
+        title: title of the figure.
         quantity: label of the values, with their unit.
-        turns_s: panel title to update times of its turns, s.
+        turns_s: panel title to update times of the direction reversals, s.
     """
     figure = Figure(figsize=(9.2, 1.0 + 2.2 * len(panels)))
     figure.suptitle(title)

@@ -1,4 +1,4 @@
-"""One look for every figure: sizes, a palette that colour-blind readers can tell apart, PNG out."""
+"""Common style of all figures: sizes, a colour-blind-safe palette, and PNG output."""
 
 import io
 import math
@@ -24,21 +24,21 @@ from matplotlib.ticker import (
 from numpy.typing import NDArray
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#555555")
-"""Okabe and Ito's palette; lines beyond its length repeat it."""
+"""Okabe and Ito's palette, repeated for more lines than it has colours."""
 
 GREY = "#8a8a8a"
-"""Of what is marked but not measured: reset moments, limits, cells without a number."""
+"""Colour of annotations: reset times, limits, cells without a number."""
 
 _SMALL = "#555555"
 _RAISED = str.maketrans("0123456789-\N{MINUS SIGN}.", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁻˙")
-_STRIP = 0.28  # in, of the strip with the footer
+_STRIP = 0.28  # height of the strip with the footer, in
 
 STYLE: Any = {
-    "text.parse_math": False,  # names of studies hold what they hold
+    "text.parse_math": False,  # names of studies may contain dollar signs
     "figure.dpi": 130,
     "figure.facecolor": "white",
     "figure.constrained_layout.use": True,
-    # On a slide a figure is half as wide again: these come to 16 points and more.
+    # On a slide a figure is 1.5 times as wide, so these become at least 16 points.
     "font.size": 11.5,
     "axes.titlesize": 12,
     "axes.titlelocation": "left",
@@ -64,7 +64,7 @@ R = TypeVar("R")
 
 
 def styled(draw: Callable[P, R]) -> Callable[P, R]:
-    """Makes a function draw in the one style, whatever the caller's settings are."""
+    """Make a function draw in the common style, whatever the caller's settings are."""
 
     @wraps(draw)
     def inside(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -77,19 +77,19 @@ def styled(draw: Callable[P, R]) -> Callable[P, R]:
 
 
 def colour(index: int) -> str:
-    """The palette's colour of the line with this number."""
+    """Colour of the line with this number."""
     return COLOURS[index % len(COLOURS)]
 
 
 def both_sides(axis: Axis, linear: float) -> str:
-    """Makes an axis logarithmic on both sides of 0, so that a wide range is legible to its ends.
+    """Make an axis logarithmic on both sides of 0, so that a wide range is legible.
 
     Args:
-        axis: of values with either sign.
-        linear: size of a value up to which it is about linear.
+        axis: axis of values of either sign.
+        linear: magnitude up to which the axis is nearly linear.
 
     Returns:
-        What is to be said at the end of its label.
+        A note for the end of the axis label.
     """
     decades = 10.0 ** np.arange(math.floor(math.log10(linear) + 0.5), 7)
     set_scale = axis.axes.set_xscale if isinstance(axis, XAxis) else axis.axes.set_yscale
@@ -101,10 +101,10 @@ def both_sides(axis: Axis, linear: float) -> str:
 
 
 def legend_outside(figure: Figure, axes: Axes) -> None:
-    """Puts the legend of some axes below the whole figure, clear of the data."""
+    """Put the legend of some axes below the whole figure, clear of the data."""
     handles, labels = axes.get_legend_handles_labels()
     if handles:
-        room = 12 * figure.get_figwidth()  # letters in a line
+        room = 12 * figure.get_figwidth()  # characters per line
         columns = max(1, min(len(labels), int(room / (max(map(len, labels)) + 6))))
         figure.legend(handles, labels, loc="outside lower center", ncols=columns)
 
@@ -114,12 +114,12 @@ def png(figure: Figure, footer: str = "") -> bytes:
     """The figure as a PNG file; the same figure and footer give the same bytes.
 
     Args:
-        figure: to draw.
-        footer: what the figure rests on, in small letters on a strip below it.
+        figure: figure to draw.
+        footer: source of the data, in small print on a strip below the figure.
     """
     drawn = [_pixels(figure)]
     if footer:
-        # A figure of its own, which no layout, legend or title of the other one reaches.
+        # A separate figure, unaffected by the layout, legend or title of the other one.
         strip = Figure(figsize=(figure.get_figwidth(), _STRIP))
         strip.text(0.1 / figure.get_figwidth(), 0.5, footer, va="center", size=9, color=_SMALL)
         drawn.append(_pixels(strip))
@@ -131,7 +131,7 @@ def png(figure: Figure, footer: str = "") -> bytes:
 
 
 class _Unicode(Formatter):
-    """The labels of a logarithmic axis in letters, for want of the mathematics they come in."""
+    """Labels of a logarithmic axis in Unicode instead of mathematical text."""
 
     def __init__(self, marked: LogFormatterMathtext) -> None:
         self._marked = marked

@@ -1,4 +1,4 @@
-"""Figures of passes over a tape: error by its length, prediction by outcome, who has settled."""
+"""Figures of repeated passes over a stored record: error by length, predictions, settling."""
 
 from collections.abc import Mapping, Sequence
 
@@ -10,25 +10,25 @@ from numpy.typing import NDArray
 from sinsjax.analysis import Estimate
 from sinsjax.plots.style import GREY, colour, legend_outside, styled
 
-_LINEAR = 6.0  # an asinh axis is about linear up to here, and logarithmic far out
+_LINEAR = 6.0  # asinh axes are nearly linear up to here, and logarithmic far beyond
 
 
 @styled
 def by_tape(
-    tapes_s: Sequence[float],
+    lengths_s: Sequence[float],
     lines: Mapping[str, Sequence[Estimate]],
     bound: tuple[NDArray, NDArray],
     *,
     title: str,
     quantity: str,
 ) -> Figure:
-    """Errors with their intervals by the length of the tape, above the bound that it sets.
+    """Errors with their intervals by the length of the stored record, with the information bound.
 
     Args:
-        tapes_s: lengths, s.
-        lines: line label to one estimate a length; one that is not finite is left out.
-        bound: lengths in s and the information bound at them.
-        title: of the figure.
+        lengths_s: lengths of the stored record, s.
+        lines: line label to one estimate per length; non-finite ones are omitted.
+        bound: lengths, s, and the information bound at these.
+        title: title of the figure.
         quantity: label of the errors and the bound, with their unit.
     """
     figure = Figure(figsize=(9.2, 5.0))
@@ -38,8 +38,8 @@ def by_tape(
         value, low, high = np.array([e[:3] for e in estimates], dtype=float).T
         known = np.isfinite(value)
         spread = np.nan_to_num([value - low, high - value], posinf=0.0)[:, known]
-        # Apart by a percent each, so that intervals do not hide one another.
-        x = np.asarray(tapes_s)[known] * 1.012 ** (i - (len(lines) - 1) / 2)
+        # Offset by a percent each, so that intervals do not hide one another.
+        x = np.asarray(lengths_s)[known] * 1.012 ** (i - (len(lines) - 1) / 2)
         axes.errorbar(
             x,
             value[known],
@@ -53,7 +53,7 @@ def by_tape(
     axes.plot(*bound, "--", color="black", label="information bound of the tape")
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.xaxis.set_major_locator(FixedLocator(list(tapes_s)))
+    axes.xaxis.set_major_locator(FixedLocator(list(lengths_s)))
     axes.xaxis.set_minor_locator(NullLocator())
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter(StrMethodFormatter("{x:g}"))
@@ -67,12 +67,13 @@ def by_tape(
 def prediction(
     panels: Mapping[str, tuple[NDArray, NDArray]], title: str, *, quantity: str, band: float
 ) -> Figure:
-    """What was predicted against what came out, a dot a point of a sweep.
+    """Simulated against predicted values, one dot per point of a sweep.
 
     Args:
-        panels: predicted and simulated values by panel title; what is not finite is left out.
-        title: of the figure.
-        quantity: what both are, with its unit; drawn about linear near 0, logarithmic far from it.
+        panels: panel title to predicted and simulated values; non-finite ones are omitted.
+        title: title of the figure.
+        quantity: label of both axes, with its unit; they are nearly linear near 0 and logarithmic
+            far from it.
         band: dotted lines at +- this value.
     """
     figure = Figure(figsize=(9.2, 4.2))
@@ -116,10 +117,10 @@ def survival(
     """Shares of runs that have not settled yet, against update time.
 
     Args:
-        panels: settling times in s by panel title and line label; not finite: never.
-        title: of the figure.
+        panels: panel title to line label to settling times, s; non-finite if never settled.
+        title: title of the figure.
         end_s: end of the runs, s.
-        levels: shares that are drawn dashed, by panel title and the label of a line.
+        levels: panel title to line label to a share drawn as a dashed level.
     """
     figure = Figure(figsize=(9.2, 4.6))
     figure.suptitle(title)

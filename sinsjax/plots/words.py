@@ -1,4 +1,4 @@
-"""Keys of a study in words, as figures name them: no reader has to know the keys."""
+"""Plain-English names of a study's keys, for figures."""
 
 from sinsjax.units import split_unit
 
@@ -38,7 +38,7 @@ WORDS = {
     "gyro_noise": "gyro noise",
     "accel_noise": "accelerometer noise",
 }
-"""By key without its unit; other keys are told with blanks for underscores."""
+"""Names by key without its unit; for other keys underscores are replaced by spaces."""
 
 
 def label(column: str) -> str:
@@ -54,6 +54,6 @@ def setting(key: str, value: str) -> str:
 
 
 def _split(column: str) -> tuple[str, str]:
-    """A column in words, and its unit as it is printed."""
+    """Plain-English name of a column, and its unit as printed."""
     name, unit = split_unit(column)
     return WORDS.get(name, name.replace("_", " ")), unit.replace("ug", "µg")
