@@ -1,8 +1,8 @@
 """Statistics over the summary table, each with its 95 % interval.
 
-`clusters` says which runs depend on one another. `estimates` are single numbers over some runs,
-`differences` those between runs on the same noise, `tables` and `summaries` what is made of a whole
-summary.
+`clusters` determines which runs are dependent. `estimates` computes statistics of some runs,
+`differences` those between runs on the same noise, and `summaries` tables of them from a whole
+summary, with the help of `tables`.
 """
 
 from sinsjax.analysis.clusters import NO_INTERVAL, are_single, clusters_of

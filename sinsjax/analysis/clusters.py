@@ -1,8 +1,8 @@
-"""Which runs may depend on one another, and what is left of them: the rule of all intervals.
+"""Clusters of dependent runs, and their effect on confidence intervals.
 
-Runs of one draw share its noise, so where variants are pooled, draws are counted, not runs. Runs on
-a record share the record: its biases whatever their start, and its samples where their spans
-overlap, so that all of them are one cluster, which has no interval.
+Runs of one draw share its noise, so if variants are pooled, the draws count instead of the runs.
+Runs on a record share its sensor biases, and its samples where their spans overlap; all of them are
+one cluster, for which there is no interval.
 """
 
 import math
@@ -16,23 +16,23 @@ from scipy import special
 from sinsjax.analysis.tables import numbers
 
 COLUMNS = ("draw_id", "start_s")
-"""Columns of the summary that tell clusters."""
+"""Columns of the summary that identify clusters."""
 
 NO_INTERVAL = (
     "No intervals: the runs are on one record. They share its sensor biases, and most of its"
     " samples where their spans overlap, so that their spread does not tell how far another record"
     " would differ."
 )
-"""Said where runs are on a record."""
+"""Note for results of runs on a record."""
 
 
 def clusters_of(table: pa.Table) -> NDArray | None:
     """The cluster of each run, shape (rows,): its draw, or 0 for all runs on a record.
 
-    Start times that differ are those of a record. None, each run its own, without ``draw_id``.
+    Differing start times imply a record. None without ``draw_id``: each run is its own cluster.
 
     Args:
-        table: of the summary, with `COLUMNS` if it has them.
+        table: rows of the summary, with `COLUMNS` if it has them.
     """
     draw, start = COLUMNS
     if draw not in table.column_names:
@@ -44,7 +44,7 @@ def clusters_of(table: pa.Table) -> NDArray | None:
 
 
 def are_single(table: pa.Table) -> bool:
-    """Whether no two runs of a table are of one cluster, so that statistics by run hold."""
+    """Whether no two runs of a table share a cluster, so that runs are independent."""
     found = clusters_of(table)
     return found is None or np.unique(found).size == found.size
 
@@ -53,7 +53,7 @@ def of_each(cluster: ArrayLike, size: int) -> NDArray:
     """The clusters of some values, shape (size,).
 
     Raises:
-        ValueError: there are more or fewer.
+        ValueError: the number of clusters differs from the number of values.
     """
     found = np.asarray(cluster)
     if found.shape != (size,):
@@ -62,13 +62,13 @@ def of_each(cluster: ArrayLike, size: int) -> NDArray:
 
 
 class Clustered(NamedTuple):
-    """The mean of values that come in clusters.
+    """The mean of clustered values.
 
     Attributes:
-        mean: of the values.
+        mean: mean of the values.
         error: its standard error, NaN for one cluster.
         n: number of clusters.
-        size: values in all.
+        size: number of values.
     """
 
     mean: float
@@ -78,11 +78,11 @@ class Clustered(NamedTuple):
 
     @classmethod
     def of(cls, data: NDArray, cluster: ArrayLike | None) -> "Clustered":
-        """Sums over clusters as a ratio to their sizes; each value alone is the plain mean.
+        """Ratio estimate from the sums and sizes of the clusters; the plain mean without clusters.
 
         Args:
             data: shape (n,), finite.
-            cluster: shape (n,); None: each value is its own.
+            cluster: shape (n,); None if each value is its own cluster.
 
         Raises:
             ValueError: lengths differ.
@@ -96,11 +96,11 @@ class Clustered(NamedTuple):
         return cls(centre, math.sqrt(spread) / data.size, count, data.size)
 
     def factor(self, tail: float) -> float:
-        """Student's t of the clusters that has a probability above it; NaN for one cluster."""
+        """Upper ``tail`` quantile of Student's t for the clusters; NaN for one cluster."""
         return float(special.stdtrit(self.n - 1, 1 - tail)) if self.n > 1 else math.nan
 
     def worth(self, share: float) -> float:
-        """How many independent values tell a share as well; not more than there are."""
+        """Effective number of independent values for a share, at most the number of values."""
         if share in (0.0, 1.0):
             return float(self.n)
         return share * (1 - share) / max(self.error**2, share * (1 - share) / self.size)

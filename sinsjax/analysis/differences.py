@@ -1,7 +1,7 @@
 """Differences between two sets of runs on the same noise, each with its 95 % interval.
 
-Runs of one draw share their noise, so most of it cancels in a difference by draw: such an interval
-is far narrower than two intervals apart let one think.
+Runs of one draw share their noise, most of which cancels in a paired difference: the interval is
+much narrower than the two separate intervals suggest.
 """
 
 import math
@@ -15,34 +15,34 @@ from sinsjax.analysis.estimates import SEED, Estimate, bootstrap, clean, mean, p
 def difference(a: ArrayLike, b: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
     """The mean of a - b over pairs on the same noise, with Student's t interval.
 
-    A pair whose difference is not finite is left out; ``n`` says how many were used.
+    Pairs whose difference is not finite are omitted; ``n`` is the number used.
 
     Args:
         a: shape (n,), any unit.
         b: shape (n,), the same draws in the same order.
-        cluster: shape (n,), of each pair, as for :func:`sinsjax.analysis.mean`.
+        cluster: shape (n,), cluster of each pair, as for :func:`sinsjax.analysis.mean`.
 
     Raises:
         ValueError: shapes differ, or no pairs.
     """
     first, second = _pair(a, b)
-    with np.errstate(invalid="ignore"):  # infinite minus infinite, left out by mean
+    with np.errstate(invalid="ignore"):  # infinite minus infinite, omitted by mean
         return mean(first - second, cluster)
 
 
 def chance_apart(a: ArrayLike, b: ArrayLike, swaps: int = 16) -> float:
-    """How often `quantile_difference` shows a difference, one way, where there is none.
+    """One-sided false positive rate of `quantile_difference`, estimated by permutation.
 
-    Measured on the pairs themselves: with a and b swapped in some of them, picked at random and the
-    same at every call, no difference is left but that of chance.
+    Swapping a and b in randomly chosen pairs, the same at every call, removes any systematic
+    difference.
 
     Args:
         a: shape (n,), any unit.
         b: shape (n,), the same draws in the same order.
-        swaps: how many picks.
+        swaps: number of permutations.
 
     Returns:
-        Share of picks whose interval lies to one side of 0, half of it: above and below are alike.
+        Half the share of permutations whose interval excludes 0, since both sides are equivalent.
 
     Raises:
         ValueError: shapes differ, or no pairs.
@@ -59,9 +59,9 @@ def quantile_difference(a: ArrayLike, b: ArrayLike, q: float = 0.5) -> Estimate:
     """The quantile of a minus that of b, with a bootstrap interval over the pairs.
 
     NaN counts as infinite as in :func:`sinsjax.analysis.quantile`. Infinite minus finite is
-    infinite. Infinite minus infinite has no value, which is NaN here; as an end of the interval
-    it is 0, since two that never settle show no difference. Pairs are resampled whole, which
-    keeps the noise that they share.
+    infinite. Infinite minus infinite is NaN as a value and 0 as an end of the interval, since two
+    runs that never settle do not differ. Whole pairs are resampled, which preserves their common
+    noise.
 
     Args:
         a: shape (n,), any unit.
@@ -88,9 +88,9 @@ def quantile_difference(a: ArrayLike, b: ArrayLike, q: float = 0.5) -> Estimate:
 def proportion_difference(a: ArrayLike, b: ArrayLike) -> Estimate:
     """The share of a minus that of b over pairs on the same noise, with Newcombe's interval.
 
-    Wilson's intervals of the two shares, put together as if independent and corrected for the
-    correlation of the pairs (Newcombe 1998, Statistics in Medicine 17, 2635, method 10). Unlike
-    Student's t and Wald's interval it has a width where no pair differs, and ends within -1 and 1.
+    It combines Wilson's intervals of the two shares, corrected for the correlation of the pairs
+    (Newcombe 1998, Statistics in Medicine 17, 2635, method 10). Unlike Student's t and Wald's
+    interval it has a width even if no pair differs, and stays within -1 and 1.
 
     Args:
         a: shape (n,), bool: whether a run has the property.
@@ -114,7 +114,7 @@ def proportion_difference(a: ArrayLike, b: ArrayLike) -> Estimate:
 
 
 def _correlation(a: NDArray, b: NDArray) -> float:
-    """Of two paired shares: Pearson's phi, with Newcombe's correction for continuity."""
+    """Pearson's phi of two paired shares, with Newcombe's continuity correction."""
     n = a.size
     both, one, other = (float(np.count_nonzero(x)) for x in (a & b, a & ~b, b & ~a))
     none = n - both - one - other

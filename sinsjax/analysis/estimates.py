@@ -1,20 +1,19 @@
-"""Single numbers over some runs, each with its 95 % interval.
+"""Statistics of some runs, each with its 95 % interval.
 
-Nothing is dropped in silence: a run that never settled counts as an infinite settling time, and an
-:class:`Estimate` says how many values it rests on. The intervals:
+Nothing is omitted silently: a run that never settled counts as an infinite settling time, and an
+:class:`Estimate` states the number of values used. The intervals:
 
 * shares: Wilson's score interval; means: Student's t;
-* quantiles: two of the values, by the binomial law of how many lie below the quantile;
-* standard deviations and root mean squares: on the scale of their logarithm, see `_root`; of
-  normal values chi-square.
+* quantiles: two of the values, from the binomial distribution of the number below the quantile;
+* standard deviations and root mean squares: on a logarithmic scale, see `_root`; for normal values
+  chi-square.
 
-What they cover stands in ``docs/results.md``, measured by ``benchmarks/interval_coverage.py``.
+Their coverage is in ``docs/results.md``, measured by ``benchmarks/interval_coverage.py``.
 
-Runs that depend on one another are no independent values: a draw's runs share its noise, and all
-runs on a record share the record. All functions take the cluster of each value (see
-`sinsjax.analysis.clusters_of`) and count clusters, not values. One cluster has no interval:
-nothing is known of how clusters differ. An interval's end is NaN also where the values are too few
-to bound it.
+The runs of a draw share its noise, and all runs on a record share the record, so they are not
+independent. All functions take the cluster of each value (see `sinsjax.analysis.clusters_of`) and
+count clusters instead of values. One cluster has no interval, since the spread between clusters is
+unknown. An end of an interval is also NaN if there are too few values to bound it.
 """
 
 import math
@@ -33,9 +32,9 @@ RESAMPLES = 1000
 SEED = 0
 TAIL = (1 - CONFIDENCE) / 2
 _NORMAL = float(special.ndtri(1 - TAIL))
-_LEAST = 5  # clusters that bound a standard deviation or a root mean square
-_UPPER = 1.3  # of a root, see `_root`
-_BLOCK = 2**22  # values drawn at a time: bounds the bootstrap's memory
+_LEAST = 5  # fewest clusters that bound a standard deviation or a root mean square
+_UPPER = 1.3  # factor on the upper reach of a root's interval, see `_root`
+_BLOCK = 2**22  # values drawn at a time, to bound the bootstrap's memory
 
 
 class Estimate(NamedTuple):
@@ -43,9 +42,9 @@ class Estimate(NamedTuple):
 
     Attributes:
         value: the estimate; infinite means never, NaN means unknown.
-        low: lower end of the interval; NaN where too few values bound it.
+        low: lower end of the interval; NaN if there are too few values to bound it.
         high: upper end of the interval, likewise.
-        n: how many values it rests on.
+        n: number of values used.
     """
 
     value: float
@@ -55,7 +54,7 @@ class Estimate(NamedTuple):
 
 
 UNKNOWN = Estimate(math.nan, math.nan, math.nan, 0)
-"""The estimate that rests on nothing."""
+"""The estimate without any values."""
 
 
 @lru_cache(maxsize=4096)
@@ -63,8 +62,8 @@ def proportion(k: int, n: int) -> Estimate:
     """The share k/n with Wilson's score interval.
 
     Args:
-        k: runs that have the property.
-        n: all runs.
+        k: number of runs that have the property.
+        n: number of runs.
 
     Raises:
         ValueError: n is below 1, or k outside 0..n.
@@ -75,24 +74,25 @@ def proportion(k: int, n: int) -> Estimate:
 
 
 def _wilson(share: float, n: float, z: float) -> tuple[float, float]:
-    """The ends of Wilson's interval of a share of n values, which need not be a whole number."""
+    """The ends of Wilson's interval of a share of n values; n may be fractional."""
     centre = (n * share + z * z / 2) / (n + z * z)
     half = z / (n + z * z) * math.sqrt(n * share * (1 - share) + z * z / 4)
-    # At the ends the interval reaches the share itself, but for rounding.
+    # At 0 and 1 an end of the interval equals the share, apart from rounding.
     return centre - half if share > 0 else 0.0, centre + half if share < 1 else 1.0
 
 
 def share(flags: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
     """The share of the values that are true, with Wilson's score interval.
 
-    Of clusters, the interval is that of as many independent values as have the variance of the
-    share over the clusters, with Student's t of the clusters for z (Korn and Graubard 1998, Survey
-    Methodology 24, 193, with Wilson's interval for Clopper and Pearson's). Where no value or every
-    one is true, nothing is known of how alike the values of a cluster are: each counts as one.
+    With clusters, the interval uses the effective number of independent values, from the variance
+    of the share over the clusters, and Student's t of the clusters instead of z (Korn and Graubard
+    1998, Survey Methodology 24, 193, with Wilson's interval instead of Clopper and Pearson's). If
+    all values are equal, their correlation within clusters is unknown, so each cluster counts as
+    one value.
 
     Args:
         flags: shape (n,), bool.
-        cluster: shape (n,), whole numbers: the cluster of each value; None: each is its own.
+        cluster: shape (n,), integer cluster of each value; None if each is its own.
 
     Raises:
         ValueError: no values.
@@ -110,19 +110,19 @@ def share(flags: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
 def quantile(values: ArrayLike, q: float = 0.5, cluster: ArrayLike | None = None) -> Estimate:
     """The smallest value that at least a share q of the values does not exceed.
 
-    NaN (null in a table: never settled) counts as infinite, so the result is infinite where fewer
-    than a share q ever settled. It is always one of the values, never an interpolation.
+    NaN (null in a table: never settled) counts as infinite, so the result is infinite if fewer than
+    a share q ever settled. It is always one of the values, never interpolated.
 
-    The interval needs no law of the values: how many of n lie below the quantile is binomial, and
-    the ends are the values whose places it passes by with 2.5 % each at most (Conover 1999, section
-    3.2). An end is NaN where not even the smallest or the largest of so few values is such a bound.
-    Of clusters, n is the number of independent values with the variance of that share, see `share`
-    (Woodruff 1952, Journal of the American Statistical Association 47, 635).
+    The interval is distribution-free: the number of values below the quantile is binomial, and each
+    end is an order statistic exceeded by it with at most 2.5 % probability (Conover 1999, section
+    3.2). An end is NaN if there are too few values for such a bound. With clusters, n is the
+    effective number of independent values for that share, see `share` (Woodruff 1952, Journal of
+    the American Statistical Association 47, 635).
 
     Args:
         values: shape (n,), any unit.
         q: from 0 to 1.
-        cluster: shape (n,), whole numbers: the cluster of each value; None: each is its own.
+        cluster: shape (n,), integer cluster of each value; None if each is its own.
 
     Raises:
         ValueError: no values, or q out of range.
@@ -138,7 +138,7 @@ def quantile(values: ArrayLike, q: float = 0.5, cluster: ArrayLike | None = None
         reached = float(np.mean(data <= value))
         worth = max(int(clustered.worth(reached) * (_NORMAL / clustered.factor(TAIL)) ** 2), 1)
     low, high = _bounds(worth, q)
-    if worth < n:  # places among fewer values, as places among these
+    if worth < n:  # scale the ranks among fewer values to ranks among these
         low, high = math.floor(low * n / worth), math.ceil(high * n / worth)
     ends = np.partition(data, [max(low - 1, 0), min(high - 1, n - 1)])
     return Estimate(
@@ -150,7 +150,7 @@ def quantile(values: ArrayLike, q: float = 0.5, cluster: ArrayLike | None = None
 
 
 def place(n: int, q: float) -> int:
-    """Where a quantile stands among n sorted values, from 0; as numpy's method "inverted_cdf".
+    """Index of a quantile among n sorted values, as in numpy's method "inverted_cdf".
 
     Raises:
         ValueError: q out of range.
@@ -163,21 +163,21 @@ def place(n: int, q: float) -> int:
 
 @lru_cache(maxsize=256)
 def _bounds(n: int, q: float) -> tuple[int, int]:
-    """Where the ends of the interval of a quantile stand among n values, from 1; 0, n + 1: none."""
-    below = special.bdtr(np.arange(n), n, q)  # that no more than 0, 1, ... n - 1 lie below it
+    """Ranks, from 1, of the ends of a quantile's interval among n values; 0 or n + 1 for none."""
+    below = special.bdtr(np.arange(n), n, q)  # probability that at most 0, 1, ... lie below it
     return int(np.sum(below <= TAIL)), int(np.sum(1 - below > TAIL)) + 1
 
 
 def mean(values: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
     """The mean of the finite values with Student's t interval.
 
-    Values that are not finite are left out; ``n`` says how many were used. One value has no
-    interval, none gives :data:`UNKNOWN`. Of clusters, the variance is that of a ratio: sums over
-    the clusters by their sizes (Cochran 1977, Sampling techniques, section 9A).
+    Non-finite values are omitted; ``n`` is the number used. One value has no interval, none gives
+    :data:`UNKNOWN`. With clusters, the variance is that of a ratio estimate: sums over the clusters
+    by their sizes (Cochran 1977, Sampling techniques, section 9A).
 
     Args:
         values: shape (m,), any unit.
-        cluster: shape (m,), whole numbers: the cluster of each value; None: each is its own.
+        cluster: shape (m,), integer cluster of each value; None if each is its own.
 
     Raises:
         ValueError: no values at all.
@@ -195,15 +195,15 @@ def std(
 ) -> Estimate:
     """The sample standard deviation (n - 1) of the finite values.
 
-    Values that are not finite are left out; ``n`` says how many were used. Fewer than two have no
-    standard deviation, fewer than five no interval unless they are normal. Of runs that ended in
-    more than one way it says nothing: quantiles do.
+    Non-finite values are omitted; ``n`` is the number used. Fewer than two values have no standard
+    deviation, fewer than five no interval unless they are normal. For runs of mixed outcome use
+    quantiles instead.
 
     Args:
         values: shape (m,), any unit.
-        cluster: shape (m,), whole numbers: the cluster of each value; None: each is its own.
-        is_normal: whether the values are normal by their making, such as what a linear loop makes
-            of white noise; then the interval is that of chi-square. Never to be told from them.
+        cluster: shape (m,), integer cluster of each value; None if each is its own.
+        is_normal: whether the values are normal by construction, such as a linear loop's response
+            to white noise; then the interval is chi-square. Never infer this from the values.
 
     Raises:
         ValueError: no values at all.
@@ -224,12 +224,11 @@ def std(
 def rms(values: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
     """The root mean square of the finite values.
 
-    Values that are not finite are left out; ``n`` says how many were used. Fewer than five have no
-    interval.
+    Non-finite values are omitted; ``n`` is the number used. Fewer than five have no interval.
 
     Args:
         values: shape (m,), any unit.
-        cluster: shape (m,), whole numbers: the cluster of each value; None: each is its own.
+        cluster: shape (m,), integer cluster of each value; None if each is its own.
 
     Raises:
         ValueError: no values at all.
@@ -244,11 +243,12 @@ def rms(values: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
 def _root(value: float, squares: Clustered) -> tuple[float, float]:
     """The ends of the interval of the root of a mean square.
 
-    Student's t on the scale of its logarithm, with Bonett's two corrections (2006, Computational
-    Statistics and Data Analysis 50, 775) for the estimate and its error falling together: both grow
-    by the relative variance of the mean square, which is itself told with two degrees of freedom
-    less. The upper end reaches further by `_UPPER`: a sample seldom shows the tails of a heavy law.
-    That number is what `benchmarks/interval_coverage.py` asks for with Student's t of 5 degrees.
+    Student's t on a logarithmic scale, with Bonett's two corrections (2006, Computational
+    Statistics and Data Analysis 50, 775) for the correlation of the estimate with its error: both
+    grow by the relative variance of the mean square, which is itself estimated with two degrees of
+    freedom less. The upper reach is multiplied by `_UPPER`, because a sample seldom shows the tails
+    of a heavy-tailed distribution; `benchmarks/interval_coverage.py` requires that value for
+    Student's t with 5 degrees of freedom.
     """
     n = squares.n
     if value == 0.0:
@@ -261,13 +261,13 @@ def _root(value: float, squares: Clustered) -> tuple[float, float]:
 
 
 def chi2_mean_band(freedom: int, n: int) -> tuple[float, float]:
-    """The 95 % band of the mean of n chi-square values: n times it has n times the freedom.
+    """The 95 % band of the mean of n chi-square values.
 
-    Where a filter's belief is true, its mean NEES over independent runs lies in it in 95 of 100
-    studies (Bar-Shalom, Li and Kirubarajan 2001, section 5.4).
+    The mean NEES of a consistent filter over independent runs lies in it in 95 of 100 studies
+    (Bar-Shalom, Li and Kirubarajan 2001, section 5.4).
 
     Args:
-        freedom: degrees of freedom of one value, from 1.
+        freedom: degrees of freedom of one value, at least 1.
         n: number of values; 0 gives NaN.
 
     Returns:
@@ -292,18 +292,18 @@ def clean(values: ArrayLike, *, missing: float = math.nan) -> NDArray:
 
 
 def _finite(values: ArrayLike, cluster: ArrayLike | None) -> tuple[NDArray, NDArray | None]:
-    """The finite ones of some values, of which there must be one or more, and their clusters."""
+    """The finite values, with their clusters; there must be at least one value."""
     data = clean(values)
     known = np.isfinite(data)
     return data[known], None if cluster is None else of_each(cluster, data.size)[known]
 
 
 def bootstrap(statistic: Callable[..., NDArray], *samples: NDArray) -> tuple[float, float]:
-    """Percentile interval of a statistic, the same at every call.
+    """Percentile bootstrap interval of a statistic, the same at every call.
 
     Args:
-        statistic: of arrays (..., n), one a sample, over their last axis.
-        samples: shape (n,) each; they share their resampling, which keeps pairs together.
+        statistic: function of arrays (..., n), one per sample, over their last axis.
+        samples: shape (n,) each, resampled together to preserve pairs.
 
     Returns:
         Lower and upper end; NaN for fewer than two values.

@@ -9,9 +9,9 @@ def format_estimate(estimate: Estimate, unit: str = "", digits: int = 1) -> str:
     """An estimate as text, such as ``12.3 [11.9, 12.8] s``.
 
     Args:
-        estimate: what to write; infinite numbers become ``never``, NaN becomes ``unknown``, and an
-            interval of which neither end is known is left out.
-        unit: written after the interval if given.
+        estimate: estimate to write; infinite numbers become ``never``, NaN becomes ``unknown``, and
+            an interval with neither end known is omitted.
+        unit: unit, written after the interval.
         digits: decimals.
     """
     words = {"nan": "unknown", "inf": "never", "-inf": "-never"}
@@ -27,16 +27,16 @@ def format_difference(
     digits: int = 1,
     sides: tuple[str, str] = ("one side", "one side"),
 ) -> str:
-    """A difference of two settling times as text: what never settles is told in words.
+    """A difference of two settling times as text, with words for runs that never settle.
 
-    Such as ``12.3 [11.9, 12.8] s``, ``one side never settles`` or ``neither settles``.
+    Examples: ``12.3 [11.9, 12.8] s``, ``one side never settles``, ``neither settles``.
 
     Args:
-        estimate: of :func:`sinsjax.analysis.quantile_difference`; NaN of some pairs means that
+        estimate: from :func:`sinsjax.analysis.quantile_difference`; NaN with n > 0 means that
             neither settles.
-        unit: written after the interval if given.
+        unit: unit, written after the interval.
         digits: decimals.
-        sides: what was compared, the one that the other is taken from first.
+        sides: names of the two sides, the minuend first.
     """
     value, low, high = map(float, estimate[:3])
     if math.isnan(value):
@@ -47,6 +47,6 @@ def format_difference(
             return f"{sides[0] if number > 0 else sides[1]} never settles"
         return "unknown" if math.isnan(number) else f"{number:.{digits}f}"
 
-    if math.isinf(value) and {low, high} <= {value, 0.0}:  # ends at 0 where neither settles
+    if math.isinf(value) and {low, high} <= {value, 0.0}:  # an end is 0 if neither settles
         return text(value)
     return f"{text(value)} [{text(low)}, {text(high)}] {unit}".rstrip()

@@ -1,4 +1,4 @@
-"""Tables of statistics: one row a group of runs, or one row a group against a baseline."""
+"""Tables of statistics: one row per group of runs, or per group compared with a baseline."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -29,7 +29,7 @@ NEES_FREEDOM = 3
 
 _YAW, _FLOOR = "phi_u_mean_arcmin", "floor_arcmin"
 _INTERVAL = ("", "_low", "_high")
-_MEAN = (*_INTERVAL, "_n")  # leaves out what is not finite, so that its own number is told
+_MEAN = (*_INTERVAL, "_n")  # a mean omits non-finite values, so its number of values is given
 _CHI2 = (*_MEAN, "_chi2_low", "_chi2_high")
 
 
@@ -37,12 +37,12 @@ class _Statistic(NamedTuple):
     """One statistic of a group.
 
     Attributes:
-        columns: that it is made of.
-        of: the estimate of a group's rows.
-        told: ends of the names of the columns that it makes.
-        judged: whether it would be an invention where there is no truth.
-        limited: whether only runs that have a limit count.
-        freedom: of the chi-square values that it is the mean of; 0 for others.
+        columns: columns that it uses.
+        of: function that estimates it from a group's rows.
+        told: suffixes of the columns that it gives.
+        judged: whether it requires a truth.
+        limited: whether it uses only runs that have a limit.
+        freedom: degrees of freedom if it is a mean of chi-square values; 0 otherwise.
     """
 
     columns: tuple[str, ...]
@@ -54,40 +54,39 @@ class _Statistic(NamedTuple):
 
 
 def summarise(table: pa.Table, by: Sequence[str], names: Sequence[str] | None = None) -> pa.Table:
-    """The statistics of each group of runs, one row a group.
+    """Compute the statistics of each group of runs, one row per group.
 
     Columns: the keys; ``n`` runs, of which ``nonfinite`` and ``no_limit``; then ``X``, ``X_low``
-    and ``X_high`` for every statistic X, with its 95 % interval. Where a group has several runs of
-    a draw, it is that of the draws; where the runs are on a record, there is none (see
+    and ``X_high`` for every statistic X with its 95 % interval. If a group has several runs of a
+    draw, the interval counts draws; for runs on a record there is none (see
     `sinsjax.analysis.clusters`):
 
-    * ``success_rate`` (status ``ok``, as the study judges it) and ``diverged_rate``: shares of all
-      runs; ``success_truth_rate``, the share of runs that end within the success band of the truth,
-      and ``success_limit_rate``, of those that have a limit, the share that ends within the success
-      band of it;
+    * ``success_rate`` (status ``ok``, by the study's criterion) and ``diverged_rate``: shares of
+      all runs; ``success_truth_rate``: the share of runs that end within the success band about the
+      truth; ``success_limit_rate``: the same about the limit, of the runs that have one;
     * for each band B of the table ``settle_B_s_median`` and ``settle_B_s_q90`` (infinite: never),
       ``settle_B_s_mean`` of the runs that settled, and ``never_settled_B``, a count without
       interval, all about the limit; about the truth the same of ``settle_B_truth_s``; all but the
       count also for ``settle_B_data_s`` and ``settle_B_truth_data_s``, with repeated passes over a
       stored record;
     * ``phi_u_mean_arcmin_mean`` and ``phi_u_mean_arcmin_std``: the window means over the runs, the
-      second null where they ended in more than one status: there ``phi_u_mean_arcmin_q10``,
-      ``..._median`` and ``..._q90`` tell the spread, of the finite values;
+      second null if they ended in more than one status: then ``phi_u_mean_arcmin_q10``,
+      ``..._median`` and ``..._q90`` give the spread of the finite values;
       ``phi_u_from_floor_arcmin_mean``: window mean minus floor; ``phi_u_std_arcmin_mean``: the
       standard deviation inside a run's window;
-    * ``nees_median`` (a run that is not finite counts as infinite), ``nees_mean`` and
-      ``nis_u_mean``, these two with the chi-square band of the mean in ``X_chi2_low`` and
-      ``X_chi2_high``: to be asserted only where the filter's belief is true.
+    * ``nees_median`` (a non-finite run counts as infinite), ``nees_mean`` and ``nis_u_mean``, the
+      last two with the chi-square band of the mean in ``X_chi2_low`` and ``X_chi2_high``, which
+      holds only for a consistent filter.
 
-    What counts from the limit is made of the runs that have one, all but ``no_limit`` of them. A
-    mean or standard deviation leaves out what is not finite; ``X_n`` says how many runs it rests
-    on. Null is unknown; without truth or reference all but ``n`` and ``nonfinite`` are.
+    Statistics about the limit use only runs that have one, all but ``no_limit`` of them. A mean or
+    standard deviation omits non-finite values; ``X_n`` is the number of runs used. Null means
+    unknown, as all but ``n`` and ``nonfinite`` are without truth or reference.
 
     Args:
-        table: the summary, one row a run.
+        table: the summary, one row per run.
         by: key columns as for :func:`groups`.
-        names: which X, and counts, in this order; all of them without it. The columns that others
-            are made of may be missing.
+        names: statistics and counts to compute, in this order; None for all. The columns of other
+            statistics may then be missing.
 
     Raises:
         InputError: the table has no rows, a column is missing, or there is no such statistic.
@@ -109,21 +108,21 @@ def summarise(table: pa.Table, by: Sequence[str], names: Sequence[str] | None = 
 
 
 def compare(table: pa.Table, by: Sequence[str], baseline: Mapping[str, Any]) -> pa.Table:
-    """How each group of runs differs from a baseline group on the same draws.
+    """Compare each group of runs with a baseline group on the same draws.
 
     Columns: the keys; ``n`` draws; then ``X``, ``X_low`` and ``X_high``, group minus baseline, for
     X in ``success_rate_difference``, and the same of ``success_limit_rate`` and
     ``success_truth_rate`` (paired shares, Newcombe's interval),
-    ``settle_B_s_median_difference`` for each band B (infinite: only one of both ever settles; null
-    between two ends: neither does) and
-    ``phi_u_error_arcmin_difference`` (by draw, how far the window mean of phi_u lies from its
-    floor; mean with Student's t interval), whose ``X_n`` says how many draws it rests on. Null is
-    unknown, as all are without truth or reference, and all ends where the runs are on a record.
+    ``settle_B_s_median_difference`` for each band B (infinite: only one of the two ever settles;
+    null between two ends: neither does) and
+    ``phi_u_error_arcmin_difference`` (distance of the window mean of phi_u from its floor, by draw;
+    mean with Student's t interval), whose ``X_n`` is the number of draws used. Null means unknown,
+    as all are without truth or reference, and all ends of intervals for runs on a record.
 
     Args:
-        table: the summary, one row a run.
-        by: key columns as for :func:`groups`; one run a draw in each group.
-        baseline: the key values of the group that all others are held against.
+        table: the summary, one row per run.
+        by: key columns as for :func:`groups`; one run per draw in each group.
+        baseline: key values of the group to compare with.
 
     Returns:
         One row for each group but the baseline, by first appearance.
@@ -150,7 +149,7 @@ def compare(table: pa.Table, by: Sequence[str], baseline: Mapping[str, Any]) -> 
 
 
 def _needed(table: pa.Table) -> tuple[str, ...]:
-    """Columns that say what of a run can be judged."""
+    """Columns that determine which statistics of a run are defined."""
     return ("status", "phi_u_arcmin", *{"has_limit"}.intersection(table.column_names))
 
 
@@ -163,7 +162,7 @@ def _differences(
 ) -> dict[str, Any]:
     """One group's cells of :func:`compare`."""
     mine, others = by_draw(rows, base)
-    single = are_single(rows)  # else they are on one record, and no difference has an interval
+    single = are_single(rows)  # otherwise on one record, where no difference has an interval
 
     def pair(column: str) -> tuple[NDArray, NDArray]:
         return numbers(rows, column)[mine], numbers(base, column)[others]
@@ -193,7 +192,7 @@ def _differences(
 
 
 def _offered(columns: Sequence[str]) -> dict[str, _Statistic]:
-    """Every statistic of a table with these columns by its name."""
+    """All statistics of a table with these columns, by name."""
     offered = {
         f"{name}_rate": _Statistic(("status",), partial(_share, status=status), judged=True)
         for name, status in {"success": "ok", "diverged": "diverged"}.items()
@@ -239,7 +238,7 @@ def _share(rows: pa.Table, status: str) -> Estimate:
 
 
 def _true(rows: pa.Table, name: str) -> Estimate:
-    """The share of runs whose flag is set; unknown where it was not recorded."""
+    """The share of runs whose flag is set; unknown if it was not recorded."""
     known = rows.filter(pc.is_valid(require(rows, name)))
     if not known.num_rows:
         return UNKNOWN
@@ -247,7 +246,7 @@ def _true(rows: pa.Table, name: str) -> Estimate:
 
 
 def _one_status_std(rows: pa.Table) -> Estimate:
-    """The spread of the window means, which means nothing over runs that ended in several ways."""
+    """The spread of the window means, which is meaningful only for runs of the same status."""
     if len(rows["status"].unique()) > 1:
         return UNKNOWN
     return std(numbers(rows, _YAW), clusters_of(rows))
@@ -280,7 +279,7 @@ def _row(rows: pa.Table, statistics: Mapping[str, _Statistic]) -> dict[str, Any]
         judged = limited if statistic.limited else rows
         known = judged.num_rows and (truth or not statistic.judged)
         estimate = statistic.of(judged) if known else UNKNOWN
-        # The band is one of independent runs.
+        # The band is valid for independent runs only.
         row |= _cells(name, estimate, statistic.told, statistic.freedom, banded=single)
     return row
 

@@ -1,4 +1,4 @@
-"""The summary table: its columns as numbers, its groups of runs, runs paired by draw."""
+"""Access to the summary table: columns as numbers, groups of runs, runs paired by draw."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
 
-_SLICE = 2**16  # rows turned into Python's objects at a time
+_SLICE = 2**16  # rows converted to Python objects at a time
 
 
 def numbers(table: pa.Table, column: str) -> NDArray:
@@ -32,9 +32,9 @@ def has_status(table: pa.Table, status: str) -> NDArray:
 
 
 def has_truth(table: pa.Table) -> bool:
-    """Whether the runs were judged against a truth or a reference.
+    """Whether the runs have a truth or a reference.
 
-    Without one every misalignment is null; so it is where every run is not finite.
+    Without one every misalignment is null; it also is if no run is finite.
 
     Raises:
         InputError: a column is missing.
@@ -44,17 +44,17 @@ def has_truth(table: pa.Table) -> bool:
 
 
 def with_limit(table: pa.Table) -> pa.Table:
-    """The runs that have a limit to judge them from: all, where nothing is said of it."""
+    """The runs that have a limit; all runs if the table does not say."""
     if "has_limit" not in table.column_names:
         return table
     return table.filter(pc.fill_null(table["has_limit"], True))
 
 
 def paired(a: pa.Table, b: pa.Table, column: str) -> tuple[NDArray, NDArray]:
-    """One column of two tables, row by row on the same draw.
+    """One column of two tables, paired by draw.
 
     Args:
-        a: one row a draw, with ``draw_id``.
+        a: one row per draw, with ``draw_id``.
         b: the same draws, in any order.
         column: a numeric column of both.
 
@@ -72,7 +72,7 @@ def by_draw(a: pa.Table, b: pa.Table) -> tuple[NDArray, NDArray]:
     """The rows of two tables in ascending order of ``draw_id``.
 
     Args:
-        a: one row a draw.
+        a: one row per draw.
         b: the same draws, in any order.
 
     Raises:
@@ -80,20 +80,21 @@ def by_draw(a: pa.Table, b: pa.Table) -> tuple[NDArray, NDArray]:
     """
     (draws, first), (others, second) = (np.unique(numbers(t, "draw_id"), True) for t in (a, b))
     if draws.size < a.num_rows or others.size < b.num_rows:
-        raise InputError("summary: draw_id repeats, so that runs cannot be paired by draw")
+        raise InputError("summary: draw_id repeats, so runs cannot be paired by draw")
     if not np.array_equal(draws, others):
-        raise InputError("summary: the draws differ, so that runs cannot be paired by draw")
+        raise InputError("summary: the draws differ, so runs cannot be paired by draw")
     return first, second
 
 
 def groups(table: pa.Table, by: Sequence[str]) -> Iterator[tuple[dict[str, Any], pa.Table]]:
-    """Splits a table by the values of some columns.
+    """Split a table by the values of some columns.
 
-    The table is copied once, in the order of the groups: give it the columns that are needed.
+    The table is copied once, in the order of the groups, so pass only the columns needed.
 
     Args:
         table: any table.
-        by: key columns of any type, lists too; null is a key as any other. No column, one group.
+        by: key columns of any type, including lists; null is a key like any other. Without
+            columns there is one group.
 
     Yields:
         The key values and the group's rows in their order; groups by first appearance.
@@ -103,7 +104,7 @@ def groups(table: pa.Table, by: Sequence[str]) -> Iterator[tuple[dict[str, Any],
     """
     code = np.zeros(table.num_rows, dtype=np.int64)
     for name in by:
-        # Numbered anew after each key, so that the product of many keys cannot overflow.
+        # Renumbered after each key, so that the product of many keys cannot overflow.
         code = code * (table.num_rows + 1) + _codes(require(table, name))
         code = np.unique(code, return_inverse=True)[1]
     _, first, size = np.unique(code, return_index=True, return_counts=True)
