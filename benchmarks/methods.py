@@ -7,7 +7,7 @@ import common
 from derivative import loops_of, operations
 
 from sinsjax.bench.cases import (
-    TAPE_S,
+    RECORD_S,
     TILES,
     compass_group,
     default_group,
@@ -38,7 +38,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
         "kalman10": kalman10_group(),
         "linearisation": trigger_group(),
         "compass": compass_group(),
-        "compass_tape": compass_group(TAPE_S),
+        "compass_tape": compass_group(RECORD_S),
     }
     if quick:
         groups = {name: shortened(group, 2) for name, group in groups.items()}

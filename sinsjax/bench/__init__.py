@@ -1,7 +1,7 @@
-"""The short benchmark set: the engine's step on one core, told in ns per step and run.
+"""The short benchmark set: time of the engine's step on one core, in ns per step and run.
 
-Every row times a compiled function that is used elsewhere. The scripts of ``benchmarks/`` time more
-with the same parts: `timing` has the one timer, `cases` and `limit` what is timed.
+Every row times a compiled function of the engine. The scripts in ``benchmarks/`` time more with the
+same modules: `timing` is the timer, `cases` and `limit` define the workloads.
 """
 
 import json
@@ -29,12 +29,12 @@ def run(console: Console, *, as_json: bool, limit: bool, repeats: int) -> None:
 
     Args:
         console: where to print.
-        as_json: one JSON object a line instead of a table.
-        limit: also build and time the limit kernel, where a gcc works.
-        repeats: timings a row.
+        as_json: whether to print one JSON object per line instead of a table.
+        limit: whether to time the limit kernel too, if gcc works.
+        repeats: timings per row.
 
     Raises:
-        InputError: the limit kernel cannot be built or dies.
+        InputError: the limit kernel cannot be built or crashes.
     """
     use_one_core()
     runtime.require_backend()
@@ -56,8 +56,8 @@ def short_set(*, limit_folder: str | None) -> list[Workload]:
     """The rows of the short set, compiled and ready to time.
 
     Args:
-        limit_folder: where to build the limit kernel; None for a set without it. Where no
-            gcc works a line on stderr says why, and the set goes without it.
+        limit_folder: where to build the limit kernel; None to omit it. If gcc does not work, it is
+            omitted with a warning on stderr.
     """
     out = []
     if limit_folder:
@@ -71,7 +71,7 @@ def short_set(*, limit_folder: str | None) -> list[Workload]:
 
 
 def _table(rows: list[dict[str, Any]]) -> Table:
-    table = Table(title="ns a step and run", box=box.SIMPLE)
+    table = Table(title="ns per step and run", box=box.SIMPLE)
     shown = {
         "name": "name",
         "ns_per_step_run": "ns",

@@ -1,8 +1,8 @@
-"""The same alignment step as a plain NumPy loop over one run, as one would write it first.
+"""The alignment step as a straightforward NumPy loop over one run.
 
-A baseline for `bench` and a check on the engine: dense matrices, rotation matrices and textbook
-formulas, sharing no code with the engine but the sensor increments. It stays apart from the naive
-engine of the tests, which knows every option of a study and is no measure of speed.
+It serves as a baseline for `bench` and a check on the engine: dense matrices, rotation matrices and
+textbook formulas, sharing only the sensor increments with the engine. It is separate from the naive
+engine of the tests, which supports every option of a study and is not a measure of speed.
 """
 
 from typing import NamedTuple
@@ -11,7 +11,7 @@ import numpy as np
 
 
 class Setting(NamedTuple):
-    """What the loop needs to know; SI units, rad.
+    """Parameters of the loop, in SI units and rad.
 
     Attributes:
         dt: sample time, s.
@@ -20,7 +20,7 @@ class Setting(NamedTuple):
         tan_latitude: tangent of the latitude.
         radius: of the Earth, m.
         p0: (5,) initial variances.
-        q: (5,) process noise a step.
+        q: (5,) process noise per step.
         r: measurement variance.
         feedback_every: samples.
         resets: sample counts after which P is set to P0.
@@ -39,7 +39,7 @@ class Setting(NamedTuple):
 
 
 def skew(v: np.ndarray) -> np.ndarray:
-    """The matrix of the cross product with v."""
+    """Cross-product matrix of v."""
     return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
 
@@ -58,7 +58,7 @@ def align(increments: np.ndarray, c: np.ndarray, setting: Setting) -> tuple[np.n
     Args:
         increments: (n, 6) measured angle (rad) and velocity (m/s) increments in b.
         c: (3, 3) initial C_b^n, misaligned.
-        setting: numbers.
+        setting: parameters.
 
     Returns:
         C_b^n corrected by the last estimate, and P (5, 5).
@@ -95,7 +95,7 @@ def compensated(now: np.ndarray, before: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def navigation_rate(velocity: np.ndarray, s: Setting) -> np.ndarray:
-    """w_in in n, rad/s."""
+    """Rotation rate w_in in n, rad/s."""
     east = velocity[0] / s.radius
     return np.array([-velocity[1] / s.radius, s.rate_n + east, s.rate_u + east * s.tan_latitude])
 
@@ -103,7 +103,7 @@ def navigation_rate(velocity: np.ndarray, s: Setting) -> np.ndarray:
 def transition(
     c: np.ndarray, velocity: np.ndarray, dv: np.ndarray, s: Setting
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A dt of [P1] eq. (3), and the velocity increment in n."""
+    """A dt from [P1] eq. (3), and the velocity increment in n."""
     ve, vn = velocity
     w_e, w_n, w_u = navigation_rate(velocity, s)
     f_dt = c @ dv

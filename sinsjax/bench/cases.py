@@ -1,6 +1,6 @@
-"""What is timed: the compiled function of `sweep` on the default sweep, and a plain NumPy loop.
+"""Benchmark workloads: the compiled function of `sweep`, and a plain NumPy loop.
 
-The default sweep's base and sensors serve every method.
+All methods use the base motion and sensors of the default sweep.
 """
 
 import time
@@ -24,9 +24,9 @@ from sinsjax.study.load import load_study, study_from_dict
 from sinsjax.types import Quat
 
 TILES = 2
-"""Tiles a call: the fewest, since the compiler unrolls the loop over a single one."""
+"""Tiles per call: two at least, since the compiler unrolls the loop over a single one."""
 
-TAPE_S = 80.0
+RECORD_S = 80.0
 """Length of a stored record, as in [P2]."""
 
 _BASELINE_SAMPLES = 2000
@@ -43,12 +43,12 @@ _BASE = {
     "roll_period_s": [6.0, 10.0],
     "yaw_phase_deg": [-180.0, 180.0],
 }
-"""What a draw's own base has of its own, and between which ends."""
+"""Base motion and orientation keys with a value per draw, and their ranges."""
 
 
 @cache
 def default_group() -> Group:
-    """What `sweep` runs for the default sweep, ``configs/reset_sweep.toml``."""
+    """The group of runs of the default sweep, ``configs/reset_sweep.toml``."""
     (part,) = parts(load_study(asset(_DEFAULT)))
     return part.group
 
@@ -65,7 +65,7 @@ def kalman10_group() -> Group:
 
 @cache
 def trigger_group() -> Group:
-    """The default sweep with resets by the `linearisation` trigger, and as many variants."""
+    """The default sweep with the `linearisation` trigger, and the same number of variants."""
     data = tomllib.loads(asset(_DEFAULT).read_text("utf-8"))
     for key in ("reset_count", "reset_cycle_s"):
         del data["axes"][key]
@@ -79,11 +79,11 @@ def trigger_group() -> Group:
 
 
 @cache
-def compass_group(tape_s: float | None = None) -> Group:
-    """The default sweep with compass loops, and as many variants: sigmas in the place of resets.
+def compass_group(record_s: float | None = None) -> Group:
+    """The default sweep with compass loops: as many variants, of sigmas instead of resets.
 
     Args:
-        tape_s: length of the record that is read in repeated passes, s; None for a single one.
+        record_s: length of the stored record for repeated passes, s; None for a single pass.
     """
     data = tomllib.loads(asset(_DEFAULT).read_text("utf-8"))
     for section, keys in (
@@ -96,14 +96,14 @@ def compass_group(tape_s: float | None = None) -> Group:
     data["study"]["judged_from"] = "truth"  # a pass is too short for a limit
     data["alignment"]["method"] = "compass"
     data["axes"] |= _SIGMAS
-    if tape_s is not None:
-        data["passes"] = {"tape_s": tape_s}
+    if record_s is not None:
+        data["passes"] = {"tape_s": record_s}
     (part,) = parts(study_from_dict(data, _DEFAULT))
     return part.group
 
 
 def without_noise(group: Group) -> Group:
-    """What `sweep` runs where the sensors have no noise."""
+    """The group without sensor noise."""
     errors = group.environment.errors
     quiet = errors._replace(gyro_noise=np.zeros(3), accel_noise=np.zeros(3))
     return group._replace(
@@ -113,9 +113,9 @@ def without_noise(group: Group) -> Group:
 
 
 def at_rest(group: Group) -> Group:
-    """A tenth of the group's time with A(t) of a base at rest: its draws share a covariance.
+    """A tenth of the group's duration, with A(t) of a base at rest: draws share a covariance.
 
-    Its calls are large: all variants of several draws.
+    Calls are large: all variants of several draws.
     """
     options = group.static.options._replace(specific_force="gravity")
     group = group._replace(static=group.static._replace(options=options))
@@ -123,7 +123,7 @@ def at_rest(group: Group) -> Group:
 
 
 def with_feedback_each_sample(group: Group) -> Group:
-    """The group with its loop closed at every sample."""
+    """The group with feedback at every sample."""
     method = group.variants.method
     every = np.ones_like(method.feedback.every)
     method = method._replace(feedback=method.feedback._replace(every=every))
@@ -131,7 +131,7 @@ def with_feedback_each_sample(group: Group) -> Group:
 
 
 def some_variants(group: Group, count: int, runs: int = 0) -> Group:
-    """The group with its last variants only, and draws enough for `TILES` and a number of runs."""
+    """The group with its last variants only, and enough draws for `TILES` and a number of runs."""
     draws = _draws(count, runs)
     return group._replace(
         variants=_last(group, count),
@@ -142,7 +142,7 @@ def some_variants(group: Group, count: int, runs: int = 0) -> Group:
 
 @cache
 def drawn_base_group(count: int) -> Group:
-    """`some_variants` of the default sweep with a base of its own for each draw."""
+    """`some_variants` of the default sweep with a different base motion for each draw."""
     data = tomllib.loads(asset(_DEFAULT).read_text("utf-8"))
     data["study"]["draws"] = _draws(count)
     for key in _BASE:
@@ -172,11 +172,11 @@ def engine(
     """The compiled function of `sweep` on its first call for a group.
 
     Args:
-        name: of the row.
-        group: what to run; it has runs enough for the call, or lanes stay idle.
-        tiles: a call, at least.
-        lanes: runs a tile.
-        devices: that make a call each, at the same time.
+        name: name of the row.
+        group: group to run; with too few runs for the call, lanes stay idle.
+        tiles: tiles per call, at least.
+        lanes: runs per tile.
+        devices: number of devices, with one simultaneous call each.
     """
     draws, variants = group.sizes
     calls = plan(group, tiles_a_chunk=tiles, lanes=lanes)
@@ -191,7 +191,7 @@ def engine(
     def one(arguments: tuple[Environment, Tiles]) -> None:
         jax.block_until_ready(program(*arguments))
 
-    # One device's work is told in CPU time, which others on the machine take no part of.
+    # One device is timed in CPU time, which excludes other processes on the machine.
     clock = time.process_time if devices == 1 else time.perf_counter
 
     def call() -> float:
@@ -247,7 +247,7 @@ def _first_params(group: Group) -> RunParams:
 
 
 def _check(group: Group, c: np.ndarray) -> None:
-    """The baseline must give the engine's attitude, or its time means nothing."""
+    """Check that the baseline gives the engine's attitude; otherwise its time is meaningless."""
     static = group.static._replace(records=_BASELINE_SAMPLES // group.static.record_every)
     draw = jax.tree.map(lambda a: np.asarray(a).ravel()[0], group.draws)
     outcome, _ = jax.jit(partial(simulate, static))(group.environment, draw, _first_params(group))
@@ -263,8 +263,8 @@ def _silent() -> Group:
     return without_noise(default_group())
 
 
-def _compass(name: str, tape_s: float | None = None) -> Workload:
-    return engine(name, without_noise(compass_group(tape_s)))
+def _compass(name: str, record_s: float | None = None) -> Workload:
+    return engine(name, without_noise(compass_group(record_s)))
 
 
 def _noisy(variants: int) -> Workload:
@@ -278,7 +278,7 @@ SHORT: dict[str, Callable[[], Workload]] = {
     "kalman_noise_1": lambda: _noisy(1),
     "kalman_shared_covariance": lambda: engine("kalman_shared_covariance", at_rest(_silent())),
     "compass_shared_record": lambda: _compass("compass_shared_record"),
-    "compass_stored_tape": lambda: _compass("compass_stored_tape", TAPE_S),
+    "compass_stored_tape": lambda: _compass("compass_stored_tape", RECORD_S),
     "numpy_baseline": lambda: numpy_baseline(_silent()),
 }
-"""The short set: what makes each row, by its name, in order. A new row is a line here."""
+"""The short set: functions that give each row, by name and in order."""

@@ -1,4 +1,4 @@
-"""The limit kernel: ``benchmarks/limit_kernel.c``, built for the instruction set in force."""
+"""The limit kernel, ``benchmarks/limit_kernel.c``, built for the instruction set in use."""
 
 import shutil
 import subprocess
@@ -13,28 +13,28 @@ from sinsjax.platform import machine, xla
 
 _FLAGS = "-O3 -ffast-math -Wno-psabi -mprefer-vector-width=512".split()
 _LEVELS = {"AVX512": "x86-64-v4", "AVX2": "x86-64-v3", "SSE4_2": "x86-64-v2"}
-"""gcc's names of the smallest processors that have a set."""
+"""gcc's names of the minimal processors with each instruction set."""
 
 
 def compiler() -> str:
-    """Path of the gcc here, which has just built and run a program with the kernel's options.
+    """Path of gcc, after checking that it builds a working program with the kernel's options.
 
     Raises:
-        InputError: there is none, or it cannot build what runs here.
+        InputError: gcc is missing, or cannot build a program that runs on this machine.
     """
     found = shutil.which("gcc")
     if found is None:
-        raise InputError("there is no gcc here")
+        raise InputError("gcc not found")
     with tempfile.TemporaryDirectory(prefix="sinsjax-limit-") as folder:
         source, program = Path(folder) / "empty.c", str(Path(folder) / "empty")
         source.write_text("int main(void) { return 0; }\n", encoding="utf-8")
-        _told([found, *_FLAGS, _architecture(), str(source), "-o", program, "-lm"], "gcc")
-        _told([program], "what gcc builds")
+        _output([found, *_FLAGS, _architecture(), str(source), "-o", program, "-lm"], "gcc")
+        _output([program], "a program built by gcc")
     return found
 
 
 def _architecture() -> str:
-    """The option of gcc for the set that XLA may use: the kernel gets no more than the engine."""
+    """Option of gcc for XLA's instruction set, so that the kernel has no more than the engine."""
     instructions = xla.instructions()
     if instructions == machine.instructions():
         return "-march=native"
@@ -46,30 +46,30 @@ def limit_kernel(compiler: str, folder: str, *, steps: int = 20000, vectors: int
 
     Args:
         compiler: path of gcc, see `compiler`.
-        folder: where the program goes; it has to stay as long as the case is called.
-        steps: of each run.
-        vectors: of 8 runs.
+        folder: where to put the program; must exist as long as the workload is used.
+        steps: steps of each run.
+        vectors: number of vectors of 8 runs.
 
     Raises:
-        InputError: gcc cannot build it; from the case, when the kernel dies.
+        InputError: gcc cannot build it; raised by the workload's call if the kernel crashes.
     """
     program = str(Path(folder) / "limit")
     source = str(asset("benchmarks/limit_kernel.c"))
     since = time.perf_counter()
     options = [*_FLAGS, _architecture(), "-DREAL=double"]
-    _told([compiler, *options, source, "-o", program, "-lm"], "gcc")
+    _output([compiler, *options, source, "-o", program, "-lm"], "gcc")
     compile_s = time.perf_counter() - since
     runs = 8 * vectors
 
     def call() -> float:
-        told = _told([program, str(steps), str(vectors)], "the limit kernel")
-        return float(told.split()[0]) * 1e-9 * steps * runs
+        printed = _output([program, str(steps), str(vectors)], "the limit kernel")
+        return float(printed.split()[0]) * 1e-9 * steps * runs
 
     return Workload("limit_kernel", runs, steps, compile_s, call)
 
 
-def _told(command: list[str], name: str) -> str:
-    """What a command prints; raises InputError with one line when it fails."""
+def _output(command: list[str], name: str) -> str:
+    """Run a command and give its output; raises a one-line InputError if it fails."""
     try:
         ended = subprocess.run(command, capture_output=True, text=True)
     except OSError as error:

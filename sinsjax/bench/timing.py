@@ -1,7 +1,7 @@
-"""The one timer: cases in turns, medians and spreads, and the conditions that a row holds under.
+"""The timer of all benchmarks: workloads in turns, medians and spreads, and the conditions.
 
-Machines are shared and drift, so what is to be compared is measured in turns. Compiling is timed
-apart, and a case's call waits for its result.
+Machines are shared and drift, so workloads to be compared are timed in turns. Compilation is timed
+separately, and a workload's call waits for its result.
 """
 
 import os
@@ -19,13 +19,13 @@ class Workload(NamedTuple):
     """Something to time.
 
     Attributes:
-        name: of the row.
-        runs: that one call takes.
-        steps: of each run.
-        compile_s: what compiling took, s.
-        call: does the work, waits for its end and returns the seconds it took.
-        dtype: of the run's state.
-        devices: that share the work.
+        name: name of the row.
+        runs: runs per call.
+        steps: steps of each run.
+        compile_s: compilation time, s.
+        call: does the work, waits for its end and returns the time it took, s.
+        dtype: type of the run's state.
+        devices: number of devices that share the work.
     """
 
     name: str
@@ -37,24 +37,24 @@ class Workload(NamedTuple):
     devices: int = 1
 
     def ns(self, seconds: float) -> float:
-        """The time of a call in ns a step and run."""
+        """The time of a call in ns per step and run."""
         return seconds / (self.runs * self.steps) * 1e9
 
 
 class TimingSpread(NamedTuple):
-    """A median and half the range around it."""
+    """A median and half the range."""
 
     median: float
     half_range: float
 
     @classmethod
     def of(cls, values: Sequence[float]) -> "TimingSpread":
-        """Of at least one value."""
+        """The spread of at least one value."""
         return cls(statistics.median(values), (max(values) - min(values)) / 2)
 
 
 def turns(timed: Sequence[Workload], repeats: int) -> list[list[float]]:
-    """Time cases in turns: the seconds of each case's calls."""
+    """Time workloads in turns; gives the times of each workload's calls, s."""
     seconds: list[list[float]] = [[] for _ in timed]
     for _ in range(repeats):
         for case, taken in zip(timed, seconds, strict=True):
@@ -63,7 +63,7 @@ def turns(timed: Sequence[Workload], repeats: int) -> list[list[float]]:
 
 
 def row(case: Workload, taken: Sequence[float]) -> Row:
-    """The row of a case, from the seconds of its calls."""
+    """The row of a workload, from the times of its calls, s."""
     found = TimingSpread.of(taken)
     return {
         "name": case.name,
@@ -79,7 +79,7 @@ def row(case: Workload, taken: Sequence[float]) -> Row:
 
 
 def measure(timed: Sequence[Workload], repeats: int) -> list[Row]:
-    """Time cases in turns; one row each."""
+    """Time workloads in turns; gives one row each."""
     seconds = turns(timed, repeats)
     return [row(case, taken) for case, taken in zip(timed, seconds, strict=True)]
 
@@ -87,28 +87,28 @@ def measure(timed: Sequence[Workload], repeats: int) -> list[Row]:
 def ratios(
     case: Workload, base: Workload, taken: Sequence[float], its: Sequence[float]
 ) -> list[float]:
-    """How many times the base's ns a step and run a case takes, turn by turn.
+    """Ratios of a workload's time per step and run to the base's, turn by turn.
 
     Args:
-        case: what is compared.
-        base: what it is compared with.
-        taken: seconds of the case's calls.
-        its: seconds of the base's calls, in the same turns.
+        case: workload to compare.
+        base: workload to compare with.
+        taken: times of the workload's calls, s.
+        its: times of the base's calls in the same turns, s.
     """
     return [case.ns(ours) / base.ns(theirs) for ours, theirs in zip(taken, its, strict=True)]
 
 
 def measure_against(base: Workload, timed: Sequence[Workload], repeats: int) -> list[Row]:
-    """Time cases and a base in turns, and tell how many times the base's time they take.
+    """Time workloads and a base in turns, with the ratios of their times.
 
     Args:
-        base: what the others are compared with.
-        timed: the others.
-        repeats: turns.
+        base: workload to compare with.
+        timed: workloads to compare.
+        repeats: number of turns.
 
     Returns:
-        The base's row, then one a case with ``ratio``, the median over the turns of its ns a step
-        and run over the base's, and ``ratio_spread``, half the range.
+        The base's row, then one per workload with ``ratio``, the median over the turns of the ratio
+        of its time per step and run to the base's, and ``ratio_spread``, half the range.
     """
     first, *others = turns([base, *timed], repeats)
     rows = [row(base, first)]
@@ -118,34 +118,33 @@ def measure_against(base: Workload, timed: Sequence[Workload], repeats: int) -> 
 
 
 def row_against(case: Workload, taken: Sequence[float], found: Sequence[float]) -> Row:
-    """The row of a case with ``ratio`` and ``ratio_spread``, from its ratios to a base."""
+    """The row of a workload with ``ratio`` and ``ratio_spread``, from its ratios to a base."""
     return row(case, taken) | spread("ratio", found)
 
 
 def spread(name: str, values: Sequence[float]) -> Row:
-    """Two keys of a row: the median of some values, and half their range."""
+    """Two entries of a row: the median of some values, and half their range."""
     found = TimingSpread.of(values)
     return {name: round(found.median, 3), f"{name}_spread": round(found.half_range, 3)}
 
 
 def conditions() -> Row:
-    """What a measurement holds under; starts JAX's backend and compiles a tiny loop.
+    """Conditions of a measurement; starts JAX's backend and compiles a tiny loop.
 
     Returns:
-        ``cpu`` with its ``family`` and ``ghz`` (None if untold), ``cores`` of the machine,
-        ``instructions`` (the set in force) and ``avx512``, ``platform`` (of JAX: cpu, gpu),
+        ``cpu`` with its ``family`` and ``ghz`` (None if unknown), ``cores`` of the machine,
+        ``instructions`` (instruction set in use) and ``avx512``, ``platform`` (of JAX: cpu, gpu),
         ``device`` (its kind), versions of ``sinsjax``, ``jax``, ``jaxlib`` and ``python``,
-        ``options`` (of XLA:CPU that are in force: all, none, or the names of those that are) and
-        ``fused_loop``.
+        ``options`` (XLA:CPU options in effect: all, none, or their names) and ``fused_loop``.
     """
     import jax
 
-    facts, told = runtime.facts(), machine.cpu()
+    facts, entries = runtime.facts(), machine.cpu()
     device = jax.devices()[0]
     return {
         "cpu": facts["cpu"],
-        "family": f"{told.get('cpu family', '?')}/{told.get('model', '?')}",
-        "ghz": float(told["cpu MHz"]) / 1e3 if "cpu MHz" in told else None,
+        "family": f"{entries.get('cpu family', '?')}/{entries.get('model', '?')}",
+        "ghz": float(entries["cpu MHz"]) / 1e3 if "cpu MHz" in entries else None,
         "instructions": facts["instructions"],
         "avx512": facts["avx512"],
         "cores": os.cpu_count(),
@@ -169,11 +168,11 @@ def _in_force(options: dict[str, str | None]) -> str:
 
 
 def use_one_core() -> None:
-    """Keep this process to one core, and compile all that it runs.
+    """Pin this process to one core, and disable the compile cache.
 
-    Call it before XLA sizes its thread pool, or it is no use.
+    Must be called before XLA sizes its thread pool.
     """
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    os.environ[compile_cache.VARIABLE] = "0"  # what compiling takes is measured too
+    os.environ[compile_cache.VARIABLE] = "0"  # because compilation is timed too
     runtime.configure(devices=1)

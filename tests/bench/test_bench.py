@@ -138,7 +138,7 @@ def test_without_gcc_it_says_so_and_goes_on(quiet, capsys):
     quiet.setattr(shutil, "which", lambda name: None)
     rows, said = timed(capsys, limit=True)
     without, silent = timed(capsys, limit=False)
-    assert said == "warning: no limit kernel: there is no gcc here\n"
+    assert said == "warning: no limit kernel: gcc not found\n"
     assert silent == ""
     assert [row["name"] for row in rows] == [row["name"] for row in without] == ROWS
 
@@ -147,7 +147,7 @@ def test_without_gcc_it_says_so_and_goes_on(quiet, capsys):
     ("script", "why"),
     [
         ("raise SystemExit(1)", "gcc failed: exit status 1"),
-        ("pass", "what gcc builds cannot be started: No such file or directory"),
+        ("pass", "a program built by gcc cannot be started: No such file or directory"),
     ],
 )
 def test_a_gcc_that_does_not_work_is_as_good_as_none(quiet, tmp_path, capsys, script, why):

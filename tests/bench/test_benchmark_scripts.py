@@ -181,7 +181,7 @@ def test_the_gate_ends_with_the_worst_status(faked, capsys):
 @pytest.mark.parametrize(
     ("what", "answer", "why"),
     [
-        ("gcc", "", "there is no gcc"),
+        ("gcc", "", "gcc not found"),
         ("gcc", "exit 1", "gcc failed: exit status 1"),
         ("machine", "arm64", "the limit kernel is for x86-64"),
         ("instructions", "SSE4_2", "this processor has none of AVX512, AVX2"),
