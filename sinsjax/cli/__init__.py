@@ -159,18 +159,18 @@ def tune(
     check_options(overwrite=overwrite, resume=resume, devices=devices)
     carry_out.check_free(out, overwrite=overwrite or resume)
     configure(devices)
-    tape = None if record is None else study_run.load_tape(study, record, reference)
+    stored = None if record is None else study_run.load_tape(study, record, reference)
     terminal = plain_console()
-    study = study_run.at_rate(study, tape)
+    study = study_run.at_rate(study, stored)
     expected = forecast.of_tuning(study)
     forecast.require_room(study, expected, out, overwrite=overwrite, resume=resume)
     say(terminal, f"{expected.describe(runtime.usable_cores() if devices is None else devices)}.")
-    study = made_ready(study, tape, terminal)
+    study = made_ready(study, stored, terminal)
     with progress.interruptible(terminal) as stop:
         carry_out.tune(
             study,
             out,
-            tape,
+            stored,
             overwrite=overwrite,
             resume=resume,
             watch=lambda name: progress.progress(terminal, f"{study.name}: {name}"),

@@ -70,13 +70,13 @@ def run_study(
         say(terminal, f"{runs} runs: curves are kept only where [study] curves = true.")
         curves = None
     configure(devices)
-    tape = None if files is None else study_run.load_tape(study, *files)
-    study = study_run.at_rate(study, tape)
+    stored = None if files is None else study_run.load_tape(study, *files)
+    study = study_run.at_rate(study, stored)
     expected = forecast.of(study, curves=curves)
     forecast.require_room(study, expected, out, overwrite=overwrite, resume=resume)
     cores = devices or cluster[0] or runtime.usable_cores()
     say(terminal, f"{expected.describe(1 if cluster[1] else cores)}.")
-    study = made_ready(study, tape, terminal)
+    study = made_ready(study, stored, terminal)
     if left := study.dropped_s:
         say(terminal, f"The last {left:g} s do not fill a record interval and are not run.")
     if study.run_s <= study.study.window_s[0]:
@@ -89,7 +89,7 @@ def run_study(
         study_run.run_into(
             study,
             out,
-            tape,
+            stored,
             curves=curves,
             chunk_runs=chunk_runs,
             overwrite=overwrite,
@@ -112,11 +112,11 @@ def loaded(config: Path) -> Any:
     return study
 
 
-def made_ready(study: Any, tape: Any, terminal: Console) -> Any:
+def made_ready(study: Any, stored: Any, terminal: Console) -> Any:
     """The study at the rate of its record, after printing its warnings."""
     from sinsjax.execution import run as study_run
 
-    study, warnings = study_run.made_ready(study, tape)
+    study, warnings = study_run.made_ready(study, stored)
     for line in warnings:
         say(terminal, f"Warning: {line}")
     return study

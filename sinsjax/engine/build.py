@@ -66,19 +66,19 @@ class Scenario:
 
     Attributes:
         study: checked study.
-        tape: the record of a recorded study, else None.
+        stored: the record of a recorded study, else None.
         curves: whether curves are returned.
         variant_ids: of each part, the numbers of its variants.
     """
 
     def __init__(
-        self, study: Study, tape: StoredRecord | None = None, *, curves: bool | None = None
+        self, study: Study, stored: StoredRecord | None = None, *, curves: bool | None = None
     ) -> None:
         """Check what can be checked before anything runs.
 
         Args:
             study: checked study.
-            tape: the record of a recorded study, else None.
+            stored: the record of a recorded study, else None.
             curves: whether curves are returned; None takes the study's word.
 
         Raises:
@@ -87,23 +87,23 @@ class Scenario:
             RuntimeError: double precision is off.
         """
         runtime.require_x64()
-        if study.is_recorded != (tape is not None):
+        if study.is_recorded != (stored is not None):
             what = "reads a record, none is given" if study.is_recorded else "reads no record"
             raise InputError(f"{study.name}: the study {what}: see [record]")
         require_limit(study)
-        self.study, self.tape = study, tape
+        self.study, self.stored = study, stored
         self.curves = study.study.curves if curves is None else curves
         self.variant_ids = list(_split(study))
         for ids in self.variant_ids:
             variants = Variants(study, ids)
             METHODS[variants.common("method")].implementation.check(
-                variants, site_of(study, variants, tape)[0]
+                variants, site_of(study, variants, stored)[0]
             )
 
     @property
     def has_truth(self) -> bool:
         """Whether runs can be judged: by a simulation's truth, or a record's reference."""
-        return self.tape is None or self.tape.reference is not None
+        return self.stored is None or self.stored.reference is not None
 
     @cached_property
     def programs(self) -> list[Static]:
@@ -133,7 +133,7 @@ class Scenario:
         study, ids = self.study, self.variant_ids[number]
         ids = ids if variants is None else ids[variants]
         columns = Variants(study, ids)
-        site, ug = site_of(study, columns, self.tape)
+        site, ug = site_of(study, columns, self.stored)
         criteria = Criteria(
             bands=np.asarray(bands(study)) * ARCMIN,
             window_start=np.float64(study.study.window_s[0]),
@@ -142,20 +142,20 @@ class Scenario:
             steady_after=np.float64(study.study.steady_after_s),
         )
         span = _span(study, columns)
-        if self.tape is None:
+        if self.stored is None:
             draws = range(study.n_draws) if draws is None else draws
             environment, drawn, q = simulated(study, columns, span, criteria, draws, blank=blank)
         else:
-            environment, drawn, q = recorded(study, columns, span, criteria, self.tape)
+            environment, drawn, q = recorded(study, columns, span, criteria, self.stored)
         params = _params(study, columns, site, ug)
         return Part(Group(self.programs[number], environment, drawn, q, params), ids)
 
 
 def parts(
-    study: Study, tape: StoredRecord | None = None, *, curves: bool | None = None
+    study: Study, stored: StoredRecord | None = None, *, curves: bool | None = None
 ) -> Iterator[Part]:
     """What the engine runs for a study, part by part: see `Scenario`."""
-    scenario = Scenario(study, tape, curves=curves)
+    scenario = Scenario(study, stored, curves=curves)
     return (scenario.part(number) for number in range(len(scenario.variant_ids)))
 
 

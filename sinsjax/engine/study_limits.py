@@ -81,8 +81,8 @@ def has_limit(
         for what in ("amplitude_deg", "period_s")
     )
     biased = np.stack([runs.vectors(key).any(-1) for key in _BIASES]).any(0)
-    length, tape = spans_s(study)[runs.variant_ids].T
-    averaged_over = np.minimum(length - last_reset_s, tape) * (1 + 1e-9)
+    length, pass_s = spans_s(study)[runs.variant_ids].T
+    averaged_over = np.minimum(length - last_reset_s, pass_s) * (1 + 1e-9)
     slow = (amplitudes != 0) & (LEAST_PERIODS * periods > averaged_over)
     still = ~(amplitudes != 0).any(0)
     names, found = runs.raw("method"), ~(biased & slow.any(0))

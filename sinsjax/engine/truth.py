@@ -24,7 +24,7 @@ from sinsjax.strapdown import base_motion, earth, sensors
 from sinsjax.study import sampling
 from sinsjax.study.schema import EarthSection, MotionSection, SensorsSection
 from sinsjax.study.study import EARTH_CONSTANTS, Span, Study
-from sinsjax.study.times import tape_times
+from sinsjax.study.times import stored_times
 from sinsjax.study.variants import Lookup, Variants
 from sinsjax.types import Array, Scalar
 from sinsjax.units import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, PPM
@@ -41,11 +41,11 @@ NOMINAL_LATITUDE_DEG = 45.0
 loops, which know of it by gravity and radius alone, 0.3 % on an ellipsoid."""
 
 
-def site_of(study: Study, variants: Variants, tape: StoredRecord | None) -> tuple[Site, float]:
+def site_of(study: Study, variants: Variants, stored: StoredRecord | None) -> tuple[Site, float]:
     """The Earth and place of a part, and its ug in m/s^2."""
     height = variants.common("height_m")
     if height is None:
-        height = (tape.record.height_m if tape else None) or 0.0
+        height = (stored.record.height_m if stored else None) or 0.0
     if variants.common("earth") == "wgs84":
         model, ug = earth.wgs84(height), units.micro_g()
     else:
@@ -55,12 +55,12 @@ def site_of(study: Study, variants: Variants, tape: StoredRecord | None) -> tupl
         model = earth.sphere(rate, constants["radius_m"], gravity, height)
         ug = units.micro_g(gravity)
     latitude = variants.common("latitude_deg")
-    if latitude is None and tape is not None:
-        latitude = tape.record.latitude_deg
+    if latitude is None and stored is not None:
+        latitude = stored.record.latitude_deg
     if latitude is None and "latitude_deg" in study.drawn_keys:
         latitude = NOMINAL_LATITUDE_DEG
     if latitude is None:
-        source = tape.record.source if tape else study.name
+        source = stored.record.source if stored else study.name
         raise InputError(f"{source}: no latitude in the record: give [earth] latitude_deg")
     place = earth.place(model, latitude * DEG)
     site = Site(model, place, latitude * DEG)
@@ -101,7 +101,7 @@ def simulated(
     """
     site, ug = site_of(study, variants, None)
     errors, motion = errors_of(variants.common, ug, study.rate_hz), motion_of(variants.common)
-    times = np.concatenate([[0.0], tape_times(study, span)])
+    times = np.concatenate([[0.0], stored_times(study, span)])
     increments: np.ndarray | None
     if draws_own(study, EarthSection, MotionSection):
         # Each draw makes its own as it goes.
@@ -123,7 +123,7 @@ def simulated(
         seed=np.asarray(study.seed),
         criteria=criteria,
         biases=mean_biases(errors, motion),
-        pass_records=np.asarray(span.tape),
+        pass_records=np.asarray(span.pass_records),
         times=times[1:] if draws_own(study, EarthSection, MotionSection) else None,
         motion=motion if study.drawn_keys or increments is None else None,
     )
@@ -242,12 +242,12 @@ def starts_of(study: Study, rate_hz: float) -> tuple[int, np.ndarray]:
 
 
 def recorded(
-    study: Study, variants: Variants, span: Span, criteria: Criteria, tape: StoredRecord
+    study: Study, variants: Variants, span: Span, criteria: Criteria, stored: StoredRecord
 ) -> tuple[Environment, Draw, np.ndarray]:
     """Environment, draws (one a start time) and coarsely aligned attitudes of a recorded part."""
     assert study.coarse is not None
-    site, _ = site_of(study, variants, tape)
-    record, rate = tape.record, study.rate_hz
+    site, _ = site_of(study, variants, stored)
+    record, rate = stored.record, study.rate_hz
     if abs(record.rate_hz - rate) > 1e-6 * rate:
         raise InputError(
             f"{record.source}: the record has {record.rate_hz:g} Hz, [study] rate_hz is {rate:g}"
@@ -264,7 +264,7 @@ def recorded(
     samples = jax.vmap(sensors.compensate_record)(pieces, pieces[:, 0])
     q = jax.vmap(lambda s: jnp.stack(align(s, site.place, 1 / rate)))(samples)
     fine = starts + coarse_n
-    truth = np.stack([_reference_at(tape, s / rate + tape_times(study, span)) for s in fine])
+    truth = np.stack([_reference_at(stored, s / rate + stored_times(study, span)) for s in fine])
     environment = Environment(
         site=site,
         increments=increments,
@@ -273,7 +273,7 @@ def recorded(
         seed=np.asarray(study.seed),
         criteria=criteria,
         biases=NO_BIASES,
-        pass_records=np.asarray(span.tape),
+        pass_records=np.asarray(span.pass_records),
     )
     n = len(starts)
     begins = _begins(sampling.values(study, n))
@@ -281,19 +281,19 @@ def recorded(
     return environment, draws, np.asarray(q)
 
 
-def _reference_at(tape: StoredRecord, times: np.ndarray) -> np.ndarray:
+def _reference_at(stored: StoredRecord, times: np.ndarray) -> np.ndarray:
     """(n, 4) reference attitude at times from the record's start; NaN without a reference."""
-    reference = tape.reference
+    reference = stored.reference
     if reference is None:
         return np.full((len(times), 4), np.nan)
     first, last = reference.time_s[0], reference.time_s[-1]
     begin, end = times.min(), times.max()  # a backward pass ends before it begins
-    slack = 1e-6 + 1 / tape.record.rate_hz
+    slack = 1e-6 + 1 / stored.record.rate_hz
     if begin < first - slack or end > last + slack:
-        clock = tape.record.t0_s
+        clock = stored.record.t0_s
         raise InputError(
             f"{reference.source}: covers {clock + first:g} to {clock + last:g} s, but the study"
-            f" needs {clock + begin:g} to {clock + end:g} s by the clock of {tape.record.source}"
+            f" needs {clock + begin:g} to {clock + end:g} s by the clock of {stored.record.source}"
         )
     # With the samples on either side, between which the ends are interpolated.
     low = np.searchsorted(reference.time_s, begin, side="right") - 1

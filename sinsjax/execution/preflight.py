@@ -19,21 +19,21 @@ _BIASES = {"gyro_bias_deg_per_h": 10.0, "accel_bias_ug": 5000.0}
 _DRAWS = 1024  # draws in which a drawn period is checked
 
 
-def warnings_of(study: Study, tape: StoredRecord | None = None) -> list[str]:
+def warnings_of(study: Study, stored: StoredRecord | None = None) -> list[str]:
     """Warnings for the user before a study runs, one line each.
 
     Args:
         study: checked study, at the rate of its record.
-        tape: the record of a recorded study.
+        stored: the record of a recorded study.
 
     Raises:
         InputError: the record is certainly wrong and the study does not trust it, or it does not
             cover the span that the study reads.
     """
-    if tape is None:
+    if stored is None:
         hidden = hidden_north(study)
         return [*_fast_sways(study), *([str(hidden)] if hidden else [])]
-    return list(_of_record(study, tape))
+    return list(_of_record(study, stored))
 
 
 def layout_of(study: Study) -> Layout:
@@ -42,15 +42,15 @@ def layout_of(study: Study) -> Layout:
     return study.record.layout(study.study.rate_hz)
 
 
-def _of_record(study: Study, tape: StoredRecord) -> Iterator[str]:
-    section, record = study.record, tape.record
+def _of_record(study: Study, stored: StoredRecord) -> Iterator[str]:
+    section, record = study.record, stored.record
     assert section is not None
     if record.filled:
         yield (
             f"{record.source}: {record.filled} missing samples are interpolated (gaps up to"
             f" [record] max_gap_s = {section.max_gap_s:g})"
         )
-    site, _ = site_of(study, Variants(study, np.zeros(1, int)), tape)
+    site, _ = site_of(study, Variants(study, np.zeros(1, int)), stored)
     bias = {
         key: default if getattr(section, key) is None else getattr(section, key)
         for key, default in _BIASES.items()

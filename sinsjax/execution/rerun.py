@@ -36,7 +36,7 @@ class Rerun(NamedTuple):
     curve: pa.Table
 
 
-def rerun(study: Study, run_id: int, tape: StoredRecord | None = None) -> Rerun:
+def rerun(study: Study, run_id: int, stored_record: StoredRecord | None = None) -> Rerun:
     """Repeat one run of a study, with its curve; the row equals that of the study bit for bit.
 
     Raises:
@@ -45,7 +45,7 @@ def rerun(study: Study, run_id: int, tape: StoredRecord | None = None) -> Rerun:
     """
     _check_number(study, run_id, study.name)
     draw, variant = divmod(run_id, study.n_variants)
-    scenario = Scenario(study, tape, curves=True)
+    scenario = Scenario(study, stored_record, curves=True)
     number = next(i for i, ids in enumerate(scenario.variant_ids) if variant in ids)
     group, ids = scenario.part(number, range(draw, draw + 1))
     place = int(np.flatnonzero(group.draws.draw_id == draw)[0])
@@ -92,9 +92,9 @@ def rerun_into(
         raise InputError("--reference: requires --record")
     if study.is_recorded and files[0] is None:
         raise InputError(f"{directory}: its study needs a record (give it with --record)")
-    tape = None if files[0] is None else load_tape(study, files[0], files[1])
+    stored_record = None if files[0] is None else load_tape(study, files[0], files[1])
     identity = result_tables.read_manifest(directory).get("identity")
-    if identity not in (None, Job(study, tape).identity):
+    if identity not in (None, Job(study, stored_record).identity):
         raise InputError(f"{directory}: the results are of another record or reference")
     _check_number(study, run_id, directory)
     stored = result_tables.read_summary(directory, run_ids=[run_id])
@@ -105,7 +105,7 @@ def rerun_into(
         raise InputError(f"{directory / 'summary'}: {text} (of the curves?)")
     if out is not None and (there := [name for name in RERUN if (out / name).exists()]):
         raise InputError(f"{out}: already holds a {there[0]} (give another directory)")
-    made = rerun(study, run_id, tape)
+    made = rerun(study, run_id, stored_record)
     target = directory / "reruns" / str(run_id) if out is None else out
     _write(target, made, study)
     differ = _differing(stored, made.row)

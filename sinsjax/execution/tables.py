@@ -33,7 +33,7 @@ from sinsjax.study import sampling
 from sinsjax.study.resolved import Coded, same
 from sinsjax.study.study import Study
 from sinsjax.study.success import bands
-from sinsjax.study.times import pass_numbers, spans_s, tape_times, update_times
+from sinsjax.study.times import pass_numbers, spans_s, stored_times, update_times
 from sinsjax.units import ARCMIN, DEG
 
 
@@ -51,7 +51,7 @@ class Tables:
         self._has_truth = has_truth
         self._bands = bands(study)
         self._judge = Judge(study, has_truth=has_truth)
-        self._end_s, self._tape_s = spans_s(study).T
+        self._end_s, self._pass_s = spans_s(study).T
         self._last_reset_s = scheduled_last_s(study)
         resets, cycle = study.schedules, same(study.n_variants, None)
         if study.has("resets"):
@@ -101,7 +101,7 @@ class Tables:
             values[name] = own if own.ndim == 1 else list(own)
         values |= self._observed(out.last)
         verdict = self._judge(out, self._has_limit(chunk, variant), self._end_s[variant])
-        values |= self._settled(verdict, self._tape_s[variant])
+        values |= self._settled(verdict, self._pass_s[variant])
         for suffix, statistics in (("_mean", out.mean), ("_std", out.std)):
             for axis, value in zip("enu", statistics[:3], strict=True):
                 values[f"phi_{axis}{suffix}_arcmin"] = self._known(value / ARCMIN)
@@ -135,7 +135,7 @@ class Tables:
         values = {"run_id": np.repeat(run_id, len(time_s)), "time_s": np.tile(time_s, len(run_id))}
         if self._study.passes:
             values["update_time_s"] = values["time_s"]
-            values["tape_time_s"] = np.tile(tape_times(self._study, span), len(run_id))
+            values["tape_time_s"] = np.tile(stored_times(self._study, span), len(run_id))
             values["pass"] = np.tile(pass_numbers(span), len(run_id))
         return _table(self.curve_columns, values | self._observed(chunk.curves))
 
@@ -172,7 +172,7 @@ class Tables:
         """Flags that need a truth: null without one."""
         return pa.array(flags if self._has_truth else [None] * len(flags), pa.bool_())
 
-    def _settled(self, verdict: Verdict, tape_s: np.ndarray) -> dict[str, pa.Array]:
+    def _settled(self, verdict: Verdict, pass_s: np.ndarray) -> dict[str, pa.Array]:
         """Settling times of all bands, about the limit and the truth, by column."""
         values = {}
         for truth, of_bands in (
@@ -184,7 +184,7 @@ class Tables:
                 values[name] = self._known(settled)
                 if self._study.passes:
                     data = columns.settle_data_column(band, truth=truth).name
-                    values[data] = self._known(np.minimum(settled, tape_s))
+                    values[data] = self._known(np.minimum(settled, pass_s))
         return values
 
     def _has_limit(self, chunk: Chunk, variant: np.ndarray) -> np.ndarray:

@@ -40,13 +40,13 @@ class Job(NamedTuple):
 
     Attributes:
         study: checked study.
-        tape: the record of a recorded study.
+        stored: the record of a recorded study.
         curves: whether to keep curves; None follows the study.
         chunk_runs: runs per chunk, rounded to two or more whole tiles; None for the default.
     """
 
     study: Study
-    tape: StoredRecord | None = None
+    stored: StoredRecord | None = None
     curves: bool | None = None
     chunk_runs: int | None = None
 
@@ -54,8 +54,8 @@ class Job(NamedTuple):
     def identity(self) -> str:
         """Hash of everything that determines the rows: the study and its record, as hex digits."""
         whole = hashlib.sha256(fingerprint(self.study).encode())
-        if self.tape is not None:
-            record, reference = self.tape
+        if self.stored is not None:
+            record, reference = self.stored
             arrays = [record.dtheta, record.dv, np.asarray([record.rate_hz])]
             arrays += [] if reference is None else [reference.time_s, reference.attitude_deg]
             for array in arrays:
@@ -133,7 +133,7 @@ class TaskRunner:
             RuntimeError: double precision is off.
         """
         self.job = job
-        self.scenario = Scenario(job.study, job.tape, curves=job.curves)
+        self.scenario = Scenario(job.study, job.stored, curves=job.curves)
         self.tables = Tables(job.study, has_truth=self.scenario.has_truth)
         self._tiles = None if job.chunk_runs is None else -(-job.chunk_runs // LANES)
         self.identity = job.identity
@@ -147,7 +147,7 @@ class TaskRunner:
         self._blank = lru_cache(1)(partial(self._made, blank=True))
         self._calls = lru_cache(_PARTS_READY)(self._compile)
         first = self._blocks(self.stages[0])[0]
-        if self.scenario.tape is None:
+        if self.scenario.stored is None:
             self._blank(0, first)
         else:
             self._part(0, first)
@@ -241,7 +241,7 @@ class TaskRunner:
         return self.scenario.part(number, draws, variants=variants, blank=blank).group
 
     def _compile(self, part: int, draws: range) -> Calls:
-        if self.scenario.tape is not None:
+        if self.scenario.stored is not None:
             return Calls(self._part(part, draws), tiles_a_chunk=self._tiles)
         blank = self._blank(part, draws)
         engine = Calls(blank, tiles_a_chunk=self._tiles)

@@ -18,8 +18,8 @@ from sinsjax.plots.curves import (
 from sinsjax.plots.errors import Mark, attitude_errors, over_time
 from sinsjax.plots.grids import Contours, Scale, Shown, Verdicts, heat_maps, spread, verdict_matrix
 from sinsjax.plots.spreads import DistributionPanel, Expected, along_axis, distributions
+from sinsjax.plots.stored_records import by_record_length, prediction, survival
 from sinsjax.plots.style import COLOURS, colour, png
-from sinsjax.plots.tapes import by_tape, prediction, survival
 from sinsjax.plots.words import label, setting
 
 __all__ = [
@@ -38,7 +38,7 @@ __all__ = [
     "attitude",
     "attitude_errors",
     "beliefs",
-    "by_tape",
+    "by_record_length",
     "colour",
     "distributions",
     "draw",

@@ -136,16 +136,16 @@ def _check_passes(study: Study, where: Where) -> None:
     """Refuses a stored record of no whole number of record intervals, or passes that do not fit."""
     duration = study.duration_s * (1 + ROUNDING)
     for point in study.combinations("tape_s", "passes", "ending") if study.passes else ():
-        tape, passes = point["tape_s"], point["passes"]
-        if tape is None:
+        record_s, passes = point["tape_s"], point["passes"]
+        if record_s is None:
             if (passes or 1) > 1:
                 _refuse("passes", where, f"{passes} need a stored record to repeat (give tape_s)")
             continue
-        _check_multiple(study, where, "tape_s", tape)
-        if tape > duration:
-            _refuse("tape_s", where, f"{tape:.12g} s is longer than the study, {_end(study)}")
-        if passes and passes * tape > duration:
-            text = f"{passes} over a record of {tape:.12g} s last {passes * tape:.12g} s"
+        _check_multiple(study, where, "tape_s", record_s)
+        if record_s > duration:
+            _refuse("tape_s", where, f"{record_s:.12g} s is longer than the study, {_end(study)}")
+        if passes and passes * record_s > duration:
+            text = f"{passes} over a record of {record_s:.12g} s last {passes * record_s:.12g} s"
             _refuse("passes", where, f"{text}, longer than the study ({_end(study)})")
         if passes and passes % 2 == 0 and point["ending"] == "forward":
             _refuse("passes", where, f"{passes} end backward, not as ending = 'forward' says")

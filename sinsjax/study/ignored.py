@@ -51,7 +51,7 @@ def _check_time(study: Study, place: str, key: str, time: RunTime, default: Defa
         filled_in = default is not None and last == default.value
         if last in (None, ()) or filled_in or not acting.acts(key, point):
             continue
-        until = last * span.tape * every_s if time.unit == "pass" else last
+        until = last * span.pass_records * every_s if time.unit == "pass" else last
         latest[until] = max(latest.get(until, 0.0), span.records * every_s)
     for until, end in latest.items():
         if until > end * (1 + ROUNDING):

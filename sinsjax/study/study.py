@@ -111,16 +111,16 @@ class Span(NamedTuple):
 
     Attributes:
         records: in the run.
-        tape: in a pass over its stored record; all of the run where there is one pass.
+        pass_records: in a pass over the stored record; the whole run if there is only one pass.
     """
 
     records: int
-    tape: int
+    pass_records: int
 
     @property
     def read(self) -> int:
         """Record intervals of data that the run reads."""
-        return min(self.records, self.tape)
+        return min(self.records, self.pass_records)
 
 
 if TYPE_CHECKING:  # asked for by name, with `Study.has`
@@ -247,11 +247,11 @@ class Study(_SectionsOfMethods):
         """How long a variant with some values of `PASS_KEYS` runs."""
         if tape_s is None:
             return Span(self.records, self.records)
-        tape = max(1, round(tape_s * self.rate_hz / self.record_every))
+        pass_records = max(1, round(tape_s * self.rate_hz / self.record_every))
         if passes is None:
-            whole = self.records // tape
+            whole = self.records // pass_records
             passes = whole - (whole + 1) % 2 if ending == "forward" else None
-        return Span(self.records if passes is None else passes * tape, tape)
+        return Span(self.records if passes is None else passes * pass_records, pass_records)
 
     @property
     def run_s(self) -> float:

@@ -15,14 +15,14 @@ def update_times(study: Study, span: Span) -> np.ndarray:
     return np.arange(1, span.records + 1) * study.record_every / study.rate_hz
 
 
-def tape_times(study: Study, span: Span) -> np.ndarray:
+def stored_times(study: Study, span: Span) -> np.ndarray:
     """(records,) where in its stored record a run is at its records, s from the beginning."""
     ended = np.arange(span.records)
-    place = ended % span.tape + 1
-    place = np.where(pass_numbers(span) % 2 == 1, place, span.tape - place)
+    place = ended % span.pass_records + 1
+    place = np.where(pass_numbers(span) % 2 == 1, place, span.pass_records - place)
     return place * study.record_every / study.rate_hz
 
 
 def pass_numbers(span: Span) -> np.ndarray:
     """(records,) the pass, from 1, that each record of a run ends or lies in; odd are forward."""
-    return np.arange(span.records) // span.tape + 1
+    return np.arange(span.records) // span.pass_records + 1

@@ -215,7 +215,7 @@ def _gradient(study: Study, session: SearchSession) -> Found:
             if tell is not None:
                 tell(progress)
 
-        return descent.descend(study, session.tape, tell=tell_or_stop)
+        return descent.descend(study, session.stored, tell=tell_or_stop)
 
 
 def _counts(study: Study, space: SearchSpace, cost: int) -> list[int]:

@@ -95,13 +95,13 @@ class Slope:
     """
 
     def __init__(
-        self, study: Study, tape: StoredRecord | None, number: int, *, starts: int, draws: int
+        self, study: Study, stored: StoredRecord | None, number: int, *, starts: int, draws: int
     ) -> None:
         """Prepare the runs.
 
         Args:
             study: study with [tune].
-            tape: the record of a recorded study.
+            stored: the record of a recorded study.
             number: number of the combination of candidates.
             starts: number of descents.
             draws: number of draws per step, at most.
@@ -117,7 +117,7 @@ class Slope:
         derived = search.derive(study, {"base": self._relaxation.point}, name=study.name)
         self._tune, self._starts = study.tune, starts
         self._truth = success_of(study).from_truth
-        scenario = Scenario(derived, tape, curves=False)
+        scenario = Scenario(derived, stored, curves=False)
         groups = [scenario.part(i).group for i in range(len(scenario.programs))]
         self.n_draws = len(groups[0].draws.draw_id)
         self.draws = min(draws, self.n_draws)
@@ -234,12 +234,12 @@ class _PartRuns(NamedTuple):
     program: Any
 
 
-def descend(study: Study, tape: StoredRecord | None = None, *, tell: Tell | None = None) -> Found:
+def descend(study: Study, stored: StoredRecord | None = None, *, tell: Tell | None = None) -> Found:
     """Tune a study by gradient, for every combination of its candidates.
 
     Args:
         study: study with [tune].
-        tape: the record of a recorded study.
+        stored: the record of a recorded study.
         tell: called with the progress, in runs, after every step.
 
     Returns:
@@ -251,16 +251,16 @@ def descend(study: Study, tape: StoredRecord | None = None, *, tell: Tell | None
     """
     looks: list[Evaluation] = []
     for number in range(len(SearchSpace.of(study).combinations)):
-        looks += _Descents(study, tape, number, looks[-1].cost if looks else 0).looks(tell)
+        looks += _Descents(study, stored, number, looks[-1].cost if looks else 0).looks(tell)
     return Found(NAME, looks)
 
 
 class _Descents:
     """The descents of one combination of candidates."""
 
-    def __init__(self, study: Study, tape: StoredRecord | None, number: int, cost: int) -> None:
+    def __init__(self, study: Study, stored: StoredRecord | None, number: int, cost: int) -> None:
         assert study.tune is not None
-        self._study, self._tape, self._number, self._cost = study, tape, number, cost
+        self._study, self._stored, self._number, self._cost = study, stored, number, cost
         self._tune, self._space = study.tune, SearchSpace.of(study)
 
     def looks(self, tell: Tell | None) -> list[Evaluation]:
@@ -270,7 +270,7 @@ class _Descents:
             return self._scored(np.empty((1, 0)), [])
         slope = Slope(
             self._study,
-            self._tape,
+            self._stored,
             self._number,
             starts=tune.descent_starts,
             draws=tune.descent_draws,
@@ -334,7 +334,7 @@ class _Descents:
         combination = self._space.combinations[self._number]
         points = [self._space.point(list(np.nan_to_num(own)), combination) for own in values]
         scores, taken, each = search.scored(
-            study, NAME, points, lambda one: run.run(one, self._tape, curves=False).summary
+            study, NAME, points, lambda one: run.run(one, self._stored, curves=False).summary
         )
         self._cost += len(set(taken)) * each
         return np.array(scores)

@@ -35,7 +35,7 @@ class SearchSession(NamedTuple):
 
     Attributes:
         directory: directory of the tuning run.
-        tape: the record of a recorded study.
+        stored: the record of a recorded study.
         overwrite: whether to remove earlier results.
         resume: whether to keep complete results.
         watch: gives the progress callback for the name of a search.
@@ -44,7 +44,7 @@ class SearchSession(NamedTuple):
     """
 
     directory: Path
-    tape: StoredRecord | None
+    stored: StoredRecord | None
     overwrite: bool
     resume: bool
     watch: Callable[[str], AbstractContextManager[Tell | None]]
@@ -57,7 +57,7 @@ class SearchSession(NamedTuple):
             study_run.run_into(
                 study,
                 self.directory / name,
-                self.tape,
+                self.stored,
                 curves=False,
                 overwrite=self.overwrite,
                 resume=self.resume,

@@ -99,7 +99,7 @@ def test_curves_say_where_on_the_tape_a_run_is(
     (span,) = set(study.spans)
     updates = list(range(1, len(tape_times) + 1))
     assert study_times.update_times(study, span).tolist() == updates
-    assert study_times.tape_times(study, span).tolist() == tape_times
+    assert study_times.stored_times(study, span).tolist() == tape_times
     assert study_times.pass_numbers(span).tolist() == numbers
 
 

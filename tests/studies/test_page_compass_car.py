@@ -104,9 +104,9 @@ def not_drawn(monkeypatch):
 def test_stored_tapes_end_forward_and_no_run_is_longer_than_the_record():
     study = load_study(CONFIGS / "compass_car.toml")
     spans = study.spans
-    assert all(span.records % span.tape == 0 for span in spans)
-    assert all(span.records // span.tape % 2 == 1 for span in spans)
-    longest = max(span.tape for span in spans)
+    assert all(span.records % span.pass_records == 0 for span in spans)
+    assert all(span.records // span.pass_records % 2 == 1 for span in spans)
+    longest = max(span.pass_records for span in spans)
     assert max(study.record.start_s) + study.coarse.coarse_duration_s + longest == 900
     assert np.diff(study.record.start_s).tolist() == [20.0] * 12
 

@@ -82,7 +82,9 @@ def cases_of(source: Source) -> list[Case]:
 def _data(study: Study, variant: int) -> tuple[float, int]:
     """Length of a variant's data, s, and how many passes over them begin."""
     span = study.spans[variant]
-    return span.tape * study.record_every / study.rate_hz, -(-span.records // span.tape)
+    return span.pass_records * study.record_every / study.rate_hz, -(
+        -span.records // span.pass_records
+    )
 
 
 def partner(cases: Sequence[Case], case: Case) -> Case | None:

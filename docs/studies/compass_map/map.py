@@ -64,7 +64,7 @@ def mapped(source: Source) -> Page:
         "the linear loops are right nearly everywhere": whole > 0.97 * len(points) > radius,
     }
     fine = np.geomspace(tapes[0], tapes[-1], 50)
-    by_tape = plots.by_tape(
+    by_tape = plots.by_record_length(
         tapes,
         {TURNS[turn]: [p.rms for p in here] for turn, here in best.items()},
         (fine, bound_arcmin(source.study, fine)),

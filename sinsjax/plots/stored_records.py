@@ -14,7 +14,7 @@ _LINEAR = 6.0  # asinh axes are nearly linear up to here, and logarithmic far be
 
 
 @styled
-def by_tape(
+def by_record_length(
     lengths_s: Sequence[float],
     lines: Mapping[str, Sequence[Estimate]],
     bound: tuple[NDArray, NDArray],

@@ -60,7 +60,7 @@ def test_errors_by_tape_above_the_bound():
         "b": [Estimate(2.0, 1.0, 3.0, 8), Estimate(1.0, 0.5, math.nan, 8)],
     }
     bound = (np.array([20.0, 40.0]), np.array([1.0, 0.5]))
-    figure = plots.by_tape(TAPES, lines, bound, title="Title", quantity="error (arcmin)")
+    figure = plots.by_record_length(TAPES, lines, bound, title="Title", quantity="error (arcmin)")
     axes = figure.axes[0]
     assert axes.get_xscale() == axes.get_yscale() == "log"
     names = [t.get_text() for t in figure.legends[0].get_texts()]
