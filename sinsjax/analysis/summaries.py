@@ -39,7 +39,7 @@ class _Statistic(NamedTuple):
     Attributes:
         columns: columns that it uses.
         of: function that estimates it from a group's rows.
-        told: suffixes of the columns that it gives.
+        suffixes: suffixes of the columns that it gives.
         judged: whether it requires a truth.
         limited: whether it uses only runs that have a limit.
         freedom: degrees of freedom if it is a mean of chi-square values; 0 otherwise.
@@ -47,7 +47,7 @@ class _Statistic(NamedTuple):
 
     columns: tuple[str, ...]
     of: Callable[[pa.Table], Estimate]
-    told: tuple[str, ...] = _INTERVAL
+    suffixes: tuple[str, ...] = _INTERVAL
     judged: bool = False
     limited: bool = False
     freedom: int = 0
@@ -185,9 +185,9 @@ def _differences(
     cells: dict[str, Any] = {}
     found["phi_u_error_arcmin_difference"] = difference(*errors)
     for name, estimate in found.items():
-        told = _MEAN if name.startswith("phi_u") else _INTERVAL
+        suffixes = _MEAN if name.startswith("phi_u") else _INTERVAL
         bare = estimate._replace(low=math.nan, high=math.nan)
-        cells |= _cells(name, estimate if single else bare, told)
+        cells |= _cells(name, estimate if single else bare, suffixes)
     return cells
 
 
@@ -205,22 +205,22 @@ def _offered(columns: Sequence[str]) -> dict[str, _Statistic]:
         about = {"judged": True, "limited": "_truth_" not in name}
         if not name.endswith("_data_s"):
             count = name.replace("settle_", "never_settled_").removesuffix("_s")
-            offered[count] = _of(_missing, name, told=("",), **about)
+            offered[count] = _of(_missing, name, suffixes=("",), **about)
         offered[f"{name}_median"] = _of(quantile, name, **about)
         offered[f"{name}_q90"] = _of(partial(quantile, q=0.9), name, **about)
-        offered[f"{name}_mean"] = _of(mean, name, told=_MEAN, **about)
+        offered[f"{name}_mean"] = _of(mean, name, suffixes=_MEAN, **about)
     return offered | {
-        "phi_u_mean_arcmin_mean": _of(mean, _YAW, told=_MEAN),
-        "phi_u_mean_arcmin_std": _Statistic((_YAW,), _one_status_std, told=_MEAN),
+        "phi_u_mean_arcmin_mean": _of(mean, _YAW, suffixes=_MEAN),
+        "phi_u_mean_arcmin_std": _Statistic((_YAW,), _one_status_std, suffixes=_MEAN),
         **{
             f"phi_u_mean_arcmin_{name}": _of(partial(_known_quantile, q=q), _YAW)
             for name, q in {"q10": 0.1, "median": 0.5, "q90": 0.9}.items()
         },
-        "phi_u_from_floor_arcmin_mean": _of(difference, _YAW, _FLOOR, told=_MEAN),
-        "phi_u_std_arcmin_mean": _of(mean, "phi_u_std_arcmin", told=_MEAN),
+        "phi_u_from_floor_arcmin_mean": _of(difference, _YAW, _FLOOR, suffixes=_MEAN),
+        "phi_u_std_arcmin_mean": _of(mean, "phi_u_std_arcmin", suffixes=_MEAN),
         "nees_median": _of(_known_median, "nees"),
-        "nees_mean": _of(mean, "nees", told=_CHI2, freedom=NEES_FREEDOM),
-        "nis_u_mean": _of(mean, "nis_u", told=_CHI2, freedom=1),
+        "nees_mean": _of(mean, "nees", suffixes=_CHI2, freedom=NEES_FREEDOM),
+        "nis_u_mean": _of(mean, "nis_u", suffixes=_CHI2, freedom=1),
     }
 
 
@@ -280,18 +280,18 @@ def _row(rows: pa.Table, statistics: Mapping[str, _Statistic]) -> dict[str, Any]
         known = judged.num_rows and (truth or not statistic.judged)
         estimate = statistic.of(judged) if known else UNKNOWN
         # The band is valid for independent runs only.
-        row |= _cells(name, estimate, statistic.told, statistic.freedom, banded=single)
+        row |= _cells(name, estimate, statistic.suffixes, statistic.freedom, banded=single)
     return row
 
 
 def _cells(
-    name: str, estimate: Estimate, told: Sequence[str], freedom: int = 0, *, banded: bool = True
+    name: str, estimate: Estimate, suffixes: Sequence[str], freedom: int = 0, *, banded: bool = True
 ) -> dict[str, Any]:
     cells: dict[str, Any] = dict(zip(_MEAN, estimate, strict=True))
     if freedom:
         band = chi2_mean_band(freedom, estimate.n if banded else 0)
         cells |= zip(_CHI2[len(_MEAN) :], band, strict=True)
-    return {f"{name}{end}": cells[end] for end in told}
+    return {f"{name}{end}": cells[end] for end in suffixes}
 
 
 def _select(table: pa.Table, *columns: str) -> pa.Table:

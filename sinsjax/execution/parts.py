@@ -49,7 +49,7 @@ _recorded: dict[_File, dict[str, str]] = {}
 """SHA-256 of the parts by their manifest, for the manifests that this process has read."""
 
 
-def ask(
+def query(
     directory: Path, name: str, question: Callable[[ds.Dataset], Any], *, verify: bool = True
 ) -> Any:
     """Query a dataset, verifying page checksums.

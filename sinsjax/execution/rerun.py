@@ -161,7 +161,7 @@ def _differing(stored: pa.Table, again: pa.Table) -> list[str]:
 
 
 def _verdict(stored: pa.Table, again: pa.Table, differ: list[str]) -> str:
-    """A sentence that says whether two rows are identical, or where they differ."""
+    """A sentence on whether two rows are identical, or where they differ."""
     (one,), (other,) = stored.to_pylist(), again.to_pylist()
     if not differ:
         return f"The row is identical to the stored one in all {len(one)} columns."

@@ -27,7 +27,7 @@ from sinsjax.engine.truth import starts_of
 from sinsjax.engine.verdicts import LIMIT, TRUTH, Judge, Verdict
 from sinsjax.errors import InputError
 from sinsjax.execution import layouts
-from sinsjax.execution.parts import ask, is_there
+from sinsjax.execution.parts import is_there, query
 from sinsjax.execution.parts import read_manifest as read_manifest
 from sinsjax.study import sampling
 from sinsjax.study.resolved import Coded, same
@@ -248,7 +248,7 @@ def read_summary(
     """
     directory = Path(directory)
     rows = None if run_ids is None else ds.field("run_id").isin(run_ids)
-    there = ask(directory, "summary", lambda dataset: dataset.schema, verify=verify)
+    there = query(directory, "summary", lambda dataset: dataset.schema, verify=verify)
     later = _later(there)
     wanted = [*there.names, *later] if names is None else list(names)
     if missing := [name for name in wanted if name not in there.names and name not in later]:
@@ -287,7 +287,7 @@ def count_runs(directory: str | Path) -> int:
     Raises:
         InputError: the directory holds no results, or a part has changed.
     """
-    return ask(Path(directory), "summary", lambda dataset: dataset.count_rows())
+    return query(Path(directory), "summary", lambda dataset: dataset.count_rows())
 
 
 def read_curves(
@@ -313,6 +313,6 @@ def read_curves(
 
 def _read(directory: Path, name: str, *, verify: bool, **options: Any) -> pa.Table:
     """Rows of a dataset."""
-    table = ask(directory, name, lambda dataset: dataset.to_table(**options), verify=verify)
+    table = query(directory, name, lambda dataset: dataset.to_table(**options), verify=verify)
     # The metadata of the first part does not apply to the others.
     return table.replace_schema_metadata({"sinsjax.schema": columns.SCHEMA_VERSION})

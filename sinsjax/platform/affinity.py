@@ -21,7 +21,7 @@ _lock: Any = None  # held until the process ends
 
 
 def apply() -> None:
-    """Pin this process to one core if the environment asks for it."""
+    """Pin this process to one core if the environment requests it."""
     if os.environ.get(VARIABLE, "").strip() == "1":
         keep_to_one_core()
 

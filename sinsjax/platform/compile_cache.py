@@ -73,37 +73,37 @@ def enable() -> Path | None:
     import filelock  # here, like JAX, to keep importing this module cheap
     import jax
 
-    asked = os.environ.get(VARIABLE, "").strip()
+    setting = os.environ.get(VARIABLE, "").strip()
     version = importlib.metadata.version("jaxlib")
-    if asked == "0":
+    if setting == "0":
         _why_off = f"{VARIABLE}=0"
-    elif not asked and jax.config.values["jax_compilation_cache_dir"]:
+    elif not setting and jax.config.values["jax_compilation_cache_dir"]:
         _why_off = "JAX already has a compilation cache"
-    elif not asked and version not in SAFE_JAXLIB:
+    elif not setting and version not in SAFE_JAXLIB:
         _why_off = f"not tested with jaxlib {version}; {VARIABLE}=1 enables it anyway"
     else:
         try:
-            return _keep_in(_folder(asked))
+            return _keep_in(_folder(setting))
         except InputError as error:  # a full disk
             _why_off = str(error)
             return None
         except filelock.Timeout:
-            _why_off = f"another process holds the lock of {_folder(asked)}"
+            _why_off = f"another process holds the lock of {_folder(setting)}"
             return None
         except OSError as error:
             run = ", and cached programs are executed" if isinstance(error, machine.Unsafe) else ""
-            _why_off = f"{error.filename or asked}: {error.strerror or error}{run}"
+            _why_off = f"{error.filename or setting}: {error.strerror or error}{run}"
         except RuntimeError:  # from expanduser
-            _why_off = f"{asked}: no such user, or a user without a home directory"
-        if asked:
+            _why_off = f"{setting}: no such user, or a user without a home directory"
+        if setting:
             raise InputError(f"{VARIABLE}: {_why_off}")
     return None
 
 
-def _folder(asked: str) -> Path:
+def _folder(setting: str) -> Path:
     """The folder for this jaxlib, processor and options, created if missing."""
-    by_name = asked not in ("", "1")
-    root = Path(asked).expanduser() if by_name else machine.cache_folder() / "compiled"
+    by_name = setting not in ("", "1")
+    root = Path(setting).expanduser() if by_name else machine.cache_folder() / "compiled"
     return machine.private_folder(root / _key())
 
 

@@ -73,9 +73,9 @@ def require_backend() -> None:
     try:
         jax.devices()
     except (RuntimeError, AssertionError) as error:
-        asked = os.environ.get("JAX_PLATFORMS", "")
+        platforms = os.environ.get("JAX_PLATFORMS", "")
         why = str(error).partition("\n")[0] or "no such device"
-        raise InputError(f"JAX_PLATFORMS={asked}: JAX does not start: {why}") from error
+        raise InputError(f"JAX_PLATFORMS={platforms}: JAX does not start: {why}") from error
 
 
 def require_x64() -> None:

@@ -188,7 +188,7 @@ def apply_loop_options() -> None:
 
 def backend_started() -> bool:
     """Whether a JAX backend has started in this process, after which XLA reads no more options."""
-    # JAX has no public function that tells without starting one.
+    # JAX has no public function for this that does not start it.
     bridge = sys.modules.get("jax._src.xla_bridge")
     return bridge is not None and bridge.backends_are_initialized()
 

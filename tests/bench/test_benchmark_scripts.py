@@ -287,7 +287,7 @@ def test_without_a_gpu_the_script_says_so(capsys):
     assert capsys.readouterr().err == "no GPU: JAX has cpu only\n"
 
 
-@pytest.mark.parametrize(("script", "why"), [("", "no gcc"), ("exit 1", "gcc failed")])
+@pytest.mark.parametrize(("script", "why"), [("", "gcc not found"), ("exit 1", "gcc failed")])
 def test_without_a_gcc_that_works_there_are_no_pairs(tools, script, why):
     tools(gcc=script)
     with pytest.raises(InputError, match=why):
