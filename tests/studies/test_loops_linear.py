@@ -11,10 +11,10 @@ from docs.studies.loops.linear import (
     cycle_radius,
     heading_from_limit,
     heading_of,
-    limits_of,
     loops_of,
     start_of,
 )
+from docs.studies.loops.runs import limits_of
 from sinsjax.alignment.compass import design as loops
 from sinsjax.alignment.compass.parameters import REVERSALS
 from sinsjax.execution import run as study_run
@@ -64,7 +64,7 @@ def integrated(study, times, turn, *, level_s, tape_s, sigma_az):
         tilting = -(1 + k.k2) / R * dv - wn * phi_u
         return [-k.k1 * dv + G * phi_e, tilting, spin, 0.0, k.k3 / wn * dv - k.k4 * spin, *lag]
 
-    phi = np.deg2rad(np.array([0.1 + limits.pitch, 1.0 + limits.heading]))
+    phi = np.deg2rad(np.array([0.1 - limits.e / 60, 1.0 - limits.u / 60]))
     x = np.array([0.0, *phi, 0.0, 0.0, 0.0, 0.0])  # the last: f_N/g, low-passed, twice
     found, edges = [], sorted({0.0, level_s, 100.0, *np.arange(tape_s, 241, tape_s), 240.0})
     for since, until in zip(edges[:-1], edges[1:], strict=True):
@@ -111,7 +111,7 @@ def test_against_the_engine_without_noise(turn):
     study = compass_study(turn=turn, study={"record_interval_s": 2.0})
     run = study_run.run(study, curves=True)
     times = run.curves["time_s"].to_numpy()
-    simulated = -run.curves["phi_u_arcmin"].to_numpy() / 60 - limits_of(study).heading
+    simulated = (limits_of(study).u - run.curves["phi_u_arcmin"].to_numpy()) / 60
     # The east channel's part in the north one is left out of the linear loops.
     np.testing.assert_allclose(heading_from_limit(study, times), simulated, atol=0.02)
     assert np.ptp(simulated) > 0.2
@@ -120,11 +120,11 @@ def test_against_the_engine_without_noise(turn):
 def test_limits_are_the_closed_forms():
     study = compass_study(sensors={"gyro_bias_deg_per_h": [0.02, 0.0, 0.0]})
     limits = limits_of(study)
-    assert limits.pitch == pytest.approx(math.degrees(50e-6))
-    assert limits.roll == pytest.approx(-math.degrees(50e-6))
-    assert limits.gyro == pytest.approx(math.degrees(math.radians(0.02) / 3600 / OMEGA_N))
-    assert limits.accel == pytest.approx(-math.degrees(50e-6 * math.tan(LATITUDE)))
-    assert limits.heading == pytest.approx(limits.gyro + limits.accel)
+    assert limits.e == pytest.approx(-60 * math.degrees(50e-6))
+    assert limits.n == pytest.approx(60 * math.degrees(50e-6))
+    assert limits.gyro == pytest.approx(-60 * math.degrees(math.radians(0.02) / 3600 / OMEGA_N))
+    assert limits.accel == pytest.approx(60 * math.degrees(50e-6 * math.tan(LATITUDE)))
+    assert limits.u == pytest.approx(limits.gyro + limits.accel)
 
 
 def test_one_variant_of_a_sweep():
@@ -136,7 +136,7 @@ def test_one_variant_of_a_sweep():
     model = loops_of(one)
     assert (model.tape_s, model.sigma) == (120.0, pytest.approx(0.01))
     assert one.values("phi_u0_deg") == [2.0] and one.values("case") == ["b"]
-    np.testing.assert_allclose(np.diag(model.turn), (-1, 1, 1, 1))
+    assert model.params.turn[0] == -1 and model.params.turn[3] == 0  # flips, reflects nothing
 
 
 def test_one_variant_of_axes_that_go_together():

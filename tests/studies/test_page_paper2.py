@@ -7,7 +7,8 @@ import pyarrow as pa
 import pytest
 from support.stored import store
 
-from docs.studies.loops.linear import heading_from_limit, limits_of
+from docs.studies.loops.linear import heading_from_limit
+from docs.studies.loops.runs import limits_of
 from docs.studies.paper2 import cases as paper2
 from sinsjax import analysis
 from sinsjax.alignment.compass import design as loops
@@ -35,12 +36,12 @@ def summary_of(study, errors):
     """A summary that no engine made: ``errors`` (deg) of every run as pitch, roll, heading."""
     count = study.n_variants * DRAWS
     run = np.arange(count)
-    floors = [limits_of(one_variant(study, v)).heading for v in range(study.n_variants)]
+    floors = [limits_of(one_variant(study, v)).u for v in range(study.n_variants)]
     columns = {
         "run_id": run,
         "draw_id": run // study.n_variants,
         "variant_id": run % study.n_variants,
-        "floor_arcmin": -60 * np.tile(floors, DRAWS),
+        "floor_arcmin": np.tile(floors, DRAWS),
         "status": ["diverged"] * count,
     }
     for column, axis in enumerate("enu"):
@@ -115,16 +116,15 @@ def test_errors_are_minus_phi(tmp_path):
     study = study_of("static")
     source = Source.read(write(tmp_path, study))
     case = paper2.cases_of(source)[0]
-    assert case.starts_as_stated and case.is_stable and case.scheme == 1
-    assert (case.label, case.name) == ("Scheme 1, level 150 s", "level 150 s")
+    assert (case.scheme, case.drift) == (1, 0.02)
+    assert (case["case"], case.name) == ("Scheme 1, level 150 s", "level 150 s")
     phi = analysis.numbers(case.rows, "phi_u_mean_arcmin")
-    np.testing.assert_allclose(case.mean_errors("heading"), -phi / 60)
-    curves = paper2.curves_of(source, [case])[0]
-    assert curves.errors["roll"].shape == (DRAWS, 300)
-    np.testing.assert_allclose(curves.at("heading", 551.0), 0.1)
+    np.testing.assert_allclose(case.means("heading"), -phi / 60)
+    assert case.curves.columns["roll"].shape == (DRAWS, 300)
+    np.testing.assert_allclose(case.from_limit(551.0), 0.1 - case.limits["heading"])
 
 
 def test_linear_loops_start_at_the_stated_error():
     one = one_variant(study_of("static"), 0)
     before = heading_from_limit(one, np.array([2.0, 150.0]))
-    np.testing.assert_allclose(before, 1.5 - limits_of(one).heading, rtol=1e-9)
+    np.testing.assert_allclose(before, 1.5 + limits_of(one).u / 60, rtol=1e-9)

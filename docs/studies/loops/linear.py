@@ -24,29 +24,11 @@ from sinsjax.study.study import Study
 from sinsjax.study.variants import Variants
 from sinsjax.units import ARCMIN, DEG
 
-from .limits import ingredients
+from .runs import limits_of
 
 _LEVEL = np.ix_((0, 1, 3), (0, 1, 3))  # of x, see `_matrix`
 _AZIMUTH = np.ix_((0, 1, 2, 4), (0, 1, 2, 4))
 _WITHOUT_INTEGRAL = np.ix_((0, 1, 2, 4, 5, 6), (0, 1, 2, 4, 5, 6))
-
-
-class Limits(NamedTuple):
-    """What attitude errors settle to for constant biases, deg; an error is estimate minus truth.
-
-    Attributes:
-        pitch: nabla_N/g.
-        roll: -nabla_E/g.
-        heading: eps_E/omega_N - (nabla_E/g) tan L, positive counter-clockwise.
-        gyro: the first term of the heading's.
-        accel: its second term.
-    """
-
-    pitch: float
-    roll: float
-    heading: float
-    gyro: float
-    accel: float
 
 
 class Loops(NamedTuple):
@@ -72,26 +54,9 @@ class Loops(NamedTuple):
         return float(self.params.azimuth.k1) / 2
 
     @property
-    def turn(self) -> NDArray:
-        """What a turn makes of [dV_N, phi_E, phi_U, w_cU]: `compass.design.turn_matrix`."""
-        velocity, _, rate, reflection = self.params.turn
-        return loops.turn_matrix(velocity, 1 - 2 * reflection, rate)
-
-    @property
     def smoothing_s(self) -> float:
         """Delay of the low-passed specific force, two equal stages, s."""
         return float(-2 / (np.log1p(-self.params.smoothing) * self.rate_hz))
-
-
-def limits_of(one: Study) -> Limits:
-    """The limits of a study of one variant, see `limits.ingredients`.
-
-    Raises:
-        InputError: its Earth is not one of constants.
-    """
-    parts = ingredients(one)
-    errors = (parts.phi_e, parts.phi_n, parts.gyro + parts.accel, parts.gyro, parts.accel)
-    return Limits(*(-angle * ARCMIN / DEG for angle in errors))
 
 
 def loops_of(one: Study) -> Loops:
@@ -122,19 +87,11 @@ def start_of(study: Study) -> NDArray:
     """Initial phi_E and phi_U of a study that sweeps neither, from their limits, (2,), deg."""
     limits = limits_of(study)
     begin = [only(study, f"phi_{axis}0_deg") for axis in "eu"]
-    return np.asarray(begin) + [limits.pitch, limits.heading]
+    return np.asarray(begin) - np.array([limits.e, limits.u]) * ARCMIN / DEG
 
 
 def heading_from_limit(one: Study, times_s: NDArray) -> NDArray:
-    """Heading error minus its limit as the linear loops have it.
-
-    Args:
-        one: a simulated compass study of one variant.
-        times_s: (n,) update times, s, ascending.
-
-    Returns:
-        (n,) deg, estimate minus truth.
-    """
+    """As `heading_of`, for a simulated compass study of one variant from its initial error."""
     return heading_of(loops_of(one), start_of(one), times_s)
 
 

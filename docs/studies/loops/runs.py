@@ -1,4 +1,7 @@
-"""What the pages on sweeps of compass loops share: heading errors, and the tape's bound."""
+"""What constant biases and the noise of a run's data leave of an alignment, in closed form."""
+
+import math
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -7,10 +10,54 @@ from numpy.typing import NDArray
 from sinsjax import analysis
 from sinsjax.alignment.bounds import Number, tape_bound
 from sinsjax.engine.truth import errors_of, site_of
+from sinsjax.errors import InputError
 from sinsjax.report.base import only
 from sinsjax.study.study import Study
 from sinsjax.study.variants import Variants
-from sinsjax.units import ARCMIN
+from sinsjax.units import ARCMIN, DEG, MICRO
+
+
+class Limits(NamedTuple):
+    """What phi settles to for constant biases, arcmin; an attitude error is -phi.
+
+    Attributes:
+        e: -nabla_N/g.
+        n: nabla_E/g.
+        u: the sum of the last two.
+        gyro: -eps_E/omega_N.
+        accel: (nabla_E/g) tan L.
+    """
+
+    e: float
+    n: float
+    u: float
+    gyro: float
+    accel: float
+
+
+def limits_of(study: Study, earth_rate_deg_per_h: float | None = None) -> Limits:
+    """The closed form of the limit accuracy for a study's constant biases.
+
+    The biases are turned to n at the centre of the swing. Valid where the filter has no bias states
+    and its innovations have vanished.
+
+    Args:
+        study: simulated, with an Earth of constants.
+        earth_rate_deg_per_h: instead of the study's.
+
+    Raises:
+        InputError: a study that has no such limit, or more than one.
+    """
+    if study.is_recorded or any(p["earth"] != "constants" for p in study.combinations("earth")):
+        raise InputError(f"{study.name}: the page needs earth = 'constants'")
+    turn = _to_n(study)
+    east, north, _ = turn @ (np.ones(3) * only(study, "accel_bias_ug")) * MICRO / ARCMIN
+    drift = turn[0] @ (np.ones(3) * only(study, "gyro_bias_deg_per_h"))
+    latitude = only(study, "latitude_deg") * DEG
+    rate = earth_rate_deg_per_h or only(study, "earth_rate_deg_per_h")
+    gyro = float(-drift / (rate * math.cos(latitude))) / ARCMIN
+    accel = float(east) * math.tan(latitude)
+    return Limits(-float(north), float(east), gyro + accel, gyro, accel)
 
 
 def heading_errors(rows: pa.Table) -> NDArray:
@@ -29,10 +76,7 @@ def bound_arcmin(study: Study, tape_s: Number) -> NDArray:
     site, ug = site_of(study, first, None)
     rate_hz = study.rate_hz
     errors = errors_of(first.common, ug, rate_hz)
-    angles = [only(study, f"{angle}_center_deg") for angle in ("yaw", "pitch", "roll")]
-    from scipy.spatial.transform import Rotation  # late, as in `truth`
-
-    east, north, _ = Rotation.from_euler("ZXY", angles, degrees=True).as_matrix()
+    east, north, _ = _to_n(study)
     bound = tape_bound(
         tape_s,
         gyro_noise=np.linalg.norm(east * errors.gyro_noise) * rate_hz,
@@ -42,3 +86,11 @@ def bound_arcmin(study: Study, tape_s: Number) -> NDArray:
         rate_n=site.place.rate_n,
     )
     return np.asarray(bound / ARCMIN)
+
+
+def _to_n(study: Study) -> NDArray:
+    """C_b^n at the centre of the swing."""
+    from scipy.spatial.transform import Rotation  # late, as in `truth`
+
+    angles = [only(study, f"{angle}_center_deg") for angle in ("yaw", "pitch", "roll")]
+    return np.asarray(Rotation.from_euler("ZXY", angles, degrees=True).as_matrix())

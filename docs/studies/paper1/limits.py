@@ -7,7 +7,7 @@ from sinsjax.analysis import format_estimate
 from sinsjax.report.base import Table, only
 from sinsjax.study.study import Study
 
-from ..loops.limits import ingredients, limit_accuracy
+from ..loops.runs import limits_of
 
 PAPER_LIMITS_ARCMIN = {"e": -1.7189, "n": 1.7189, "u": -27.0248}
 """Limit accuracy as section 2.4.1 prints it: pitch, roll, yaw."""
@@ -24,8 +24,8 @@ def compared(
         study: whose runs.
         runs: those of condition 1, with ``floor_arcmin``.
     """
-    here, paper_rate = ingredients(study), ingredients(study, _PAPER_RATE_DEG_PER_H)
-    limits = limit_accuracy(study)
+    here, paper_rate = limits_of(study), limits_of(study, _PAPER_RATE_DEG_PER_H)
+    limits = here._asdict()
     start, end = study.study.window_s
     names = {"e": "phi_e (pitch)", "n": "phi_n (roll)", "u": "phi_u (yaw)"}
     forms = {"e": "-nabla_N/g", "n": "nabla_E/g", "u": "-eps_E/omega_N + (nabla_E/g) tan L"}

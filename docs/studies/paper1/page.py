@@ -15,7 +15,7 @@ from sinsjax.report.folder import Page, Sources
 from sinsjax.report.output import counted
 from sinsjax.report.words import arcmin, seconds, share
 
-from ..loops.limits import limit_accuracy
+from ..loops.runs import limits_of
 from . import limits, verdicts
 from .statements import CONDITIONS, RESET, Meaning
 
@@ -156,7 +156,7 @@ def _conditions_figure(source: Source, shown: Mapping[str, Ensemble]) -> Picture
     figure = plots.misalignment(
         _named(shown, *CONDITIONS[:-1]),
         "Misalignment left by conditions 1 to 5 without resets, from truth",
-        limits=limit_accuracy(source.study),
+        limits=limits_of(source.study)._asdict(),
         zoom_s=_steady(source),
     )
     caption = f"After the paper's Fig. 2. {_band(source)}. Grey: the limit."
@@ -168,7 +168,7 @@ def _resets_figure(source: Source, shown: Mapping[str, Ensemble]) -> Picture:
     figure = plots.misalignment(
         _named(shown, "1", "5", RESET),
         "Condition 5 with and without resets beside condition 1, from truth",
-        limits=limit_accuracy(source.study),
+        limits=limits_of(source.study)._asdict(),
         resets_s=moments,
         zoom_s=_steady(source),
     )
@@ -179,7 +179,7 @@ def _resets_figure(source: Source, shown: Mapping[str, Ensemble]) -> Picture:
 def _covariance_figure(
     free: Source, reset: Source, shown: Mapping[str, Ensemble], resets: Mapping[str, Ensemble]
 ) -> Picture:
-    limit = limit_accuracy(free.study)["u"]
+    limit = limits_of(free.study).u
     panels = {
         "condition 1": _variances(shown["1"], limit),
         "condition 5": _variances(shown["5"], limit),

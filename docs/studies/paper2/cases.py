@@ -1,32 +1,31 @@
-"""Paper 2's simulation, section 3.2: Figs 3 to 6 and Tables 1 and 2, beside what it prints.
+"""Paper 2's simulation, section 3.2: its schemes as the study reads them, beside what it prints.
 
 An error is estimate minus truth, which is -phi; heading is positive counter-clockwise.
 """
 
 from collections.abc import Sequence
-from itertools import cycle
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
-from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.analysis import format_estimate
 from sinsjax.plots import Line, Mark
-from sinsjax.report.base import Picture, Source, Table, only, value_text
+from sinsjax.report.base import Picture, Source, Table, only
 from sinsjax.report.output import counted
 from sinsjax.study.load import one_variant
 from sinsjax.study.study import Study
 from sinsjax.units import ARCMIN, DEG
 
-from ..loops.linear import Limits, limits_of
+from ..loops.linear import Loops, loops_of
+from ..loops.runs import limits_of
 
 ANGLES = {"pitch": "e", "roll": "n", "heading": "u"}
 """The paper's attitude angles, and the axis of phi that each is an error about."""
-
-DIGITS = {"pitch": 5, "roll": 5, "heading": 4}
-"""Decimals of a degree in the paper's tables."""
 
 PRINTED = {
     1: {"pitch": 0.00261, "roll": -0.00208, "heading": 0.0251},
@@ -34,217 +33,131 @@ PRINTED = {
 }
 """Tables 1 and 2 by scheme, deg; the two tables are identical."""
 
-_STYLES = ("-", "--", ":")
+_DIGITS = {"pitch": 5, "roll": 5, "heading": 4}  # decimals of a degree in the paper's tables
+_STYLES = ("-", "--")  # of the gyro drifts
 _REACH_DEG = 0.5  # of an enlargement; a run further off would flatten all others
+_FROM_PHI = -ARCMIN / DEG
 
 
-class Case(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Case:
     """One variant of a study: a scheme, how it is read, and a gyro drift.
 
     Attributes:
-        label: of the case.
-        drift: constant gyro drift, deg/h.
-        scheme: 1 where the data are gone over once, 2 where a tape is gone over again.
+        source: what it is of.
         study: of this variant alone.
-        limits: of its attitude errors.
         rows: its runs, one a draw.
     """
 
-    label: str
-    drift: float
-    scheme: int
+    source: Source
     study: Study
-    limits: Limits
     rows: pa.Table
+
+    def __getitem__(self, key: str) -> Any:
+        """The value of a key of the study."""
+        return only(self.study, key)
+
+    @property
+    def drift(self) -> float:
+        """Constant gyro drift, deg/h."""
+        return float(self["gyro_bias_deg_per_h"])
+
+    @cached_property
+    def loops(self) -> Loops:
+        """Its linear loops."""
+        return loops_of(self.study)
+
+    @property
+    def scheme(self) -> int:
+        """1 where the data are gone over once, 2 where a tape is gone over again."""
+        return 1 if self.loops.tape_s >= self.study.duration_s else 2
 
     @property
     def name(self) -> str:
         """The label without the scheme."""
-        return self.label.removeprefix(f"Scheme {self.scheme}, ")
+        return str(self["case"]).removeprefix(f"Scheme {self.scheme}, ")
 
-    @property
-    def is_stable(self) -> bool:
-        """Whether its loops are; an unstable one has `allow_unstable` set."""
-        return not only(self.study, "allow_unstable")
+    @cached_property
+    def limits(self) -> dict[str, float]:
+        """What the errors settle to by angle, deg."""
+        found = limits_of(self.study)
+        return {angle: _FROM_PHI * getattr(found, axis) for angle, axis in ANGLES.items()}
 
-    @property
-    def starts_as_stated(self) -> bool:
-        """Whether the heading error begins at the paper's sign."""
-        return only(self.study, "phi_u0_deg") <= 0
+    def means(self, angle: str) -> NDArray:
+        """Window means of an angle's error by draw, (draws,), deg."""
+        return _FROM_PHI * analysis.numbers(self.rows, f"phi_{ANGLES[angle]}_mean_arcmin")
 
-    def mean_errors(self, angle: str) -> NDArray:
-        """Window means of an angle's error, (draws,), deg, by draw."""
-        return self._in_window(angle, "mean") * -1
+    @cached_property
+    def curves(self) -> plots.Ensemble:
+        """Errors over time by angle, (draws, T), deg."""
+        columns = ["run_id", "time_s", *(f"phi_{axis}_arcmin" for axis in ANGLES.values())]
+        ids = self.rows["run_id"].to_pylist()
+        (phi,) = plots.ensembles(self.source.curves(ids).select(columns), {self.name: ids})
+        errors = {a: _FROM_PHI * phi.columns[f"phi_{axis}_arcmin"] for a, axis in ANGLES.items()}
+        return phi._replace(columns=errors)
 
-    def window_stds(self, angle: str) -> NDArray:
-        """Standard deviations of an angle's error inside the window, (draws,), deg."""
-        return self._in_window(angle, "std")
-
-    def _in_window(self, angle: str, statistic: str) -> NDArray:
-        column = f"phi_{ANGLES[angle]}_{statistic}_arcmin"
-        return analysis.numbers(self.rows, column) * ARCMIN / DEG
+    def from_limit(self, time_s: float) -> NDArray:
+        """Heading errors from the limit at the record nearest to a time, (draws,), deg."""
+        nearest = int(np.argmin(np.abs(self.curves.time_s - time_s)))
+        return self.curves.columns["heading"][:, nearest] - self.limits["heading"]
 
 
-class Curves(NamedTuple):
-    """Attitude errors of a case over time.
+def cases_of(source: Source) -> list[Case]:
+    """The variants of a study, in its order."""
+    groups = analysis.groups(source.summary, ["variant_id"])
+    return [Case(source, one_variant(source.study, k["variant_id"]), rows) for k, rows in groups]
 
-    Attributes:
-        time_s: (T,) update times, s.
-        errors: (draws, T) by angle, deg.
+
+def figure(cases: Sequence[Case], number: int, base: str) -> Picture:
+    """The attitude errors of one scheme, as a figure of the paper.
+
+    A colour for each reading, a style for each drift.
     """
-
-    time_s: NDArray
-    errors: dict[str, NDArray]
-
-    def at(self, angle: str, time_s: float) -> NDArray:
-        """Errors at the record nearest to a time, (draws,), deg."""
-        return self.errors[angle][:, int(np.argmin(np.abs(self.time_s - time_s)))]
-
-
-def cases_of(source: Source, misalignment: str = "vector") -> list[Case]:
-    """The variants of a study that read the initial errors in one way, in its order.
-
-    Args:
-        source: of the results.
-        misalignment: ``vector``, as all tables and figures do, or ``euler``.
-    """
-    study = source.study
-    cases = []
-    for key, rows in analysis.groups(source.summary, ["variant_id"]):
-        one = one_variant(study, key["variant_id"])
-        if only(one, "misalignment") != misalignment:
-            continue
-        tape = only(one, "tape_s")
-        cases.append(
-            Case(
-                label=only(one, "case"),
-                drift=only(one, "gyro_bias_deg_per_h"),
-                scheme=1 if tape is None or tape >= study.duration_s else 2,
-                study=one,
-                limits=limits_of(one),
-                rows=rows,
-            )
-        )
-    return cases
-
-
-def curves_of(source: Source, cases: Sequence[Case]) -> list[Curves]:
-    """The attitude errors of some cases over time."""
-    columns = [f"phi_{axis}_arcmin" for axis in ANGLES.values()]
-    ids = {str(i): case.rows["run_id"].to_pylist() for i, case in enumerate(cases)}
-    table = source.curves(run for runs in ids.values() for run in runs)
-    made = plots.ensembles(table.select(["run_id", "time_s", *columns]), ids)
-    factor = -ARCMIN / DEG
-    return [
-        Curves(
-            one.time_s,
-            {a: factor * one.columns[f"phi_{axis}_arcmin"] for a, axis in ANGLES.items()},
-        )
-        for one in made
-    ]
-
-
-def drift_text(drift: float) -> str:
-    """A gyro drift in words."""
-    return f"{value_text(drift)} deg/h"
-
-
-def figure(source: Source, cases: Sequence[Case], number: int, base: str) -> Picture:
-    """The attitude errors of one scheme, as a figure of the paper."""
+    first, source = cases[0], cases[0].source
     start, end = source.study.study.window_s
-    scheme = cases[0].scheme
+    names = list(dict.fromkeys(case.name for case in cases))
+    drifts = {case.drift: case.limits for case in cases}
+    styles = dict(zip(drifts, _STYLES, strict=True))
+    lines: dict[str, list[Line]] = {angle: [] for angle in ANGLES}
+    for case in cases:
+        look = plots.colour(names.index(case.name)), styles[case.drift]
+        label = f"{case.name}, drift {case.drift:g} deg/h"
+        for angle, here in lines.items():
+            here.append(Line(label, case.curves.time_s, case.curves.columns[angle], *look))
+    marks = [Mark(f"limit, drift {d:g} deg/h", at, styles[d]) for d, at in drifts.items()]
     drawn = plots.attitude_errors(
-        _lines(cases, curves_of(source, cases)),
-        f"{base} base, Scheme {scheme}: attitude error from truth",
-        marks=[*_marks(cases), Mark("printed", PRINTED[scheme], "-.", "black")],
+        lines,
+        f"{base} base, Scheme {first.scheme}: attitude error from truth",
+        marks=[*marks, Mark("printed", PRINTED[first.scheme], "-.", "black")],
         zoom_s=(max(0.0, 2 * start - end), end),
         reach=_REACH_DEG,
     )
     caption = (
-        f"After the paper's Fig. {number}. Mean over {source.study.n_draws} draws; shading: 95 %"
-        " of them. Error: estimate minus truth, heading counter-clockwise."
+        f"After the paper's Fig. {number}. Mean over {source.draws} draws; shading: 95 % of them."
+        f" The enlargement leaves out lines {_REACH_DEG:g} deg and more from a limit."
     )
-    from_limits = (np.mean(case.mean_errors("heading")) - case.limits.heading for case in cases)
-    if any(abs(error) > _REACH_DEG for error in from_limits):
-        caption += f" The enlargement leaves out lines {_REACH_DEG:g} deg and more from a limit."
     return Picture(f"fig{number}", caption, drawn, counted(source))
 
 
-def _lines(cases: Sequence[Case], curves: Sequence[Curves]) -> dict[str, list[Line]]:
-    """Lines by angle: a colour for each reading, a style for each drift."""
-    names = list(dict.fromkeys(case.name for case in cases))
-    styles = _styles(cases)
-    lines: dict[str, list[Line]] = {angle: [] for angle in ANGLES}
-    for case, one in zip(cases, curves, strict=True):
-        look = plots.colour(names.index(case.name)), styles[case.drift]
-        label = f"{case.name}, drift {drift_text(case.drift)}"
-        for angle, here in lines.items():
-            here.append(Line(label, one.time_s, one.errors[angle], *look))
-    return lines
-
-
-def _marks(cases: Sequence[Case]) -> list[Mark]:
-    """The limits of each drift."""
-    styles = _styles(cases)
-    return [
-        Mark(
-            f"limit, drift {drift_text(drift)}",
-            {angle: getattr(limits, angle) for angle in ANGLES},
-            styles[drift],
-        )
-        for drift, limits in {case.drift: case.limits for case in cases}.items()
-    ]
-
-
-def _styles(cases: Sequence[Case]) -> dict[float, str]:
-    drifts = dict.fromkeys(case.drift for case in cases)
-    return dict(zip(drifts, cycle(_STYLES), strict=False))
-
-
-def table(source: Source, cases: Sequence[Case], number: int) -> Table:
-    """Window means beside the paper's table."""
-    start, end = source.study.study.window_s
+def table(cases: Sequence[Case], title: str, *, folded: bool = True) -> Table:
+    """Window means, those that the paper prints above those of each scheme."""
     rows = []
-    for scheme in (1, 2):
-        printed = [f"{PRINTED[scheme][angle]:.{DIGITS[angle]}f}" for angle in ANGLES]
-        rows.append([f"Scheme {scheme}, as printed", "", *printed, "", "", ""])
+    for scheme, printed in PRINTED.items():
+        numbers = (f"{printed[angle]:.{digits}f}" for angle, digits in _DIGITS.items())
+        rows.append([f"Scheme {scheme}, as printed", "", *numbers, ""])
         rows += [_row(case) for case in cases if case.scheme == scheme]
-    return Table(
-        f"Table {number}: mean error from {start:g} to {end:g} s, {source.study.n_draws} draws",
-        [
-            "",
-            "gyro drift (deg/h)",
-            *(f"{angle} (deg)" for angle in ANGLES),
-            "heading's limit (deg)",
-            "heading: std inside the window (deg)",
-            "heading: std over draws (deg)",
-        ],
-        rows,
-        "Number [95 % interval]. Error: estimate minus truth, heading counter-clockwise.",
-        folded=number == 2,
+    start, end = cases[0].source.study.study.window_s
+    header = ["", "gyro drift (deg/h)", *(f"{angle} (deg)" for angle in ANGLES), "its limit (deg)"]
+    note = (
+        f"Mean error from {start:g} to {end:g} s [95 % interval over {cases[0].source.draws}"
+        " draws], the last column: where the heading would settle."
     )
+    return Table(title, header, rows, note, folded=folded)
 
 
 def _row(case: Case) -> list[str]:
-    means = {angle: analysis.mean(case.mean_errors(angle)) for angle in ANGLES}
-    return [
-        case.label,
-        value_text(case.drift),
-        *(format_estimate(means[angle], digits=DIGITS[angle]) for angle in ANGLES),
-        f"{case.limits.heading:.4f}",
-        _deg(analysis.mean(case.window_stds("heading"))),
-        _spread(case),
-    ]
-
-
-def _spread(case: Case) -> str:
-    """The standard deviation over the draws; of runs that ended in several ways, two quantiles."""
-    heading = case.mean_errors("heading")
-    if len(case.rows["status"].unique()) == 1:
-        return _deg(analysis.std(heading, is_normal=True))  # noise alone, through linear loops
-    low, high = (analysis.quantile(heading, q).value for q in (0.1, 0.9))
-    return f"10 to 90 %: {low:.4f} to {high:.4f}"
-
-
-def _deg(estimate: Estimate) -> str:
-    return format_estimate(estimate, digits=4)
+    means = (
+        format_estimate(analysis.mean(case.means(angle)), digits=digits)
+        for angle, digits in _DIGITS.items()
+    )
+    return [str(case["case"]), f"{case.drift:g}", *means, f"{case.limits['heading']:.4f}"]

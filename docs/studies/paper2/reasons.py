@@ -1,288 +1,159 @@
-"""Why paper 2's stated numbers do not give its printed tables."""
+"""The loops of paper 2 that do not do as printed: the turn between passes, and the gains."""
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Mapping
+from decimal import Decimal
 
 import numpy as np
 
-from sinsjax import analysis
-from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.report.base import Source, Table, only, percent, value_text
+from sinsjax import analysis, plots
+from sinsjax.alignment.compass import design
+from sinsjax.analysis import format_estimate
+from sinsjax.plots import Line
+from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page
-from sinsjax.units import ARCMIN, DEG, DEG_PER_H, MICRO
 
-from ..loops.linear import heading_from_limit, loops_of
-from ..loops.runs import bound_arcmin
-from .cases import ANGLES, DIGITS, PRINTED, Case, Curves, cases_of, drift_text
+from ..loops.linear import cycle_radius, heading_from_limit
+from .cases import Case
 
-_HORIZON_S = 3000.0  # how far the linear loops are followed
+V_FLIPPED, BOTH_FLIPPED, REFLECTED = "V flipped", "V and azimuth rate flipped", "reflected"
+"""Cases of the study, by what is done at a turn."""
 
+GRAVITY, RADIUS = 9.8, 6378165.0
+"""g and R of the paper's gains, SI; R is what the printed digits of K2 fix."""
 
-def limit(cases: Sequence[Case]) -> Page:
-    """The limit of the heading error, and the biases that the printed means would follow from."""
-    first = cases[0]
-    implied = {
-        scheme: {angle: _implied(first, angle, printed[angle]) for angle in ANGLES}
-        for scheme, printed in PRINTED.items()
-    }
-    random = only(first.study, "gyro_noise_deg_per_h")
-    drifts = [biases["heading"] for biases in implied.values()]
-    values = {
-        "limit": {
-            "drift": drift_text(first.drift),
-            "heading": f"{first.limits.heading:.4f} deg",
-            "implied": f"{drifts[0]:.4f} and {drifts[1]:.4f} deg/h",
-            "random": f"{value_text(random)} deg/h",
-            "printed": f"{PRINTED[1]['heading']:.4f}",
-            "printed_2": f"{PRINTED[2]['heading']:.4f} deg",
-        }
-    }
-    claims = {
-        "the stated drift cannot settle to the printed headings": all(
-            first.limits.heading > 2 * printed["heading"] for printed in PRINTED.values()
-        ),
-        "the printed headings are limits of a drift of the size of the stated random one": all(
-            abs(drift / random - 1) < 0.1 for drift in drifts
-        ),
-    }
-    rows = [
-        [
-            f"Scheme {scheme}",
-            *(f"{biases[angle]:.1f}" for angle in ("pitch", "roll")),
-            f"{biases['heading']:.4f}",
-        ]
-        for scheme, biases in implied.items()
-    ]
-    behind = Table(
-        "The biases of which the printed means are the limits",
-        ["", "accelerometer, by pitch (ug)", "by roll (ug)", "gyro drift, by heading (deg/h)"],
-        rows,
-        f"Stated: {value_text(only(first.study, 'accel_bias_ug'))} ug and"
-        f" {drift_text(first.drift)}.",
-        folded=True,
-    )
-    return Page(values, {"limit": _limit_table(cases), "behind": behind}, claims=claims)
+LEVEL_SIGMA, AZIMUTH_SIGMA = 0.02, 0.01
+"""Decay rates that the printed K1 mean, 1/s."""
+
+ADJUSTMENT_S = 150.0, 450.0
+"""Adjustment times that the paper states, levelling and azimuth, s."""
+
+LEVEL_K3 = "0.000081632653"
+"""As printed."""
 
 
-def _limit_table(cases: Sequence[Case]) -> Table:
-    rows = []
-    for drift, case in {case.drift: case for case in cases}.items():
-        limits, model = case.limits, loops_of(case.study)
-        k = model.params.azimuth
-        # [P2] eq. (2) at rest: the loop answers eps_U with a velocity, and that with a heading.
-        loop = (1 + k.k2) * k.k4 / (model.earth["radius"] * k.k3) * drift * DEG_PER_H / DEG
-        rows.append(
-            [
-                value_text(drift),
-                f"{limits.gyro:.4f}",
-                f"{limits.accel:.4f}",
-                f"{limits.heading:.4f}",
-                f"{analysis.numbers(case.rows, 'floor_arcmin')[0]:.3f}",
-                f"{loop:.4f}",
-            ]
+def turns(cases: Mapping[str, Case]) -> Page:
+    """What each turn leaves of the heading error from cycle to cycle, predicted and simulated.
+
+    Args:
+        cases: of one gyro drift, by name.
+    """
+    rows, lines, radii = [], [], {}
+    tape_s, duration_s = cases[REFLECTED].loops.tape_s, cases[REFLECTED].study.duration_s
+    ends = np.arange(tape_s, duration_s, 2 * tape_s)[-2:]  # of forward passes, a cycle between
+    for number, name in enumerate((V_FLIPPED, BOTH_FLIPPED, REFLECTED)):
+        case, model, times = cases[name], cases[name].loops, cases[name].curves.time_s
+        radius = radii[name] = float(
+            cycle_radius(
+                model.sigma,
+                tape_s,
+                model.params.turn,
+                damping=case["azimuth_damping"],
+                smoothing_s=model.smoothing_s,
+            )
         )
-    return Table(
-        "The limit of the heading error (deg)",
-        [
-            "gyro drift (deg/h)",
-            "eps_E/omega_N",
-            "-(nabla_E/g) tan L",
-            "both",
-            "as phi_u, floor_arcmin (arcmin)",
-            "left out: 2 eps_U/sigma of the azimuth loop",
-        ],
+        before, after = map(case.from_limit, ends)
+        simulated = format_estimate(analysis.mean(after / before), digits=4)
+        linear = heading_from_limit(case.study, ends)
+        rows.append([name, f"{radius:.4f}", simulated, f"{linear[1] / linear[0]:.4f}"])
+        errors = case.curves.columns["heading"] - case.limits["heading"]
+        lines.append(Line(name, times, errors, plots.colour(number)))
+        predicted = heading_from_limit(case.study, times)[None]
+        lines.append(Line("" if number else "linear loops", times, predicted, "black", ":"))
+    span = f"{ends[0]:g} to {ends[1]:g} s"
+    table = Table(
+        "What a cycle of one reversed and one forward pass leaves of the heading error",
+        ["turn", "in the long run", f"simulated, {span}", "linear loops, same cycle"],
         rows,
-        folded=True,
+        "Number [95 % interval]; errors from the limit. *In the long run*: spectral radius of the"
+        " linear azimuth loop over a cycle; so early, faster modes are still there.",
     )
-
-
-def _implied(case: Case, angle: str, printed: float) -> float:
-    """The bias of which a printed mean is the limit: ug for pitch and roll, deg/h for heading."""
-    if angle == "heading":
-        return case.drift * (printed - case.limits.accel) / case.limits.gyro
-    return printed * DEG / MICRO * (1 if angle == "pitch" else -1)
-
-
-def unsettled(cases: Sequence[Case], curves: Mapping[str, Curves]) -> Page:
-    """How far from its limit the heading is in the window, and how it still moves there."""
-    drift = cases[0].drift
-    stable = [case for case in cases if case.is_stable and case.drift == drift]
-    forward = [case for case in stable if case.scheme == 1]
-    start, end = forward[0].study.study.window_s
-    sizes = [
-        abs(
-            analysis.difference(
-                *(curves[case.label].at("heading", time) for time in (end, start))
-            ).value
-        )
-        for case in forward
-    ]
-    means = [analysis.mean(case.mean_errors("heading")).value for case in forward]
-    linear = heading_from_limit(forward[0].study, np.array([end]))[0]
-    simulated = curves[forward[0].label].at("heading", end) - forward[0].limits.heading
-    every = [case for case in cases if case.is_stable and case.scheme == 1]
-    printed = PRINTED[1]["heading"]
-    near = min(
-        (analysis.mean(case.mean_errors("heading")) for case in every),
-        key=lambda mean: abs(mean.value - printed),
+    figure = plots.over_time(
+        {"": lines},
+        "Scheme 2 by what is done at a turn, heading from its limit",
+        quantity="heading error from its limit (deg)",
     )
     values = {
-        "unsettled": {
-            "window": f"{start:g} to {end:g} s",
-            "least": f"{min(sizes):.3f}",
-            "most": f"{max(sizes):.3f} deg",
-            "low": f"{min(means):.4f}",
-            "high": f"{max(means):.4f} deg",
-            "nearest": f"{_deg(near)} deg",
-            "readings": str(len(every)),
-            "sigma": f"{loops_of(forward[0].study).sigma:g} 1/s",
-        }
+        "paper": f"{radii[V_FLIPPED]:.3f}",
+        "rates": f"{radii[BOTH_FLIPPED]:.3f}",
+        "reflected": f"{radii[REFLECTED]:.2f}",
+        "exact": f"{math.exp(-2 * AZIMUTH_SIGMA * tape_s):.2f}",
+        "tape": f"{tape_s:g} s",
     }
     claims = {
-        "Scheme 1 has not settled in the window": min(sizes) > 0.05,
-        "linear loops without noise leave the same": bool(
-            abs(linear - analysis.mean(simulated).value) < 0.01
+        "flipping the velocity leaves nearly all of the heading error": radii[V_FLIPPED] > 0.98,
+        "flipping the azimuth rate too makes it grow": radii[BOTH_FLIPPED] > 1,
+        "reflecting the tilt makes the tape converge": radii[REFLECTED] < 0.5,
+    }
+    shown = Picture("turns", "Shading: 95 % of the draws; dotted: without noise, linear.", figure)
+    return Page({"turns": values}, {"turns": table}, {"turns": shown}, claims)
+
+
+def gains(printed_k3: Case) -> Page:
+    """The printed gains beside the formulas of [P2] eqs (18) and (23), and what their K3 does."""
+    earth = {"gravity": GRAVITY, "radius": RADIUS}
+    level = design.level_gains(LEVEL_SIGMA, design.PAPER_DAMPING, **earth)
+    azimuth = design.azimuth_gains(AZIMUTH_SIGMA, design.PAPER_DAMPING, **earth)
+    printed = [
+        ("horizontal K1", "0.06", "3 σ", level.k1),
+        ("horizontal K2", "1040.33306122", "4 σ² R/g - 1", level.k2),
+        ("horizontal K3", LEVEL_K3, "2 σ³/g", level.k3),
+        ("azimuth K1 = K4", "0.02", "2 σ", azimuth.k1),
+        ("azimuth K2", "259.3332653", "4 σ² R/g - 1", azimuth.k2),
+        ("azimuth K3", "4.082e-9", "4 σ⁴/g", azimuth.k3),
+    ]
+    table = Table(
+        "Gains of [P2] section 3.1, as printed and by formula",
+        ["gain", "printed", "formula", "value"],
+        [[gain, text, rule, f"{value:.12g}"] for gain, text, rule, value in printed],
+        f"g = {GRAVITY:g} m/s², R = {RADIUS:.0f} m, ξ = √½, σ = {LEVEL_SIGMA:g} 1/s (horizontal)"
+        f" and {AZIMUTH_SIGMA:g} 1/s (azimuth).",
+        folded=True,
+    )
+    model = printed_k3.loops
+    root = design.roots(design.level_polynomial(model.params.level, **model.earth))[0]
+    period_s = 2 * math.pi / abs(root.imag)
+    predicted = math.exp(root.real * period_s)
+    growths = {angle: _growth(printed_k3, angle, period_s) for angle in ("pitch", "roll")}
+    by_period = (design.sigma_of_period(time, design.PAPER_DAMPING) for time in ADJUSTMENT_S)
+    ratio = float(LEVEL_K3) / level.k3
+    values = {
+        "ratio": f"{ratio:.0f}",
+        "by_period": " and ".join(f"{sigma:.4f}" for sigma in by_period),
+        "root": f"{root.real:+.4f} ± {abs(root.imag):.4f}j 1/s",
+        "factor": f"{predicted:.2f}",
+        "period": f"{period_s:.1f} s",
+        **{angle: f"{growth:.2f}" for angle, growth in growths.items()},
+    }
+    claims = {
+        "all printed gains but K3 of levelling follow their formulas to the last digit": (
+            [gain for gain, text, _, value in printed if not agrees(text, value)]
+            == ["horizontal K3"]
         ),
-        "no reading comes to the printed heading": not near.low <= printed <= near.high,
+        "the printed K3 is fifty times that of its formula": round(ratio) == 50,
+        "the printed K3 lacks one factor sigma": agrees(LEVEL_K3, level.k3 / LEVEL_SIGMA),
+        "with the printed K3 the levelling loop is unstable": bool(root.real > 0),
+        "the simulated growth is the predicted one": all(
+            abs(growth / predicted - 1) < 0.05 for growth in growths.values()
+        ),
+        "every draw with the printed K3 diverges": bool(
+            analysis.has_status(printed_k3.rows, "diverged").all()
+        ),
     }
-    return Page(values, {"unsettled": _unsettled_table(stable, curves)}, claims=claims)
+    return Page({"gains": values}, {"gains": table}, claims=claims)
 
 
-def _unsettled_table(cases: Sequence[Case], curves: Mapping[str, Curves]) -> Table:
-    settings = cases[0].study.study
-    bands = sorted(settings.settle_bands_arcmin)[1::-1]
-    times = np.asarray(settings.window_s)
-    rows = []
-    for case in cases:
-        simulated = (curves[case.label].at("heading", t) - case.limits.heading for t in times)
-        linear = heading_from_limit(case.study, times)
-        pairs = zip(simulated, linear, strict=True)
-        cells = [(_deg(analysis.mean(s)), f"{x:.4f}") for s, x in pairs]
-        rows.append([case.label, *(c for pair in cells for c in pair), *_settling(case, bands)])
-    header = [""]
-    for time in times:
-        header += [f"at {time:g} s (deg)", "linear loops"]
-    for band in bands:
-        header += [f"settled to {band:g}' (%)", "linear loops, after (s)"]
-    return Table(
-        f"Heading error from its limit, gyro drift {drift_text(cases[0].drift)}",
-        header,
-        rows,
-        f"Number [95 % interval] over {cases[0].rows.num_rows} draws. *Settled*: stays within the"
-        f" band of the limit to the last record, at {settings.duration_s:g} s; a run that swings"
-        " through its limit then counts, though it leaves the band again. Linear loops: from the"
-        f" same initial error without noise, for as long as it takes, up to {_HORIZON_S:g} s.",
-        folded=True,
-    )
+def agrees(text: str, value: float) -> bool:
+    """Whether a value, rounded to the significant digits of a printed number, is that number."""
+    printed = Decimal(text)
+    digits = len(printed.as_tuple().digits) - 1
+    return f"{Decimal(value):.{digits}e}" == f"{printed:.{digits}e}"
 
 
-def _settling(case: Case, bands: Sequence[float]) -> list[str]:
-    """For each band (arcmin) the share of draws that settle to it, and when linear loops do."""
-    every = case.study.study.record_interval_s
-    times = np.arange(1, round(_HORIZON_S / every) + 1) * every
-    size = np.abs(heading_from_limit(case.study, times)) * DEG / ARCMIN
-    cells = []
-    for band in bands:
-        settled = np.isfinite(analysis.numbers(case.rows, f"settle_{band:g}_s"))
-        share = percent(analysis.proportion(int(settled.sum()), settled.size))
-        after = f"{times[size > band].max(initial=0.0):g}" if size[-1] <= band else "never"
-        cells += [share, after]
-    return cells
-
-
-def spread(cases: Sequence[Case]) -> Page:
-    """How far apart the draws are in heading where 600 s are used and where a tape is."""
-    firsts = [next(c for c in cases if c.scheme == n and _converges(c)) for n in (1, 2)]
-    found = [(c, analysis.std(c.mean_errors("heading"), is_normal=True), _bound(c)) for c in firsts]
-    (_, whole, _), (_, few, least) = found
-    start, end = firsts[0].study.study.window_s
-    rows = [
-        [c.label, f"{loops_of(c.study).tape_s:g}", _deg(apart), f"{bound:.4f}"]
-        for c, apart, bound in found
-    ]
-    table = Table(
-        f"Standard deviation over draws of the mean heading, {start:g} to {end:g} s",
-        ["", "data (s)", "simulated (deg)", "least that noise leaves (deg)"],
-        rows,
-        "Number [95 % interval]. Least: of any unbiased estimate from the same data.",
-    )
-    values = {
-        "spread": {
-            "times": f"{few.value / whole.value:.0f}",
-            "over_bound": f"{few.value / least:.1f}",
-        }
-    }
-    claims = {
-        "the tape's heading scatters far more than that of 600 s": few.value > 5 * whole.value,
-        "it is near what the noise of the tape must leave": 1 <= few.value / least < 2,
-    }
-    return Page(values, {"spread": table}, claims=claims)
-
-
-def _bound(case: Case) -> float:
-    """The least 1 sigma of the heading that the noise in a case's data leaves, deg."""
-    return float(bound_arcmin(case.study, loops_of(case.study).tape_s)) * ARCMIN / DEG
-
-
-def _converges(case: Case) -> bool:
-    """Whether linear loops end within the widest settle band."""
-    widest = max(case.study.study.settle_bands_arcmin)
-    end = np.array([case.study.duration_s])
-    return case.is_stable and bool(abs(heading_from_limit(case.study, end)[0]) * 60 < widest)
-
-
-def angles(source: Source, cases: Sequence[Case]) -> Page:
-    """What reading the initial errors as Euler angles changes."""
-    plain = {case.label: case for case in cases}
-    rows, pairs = [], []
-    for case in cases_of(source, "euler"):
-        own = plain.get(case.label.removesuffix(", Euler angles"))
-        if own is None or own.drift != case.drift:
-            continue
-        apart = analysis.difference(case.mean_errors("heading"), own.mean_errors("heading"))
-        means = [analysis.mean(c.mean_errors("heading")) for c in (own, case)]
-        pairs.append((own.label, *(mean.value for mean in means)))
-        rows.append([own.label, *map(_deg, means), _deg(apart)])
-    label, vector, euler = pairs[0]
-    table = Table(
-        "Mean heading error by the reading of the initial errors",
-        ["", "rotation vector (deg)", "Euler angles (deg)", "difference (deg)"],
-        rows,
-        f"Number [95 % interval] over {source.study.n_draws} draws on the same noise.",
-        folded=True,
-    )
-    values = {
-        "angles": {"case": label, "vector": f"{vector:.4f}", "euler": f"{euler:.4f} deg"},
-    }
-    return Page(values, {"angles": table})
-
-
-def bases(sources: Sequence[Source]) -> Page:
-    """How far the means of two bases are apart on the same noise."""
-    first, second = ({(c.label, c.drift): c for c in cases_of(source)} for source in sources)
-    drift = next(iter(first))[1]
-    rows, sizes = [], []
-    for key in (key for key in first if key in second and key[1] == drift):
-        apart = {}
-        for angle, axis in ANGLES.items():
-            column = f"phi_{axis}_mean_arcmin"  # an error is -phi, so that the order is turned
-            means = analysis.paired(first[key].rows, second[key].rows, column)
-            apart[angle] = analysis.difference(*(mean * ARCMIN / DEG for mean in means))
-        sizes.append(abs(apart["heading"].value))
-        cells = (format_estimate(apart[a], digits=DIGITS[a] + 1) for a in ANGLES)
-        rows.append([key[0], *cells])
-    table = Table(
-        "Swing base less static base, mean error",
-        ["", *(f"{angle} (deg)" for angle in ANGLES)],
-        rows,
-        "Mean difference [95 % interval] over pairs of runs with the same noise; printed: 0 in all."
-        " A reflecting turn reads the tilt from a few seconds of specific force, in which the"
-        " accelerometer biases swing with the base.",
-        folded=True,
-    )
-    values = {"bases": {"least": f"{min(sizes):.4f}", "most": f"{max(sizes):.4f} deg"}}
-    claims = {"the bases are not the same": max(sizes) > 1e-4}
-    return Page(values, {"bases": table}, claims=claims)
-
-
-def _deg(estimate: Estimate) -> str:
-    return format_estimate(estimate, digits=4)
+def _growth(case: Case, angle: str, period_s: float) -> float:
+    """The factor by which an error grows in a period of its oscillation, while it is small."""
+    mean = case.curves.columns[angle].mean(axis=0) - case.limits[angle]
+    # After a third of a period the fast root is gone.
+    since = np.linspace(period_s / 3, case["level_time_s"] - period_s, 100)
+    first, later = (np.interp(t, case.curves.time_s, mean) for t in (since, since + period_s))
+    return float(np.sum(first * later) / np.sum(first**2))
