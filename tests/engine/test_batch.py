@@ -121,6 +121,19 @@ def test_later_draws_leave_earlier_rows_alone(
     assert_same_bits(got, jax.tree.map(lambda a: a[: fewer * 6], reference))
 
 
+def test_broken_runs_are_rows_and_leave_their_neighbours_alone(
+    six_variants: lane_layout.Group, reference: tuple
+) -> None:
+    phi = six_variants.variants.phi
+    broken = phi._replace(z=np.where(np.arange(6) == 2, np.nan, phi.z))
+    group = six_variants._replace(variants=six_variants.variants._replace(phi=broken))
+    outcome, _ = all_runs(group, devices=1, tiles_a_chunk=2)
+    variant = np.arange(300) % 6
+    assert np.isnan(outcome.last.yaw[variant == 2]).all()
+    good = jax.tree.map(lambda a: a[variant != 2], outcome)
+    assert_same_bits(good, jax.tree.map(lambda a: a[variant != 2], reference[0]))
+
+
 def test_draws_differ_and_variants_share_their_noise(reference: tuple) -> None:
     """Without initial misalignment and resets, variants would be one and the same run."""
     phi = reference[0].last.phi.z.reshape(50, 6)
@@ -200,23 +213,6 @@ def test_every_run_has_one_lane(
     assert len(shapes) == 1
 
 
-@pytest.mark.parametrize("variants", [1, 70])
-def test_a_shared_covariance_gives_the_results_of_a_computed_one(variants: int) -> None:
-    """To rounding, against tiles of the same program in which every run has its own."""
-    group = some_group("gravity", draws=9, variants=variants)
-    shared, _ = all_runs(group)
-    own = jax.jit(partial(tile.run_tile, group.static))
-    flat = group._replace(static=some_group("measured", draws=1, variants=1).static)
-    for places in batch.plan(flat):
-        tiles = lane_layout.tiles_of(flat, places)
-        for k in range(len(tiles.row)):
-            outcome, _ = own(group.environment, jax.tree.map(lambda a, k=k: a[k], tiles))
-            runs = places.draw[k, 0] * variants + places.variant[k, 0]
-            busy = places.draw[k, 0] < 9
-            for a, b in zip(jax.tree.leaves(outcome), jax.tree.leaves(shared), strict=True):
-                np.testing.assert_allclose(a[busy], b[runs[busy]], rtol=1e-9, atol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("method", "changes", "sets"),
     [
@@ -236,6 +232,25 @@ def test_only_a_covariance_that_no_draw_changes_is_shared(
     assert lane_layout.layout(part.group.static, 1)[0] == sets
 
 
+@pytest.mark.optimised(False)
+@pytest.mark.parametrize("variants", [1, 70])
+def test_a_shared_covariance_gives_the_results_of_a_computed_one(variants: int) -> None:
+    """To rounding, against tiles of the same program in which every run has its own."""
+    group = some_group("gravity", draws=9, variants=variants)
+    shared, _ = all_runs(group)
+    own = jax.jit(partial(tile.run_tile, group.static))
+    flat = group._replace(static=some_group("measured", draws=1, variants=1).static)
+    for places in batch.plan(flat):
+        tiles = lane_layout.tiles_of(flat, places)
+        for k in range(len(tiles.row)):
+            outcome, _ = own(group.environment, jax.tree.map(lambda a, k=k: a[k], tiles))
+            runs = places.draw[k, 0] * variants + places.variant[k, 0]
+            busy = places.draw[k, 0] < 9
+            for a, b in zip(jax.tree.leaves(outcome), jax.tree.leaves(shared), strict=True):
+                np.testing.assert_allclose(a[busy], b[runs[busy]], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.optimised(False)
 def test_the_record_interval_does_not_touch_the_noise() -> None:
     """Final attitude after the same samples, to rounding: records only scale quaternions."""
     last, every = [], 0.07
@@ -251,16 +266,3 @@ def test_the_record_interval_does_not_touch_the_noise() -> None:
         outcome, _ = all_runs(part.group)
         last.append(np.array([outcome.last.pitch, outcome.last.roll, outcome.last.yaw]))
     np.testing.assert_allclose(last[0], last[1], rtol=0, atol=1e-11)
-
-
-def test_broken_runs_are_rows_and_leave_their_neighbours_alone(
-    six_variants: lane_layout.Group, reference: tuple
-) -> None:
-    phi = six_variants.variants.phi
-    broken = phi._replace(z=np.where(np.arange(6) == 2, np.nan, phi.z))
-    group = six_variants._replace(variants=six_variants.variants._replace(phi=broken))
-    outcome, _ = all_runs(group, devices=1, tiles_a_chunk=2)
-    variant = np.arange(300) % 6
-    assert np.isnan(outcome.last.yaw[variant == 2]).all()
-    good = jax.tree.map(lambda a: a[variant != 2], outcome)
-    assert_same_bits(good, jax.tree.map(lambda a: a[variant != 2], reference[0]))

@@ -250,6 +250,7 @@ def test_derivatives_by_beliefs_as_secants():
 
 
 @pytest.mark.slow
+@pytest.mark.optimised(False)
 def test_a_run_alone_has_derivatives_of_both_modes():
     """By R, through feedback and a reset, against a central difference."""
     filt = paper_filter(5, every=7, resets=(33,))

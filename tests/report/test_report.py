@@ -17,7 +17,7 @@ from sinsjax.execution import tables as result_tables
 from sinsjax.report import base, over_axes, spreads
 from sinsjax.study.load import study_from_dict
 
-pytestmark = pytest.mark.usefixtures("drawn_on_request")
+pytestmark = [pytest.mark.usefixtures("drawn_on_request"), pytest.mark.optimised(False)]
 
 
 def recorded_study(**changes):
