@@ -345,7 +345,11 @@ def program(name, trigger, force):
             state = step_and_close(
                 method, filt, passes.site_of_pass(here, backward), state, sample, n
             )
-            return state, (state, method.attitude(state), method.results(state).trigger_counts)
+            return state, (
+                state,
+                method.attitude(state),
+                method.results(here, state).trigger_counts,
+            )
 
         return jax.lax.scan(step, method.init(filt, nav), read)[1]
 

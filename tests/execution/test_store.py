@@ -38,6 +38,8 @@ from sinsjax.records import Reference
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import Study, study_from_dict
 
+pytestmark = pytest.mark.optimised(False)
+
 STUDY = sweep_study()
 
 
