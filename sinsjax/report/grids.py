@@ -88,11 +88,11 @@ def pooled_mean(values: NDArray) -> Estimate:
 
 
 class Choice(NamedTuple):
-    """The best of several settings, told by draws that did not choose it.
+    """The best of several settings, judged by draws that did not choose it.
 
     Attributes:
-        places: (draws,) place of the setting that the half without the draw chose.
-        values: (draws,) the value with it.
+        places: (..., draws) place of the setting that the half without the draw chose.
+        values: (..., draws) the value with it.
     """
 
     places: NDArray
@@ -104,19 +104,21 @@ class Choice(NamedTuple):
 
 
 def held_out(values: NDArray, best: Callable[[NDArray], int]) -> Choice:
-    """Chooses a setting on every other draw and tells it by the rest, both ways.
+    """Chooses a setting on every other draw and judges it by the rest, both ways.
 
-    A choice told by the draws that made it would flatter the longer list of settings.
+    A choice judged by the draws that made it would flatter the longer list of settings.
 
     Args:
-        values: (settings, draws).
+        values: (..., settings, draws); each of the leading places chooses for itself.
         best: the place of the best setting of values (settings, some draws).
     """
-    chosen = np.empty(values.shape[-1], dtype=int)
+    chosen = np.empty((*values.shape[:-2], values.shape[-1]), dtype=int)
     halves = slice(0, None, 2), slice(1, None, 2)
     for choosing, judging in (halves, halves[::-1]):
-        chosen[judging] = best(values[:, choosing])
-    return Choice(chosen, np.take_along_axis(values, chosen[None], axis=0)[0])
+        for point in np.ndindex(values.shape[:-2]):
+            chosen[point][judging] = best(values[point][:, choosing])
+    told = np.take_along_axis(values, chosen[..., None, :], axis=-2)
+    return Choice(chosen, told[..., 0, :])
 
 
 def soonest(settle_s: NDArray) -> int:

@@ -25,6 +25,7 @@ PAGES = {
     "reset_sweep": ("reset_sweep",),
     "what_to_set": (
         "reset_cycle_study",
+        "reset_phase",
         "adaptive_resets",
         "car_adaptive",
         "tune_condition5",
@@ -41,7 +42,7 @@ PAGES = {
     "consistency": ("consistency",),
     "kalman_passes": ("kalman_passes",),
     "paper1": ("paper1_conditions", "paper1_resets", "paper1_readings"),
-    "reset_cycle": ("reset_cycle_study",),
+    "reset_cycle": ("reset_cycle_study", "reset_phase"),
 }
 """The studies of each page."""
 

@@ -1,31 +1,32 @@
 """Numbers of the page on how many resets to make, and when."""
 
-from typing import Any
-
 import numpy as np
+from numpy.typing import NDArray
 
 from sinsjax import analysis
+from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.report.base import Source, Table
 from sinsjax.report.folder import Page, Sources
-from sinsjax.report.grids import Grid, median, pooled_mean, shared
-from sinsjax.report.words import apart, degrees, listed, seconds, share
+from sinsjax.report.grids import Grid, held_out, least_mean, median, pooled_mean, shared, soonest
+from sinsjax.report.output import counted
+from sinsjax.report.words import apart, arcmin, degrees, seconds, share
 
-from . import claim, figures, tables
+from . import figures
 from .grid import (
-    CONVERGES,
-    FEEDBACK_S,
     GRAVITY,
-    LEVEL,
+    HEADING,
+    HERE,
     MEASURED,
     NONE,
     PAPER,
+    POINT,
     PRINTED,
     SETTLE,
+    SMALL,
     THREE,
     TWO,
-    YAW,
-    Contest,
-    contests,
-    failed_by_level_and_yaw,
+    Schedule,
+    converges,
     layout,
     named,
     schedules,
@@ -38,69 +39,55 @@ def page(sources: Sources) -> Page:
     """How many resets, when, what governs failure, where the paper's claim holds."""
     source = sources["reset_cycle_study"]
     grid, run_s = layout(source), source.study.run_s
-    found, judged = contests(grid), claim.judge(grid)
-    parts: list[tuple[dict[str, Any], dict[str, bool]]] = [
-        _answer(grid, run_s),
-        _counts(grid, found, found[PRINTED, FEEDBACK_S, LEVEL, YAW]),
-        _single(grid),
-        _failure(grid),
-        _paper(judged),
-    ]
-    values, claims = ({k: v for part in parts for k, v in part[i].items()} for i in (0, 1))
-    values["study"] = {
-        "runs": f"{source.runs:,}",
-        "draws": str(grid.draws),
-        "run_s": f"{run_s:g} s",
-        "schedules": str(len(grid.axes["schedule"])),
-    }
-    return Page(
-        values,
-        {
-            "settings": tables.settings(grid, PRINTED, run_s),
-            "other_readings": tables.other_readings(grid, run_s),
-            "counts": tables.counts(grid, found),
-            "points": tables.points(grid, found),
-            "singles": tables.singles(grid),
-            "failures": tables.failures(grid),
-            "paper": tables.paper(grid, judged),
-        },
-        {
-            "answer": figures.answer(grid, run_s),
-            "single": figures.single(grid, run_s),
-            "failure": figures.failure(grid),
-            "claim": figures.claim(grid, judged),
-        },
-        claims,
+    one, more = (
+        held_out(grid.at(SETTLE, force=MEASURED, schedule=times), soonest).values
+        for times in (schedules(grid, 1, 1), schedules(grid, 2))
     )
+    made = Page.joined(
+        Page({"study": {"runs": f"{source.runs:,}", "draws": str(grid.draws)}}),
+        _answer(grid, run_s),
+        _counts(one, more),
+        _single(grid, run_s),
+        _phase(sources["reset_phase"]),
+        _failure(grid),
+        _paper(grid, one, more),
+    )
+    shown = {name: one._replace(rests_on=counted(source)) for name, one in made.figures.items()}
+    return made._replace(figures=shown)
 
 
-def _answer(grid: Grid, run_s: float) -> tuple[dict[str, Any], dict[str, bool]]:
-    short = {"force": MEASURED, "feedback": SHORT}
-    two, without = (grid.at(SETTLE, q=PRINTED, schedule=one, **short) for one in (TWO, NONE))
-    gravity = grid.at(SETTLE, force=GRAVITY, q=PRINTED, feedback=SHORT, schedule=NONE)
-    singles = grid.at(SETTLE, q=PRINTED, schedule=schedules(grid, 1, 1), **short)
+def _mean(settle_s: NDArray, run_s: float) -> str:
+    """Mean settling time, with the whole run for one that never settles."""
+    return seconds(pooled_mean(np.minimum(settle_s, run_s)))
+
+
+def _answer(grid: Grid, run_s: float) -> Page:
+    short = PRINTED | {"feedback": SHORT}
+    two, without = (grid.at(SETTLE, schedule=times, **short) for times in (TWO, NONE))
+    gravity = grid.at(SETTLE, schedule=NONE, **short | {"force": GRAVITY})
+    singles = grid.at(SETTLE, schedule=schedules(grid, 1, 1), **HERE)
     late = grid.at(SETTLE, force=MEASURED, schedule=THREE)
-    slow = grid.at(SETTLE, force=MEASURED, q=PRINTED, feedback=SLOW, schedule=TWO)
+    slow = grid.at(SETTLE, schedule=TWO, feedback=SLOW, **PRINTED)
     slowest = two.reshape(-1, grid.draws)[np.argmax(median(two))]
     level, yaw = grid.axes["level"][-1], grid.axes["yaw"][-1]
     values = {
         "worst": degrees(level, level, yaw),
         "two": {
             "name": named(TWO).removeprefix("two "),
-            "mean": seconds(pooled_mean(np.minimum(two, run_s))),
+            "mean": _mean(two, run_s),
             "slowest": seconds(analysis.quantile(slowest)),
         },
         "without": {"failed": share(shared(np.isinf(without)))},
-        "gravity": {"mean": seconds(pooled_mean(np.minimum(gravity, run_s)))},
+        "gravity": {"mean": _mean(gravity, run_s)},
         "slow": {
             "failed": share(shared(np.isinf(slow))),
             "late": named(THREE),
-            "mean": seconds(pooled_mean(np.minimum(late[0, -1], run_s))),
+            "mean": _mean(late[0, -1], run_s),
         },
     }
     claims = {
-        "two resets settle every misalignment with feedback up to 1 s": all(
-            np.isfinite(grid.at(SETTLE, q=q, schedule=TWO, **short)).all() for q in grid.axes["q"]
+        "two resets settle every misalignment with feedback up to 1 s": bool(
+            np.isfinite(grid.at(SETTLE, force=MEASURED, feedback=SHORT, schedule=TWO)).all()
         ),
         "with gravity in A(t) every misalignment settles without reset, feedback up to 1 s": bool(
             np.isfinite(grid.at(SETTLE, force=GRAVITY, feedback=SHORT, schedule=NONE)).all()
@@ -108,83 +95,93 @@ def _answer(grid: Grid, run_s: float) -> tuple[dict[str, Any], dict[str, bool]]:
         "three late resets settle every misalignment under every reading and feedback": bool(
             np.isfinite(late).all()
         ),
-        "with feedback every 10 s two resets do not settle every misalignment": bool(
-            np.isinf(slow).any()
-        ),
         "with feedback every second no single time of one reset settles every misalignment": not (
-            np.isfinite(singles[1]).all(axis=(0, 1, 3)).any()
-        ),
-        "with gravity it takes somewhat longer than with two resets": bool(
-            np.minimum(gravity, run_s).mean() > np.minimum(two, run_s).mean()
+            np.isfinite(singles).all(axis=(0, 1, 3)).any()
         ),
     }
-    return values, claims
+    shown = {"settings": _settings(grid, run_s)}, {"answer": figures.answer(grid, run_s)}
+    return Page(values, *shown, claims)
 
 
-def _counts(
-    grid: Grid, found: dict[Any, Contest], here: Contest
-) -> tuple[dict[str, Any], dict[str, bool]]:
-    more = [c for c in found.values() if c.saved_s.high < 0]
-    one = [c for c in found.values() if c.saved_s.low > 0]
-    chance = sum(c.by_chance for c in found.values())
-    far = {
-        yaw: sum(c.saved_s.high < 0 for key, c in found.items() if key[3] == yaw)
-        for yaw in grid.axes["yaw"]
-    }
-    near, large = grid.axes["yaw"][0], grid.axes["yaw"][-1]
+def _settings(grid: Grid, run_s: float) -> Table:
+    """What to set and what to expect, over all misalignments."""
+    intervals = grid.axes["feedback"]
+
+    def row(name: str, force: str, times: tuple[float, ...]) -> list[str]:
+        runs = grid.at(SETTLE, schedule=times, **PRINTED | {"force": force})
+        settled = (f"{100 * np.isfinite(one).mean():.0f} %" for one in runs)
+        means = (_mean(one, run_s) for one in runs)
+        return [name, *map(", ".join, zip(settled, means, strict=True))]
+
+    rows = [
+        row("no reset", MEASURED, NONE),
+        ["one, at its best time", *(_best_one(grid, feedback, run_s) for feedback in intervals)],
+        *(row(named(times), MEASURED, times) for times in (TWO, THREE, PAPER)),
+        row("no reset, gravity in A(t)", GRAVITY, NONE),
+    ]
+    header = ["resets", *(f"feedback every {feedback:g} s" for feedback in intervals)]
+    note = (
+        f"Share that settles, and mean settling time with {run_s:g} s for a run that never does;"
+        f" all {len(grid.axes['level']) * len(grid.axes['yaw'])} misalignments, [95 % interval over"
+        f" the {grid.draws} draws]. One time of the single reset serves all misalignments; it is"
+        " chosen on one half of the draws and judged on the other."
+    )
+    return Table("All misalignments, Q as printed", header, rows, note)
+
+
+def _best_one(grid: Grid, feedback: float, run_s: float) -> str:
+    times = schedules(grid, 1, 1)
+    runs = grid.at(SETTLE, feedback=feedback, schedule=times, **PRINTED)
+    choice = held_out(np.minimum(runs, run_s).mean(axis=(0, 1)), least_mean)
+    settled = np.take_along_axis(np.isfinite(runs), choice.places[None, None, None], axis=2)
+    name = choice.named([f"{time:g} s" for (time,) in times])
+    mean = format_estimate(analysis.mean(choice.values), "s", 0)
+    return f"{100 * settled.mean():.0f} %, {mean} ({name})"
+
+
+def _counts(one: NDArray, more: NDArray) -> Page:
+    """The best single reset against the best of more: settling times (q, ..., yaw, draws)."""
+    pairs = list(zip(*(runs.reshape(-1, runs.shape[-1]) for runs in (more, one)), strict=True))
+    saved = [analysis.quantile_difference(*pair) for pair in pairs]
+    chance = sum(analysis.chance_apart(*pair) for pair in pairs)
+    sooner = np.reshape([by.high < 0 for by in saved], one.shape[:-1])
+    by_one = sum(by.low > 0 for by in saved)
+    only = sooner & np.isinf(median(one)) & np.isfinite(median(more))
+    near, *_, large = sooner.sum(axis=(0, 1, 2))
     values = {
         "contest": {
-            "points": str(len(found)),
-            "more": str(len(more)),
-            "one": str(len(one)),
-            "only": str(sum(c.only_more for c in more)),
+            "points": str(sooner.size),
+            "more": str(sooner.sum()),
+            "one": str(by_one),
+            "only": str(only.sum()),
             "chance": f"{chance:.1f}",
-            "here": apart(here.saved_s),
-            "at_small_yaw": str(far[near]),
-            "at_large_yaw": str(far[large]),
-            "of_a_yaw": str(len(found) // len(far)),
-            "small_yaw": degrees(near),
-            "large_yaw": degrees(large),
+            "at_small_yaw": str(near),
+            "at_large_yaw": str(large),
+            "of_a_yaw": str(sooner[..., 0].size),
         }
     }
     claims = {
         "more than one is often better, and one is often better": (
-            min(len(more), len(one)) > 4 * chance
+            min(sooner.sum(), by_one) > 4 * chance
         ),
-        "more is better at large heading errors, one at small ones": far[large] > 3 * far[near],
-        "at the paper's point no difference is shown": here.saved_s.low <= 0 <= here.saved_s.high,
+        "more is better at large heading errors, one at small ones": large > 3 * near,
     }
-    return values, claims
+    return Page(values, claims=claims)
 
 
-def _single(grid: Grid) -> tuple[dict[str, Any], dict[str, bool]]:
+def _single(grid: Grid, run_s: float) -> Page:
     times = schedules(grid, 1, 1)
-    runs = grid.at(SETTLE, force=MEASURED, schedule=times)
-    settles = np.isfinite(runs).mean(axis=-1) >= CONVERGES
-    here = grid.at(
-        SETTLE,
-        force=MEASURED,
-        q=PRINTED,
-        feedback=FEEDBACK_S,
-        level=LEVEL,
-        yaw=YAW,
-        schedule=times,
-    )
-    points = settles[..., 0].size
-    enough, first, last = (
-        int(s.sum()) for s in (settles.any(axis=-1), settles[..., 0], settles[..., -1])
-    )
+    settles = converges(grid.at(SETTLE, force=MEASURED, schedule=times))
+    here = grid.at(SETTLE, schedule=times, **POINT)
+    enough, points = int(settles.any(axis=-1).sum()), settles[..., 0].size
     values = {
         "single": {
-            "first_at": f"{times[0][0]:g} s",
-            "last_at": f"{times[-1][0]:g} s",
             "first": seconds(analysis.quantile(here[0])),
             "last": seconds(analysis.quantile(here[-1])),
             "enough": str(enough),
-            "with_first": str(first),
-            "with_last": str(last),
+            "with_first": str(settles[..., 0].sum()),
+            "with_last": str(settles[..., -1].sum()),
             "points": str(points),
-            "times": listed([f"{time:g}" for (time,) in times]),
         }
     }
     claims = {
@@ -193,18 +190,16 @@ def _single(grid: Grid) -> tuple[dict[str, Any], dict[str, bool]]:
         ),
         "one reset at the right time is nearly always enough": enough > 0.9 * points,
     }
-    return values, claims
+    return Page(values, figures={"single": figures.single(grid, run_s)}, claims=claims)
 
 
-def _failure(grid: Grid) -> tuple[dict[str, Any], dict[str, bool]]:
-    failed = {
-        force: np.isinf(grid.at(SETTLE, force=force, schedule=NONE))
-        for force in (MEASURED, GRAVITY)
-    }
-    here = np.isinf(grid.at(SETTLE, force=MEASURED, schedule=NONE, q=PRINTED, feedback=FEEDBACK_S))
-    parts = failed_by_level_and_yaw(here)
-    names = ("by_level", "by_yaw", "by_both")
-    everywhere, ablated = (shared(failed[force]) for force in (MEASURED, GRAVITY))
+def _failure(grid: Grid) -> Page:
+    measured, gravity = (
+        np.isinf(grid.at(SETTLE, force=force, schedule=NONE)) for force in (MEASURED, GRAVITY)
+    )
+    here = np.isinf(grid.at(SETTLE, schedule=NONE, **HERE))
+    everywhere, ablated = shared(measured), shared(gravity)
+    level, yaw = measured[:, :, :, 0].mean(axis=2), measured[:, :, 0].mean(axis=2)
     values = {
         "failure": {
             "measured": share(everywhere),
@@ -212,48 +207,82 @@ def _failure(grid: Grid) -> tuple[dict[str, Any], dict[str, bool]]:
             "here": share(shared(here)),
             "level_alone": share(shared(here[:, :1])),
             "yaw_alone": share(shared(here[:1])),
-            **{name: f"{100 * one.value:.0f} %" for name, one in zip(names, parts, strict=True)},
         }
     }
     claims = {
         "gravity in A(t) prevents most failures": ablated.high < everywhere.low / 2,
-        "level explains more of failure than yaw at the paper's reading": (
-            parts[0].value > parts[1].value
+        "feedback every second: level errors alone fail more; every 0.01 s: heading errors": bool(
+            (level[0, 1] > yaw[0, 1]).all() and (level[0, 0] < yaw[0, 0]).all()
         ),
         "with gravity only feedback every 10 s fails": bool(
-            not failed[GRAVITY][:, :2].any() and failed[GRAVITY][:, 2].any()
+            not gravity[:, :2].any() and gravity[:, 2].any()
         ),
     }
-    return values, claims
+    return Page(values, figures={"failure": figures.failure(grid)}, claims=claims)
 
 
-def _paper(judged: list[claim.Claim]) -> tuple[dict[str, Any], dict[str, bool]]:
-    here = [c for c in judged if (c.level, c.yaw) == (LEVEL, YAW)]
-    holding = [c for c in here if c.kind in claim.CURED]
-    kinds = [c.kind for c in judged]
-    cured = sum(kind in claim.CURED for kind in kinds)
-    one = next(c for c in here if (c.q, c.feedback) == (PRINTED, FEEDBACK_S))
+def _phase(source: Source) -> Page:
+    """Two resets 50 s apart, at any phase of a feedback interval."""
+    grid, run_s = layout(source), source.study.run_s
+    on, between, before = ((first, first + 50.0) for first in (10.0, 17.5, 19.9))
+
+    def later(feedback: float, one: Schedule, other: Schedule) -> Estimate:
+        pair = (
+            np.minimum(grid.at(SETTLE, feedback=feedback, schedule=times), run_s)
+            for times in (one, other)
+        )
+        return analysis.difference(*(runs.mean(axis=(0, 1, 2, 3)) for runs in pair))
+
+    found = {
+        "on": later(SLOW, on, between),
+        "before": later(SLOW, before, between),
+        "often": later(SHORT[-1], before, on),
+    }
+    best = grid.at(SETTLE, feedback=SLOW, schedule=between)
     values = {
-        "paper": {
-            "point": degrees(LEVEL, LEVEL, YAW),
-            "times": named(PAPER).removeprefix("three "),
-            "holds": str(len(holding)),
-            "readings": str(len(here)),
-            "not_needed": str(kinds.count(claim.NOT_NEEDED)),
-            "points": str(len(judged)),
-            "cured": str(cured),
-            "one_too": str(kinds.count(claim.ONE_TOO)),
-            "later": apart(one.later_s),
-            "small": degrees(*claim.SMALLEST),
+        "phase": {
+            "between": _mean(best, run_s),
+            "settled": share(shared(np.isfinite(best))),
+            **{name: apart(one) for name, one in found.items()},
         }
     }
     claims = {
-        "at the paper's point its three resets cure, under the reading of its statements": (
-            one.kind in claim.CURED
-        ),
-        "where the three cure, one reset nearly always does too": (
-            kinds.count(claim.ONE_TOO) > 0.9 * cured
-        ),
-        "with the three it settles later than a small misalignment": one.later_s.low > 0,
+        "just before or with a feedback is a bad time for a reset": all(
+            one.low > 0 for one in found.values()
+        )
     }
-    return values, claims
+    return Page(values, claims=claims)
+
+
+def _paper(grid: Grid, one: NDArray, more: NDArray) -> Page:
+    """Where three resets cure; with the best single reset, and with more, on unused draws."""
+    none, three = (
+        converges(grid.at(SETTLE, force=MEASURED, schedule=times)) for times in (NONE, PAPER)
+    )
+    cured, one_too = ~none & three, ~none & three & converges(one)
+    at = tuple(grid.axes[name].index(POINT[name]) for name in ("q", "feedback", "level", "yaw"))
+    small, large = HERE | SMALL, POINT | {"schedule": PAPER}
+    later = analysis.quantile_difference(grid.at(SETTLE, **large), grid.at(SETTLE, **small))
+    off = analysis.difference(grid.at(HEADING, **large), grid.at(HEADING, **small))
+    apart_here = analysis.quantile_difference(more[at], one[at])
+    values = {
+        "paper": {
+            "holds": str(cured[..., *at[2:]].sum()),
+            "readings": str(cured[..., *at[2:]].size),
+            "not_needed": str(none.sum()),
+            "cured": str(cured.sum()),
+            "one_too": str(one_too.sum()),
+            "later": apart(later),
+            "off": arcmin(off),
+            "more": apart(apart_here),
+        }
+    }
+    claims = {
+        "at the paper's point its three resets cure, within 1 arcmin": bool(
+            cured[at] and -1 < off.low and off.high < 1
+        ),
+        "where the three cure, one reset mostly does too": one_too.sum() > 0.75 * cured.sum(),
+        "with the three it settles later than a small misalignment": later.low > 0,
+        "at the paper's point no difference is shown": apart_here.low <= 0 <= apart_here.high,
+    }
+    return Page(values, claims=claims)

@@ -16,6 +16,7 @@ CLAIMS = (
         "three late resets settle every misalignment under every reading and feedback",
         "with gravity in A(t) every misalignment settles without reset, feedback up to 1 s",
         "one reset at the right time is nearly always enough",
+        "just before or with a feedback is a bad time for a reset",
     ),
     (
         "adaptive",
@@ -58,6 +59,7 @@ def page(sources: Sources) -> Page:
         "three": {"name": cycle["slow"]["late"], "mean": cycle["slow"]["mean"]},
         "gravity": cycle["gravity"],
         "single": {name: cycle["single"][name] for name in ("enough", "points")},
+        "phase": cycle["phase"],
         "trigger": {name: trigger["best"][name] for name in ("threshold", "short", "slow_alarms")},
         "car": {name: trigger["car"][name] for name in ("time", "fixed")},
         "tuned": {name: made["tuning"].values["small"][name] for name in ("best", "baseline")},
