@@ -1,18 +1,20 @@
 """What a step of each method costs beside one of the 5-state filter, in time and in arithmetic.
 
-The same base, sensors, record interval and number of variants, silent; everything in turns.
+The same base, sensors and record interval, silent, with 64 variants a draw; a method that nothing
+swept acts on has one. Everything in turns.
 """
 
 import common
 from derivative import loops_of, operations
 
+from sinsjax.alignment.methods import METHODS
 from sinsjax.bench.cases import (
     RECORD_S,
     TILES,
     compass_group,
     default_group,
     engine,
-    kalman10_group,
+    method_group,
     shortened,
     trigger_group,
     without_noise,
@@ -29,13 +31,13 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     """Time the others in turns with the 5-state filter; the compass also over a stored tape.
 
     Returns:
-        ``kalman``, then ``kalman10``, ``linearisation``, ``compass`` and ``compass_tape`` with
+        ``kalman``, then every other method, ``linearisation`` (a trigger) and ``compass_tape`` with
         their ``ratio`` to it. All have ``operations``, the arithmetic of a step and run, and the
         others their ``operations_ratio``.
     """
     groups = {
         "kalman": default_group(),
-        "kalman10": kalman10_group(),
+        **{name: method_group(name) for name in METHODS if name not in ("kalman5", "compass")},
         "linearisation": trigger_group(),
         "compass": compass_group(),
         "compass_tape": compass_group(RECORD_S),
@@ -65,7 +67,7 @@ def arithmetic(group: Group) -> float:
         for records in COUNTED
     )
     steps = (COUNTED[1] - COUNTED[0]) * group.static.record_every
-    return (many - few) / (steps * arguments[1].row.size)
+    return (many - few) / (steps * arguments[1].params.q.w.size)
 
 
 if __name__ == "__main__":

@@ -28,6 +28,9 @@ PER_OPERATION = {"kalman10": 1.6}
 
 OF_OTHERS = 1.25
 
+OF_METHODS = {"optimisation": 0.35, "kalman_sincos": 0.55}
+"""Times a step of `kalman5`, of methods that are to be quicker."""
+
 SPEEDUP, SHARE = 1.8, 0.85
 
 FIRST_S = {"first_result": 4.5, "cached": 2.0}
@@ -148,6 +151,14 @@ def _bases(machine: Machine) -> Iterator[Judged]:
 
 def _methods(machine: Machine) -> Iterator[Judged]:
     for name, row in machine.sets.get("methods", {}).items():
+        if name in OF_METHODS:
+            yield Judged(
+                f"`{name}`, a step and run, times that of `kalman5`",
+                f"at most {OF_METHODS[name]:g}",
+                plus_minus(row, "ratio"),
+                sizes(row),
+                row["ratio"] <= OF_METHODS[name],
+            )
         if "operations_ratio" in row:
             most = PER_OPERATION.get(name, OF_OTHERS)
             each = row["ratio"] / row["operations_ratio"]

@@ -11,6 +11,7 @@ from functools import cache, partial
 import jax
 import numpy as np
 
+from sinsjax.alignment.methods import METHODS, keys_unread
 from sinsjax.bench.assets import asset
 from sinsjax.bench.baseline import Setting, align
 from sinsjax.bench.timing import Workload
@@ -54,12 +55,23 @@ def default_group() -> Group:
 
 
 @cache
-def kalman10_group() -> Group:
-    """The default sweep with the 10-state filter."""
+def method_group(name: str) -> Group:
+    """The default sweep with another method, less what that does not read.
+
+    A method that no swept key acts on has a single variant a draw, and draws enough for a call.
+    """
     data = tomllib.loads(asset(_DEFAULT).read_text("utf-8"))
-    data["study"]["judged_from"] = "truth"  # it estimates what would set a limit
-    data["alignment"]["method"] = "kalman10"
-    (part,) = parts(study_from_dict(data, _DEFAULT))
+    if METHODS[name].gyro_bias_keys:
+        data["study"]["judged_from"] = "truth"  # it estimates what would set a limit
+    data["alignment"]["method"] = name
+    unread = keys_unread([name]) | {*METHODS[name].silent}
+    data = {
+        section: {key: value for key, value in table.items() if key not in unread}
+        for section, table in data.items()
+    }
+    if not data["axes"]:
+        data["study"]["draws"] = _draws(1)
+    (part,) = parts(study_from_dict({k: v for k, v in data.items() if v}, _DEFAULT))
     return part.group
 
 

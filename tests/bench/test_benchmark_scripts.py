@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from sinsjax.alignment.methods import METHODS
 from sinsjax.bench import limit
 from sinsjax.bench.timing import Row, Workload
 from sinsjax.errors import InputError
@@ -604,9 +605,14 @@ def test_an_operation_of_a_method_may_take_little_more_than_the_filters(tmp_path
 @pytest.mark.slow
 def test_a_step_of_each_method_has_its_own_arithmetic():
     rows = methods.rows(True, 1)
-    names = ["kalman", "kalman10", "linearisation", "compass", "compass_tape"]
-    assert [row["name"] for row in rows] == names
-    kalman, ten, trigger, compass, tape = rows
+    by_name = {row["name"]: row for row in rows}
+    assert {*METHODS} - {"kalman5"} == {*by_name} - {"kalman", "linearisation", "compass_tape"}
+    kalman, ten, trigger, compass, tape = (
+        by_name[name] for name in ("kalman", "kalman10", "linearisation", "compass", "compass_tape")
+    )
+    for shared in ("kalman_sincos", "invariant", "optimisation"):
+        assert 0.1 < by_name[shared]["operations_ratio"] < 0.7
+    assert 1 < by_name["ekf_azimuth"]["operations_ratio"] < 2
     assert 400 < kalman["operations"] < 1000
     assert 1.5 < trigger["operations_ratio"] < ten["operations_ratio"] < 6
     assert 0.1 < compass["operations_ratio"] < tape["operations_ratio"] < 0.4
