@@ -46,6 +46,9 @@ ENVIRONMENT_KEYS = tuple(
 _NOISES = tuple(
     key for key in SensorsSection.model_fields if key.split("_")[1] in ("noise", "arw", "vrw")
 )
+_DISTORTIONS = tuple(
+    key for key in SensorsSection.model_fields if key.split("_")[1] in ("scale", "misalignment")
+)
 _AMPLITUDES = tuple(key for key in MotionSection.model_fields if "amplitude" in key)
 
 
@@ -232,6 +235,7 @@ def _program(study: Study, variants: Variants, curves: bool) -> Static:
         _span(study, variants).records,
         curves,
         noisy=_takes(study, variants, _NOISES),
+        distorted=_takes(study, variants, _DISTORTIONS),
         repeats=study.passes is not None,
         sways=_takes(study, variants, _AMPLITUDES),
     )

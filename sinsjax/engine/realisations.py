@@ -27,6 +27,7 @@ class Static(NamedTuple):
         noisy: whether the sensors have any noise to draw.
         repeats: whether the stored record is read in repeated passes; else forward, once.
         sways: whether a base that draws have for themselves sways; a still one is sensed once.
+        distorted: whether the sensors have scale factor errors or misaligned axes.
     """
 
     method: str
@@ -37,6 +38,7 @@ class Static(NamedTuple):
     noisy: bool
     repeats: bool = False
     sways: bool = True
+    distorted: bool = True
 
 
 class Environment(NamedTuple):
@@ -201,7 +203,9 @@ def measured(
     if exact is None:
         exact = ideal(static, environment, draw, n)
     errors = environment.errors if draw.errors is None else draw.errors
-    increments = sensors.measure(exact, errors, normal, static.options.dt)
+    increments = sensors.measure(
+        exact, errors, normal, static.options.dt, distorted=static.distorted
+    )
     if not static.repeats:
         return increments
     return passes.where(n < 0, jax.tree.map(jnp.zeros_like, increments), increments)

@@ -64,11 +64,25 @@ def noise(seed: Count, draw_id: Array, numbers: Array) -> Increments:
 
 
 def measure(
-    ideal: Increments, errors: SensorErrors, normal: Increments | None, dt: Scalar
+    ideal: Increments,
+    errors: SensorErrors,
+    normal: Increments | None,
+    dt: Scalar,
+    *,
+    distorted: bool = True,
 ) -> Increments:
-    """Measured increments from ideal ones and standard normal numbers; None adds no noise."""
-    gyro = _distort(ideal.dtheta, errors.gyro_matrix, errors.gyro_bias * dt)
-    accel = _distort(ideal.dv, errors.accel_matrix, errors.accel_bias * dt)
+    """Measured increments from ideal ones and standard normal numbers.
+
+    Args:
+        ideal: rad and m/s in b.
+        errors: of the sensors.
+        normal: standard normal numbers; None adds no noise.
+        dt: sample time, s.
+        distorted: whether scale factors and axes are off at all; without, they cost nothing.
+    """
+    gyro_matrix, accel_matrix = errors.gyro_matrix, errors.accel_matrix
+    gyro = _distort(ideal.dtheta, gyro_matrix if distorted else None, errors.gyro_bias * dt)
+    accel = _distort(ideal.dv, accel_matrix if distorted else None, errors.accel_bias * dt)
     if normal is None:
         return Increments(gyro, accel)
     return Increments(
@@ -77,7 +91,9 @@ def measure(
     )
 
 
-def _distort(ideal: Vec3, matrix: Array, bias: Array) -> Vec3:
+def _distort(ideal: Vec3, matrix: Array | None, bias: Array) -> Vec3:
+    if matrix is None:
+        return add(ideal, Vec3(*bias))
     return add(add(ideal, Vec3(*(dot(Vec3(*row), ideal) for row in matrix))), Vec3(*bias))
 
 
