@@ -1,7 +1,7 @@
 """What a step of each method costs beside one of the 5-state filter, in time and in arithmetic.
 
-The same base, sensors and record interval, silent, with 64 variants a draw; a method that nothing
-swept acts on has one. Everything in turns.
+The same base, sensors and record interval, silent, with 64 variants a draw. A method that nothing
+swept acts on has one, and stands beside the filter with one. Each side in turns.
 """
 
 import common
@@ -16,6 +16,7 @@ from sinsjax.bench.cases import (
     engine,
     method_group,
     shortened,
+    some_variants,
     trigger_group,
     without_noise,
 )
@@ -31,8 +32,9 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     """Time the others in turns with the 5-state filter; the compass also over a stored tape.
 
     Returns:
-        ``kalman``, then every other method, ``linearisation`` (a trigger) and ``compass_tape`` with
-        their ``ratio`` to it. All have ``operations``, the arithmetic of a step and run, and the
+        ``kalman``, then the other methods, ``linearisation`` (a trigger) and ``compass_tape`` with
+        their ``ratio`` to it; likewise ``kalman_alone`` and the methods
+        with one variant a draw. All have ``operations``, the arithmetic of a step and run, and the
         others their ``operations_ratio``.
     """
     groups = {
@@ -45,13 +47,18 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     if quick:
         groups = {name: shortened(group, 2) for name, group in groups.items()}
     silent = {name: without_noise(group) for name, group in groups.items()}
-    base, *others = (engine(name, group) for name, group in silent.items())
-    measured = measure_against(base, others, repeats)
-    counts = [arithmetic(group) for group in silent.values()]
-    for row, count in zip(measured, counts, strict=True):
-        row["operations"] = round(count, 1)
-        if row["name"] != "kalman":
-            row["operations_ratio"] = round(count / counts[0], 3)
+    alone = {name: group for name, group in silent.items() if group.sizes[1] == 1}
+    alone = {"kalman_alone": some_variants(silent["kalman"], 1), **alone}
+    measured = []
+    for side in ({k: v for k, v in silent.items() if k not in alone}, alone):
+        base, *others = (engine(name, group) for name, group in side.items())
+        of_side = measure_against(base, others, repeats)
+        counts = [arithmetic(group) for group in side.values()]
+        for row, count in zip(of_side, counts, strict=True):
+            row["operations"] = round(count, 1)
+            if "ratio" in row:
+                row["operations_ratio"] = round(count / counts[0], 3)
+        measured += of_side
     return measured
 
 

@@ -162,7 +162,7 @@ def methods(machine: Machine) -> list[Block]:
     header = ["row", "ns", "times the filter's", "operations", "times the filter's", "a ns"]
     note = (
         "Operations: arithmetic on one number that the compiled program carries out. Silent"
-        " sensors, 64 variants a draw; medians of turns."
+        " sensors; 64 variants a draw, or one, beside `kalman_alone`; medians of turns."
     )
     return [Table(f"A step and run, {machine.name}", header, lines, note)] if lines else []
 

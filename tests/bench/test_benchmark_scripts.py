@@ -603,19 +603,18 @@ def test_an_operation_of_a_method_may_take_little_more_than_the_filters(tmp_path
 
 
 @pytest.mark.slow
-def test_a_step_of_each_method_has_its_own_arithmetic():
-    rows = methods.rows(True, 1)
-    by_name = {row["name"]: row for row in rows}
-    assert {*METHODS} - {"kalman5"} == {*by_name} - {"kalman", "linearisation", "compass_tape"}
-    kalman, ten, trigger, compass, tape = (
-        by_name[name] for name in ("kalman", "kalman10", "linearisation", "compass", "compass_tape")
-    )
-    for shared in ("kalman_sincos", "invariant", "optimisation"):
-        assert 0.1 < by_name[shared]["operations_ratio"] < 0.7
-    assert 1 < by_name["ekf_azimuth"]["operations_ratio"] < 2
-    assert 400 < kalman["operations"] < 1000
-    assert 1.5 < trigger["operations_ratio"] < ten["operations_ratio"] < 6
-    assert 0.1 < compass["operations_ratio"] < tape["operations_ratio"] < 0.4
+def test_a_step_of_a_method_has_its_own_arithmetic(monkeypatch):
+    some = ("kalman5", "kalman10", "kalman_sincos", "optimisation", "compass")
+    monkeypatch.setattr(methods, "METHODS", {name: METHODS[name] for name in some})
+    rows = {row["name"]: row for row in methods.rows(True, 1)}
+    assert {*some[1:], "kalman", "kalman_alone", "linearisation", "compass_tape"} == {*rows}
+    of = {name: row.get("operations_ratio") for name, row in rows.items()}
+    assert 400 < rows["kalman"]["operations"] < rows["kalman_alone"]["operations"] < 1000
+    assert 1.5 < of["linearisation"] < of["kalman10"] < 6
+    assert 0.1 < of["compass"] < of["compass_tape"] < 0.4
+    # Its covariance is that of several draws.
+    assert 0.2 < of["kalman_sincos"] < 0.6
+    assert 0.1 < of["optimisation"] < 0.5
 
 
 @pytest.mark.parametrize(("double", "reached"), [(105e3, True), (200e3, False)])
