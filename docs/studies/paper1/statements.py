@@ -1,144 +1,154 @@
-"""Paper 1's statements about its simulation, judged on the runs of one reading.
+"""Paper 1's statements about its simulation, judged on the runs of each reading.
 
-What the paper's words mean was fixed before the first result, see `Meaning`. A verdict follows the
-number itself, and says where its 95 % interval straddles the threshold.
+What the paper's words mean was fixed before the first result.
 
 Judged from the summary alone, hence not judged: the convergence trend of the first 100 s
 (section 3.1) and the two added stable processes after resets (3.3.2), which need curves; that
 pitch and roll converge, as settling is counted for yaw; the car test (4.2), which is a record.
 """
 
-from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 
-from sinsjax.analysis import (
-    Estimate,
-    difference,
-    format_difference,
-    format_estimate,
-    mean,
-    numbers,
-    paired,
-    proportion,
-    quantile,
-    quantile_difference,
-)
+from sinsjax import analysis
+from sinsjax.analysis import Estimate, numbers, paired
 from sinsjax.errors import InputError
+from sinsjax.report.base import Source
 
 RESET = "5 with resets"
 CONDITIONS = ("1", "2", "3", "4", "5", RESET)
-EQUAL_WITHIN = 0.1  # "approximately equal" covariances: sigma_u
-_ABOVE = "the filter's yaw variance above the squared yaw error"
+AS_PRECISE_ARCMIN = 1.0
 
-_FIG2 = "section 2.4.2, Fig. 2"
-_FIG3 = "section 3.1, Fig. 3"
-_FIG5 = "section 3.3.2, Fig. 5"
-_FIG6 = "section 3.3.2, Fig. 6"
-STATEMENTS = {
-    "S1a": ("condition 1 converges", _FIG2),
-    "S1b": ("condition 2 converges", _FIG2),
-    "S2a": ("condition 1 converges in a short time", _FIG2),
-    "S2b": ("condition 2 converges in a short time", _FIG2),
-    "S3": ("condition 3 converges", _FIG2),
-    "S4a": ("condition 3 takes longer than condition 2", _FIG2),
-    "S4b": ("condition 3 takes longer than condition 1", _FIG2),
-    "S5": ("condition 4 converges", _FIG2),
-    "S6a": ("condition 4 takes longer than condition 2", _FIG2),
-    "S6b": ("condition 4 takes longer than condition 1", _FIG2),
-    "S7a": ("condition 4 has larger errors than condition 2", _FIG2),
-    "S7b": ("condition 4 has larger errors than condition 1", _FIG2),
-    "S8": ("condition 5 cannot converge", _FIG2),
-    "S9": (
-        "condition 1: the filter's yaw covariance is larger than the true one throughout",
-        _FIG3,
-    ),
-    "S10": (
-        "condition 5: the filter's yaw covariance is smaller than the true one when steady",
-        _FIG3,
-    ),
-    "S11": ("condition 5 with resets converges", _FIG5),
-    "S12": ("condition 5 with resets is as precise as condition 1", _FIG5),
-    "S13": ("condition 5 with resets: the yaw covariance is larger throughout", _FIG6),
-    "S14": ("condition 5 with resets and condition 1 end with about equal yaw covariance", _FIG6),
-}
-"""Each statement in short and where the paper makes it."""
+CONCLUSIONS = ("S8", "S10", "S11", "S12")
+"""What the paper's abstract concludes: failure, its reason, the cure, its accuracy."""
 
 
 class Meaning(NamedTuple):
-    """What the paper's words mean, as numbers.
+    """What some of the paper's words mean: a number of one or two conditions, and its bounds.
 
     Attributes:
-        covariance_after_s: records count after this time, s; the study's ``consistency_after_s``.
-        steady_after_s: start of the steady filtering process, s; the study's ``steady_after_s``.
-        converges_share: *converges*: at least this share of draws has ``settle_10_s``.
-        short_time_s: *in a short time*: the median of ``settle_10_s`` is at most this, s.
-        cannot_share: *cannot converge*: less than this share of draws has ``settle_10_s``.
-        as_precise_arcmin: *as precise*: the mean paired difference is under this, arcmin.
-        covariance_share: *throughout*: at least this share of records.
+        number: of the runs of the conditions.
+        low: the number is at least this.
+        high: it is at most this.
+        by_interval: the whole interval is inside.
+        complete: every draw has a number.
     """
 
-    covariance_after_s: float
-    steady_after_s: float
-    converges_share: float = 0.95
-    short_time_s: float = 200.0
-    cannot_share: float = 0.05
-    as_precise_arcmin: float = 1.0
-    covariance_share: float = 0.95
+    number: Callable[..., Estimate]
+    low: float = -math.inf
+    high: float = math.inf
+    by_interval: bool = False
+    complete: bool = False
+
+    def judge(self, *runs: pa.Table) -> "Finding":
+        """The number of some runs, against its bounds."""
+        number = self.number(*runs)
+        bounds = [bound for bound in (self.low, self.high) if math.isfinite(bound)]
+        # Said as "not clear of it", so that an unknown end straddles.
+        straddles = any(not (number.low > bound or number.high < bound) for bound in bounds)
+        holds = self.low <= number.value <= self.high
+        if self.by_interval:
+            holds = holds and not straddles
+        if self.complete:
+            holds = holds and number.n == len(runs[0])
+        return Finding(holds, straddles, number)
 
 
-class StatementVerdict(NamedTuple):
-    """One statement, judged.
+class Finding(NamedTuple):
+    """A number, whether it meets its meaning, and whether its interval reaches across a bound."""
 
-    Attributes:
-        statement_id: key of :data:`STATEMENTS`.
-        text: the statement in short.
-        where: section and figure of the paper.
-        holds: whether the number meets the meaning.
-        straddles: whether the interval reaches across the threshold, or is unknown there.
-        number: what was found, with its 95 % interval.
-        unit: of the number; empty for shares and ratios.
-        measure: what the number is, and its threshold.
-        sides: whose settling times the number is the difference of; empty for all other numbers.
-    """
+    holds: bool
+    straddles: bool
+    number: Estimate
 
-    statement_id: str
+
+def _settled(runs: pa.Table) -> Estimate:
+    return analysis.share(~np.isnan(numbers(runs, "settle_10_s")))
+
+
+def _median_time(runs: pa.Table) -> Estimate:
+    return analysis.quantile(numbers(runs, "settle_10_s"))
+
+
+def _longer(runs: pa.Table, other: pa.Table) -> Estimate:
+    return analysis.quantile_difference(*paired(runs, other, "settle_10_s"))
+
+
+def _worse(runs: pa.Table, other: pa.Table) -> Estimate:
+    means, limits = (paired(runs, other, f"{name}_arcmin") for name in ("phi_u_mean", "floor"))
+    return analysis.difference(*(np.abs(m - at) for m, at in zip(means, limits, strict=True)))
+
+
+def _p_above(runs: pa.Table, column: str, missing: float) -> Estimate:
+    # Every run has equally many records, so the mean share is that of all records together; the
+    # records of a run that is not finite count against the statement.
+    found = analysis.mean(np.nan_to_num(numbers(runs, column), nan=missing))
+    return found._replace(low=max(found.low, 0.0), high=min(found.high, 1.0))
+
+
+def _apart(runs: pa.Table, other: pa.Table) -> Estimate:
+    return analysis.difference(*paired(runs, other, "phi_u_mean_arcmin"))
+
+
+def _sigma_ratio(runs: pa.Table, other: pa.Table) -> Estimate:
+    sigma, reference = paired(runs, other, "sigma_u_arcmin")
+    return analysis.mean(sigma / reference)
+
+
+_CONVERGES = Meaning(_settled, low=0.95)
+_CANNOT = Meaning(_settled, high=math.nextafter(0.05, 0.0))  # under it
+_SHORT = Meaning(_median_time, high=200.0)
+_LONGER = Meaning(_longer, low=0.0, by_interval=True)
+_WORSE = Meaning(_worse, low=0.0, by_interval=True)
+_LARGER = Meaning(partial(_p_above, column="p_above_error_share", missing=0.0), low=0.95)
+_SMALLER = Meaning(
+    partial(_p_above, column="p_above_error_steady_share", missing=1.0), high=1 - 0.95
+)
+_PRECISE = Meaning(_apart, -AS_PRECISE_ARCMIN, AS_PRECISE_ARCMIN, by_interval=True, complete=True)
+_EQUAL = Meaning(_sigma_ratio, 1 - 0.1, 1 + 0.1, complete=True)
+
+
+class Statement(NamedTuple):
+    """What the paper says of one or two conditions; P is the filter's heading variance."""
+
     text: str
-    where: str
-    holds: bool
-    straddles: bool
-    number: Estimate
-    unit: str
-    measure: str
-    sides: tuple[str, ...] = ()
-
-    def told(self, digits: int) -> str:
-        """The number with its interval and unit as text."""
-        if len(self.sides) == 2:
-            return format_difference(self.number, self.unit, digits, self.sides)
-        return format_estimate(self.number, self.unit, digits)
+    meaning: Meaning
+    conditions: tuple[str, ...]
 
 
-class _Finding(NamedTuple):
-    holds: bool
-    straddles: bool
-    number: Estimate
-    unit: str
-    measure: str
-    sides: tuple[str, ...] = ()
+STATEMENTS = {
+    "S1a": Statement("condition 1 converges", _CONVERGES, ("1",)),
+    "S1b": Statement("condition 2 converges", _CONVERGES, ("2",)),
+    "S2a": Statement("condition 1 in a short time", _SHORT, ("1",)),
+    "S2b": Statement("condition 2 in a short time", _SHORT, ("2",)),
+    "S3": Statement("condition 3 converges", _CONVERGES, ("3",)),
+    "S4a": Statement("condition 3 longer than condition 2", _LONGER, ("3", "2")),
+    "S4b": Statement("condition 3 longer than condition 1", _LONGER, ("3", "1")),
+    "S5": Statement("condition 4 converges", _CONVERGES, ("4",)),
+    "S6a": Statement("condition 4 longer than condition 2", _LONGER, ("4", "2")),
+    "S6b": Statement("condition 4 longer than condition 1", _LONGER, ("4", "1")),
+    "S7a": Statement("condition 4 worse than condition 2", _WORSE, ("4", "2")),
+    "S7b": Statement("condition 4 worse than condition 1", _WORSE, ("4", "1")),
+    "S8": Statement("condition 5 cannot converge", _CANNOT, ("5",)),
+    "S9": Statement("condition 1: P larger throughout", _LARGER, ("1",)),
+    "S10": Statement("condition 5: P smaller when steady", _SMALLER, ("5",)),
+    "S11": Statement("condition 5 with resets converges", _CONVERGES, (RESET,)),
+    "S12": Statement("condition 5 with resets as precise", _PRECISE, (RESET, "1")),
+    "S13": Statement("condition 5 with resets: P larger", _LARGER, (RESET,)),
+    "S14": Statement("condition 5 with resets: P as 1's", _EQUAL, (RESET, "1")),
+}
 
 
-def judge(conditions: Mapping[str, pa.Table], meaning: Meaning) -> list[StatementVerdict]:
+def judge(conditions: Mapping[str, pa.Table]) -> dict[str, Finding]:
     """Judges every statement of :data:`STATEMENTS` on one reading's runs.
 
     Args:
         conditions: the summary of each of :data:`CONDITIONS`, one row a draw, same draws in all.
-        meaning: what the words mean.
-
-    Returns:
-        The verdicts in the order of :data:`STATEMENTS`.
 
     Raises:
         InputError: a condition or a column is missing, a condition has no runs, or draws differ.
@@ -146,120 +156,57 @@ def judge(conditions: Mapping[str, pa.Table], meaning: Meaning) -> list[Statemen
     for name in CONDITIONS:
         if name not in conditions or conditions[name].num_rows == 0:
             raise InputError(f"paper 1's statements: there are no runs of condition {name}")
-    findings = dict(_findings(conditions, meaning))
-    return [
-        StatementVerdict(statement_id, text, where, *findings[statement_id])
-        for statement_id, (text, where) in STATEMENTS.items()
-    ]
+    return {
+        name: one.meaning.judge(*(conditions[condition] for condition in one.conditions))
+        for name, one in STATEMENTS.items()
+    }
 
 
-def _findings(runs: Mapping[str, pa.Table], meaning: Meaning) -> Iterator[tuple[str, _Finding]]:
-    converging = {"S1a": "1", "S1b": "2", "S3": "3", "S5": "4", "S11": RESET}
-    longer = {"S4a": ("3", "2"), "S4b": ("3", "1"), "S6a": ("4", "2"), "S6b": ("4", "1")}
-    for statement_id, name in converging.items():
-        yield statement_id, _converges(runs[name], meaning)
-    for statement_id, name in {"S2a": "1", "S2b": "2"}.items():
-        yield statement_id, _in_a_short_time(runs[name], meaning)
-    for statement_id, (name, other) in longer.items():
-        yield (
-            statement_id,
-            _longer(runs[name], runs[other])._replace(
-                sides=(f"condition {name}", f"condition {other}")
-            ),
-        )
-    for statement_id, other in {"S7a": "2", "S7b": "1"}.items():
-        yield statement_id, _larger_errors(runs["4"], runs[other])
-    yield "S8", _cannot_converge(runs["5"], meaning)
-    yield "S9", _larger_throughout(runs["1"], meaning)
-    yield "S10", _smaller_when_steady(runs["5"], meaning)
-    yield "S12", _as_precise(runs[RESET], runs["1"], meaning)
-    yield "S13", _larger_throughout(runs[RESET], meaning)
-    yield "S14", _equal_at_the_end(runs[RESET], runs["1"])
+class Judged(NamedTuple):
+    """One reading, its value by key, with the finding of each statement."""
+
+    reading: Mapping[str, Any]
+    findings: Mapping[str, Finding]
+
+    @property
+    def held(self) -> int:
+        """How many statements hold."""
+        return sum(finding.holds for finding in self.findings.values())
+
+    @property
+    def words(self) -> list[str]:
+        """The reading in words: Q, R and feedback interval."""
+        words = {"per_step": "as printed", "per_sample": "sample", "per_update": "per update"}
+        q, r = (self.reading[key] for key in ("q_reading", "r_reading"))
+        feedback = f"{self.reading['feedback_interval_s']:g} s"
+        return [words.get(q, "density"), words.get(r, "density"), feedback]
+
+    def holds(self, *names: str) -> bool:
+        """Whether some statements hold, all of them."""
+        return all(self.findings[name].holds for name in names)
 
 
-def _straddles(number: Estimate, *thresholds: float) -> bool:
-    # Said as "not clear of it", so that an unknown end straddles.
-    return any(not (number.low > t or number.high < t) for t in thresholds)
+def judge_all(source: Source) -> list[Judged]:
+    """Every reading of the study, judged."""
+    found = []
+    for reading, rows in analysis.groups(source.summary, list(source.study.axes)):
+        cases = analysis.groups(rows, ["case"])
+        conditions = {key["case"].removeprefix("condition "): table for key, table in cases}
+        found.append(Judged(reading, judge(conditions)))
+    return found
 
 
-def _settled(table: pa.Table) -> Estimate:
-    return proportion(int(np.count_nonzero(~np.isnan(numbers(table, "settle_10_s")))), len(table))
+def best_of(judged: Sequence[Judged]) -> Judged:
+    """The reading under which most statements hold.
 
-
-def _converges(table: pa.Table, meaning: Meaning) -> _Finding:
-    share, least = _settled(table), meaning.converges_share
-    measure = f"share of draws that settle to 10 arcmin, at least {least:g}"
-    return _Finding(share.value >= least, _straddles(share, least), share, "", measure)
-
-
-def _cannot_converge(table: pa.Table, meaning: Meaning) -> _Finding:
-    share, limit = _settled(table), meaning.cannot_share
-    measure = f"share of draws that settle to 10 arcmin, under {limit:g}"
-    return _Finding(share.value < limit, _straddles(share, limit), share, "", measure)
-
-
-def _in_a_short_time(table: pa.Table, meaning: Meaning) -> _Finding:
-    time, limit = quantile(numbers(table, "settle_10_s")), meaning.short_time_s
-    measure = f"median settling time to 10 arcmin, at most {limit:g} s"
-    return _Finding(time.value <= limit, _straddles(time, limit), time, "s", measure)
-
-
-def _longer(table: pa.Table, other: pa.Table) -> _Finding:
-    extra = quantile_difference(*paired(table, other, "settle_10_s"))
-    measure = "difference of the median settling times to 10 arcmin, interval above 0"
-    return _Finding(extra.low > 0, _straddles(extra, 0.0), extra, "s", measure)
-
-
-def _larger_errors(table: pa.Table, other: pa.Table) -> _Finding:
-    yaw = paired(table, other, "phi_u_mean_arcmin")
-    floor = paired(table, other, "floor_arcmin")
-    extra = difference(*(np.abs(mean_yaw - at) for mean_yaw, at in zip(yaw, floor, strict=True)))
-    measure = (
-        "mean paired difference of how far the mean yaw error lies from its limit, interval above 0"
+    Ties go to the one with more of `CONCLUSIONS`, then with more statements decided by their whole
+    interval, then to the first.
+    """
+    return max(
+        judged,
+        key=lambda one: (
+            one.held,
+            sum(one.findings[name].holds for name in CONCLUSIONS),
+            -sum(finding.straddles for finding in one.findings.values()),
+        ),
     )
-    return _Finding(extra.low > 0, _straddles(extra, 0.0), extra, "arcmin", measure)
-
-
-def _larger_throughout(table: pa.Table, meaning: Meaning) -> _Finding:
-    least = meaning.covariance_share
-    # A run without a share (not finite) shows no record in which P is the larger.
-    share = _of_all_records(table, "p_above_error_share", missing=0.0)
-    after = meaning.covariance_after_s
-    measure = f"share of records after {after:g} s with {_ABOVE}, at least {least:g}"
-    return _Finding(share.value >= least, _straddles(share, least), share, "", measure)
-
-
-def _smaller_when_steady(table: pa.Table, meaning: Meaning) -> _Finding:
-    most = 1 - meaning.covariance_share
-    # A run without a share (not finite) shows no record in which P is the smaller.
-    share = _of_all_records(table, "p_above_error_steady_share", missing=1.0)
-    after = meaning.steady_after_s
-    measure = f"share of records after {after:g} s with {_ABOVE}, at most {most:g}"
-    return _Finding(share.value <= most, _straddles(share, most), share, "", measure)
-
-
-def _of_all_records(table: pa.Table, column: str, *, missing: float) -> Estimate:
-    # Every run has equally many records, so the mean share is that of all records together.
-    found = mean(np.nan_to_num(numbers(table, column), nan=missing))
-    return found._replace(low=max(found.low, 0.0), high=min(found.high, 1.0))
-
-
-def _as_precise(table: pa.Table, other: pa.Table, meaning: Meaning) -> _Finding:
-    limit = meaning.as_precise_arcmin
-    apart = difference(*paired(table, other, "phi_u_mean_arcmin"))
-    inside = -limit < apart.low and apart.high < limit
-    measure = (
-        f"mean paired difference of the window mean of phi_u, interval within {limit:g} arcmin"
-    )
-    # A draw without a finite value is left out of the mean, but is not as precise.
-    holds = inside and apart.n == len(table)
-    return _Finding(holds, _straddles(apart, -limit, limit), apart, "arcmin", measure)
-
-
-def _equal_at_the_end(table: pa.Table, other: pa.Table) -> _Finding:
-    sigma, reference = paired(table, other, "sigma_u_arcmin")
-    ratio = mean(sigma / reference)
-    holds = abs(ratio.value - 1) <= EQUAL_WITHIN and ratio.n == len(table)
-    straddles = _straddles(ratio, 1 - EQUAL_WITHIN, 1 + EQUAL_WITHIN)
-    measure = f"mean paired ratio of sigma_u at the end, within {EQUAL_WITHIN:g} of 1"
-    return _Finding(holds, straddles, ratio, "", measure)
