@@ -1,4 +1,4 @@
-"""Figures of repeated passes over a stored record: error by length, predictions, settling."""
+"""Figures of repeated passes over a stored record: errors by its length, settling."""
 
 from collections.abc import Mapping, Sequence
 
@@ -8,9 +8,7 @@ from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
 from sinsjax.analysis import Estimate
-from sinsjax.plots.style import GREY, colour, legend_outside, styled
-
-_LINEAR = 6.0  # asinh axes are nearly linear up to here, and logarithmic far beyond
+from sinsjax.plots.style import colour, legend_outside, styled
 
 
 @styled
@@ -50,59 +48,16 @@ def by_record_length(
             capsize=2.5,
             markersize=4.5,
         )
-    axes.plot(*bound, "--", color="black", label="information bound of the tape")
+    axes.plot(*bound, "--", color="black", label="information bound of the record")
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.xaxis.set_major_locator(FixedLocator(list(lengths_s)))
     axes.xaxis.set_minor_locator(NullLocator())
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axes.set_xlabel("length of the tape (s)")
+    axes.set_xlabel("length of the stored record (s)")
     axes.set_ylabel(quantity)
     legend_outside(figure, axes)
-    return figure
-
-
-@styled
-def prediction(
-    panels: Mapping[str, tuple[NDArray, NDArray]], title: str, *, quantity: str, band: float
-) -> Figure:
-    """Simulated against predicted values, one dot per point of a sweep.
-
-    Args:
-        panels: panel title to predicted and simulated values; non-finite ones are omitted.
-        title: title of the figure.
-        quantity: label of both axes, with its unit; they are nearly linear near 0 and logarithmic
-            far from it.
-        band: dotted lines at +- this value.
-    """
-    figure = Figure(figsize=(9.2, 4.2))
-    figure.suptitle(title)
-    grid = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
-    known = [
-        (x[both], y[both]) for x, y in panels.values() for both in [np.isfinite(x) & np.isfinite(y)]
-    ]
-    reach = 1.3 * max((np.abs(v).max(initial=band) for pair in known for v in pair), default=band)
-    decades = 10.0 ** np.arange(1, 6)
-    decades = decades[decades < reach]
-    for i, (axes, name, (x, y)) in enumerate(zip(grid, panels, known, strict=True)):
-        axes.plot([-reach, reach], [-reach, reach], color=GREY, linewidth=0.9, label="equal")
-        for level in (-band, band):
-            axes.axhline(level, color=GREY, linestyle=":", linewidth=0.9)
-            axes.axvline(level, color=GREY, linestyle=":", linewidth=0.9)
-        axes.plot(x, y, "o", color=colour(i), markersize=3, alpha=0.6)
-        axes.set_xscale("asinh", linear_width=_LINEAR)
-        axes.set_yscale("asinh", linear_width=_LINEAR)
-        for axis in (axes.xaxis, axes.yaxis):
-            axis.set_major_locator(FixedLocator([*-decades[::-1], 0.0, *decades]))
-            axis.set_major_formatter(StrMethodFormatter("{x:g}"))
-            axis.set_minor_locator(NullLocator())
-        axes.tick_params(axis="x", labelrotation=60)
-        axes.set_xlim(-reach, reach)
-        axes.set_ylim(-reach, reach)
-        axes.set_title(name)
-    figure.supxlabel(f"predicted {quantity}", fontsize=11.5)
-    grid[0].set_ylabel(f"simulated {quantity}")
     return figure
 
 

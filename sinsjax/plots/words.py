@@ -26,7 +26,7 @@ WORDS = {
     "q_scale": "factor on Q",
     "sigma_factors": "factor on sigma",
     "r_velocity": "velocity noise in R",
-    "tape": "length of the tape",
+    "tape": "length of the stored record",
     "passes": "number of passes",
     "turn_covariance": "P at a turn",
     "azimuth_sigma": "sigma of the azimuth loop",

@@ -64,24 +64,10 @@ def test_errors_by_tape_above_the_bound():
     axes = figure.axes[0]
     assert axes.get_xscale() == axes.get_yscale() == "log"
     names = [t.get_text() for t in figure.legends[0].get_texts()]
-    assert set(names) == {"a", "b", "information bound of the tape"}
+    assert set(names) == {"a", "b", "information bound of the record"}
     dashed = [line for line in axes.get_lines() if line.get_linestyle() == "--"]
     np.testing.assert_array_equal(dashed[0].get_ydata(), bound[1])
     assert sum(len(line.get_xdata()) == 1 for line in axes.get_lines()) >= 1
-    assert plots.png(figure)
-
-
-def test_predictions_stand_against_what_came_out():
-    x, y = np.array([-50.0, 1.0, np.nan]), np.array([-49.0, 2.0, 3.0])
-    figure = plots.prediction(
-        {"a": (x, y), "b": (x[:1], y[:1])}, "Title", quantity="error (arcmin)", band=6.0
-    )
-    first = figure.axes[0]
-    (dots,) = [line for line in first.get_lines() if line.get_marker() == "o"]
-    np.testing.assert_array_equal(dots.get_xydata(), [[-50.0, -49.0], [1.0, 2.0]])
-    assert first.get_xlim() == first.get_ylim() == figure.axes[1].get_xlim()
-    assert first.get_xscale() == "asinh"
-    assert sum(line.get_linestyle() == ":" for line in first.get_lines()) == 4
     assert plots.png(figure)
 
 

@@ -1,17 +1,13 @@
-import math
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pytest
-from support.stored import store
 
-from docs.studies.compass_map import points as map_points
-from docs.studies.compass_map.points import Point
-from sinsjax.alignment.compass import design as loops
+from docs.studies.compass_map import map as error_map
 from sinsjax.execution import run as study_run
-from sinsjax.report.base import Source, Table
+from sinsjax.report.base import Source
 from sinsjax.study.load import load_study, study_from_dict
 
 CONFIG = Path(__file__).parents[2] / "configs" / "paper2_map.toml"
@@ -22,9 +18,6 @@ AXES = {
     "tape_s": [40, 80, 300],
     "azimuth_sigma_per_s": [0.01, 0.03],
 }
-
-
-pytestmark = pytest.mark.usefixtures("drawn_on_request")
 
 
 def map_study(**changes):
@@ -38,83 +31,33 @@ def map_study(**changes):
     return study_from_dict(data)
 
 
-def source_of(study, errors, settle=100.0):
-    """Results that no engine made: errors (arcmin) and settling times that broadcast to runs."""
+def source_of(study, errors):
+    """Results that no engine made, with errors (arcmin) that broadcast to (draws, variants)."""
     shape = (study.n_draws, study.n_variants)
     run = np.arange(shape[0] * shape[1])
-    phi = FLOOR + np.broadcast_to(errors, shape).ravel()
     summary = {
         "run_id": run,
         "draw_id": run // shape[1],
         "variant_id": run % shape[1],
-        "phi_u_arcmin": pa.array(phi, from_pandas=True),
+        "phi_u_arcmin": FLOOR + np.broadcast_to(errors, shape).ravel(),
         "floor_arcmin": np.full(run.size, FLOOR),
-        "settle_6_s": pa.array(np.broadcast_to(settle, shape).ravel(), from_pandas=True),
     }
     return Source(Path("results"), study, "map.toml", pa.table(summary))
 
 
-def write(directory, source):
-    return store(directory, source.study, source.summary)
-
-
-def tables(made):
-    return [b for section in made.sections for b in section.blocks if isinstance(b, Table)]
-
-
-def point(**changes):
-    plain = Point(
-        "constant", True, "reflect", 80.0, 0.01, 1.0, 95.0, np.zeros(4), np.ones(4), *3 * (0,)
-    )
-    return plain._replace(**changes)
-
-
-# --- points -------------------------------------------------------------------------------------
-
-
-def test_points_hold_their_runs():
+def test_the_least_error_is_that_of_the_best_schedule_and_sigma():
     study = map_study()
-    errors = np.arange(study.n_variants) + 0.1 * np.arange(DRAWS)[:, None]
-    settle = np.where(errors == 5.0, np.nan, errors)
-    points = map_points.points_of(source_of(study, errors, settle))
-    assert len(points) == study.n_variants == 24
-    here = points[5]
-    assert (here.schedule, here.turn, here.tape_s, here.sigma) == (
-        "constant",
-        "velocity",
-        300.0,
-        0.03,
-    )
-    np.testing.assert_allclose(here.errors, errors[:, 5])
-    np.testing.assert_array_equal(here.settle_s, [math.inf, *errors[1:, 5]])
-    assert here.left == pytest.approx(5.15)
-    assert here.rms.value == pytest.approx(np.sqrt(np.mean(errors[:, 5] ** 2)))
-    last = points[-1]
-    assert (last.schedule, last.constant, last.last_factor) == ("4, 2, 1", False, 1.0)
-    assert here.constant
-
-
-def test_an_unknown_error_is_infinite():
-    found = point(errors=np.array([1.0, np.nan])).rms
-    assert found.value == math.inf and math.isnan(found.low)
-
-
-def test_the_radius_is_taken_to_the_power_of_the_cycles():
-    study = map_study()
-    points = map_points.points_of(source_of(study, 0.0))
-    start = points[0].start
-    omega_n = math.radians(15.041067) / 3600 * math.cos(math.radians(32.057313))
-    tilted = 50e-6 * math.tan(math.radians(32.057313))
-    floor = -math.radians(0.02) / 3600 / omega_n + tilted
-    assert start == pytest.approx(60 * (1.5 - math.degrees(floor)), rel=1e-6)
-    turn = loops.turn_matrix(-1, 1, 1)
-    constant, scheduled = points[3], points[15]  # velocity, 80 s, 0.03
-    assert (scheduled.turn, scheduled.tape_s, scheduled.sigma) == ("velocity", 80.0, 0.03)
-    radii = loops.cycle_radius(0.03 * np.array([4.0, 2.0, 1.0]), 80.0, turn)
-    assert constant.radius == scheduled.radius == pytest.approx(radii[2])
-    assert constant.by_radius == pytest.approx(start * radii[2] ** (560 / 160))
-    powers = np.array([80.0, 80.0, 400.0]) / 160  # from 40, 120 and 200 s on
-    assert scheduled.by_radius == pytest.approx(start * np.prod(radii**powers))
+    errors = 1.0 + np.arange(study.n_variants) + 0.1 * np.arange(DRAWS)[:, None]
+    errors[:, 14] = 0.5  # of the schedule 4, 2, 1: paper's turn, 80 s, 0.01 1/s
+    errors[0, 8] = np.nan  # an unknown error is no small one
+    grid = error_map.layout(source_of(study, errors))
+    assert grid.axes["schedule"] == ((1.0,), (4.0, 2.0, 1.0))
+    assert grid.axes["length"] == (40, 80, 300)
+    errors_of = grid.columns["phi_u_arcmin"] - FLOOR
+    least = error_map.least_errors(errors_of, grid.axes["turn"])
+    assert least["velocity"][1].value == pytest.approx(0.5)
+    assert least["velocity"][0].value == pytest.approx(np.sqrt(np.mean(errors[:, 0] ** 2)))
+    assert least["reflect"][1].value == pytest.approx(np.sqrt(np.mean(errors[:, 9] ** 2)))
 
 
 def test_the_linear_loops_are_what_the_engine_does_without_noise():
@@ -124,35 +67,19 @@ def test_the_linear_loops_are_what_the_engine_does_without_noise():
         alignment={"phi_e0_deg": 0.02, "phi_u0_deg": 0.3},
         axes=AXES | {"tape_s": [40.0]},
     )
-    run = study_run.run(study)
-    points = map_points.points_of(Source(Path("x"), study, "map.toml", run.summary))
-    found, expected = (np.array([getattr(p, name) for p in points]) for name in ("left", "linear"))
+    found = error_map.heading_errors(study_run.run(study).summary)
+    expected = error_map.predict(study)
     # The east channel's part in the north one is left out of the linear loops.
     np.testing.assert_allclose(found, expected, atol=0.3, rtol=0.03)
     assert np.ptp(expected) > 20
 
 
 def test_convergence_is_from_the_smallest_sigma_that_has_no_failure_above_it():
-    left = {0.01: 1.0, 0.02: 50.0, 0.03: -3.0, 0.04: 2.0}
-    points = [point(sigma=sigma, linear=value) for sigma, value in left.items()]
-    points.append(point(sigma=0.05, linear=99.0, constant=False))
-    points.append(point(sigma=0.05, linear=99.0, tape_s=40.0))
-
-    def linear(p):
-        return p.linear
-
-    assert map_points.converges_from(points, 80.0, 6.0, linear) == pytest.approx(0.03 * 80)
-    assert map_points.converges_from(points, 80.0, 2.5, linear) == pytest.approx(0.04 * 80)
-    assert map_points.converges_from(points, 40.0, 6.0, linear) is None
-
-
-def test_agreement_is_about_the_band():
-    here = point(errors=np.full(4, -5.0))
-    assert map_points.agrees(here, 6.0, 5.9) and not map_points.agrees(here, 6.0, -6.1)
-    assert map_points.agrees(here, 4.0, 70.0)
-
-
-# --- report -------------------------------------------------------------------------------------
+    within = np.array(
+        [[True, False, True, True], [True] * 4, [True, True, True, False], [False] * 3 + [True]]
+    )
+    found = error_map.converges_from(within, (0.01, 0.02, 0.03, 0.04))
+    np.testing.assert_array_equal(found, [0.03, 0.01, np.nan, 0.04])
 
 
 def test_the_shipped_study_is_the_one_of_the_issue():

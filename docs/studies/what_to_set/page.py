@@ -52,7 +52,7 @@ def page(sources: Sources) -> Page:
     }
     made = {name: script.page(sources) for name, script in scripts.items()}
     cycle, trigger = made["reset_cycle"].values, made["adaptive"].values
-    tape, passes = made["compass_map"].values, made["kalman_passes"].values
+    compass, passes = made["compass_map"].values, made["kalman_passes"].values
     values = {
         "worst": cycle["worst"],
         "two": cycle["two"],
@@ -63,10 +63,10 @@ def page(sources: Sources) -> Page:
         "trigger": {name: trigger["best"][name] for name in ("threshold", "short", "slow_alarms")},
         "car": {name: trigger["car"][name] for name in ("time", "fixed")},
         "tuned": {name: made["tuning"].values["small"][name] for name in ("best", "baseline")},
-        "tape": {name: tape["tape"][name] for name in ("wide", "narrow", "bound")},
-        "long": {"narrow": tape["long"]["narrow"]},
-        "bands": tape["bands"],
-        "set": tape["set"],
+        "record": {name: compass["record"][name] for name in ("wide", "narrow", "bound")},
+        "long": {"narrow": compass["long"]["narrow"]},
+        "bands": compass["bands"],
+        "set": compass["set"],
         "passes": {name: passes["reset"][name] for name in ("first", "second", "third")},
         "biased": {"nees": made["consistency"].values["biased"]["nees"]},
     }
