@@ -1,0 +1,64 @@
+"""Filters of any heading over repeated passes of a stored record, against naive ones."""
+
+import numpy as np
+import pytest
+from oracles.in_engine import (
+    DEG_PER_H,
+    PAPER1,
+    UG,
+    filter_params,
+    one_run,
+    site,
+    swing_increments,
+    tape_world,
+    trail,
+)
+from oracles.naive import DEG, PAPER, Filter, exp, of_quaternion
+from oracles.naive_filters import EXTENDED, INVARIANT, SINCOS, closed_loop
+
+from sinsjax.alignment.azimuth.method import AzimuthParams
+from sinsjax.alignment.base import Options
+from sinsjax.engine.realisations import Static
+
+RATE, SAMPLES, EVERY, LATITUDE = 100, 600, 50, 32 * DEG
+NAIVE = {"kalman_sincos": SINCOS, "ekf_azimuth": EXTENDED, "invariant": INVARIANT}
+
+
+def numbers(name, **changes):
+    heading = [0.5**0.5] * 2 if name == "kalman_sincos" else [80 * DEG]
+    p0 = np.array([0.1, 0.1, 15 * DEG, 15 * DEG, *heading]) ** 2
+    q = (np.array([500 * UG] * 2 + [0.1 * DEG_PER_H] * (len(p0) - 2)) / RATE) ** 2
+    return Filter(p0, q, 0.1**2, **changes)
+
+
+@pytest.mark.parametrize("name", NAIVE)
+def test_three_passes_as_the_naive_loop(name):
+    """With feedback over the direction reversals, and a reset."""
+    phi, v = np.array([1.0, -2.0, 15.0]) * DEG, np.array([0.3, -0.2])
+    rows = swing_increments(
+        PAPER1,
+        PAPER,
+        LATITUDE,
+        rate=RATE,
+        samples=SAMPLES,
+        gyro=((0.2 * DEG_PER_H, -0.1 * DEG_PER_H, 0.3 * DEG_PER_H), 0.2 * DEG_PER_H),
+        accel=((1e3 * UG, -5e2 * UG, 3e2 * UG), 1e3 * UG),
+    )
+    filt = numbers(name, every=130, resets=(250, 1500))
+    about = {"latitude": LATITUDE, "c": exp(-phi) @ PAPER1.matrix(0.0), "v": v, "filt": filt}
+    naive = closed_loop(
+        NAIVE[name], rows, 1 / RATE, PAPER, tape=SAMPLES, count=3 * SAMPLES, **about
+    )
+    params = filter_params(filt)
+    if name == "ekf_azimuth":
+        params = params._replace(own=AzimuthParams(np.float64(0.0), np.float64(1.0)))
+    records = 3 * SAMPLES // EVERY
+    static = Static(name, Options(1 / RATE), EVERY, records, False, False, repeats=True)
+    environment = tape_world(rows, site(PAPER, LATITUDE), pass_records=SAMPLES // EVERY)
+    state = trail(static, environment, one_run(PAPER1.matrix(0.0), phi, v, params))
+    at = np.arange(EVERY, 3 * SAMPLES + 1, EVERY) - 1
+    c = of_quaternion(np.stack(state.nav.q, axis=1))
+    np.testing.assert_allclose(c, naive.c[at], rtol=0, atol=1e-8)
+    got = np.stack([state.nav.ve, state.nav.vn], axis=1)
+    np.testing.assert_allclose(got, naive.v[at, :2], rtol=0, atol=1e-7)
+    np.testing.assert_allclose(np.stack(state.belief.x, axis=1), naive.x[at], rtol=0, atol=1e-7)
