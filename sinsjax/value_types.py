@@ -179,6 +179,7 @@ Amplitude = Annotated[NonNegative, Usual(0, 360)]
 Speed = Annotated[Finite, Usual(-1e4, 1e4)]
 SpeedSigma = Annotated[Positive, Usual(1e-12, 1e4)]
 AngleSigma = Annotated[Positive, Usual(1e-9, 360)]
+HeadingSigma = Annotated[Positive, Usual(1e-9, 1e4)]  # beyond a turn: next to nothing is known
 GyroSigma = Annotated[Positive, Usual(1e-9, 1e6)]
 AccelSigma = Annotated[Positive, Usual(1e-6, 1e7)]
 GyroNoise = Annotated[NonNegative, Usual(0, 1e6)]

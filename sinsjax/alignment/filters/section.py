@@ -20,6 +20,7 @@ from sinsjax.value_types import (
     GyroNoise,
     GyroSigma,
     GyroWalk,
+    HeadingSigma,
     SameAs,
     Seconds,
     Section,
@@ -47,7 +48,7 @@ class FilterSection(Section):
 
     p0_velocity_m_per_s: SpeedSigma = Field(0.1, description="initial velocity, m/s")
     p0_level_deg: AngleSigma = Field(15.0, description="initial level misalignment, deg")
-    p0_yaw_deg: AngleSigma = Field(80.0, description="initial heading misalignment, deg")
+    p0_yaw_deg: HeadingSigma = Field(80.0, description="initial heading misalignment, deg")
     p0_gyro_bias_deg_per_h: GyroSigma = Field(0.1, description="gyro bias states, deg/h")
     p0_accel_bias_ug: AccelSigma = Field(500.0, description="accelerometer bias states, ug")
     q_accel_ug: Annotated[AccelNoise | None, Default(500.0)] = Field(
@@ -143,7 +144,7 @@ class ResetsSection(TriggerKeys):
     reset_level_deg: Annotated[AngleSigma | None, SameAs("p0_level_deg")] = Field(
         None, description="what the level angles are reset to, deg; default: as at the start"
     )
-    reset_yaw_deg: Annotated[AngleSigma | None, SameAs("p0_yaw_deg")] = Field(
+    reset_yaw_deg: Annotated[HeadingSigma | None, SameAs("p0_yaw_deg")] = Field(
         None, description="what the heading is reset to, deg; default: as at the start"
     )
     reset_gyro_bias_deg_per_h: Annotated[GyroSigma | None, SameAs("p0_gyro_bias_deg_per_h")] = (
