@@ -1,67 +1,116 @@
 """Numbers of the page on resets that set themselves."""
 
-from typing import Any
+import math
 
 import numpy as np
 
-from sinsjax.analysis import format_estimate
+from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.plots.cells import Class, ratio_maps
+from sinsjax.report.base import Picture, Source, Table, percent
 from sinsjax.report.folder import Page, Sources
+from sinsjax.report.grids import Grid, median, shared
+from sinsjax.report.output import counted
 from sinsjax.report.words import share
 
-from . import car, figures, tables
-from .scores import HEALTHY_LEVEL_DEG, HEALTHY_YAW_DEG, NONE, PAPER, Policy, Scores
+from .scores import NONE, PAPER, WITHIN, Policy, Scores
 
 SHORT = (0.01, 1.0)  # s, feedback intervals
+TRUTH = "settle_10_truth_s"
 NAMES = {0.0: "(0, 0, 0)", 30.0: "(5, 5, 30)", 120.0: "(20, 20, 120)"}
 FIXED = "the paper's four"
+
+_Q_WORDS = {"per_step": "printed", "psd": "density", "per_sample": "sample"}
+_CLASSES = (
+    Class(0.9, "up to 0.9 (faster)", "#d6e9f8"),
+    Class(WITHIN, f"up to {WITHIN:g} (as fast)", "#f7f7f7"),
+    Class(1.5, "up to 1.5", "#fde0a8"),
+    Class(3.0, "up to 3", "#f0a030"),
+    Class(math.inf, "beyond", "#b34a00", dark=True),
+)
+"""From faster to slower: pale blue, white, and ever darker orange."""
 
 
 def page(sources: Sources) -> Page:
     """Triggers against the best single reset of each cell, and the winner on the record."""
     source = sources["adaptive_resets"]
-    scores, on_record = Scores(source), car.OnRecord.of(sources["car_adaptive"])
-    best = scores.best(scores.triggered)
-    values, claims = _simulated(scores, best)
-    values |= {
-        "study": {
-            "runs": f"{source.runs:,}",
-            "policies": str(len(scores.policies)),
-            "draws": str(scores.grid.draws),
-            "run_s": f"{source.study.run_s:g} s",
-            "bias": f"{max(start.bias for start in scores.starts):g} deg/h",
-            "cells": str(len(scores.cells)),
-            "starts": str(len(scores.starts)),
-        }
-    }
-    recorded, more = _recorded(on_record)
-    return Page(
-        values | recorded,
-        {
-            "expected": tables.expected(scores),
-            "by_feedback": tables.by_feedback(scores, best),
-            "settings": tables.settings(scores),
-            "by_cell": tables.by_cell(scores, best),
-            "car": car.table(on_record, NAMES),
-        },
-        {
-            "answer": figures.answer(scores, best),
-            "triggers": figures.triggers(scores, best),
-            "car": car.figure(on_record, NAMES),
-        },
-        claims | more,
+    scores = Scores(source)
+    return Page.joined(
+        Page({"study": {"runs": f"{source.runs:,}", "draws": str(scores.grid.draws)}}),
+        _simulated(scores, counted(source)),
+        _recorded(sources["car_adaptive"]),
     )
 
 
-def _simulated(scores: Scores, best: Policy) -> tuple[dict[str, Any], dict[str, bool]]:
+def _cells(count: Estimate) -> str:
+    """A number of cells with its interval."""
+    return f"{format_estimate(count, digits=0)} of {count.n}"
+
+
+def _answer(scores: Scores, best: Policy, footer: str) -> Picture:
+    """No reset, the paper's three and the best trigger over all cells."""
+    axes = scores.grid.axes
+    shape = len(axes["q"]) * len(axes["feedback"]), len(scores.starts)
+    panels = []
+    for policy in (NONE, PAPER, best):
+        count, ratios = scores.within(policy), scores.ratios(policy)
+        title = f"{policy.words}: {count.value:.0f} of {count.n}"
+        panels.append((title, ratios.reshape(shape).T))
+    figure = ratio_maps(
+        panels,
+        _CLASSES,
+        "Settling time over that of the best single reset",
+        rows=[start.name for start in scores.starts],
+        columns=[f"{_Q_WORDS[q]}, {f:g} s" for q in axes["q"] for f in axes["feedback"]],
+        side="initial misalignment (deg)",
+        only="only it settles",
+    )
+    caption = (
+        f"Ratio of the median times, over {scores.grid.draws} draws, until the heading stays within"
+        " 10 arcmin of its limit. Columns: reading of Q and feedback interval. In"
+        f" the titles: cells with a ratio of at most {WITHIN:g}."
+    )
+    return Picture("answer", caption, figure, footer)
+
+
+def _expected(scores: Scores) -> Table:
+    """What each policy gives: cells, worst cell, false alarms."""
+    triggers = sorted(scores.by_trigger.values(), key=lambda one: -scores.within(one).value)
+    rows = []
+    for policy in (*triggers, NONE, PAPER):
+        worst = float(scores.ratios(policy).max())
+        rows.append(
+            [
+                policy.words,
+                f"{policy.threshold:g}" if policy.trigger != "none" else "-",
+                _cells(scores.within(policy)),
+                "never settles" if math.isinf(worst) else f"{worst:.2f}",
+                percent(shared(np.isfinite(scores.runs(policy)))),
+                percent(scores.alarms(policy)),
+            ]
+        )
+    header = ["resets by", "threshold", "cells as fast as the best single reset", "worst ratio"]
+    note = (
+        f"*As fast*: median settling time at most {WITHIN:g} times that of the best single reset."
+        " Each trigger with its best threshold. Number [95 % interval]; of a number of cells: how"
+        " many lie within with their whole interval, and with a part."
+    )
+    return Table("What to expect", [*header, "settled (%)", "false alarms (%)"], rows, note)
+
+
+def _simulated(scores: Scores, footer: str) -> Page:
+    best = scores.best(scores.triggered)
     halves = [scores.best(scores.triggered, slice(half, None, 2)) for half in range(2)]
     others = [one for one in scores.by_trigger.values() if one.trigger != best.trigger]
     rival = scores.best(others)
-    ratios, high = scores.ratios(best), scores.intervals(best)[1]
-    worst = scores.cells[int(np.argmax(ratios))]
-    tests = {name: scores.acts_in_need(_highest(scores, name)) for name in ("nis", "innovation")}
+    ratios, (low, high) = scores.ratios(best), scores.intervals(best)
+    worst = int(np.argmax(ratios))
+    _, worst_feedback, worst_start = scores.cells[worst]
+    worst_ratio = Estimate(float(ratios[worst]), low[worst], high[worst], scores.grid.draws)
+    strictest = {p.trigger: p for p in sorted(scores.triggered, key=lambda p: p.threshold)}
+    tests = {name: scores.acts_in_need(strictest[name]) for name in ("nis", "innovation")}
     short = [scores.within(best, feedback) for feedback in SHORT]
-    alarms = [scores.alarms(best, feedback).false for feedback in SHORT]
-    slow, slow_alarms = scores.within(best, 10.0), scores.alarms(best, 10.0).false
+    alarms = [scores.alarms(best, feedback) for feedback in SHORT]
+    slow, slow_alarms = scores.within(best, 10.0), scores.alarms(best, 10.0)
     values = {
         "best": {
             "name": best.words,
@@ -69,26 +118,21 @@ def _simulated(scores: Scores, best: Policy) -> tuple[dict[str, Any], dict[str, 
             "pause": f"{best.refractory_s:g}",
             "until": f"{best.until_s:g}",
             "most": str(best.most),
-            "within": tables.cells(scores.within(best)),
+            "within": _cells(scores.within(best)),
             "short": f"{sum(one.value for one in short):.0f} of {sum(one.n for one in short)}",
-            "slow": tables.cells(slow),
+            "slow": _cells(slow),
             "slow_alarms": share(slow_alarms),
-            "worst": format_estimate(_with_ends(scores, best, int(np.argmax(ratios))), digits=2),
-            "worst_at": f"{worst[2].name} deg, feedback every {worst[1]:g} s",
+            "worst": format_estimate(worst_ratio, digits=2),
+            "worst_at": f"{worst_start.name} deg, feedback every {worst_feedback:g} s",
             "sooner": str(int((high < 1).sum())),
             "only": str(int((ratios == 0).sum())),
         },
         "rival": {
             "name": rival.words,
-            "within": tables.cells(scores.within(rival)),
-            "alarms": share(scores.alarms(rival).false),
-        },
-        "fixed": {
-            "without": tables.cells(scores.within(NONE)),
-            "paper": tables.cells(scores.within(PAPER)),
+            "within": _cells(scores.within(rival)),
+            "alarms": share(scores.alarms(rival)),
         },
         "tests": {name: share(one) for name, one in tests.items()},
-        "healthy": f"{HEALTHY_LEVEL_DEG:g} deg of level and {HEALTHY_YAW_DEG:g} deg of heading",
     }
     claims = {
         "the linearisation trigger is the best, on either half of the draws": (
@@ -102,47 +146,35 @@ def _simulated(scores: Scores, best: Policy) -> tuple[dict[str, Any], dict[str, 
         ),
         "it is often sooner than any single reset": int((high < 1).sum()) > len(ratios) / 4,
         "the next best raises far more false alarms": (
-            scores.alarms(rival).false.value > 3 * scores.alarms(best).false.value
+            scores.alarms(rival).value > 3 * scores.alarms(best).value
         ),
         "tests of innovations miss most runs in need": all(
             one.high < 0.5 for one in tests.values()
         ),
-        "fixed schedules reach a third of the cells": all(
-            scores.within(one).value < scores.within(best).value / 2 for one in (NONE, PAPER)
-        ),
     }
-    return values, claims
+    tables, figures = {"expected": _expected(scores)}, {"answer": _answer(scores, best, footer)}
+    return Page(values, tables, figures, claims)
 
 
-def _with_ends(scores: Scores, policy: Policy, cell: int) -> Any:
-    low, high = scores.intervals(policy)[:, cell]
-    count = scores.within(policy)
-    return count._replace(value=float(scores.ratios(policy)[cell]), low=low, high=high)
-
-
-def _highest(scores: Scores, trigger: str) -> Policy:
-    """The policy of a trigger with the highest threshold: the chi-square test."""
-    own = [policy for policy in scores.triggered if policy.trigger == trigger]
-    return max(own, key=lambda policy: policy.threshold)
-
-
-def _recorded(on_record: car.OnRecord) -> tuple[dict[str, Any], dict[str, bool]]:
-    large = on_record.yaws[-1]
-    times = {case: on_record.time_s(case, large) for case in on_record.cases}
-    own = times["linearisation"]
-    values = {
-        "car": {
-            "starts": str(on_record.grid.draws),
-            "time": f"{own:.0f} s",
-            "fixed": f"{times[FIXED]:.0f} s",
-            "settled": f"{100 * on_record.settled('linearisation', large):.0f} %",
-            "without": f"{100 * on_record.settled('no reset', large):.0f} %",
-        }
-    }
+def _recorded(source: Source) -> Page:
+    """The winning trigger on the recorded car, beside fixed resets."""
+    study = source.study
+    grid = Grid.of(source, (TRUTH,), case=study.values("case"), yaw=study.values("phi_u0_deg"))
+    settle_s = dict(zip(grid.axes["case"], grid.columns[TRUTH], strict=True))
+    settled = {case: np.isfinite(runs).mean(axis=-1) for case, runs in settle_s.items()}
+    times = {case: median(runs) for case, runs in settle_s.items()}
+    rows = []
+    for case in grid.axes["case"]:
+        words = (f"{time:.0f} s" if np.isfinite(time) else "never" for time in times[case])
+        shares = (f"{100 * part:.0f} %" for part in settled[case])
+        rows.append([case, *map(", ".join, zip(shares, words, strict=True))])
+    header = ["resets", *(f"from {NAMES[yaw]} deg" for yaw in grid.axes["yaw"])]
+    note = f"Start times of {grid.draws} that settle, and median settling time."
+    own, fixed = times["linearisation"][-1], times[FIXED][-1]
+    values = {"car": {"time": f"{own:.0f} s", "fixed": f"{fixed:.0f} s"}}
     claims = {
-        "on the record the trigger settles every start, sooner than the paper's four": (
-            all(on_record.settled("linearisation", yaw) == 1.0 for yaw in on_record.yaws)
-            and own < times[FIXED]
+        "on the record the trigger settles every start, sooner than the paper's four": bool(
+            (settled["linearisation"] == 1).all() and own < fixed and settled["no reset"][-1] == 0
         ),
     }
-    return values, claims
+    return Page(values, {"car": Table("On the record", header, rows, note)}, claims=claims)

@@ -1,7 +1,7 @@
 """Reset policies against the best single reset of each cell: ratios, the best trigger, alarms."""
 
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from sinsjax.analysis import UNKNOWN, Estimate
 from sinsjax.analysis.estimates import RESAMPLES, SEED, TAIL, place
 from sinsjax.report.base import Source
-from sinsjax.report.grids import Choice, Grid, held_out, median, shared, soonest
-from sinsjax.report.output import counted
+from sinsjax.report.grids import Grid, held_out, median, shared, soonest
 
 WITHIN = 1.1
 """A policy does what the best single reset does up to this ratio of median settling times."""
@@ -18,14 +17,10 @@ WITHIN = 1.1
 LATER_SHARE, LATER_S = 0.1, 5.0
 """A reset in a healthy run is a false alarm if it delays settling by more than either."""
 
-HEALTHY_LEVEL_DEG, HEALTHY_YAW_DEG = 0.1, 1.0
-"""Up to here a start is healthy: the linear model holds, so that a reset is of no use."""
-
 FADING = ("strong_tracking", "fading")
 """Rivals that multiply P all the time instead of resetting it."""
 
 SETTLE, COUNT = "settle_10_s", "triggered_count"
-Q_WORDS = {"per_step": "printed", "psd": "density", "per_sample": "sample"}
 
 
 class Start(NamedTuple):
@@ -42,8 +37,8 @@ class Start(NamedTuple):
 
     @property
     def is_healthy(self) -> bool:
-        """Whether no reset is needed."""
-        return self.level <= HEALTHY_LEVEL_DEG and self.yaw <= HEALTHY_YAW_DEG
+        """Whether the linear model holds, so that a reset is of no use."""
+        return self.level <= 0.1 and self.yaw <= 1.0
 
 
 class Policy(NamedTuple):
@@ -59,34 +54,20 @@ class Policy(NamedTuple):
 
     @property
     def words(self) -> str:
-        """The trigger with blanks, or how many resets there are."""
-        if self.trigger != "none":
-            return "NIS" if self.trigger == "nis" else self.trigger.replace("_", " ")
-        return {0: "no reset", 1: f"one at {sum(self.times):g} s"}.get(
-            len(self.times), f"{len(self.times)} fixed"
-        )
-
-    @property
-    def name(self) -> str:
-        """The same with the threshold."""
-        return self.words if self.trigger == "none" else f"{self.words} {self.threshold:g}"
+        """The trigger with blanks, or which resets there are."""
+        if self.trigger == "none":
+            return "three fixed" if self == PAPER else "no reset"
+        return "NIS" if self.trigger == "nis" else self.trigger.replace("_", " ")
 
 
 NONE, PAPER = Policy(()), Policy((50.0, 100.0, 150.0))
-
-
-class Alarms(NamedTuple):
-    """Shares of healthy runs that were delayed by a reset, and that were reset at all."""
-
-    false: Estimate
-    acts: Estimate
 
 
 class Scores:
     """How the policies of the study compare, over cells of tuning and start."""
 
     def __init__(self, source: Source) -> None:
-        self.footer, study = counted(source), source.study
+        study = source.study
         bias, east, yaw = (
             study.values(key) for key in ("gyro_bias_deg_per_h", "phi_e0_deg", "phi_u0_deg")
         )
@@ -105,9 +86,10 @@ class Scores:
             ],
         )
         self.starts: list[Start] = [s for s in self.grid.axes["start"] if s.bias]
-        self.policies: tuple[Policy, ...] = self.grid.axes["policy"]
-        self.singles = [p for p in self.policies if p.trigger == "none" and len(p.times) == 1]
-        self.triggered = [p for p in self.policies if p.trigger != "none"]
+        self.healthy: list[Start] = [s for s in self.grid.axes["start"] if s.is_healthy]
+        policies: tuple[Policy, ...] = self.grid.axes["policy"]
+        self.singles = [p for p in policies if p.trigger == "none" and len(p.times) == 1]
+        self.triggered = [p for p in policies if p.trigger != "none"]
 
     @cached_property
     def cells(self) -> list[tuple[str, float, Start]]:
@@ -121,15 +103,10 @@ class Scores:
         return runs.reshape(len(self.cells), -1)
 
     @cached_property
-    def best_single(self) -> list[Choice]:
-        """The best single reset of each cell, on unused draws."""
-        runs = np.stack([self.runs(policy) for policy in self.singles], axis=1)
-        return [held_out(cell, soonest) for cell in runs]
-
-    @cached_property
     def best_runs(self) -> NDArray:
-        """(cells, draws) settling times with it, s."""
-        return np.stack([choice.values for choice in self.best_single])
+        """(cells, draws) settling times with the best single reset, chosen on other draws, s."""
+        runs = np.stack([self.runs(policy) for policy in self.singles], axis=1)
+        return held_out(runs, soonest).values
 
     def ratios(self, policy: Policy, draws: slice = slice(None)) -> NDArray:
         """(cells,) median settling time over that of the best single reset."""
@@ -169,29 +146,26 @@ class Scores:
             for name in names
         }
 
-    def acts(self, policy: Policy) -> NDArray:
+    def acts(self, policy: Policy, **points: Any) -> NDArray:
         """(q, feedback, starts, draws) whether it resets; what fades acts all the time."""
-        count = np.nan_to_num(self.grid.at(COUNT, policy=policy))
-        always = policy.trigger in FADING or bool(policy.times)
-        return np.full(count.shape, always) | (count > 0)
+        count = np.nan_to_num(self.grid.at(COUNT, policy=policy, **points))
+        return (count > 0) | (policy.trigger in FADING or bool(policy.times))
 
-    def alarms(self, policy: Policy, feedback: float | None = None) -> Alarms:
-        """What a policy does in healthy runs, against no reset on the same noise."""
-        healthy = np.array([start.is_healthy for start in self.grid.axes["start"]])
-        here = np.array([feedback in (None, one) for one in self.grid.axes["feedback"]])
-        pick = np.ix_(np.arange(len(self.grid.axes["q"])), np.where(here)[0], np.where(healthy)[0])
-        acts = self.acts(policy)[pick]
-        runs, without = (self.grid.at(SETTLE, policy=one)[pick] for one in (policy, NONE))
+    def alarms(self, policy: Policy, feedback: float | None = None) -> Estimate:
+        """Share of healthy runs that a policy resets and delays, on the same noise."""
+        at: dict[str, Any] = {"start": self.healthy}
+        if feedback is not None:
+            at["feedback"] = [feedback]
+        runs, without = (self.grid.at(SETTLE, policy=one, **at) for one in (policy, NONE))
         same = runs == without  # also where neither settles
         later = np.where(same, 0.0, runs - np.where(same, 0.0, without))
         share = LATER_SHARE * np.where(np.isfinite(without), without, 0.0)
-        return Alarms(shared(acts & ((later > share) | (later > LATER_S))), shared(acts))
+        return shared(self.acts(policy, **at) & ((later > share) | (later > LATER_S)))
 
     def acts_in_need(self, policy: Policy) -> Estimate:
         """Share of the runs that it resets, of cells that are too slow without reset."""
         in_need = self.ratios(NONE) > WITHIN
-        places = [self.grid.axes["start"].index(start) for start in self.starts]
-        acts = self.acts(policy)[:, :, places].reshape(len(self.cells), -1)
+        acts = self.acts(policy, start=self.starts).reshape(len(self.cells), -1)
         return shared(acts[in_need]) if in_need.any() else UNKNOWN
 
 
