@@ -27,9 +27,10 @@ from sinsjax.platform import runtime
 from sinsjax.records import Record
 from sinsjax.records.reference import StoredRecord
 from sinsjax.strapdown import base_motion
+from sinsjax.study.keys import PASS_KEYS
 from sinsjax.study.resolved import Coded
 from sinsjax.study.schema import EarthSection, MotionSection, SensorsSection
-from sinsjax.study.study import PASS_KEYS, Span, Study
+from sinsjax.study.study import Span, Study
 from sinsjax.study.success import bands
 from sinsjax.study.variants import Variants
 from sinsjax.types import Array, Increments, Quat, Vec3

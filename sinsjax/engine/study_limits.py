@@ -13,8 +13,9 @@ from sinsjax.engine.truth import errors_of, motion_of
 from sinsjax.errors import InputError
 from sinsjax.strapdown import earth
 from sinsjax.study import sampling
+from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.schema import MotionSection
-from sinsjax.study.study import SECTION_OF, Study
+from sinsjax.study.study import Study
 from sinsjax.study.success import success_of
 from sinsjax.study.times import spans_s
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H

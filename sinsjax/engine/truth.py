@@ -22,8 +22,9 @@ from sinsjax.records import require_span
 from sinsjax.records.reference import StoredRecord
 from sinsjax.strapdown import base_motion, earth, sensors
 from sinsjax.study import sampling
+from sinsjax.study.keys import EARTH_CONSTANTS
 from sinsjax.study.schema import EarthSection, MotionSection, SensorsSection
-from sinsjax.study.study import EARTH_CONSTANTS, Span, Study
+from sinsjax.study.study import Span, Study
 from sinsjax.study.times import stored_times
 from sinsjax.study.variants import Lookup, Variants
 from sinsjax.types import Array, Scalar

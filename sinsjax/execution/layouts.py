@@ -5,7 +5,8 @@ from sinsjax.alignment.description import OwnColumn
 from sinsjax.alignment.methods import METHODS
 from sinsjax.columns import Column
 from sinsjax.study.distributions import NUMBERS_DRAWN
-from sinsjax.study.study import Study, meaning
+from sinsjax.study.keys import meaning
+from sinsjax.study.study import Study
 from sinsjax.study.success import bands
 
 

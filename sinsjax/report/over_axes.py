@@ -22,7 +22,7 @@ from sinsjax.report.base import (
     value_text,
 )
 from sinsjax.study.acting import first_alike
-from sinsjax.study.study import SECTION_OF
+from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.success import Yardstick
 
 _MOST_PANELS = 12

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from sinsjax.alignment.methods import METHODS
+from sinsjax.study.keys import SECTION_OF, SECTIONS
 from sinsjax.study.resolved import Coded, distinct
-from sinsjax.study.study import SECTION_OF, SECTIONS, Study
+from sinsjax.study.study import Study
 from sinsjax.value_types import ActsWhere
 
 

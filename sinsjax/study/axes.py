@@ -18,16 +18,9 @@ from sinsjax.messages import explained, index, near, rule
 from sinsjax.study import sampling as draw_sampling
 from sinsjax.study import usual
 from sinsjax.study.distributions import INITIAL_KEYS, NUMBERS_DRAWN, Distribution, DrawnSection
+from sinsjax.study.keys import SECTION_OF, SECTIONS, SIMULATED_ONLY, SWEEPABLE, TomlTable
 from sinsjax.study.resolved import Dimension
-from sinsjax.study.study import (
-    SECTION_OF,
-    SECTIONS,
-    SIMULATED_ONLY,
-    SWEEPABLE,
-    Study,
-    TomlTable,
-    dimensions_of,
-)
+from sinsjax.study.study import Study, dimensions_of
 from sinsjax.value_types import Name
 
 _LAWS = tuple(Distribution.model_fields)

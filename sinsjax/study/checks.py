@@ -11,12 +11,8 @@ from sinsjax import columns
 from sinsjax.alignment.methods import METHODS, keys_unread
 from sinsjax.errors import InputError
 from sinsjax.study import ignored, success
-from sinsjax.study.study import (
-    EARTH_CONSTANTS,
-    SECTION_OF,
-    SECTIONS,
-    Study,
-)
+from sinsjax.study.keys import EARTH_CONSTANTS, SECTION_OF, SECTIONS
+from sinsjax.study.study import Study
 from sinsjax.value_types import ROUNDING
 
 Where = dict[str, str]

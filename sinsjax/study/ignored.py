@@ -6,7 +6,8 @@ from typing import Any
 
 from sinsjax.errors import InputError
 from sinsjax.study import acting
-from sinsjax.study.study import PASS_KEYS, SECTIONS, Study
+from sinsjax.study.keys import PASS_KEYS, SECTIONS
+from sinsjax.study.study import Study
 from sinsjax.value_types import ROUNDING, ActsWhere, Default, RunTime, mark
 
 

@@ -20,16 +20,16 @@ from sinsjax.errors import InputError
 from sinsjax.messages import explained, index, near, one_line
 from sinsjax.study import axes, search_space, tuned_keys, usual
 from sinsjax.study.checks import Where, check_study
-from sinsjax.study.study import (
+from sinsjax.study.keys import (
     EARTH_CONSTANTS,
     SECTION_OF,
     SECTIONS,
     SIMULATED_ONLY,
-    Study,
     TomlTable,
     marked,
     rivals,
 )
+from sinsjax.study.study import Study
 from sinsjax.value_types import Default
 
 __all__ = [

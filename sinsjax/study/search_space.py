@@ -13,16 +13,9 @@ from typing import Any, NamedTuple, NoReturn
 
 from sinsjax.errors import InputError
 from sinsjax.study import success
+from sinsjax.study.keys import SECTION_OF, SECTIONS, TUNABLE, TomlTable, marked, rivals
 from sinsjax.study.ranges import Range
-from sinsjax.study.study import (
-    SECTION_OF,
-    SECTIONS,
-    TUNABLE,
-    Study,
-    TomlTable,
-    marked,
-    rivals,
-)
+from sinsjax.study.study import Study
 from sinsjax.study.tuned_keys import COUNT, TIMES, Ranges
 from sinsjax.value_types import SameAs, Whole
 

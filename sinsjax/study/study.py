@@ -6,7 +6,7 @@ The rules between its keys stand in `checks`.
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import lru_cache
 from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -16,6 +16,7 @@ from sinsjax.alignment.filters.section import OF_SCHEDULES, reset_times
 from sinsjax.alignment.methods import SECTIONS_OF_METHODS
 from sinsjax.alignment.sections import AlignmentSection, CoarseSection, PassesSection
 from sinsjax.study.distributions import DrawnSection, StopWhenSection
+from sinsjax.study.keys import PASS_KEYS, SECTION_OF, SWEEPABLE, TomlTable
 from sinsjax.study.ranges import TuneSection
 from sinsjax.study.resolved import Coded, Dimension, Resolved, same
 from sinsjax.study.schema import (
@@ -25,67 +26,7 @@ from sinsjax.study.schema import (
     SensorsSection,
     StudySection,
 )
-from sinsjax.value_types import ROUNDING, Marks, Section, mark
-
-SECTIONS: dict[str, type[Section]] = {
-    "study": StudySection,
-    "earth": EarthSection,
-    "motion": MotionSection,
-    "sensors": SensorsSection,
-    "alignment": AlignmentSection,
-    **SECTIONS_OF_METHODS,
-    "passes": PassesSection,
-    "record": RecordSection,
-    "coarse": CoarseSection,
-    "stop_when": StopWhenSection,
-    "tune": TuneSection,
-}
-"""Every section of leaf keys by its name in the file."""
-
-TUNABLE = ("alignment", *SECTIONS_OF_METHODS, "passes")
-"""The sections whose keys may be tuned."""
-
-SWEEPABLE = ("earth", "motion", "sensors", *TUNABLE)
-"""The sections whose keys may be axes."""
-
-SIMULATED_ONLY = ("motion", "sensors", "stop_when")
-"""The sections that have no place in a recorded study."""
-
-SECTION_OF = {key: name for name, model in SECTIONS.items() for key in model.model_fields} | {
-    key: "sensors" for key in SensorsSection.model_fields
-}
-"""The section of every leaf key; two of [record]'s, on what sensors may do, are [sensors]'s too."""
-
-EARTH_CONSTANTS = {
-    "gravity_m_per_s2": 9.8,
-    "radius_m": 6378137.0,
-    "earth_rate_deg_per_h": 15.041067,
-}
-"""The keys of [earth] that only ``earth = "constants"`` has, with their defaults."""
-
-PASS_KEYS = ("tape_s", "passes", "ending")
-"""The keys that decide which sample of the stored record an update reads, and how many."""
-
-TomlTable = dict[str, Any]
-
-
-def meaning(key: str) -> str:
-    """What a key says, in the words of its section; ``case`` is the label of a case."""
-    if key not in SECTION_OF:
-        return "label of the case"
-    return SECTIONS[SECTION_OF[key]].model_fields[key].description or ""
-
-
-@cache
-def marked(key: str, kind: type[Marks]) -> Marks | None:
-    """The mark of some kind beside a leaf key's type, see `value_types`; None without one."""
-    return mark(SECTIONS[SECTION_OF[key]].model_fields[key], kind)
-
-
-def rivals(key: str) -> set[str]:
-    """The keys that say in another way what a key says."""
-    pairs = SECTIONS[SECTION_OF[key]].exclusive if key in SECTION_OF else ()
-    return {other for pair in pairs if key in pair for other in pair} - {key}
+from sinsjax.value_types import ROUNDING
 
 
 def dimensions_of(

@@ -13,8 +13,8 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from sinsjax.errors import InputError
 from sinsjax.messages import explained, index, near
 from sinsjax.study.axes import checked
+from sinsjax.study.keys import SECTION_OF, SECTIONS, TUNABLE, TomlTable, rivals
 from sinsjax.study.ranges import Range
-from sinsjax.study.study import SECTION_OF, SECTIONS, TUNABLE, TomlTable, rivals
 
 TIMES, COUNT = "reset_times_s", "reset_count"
 """Of the ranges of the one, as many are used as the other says, where both are variables."""

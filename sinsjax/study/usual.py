@@ -9,7 +9,8 @@ from functools import cache
 from typing import Any
 
 from sinsjax.errors import InputError
-from sinsjax.study.study import EARTH_CONSTANTS, SECTION_OF, SECTIONS, Study
+from sinsjax.study.keys import EARTH_CONSTANTS, SECTION_OF, SECTIONS
+from sinsjax.study.study import Study
 from sinsjax.value_types import ROUNDING, Usual, mark
 
 INSIST = "[study] unchecked = true insists on it"

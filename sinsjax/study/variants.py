@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from sinsjax.errors import InputError
+from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.resolved import Coded
-from sinsjax.study.study import SECTION_OF, Study
+from sinsjax.study.study import Study
 
 Lookup = Callable[[str], Any]
 """The one value of a key for all variants of a part, or its draws'."""

@@ -18,10 +18,11 @@ from sinsjax.execution.run import RunProgress, Tell
 from sinsjax.platform.files import replacing, unwritable
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import load_study, study_to_toml, with_point, with_rate
 from sinsjax.study.ranges import TuneSection
 from sinsjax.study.search_space import SearchSpace, comparable
-from sinsjax.study.study import Study, TomlTable
+from sinsjax.study.study import Study
 from sinsjax.tuning import history, search
 from sinsjax.tuning.history import Found
 from sinsjax.tuning.relaxation import Relaxation

@@ -12,8 +12,8 @@ from sinsjax.columns import Column, schema
 from sinsjax.errors import InputError
 from sinsjax.messages import first_line
 from sinsjax.platform.files import replacing
+from sinsjax.study.keys import TomlTable, meaning
 from sinsjax.study.search_space import SearchSpace
-from sinsjax.study.study import TomlTable, meaning
 from sinsjax.units import split_unit
 
 FILE = "history.parquet"

@@ -11,9 +11,10 @@ import jax.numpy as jnp
 from sinsjax.alignment.base import Relaxed
 from sinsjax.alignment.methods import METHODS
 from sinsjax.errors import InputError
+from sinsjax.study.keys import SECTION_OF, TomlTable
 from sinsjax.study.load import with_point
 from sinsjax.study.search_space import SearchSpace
-from sinsjax.study.study import SECTION_OF, Study, TomlTable
+from sinsjax.study.study import Study
 from sinsjax.study.tuned_keys import COUNT, TIMES
 from sinsjax.types import Array, Scalar
 

@@ -20,10 +20,11 @@ from sinsjax.execution import tables as result_tables
 from sinsjax.execution.run import Tell
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling, search_space
+from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import study_from_dict, tables_of
 from sinsjax.study.resolved import Dimension
 from sinsjax.study.search_space import SearchSpace
-from sinsjax.study.study import Study, TomlTable, dimensions_of
+from sinsjax.study.study import Study, dimensions_of
 from sinsjax.tuning import objective
 from sinsjax.tuning.history import Evaluation, Found
 

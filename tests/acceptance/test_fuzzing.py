@@ -19,7 +19,7 @@ from sinsjax.execution.tasks import Job
 from sinsjax.messages import first_line
 from sinsjax.records import read_reference
 from sinsjax.report.base import Source
-from sinsjax.study.study import SECTIONS
+from sinsjax.study.keys import SECTIONS
 
 EXAMPLES = {"studies": 1000, "manifests": 500, "records": 500}
 LATE_S = 60

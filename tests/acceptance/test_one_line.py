@@ -19,8 +19,8 @@ from sinsjax.errors import InputError
 from sinsjax.execution import resume, run
 from sinsjax.messages import one_line
 from sinsjax.platform import runtime
+from sinsjax.study.keys import SECTIONS
 from sinsjax.study.load import load_study, study_from_dict
-from sinsjax.study.study import SECTIONS
 
 Command = Callable[..., tuple[int, str]]
 

@@ -13,7 +13,7 @@ from sinsjax.alignment.methods import METHODS
 from sinsjax.alignment.page import page
 from sinsjax.engine.build import Scenario
 from sinsjax.execution import layouts
-from sinsjax.study.study import SECTIONS, TUNABLE
+from sinsjax.study.keys import SECTIONS, TUNABLE
 
 methods = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
 

@@ -14,9 +14,9 @@ from sinsjax.engine.simulate import simulate
 from sinsjax.engine.tile import run_tile
 from sinsjax.execution import run
 from sinsjax.study import sampling as draw_sampling
+from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.schema import SensorsSection
-from sinsjax.study.study import SECTION_OF
 
 pytestmark = pytest.mark.optimised(False)
 

@@ -20,8 +20,8 @@ from sinsjax.engine import build
 from sinsjax.errors import InputError
 from sinsjax.execution import run, tables
 from sinsjax.study import sampling
+from sinsjax.study.keys import SECTIONS, SWEEPABLE, meaning
 from sinsjax.study.load import study_from_dict
-from sinsjax.study.study import SECTIONS, SWEEPABLE, meaning
 from sinsjax.units import ARCMIN, DEG, split_unit
 
 CONTRACT = """

@@ -14,7 +14,7 @@ from fuzzing.edits import Quiet, edited, mangled
 from fuzzing.values import TEXTS, misfits, of_field, table
 from sinsjax.alignment.methods import METHODS
 from sinsjax.study.distributions import NUMBERS_DRAWN
-from sinsjax.study.study import SECTIONS, SWEEPABLE, TUNABLE, rivals
+from sinsjax.study.keys import SECTIONS, SWEEPABLE, TUNABLE, rivals
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 

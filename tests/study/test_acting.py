@@ -11,7 +11,7 @@ from sinsjax.alignment.methods import METHODS
 from sinsjax.engine.batch import chunks
 from sinsjax.engine.build import Scenario
 from sinsjax.study.acting import acts, conditions, deciding, first_alike
-from sinsjax.study.study import SECTIONS
+from sinsjax.study.keys import SECTIONS
 
 COMPASS = {"alignment": {"method": "compass"}}
 PASSES = {"passes": {"tape_s": 3.0}}

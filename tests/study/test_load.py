@@ -16,6 +16,7 @@ from sinsjax.alignment.methods import METHODS
 from sinsjax.errors import InputError
 from sinsjax.messages import is_control
 from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.keys import SECTION_OF, SECTIONS, SWEEPABLE
 from sinsjax.study.load import (
     Study,
     load_study,
@@ -24,7 +25,6 @@ from sinsjax.study.load import (
     unread_sections,
     with_rate,
 )
-from sinsjax.study.study import SECTION_OF, SECTIONS, SWEEPABLE
 from sinsjax.value_types import Section
 
 *FIRST, LAST = (f"'{name}'" for name in METHODS)

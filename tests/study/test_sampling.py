@@ -14,9 +14,9 @@ from support.studies import BASE
 from sinsjax.errors import InputError
 from sinsjax.study import sampling
 from sinsjax.study.distributions import INITIAL_KEYS, NUMBERS_DRAWN
+from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.load import Study, study_from_dict
 from sinsjax.study.schema import MotionSection, SensorsSection
-from sinsjax.study.study import SECTION_OF
 
 MANY = 1 << 14
 LAWS: dict[str, Any] = {

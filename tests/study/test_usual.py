@@ -12,8 +12,9 @@ from sinsjax import columns
 from sinsjax.errors import InputError
 from sinsjax.study import usual
 from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.keys import SECTIONS
 from sinsjax.study.load import study_from_dict, study_to_toml
-from sinsjax.study.study import SECTIONS, Study
+from sinsjax.study.study import Study
 
 BOUNDED = {
     f"{angle}_{what}_deg" for angle in ("pitch", "roll", "yaw") for what in ("center", "phase")
