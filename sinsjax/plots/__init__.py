@@ -17,7 +17,7 @@ from sinsjax.plots.curves import (
 )
 from sinsjax.plots.errors import Mark, attitude_errors, over_time
 from sinsjax.plots.grids import Contours, Scale, Shown, Verdicts, heat_maps, spread, verdict_matrix
-from sinsjax.plots.spreads import DistributionPanel, Expected, along_axis, distributions
+from sinsjax.plots.spreads import Expected, along_axis
 from sinsjax.plots.stored_records import by_record_length, survival
 from sinsjax.plots.style import COLOURS, colour, png
 from sinsjax.plots.words import label, setting
@@ -32,7 +32,6 @@ __all__ = [
     "Mark",
     "Scale",
     "Shown",
-    "DistributionPanel",
     "Verdicts",
     "along_axis",
     "attitude",
@@ -40,7 +39,6 @@ __all__ = [
     "beliefs",
     "by_record_length",
     "colour",
-    "distributions",
     "draw",
     "ensembles",
     "heat_maps",

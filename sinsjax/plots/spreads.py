@@ -1,17 +1,15 @@
 """Figures of statistics over the draws: along one swept key, and whole distributions."""
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
 from sinsjax.analysis import Estimate
-from sinsjax.plots.style import GREY, both_sides, colour, legend_outside, styled
+from sinsjax.plots.style import GREY, colour, legend_outside, styled
 from sinsjax.plots.words import label
 
 _MARKS = "os^Dv*P"
@@ -94,52 +92,6 @@ def along_axis(
     return figure
 
 
-class DistributionPanel(NamedTuple):
-    """A panel of distributions.
-
-    Attributes:
-        quantity: axis label, with its unit.
-        lines: line label to (runs,) values.
-        missing: meaning of a non-finite value.
-        far: magnitude beyond which the axis is logarithmic on both sides of 0.
-    """
-
-    quantity: str
-    lines: Mapping[str, NDArray]
-    missing: str
-    far: float = math.inf
-
-
-@styled
-def distributions(panels: Sequence[DistributionPanel], title: str) -> Figure:
-    """Cumulative distributions over the runs: the share of runs at or below a value.
-
-    A line with non-finite values ends below 1 and continues dotted, labelled with the missing
-    share.
-
-    Args:
-        panels: panels side by side, with the same lines.
-        title: title of the figure.
-    """
-    figure = Figure(figsize=(max(9.2, 4.2 * len(panels)), 4.8))
-    figure.suptitle(title)
-    grid = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
-    for axes, panel in zip(grid, panels, strict=True):
-        drawn = [steps(values) for values in panel.lines.values()]
-        for i, (line, (x, share)) in enumerate(zip(panel.lines, drawn, strict=True)):
-            axes.plot(x, share, drawstyle="steps-post", color=colour(i), label=line)
-        ends = [end for x, _ in drawn for end in (x[:1], x[-1:])]
-        wide = np.abs(np.concatenate(ends)).max(initial=0.0) > panel.far
-        axes.set_xlabel(panel.quantity + (both_sides(axes.xaxis, panel.far / 6) if wide else ""))
-        axes.set_ylim(0, 1.02)
-        # Without runs nothing is missing.
-        known = [values.size > 0 for values in panel.lines.values()]
-        _mark_missing(axes, drawn, known, panel.missing)
-    grid[0].set_ylabel("share of runs")
-    legend_outside(figure, grid[0])
-    return figure
-
-
 def steps(values: NDArray) -> tuple[NDArray, NDArray]:
     """The cumulative distribution of some values as points of a step function.
 
@@ -157,24 +109,3 @@ def steps(values: NDArray) -> tuple[NDArray, NDArray]:
     if known.size > _MOST_STEPS:
         ranks = np.unique(np.linspace(0, known.size, _MOST_STEPS).round().astype(int))
     return known[np.maximum(ranks - 1, 0)], ranks / values.size
-
-
-def _mark_missing(
-    axes: Axes, drawn: Sequence[tuple[NDArray, NDArray]], known: Sequence[bool], word: str
-) -> None:
-    """Continue lines that end below 1, and label them with the missing share."""
-    left, right = axes.get_xlim()
-    axes.set_xlim(left, right)
-    ends = [
-        (share[-1], x[-1], i) if x.size else (0.0, left, i)
-        for i, (x, share) in enumerate(drawn)
-        if known[i]
-    ]
-    beside = axes.get_yaxis_transform()
-    height = -math.inf
-    for share, x, i in sorted(end for end in ends if end[0] < 1):
-        axes.plot([x, right], [share, share], ":", color=colour(i))
-        height = max(share, height + _LINE)  # so that the labels do not overlap
-        percent = 100 * (1 - share)
-        text = f"{percent:.{0 if percent >= 1 else 1}f} % {word}"
-        axes.text(1.02, height, text, color=colour(i), va="center", size=10, transform=beside)

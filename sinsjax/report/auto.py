@@ -1,9 +1,8 @@
 """The report of any study: statistics of its variants, curves, and figures over its axes."""
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from sinsjax.analysis import Estimate, format_difference, format_estimate
 from sinsjax.execution import stopping
 from sinsjax.report.attitudes import MOST_ROWS, attitudes
 from sinsjax.report.base import (
+    NEEDED,
     Block,
     Picture,
     Report,
@@ -19,6 +19,7 @@ from sinsjax.report.base import (
     Source,
     Table,
     Text,
+    estimate_of,
     intervals,
     name_of,
     percent,
@@ -34,16 +35,6 @@ from sinsjax.study.success import yardsticks
 _MOST_LINES = 6
 _MOST_DRAWS = 256  # in a line's band
 _MOST_MOMENTS = 8
-
-_NEEDED = (
-    "draw_id",
-    "start_s",
-    "status",
-    "phi_u_arcmin",
-    "has_limit",
-    "phi_u_mean_arcmin",
-    "floor_arcmin",
-)
 
 
 def report(source: Source) -> Report:
@@ -75,13 +66,13 @@ def statistics(source: Source, keys: Sequence[str], title: str, *, note: str = "
         note: said below it.
     """
     shown = _shown(source)
-    columns = [*keys, *_NEEDED, *_judged(source)]
+    columns = [*keys, *NEEDED, *_judged(source)]
     found = analysis.summarise(source.distinct(columns), keys, [s.name for s in shown]).to_pylist()
     rows = []
     for row in found[:MOST_ROWS]:
         none = row["no_limit"] == row["n"]
         numbers = [
-            "no limit" if none and s.of_limit else s.text(_estimate(row, s.name)) for s in shown
+            "no limit" if none and s.of_limit else s.text(estimate_of(row, s.name)) for s in shown
         ]
         rows.append([*(value_text(row[key]) for key in keys), str(row["n"]), *numbers])
     if left := len(found) - len(rows):
@@ -130,17 +121,17 @@ def _judged(source: Source) -> list[str]:
 def against_first(source: Source) -> Table:
     """How each variant differs from the first one, draw by draw."""
     keys = shown_keys(source.study)
-    table = source.distinct([*keys, *_NEEDED, *_judged(source)])
+    table = source.distinct([*keys, *NEEDED, *_judged(source)])
     first = {key: table[key][0].as_py() for key in keys}
     yards = source.yardsticks
     rows = []
     for row in analysis.compare(table, keys, first).to_pylist():
-        shares = (percent(_estimate(row, f"{yard.rate}_difference")) for yard in yards)
-        times = (_estimate(row, f"{yard.settle}_median_difference") for yard in yards)
+        shares = (percent(estimate_of(row, f"{yard.rate}_difference")) for yard in yards)
+        times = (estimate_of(row, f"{yard.settle}_median_difference") for yard in yards)
         cells = (
             *shares,
             *(format_difference(t, digits=0, sides=("it", "the first")) for t in times),
-            format_estimate(_estimate(row, "phi_u_error_arcmin_difference"), digits=1),
+            format_estimate(estimate_of(row, "phi_u_error_arcmin_difference"), digits=1),
         )
         rows.append([*(value_text(row[key]) for key in keys), *cells])
     shared = "from the same start times" if source.study.is_recorded else "on the same noise"
@@ -156,12 +147,6 @@ def against_first(source: Source) -> Table:
         f"{intervals(source, 'pairs of runs of a draw', 'Difference')} phi_u error: how far its"
         " window mean lies from its limit.",
     )
-
-
-def _estimate(row: dict[str, Any], name: str) -> Estimate:
-    ends = (row[f"{name}{end}"] for end in ("", "_low", "_high"))
-    value, low, high = (math.nan if end is None else end for end in ends)
-    return Estimate(value, low, high, row["n"])
 
 
 def _headline(source: Source, has_truth: bool) -> str:

@@ -1,5 +1,6 @@
 """What a report is made of: where it reads from, and the blocks that a report has."""
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -285,6 +286,25 @@ def value_text(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:g}"
     return "-" if value is None else str(value)
+
+
+NEEDED = (
+    "draw_id",
+    "start_s",
+    "status",
+    "phi_u_arcmin",
+    "has_limit",
+    "phi_u_mean_arcmin",
+    "floor_arcmin",
+)
+"""Columns that `analysis.summarise` needs besides keys and yardsticks."""
+
+
+def estimate_of(row: Mapping[str, Any], name: str) -> Estimate:
+    """A statistic in a row of `analysis.summarise`; NaN where it is unknown."""
+    ends = (row[f"{name}{end}"] for end in ("", "_low", "_high"))
+    value, low, high = (math.nan if end is None else end for end in ends)
+    return Estimate(value, low, high, row["n"])
 
 
 def at_the_end(source: Source) -> Iterator[str]:

@@ -13,10 +13,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib.machinery import ModuleSpec
 from importlib.util import module_from_spec
 from pathlib import Path
-from types import MappingProxyType, ModuleType, SimpleNamespace
+from types import MappingProxyType, ModuleType
 from typing import Any, NamedTuple
 
 from jinja2 import TemplateError
+from jinja2.meta import find_undeclared_variables
 
 from sinsjax import plots
 from sinsjax.errors import InputError
@@ -76,11 +77,20 @@ class Sources(Mapping[str, Source]):
         return len(self._sources)
 
 
-class _Leaf(NamedTuple):
-    """Something that the prose can name, and what it prints."""
+class _Names:
+    """What the prose can name, by name; notes in ``used`` what it did."""
 
-    name: str
-    text: str
+    def __init__(self, values: Mapping[str, Any], used: set[str], of: str = "") -> None:
+        self._values, self._used, self._of = values, used, of
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in self._values:
+            raise AttributeError(f"no attribute {name!r}")
+        value = self._values[name]
+        if isinstance(value, Mapping):
+            return _Names(value, self._used, f"{self._of}{name}.")
+        self._used.add(f"{self._of}{name}")
+        return str(value)
 
 
 def script(folder: Path) -> ModuleType:
@@ -128,12 +138,6 @@ def render(folder: Path, page: Page, *, enforced: bool = True) -> str:
     """
     used: set[str] = set()
 
-    def print_(value: Any) -> Any:
-        if isinstance(value, _Leaf):
-            used.add(value.name)
-            return value.text
-        return value
-
     def claim(text: str) -> str:
         if text not in page.claims:
             raise InputError(f"{folder / PROSE}: {SCRIPT} does not say whether {text!r} is so")
@@ -145,13 +149,17 @@ def render(folder: Path, page: Page, *, enforced: bool = True) -> str:
         "tables": {name: markdown(table) for name, table in page.tables.items()},
         "figures": {name: markdown(one, prefix) for name, one in page.figures.items()},
     }
-    names = _leaves({**page.values, **content})
+    values = {**page.values, **content}
+    names = {
+        n: _Names(v, used, f"{n}.") if isinstance(v, Mapping) else v for n, v in values.items()
+    }
+    jinja, prose = environment(), (folder / PROSE).read_text(encoding="utf-8")
     try:
-        prose = environment(folder, print_).get_template(PROSE)
-        text = prose.render(**{name: _named(one) for name, one in names.items()}, claim=claim)
+        used |= find_undeclared_variables(jinja.parse(prose))
+        text = jinja.from_string(prose).render(names, claim=claim)
     except TemplateError as error:
         raise InputError(f"{folder / PROSE}: {error}") from error
-    offered = {leaf.name for leaf in _flat(names)} | {f"claim {text!r}" for text in page.claims}
+    offered = {*_flat(values), *(f"claim {text!r}" for text in page.claims)}
     if unused := sorted(offered - used):
         raise InputError(f"{folder / PROSE}: no sentence names {', '.join(unused)}")
     wrong = [text for text, holds in page.claims.items() if not holds]
@@ -190,26 +198,10 @@ def write(folder: Path, sources: Sequence[Source]) -> tuple[Path, int]:
     return path, len(images)
 
 
-def _leaves(values: Mapping[str, Any], of: str = "") -> dict[str, Any]:
-    """The same names with a `_Leaf` for each text."""
-    return {
-        name: _leaves(value, f"{of}{name}.")
-        if isinstance(value, Mapping)
-        else _Leaf(f"{of}{name}", str(value))
-        for name, value in values.items()
-    }
-
-
-def _named(value: Any) -> Any:
-    """Names within names as attributes, which no method of a mapping can hide."""
-    if not isinstance(value, dict):
-        return value
-    return SimpleNamespace(**{name: _named(one) for name, one in value.items()})
-
-
-def _flat(names: Mapping[str, Any]) -> Iterator[_Leaf]:
-    for value in names.values():
-        if isinstance(value, _Leaf):
-            yield value
+def _flat(values: Mapping[str, Any], of: str = "") -> Iterator[str]:
+    """Every name, those within names too."""
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{of}{name}.")
         else:
-            yield from _flat(value)
+            yield f"{of}{name}"

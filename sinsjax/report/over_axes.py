@@ -1,19 +1,21 @@
 """Tables and figures over a study's swept numbers: heat maps, and curves with intervals."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
 from sinsjax.alignment.methods import SECTIONS_OF_METHODS
 from sinsjax.report.base import (
+    NEEDED,
     Block,
     Picture,
     Source,
     Table,
+    estimate_of,
     intervals,
     name_of,
     percent,
@@ -27,11 +29,9 @@ from sinsjax.study.success import Yardstick
 
 _MOST_PANELS = 12
 _MOST_LINES = 7
-_ERROR = ("phi_u_mean_arcmin", "floor_arcmin")
 _CHOSEN = tuple(SECTIONS_OF_METHODS)  # whose values a user chooses, so that one can be best
 
 Axes = Mapping[str, Sequence[float]]
-Lines = dict[str, list[analysis.Estimate]]
 
 
 def over_axes(source: Source) -> list[Block]:
@@ -107,46 +107,42 @@ def _heat_maps(
     maps = _maps(source, yard, axes, others)
     if all(SECTION_OF[key] in _CHOSEN for key in axes):
         yield _best(yard, axes, maps)
-    rows, columns = (plots.Scale(key, values) for key, values in axes.items())
     # A line of panels for each value of the other keys but the last, if it is short enough.
     across = len({value_text(m.point[others[-1]]) for m in maps}) if others else 1
     drawn = maps[: _MOST_PANELS // across * across or _MOST_PANELS]
-    left = len(maps) - len(drawn)
-    rest = f" The first {len(drawn)} of {len(maps)} panels." if left else ""
-    repeated = [m.repeated for m in drawn]
-    if any(map(np.any, repeated)):
+    rest = f" The first {len(drawn)} of {len(maps)} panels." if len(drawn) < len(maps) else ""
+    if any(m.repeated.any() for m in drawn):
         rest += " Cells without a number repeat the one beside them: there a key does not act."
+    rows, columns = (plots.Scale(key, values) for key, values in axes.items())
+    draw = partial(
+        plots.heat_maps,
+        rows=rows,
+        columns=columns,
+        across=across,
+        repeated=[m.repeated for m in drawn],
+    )
     medians = [(m.name, _median(m.settle_s)) for m in drawn]
-    finite = np.concatenate([values[np.isfinite(values)] for _, values in medians])
-    high = float(finite.max()) if finite.size else 1.0
+    high = max((v.max() for _, m in medians if (v := m[np.isfinite(m)]).size), default=1.0)
     yield Picture(
         f"settling_time{end}",
         f"Median time over {source.draws} draws until the heading stays {yard.words}; hatched where"
         f" at least half of the runs never do.{rest}",
-        plots.heat_maps(
+        draw(
             medians,
             f"How long until the heading stays {yard.words}?",
-            plots.Shown("median settling time (s)", 0.0, high, reverse=True),
-            rows=rows,
-            columns=columns,
-            across=across,
-            repeated=repeated,
+            plots.Shown("median settling time (s)", 0.0, float(high), reverse=True),
         ),
     )
     shares = [(m.name, 100 * m.ok.mean(axis=0)) for m in drawn]
-    if len(np.unique(np.concatenate([values.ravel() for _, values in shares]))) == 1:
+    if len(np.unique([values for _, values in shares])) == 1:
         return  # such a figure says nothing
     yield Picture(
         f"success_rate{end}",
         f"Share of the {source.draws} draws that are ok, {yard.words}.{rest}",
-        plots.heat_maps(
+        draw(
             shares,
             f"How many runs are ok, {yard.words}?",
             plots.Shown("runs that are ok (%)", 0.0, 100.0),
-            rows=rows,
-            columns=columns,
-            across=across,
-            repeated=repeated,
         ),
     )
 
@@ -190,34 +186,24 @@ def _along_axis(
     source: Source, axis: str, values: Sequence[float], others: Sequence[str]
 ) -> Picture:
     yards = source.yardsticks
-    settling: list[Lines] = [{} for _ in yards]
-    time: list[Lines] = [{} for _ in yards]
-    error: Lines = {}
+    shown = {y.rate: f"share of runs that are ok, {y.words}" for y in yards}
+    shown |= {f"{y.settle}_median": f"median time (s) to {y.words}" for y in yards}
+    shown["phi_u_from_floor_arcmin_mean"] = "phi_u from its limit (arcmin)"
     judged = (name for yard in yards for name in (yard.ok, yard.settle))
-    columns = (*others, axis, *judged, *_ERROR, "draw_id", "start_s")
-    groups = list(analysis.groups(source.rows(columns), others))
-    for point, rows in groups[:_MOST_LINES]:
-        name = name_of(point)
-        by_value = [group for _, group in analysis.groups(rows, [axis])]
-        for yard, share, median in zip(yards, settling, time, strict=True):
-            share[name] = [_success(group, yard) for group in by_value]
-            median[name] = [_median_of(group, yard) for group in by_value]
-        error[name] = [
-            analysis.difference(
-                analysis.numbers(group, _ERROR[0]),
-                analysis.numbers(group, _ERROR[1]),
-                analysis.clusters_of(group),
-            )
-            for group in by_value
-        ]
-    panels = {
-        f"share of runs that are ok, {yard.words}": s
-        for yard, s in zip(yards, settling, strict=True)
+    table = source.rows((*others, axis, *judged, *NEEDED))
+    groups = list(analysis.groups(table, others))
+    found = {
+        name_of(point): analysis.summarise(rows, [axis], list(shown)).to_pylist()
+        for point, rows in groups[:_MOST_LINES]
     }
-    panels |= {f"median time (s) to {yard.words}": t for yard, t in zip(yards, time, strict=True)}
-    if any(np.isfinite(e.value) for line in error.values() for e in line):
-        panels |= {"phi_u from its limit (arcmin)": error}
-    left = len(groups) - len(error)
+    panels = {
+        words: {name: [estimate_of(row, statistic) for row in rows] for name, rows in found.items()}
+        for statistic, words in shown.items()
+    }
+    *_, last = panels
+    if not any(np.isfinite(e.value) for line in panels[last].values() for e in line):
+        del panels[last]
+    left = len(groups) - len(found)
     rest = f" {left} more lines are not drawn." if left else ""
     return Picture(
         "along_axis",
@@ -226,12 +212,3 @@ def _along_axis(
         f"{rest}",
         plots.along_axis(axis, values, panels, title=f"What {axis} decides"),
     )
-
-
-def _success(rows: pa.Table, yard: Yardstick) -> analysis.Estimate:
-    return analysis.share(rows[yard.ok].fill_null(False).to_numpy(), analysis.clusters_of(rows))
-
-
-def _median_of(rows: pa.Table, yard: Yardstick) -> analysis.Estimate:
-    settle = analysis.numbers(rows, yard.settle)
-    return analysis.quantile(settle, cluster=analysis.clusters_of(rows))

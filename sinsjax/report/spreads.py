@@ -1,67 +1,32 @@
-"""Figures of whole distributions over the runs: settling times, errors, consistency."""
+"""What a method's covariance is worth: its error in units of what it believes, over the runs."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate
-from sinsjax.plots import BeliefPanel, DistributionPanel
+from sinsjax.plots import BeliefPanel
 from sinsjax.report.base import Picture, Source, Text, name_of, shown_keys, swept
-from sinsjax.study.success import Yardstick
 from sinsjax.units import ARCMIN, MICRO
 
 _MOST_LINES = 7
-_ERROR = ("phi_u_mean_arcmin", "floor_arcmin")
 _SHARES = {"from truth": "p_above_error_share", "from the limit": "p_above_floor_error_share"}
 
 
 def spreads(source: Source) -> Iterator[Picture | Text]:
-    """Settling times and errors, and consistency where the method has a covariance.
+    """Consistency where the method has a covariance.
 
-    A line a variant. Of many variants there is but the consistency, a line a value of the first key
-    that has few: settling times of runs from unlike starts make staircases that tell nothing.
+    A line a variant; of many variants, a line a value of the first key that has few.
     """
     keys, note = _lines(source)
-    if source.study.n_variants <= _MOST_LINES:
-        yield _distribution(source, keys)
     needed = (*keys, "nees", *_SHARES.values(), "draw_id", "start_s")
     groups = analysis.groups(source.rows(needed), keys)
     beliefs = [belief(name_of(key), rows) for key, rows in groups]
     if beliefs := [one for one in beliefs if np.isfinite(one.nees).any()]:
         yield consistency(beliefs, note)
         yield from _biases_unknown(source)
-
-
-def _distribution(source: Source, keys: Sequence[str]) -> Picture:
-    """Settling times and remaining heading errors, a line a variant."""
-    judged = [yard.settle for yard in source.yardsticks]
-    needed = (*keys, *judged, *_ERROR, "has_limit")
-    shown = {name_of(key): rows for key, rows in analysis.groups(source.rows(needed), keys)}
-    errors = {name: _from_limit(rows) for name, rows in shown.items()}
-    settling = [
-        DistributionPanel(
-            f"time (s) until the heading stays\n{yard.words}",
-            {name: _settled(rows, yard) for name, rows in shown.items()},
-            "never",
-        )
-        for yard in source.yardsticks
-    ]
-    either = " or ".join(yard.words for yard in source.yardsticks)
-    return Picture(
-        "distribution",
-        f"Share of runs whose heading stays {either} from a time on, and share whose mean heading"
-        f" error towards the end, from its limit, lies below a value.",
-        plots.distributions(
-            [
-                *settling,
-                DistributionPanel("phi_u from its limit (arcmin)", errors, "no number", far=60.0),
-            ],
-            "Settling time and remaining heading error over the runs",
-        ),
-    )
 
 
 def _biases_unknown(source: Source) -> Iterator[Text]:
@@ -103,22 +68,6 @@ def _lines(source: Source) -> tuple[Sequence[str], str]:
         if len(values) <= _MOST_LINES:
             return own, f" All runs of the same {' and '.join(own)} make one line."
     return (), " All runs together."
-
-
-def _settled(rows: pa.Table, yard: Yardstick) -> Any:
-    """Settling times of runs that can settle: those without a limit have none to settle to."""
-    found = analysis.numbers(rows, yard.settle)
-    return found if yard.truth else found[_with_limit(rows)]
-
-
-def _with_limit(rows: pa.Table) -> Any:
-    return rows["has_limit"].fill_null(True).to_numpy()
-
-
-def _from_limit(rows: pa.Table) -> Any:
-    rows = rows.filter(pa.array(_with_limit(rows)))
-    mean, floor = (analysis.numbers(rows, column) for column in _ERROR)
-    return mean - floor
 
 
 def belief(name: str, rows: pa.Table) -> BeliefPanel:

@@ -11,7 +11,7 @@ from scipy import stats
 
 from sinsjax import plots
 from sinsjax.analysis import Estimate
-from sinsjax.plots import BeliefPanel, DistributionPanel, Ensemble, Line, Scale, Shown, Verdicts
+from sinsjax.plots import BeliefPanel, Ensemble, Line, Scale, Shown, Verdicts
 from sinsjax.plots.spreads import steps
 
 TIME = np.arange(1.0, 11.0)
@@ -257,44 +257,6 @@ def test_an_axis_is_marked_at_its_values_where_they_have_room(values, marks):
     axes = plots.along_axis("reset_count", values, {"x": lines}, title="Title").axes[0]
     found = [t.get_text() for t in axes.get_xticklabels()]
     assert found == marks if marks else len(found) > 3
-
-
-def spread(*lines, far=math.inf, missing="never"):
-    named = {str(i): np.asarray(values, dtype=float) for i, values in enumerate(lines)}
-    return DistributionPanel("time (s)", named, missing, far)
-
-
-def test_distributions_tell_what_is_missing():
-    panels = [spread([30.0, np.nan, 10.0, np.inf], [np.nan, np.nan], [1.0, 2.0])]
-    figure = plots.distributions(panels, "Title")
-    axes = figure.axes[0]
-    line, empty, whole = (one for one in axes.get_lines() if one.get_linestyle() == "-")
-    np.testing.assert_array_equal(line.get_xdata(), [10.0, 10.0, 30.0])
-    np.testing.assert_array_equal(line.get_ydata(), [0.0, 0.25, 0.5])
-    np.testing.assert_array_equal(whole.get_ydata(), [0.0, 0.5, 1.0])
-    assert empty.get_xdata().size == 0
-    on = [one for one in axes.get_lines() if one.get_linestyle() == ":"]
-    assert [list(one.get_ydata()) for one in on] == [[0.0, 0.0], [0.5, 0.5]]
-    assert on[1].get_xdata()[0] == 30.0 and on[1].get_xdata()[1] == axes.get_xlim()[1]
-    assert [t.get_text() for t in axes.texts] == ["100 % never", "50 % never"]
-    assert [t.get_color() for t in axes.texts] == [plots.colour(1), plots.colour(0)]
-    assert plots.png(figure)
-
-
-def test_shares_of_what_is_missing_do_not_overlap():
-    values = [np.where(np.arange(1000) < n, np.nan, 1.0 + np.arange(1000)) for n in (4, 6, 9, 500)]
-    axes = plots.distributions([spread(*values, missing="no number")], "Title").axes[0]
-    heights = [t.get_position()[1] for t in axes.texts]
-    assert min(np.diff(heights)) > 0.05
-    assert [t.get_text().split(" %")[0] for t in axes.texts] == ["50", "0.9", "0.6", "0.4"]
-
-
-def test_a_wide_distribution_is_legible_from_end_to_end():
-    near, wide = (spread([-9.0, 1.0, far], far=60.0) for far in (50.0, 500.0))
-    first, second = plots.distributions([near, wide], "Title").axes
-    assert (first.get_xscale(), second.get_xscale()) == ("linear", "asinh")
-    assert first.get_xlabel() == "time (s)" and "logarithmic far from 0" in second.get_xlabel()
-    assert {-10.0, 0.0, 10.0, 100.0} <= set(second.get_xticks())
 
 
 def test_a_staircase_of_many_values_keeps_its_shape():

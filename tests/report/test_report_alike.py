@@ -64,4 +64,4 @@ def test_methods_with_and_without_a_covariance_are_drawn_side_by_side(tmp_path: 
     study_run.run_into(study, tmp_path / "results")
     report = auto.report(Source.read(tmp_path / "results"))
     names = [b.name for s in report.sections for b in s.blocks if isinstance(b, Picture)]
-    assert {"misalignment", "distribution", "consistency"} <= {*names}
+    assert {"misalignment", "consistency"} <= {*names}
