@@ -1,7 +1,5 @@
 """Filters for a large azimuth, and the invariant one: models, naive filters, and their limits."""
 
-from functools import cache, partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,11 +11,11 @@ from oracles.in_engine import (
     PAPER1,
     UG,
     filter_params,
+    measured,
     navigation,
     place,
+    runner,
     site,
-    step_and_close,
-    swing_increments,
 )
 from oracles.naive import DEG, PAPER, WGS84, Filter, exp, log, of_quaternion, skew
 from oracles.naive_filters import (
@@ -35,12 +33,9 @@ from support.studies import small_study
 from sinsjax import run as run_study
 from sinsjax.alignment.azimuth import model, prediction
 from sinsjax.alignment.azimuth.method import AzimuthParams
-from sinsjax.alignment.base import Options
 from sinsjax.alignment.invariant.method import left_jacobian
 from sinsjax.alignment.kalman import Belief
-from sinsjax.alignment.methods import METHODS
 from sinsjax.maths.algebra import numbers_of, triangle_index
-from sinsjax.strapdown import sensors
 from sinsjax.types import Vec3
 
 RATE, SAMPLES, LATITUDE, DT = 100, 1500, 32 * DEG, 0.01
@@ -140,40 +135,6 @@ def test_the_left_jacobian_is_the_mean_of_the_rotations(numbers):
     np.testing.assert_allclose(found, jacobian(phi) @ v, rtol=0, atol=1e-13)
 
 
-@cache
-def runner(name):
-    """A compiled run that returns state, attitude and covariance after every sample."""
-    method = METHODS[name](Options(1 / RATE))
-
-    @jax.jit
-    def run(filt, here, nav, increments):
-        samples = sensors.compensate_record(increments, increments[0])
-        counts = 1.0 + jnp.arange(float(len(increments)))
-
-        def step(state, xs):
-            state = step_and_close(method, filt, here, state, *xs)
-            due = xs[1] % RATE == 0
-            state = jax.tree.map(partial(jnp.where, due), method.normalise(state), state)
-            return state, (state, method.attitude(state))
-
-        return jax.lax.scan(step, method.init(filt, nav), (samples, counts))[1]
-
-    return run
-
-
-@cache
-def measured():
-    return swing_increments(
-        PAPER1._replace(center=np.array([0.02, -0.03, 1.0])),
-        PAPER,
-        LATITUDE,
-        rate=RATE,
-        samples=SAMPLES,
-        gyro=((0.2 * DEG_PER_H, -0.1 * DEG_PER_H, 0.3 * DEG_PER_H), 0.2 * DEG_PER_H),
-        accel=((1e3 * UG, -5e2 * UG, 3e2 * UG), 1e3 * UG),
-    )
-
-
 def numbers_with(name, filt, *, by_angles=False):
     params = filter_params(filt)
     own = AzimuthParams(np.float64(by_angles), np.float64(0.5))
@@ -194,9 +155,11 @@ def test_closed_loop_as_the_naive_one(name, schedule):
     filt = Filter(P0, Q, R, **SCHEDULES[schedule])
     start = exp(-PHI0) @ PAPER1.matrix(0.0)
     about = {"latitude": LATITUDE, "c": start, "v": V0, "filt": filt}
-    naive = closed_loop(NAIVE[name], measured(), DT, PAPER, **about)
+    naive = closed_loop(NAIVE[name], measured(PAPER, LATITUDE, SAMPLES), DT, PAPER, **about)
     nav = navigation(start, V0, LATITUDE)
-    state, attitude = runner(name)(numbers_with(name, filt), site(PAPER, LATITUDE), nav, measured())
+    state, attitude, _ = runner(name)(
+        numbers_with(name, filt), site(PAPER, LATITUDE), nav, measured(PAPER, LATITUDE, SAMPLES)
+    )
     close = {"rtol": 0, "atol": 1e-8}
     np.testing.assert_allclose(of_quaternion(np.stack(state.nav.q, axis=1)), naive.c, **close)
     v = np.stack([state.nav.ve, state.nav.vn], axis=1)
@@ -216,7 +179,9 @@ def test_angles_are_fed_back_as_kalman5_does():
     filt = Filter(P0, Q, R, every=100)
     nav = navigation(exp(-PHI0) @ PAPER1.matrix(0.0), V0, LATITUDE)
     params = numbers_with("ekf_azimuth", filt, by_angles=True)
-    state, attitude = runner("ekf_azimuth")(params, site(PAPER, LATITUDE), nav, measured())
+    state, attitude, _ = runner("ekf_azimuth")(
+        params, site(PAPER, LATITUDE), nav, measured(PAPER, LATITUDE, SAMPLES)
+    )
     before, x = (np.array(a)[:, 98] for a in (np.stack(state.nav.q), np.stack(state.belief.x)))
     expected = exp(x[2:5]) @ of_quaternion(before)
     np.testing.assert_allclose(of_quaternion(np.stack(attitude)[:, 98]), expected, atol=1e-12)
@@ -230,7 +195,7 @@ def test_without_the_earths_turn_the_invariant_error_is_linear_in_its_logarithm(
     rows[:, 3:] = PAPER1.matrix(0.0).T @ [0.0, 0.0, still.gravity] * DT
     nav = navigation(exp(-phi0) @ PAPER1.matrix(0.0), np.zeros(2), LATITUDE)
     never = numbers_with("invariant", Filter(P0, Q, R, every=10**9))
-    state, _ = runner("invariant")(never, site(still, LATITUDE), nav, rows)
+    state, *_ = runner("invariant")(never, site(still, LATITUDE), nav, rows)
     c = of_quaternion(np.stack(state.nav.q, axis=1)[-1])
     np.testing.assert_allclose(log(PAPER1.matrix(0.0) @ c.T), phi0, rtol=0, atol=1e-9)
     v = np.array([state.nav.ve[-1], state.nav.vn[-1], state.own[-1]])

@@ -1,7 +1,5 @@
 """The filter in sine and cosine of the azimuth: its model, a naive one, and what it is good for."""
 
-from functools import cache, partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,11 +11,11 @@ from oracles.in_engine import (
     PAPER1,
     UG,
     filter_params,
+    measured,
     navigation,
     place,
+    runner,
     site,
-    step_and_close,
-    swing_increments,
 )
 from oracles.naive import DEG, PAPER, WGS84, Filter, exp, of_quaternion, skew
 from oracles.naive_filters import SINCOS, about_up, closed_loop, upright
@@ -28,7 +26,6 @@ from sinsjax.alignment.base import Options
 from sinsjax.alignment.methods import METHODS
 from sinsjax.alignment.sincos import method as sincos
 from sinsjax.maths.algebra import numbers_of, triangle_index
-from sinsjax.strapdown import sensors
 from sinsjax.units import ARCMIN
 
 RATE, SAMPLES, LATITUDE = 100, 1500, 32 * DEG
@@ -72,40 +69,6 @@ def test_the_model_is_the_navigator_for_any_azimuth(planet, a, seed):
     np.testing.assert_array_equal(model[4:], 0.0)
 
 
-@cache
-def runner(position="fixed"):
-    """A compiled run that returns state, attitude and covariance after every sample."""
-    method = METHODS["kalman_sincos"](Options(1 / RATE, position=position))
-
-    @jax.jit
-    def run(filt, here, nav, increments):
-        samples = sensors.compensate_record(increments, increments[0])
-        counts = 1.0 + jnp.arange(float(len(increments)))
-
-        def step(state, xs):
-            state = step_and_close(method, filt, here, state, *xs)
-            due = xs[1] % RATE == 0
-            state = jax.tree.map(partial(jnp.where, due), method.normalise(state), state)
-            return state, (state, method.attitude(state), method.covariance(state))
-
-        return jax.lax.scan(step, method.init(filt, nav), (samples, counts))[1]
-
-    return run
-
-
-@cache
-def measured(samples=SAMPLES):
-    return swing_increments(
-        PAPER1._replace(center=np.array([0.02, -0.03, 1.0])),
-        PAPER,
-        LATITUDE,
-        rate=RATE,
-        samples=samples,
-        gyro=((0.2 * DEG_PER_H, -0.1 * DEG_PER_H, 0.3 * DEG_PER_H), 0.2 * DEG_PER_H),
-        accel=((1e3 * UG, -5e2 * UG, 3e2 * UG), 1e3 * UG),
-    )
-
-
 def dense(triangle):
     """Covariances (samples, 6, 6)."""
     index = triangle_index(6)
@@ -126,10 +89,10 @@ def test_closed_loop_as_the_naive_one(schedule):
     filt = Filter(P0, Q, R, **SCHEDULES[schedule])
     start = exp(-PHI0) @ PAPER1.matrix(0.0)
     about = {"latitude": LATITUDE, "c": start, "v": V0, "filt": filt}
-    naive = closed_loop(SINCOS, measured(), 1 / RATE, PAPER, **about)
+    naive = closed_loop(SINCOS, measured(PAPER, LATITUDE, SAMPLES), 1 / RATE, PAPER, **about)
     nav = navigation(start, V0, LATITUDE)
-    state, attitude, covariance = runner()(
-        filter_params(filt), site(PAPER, LATITUDE), nav, measured()
+    state, attitude, covariance = runner("kalman_sincos")(
+        filter_params(filt), site(PAPER, LATITUDE), nav, measured(PAPER, LATITUDE, SAMPLES)
     )
     close = {"rtol": 0, "atol": 1e-9}
     np.testing.assert_allclose(of_quaternion(np.stack(state.nav.q, axis=1)), naive.c, **close)
@@ -178,7 +141,9 @@ def test_the_heading_of_the_start_holds_until_one_is_known():
 def test_a_reset_keeps_sine_and_cosine():
     filt = filter_params(Filter(P0, Q, R, every=100, resets=(800,)))
     nav = navigation(exp(-PHI0) @ PAPER1.matrix(0.0), V0, LATITUDE)
-    state, attitude, _ = runner()(filt, site(PAPER, LATITUDE), nav, measured())
+    state, attitude, _ = runner("kalman_sincos")(
+        filt, site(PAPER, LATITUDE), nav, measured(PAPER, LATITUDE, SAMPLES)
+    )
     x = np.array(state.belief.x)
     np.testing.assert_array_equal(x[:4, 799], 0.0)
     assert abs(x[4, 799]) > 0.1
@@ -242,7 +207,14 @@ def test_what_it_believes_of_heading_and_drift_is_true():
 def test_p_is_the_same_for_all_runs_of_a_variant():
     """Whatever the attitude and velocity, to the bit."""
     filt, here = filter_params(Filter(P0, Q, R, every=100)), site(PAPER, LATITUDE)
-    run = runner()
-    one = run(filt, here, navigation(PAPER1.matrix(0.0), [0.0, 0.0], LATITUDE), measured())[0]
-    other = run(filt, here, navigation(exp(-PHI0), V0, LATITUDE), measured())[0]
+    run = runner("kalman_sincos")
+    one = run(
+        filt,
+        here,
+        navigation(PAPER1.matrix(0.0), [0.0, 0.0], LATITUDE),
+        measured(PAPER, LATITUDE, SAMPLES),
+    )[0]
+    other = run(
+        filt, here, navigation(exp(-PHI0), V0, LATITUDE), measured(PAPER, LATITUDE, SAMPLES)
+    )[0]
     np.testing.assert_array_equal(one.belief.p, other.belief.p)

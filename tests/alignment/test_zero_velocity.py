@@ -1,69 +1,27 @@
-from functools import cache, partial
-
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from oracles.in_engine import (
     DEG_PER_H,
     PAPER1,
     UG,
+    measured,
     navigation,
     paper_filter,
     params,
+    runner,
     site,
-    step_and_close,
-    swing_increments,
 )
 from oracles.naive import DEG, PAPER, WGS84, Unwatched, closed_loop, exp, of_quaternion
 from scipy.spatial.transform import Rotation
 from support.studies import BASE
 
-from sinsjax.alignment.base import Options
-from sinsjax.alignment.methods import METHODS
 from sinsjax.engine import build
 from sinsjax.maths.algebra import triangle_index
-from sinsjax.strapdown import sensors
 from sinsjax.study.load import study_from_dict
 
 RATE, SAMPLES = 100, 2000
 PHI0, V0 = np.array([5.0, 5.0, 30.0]) * DEG, np.array([0.3, -0.2])
-
-
-@cache
-def runner(name, force, position):
-    """A compiled run of one program that returns the state after every sample."""
-    method = METHODS[name](Options(1 / RATE, force, position, innovations=True))
-
-    @jax.jit
-    def run(filt, here, nav, increments):
-        samples = sensors.compensate_record(increments, increments[0])
-        counts = 1.0 + jnp.arange(float(len(increments)))
-
-        def step(state, xs):
-            state = step_and_close(method, filt, here, state, *xs)
-            # As the engine does at every record, here every second.
-            due = xs[1] % RATE == 0
-            state = jax.tree.map(partial(jnp.where, due), method.normalise(state), state)
-            return state, (state, method.attitude(state), method.covariance(state))
-
-        return jax.lax.scan(step, method.init(filt, nav), (samples, counts))[1]
-
-    return run
-
-
-@cache
-def measured(planet, latitude):
-    """Increments of [P1]'s swing with biases and noise twice its own."""
-    return swing_increments(
-        PAPER1._replace(center=np.array([0.02, -0.03, 1.0])),
-        planet,
-        latitude,
-        rate=RATE,
-        samples=SAMPLES,
-        gyro=((0.2 * DEG_PER_H, -0.1 * DEG_PER_H, 0.3 * DEG_PER_H), 0.2 * DEG_PER_H),
-        accel=((1e3 * UG, -5e2 * UG, 3e2 * UG), 1e3 * UG),
-    )
 
 
 def states(triangle):
@@ -88,7 +46,7 @@ class Summing(Unwatched):
 def compare(name, planet, latitude_deg, filt):
     """Both runs, sample by sample, to 1e-9."""
     latitude = latitude_deg * DEG
-    rows, start = measured(planet, latitude), exp(-PHI0) @ PAPER1.matrix(0.0)
+    rows, start = measured(planet, latitude, SAMPLES), exp(-PHI0) @ PAPER1.matrix(0.0)
     watcher = Summing()
     about = {"latitude": latitude, "c": start, "v": V0, "filt": filt, "watcher": watcher}
     naive = closed_loop(rows, 1 / RATE, planet, **about)
@@ -169,7 +127,7 @@ def test_a_reset_sets_p_after_all_of_x_is_fed_back(kind):
     k = 137
     run = runner("kalman5", "measured", "fixed")
     start, here = exp(-PHI0) @ PAPER1.matrix(0.0), site(PAPER, 0.5)
-    args = here, navigation(start, V0, 0.5), measured(PAPER, 0.5)
+    args = here, navigation(start, V0, 0.5), measured(PAPER, 0.5, SAMPLES)
     filt = paper_filter(5, every=1000, gain=0.1)
     state, attitude, _ = run(params(filt._replace(resets=(k,), kind=kind)), *args)
     alone, corrected, _ = run(params(filt), *args)
@@ -209,7 +167,9 @@ def test_a_full_reset_sets_p_to_values_of_its_own(name, position):
         data["resets"]["reset_kind"] = kind
         (part,) = build.parts(study_from_dict(data))
         filt = jax.tree.map(lambda a: a[0], part.group.variants.method)
-        state, _, _ = runner(name, "measured", position)(filt, here, nav, measured(PAPER, 0.5))
+        state, _, _ = runner(name, "measured", position)(
+            filt, here, nav, measured(PAPER, 0.5, SAMPLES)
+        )
         for k in (100, 400):
             p = states(state.belief.p)[k - 1]
             if kind == "full":

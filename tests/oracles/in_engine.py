@@ -1,6 +1,7 @@
 """The naive module's descriptions in the engine's words."""
 
-from functools import partial
+from collections.abc import Callable
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -8,11 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from oracles.naive import DEG, STATES, WGS84, Filter, Loops, Planet, Swing, quaternion
-from sinsjax.alignment.base import Site
+from sinsjax.alignment.base import Options, Site
 from sinsjax.alignment.compass import method as compass
 from sinsjax.alignment.compass.design import AzimuthGains, LevelGains
 from sinsjax.alignment.filters.stages import FilterParams
 from sinsjax.alignment.limits import NO_BIASES
+from sinsjax.alignment.methods import METHODS
 from sinsjax.alignment.schedules import CovarianceReset, Feedback, Pieces, Resets
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.realisations import Draw, Environment, Static
@@ -207,3 +209,45 @@ def step_and_close(method, params, site, state, sample, n):
     """A sample of a run taken alone."""
     state = method.step(params, site, state, sample, n)
     return method.close(params, state, n) if method.close else state
+
+
+@cache
+def runner(
+    name: str, force: str = "measured", position: str = "fixed", rate: int = 100
+) -> Callable:
+    """A compiled run: (numbers, site, navigation, increments) -> after every sample.
+
+    Returns:
+        The state, the attitude with all that is estimated taken out, and its covariance; the
+        attitude is scaled to unit length every second, as the engine does at every record.
+    """
+    method = METHODS[name](Options(1 / rate, force, position, innovations=True))
+
+    @jax.jit
+    def run(filt: Any, here: Site, nav: Navigation, increments: Any) -> Any:
+        samples = sensors.compensate_record(increments, increments[0])
+        counts = 1.0 + jnp.arange(float(len(increments)))
+
+        def step(state: Any, xs: Any) -> Any:
+            state = step_and_close(method, filt, here, state, *xs)
+            due = xs[1] % rate == 0
+            state = jax.tree.map(partial(jnp.where, due), method.normalise(state), state)
+            return state, (state, method.attitude(state), method.covariance(state))
+
+        return jax.lax.scan(step, method.init(filt, nav), (samples, counts))[1]
+
+    return run
+
+
+@cache
+def measured(planet: Planet, latitude: float, samples: int, rate: int = 100) -> np.ndarray:
+    """Increments of [P1]'s swing with biases and noise twice its own."""
+    return swing_increments(
+        PAPER1._replace(center=np.array([0.02, -0.03, 1.0])),
+        planet,
+        latitude,
+        rate=rate,
+        samples=samples,
+        gyro=((0.2 * DEG_PER_H, -0.1 * DEG_PER_H, 0.3 * DEG_PER_H), 0.2 * DEG_PER_H),
+        accel=((1e3 * UG, -5e2 * UG, 3e2 * UG), 1e3 * UG),
+    )

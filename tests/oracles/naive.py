@@ -258,16 +258,18 @@ def update(x, p, h, z, r):
     return x + gain @ (z - h @ x), (np.eye(len(x)) - gain @ h) @ p
 
 
-def reset(p, filt):
-    """P after a reset."""
+def reset(p, filt, heading=(4,)):
+    """P after a reset; that of yaw touches the states of heading."""
     p0 = np.diag(filt.p0)
     if filt.kind == "full":
         return p0
     if filt.kind == "scale":
         return filt.factor * p
     out = p.copy()
-    out[4, :] = out[:, 4] = 0.0
-    out[4, 4] = p0[4, 4]
+    for i in heading:
+        out[i, :] = out[:, i] = 0.0
+    for i in heading:
+        out[i, i] = p0[i, i]
     return out
 
 

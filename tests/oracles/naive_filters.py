@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oracles.naive import Filter, error_matrix, exp, mechanise, update, updates
+from oracles.naive import Filter, error_matrix, exp, mechanise, reset, update, updates
 
 
 class Model(NamedTuple):
@@ -65,23 +65,9 @@ def closed_loop(
             c, v = model.feed(fed, c, v)
             x = x - fed
         if due:
-            p = _reset(p, filt, model.heading)
+            p = reset(p, filt, model.heading)
         history.append((c, v, x, p, model.corrected(x, c)))
     return History(*(np.array(column) for column in zip(*history, strict=True)))
-
-
-def _reset(p, filt, heading):
-    p0 = np.diag(filt.p0)
-    if filt.kind == "full":
-        return p0
-    if filt.kind == "scale":
-        return filt.factor * p
-    out = p.copy()
-    for i in heading:
-        out[i, :] = out[:, i] = 0.0
-    for i in heading:
-        out[i, i] = p0[i, i]
-    return out
 
 
 def linear(a, x, p, dt):

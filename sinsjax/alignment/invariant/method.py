@@ -16,7 +16,8 @@ from functools import partial
 import jax.numpy as jnp
 
 from sinsjax.alignment import kalman
-from sinsjax.alignment.base import AttitudeCovariance, Method, Options, Site
+from sinsjax.alignment.base import Method, Options, Site
+from sinsjax.alignment.filters import misalignment
 from sinsjax.alignment.filters.stages import (
     Filter,
     FilterParams,
@@ -30,11 +31,11 @@ from sinsjax.alignment.filters.stages import (
 from sinsjax.alignment.schedules import reset_covariance
 from sinsjax.alignment.triggers.watched import method_of
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import Entries, add, cross, dot, scale, triangle_index
+from sinsjax.maths.algebra import Entries, add, cross, dot, scale
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
 from sinsjax.strapdown.error_model import MODELS, PHI_E, PHI_N, PHI_U, VE, VN, five_state
-from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
+from sinsjax.types import Navigation, Sample, Scalar, Vec3
 
 _TERMS = 20  # of a series in th^2, whose rest is below rounding for th = 2 pi
 
@@ -79,9 +80,9 @@ def filter_of(options: Options) -> Filter:
         _reverse,
         place,
         lambda state, here: transition(state.nav, here),
-        _misalignment,
-        _attitude,
-        _covariance,
+        misalignment.estimated,
+        misalignment.corrected,
+        misalignment.covariance,
         unaided,
         common_covariance=not integrated,
     )
@@ -127,18 +128,3 @@ def left_jacobian(phi: Vec3, v: Vec3) -> Vec3:
 def _reverse(state: FilterState) -> FilterState:
     turned = reversed_by(MODELS["kalman5"].reversal, state)
     return turned._replace(own=-state.own)
-
-
-def _misalignment(state: FilterState) -> Vec3:
-    x = state.belief.x
-    return Vec3(x[PHI_E], x[PHI_N], x[PHI_U])
-
-
-def _attitude(state: FilterState) -> Quat:
-    return rotations.correct(_misalignment(state), state.nav.q)
-
-
-def _covariance(state: FilterState) -> AttitudeCovariance:
-    at = triangle_index(len(STATES))
-    angles = (PHI_E, PHI_N, PHI_U)
-    return AttitudeCovariance(*(state.belief.p[at[i, j]] for i in angles for j in angles if i <= j))

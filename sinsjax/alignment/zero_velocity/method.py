@@ -7,7 +7,8 @@ into velocity and attitude (closed loop, [P1] section 2.3).
 from functools import partial
 
 from sinsjax.alignment import kalman
-from sinsjax.alignment.base import AttitudeCovariance, Method, Options, Site
+from sinsjax.alignment.base import Method, Options, Site
+from sinsjax.alignment.filters import misalignment
 from sinsjax.alignment.filters.stages import (
     Filter,
     FilterParams,
@@ -21,10 +22,10 @@ from sinsjax.alignment.filters.stages import (
 from sinsjax.alignment.schedules import reset_covariance
 from sinsjax.alignment.triggers.watched import method_of
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import Entries, triangle_index
+from sinsjax.maths.algebra import Entries
 from sinsjax.strapdown import earth, mechanisation
 from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN, ErrorModel
-from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
+from sinsjax.types import Navigation, Sample, Scalar, Vec3
 
 _LEVEL_AND_YAW = (VE, VN, PHI_E, PHI_N, PHI_U)
 
@@ -75,9 +76,9 @@ def filter_of(model: ErrorModel, options: Options) -> Filter:
         partial(_reverse, model),
         place,
         at_rest,
-        _misalignment,
-        _attitude,
-        _covariance,
+        misalignment.estimated,
+        misalignment.corrected,
+        misalignment.covariance,
         unaided,
         common_covariance=assumed_at_rest and not integrated and not model.uses_attitude,
     )
@@ -107,18 +108,3 @@ def _reverse(model: ErrorModel, state: FilterState) -> FilterState:
     biases = zip(model.reversal[len(_LEVEL_AND_YAW) :], state.bias, strict=True)
     turned = reversed_by(model.reversal, state)
     return turned._replace(bias=tuple(s * b for s, b in biases))
-
-
-def _misalignment(state: FilterState) -> Vec3:
-    x = state.belief.x
-    return Vec3(x[PHI_E], x[PHI_N], x[PHI_U])
-
-
-def _attitude(state: FilterState) -> Quat:
-    return rotations.correct(_misalignment(state), state.nav.q)
-
-
-def _covariance(state: FilterState) -> AttitudeCovariance:
-    at = triangle_index(len(state.belief.x))
-    angles = (PHI_E, PHI_N, PHI_U)
-    return AttitudeCovariance(*(state.belief.p[at[i, j]] for i in angles for j in angles if i <= j))
