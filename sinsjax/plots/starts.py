@@ -1,15 +1,13 @@
-"""Figures of runs from several start times of a record: scatter, by start time, by pass."""
+"""Figures of runs from several start times of a record: scatter, by start time."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, LogLocator, NullLocator, StrMethodFormatter
+from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
-from sinsjax.analysis import Estimate
-from sinsjax.plots.curves import Line, draw
 from sinsjax.plots.style import GREY, colour, legend_outside, styled
 
 _LINEAR = 1.0  # asinh axes are nearly linear up to here, and logarithmic far beyond
@@ -83,92 +81,4 @@ def by_start(
         axes.set_xlabel("start time (s)")
     grid[0].set_ylabel(quantity)
     legend_outside(figure, grid[0])
-    return figure
-
-
-@styled
-def falling(
-    label: str,
-    values: Sequence[float],
-    lines: Mapping[str, Sequence[Estimate]],
-    levels: Mapping[str, float],
-    *,
-    title: str,
-    quantity: str,
-) -> Figure:
-    """Estimates with their intervals along a positive setting, both axes logarithmic.
-
-    Args:
-        label: label of the setting, with its unit.
-        values: values of the setting.
-        lines: line label to one estimate per value; ends of intervals that are NaN are not drawn.
-        levels: label to a value that does not depend on the setting.
-        title: title of the figure.
-        quantity: label of the estimates, with their unit.
-    """
-    figure = Figure(figsize=(7.6, 4.2))
-    figure.suptitle(title)
-    axes = figure.subplots()
-    for i, (name, estimates) in enumerate(lines.items()):
-        value, low, high = np.array([e[:3] for e in estimates], dtype=float).T
-        spread = np.maximum(np.nan_to_num([value - low, high - value]), 0.0)
-        style = "o-" if i == 0 else "s--"
-        axes.errorbar(
-            values,
-            value,
-            spread,
-            fmt=style,
-            color=colour(i),
-            label=name,
-            capsize=2.5,
-            markersize=4.5,
-        )
-    for i, (name, level) in enumerate(levels.items(), start=len(lines)):
-        axes.axhline(level, color=colour(i), linestyle=":", linewidth=1.6, label=name)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.xaxis.set_major_locator(FixedLocator(list(values)))
-    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axes.yaxis.set_minor_locator(NullLocator())
-    axes.set_xlabel(label)
-    axes.set_ylabel(quantity)
-    legend_outside(figure, axes)
-    return figure
-
-
-@styled
-def over_passes(
-    panels: Mapping[str, Sequence[Line]],
-    title: str,
-    *,
-    quantity: str,
-    turns_s: Mapping[str, Sequence[float]],
-) -> Figure:
-    """Lines over update time, panels one below the other, with the direction reversals marked.
-
-    Args:
-        panels: panel title to lines; the axis is nearly linear near 0 and logarithmic far from it.
-        title: title of the figure.
-        quantity: label of the values, with their unit.
-        turns_s: panel title to update times of the direction reversals, s.
-    """
-    figure = Figure(figsize=(9.2, 1.0 + 2.2 * len(panels)))
-    figure.suptitle(title)
-    grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, (name, lines) in zip(grid, panels.items(), strict=True):
-        for line in lines:
-            draw(axes, line)
-        for time in turns_s.get(name, ()):
-            axes.axvline(time, color=GREY, linestyle=":", linewidth=1.1)
-        axes.axhline(0.0, color=GREY, linewidth=0.9, zorder=1.5)
-        axes.set_yscale("asinh", linear_width=_LINEAR)
-        _tick(axes.yaxis)
-        axes.set_title(name)
-        axes.set_ylabel(quantity)
-        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
-    grid[-1].set_xlim(left=0)
-    grid[-1].set_xlabel("update time (s)")
     return figure

@@ -1,8 +1,6 @@
 import numpy as np
-import pytest
 
 from sinsjax import plots
-from sinsjax.analysis import Estimate
 from sinsjax.plots import starts
 
 
@@ -32,30 +30,3 @@ def test_panels_by_start_share_their_axis():
     assert left.get_ylim() == right.get_ylim()
     assert list(left.lines[1].get_ydata()) == [-3.0, 0.0]
     assert legend_of(figure) == ["one", "two"]
-
-
-def test_falling_draws_intervals_and_levels():
-    estimates = [Estimate(8.0, 4.0, 10.0, 5), Estimate(2.0, np.nan, 3.0, 5)]
-    figure = starts.falling(
-        "setting (s)", [2.0, 20.0], {"found": estimates}, {"calm": 1.0}, title="T", quantity="rms"
-    )
-    (axes,) = figure.axes
-    assert axes.get_xscale() == axes.get_yscale() == "log"
-    bars = axes.containers[0].lines[2][0].get_segments()
-    np.testing.assert_allclose([bar[:, 1] for bar in bars], [[4.0, 10.0], [2.0, 3.0]])
-    assert set(legend_of(figure)) == {"found", "calm"}
-    assert any(np.allclose(line.get_ydata(), 1.0) for line in axes.lines)
-
-
-@pytest.mark.parametrize("turns", [[], [80.0, 160.0]])
-def test_passes_mark_the_turns(turns):
-    time = np.arange(1.0, 241.0)
-    line = plots.Line("run", time, np.cos(time)[None], "#123456", "--")
-    figure = starts.over_passes(
-        {"80 s": [line]}, "T", quantity="phi_u (arcmin)", turns_s={"80 s": turns}
-    )
-    (axes,) = figure.axes
-    marked = [line.get_xdata()[0] for line in axes.lines if line.get_linestyle() == ":"]
-    assert marked == turns
-    assert axes.lines[0].get_color() == "#123456"
-    assert axes.get_xlabel() == "update time (s)"

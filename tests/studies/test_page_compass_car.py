@@ -7,7 +7,6 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from scipy.integrate import solve_ivp
-from support.stored import store
 
 from docs.studies.compass_car import cases as compass_cases
 from docs.studies.compass_car import transients as reversal_transients
@@ -58,44 +57,17 @@ def errors_of(study, seed=1):
     return 3 * random.normal(size=(shape[0], 1)) + 0.1 * random.normal(size=shape)
 
 
-def summary_of(study, errors):
+def source_of(study, errors):
+    """Results that no engine made: heading errors (starts, variants), arcmin."""
     runs = np.arange(errors.size)
-    variant = runs % study.n_variants
-    methods = study.values("method")
-    known = {
-        "run_id": runs,
+    methods = [study.values("method")[variant] for variant in runs % study.n_variants]
+    sigma = [None if method == "compass" else 20.0 for method in methods]
+    summary = {
         "draw_id": runs // study.n_variants,
-        "variant_id": variant,
-        "method": [methods[v] for v in variant],
-        "case": [study.cases[v]["case"] for v in variant],
-        "start_s": np.asarray(study.record.start_s)[runs // study.n_variants],
         "phi_u_arcmin": errors.ravel(),
+        "sigma_u_arcmin": pa.array(sigma, pa.float64()),
     }
-    sigma = np.where([methods[v] == "compass" for v in variant], np.nan, 20.0 + variant)
-    names = [f"sigma_{axis}_arcmin" for axis in "enu"]
-    table = (
-        known | dict.fromkeys(names, sigma) | {f"{a}_deg": sigma for a in ("pitch", "roll", "yaw")}
-    )
-    return pa.table({name: pa.array(v, from_pandas=True) for name, v in table.items()})
-
-
-def curves_of(study, tilt=lambda time: np.zeros_like(time)):
-    tables = []
-    for run in range(study.n_draws * study.n_variants):
-        records = study.spans[run % study.n_variants].records
-        time = np.arange(1.0, records + 1)
-        values = {"run_id": np.full(records, run), "time_s": time, "phi_e_arcmin": tilt(time)}
-        tables.append(pa.table(values | {"phi_u_arcmin": np.cos(time)}))
-    return pa.concat_tables(tables)
-
-
-def write(directory, study, errors, curves=True):
-    return store(directory, study, summary_of(study, errors), curves_of(study) if curves else None)
-
-
-@pytest.fixture
-def not_drawn(monkeypatch):
-    monkeypatch.setattr("sinsjax.plots.png", lambda *_: b"not drawn")
+    return Source(Path("results"), study, "car.toml", pa.table(summary))
 
 
 # --- the shipped study --------------------------------------------------------------------------
@@ -125,33 +97,25 @@ def test_the_best_schedule_is_the_one_that_was_found(data):
 # --- cases --------------------------------------------------------------------------------------
 
 
-def test_a_case_is_known_by_its_keys(data, tmp_path):
+def test_a_case_is_known_by_its_keys(data):
     study = study_of(data, *SMALL)
     errors = errors_of(study)
-    cases = compass_cases.cases_of(Source.read(write(tmp_path, study, errors, curves=False)))
+    cases = compass_cases.cases_of(source_of(study, errors))
     assert [case.name for case in cases] == list(SMALL)
     once, reflected, flipped, by_2, kalman, kalman_7 = cases
-    assert [(c.tape_s, c.passes) for c in cases] == [(80.0, n) for n in (1, 7, 7, 7, 1, 7)]
+    assert [(c.data_s, c.passes) for c in cases] == [(80.0, n) for n in (1, 7, 7, 7, 1, 7)]
     assert [c.turn for c in cases] == ["", "reflect", "velocity", "reflect", "", ""]
-    assert [c.smoothing_s for c in cases] == [0.0, 20.0, 20.0, 2.0, 0.0, 0.0]
     assert [c.kind for c in (once, flipped, kalman)] == [
         "compass, one pass",
         "compass, velocity flipped",
         "Kalman",
     ]
     np.testing.assert_array_equal(reflected.errors, errors[:, 1])
-    assert by_2.runs == (3 + 6 * np.arange(13)).tolist()
+    assert reflected.rms == pytest.approx(np.sqrt(np.mean(errors[:, 1] ** 2)))
+    assert np.isnan(reflected.sigma).all() and (kalman_7.sigma == 20.0).all()
     assert compass_cases.partner(cases, flipped) is kalman
     assert compass_cases.partner(cases, kalman_7) is kalman
-    assert compass_cases.partner(cases, kalman) is None
-    assert compass_cases.turned_by(cases, "reflect") == [reflected, by_2]
-    assert compass_cases.first_of_kinds_by_tape(cases) == [
-        once,
-        reflected,
-        flipped,
-        kalman,
-        kalman_7,
-    ]
+    assert compass_cases.first_of_kinds(cases) == [once, reflected, flipped, kalman, kalman_7]
 
 
 # --- kicks --------------------------------------------------------------------------------------
@@ -236,9 +200,6 @@ def test_kicks_are_what_an_exact_reflection_does_not_explain(data):
     assert last > 100  # arcmin an arcmin
 
 
-# --- the report ---------------------------------------------------------------------------------
-
-
 # --- the real record ----------------------------------------------------------------------------
 
 
@@ -264,8 +225,8 @@ def test_tilt_at_the_turns_explains_the_heading_on_the_real_record(data, data_di
     size = {name: rms(values).value for name, values in errors.items()}
     assert size[kalman] < 5 and size[careful] < 5 and size[flipped] < 7 < size[hasty]
     assert np.corrcoef(errors[careful], errors[kalman])[0, 1] > 0.9
-    turned = reversal_transients.turned_cases(source, cases)
-    assert [one.case.name for one in turned] == [careful, flipped, hasty]
-    for one in turned[1:]:
-        assert np.abs(one.rest - turned[0].rest).max() < 0.1  # arcmin
-    assert rms(turned[2].heading).value > 7
+    rest = reversal_transients.without_kicks(source, cases)
+    assert list(rest) == [careful, flipped, hasty]
+    for name in (flipped, hasty):
+        assert np.abs(rest[name] - rest[careful]).max() < 0.1  # arcmin
+    assert rms(errors[hasty] - rest[hasty]).value > 7

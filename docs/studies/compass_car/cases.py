@@ -3,12 +3,14 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax import analysis
-from sinsjax.report.base import Source, name_of, shown_keys
-from sinsjax.study.study import Study
+from sinsjax.report.base import Source
+from sinsjax.report.grids import Grid
+
+HEADING, SIGMA = "phi_u_arcmin", "sigma_u_arcmin"
+_TURNS = {"reflect": "tilt reflected", "velocity": "velocity flipped", "": "one pass"}
 
 
 class Case(NamedTuple):
@@ -17,91 +19,63 @@ class Case(NamedTuple):
     Attributes:
         name: in words.
         variant: its number.
-        method: alignment method.
-        tape_s: length of the data, s.
+        is_compass: whether the compass loops align; a Kalman filter otherwise.
+        data_s: length of the data, s.
         passes: over the data; the last one may be part of one.
         turn: what compass loops do at a turn; empty where there is none.
-        smoothing_s: of the specific force that a turn reflects by, s.
-        rows: of the summary.
         errors: (starts,) heading error phi_u at the end, arcmin; NaN if unknown.
+        sigma: (starts,) what a filter believes of it, arcmin; NaN of compass loops.
     """
 
     name: str
     variant: int
-    method: str
-    tape_s: float
+    is_compass: bool
+    data_s: float
     passes: int
     turn: str
-    smoothing_s: float
-    rows: pa.Table
     errors: NDArray
-
-    @property
-    def is_compass(self) -> bool:
-        """Whether the compass loops align."""
-        return self.method == "compass"
+    sigma: NDArray
 
     @property
     def kind(self) -> str:
         """What figures tell cases apart by."""
-        if not self.is_compass:
-            return "Kalman"
-        words = {"reflect": "tilt reflected", "velocity": "velocity flipped", "": "one pass"}
-        return f"compass, {words.get(self.turn, self.turn)}"
+        return f"compass, {_TURNS[self.turn]}" if self.is_compass else "Kalman"
 
     @property
-    def runs(self) -> list[int]:
-        """Numbers of its runs, one a start time."""
-        return self.rows["run_id"].to_pylist()
+    def rms(self) -> float:
+        """Rms heading error over the start times, arcmin."""
+        return analysis.rms(self.errors).value
 
 
 def cases_of(source: Source) -> list[Case]:
     """The runs by variant, in the study's order."""
-    study, found = source.study, []
-    for key, rows in analysis.groups(source.summary, [*shown_keys(study), "variant_id"]):
-        variant = key.pop("variant_id")
-        tape_s, passes = _data(study, variant)
-        method = rows["method"][0].as_py()
-        turned = method == "compass" and passes > 1
+    study = source.study
+    grid = Grid.of(source, (HEADING, SIGMA), case=study.values("case"))
+    found = []
+    for variant, (name, span) in enumerate(zip(grid.axes["case"], study.spans, strict=True)):
+        is_compass = study.values("method")[variant] == "compass"
+        passes = -(-span.records // span.pass_records)
         found.append(
             Case(
-                name=name_of(key),
+                name=name,
                 variant=variant,
-                method=method,
-                tape_s=tape_s,
+                is_compass=is_compass,
+                data_s=span.pass_records * study.record_every / study.rate_hz,
                 passes=passes,
-                turn=study.values("turn")[variant] if turned else "",
-                smoothing_s=study.values("turn_smoothing_s")[variant] if turned else 0.0,
-                rows=rows,
-                errors=analysis.numbers(rows, "phi_u_arcmin"),
+                turn=study.values("turn")[variant] if is_compass and passes > 1 else "",
+                errors=grid.at(HEADING, case=name),
+                sigma=grid.at(SIGMA, case=name),
             )
         )
     return found
 
 
-def _data(study: Study, variant: int) -> tuple[float, int]:
-    """Length of a variant's data, s, and how many passes over them begin."""
-    span = study.spans[variant]
-    return span.pass_records * study.record_every / study.rate_hz, -(
-        -span.records // span.pass_records
-    )
+def partner(cases: Sequence[Case], case: Case) -> Case:
+    """The filter that goes once over the same data."""
+    return next(c for c in cases if not c.is_compass and c.passes == 1 and c.data_s == case.data_s)
 
 
-def partner(cases: Sequence[Case], case: Case) -> Case | None:
-    """The filter that goes once over the same data; None without one, or for itself."""
-    same = (c for c in cases if not c.is_compass and c.passes == 1 and c.tape_s == case.tape_s)
-    found = next(same, None)
-    return None if found is case else found
-
-
-def turned_by(cases: Sequence[Case], turn: str) -> list[Case]:
-    """Compass cases over stored tapes that turn by one rule."""
-    return [case for case in cases if case.turn == turn]
-
-
-def first_of_kinds_by_tape(cases: Sequence[Case]) -> list[Case]:
+def first_of_kinds(cases: Sequence[Case]) -> list[Case]:
     """The first case of each kind and number of passes over each length of data."""
-    first: dict[tuple[float, str, int], Case] = {}
-    for case in cases:
-        first.setdefault((case.tape_s, case.kind, case.passes), case)
-    return list(first.values())
+    keys = [(case.data_s, case.kind, case.passes) for case in cases]
+    return [case for i, case in enumerate(cases) if keys.index(keys[i]) == i]

@@ -1,31 +1,26 @@
-"""What the turns of a tape do to the heading at the end, told from the tilt at the turns.
+"""What the turns of a stored record do to the heading at the end, told from the tilt at the turns.
 
 A turn that reflects the tilt exactly lets the loops go on as if the data were new. Any other turn
 leaves a tilt that should not be there: a kick. A reflecting turn kicks where the base moves, as the
 specific force is then not that of the tilt alone; flipping the velocity kicks by twice the tilt.
-The azimuth loop takes any tilt for the sign of a wrong heading. As its heading is linear in the
-kicks, what they do can be told.
+The azimuth loop takes any tilt for a heading error, and its heading is linear in the kicks.
 """
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from sinsjax import analysis, plots
+from sinsjax import plots
 from sinsjax.alignment.compass import design as loops
-from sinsjax.analysis import rms
 from sinsjax.plots import Ensemble
-from sinsjax.plots.starts import falling
-from sinsjax.report.base import Picture, Source, Table
-from sinsjax.report.output import counted
+from sinsjax.report.base import Source
 from sinsjax.study.load import one_variant
 
 from ..loops.linear import Loops, loops_of
-from .cases import Case, partner, turned_by
+from .cases import Case
 
 _REFLECTED = np.array([-1.0, -1.0, 1.0, 1.0])  # the turn after which a pass goes on exactly
 
@@ -89,85 +84,20 @@ def heading_of_kicks(model: Loops, runs: Ensemble) -> NDArray:
     return transients_of(model, runs) @ np.asarray(gains)
 
 
-class Turned(NamedTuple):
-    """A case over a stored tape, and what its turns have done.
-
-    Attributes:
-        case: the runs.
-        last: (starts,) kick of the last turn, arcmin.
-        heading: (starts,) what all kicks make of the heading at the end, arcmin.
-    """
-
-    case: Case
-    last: NDArray
-    heading: NDArray
-
-    @property
-    def rest(self) -> NDArray:
-        """(starts,) heading error without what the turns do, arcmin."""
-        return self.case.errors - self.heading
-
-
-def turned_cases(source: Source, cases: Sequence[Case]) -> list[Turned]:
-    """The cases over stored tapes, with what their turns do."""
-    shown = [case for case in cases if case.turn]
-    curves = source.curves([run for case in shown for run in case.runs])
-    found = []
-    for case in shown:
-        model = loops_of(one_variant(source.study, case.variant))
-        (lines,) = plots.ensembles(curves, {case.name: case.runs})
-        if turn_times(model, float(lines.time_s[-1])).size:
-            last = transients_of(model, lines)[:, -1]
-            found.append(Turned(case, last, heading_of_kicks(model, lines)))
-    return found
+def without_kicks(source: Source, cases: Sequence[Case]) -> dict[str, NDArray]:
+    """(starts,) heading error without what the turns do, arcmin, by case over a stored record."""
+    rest = {}
+    for case in cases:
+        if case.turn:
+            runs = (case.variant + source.study.n_variants * np.arange(source.draws)).tolist()
+            (lines,) = plots.ensembles(source.curves(runs), {case.name: runs})
+            model = loops_of(one_variant(source.study, case.variant))
+            rest[case.name] = case.errors - heading_of_kicks(model, lines)
+    return rest
 
 
 def gain(source: Source, case: Case) -> float:
     """Heading at the end for 1 arcmin of tilt after the last turn of a case, arcmin."""
     model = loops_of(one_variant(source.study, case.variant))
-    end_s = case.tape_s * case.passes
+    end_s = case.data_s * case.passes
     return abs(heading_at_end(model, float(turn_times(model, end_s)[-1]), end_s))
-
-
-def table(turned: Sequence[Turned]) -> Table:
-    """What the turns of each case do to the heading at the end."""
-    rows = []
-    for one in turned:
-        numbers = (one.heading, one.case.errors, one.rest)
-        cells = [f"{rms(values).value:.2f}" for values in numbers]
-        rows.append([one.case.name, f"{rms(one.last).value:.3f}", *cells])
-    header = ["", "kick of the last turn", "heading of all kicks, predicted", "heading error"]
-    note = (
-        "*Kick*: tilt after a turn that an exact reflection would not have left. *Predicted*: the"
-        " kicks, from the curves, through the linear azimuth loop."
-    )
-    title = "What the turns do to the heading at the end (arcmin, rms)"
-    return Table(title, [*header, "error less predicted"], rows, note, folded=True)
-
-
-def delays(source: Source, cases: Sequence[Case], turned: Sequence[Turned]) -> Picture:
-    """Heading error over the delay of the force that the reflecting turn goes by, 80 s tape."""
-    reflected = [one for one in turned if one.case.turn == "reflect"]
-    tape_s = min(one.case.tape_s for one in reflected)
-    same = [one for one in reflected if one.case.tape_s == tape_s]
-    same.sort(key=lambda one: one.case.smoothing_s)
-    record = analysis.clusters_of(same[0].case.rows)
-    others = [*turned_by(cases, "velocity"), partner(cases, same[0].case)]
-    levels = {
-        case.name: rms(case.errors).value
-        for case in others
-        if case is not None and case.tape_s == tape_s
-    }
-    figure = falling(
-        "delay of the low-passed specific force (s)",
-        [one.case.smoothing_s for one in same],
-        {
-            "heading error": [rms(one.case.errors, record) for one in same],
-            "what the turns do, predicted": [rms(one.heading, record) for one in same],
-        },
-        levels,
-        title="The reflecting turn on a moving base, from the reference",
-        quantity="heading, rms (arcmin)",
-    )
-    caption = f"{tape_s:g} s tape, rms over the start times; dotted: without such turns."
-    return Picture("delay", caption, figure, counted(source))
