@@ -8,7 +8,7 @@ from sinsjax.engine.study_limits import hidden_north
 from sinsjax.engine.truth import site_of, starts_of
 from sinsjax.errors import InputError
 from sinsjax.records import Layout, Record, require_span
-from sinsjax.records.plausible import Expected, findings
+from sinsjax.records.plausible import StationaryValues, findings
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
 from sinsjax.study.study import Study
@@ -55,7 +55,7 @@ def _of_record(study: Study, stored: StoredRecord) -> Iterator[str]:
         key: default if getattr(section, key) is None else getattr(section, key)
         for key, default in _BIASES.items()
     }
-    expected = Expected(
+    expected = StationaryValues(
         earth_rate=float(site.earth.rate),
         latitude=float(site.latitude),
         gravity=float(site.place.gravity),

@@ -42,7 +42,7 @@ _NAMES = {
 }
 
 
-class Expected(NamedTuple):
+class StationaryValues(NamedTuple):
     """What a stationary record should measure, SI units.
 
     Attributes:
@@ -96,7 +96,7 @@ class _Means(NamedTuple):
 
 
 def findings(
-    record: Record, span: tuple[int, int], layout: Layout, expected: Expected
+    record: Record, span: tuple[int, int], layout: Layout, expected: StationaryValues
 ) -> list[Finding]:
     """What is implausible for a stationary base in a span of a record.
 
@@ -114,7 +114,9 @@ def findings(
     return found + rate + list(_rotations(means, expected))
 
 
-def _force(means: _Means, layout: Layout, rate_hz: float, expected: Expected) -> Iterator[Finding]:
+def _force(
+    means: _Means, layout: Layout, rate_hz: float, expected: StationaryValues
+) -> Iterator[Finding]:
     size, gravity = means.size, expected.gravity
     if abs(size - gravity) <= expected.accel_bias:
         return
@@ -148,7 +150,7 @@ def _vertical(means: _Means, layout: Layout) -> Iterator[Finding]:
 
 
 def _rate(
-    record: Record, span: tuple[int, int], layout: Layout, expected: Expected, means: _Means
+    record: Record, span: tuple[int, int], layout: Layout, expected: StationaryValues, means: _Means
 ) -> Iterator[Finding]:
     size, earth = float(np.linalg.norm(means.rate)), expected.earth_rate
     allowed, bias = expected.gyro_bias + means.uncertain, abs(size - earth)
@@ -197,7 +199,7 @@ def _hidden(bias: float) -> str:
     return f"a gyro bias of {least:.3g} deg/h or more hides Earth rate: no heading can be found"
 
 
-def _rotations(means: _Means, expected: Expected) -> Iterator[Finding]:
+def _rotations(means: _Means, expected: StationaryValues) -> Iterator[Finding]:
     drift = (expected.earth_rate + expected.gyro_bias + means.uncertain) * means.seconds
     if means.turned > _TURN:
         yield Finding(
@@ -241,7 +243,7 @@ def _others(
 
 
 def _other_gyro_unit(
-    record: Record, span: tuple[int, int], layout: Layout, expected: Expected
+    record: Record, span: tuple[int, int], layout: Layout, expected: StationaryValues
 ) -> str:
     """The gyro unit that would make the rate plausible: near Earth rate, and along it."""
     part = record._replace(dtheta=record.dtheta[slice(*span)], dv=record.dv[slice(*span)])

@@ -13,9 +13,9 @@ from sinsjax.report.attitudes import MOST_ROWS, attitudes
 from sinsjax.report.base import (
     NEEDED,
     Block,
+    Chapter,
     Picture,
     Report,
-    Section,
     Source,
     Table,
     Text,
@@ -52,7 +52,7 @@ def report(source: Source) -> Report:
         figures += [block for block in blocks if not isinstance(block, Table)]
         figures += spreads(source)
     parts = {"What is best": best, "Figures": figures, "Tables": tables}
-    sections = [Section(heading, blocks) for heading, blocks in parts.items() if blocks]
+    sections = [Chapter(heading, blocks) for heading, blocks in parts.items() if blocks]
     return Report([_headline(source, has_truth), *_stopped(source)], sections)
 
 

@@ -192,7 +192,7 @@ class Picture(NamedTuple):
 Block = Text | Table | Picture
 
 
-class Section(NamedTuple):
+class Chapter(NamedTuple):
     """A heading and what stands under it."""
 
     heading: str
@@ -209,10 +209,10 @@ class Report(NamedTuple):
     """
 
     headline: Sequence[str]
-    sections: Sequence[Section]
+    sections: Sequence[Chapter]
     rests_on: str = ""
 
-    def followed_by(self, section: Section) -> "Report":
+    def followed_by(self, section: Chapter) -> "Report":
         """The report with one more section at its end."""
         return self._replace(sections=[*self.sections, section])
 

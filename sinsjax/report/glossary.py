@@ -3,7 +3,7 @@
 from rich.console import Console
 
 from sinsjax import console as screen
-from sinsjax.report.base import Section, Text
+from sinsjax.report.base import Chapter, Text
 from sinsjax.report.names import NO_NAMES
 
 WORDS = {
@@ -23,10 +23,10 @@ WORDS = {
 """What is said under every report."""
 
 
-def section() -> Section:
+def section() -> Chapter:
     """The words as the last section of a page."""
     lines = "\n".join(f"- *{word}*: {meaning}." for word, meaning in WORDS.items())
-    return Section("What the words mean", [Text(lines)])
+    return Chapter("What the words mean", [Text(lines)])
 
 
 def print_words(console: Console) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 from sinsjax.analysis import NO_INTERVAL, Estimate, format_estimate
 from sinsjax.errors import InputError
 from sinsjax.report import tuned_figures
-from sinsjax.report.base import Report, Section, Source, Table, value_text
+from sinsjax.report.base import Chapter, Report, Source, Table, value_text
 from sinsjax.report.tuned_results import Tuning, words
 from sinsjax.study.search_space import Variable
 from sinsjax.study.success import yardsticks
@@ -56,8 +56,8 @@ def report(source: Source) -> Report:
     return Report(
         _headline(tuning),
         [
-            Section("What was found", [_candidates(tuning)]),
-            Section("How it was found", pictures),
+            Chapter("What was found", [_candidates(tuning)]),
+            Chapter("How it was found", pictures),
         ],
         f"{tuning.study.name}: {_drawn(tuning)}{each} a point",
     )

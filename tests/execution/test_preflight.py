@@ -17,7 +17,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import run, tables
 from sinsjax.execution.preflight import warnings_of
 from sinsjax.records import Layout, Record, Reference, plausible, write_csv
-from sinsjax.records.plausible import Expected, Finding, findings
+from sinsjax.records.plausible import Finding, StationaryValues, findings
 from sinsjax.records.reference import StoredRecord
 from sinsjax.records.turning import attitudes
 from sinsjax.study.load import Study, load_study, study_from_dict
@@ -44,7 +44,7 @@ def found(
     some: Record, *, gyro: float = 10.0, accel: float = 5000.0, **layout: Any
 ) -> list[Finding]:
     rate = 15.041067 * DEG_PER_H
-    expected = Expected(rate, 32 * DEG, 9.8, gyro * DEG_PER_H, accel * micro_g())
+    expected = StationaryValues(rate, 32 * DEG, 9.8, gyro * DEG_PER_H, accel * micro_g())
     return findings(some, SPAN, LAYOUT._replace(**layout), expected)
 
 

@@ -46,7 +46,7 @@ class Reader(HTMLParser):
 def made(*blocks, headline=("Found: *much*.",), name="swing"):
     study = small_study(study={"name": name})
     table = pa.table({"run_id": np.arange(3)})
-    report = base.Report(list(headline), [base.Section("A `part`", blocks)])
+    report = base.Report(list(headline), [base.Chapter("A `part`", blocks)])
     images = {block.name: PNG for block in blocks if isinstance(block, base.Picture)}
     return Made(base.Source(Path("results"), study, f"{name}.toml", table), report, images)
 
