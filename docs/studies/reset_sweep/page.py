@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 
 from sinsjax import analysis, plots
-from sinsjax.analysis import format_estimate
+from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.plots import Scale, Shown
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
-from sinsjax.report.grids import Grid, held_out, median, pooled_mean, shared, soonest
+from sinsjax.report.grids import Choice, Grid, held_out, median, pooled_mean, shared, soonest
 from sinsjax.report.output import counted
 from sinsjax.report.words import seconds, share
 
@@ -50,7 +50,8 @@ def page(sources: Sources) -> Page:
             "one": seconds(pooled_mean(np.minimum(one, run_s))),
         },
     }
-    gains = [_contest(grid, yaw) for yaw in yaws]
+    contests = _contests(grid)
+    gains = [analysis.quantile_difference(more.values, one.values) for one, more in contests]
     claims = {
         "two resets are the best for all": best[0] == 2,
         "with resets every run settles": bool(np.isfinite(reset).all()),
@@ -76,41 +77,34 @@ def page(sources: Sources) -> Page:
         " settle. The first reset comes after one time between resets."
     )
     picture = Picture("settling_time", caption, figure, counted(source))
-    return Page(values, {"best": _best(grid)}, {"settling": picture}, claims)
+    return Page(values, {"best": _best(grid, contests, gains)}, {"settling": picture}, claims)
 
 
-def _contest(grid: Grid, yaw: float) -> analysis.Estimate:
-    """Median settling time of the best schedule of several resets less that of the best of one."""
+def _contests(grid: Grid) -> list[tuple[Choice, Choice]]:
+    """The best single reset and the best of several at each heading error, on unused draws."""
     several = [count for count in grid.axes["count"] if count > 1]
-    one = held_out(grid.at(LIMIT, count=1, yaw=yaw), soonest)
-    more = held_out(grid.at(LIMIT, count=several, yaw=yaw).reshape(-1, grid.draws), soonest)
-    return analysis.quantile_difference(more.values, one.values)
-
-
-def _best(grid: Grid) -> Table:
-    """The best schedule at each heading error, on unused draws."""
-    counts, cycles = grid.axes["count"], grid.axes["cycle"]
-    several = [count for count in counts if count > 1]
-    names = {
-        1: [f"at {cycle:g} s" for cycle in cycles],
-        2: [f"{count}, {cycle:g} s apart" for count in several for cycle in cycles],
-    }
-    rows = []
+    found = []
     for yaw in grid.axes["yaw"]:
         one = held_out(grid.at(LIMIT, count=1, yaw=yaw), soonest)
-        more = held_out(grid.at(LIMIT, count=several, yaw=yaw).reshape(-1, grid.draws), soonest)
-        none = grid.at(LIMIT, count=0, yaw=yaw)[0]
-        rows.append(
-            [
-                f"{yaw:g} deg",
-                format_estimate(analysis.quantile(none), digits=0),
-                one.named(names[1]),
-                format_estimate(analysis.quantile(one.values), digits=0),
-                more.named(names[2]),
-                format_estimate(analysis.quantile(more.values), digits=0),
-                format_estimate(_contest(grid, yaw), digits=0),
-            ]
+        more = grid.at(LIMIT, count=several, yaw=yaw).reshape(-1, grid.draws)
+        found.append((one, held_out(more, soonest)))
+    return found
+
+
+def _best(grid: Grid, contests: list[tuple[Choice, Choice]], gains: list[Estimate]) -> Table:
+    """The best schedule at each heading error."""
+    counts, cycles = grid.axes["count"], grid.axes["cycle"]
+    once = [f"at {cycle:g} s" for cycle in cycles]
+    often = [f"{n}, {cycle:g} s apart" for n in counts if n > 1 for cycle in cycles]
+    rows = []
+    for yaw, (one, more), gain in zip(grid.axes["yaw"], contests, gains, strict=True):
+        runs = grid.at(LIMIT, count=0, yaw=yaw)[0], one.values, more.values
+        none_s, one_s, more_s = (
+            format_estimate(analysis.quantile(settle_s), digits=0) for settle_s in runs
         )
+        later = format_estimate(gain, digits=0)
+        names = one.named(once), more.named(often)
+        rows.append([f"{yaw:g} deg", none_s, names[0], one_s, names[1], more_s, later])
     header = ["initial heading error", "no reset (s)", "best one", "median (s)", "best of more"]
     note = (
         f"Median [95 % interval over the {grid.draws} draws]; each half of the draws chose for the"

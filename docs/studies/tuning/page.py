@@ -7,7 +7,7 @@ from sinsjax.report import tuned_figures, tuned_results
 from sinsjax.report.base import Picture, Table, value_text
 from sinsjax.report.folder import Page, Sources
 from sinsjax.report.output import counted
-from sinsjax.report.tuned_results import Tuning, words
+from sinsjax.report.tuned_results import Tuning
 from sinsjax.report.words import seconds
 from sinsjax.tuning.carry_out import GRADIENT
 
@@ -31,9 +31,7 @@ def page(sources: Sources) -> Page:
         figures[f"{name}_seen"] = seen._replace(name=f"{name}_seen", rests_on=told)
         figures[f"{name}_course"] = course._replace(name=f"{name}_course", rests_on=told)
     values: dict[str, Any] = {name: _told(tuning) for name, tuning in tunings.items()}
-    tables = {name: _candidates(name, tuning) for name, tuning in tunings.items()}
-    tables["expected"] = _expected(tunings)
-    return Page(values, tables, figures, _claims(tunings))
+    return Page(values, {"expected": _expected(tunings)}, figures, _claims(tunings))
 
 
 def _told(tuning: Tuning) -> dict[str, str]:
@@ -90,23 +88,3 @@ def _shown(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(_shown(one) for one in value)}]"
     return f"{value:.3g}" if isinstance(value, float) else value_text(value)
-
-
-def _candidates(name: str, tuning: Tuning) -> Table:
-    rival = tuning.rival
-    rows = []
-    for candidate, place in tuning.places.items():
-        case, found = tuning.judged.cases[place], tuning.found.get(candidate)
-        cost = found.cost / tuning.found[rival].cost if found else None
-        rows.append(
-            [
-                candidate,
-                seconds(tuning.score(candidate), 1),
-                "-" if candidate == rival else seconds(tuning.difference(candidate), 1),
-                f"{100 * cost:.0f} %" if cost else "-",
-                *(_shown(value) for key, value in case.items() if key != "case"),
-            ]
-        )
-    keys = [key for key in tuning.judged.cases[0] if key != "case"]
-    header = ["candidate", words(tuning.study)[0], f"less that of {rival}", f"cost of {rival}'s"]
-    return Table(f"Candidates: {QUESTIONS[name]}", [*header, *keys], rows, folded=True)
