@@ -204,7 +204,6 @@ def _failure(grid: Grid) -> Page:
         "failure": {
             "measured": share(everywhere),
             "gravity": share(ablated),
-            "here": share(shared(here)),
             "level_alone": share(shared(here[:, :1])),
             "yaw_alone": share(shared(here[:1])),
         }
@@ -224,14 +223,12 @@ def _failure(grid: Grid) -> Page:
 def _phase(source: Source) -> Page:
     """Two resets 50 s apart, at any phase of a feedback interval."""
     grid, run_s = layout(source), source.study.run_s
-    on, between, before = ((first, first + 50.0) for first in (10.0, 17.5, 19.9))
+    between, before, on = ((first, first + 50.0) for first in (17.5, 19.9, 20.0))
 
     def later(feedback: float, one: Schedule, other: Schedule) -> Estimate:
-        pair = (
-            np.minimum(grid.at(SETTLE, feedback=feedback, schedule=times), run_s)
-            for times in (one, other)
-        )
-        return analysis.difference(*(runs.mean(axis=(0, 1, 2, 3)) for runs in pair))
+        pair = (grid.at(SETTLE, feedback=feedback, schedule=times) for times in (one, other))
+        means = (np.minimum(settle_s, run_s).mean(axis=(0, 1, 2, 3)) for settle_s in pair)
+        return analysis.difference(*means)
 
     found = {
         "on": later(SLOW, on, between),
