@@ -24,6 +24,10 @@ from sinsjax.bench.timing import Row, measure_against
 from sinsjax.engine.batch import compiled, plan
 from sinsjax.engine.lanes import Group, tiles_of
 
+OTHERS = tuple(name for name in METHODS if name not in ("kalman5", "compass"))
+QUICK = ("kalman10", "kalman_sincos", "optimisation")
+"""The methods beside `kalman5` and `compass`; those of a quick run."""
+
 COUNTED = (2, 4)
 """Records of the programs whose difference tells the arithmetic of a step."""
 
@@ -39,7 +43,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     """
     groups = {
         "kalman": default_group(),
-        **{name: method_group(name) for name in METHODS if name not in ("kalman5", "compass")},
+        **{name: method_group(name) for name in (QUICK if quick else OTHERS)},
         "linearisation": trigger_group(),
         "compass": compass_group(),
         "compass_tape": compass_group(RECORD_S),

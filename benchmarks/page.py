@@ -18,7 +18,7 @@ from targets import judged, sizes
 from sinsjax.errors import InputError
 from sinsjax.platform.files import replacing
 from sinsjax.plots import png
-from sinsjax.report.base import Block, Picture, Section, Table, Text
+from sinsjax.report.base import Block, Chapter, Picture, Table, Text
 from sinsjax.report.output import FIGURES, markdown, save_figures
 
 PAGE = common.ROOT / "docs" / "performance.md"
@@ -26,7 +26,7 @@ NOTES = Path(__file__).parent / "notes.md"
 PREFIX = "performance_"
 
 
-def sections(machines: Sequence[Machine], notes: str) -> list[Section]:
+def sections(machines: Sequence[Machine], notes: str) -> list[Chapter]:
     """The page, from all of the history.
 
     Args:
@@ -36,17 +36,17 @@ def sections(machines: Sequence[Machine], notes: str) -> list[Section]:
     newest = [machine for machine in machines if machine.version == machines[-1].version]
     cpus = [machine for machine in newest if not machine.on_gpu]
     made = [
-        Section("Machines", compared(cpus)),
-        Section("Targets", [block for machine in newest for block in targets(machine)]),
-        Section("Beside the limit", [block for machine in cpus for block in beside_limit(machine)]),
-        Section("Methods", [block for machine in cpus for block in methods(machine)]),
-        Section("Where the time goes", [block for machine in cpus for block in work(machine)]),
-        Section("Single precision", [block for machine in cpus for block in single(machine)]),
-        Section("Cost model", costs.cost_model(cpus)),
-        Section("Starting up", [block for machine in cpus for block in cold_start(machine)]),
-        Section("On a GPU", [block for machine in newest for block in gpu(machine)]),
-        Section("History", over_versions(machines)),
-        Section("Left out, and why", [Text(notes)] if notes else []),
+        Chapter("Machines", compared(cpus)),
+        Chapter("Targets", [block for machine in newest for block in targets(machine)]),
+        Chapter("Beside the limit", [block for machine in cpus for block in beside_limit(machine)]),
+        Chapter("Methods", [block for machine in cpus for block in methods(machine)]),
+        Chapter("Where the time goes", [block for machine in cpus for block in work(machine)]),
+        Chapter("Single precision", [block for machine in cpus for block in single(machine)]),
+        Chapter("Cost model", costs.cost_model(cpus)),
+        Chapter("Starting up", [block for machine in cpus for block in cold_start(machine)]),
+        Chapter("On a GPU", [block for machine in newest for block in gpu(machine)]),
+        Chapter("History", over_versions(machines)),
+        Chapter("Left out, and why", [Text(notes)] if notes else []),
     ]
     return [section for section in made if section.blocks]
 
