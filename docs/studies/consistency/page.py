@@ -96,5 +96,10 @@ def table(
     ]
     bands = [f"{low:.2f} to {high:.2f}" for low, high in (nees, nis)]
     rows.insert(0, ["*expected of a true belief*", *bands, "95"])
-    header = ["filter", "mean NEES", "mean NIS of the heading", "runs up to the 95 % quantile (%)"]
+    header = [
+        "filter",
+        "mean NEES",
+        "mean NEES of the heading, from its limit",
+        "runs up to the 95 % quantile (%)",
+    ]
     return Table("Five filters on the same draws", header, rows, "Number [95 % interval].")
