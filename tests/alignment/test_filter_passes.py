@@ -7,9 +7,9 @@ from oracles.in_engine import (
     PAPER1,
     UG,
     filter_params,
+    measured,
     one_run,
     site,
-    swing_increments,
     tape_world,
     trail,
 )
@@ -35,15 +35,7 @@ def numbers(name, **changes):
 def test_three_passes_as_the_naive_loop(name):
     """With feedback over the direction reversals, and a reset."""
     phi, v = np.array([1.0, -2.0, 15.0]) * DEG, np.array([0.3, -0.2])
-    rows = swing_increments(
-        PAPER1,
-        PAPER,
-        LATITUDE,
-        rate=RATE,
-        samples=SAMPLES,
-        gyro=((0.2 * DEG_PER_H, -0.1 * DEG_PER_H, 0.3 * DEG_PER_H), 0.2 * DEG_PER_H),
-        accel=((1e3 * UG, -5e2 * UG, 3e2 * UG), 1e3 * UG),
-    )
+    rows = measured(PAPER, LATITUDE, SAMPLES)
     filt = numbers(name, every=130, resets=(250, 1500))
     about = {"latitude": LATITUDE, "c": exp(-phi) @ PAPER1.matrix(0.0), "v": v, "filt": filt}
     naive = closed_loop(

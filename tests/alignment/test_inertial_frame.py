@@ -1,7 +1,5 @@
 """Methods in the inertial frame against naive sums, coarse alignment and closed forms."""
 
-from functools import cache, partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,13 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles.in_engine import (
-    DEG_PER_H,
     PAPER1,
-    UG,
+    measured,
     navigation,
     place,
+    runner,
     site,
-    step_and_close,
     swing_increments,
 )
 from oracles.naive import DEG, PAPER, WGS84, compensate, exp, log, of_quaternion
@@ -24,7 +21,6 @@ from scipy.spatial.transform import Rotation
 from support.studies import refusal, small_study
 
 from sinsjax import run as run_study
-from sinsjax.alignment.base import Options
 from sinsjax.alignment.coarse import COARSE
 from sinsjax.alignment.inertial_frame.eigenvector import of_largest
 from sinsjax.alignment.inertial_frame.method import reaction_velocity
@@ -63,50 +59,21 @@ def test_the_velocity_of_gravitys_reaction_in_the_inertial_frame(t, latitude_deg
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * here.gravity * t)
 
 
-@cache
-def runner(name):
-    """A compiled run that returns the attitude after every second."""
-    method = METHODS[name](Options(1 / RATE))
-
-    @jax.jit
-    def run(here, nav, rows):
-        samples = sensors.compensate_record(rows, rows[0])
-        counts = 1.0 + jnp.arange(float(len(rows)))
-
-        def step(state, xs):
-            state = step_and_close(method, (), here, state, *xs)
-            due = xs[1] % RATE == 0
-            state = jax.tree.map(partial(jnp.where, due), method.normalise(state), state)
-            return state, method.attitude(state)
-
-        return jax.lax.scan(step, method.init((), nav), (samples, counts))[1]
-
-    def attitudes(rows, start=None):
-        start = np.eye(3) if start is None else start
-        nav = navigation(start, np.zeros(2), LATITUDE)
-        q = run(site(PAPER, LATITUDE), nav, rows)
-        return of_quaternion(np.stack(q, axis=1)[RATE - 1 :: RATE])
-
-    return attitudes
+def attitudes(name, rows, start=None):
+    """Those after every second."""
+    nav = navigation(np.eye(3) if start is None else start, np.zeros(2), LATITUDE)
+    _, q, _ = runner(name)((), site(PAPER, LATITUDE), nav, rows)
+    return of_quaternion(np.stack(q, axis=1)[RATE - 1 :: RATE])
 
 
-@cache
-def measured():
-    return swing_increments(
-        SWING,
-        PAPER,
-        LATITUDE,
-        rate=RATE,
-        samples=RATE * SECONDS,
-        gyro=((0.2 * DEG_PER_H, -0.1 * DEG_PER_H, 0.3 * DEG_PER_H), 0.2 * DEG_PER_H),
-        accel=((1e3 * UG, -5e2 * UG, 3e2 * UG), 1e3 * UG),
-    )
+def record():
+    return measured(PAPER, LATITUDE, RATE * SECONDS)
 
 
 def test_optimisation_is_the_least_squares_fit_of_the_velocities():
     """SciPy's solution of Wahba's problem, by singular values, of sums in plain loops."""
     w_ie = np.array(PAPER.rates(LATITUDE, (0.0, 0.0))[0])
-    theta, dvs = compensate(measured())
+    theta, dvs = compensate(record())
     turns, dt = Rotation.from_rotvec(theta), 1 / RATE
     body, alpha, b = np.eye(3), np.zeros(3), np.zeros((3, 3))
     beta, up = np.zeros(3), np.array([0.0, 0.0, PAPER.gravity])
@@ -123,13 +90,13 @@ def test_optimisation_is_the_least_squares_fit_of_the_velocities():
             left, _, right = np.linalg.svd(b)
             n0 = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
             expected = exp(-w_ie * (k + 1) * dt) @ n0 @ body
-            found = runner("optimisation")(measured())[(k + 1) // RATE - 1]
+            found = attitudes("optimisation", record())[(k + 1) // RATE - 1]
             assert np.abs(log(expected @ found.T)).max() < 1e-3 * ARCMIN
 
 
 def test_inertial_is_coarse_alignment_as_it_goes():
-    samples = sensors.compensate_record(measured(), measured()[0])
-    found = runner("inertial")(measured())
+    samples = sensors.compensate_record(record(), record()[0])
+    found = attitudes("inertial", record())
     for seconds in (1, 20, SECONDS):
         some = jax.tree.map(lambda a, n=seconds * RATE: a[:n], samples)
         q = jax.jit(COARSE["inertial"])(some, place(PAPER, LATITUDE), 1 / RATE)
@@ -140,13 +107,13 @@ def test_inertial_is_coarse_alignment_as_it_goes():
 @pytest.mark.parametrize("name", NAMES)
 def test_without_sensor_errors_it_finds_the_attitude_within_a_minute(name):
     rows = swing_increments(SWING, PAPER, LATITUDE, rate=RATE, samples=RATE * SECONDS)
-    found = runner(name)(rows)
+    found = attitudes(name, rows)
     assert np.abs(log(SWING.matrix(SECONDS) @ found[-1].T)).max() < 0.05 * ARCMIN
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_what_a_run_begins_with_makes_no_difference(name):
-    one, other = (runner(name)(measured(), start) for start in (np.eye(3), exp([1.0, 2.0, 3.0])))
+    one, other = (attitudes(name, record(), start) for start in (np.eye(3), exp([1.0, 2.0, 3.0])))
     np.testing.assert_array_equal(one, other)
 
 

@@ -27,6 +27,7 @@ from sinsjax.alignment.filters.stages import (
     FilterParams,
     FilterState,
     begin,
+    mechaniser,
     place_of,
     reversed_by,
     unaided,
@@ -70,7 +71,7 @@ def build(predict: Prediction, options: Options) -> Method:
 
 def filter_of(predict: Prediction, options: Options) -> Filter:
     """Its filter; arguments as of `build`."""
-    dt, place = options.dt, place_of(options.position)
+    dt, mechanise = options.dt, mechaniser(options)
 
     def init(params: FilterParams, nav: Navigation) -> FilterState:
         return begin(params, nav)._replace(own=params.own)
@@ -78,10 +79,7 @@ def filter_of(predict: Prediction, options: Options) -> Filter:
     def propagate(
         params: FilterParams, site: Site, state: FilterState, sample: Sample
     ) -> FilterState:
-        here = place(site, state.nav)
-        nav, _ = mechanisation.step(state.nav, sample, here, dt)
-        if options.position == "integrated":
-            nav = mechanisation.travel(nav, here, dt)
+        nav, _, here = mechanise(site, state.nav, sample)
         belief = predict(state.belief, here, dt, params.own.alpha)
         return state._replace(nav=nav, belief=belief)
 
@@ -96,7 +94,7 @@ def filter_of(predict: Prediction, options: Options) -> Filter:
         _feed_back,
         partial(reset_covariance, heading=(AZIMUTH,)),
         partial(reversed_by, REVERSAL),
-        place,
+        place_of(options.position),
         at_rest,
         _misalignment,
         _attitude,

@@ -20,6 +20,7 @@ from sinsjax.alignment.base import (
     FilterResults,
     Innovations,
     Method,
+    Options,
     Site,
 )
 from sinsjax.alignment.kalman import Belief, Innovation
@@ -253,6 +254,27 @@ def place_of(position: str) -> Callable[[Site, Navigation], Place]:
     if position == "integrated":
         return lambda site, nav: earth.place(site.earth, nav.latitude)
     return lambda site, nav: site.place
+
+
+def mechaniser(
+    options: Options,
+) -> Callable[[Site, Navigation, Sample], tuple[Navigation, Vec3, Place]]:
+    """One sample of navigation: (site, navigation, sample) -> what `Filter.propagate` goes by.
+
+    Returns:
+        A function that gives the solution at the end of the sample, the specific force in n times
+        dt, m/s, and the Earth where the sample began, by `Options.position`.
+    """
+    place = place_of(options.position)
+
+    def mechanise(site: Site, nav: Navigation, sample: Sample) -> tuple[Navigation, Vec3, Place]:
+        here = place(site, nav)
+        later, f_dt = mechanisation.step(nav, sample, here, options.dt)
+        if options.position == "integrated":
+            later = mechanisation.travel(later, here, options.dt)
+        return later, f_dt, here
+
+    return mechanise
 
 
 def begin(params: FilterParams, nav: Navigation) -> FilterState:

@@ -23,6 +23,7 @@ from sinsjax.alignment.filters.stages import (
     FilterParams,
     FilterState,
     begin,
+    mechaniser,
     place_of,
     reversed_by,
     unaided,
@@ -32,7 +33,6 @@ from sinsjax.alignment.schedules import reset_covariance
 from sinsjax.alignment.triggers.watched import method_of
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries, add, cross, dot, scale
-from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
 from sinsjax.strapdown.error_model import MODELS, PHI_E, PHI_N, PHI_U, VE, VN, five_state
 from sinsjax.types import Navigation, Sample, Scalar, Vec3
@@ -49,8 +49,7 @@ def build(options: Options) -> Method:
 
 def filter_of(options: Options) -> Filter:
     """Its filter; its own state is the vertical velocity, m/s. Arguments as of `build`."""
-    dt, place = options.dt, place_of(options.position)
-    integrated = options.position == "integrated"
+    dt, mechanise = options.dt, mechaniser(options)
 
     def init(params: FilterParams, nav: Navigation) -> FilterState:
         return begin(params, nav)._replace(own=jnp.zeros_like(nav.ve))
@@ -62,11 +61,9 @@ def filter_of(options: Options) -> Filter:
     def propagate(
         params: FilterParams, site: Site, state: FilterState, sample: Sample
     ) -> FilterState:
-        before, here = state.nav, place(site, state.nav)
-        nav, f_dt = mechanisation.step(before, sample, here, dt)
+        before = state.nav
+        nav, f_dt, here = mechanise(site, before, sample)
         up = state.own + (f_dt.z - here.gravity * dt) + _coriolis_up(before, here) * dt
-        if integrated:
-            nav = mechanisation.travel(nav, here, dt)
         belief = kalman.propagate(state.belief, transition(before, here))
         return state._replace(nav=nav, belief=belief, own=up)
 
@@ -78,13 +75,13 @@ def filter_of(options: Options) -> Filter:
         _feed_back,
         partial(reset_covariance, heading=(PHI_U,)),
         _reverse,
-        place,
+        place_of(options.position),
         lambda state, here: transition(state.nav, here),
         misalignment.estimated,
         misalignment.corrected,
         misalignment.covariance,
         unaided,
-        common_covariance=not integrated,
+        common_covariance=options.position == "fixed",
     )
 
 

@@ -27,6 +27,7 @@ from sinsjax.alignment.filters.stages import (
     FilterParams,
     FilterState,
     begin,
+    mechaniser,
     place_of,
     reversed_by,
     unaided,
@@ -76,16 +77,12 @@ def build(options: Options) -> Method:
 
 def filter_of(options: Options) -> Filter:
     """Its filter; arguments as of `build`."""
-    dt, integrated = options.dt, options.position == "integrated"
-    place = place_of(options.position)
+    dt, mechanise = options.dt, mechaniser(options)
 
     def propagate(
         params: FilterParams, site: Site, state: FilterState, sample: Sample
     ) -> FilterState:
-        here = place(site, state.nav)
-        nav, _ = mechanisation.step(state.nav, sample, here, dt)
-        if integrated:
-            nav = mechanisation.travel(nav, here, dt)
+        nav, _, here = mechanise(site, state.nav, sample)
         return state._replace(nav=nav, belief=kalman.propagate(state.belief, transition(here, dt)))
 
     return Filter(
@@ -96,14 +93,14 @@ def filter_of(options: Options) -> Filter:
         _feed_back,
         partial(reset_covariance, heading=(SINE, VERSINE)),
         partial(reversed_by, REVERSAL),
-        place,
+        place_of(options.position),
         lambda state, here: transition(here, dt),
         _misalignment,
         _attitude,
         _covariance,
         unaided,
         own_results=_north_drift,
-        common_covariance=not integrated,
+        common_covariance=options.position == "fixed",
     )
 
 

@@ -14,6 +14,7 @@ from sinsjax.alignment.filters.stages import (
     FilterParams,
     FilterState,
     begin,
+    mechaniser,
     place_of,
     reversed_by,
     unaided,
@@ -44,8 +45,7 @@ def filter_of(model: ErrorModel, options: Options) -> Filter:
     """The filter of [P1] for one error model; arguments as of `build`."""
     dt = options.dt
     assumed_at_rest = options.specific_force == "gravity"
-    integrated = options.position == "integrated"
-    place = place_of(options.position)
+    mechanise = mechaniser(options)
 
     def at_rest(state: FilterState, place: earth.Place) -> Entries:
         gravity = Vec3(0.0, 0.0, place.gravity * dt)
@@ -55,11 +55,8 @@ def filter_of(model: ErrorModel, options: Options) -> Filter:
         params: FilterParams, site: Site, state: FilterState, sample: Sample
     ) -> FilterState:
         """Mechanise, then [P1] eqs (8) and (9) but for Q."""
-        before, here = state.nav, place(site, state.nav)
-        sample = model.correct_sample(sample, state.bias, dt)
-        nav, f_dt = mechanisation.step(before, sample, here, dt)
-        if integrated:
-            nav = mechanisation.travel(nav, here, dt)
+        before, sample = state.nav, model.correct_sample(sample, state.bias, dt)
+        nav, f_dt, here = mechanise(site, before, sample)
         if assumed_at_rest:
             transition = at_rest(state, here)
         else:
@@ -74,13 +71,15 @@ def filter_of(model: ErrorModel, options: Options) -> Filter:
         _feed_back,
         partial(reset_covariance, heading=(PHI_U,)),
         partial(_reverse, model),
-        place,
+        place_of(options.position),
         at_rest,
         misalignment.estimated,
         misalignment.corrected,
         misalignment.covariance,
         unaided,
-        common_covariance=assumed_at_rest and not integrated and not model.uses_attitude,
+        common_covariance=assumed_at_rest
+        and options.position == "fixed"
+        and not model.uses_attitude,
     )
 
 
