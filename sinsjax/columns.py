@@ -115,7 +115,12 @@ CURVES = (RUN_ID, Column("time_s", _F, "s", "from the start of fine alignment"),
 PASSES = (
     Column("update_time_s", _F, "s", "number of updates over all passes times the sample time"),
     Column("tape_time_s", _F, "s", "position in the stored record, from its beginning"),
-    Column("pass", _I, "", "number of the pass, from 1; odd passes run forward"),
+    Column(
+        "pass",
+        _I,
+        "",
+        "number of the pass, from 1; odd passes run forward",
+    ),
 )
 """Additional columns of the curves of repeated passes over a stored record."""
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from sinsjax.alignment.description import StudyView
 from sinsjax.alignment.limits import Biases, Limit
 from sinsjax.strapdown.earth import Earth, Place
-from sinsjax.types import Array, Flag, Navigation, Quat, Sample, Scalar
+from sinsjax.types import Array, Flag, Navigation, Quat, Sample, Scalar, Vec3
 
 
 class Site(NamedTuple):
@@ -160,6 +160,11 @@ class Method(NamedTuple):
             whose loop is closed within the step.
         next_event: (params, state, n) -> sample after the n-th at which anything is due next, as a
             number; None, of some params or of all, where that is found out as it goes.
+        rewind: (params, navigation, state) -> state that begins the record again: the solution is
+            that of its beginning, wound back from the state at its end. None of a method that takes
+            in a record once.
+        gyro_bias: state -> estimated gyro bias in b that samples are to be freed from, rad/s; None
+            of a method that estimates none.
         called: (state, n) -> whether the n-th sample itself called for the loop to be closed after
             it, which no `next_event` could tell before; None of a method where none does.
         common_covariance: whether the covariance depends on params and n alone, so that runs that
@@ -178,3 +183,5 @@ class Method(NamedTuple):
     next_event: Callable[[Any, Any, Scalar], Scalar | None] | None = None
     called: Callable[[Any, Scalar], Flag] | None = None
     common_covariance: bool = False
+    rewind: Callable[[Any, Navigation, Any], Any] | None = None
+    gyro_bias: Callable[[Any], Vec3] | None = None

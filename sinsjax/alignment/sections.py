@@ -60,9 +60,19 @@ class AlignmentSection(Section):
 
 
 class PassesSection(Section):
-    """[passes]: repeated passes over a stored record, forward and in reverse by turns."""
+    """[passes]: repeated passes over a stored record, forward and in reverse by turns, or forward.
+
+    Rewinding begins every pass as a start does, from the attitude wound back to the beginning of
+    the record, with velocity zero and P0; what the gyros' biases, and the amplitude of sine and
+    cosine of the azimuth, are estimated as stays.
+    """
 
     conditions = (
+        ActsWhere(
+            ("turn", "turn_smoothing_s", "turn_covariance", "turn_inflation"),
+            ("direction",),
+            lambda direction: direction != "rewind",
+        ),
         ActsWhere(("turn_smoothing_s",), ("turn",), lambda turn: turn in (None, "reflect")),
         ActsWhere(("turn_inflation",), ("turn_covariance",), lambda kind: kind == "inflated"),
     )
@@ -76,6 +86,11 @@ class PassesSection(Section):
     )
     ending: Literal["duration", "forward"] = Field(
         "duration", description="end with the duration, or with the last whole forward pass in it"
+    )
+    direction: Literal["alternate", "rewind"] | None = Field(
+        None,
+        description="whether the record is read backward in every second pass, 'alternate'"
+        " (default), or forward in every one from its beginning, 'rewind'",
     )
     turn: Annotated[
         Literal["reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"]

@@ -238,6 +238,7 @@ def _program(study: Study, variants: Variants, curves: bool) -> Static:
         noisy=_takes(study, variants, _NOISES),
         distorted=_takes(study, variants, _DISTORTIONS),
         repeats=study.passes is not None,
+        rewinds=_span(study, variants).rewinds,
         sways=_takes(study, variants, _AMPLITUDES),
     )
 

@@ -22,7 +22,7 @@ from sinsjax.engine.realisations import (
     measured,
     noise,
 )
-from sinsjax.engine.simulate import look_back
+from sinsjax.engine.simulate import Read, look_back, turned_on
 from sinsjax.engine.stepping import Make
 from sinsjax.types import Array, Count, Increments, Sample
 
@@ -63,7 +63,7 @@ def maker(static: Static, environment: Environment, draws: Draw, read: PassReadi
     )
     compensate = jax.vmap(jax.vmap(partial(passes.compensate, backward=read.backward)))
 
-    def make(before: Increments, number: Count) -> tuple[Sample, Increments]:
+    def make(before: Read, number: Count) -> tuple[Sample, Read]:
         places = number * size + jnp.arange(size)
         numbers = read.samples[places]
         normal = noise(static, environment, draws, numbers)
@@ -71,8 +71,9 @@ def maker(static: Static, environment: Environment, draws: Draw, read: PassReadi
         if shared is not None:
             exact = jax.tree.map(lambda a: a[places], shared)
         now = jax.vmap(partial(measure, draws))(numbers, normal, exact)
-        earlier, last = look_back(now, before)
-        return compensate(now, earlier), last
+        earlier, last = look_back(now, before.last)
+        samples = compensate(now, earlier)
+        return samples, Read(last, turned_on(static, before.turn, samples))
 
     return make
 

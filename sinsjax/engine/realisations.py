@@ -26,6 +26,7 @@ class Static(NamedTuple):
         curves: whether observations at all record times are returned.
         noisy: whether the sensors have any noise to draw.
         repeats: whether the stored record is read in repeated passes; else forward, once.
+        rewinds: whether it is then read forward in every pass.
         sways: whether a base that draws have for themselves sways; a still one is sensed once.
         distorted: whether the sensors have scale factor errors or misaligned axes.
     """
@@ -39,6 +40,7 @@ class Static(NamedTuple):
     repeats: bool = False
     sways: bool = True
     distorted: bool = True
+    rewinds: bool = False
 
 
 class Environment(NamedTuple):
@@ -206,7 +208,7 @@ def measured(
     increments = sensors.measure(
         exact, errors, normal, static.options.dt, distorted=static.distorted
     )
-    if not static.repeats:
+    if static.rewinds or not static.repeats:
         return increments
     return passes.where(n < 0, jax.tree.map(jnp.zeros_like, increments), increments)
 

@@ -18,7 +18,7 @@ from sinsjax.alignment import passes
 from sinsjax.alignment.base import Ending, Method, Site
 from sinsjax.alignment.limits import Biases, Limit
 from sinsjax.alignment.methods import METHODS
-from sinsjax.alignment.passes import PassReading
+from sinsjax.alignment.passes import BodyTurn, PassReading
 from sinsjax.engine import metrics
 from sinsjax.engine.metrics import Metrics, Observation, Outcome
 from sinsjax.engine.realisations import (
@@ -83,6 +83,18 @@ class Setup(NamedTuple):
     limit: Limit
 
 
+class Read(NamedTuple):
+    """What those samples of a draw that were read leave for those to come.
+
+    Attributes:
+        last: the last increments measured, which compensation looks back at.
+        turn: how the body has turned since the record began; None where nothing is wound back.
+    """
+
+    last: Increments
+    turn: BodyTurn | None
+
+
 class Run(NamedTuple):
     """One run under way: the method's state and the metrics so far."""
 
@@ -106,7 +118,7 @@ def simulate(
     """
     setup = set_up(static, environment, draw, params)
     run = begin(static, environment, setup.site, setup.params)
-    before = nothing_measured(environment, draw)
+    before = nothing_read(static, environment, draw)
     records = (jnp.arange(static.records), attitudes(static, environment, setup.draw))
     over = partial(over_record, static, environment, setup)
     (run, _), curves = jax.lax.scan(over, (run, before), records)
@@ -127,29 +139,32 @@ def over_record(
     static: Static,
     environment: Environment,
     setup: Setup,
-    under_way: tuple[Run, Increments],
+    under_way: tuple[Run, Read],
     record: tuple[Count, Quat],
-) -> tuple[tuple[Run, Increments], Array | None]:
+) -> tuple[tuple[Run, Read], Array | None]:
     """One record interval: samples, steps, closed loop, and the observation at its end.
 
     Args:
         static: program.
         environment: what all runs share.
         setup: of the run.
-        under_way: the run, and the last increments measured, which compensation looks back at.
+        under_way: the run, and what its draw has read.
         record: number of the record from 0, and the true attitude at its time.
 
     Returns:
-        The run and its last increments, and if ``static.curves`` the observation, see `as_row`.
+        The run and what its draw has read, and if ``static.curves`` the observation, see `as_row`.
     """
     (run, before), (number, q_true) = under_way, record
     draw, params, every = setup.draw, setup.params, static.record_every
     read = reading(static, environment, number)
-    state = reverse_direction(static, params, setup.site, run.state, read)
+    open_ = partial(open_pass, static, environment.pass_records)
+    state = open_(params, setup.site, run.state, (read, before.turn))
+    before = as_pass_begins(static, environment, draw, read, before)
     site = passes.site_of_pass(setup.site, read.backward)
     increments = measurements(static, environment, draw, read.samples)
-    earlier, before = look_back(increments, before)
+    earlier, last = look_back(increments, before.last)
     samples = jax.vmap(partial(passes.compensate, backward=read.backward))(increments, earlier)
+    before = Read(last, turned_on(static, before.turn, samples))
 
     def over_sample(state: Any, xs: tuple[Scalar, Sample]) -> tuple[Any, None]:
         n, sample = xs
@@ -184,7 +199,8 @@ def starting(params: RunParams, own: InitialErrors, q: Quat | None) -> RunParams
 
 def limit(static: Static, pass_records: Count, params: RunParams, site: Site, own: Biases) -> Limit:
     """What the sensor biases of a run leave of its misalignment."""
-    backward = static.repeats & ((static.records - 1) // pass_records % 2 == 1)
+    number = (static.records - 1) // pass_records
+    backward = (static.repeats and not static.rewinds) & (number % 2 == 1)
     ending = Ending(float(static.records * static.record_every), backward)
     return method_of(static).limit(params.method, site.place, own, ending)
 
@@ -192,41 +208,93 @@ def limit(static: Static, pass_records: Count, params: RunParams, site: Site, ow
 def begin(static: Static, environment: Environment, site: Site, params: RunParams) -> Run:
     """The run before its first sample."""
     method = method_of(static)
-    zero = jnp.zeros_like(params.ve)
-    nav = Navigation(
-        q=rotations.misalign(params.phi, params.q),
-        ve=params.ve,
-        vn=params.vn,
-        latitude=site.latitude + zero,
-        longitude=zero,
-    )
+    nav = solution(site, rotations.misalign(params.phi, params.q), params.ve, params.vn)
     state = method.init(params.method, nav)
-    return Run(state, metrics.start(environment.criteria, zero))
+    return Run(state, metrics.start(environment.criteria, nav.longitude))
 
 
-def nothing_measured(environment: Environment, draw: Draw) -> Increments:
-    """What a first sample looks back at: with zeros nothing is compensated, as with itself."""
+def solution(site: Site, q: Quat, ve: Scalar, vn: Scalar) -> Navigation:
+    """The navigation solution at the beginning of the record."""
+    zero = jnp.zeros_like(ve)
+    return Navigation(q=q, ve=ve, vn=vn, latitude=site.latitude + zero, longitude=zero)
+
+
+def nothing_read(static: Static, environment: Environment, draw: Draw) -> Read:
+    """Before the first sample: with zeros to look back at nothing is compensated.
+
+    Leaves (), or (draws,) for several draws.
+    """
     zero = jnp.zeros(jnp.shape(draw.draw_id), environment.dtype)
-    return Increments(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
+    last = Increments(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
+    if not static.rewinds:
+        return Read(last, None)
+    return Read(last, passes.no_turn(zero, biased=method_of(static).gyro_bias is not None))
+
+
+def turned_on(static: Static, turn: BodyTurn | None, samples: Sample) -> BodyTurn | None:
+    """How the body has turned after further samples, leaves (n, ...)."""
+    return None if turn is None else passes.turned_on(turn, samples, static.options.dt)
 
 
 def reading(static: Static, environment: Environment, number: Count) -> PassReading:
     """Which samples of the stored record a record interval reads, and in which direction."""
     every = static.record_every
     if static.repeats:
-        return passes.reading(number, environment.pass_records, every)
+        read = passes.reading_forward if static.rewinds else passes.reading
+        return read(number, environment.pass_records, every)
     return PassReading(number * every + jnp.arange(every))
 
 
-def reverse_direction(
-    static: Static, params: RunParams, site: Site, state: Any, read: PassReading
+def open_pass(
+    static: Static,
+    pass_records: Count,
+    params: RunParams,
+    site: Site,
+    state: Any,
+    reading: tuple[PassReading, BodyTurn | None],
 ) -> Any:
-    """The method's state as a record interval begins: turned where that opens another pass."""
-    if read.backward is None:
+    """The method's state as a record interval begins, which may open another pass.
+
+    Args:
+        static: program.
+        pass_records: record intervals a pass.
+        params: of the run.
+        site: Earth and place.
+        state: at the end of the interval before.
+        reading: how the interval reads the record, and how the body has turned since it began.
+    """
+    read, turn = reading
+    if read.opens_pass is None:
         return state
-    site_before = passes.site_of_pass(site, ~read.backward)
-    turned = method_of(static).turn(params.method, site_before, state)
-    return passes.where(read.opens_pass, turned, state)
+    if read.backward is None:
+        assert turn is not None
+        opened = wound_back(static, pass_records, params, site, state, turn)
+    else:
+        site_before = passes.site_of_pass(site, ~read.backward)
+        opened = method_of(static).turn(params.method, site_before, state)
+    return passes.where(read.opens_pass, opened, state)
+
+
+def wound_back(
+    static: Static, records: Count, params: RunParams, site: Site, state: Any, turn: BodyTurn
+) -> Any:
+    """The method's state that begins the record again, from that after some record intervals."""
+    method = method_of(static)
+    time = jnp.asarray(records, params.ve.dtype) * (static.record_every * static.options.dt)
+    assert method.rewind is not None
+    bias = None if method.gyro_bias is None else method.gyro_bias(state)
+    q = passes.wound_back(method.attitude(state), turn, site.place, time, bias)
+    zero = jnp.zeros_like(params.ve)
+    return method.rewind(params.method, solution(site, q, zero, zero), state)
+
+
+def as_pass_begins(
+    static: Static, environment: Environment, draw: Draw, read: PassReading, before: Read
+) -> Read:
+    """What a draw has read as a record interval begins: nothing where that begins the record."""
+    if not static.rewinds:
+        return before
+    return passes.where(read.opens_pass, nothing_read(static, environment, draw), before)
 
 
 def look_back(increments: Increments, before: Increments) -> tuple[Increments, Increments]:

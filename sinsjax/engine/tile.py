@@ -31,9 +31,9 @@ from sinsjax.engine.realisations import (
     first_attitude,
     site_of,
 )
-from sinsjax.engine.simulate import Run, RunParams, method_of
+from sinsjax.engine.simulate import Read, Run, RunParams, method_of
 from sinsjax.engine.stepping import event_by_event, sample_by_sample
-from sinsjax.types import Array, Count, Flag, Increments, Quat, Sample, Scalar
+from sinsjax.types import Array, Count, Flag, Quat, Sample, Scalar
 
 
 class TileSetup(NamedTuple):
@@ -105,7 +105,7 @@ def run_tile(
     setup = set_up(static, environment, tile)
     begin = jax.vmap(partial(simulate.begin, static, environment), in_axes=(setup.site_axis, 0))
     runs = begin(setup.site, setup.params)
-    before = simulate.nothing_measured(environment, setup.draws)
+    before = simulate.nothing_read(static, environment, setup.draws)
     q_true = None  # of draws with a motion of their own; that of others is looked up as runs go
     if setup.draws.motion is not None:
         q_true = over_draws(partial(attitudes, static, environment), setup.draws, out_axes=1)
@@ -137,9 +137,9 @@ def over_record(
     environment: Environment,
     setup: TileSetup,
     shown: int | None,
-    under_way: tuple[Run, Increments],
+    under_way: tuple[Run, Read],
     record: tuple[Count, Quat | None],
-) -> tuple[tuple[Run, Increments], Array | None]:
+) -> tuple[tuple[Run, Read], Array | None]:
     """One record interval of all runs, as `simulate.over_record` for one.
 
     Args:
@@ -147,19 +147,22 @@ def over_record(
         environment: shared by all.
         setup: of the tile.
         shown: as for `run_tile`.
-        under_way: the runs, and the last increments of their draws.
+        under_way: the runs, and what their draws have read.
         record: number of the record, and the true attitudes of the draws at its time; None for
             those of the environment.
 
     Returns:
-        The runs and increments, and if ``static.curves`` observations (fields, lanes).
+        Both, and if ``static.curves`` observations (fields, lanes).
     """
     (runs, before), (number, q_true) = under_way, record
     read = simulate.reading(static, environment, number)
-    reverse = jax.vmap(
-        partial(simulate.reverse_direction, static), in_axes=(0, setup.site_axis, 0, None)
+    turn = broadcast_to_runs(setup.row, before.turn)
+    open_pass = jax.vmap(
+        partial(simulate.open_pass, static, environment.pass_records),
+        in_axes=(0, setup.site_axis, 0, (None, setup.draw_axis)),
     )
-    state = reverse(setup.params, setup.site, runs.state, read)
+    state = open_pass(setup.params, setup.site, runs.state, (read, turn))
+    before = simulate.as_pass_begins(static, environment, setup.draws, read, before)
     state, before = over_samples(static, environment, setup, read, number, (state, before))
     # Looked up here: those of all records, draw by draw, would fill the memory.
     q_true = attitude(environment, setup.draws, number) if q_true is None else q_true
@@ -179,8 +182,8 @@ def over_samples(
     setup: TileSetup,
     read: PassReading,
     number: Count,
-    carry: tuple[Any, Increments],
-) -> tuple[Any, Increments]:
+    carry: tuple[Any, Read],
+) -> tuple[Any, Read]:
     """The samples of a record interval, and closed loops: from event to event, if these are known.
 
     Args:
@@ -189,7 +192,7 @@ def over_samples(
         setup: of the tile.
         read: how the interval is read.
         number: of the record.
-        carry: the runs' state, and the last increments of their draws.
+        carry: the runs' state, and what their draws have read.
 
     Returns:
         Both after the interval.

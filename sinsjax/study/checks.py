@@ -11,7 +11,7 @@ from sinsjax import columns
 from sinsjax.alignment.methods import METHODS, keys_unread
 from sinsjax.errors import InputError
 from sinsjax.study import ignored, success
-from sinsjax.study.keys import EARTH_CONSTANTS, SECTION_OF, SECTIONS
+from sinsjax.study.keys import EARTH_CONSTANTS, PASS_KEYS, SECTION_OF, SECTIONS
 from sinsjax.study.study import Study
 from sinsjax.value_types import ROUNDING
 
@@ -131,8 +131,9 @@ def _check_methods(study: Study, where: Where) -> None:
 def _check_passes(study: Study, where: Where) -> None:
     """Refuses a stored record of no whole number of record intervals, or passes that do not fit."""
     duration = study.duration_s * (1 + ROUNDING)
-    for point in study.combinations("tape_s", "passes", "ending") if study.passes else ():
+    for point in study.combinations(*PASS_KEYS) if study.passes else ():
         record_s, passes = point["tape_s"], point["passes"]
+        rewinds = point["direction"] == "rewind"
         if record_s is None:
             if (passes or 1) > 1:
                 _refuse("passes", where, f"{passes} need a stored record to repeat (give tape_s)")
@@ -143,7 +144,7 @@ def _check_passes(study: Study, where: Where) -> None:
         if passes and passes * record_s > duration:
             text = f"{passes} over a record of {record_s:.12g} s last {passes * record_s:.12g} s"
             _refuse("passes", where, f"{text}, longer than the study ({_end(study)})")
-        if passes and passes % 2 == 0 and point["ending"] == "forward":
+        if passes and passes % 2 == 0 and point["ending"] == "forward" and not rewinds:
             _refuse("passes", where, f"{passes} end backward, not as ending = 'forward' says")
 
 

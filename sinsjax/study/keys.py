@@ -52,7 +52,7 @@ EARTH_CONSTANTS = {
 }
 """The keys of [earth] that only ``earth = "constants"`` has, with their defaults."""
 
-PASS_KEYS = ("tape_s", "passes", "ending")
+PASS_KEYS = ("tape_s", "passes", "ending", "direction")
 """The keys that decide which sample of the stored record an update reads, and how many."""
 
 TomlTable = dict[str, Any]

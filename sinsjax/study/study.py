@@ -53,10 +53,12 @@ class Span(NamedTuple):
     Attributes:
         records: in the run.
         pass_records: in a pass over the stored record; the whole run if there is only one pass.
+        rewinds: whether every pass is forward.
     """
 
     records: int
     pass_records: int
+    rewinds: bool = False
 
     @property
     def read(self) -> int:
@@ -183,16 +185,23 @@ class Study(_SectionsOfMethods):
         return {self.span(**point) for point in points}
 
     def span(
-        self, tape_s: float | None = None, passes: int | None = None, ending: str = "duration"
+        self,
+        tape_s: float | None = None,
+        passes: int | None = None,
+        ending: str = "duration",
+        direction: str | None = None,
     ) -> Span:
         """How long a variant with some values of `PASS_KEYS` runs."""
+        rewinds = direction == "rewind"
         if tape_s is None:
             return Span(self.records, self.records)
         pass_records = max(1, round(tape_s * self.rate_hz / self.record_every))
         if passes is None:
             whole = self.records // pass_records
-            passes = whole - (whole + 1) % 2 if ending == "forward" else None
-        return Span(self.records if passes is None else passes * pass_records, pass_records)
+            backward_last = 0 if rewinds else (whole + 1) % 2
+            passes = whole - backward_last if ending == "forward" else None
+        records = self.records if passes is None else passes * pass_records
+        return Span(records, pass_records, rewinds)
 
     @property
     def run_s(self) -> float:

@@ -7,7 +7,11 @@ from sinsjax.study.study import Span, Study
 
 def spans_s(study: Study) -> np.ndarray:
     """(variants, 2) lengths of every variant's run and of a pass over its stored record, s."""
-    return study.lengths.each(tuple, int) * study.record_every / study.rate_hz
+    return (
+        study.lengths.each(lambda span: (span.records, span.pass_records), int)
+        * study.record_every
+        / study.rate_hz
+    )
 
 
 def update_times(study: Study, span: Span) -> np.ndarray:
@@ -19,10 +23,11 @@ def stored_times(study: Study, span: Span) -> np.ndarray:
     """(records,) where in its stored record a run is at its records, s from the beginning."""
     ended = np.arange(span.records)
     place = ended % span.pass_records + 1
-    place = np.where(pass_numbers(span) % 2 == 1, place, span.pass_records - place)
+    forward = span.rewinds | (pass_numbers(span) % 2 == 1)
+    place = np.where(forward, place, span.pass_records - place)
     return place * study.record_every / study.rate_hz
 
 
 def pass_numbers(span: Span) -> np.ndarray:
-    """(records,) the pass, from 1, that each record of a run ends or lies in; odd are forward."""
+    """(records,) the pass, from 1, that each record of a run ends or lies in."""
     return np.arange(span.records) // span.pass_records + 1

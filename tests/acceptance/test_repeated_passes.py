@@ -89,6 +89,13 @@ PLACES = ("time_s", "update_time_s", "tape_time_s", "pass")
         ({"tape_s": 1.0, "passes": 3}, [1, 0, 1], [1, 2, 3]),
         ({"tape_s": 8.0}, [*range(1, 9)], [1] * 8),
         ({}, [*range(1, 9)], [1] * 8),
+        ({"tape_s": 3.0, "direction": "rewind"}, [1, 2, 3] * 2 + [1, 2], [1, 1, 1, 2, 2, 2, 3, 3]),
+        (
+            {"tape_s": 3.0, "direction": "rewind", "ending": "forward"},
+            [1, 2, 3] * 2,
+            [1, 1, 1, 2, 2, 2],
+        ),
+        ({"tape_s": 2.0, "passes": 2, "direction": "rewind"}, [1, 2, 1, 2], [1, 1, 2, 2]),
     ],
 )
 def test_curves_say_where_on_the_tape_a_run_is(
@@ -183,11 +190,16 @@ def test_a_pass_hears_the_noise_of_the_tape_again() -> None:
             id="shared covariance",
             marks=pytest.mark.slow,
         ),
+        pytest.param(
+            {"alignment": {"method": "kalman10"}, "passes": {"direction": "rewind"}}
+            | {"axes": {"p0_yaw_deg": [10.0, 80.0]}},
+            id="rewound",
+        ),
     ],
 )
 def test_a_run_among_many_is_itself_alone(tables: dict[str, Any]) -> None:
     """Tiles of runs, and filters that share their P, turn as one run by itself does."""
-    (part,) = build.parts(study_from_dict(merged(tables, {"passes": {"tape_s": 3.0}})))
+    (part,) = build.parts(study_from_dict(merged({"passes": {"tape_s": 3.0}}, tables)))
     group = part.group
     pieces = [(c.outcome, c.curves) for c in batch.chunks(group)]
     many = jax.tree.map(lambda *leaves: np.concatenate(leaves), *pieces)
@@ -201,12 +213,19 @@ def test_a_run_among_many_is_itself_alone(tables: dict[str, Any]) -> None:
             np.testing.assert_allclose(a, b[run_id], rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("method", ["compass", pytest.param("kalman10", marks=pytest.mark.slow)])
-def test_at_truth_a_run_stays_at_truth_over_every_pass(method: str) -> None:
+@pytest.mark.parametrize(
+    ("method", "direction"),
+    [
+        ("compass", "alternate"),
+        pytest.param("kalman10", "alternate", marks=pytest.mark.slow),
+        ("compass", "rewind"),
+    ],
+)
+def test_at_truth_a_run_stays_at_truth_over_every_pass(method: str, direction: str) -> None:
     """What a run is compared with is the attitude at its place on the tape, backward too."""
     start = {"alignment": {"method": method, "phi_e0_deg": 0.0, "phi_n0_deg": 0, "phi_u0_deg": 0}}
     loops = {"compass": QUICK["compass"]} if method == "compass" else {}
-    out = run(PERFECT, loops, start, {"passes": {"tape_s": 3.0}})
+    out = run(PERFECT, loops, start, {"passes": {"tape_s": 3.0, "direction": direction}})
     for axis in "enu":
         assert np.abs(np.array(out.curves[f"phi_{axis}_arcmin"])).max() < 1e-3
     t = np.array(columns_of(out.curves, 0, "tape_time_s")[0])

@@ -31,12 +31,13 @@ def numbers(name, **changes):
     return Filter(p0, q, 0.1**2, **changes)
 
 
+@pytest.mark.parametrize("turn", ["carried", "rewind"])
 @pytest.mark.parametrize("name", NAIVE)
-def test_three_passes_as_the_naive_loop(name):
-    """With feedback over the direction reversals, and a reset."""
+def test_three_passes_as_the_naive_loop(name, turn):
+    """With feedback over the direction reversals, and a reset; or all three forward."""
     phi, v = np.array([1.0, -2.0, 15.0]) * DEG, np.array([0.3, -0.2])
     rows = measured(PAPER, LATITUDE, SAMPLES)
-    filt = numbers(name, every=130, resets=(250, 1500))
+    filt = numbers(name, every=130, resets=(250, 1500), turn=turn)
     about = {"latitude": LATITUDE, "c": exp(-phi) @ PAPER1.matrix(0.0), "v": v, "filt": filt}
     naive = closed_loop(
         NAIVE[name], rows, 1 / RATE, PAPER, tape=SAMPLES, count=3 * SAMPLES, **about
@@ -46,6 +47,7 @@ def test_three_passes_as_the_naive_loop(name):
         params = params._replace(own=AzimuthParams(np.float64(0.0), np.float64(1.0)))
     records = 3 * SAMPLES // EVERY
     static = Static(name, Options(1 / RATE), EVERY, records, False, False, repeats=True)
+    static = static._replace(rewinds=turn == "rewind")
     environment = tape_world(rows, site(PAPER, LATITUDE), pass_records=SAMPLES // EVERY)
     state = trail(static, environment, one_run(PAPER1.matrix(0.0), phi, v, params))
     at = np.arange(EVERY, 3 * SAMPLES + 1, EVERY) - 1

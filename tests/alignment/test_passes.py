@@ -265,12 +265,15 @@ def dense(entries, n):
     return matrix
 
 
-@pytest.mark.parametrize("turn", ["carried", "inflated", "reset"])
+@pytest.mark.parametrize("turn", ["carried", "inflated", "reset", "rewind"])
 @pytest.mark.parametrize(
     ("name", "planet", "position"), [("kalman5", EARTH, "fixed"), ("kalman10", WGS84, "integrated")]
 )
 def test_three_passes_of_a_filter_as_the_naive_loop(name, planet, position, turn):
-    """With feedback over the turn, a reset, biases fed back, and P carried, inflated or reset."""
+    """With feedback over the turn, a reset, biases fed back, and P carried, inflated or reset.
+
+    Or all three forward, rewound from what biases and feedback leave at their ends.
+    """
     rate, samples, phi, v = 100, 600, np.array([1.0, -2.0, 5.0]) * DEG, np.array([0.3, -0.2])
     n = {"kalman5": 5, "kalman10": 10}[name]
     filt = paper_filter(
@@ -289,6 +292,7 @@ def test_three_passes_of_a_filter_as_the_naive_loop(name, planet, position, turn
     case = {"latitude": LATITUDE, "c": start, "v": v, "filt": filt}
     naive = closed_loop(rows, 1 / rate, planet, tape=samples, count=3 * samples, **case)
     static = Static(name, Options(1 / rate, position=position), 50, 36, False, False, repeats=True)
+    static = static._replace(rewinds=turn == "rewind")
     environment = tape_world(rows, site(planet, LATITUDE), pass_records=samples // 50)
     state = trail(static, environment, one_run(PAPER1.matrix(0.0), phi, v, params(filt)))
 

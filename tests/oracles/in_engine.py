@@ -19,16 +19,17 @@ from sinsjax.alignment.schedules import CovarianceReset, Feedback, Pieces, Reset
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.realisations import Draw, Environment, Static
 from sinsjax.engine.simulate import (
+    Read,
     Run,
     RunParams,
     begin,
-    nothing_measured,
+    nothing_read,
     over_record,
     set_up,
 )
 from sinsjax.strapdown import base_motion, earth, sensors
 from sinsjax.strapdown.error_model import MODELS
-from sinsjax.types import Increments, Navigation, Quat, Vec3
+from sinsjax.types import Navigation, Quat, Vec3
 
 ARCMIN = DEG / 60
 DEG_PER_H = DEG / 3600
@@ -130,7 +131,7 @@ def _turn(filt: Filter) -> tuple[float, ...]:
         "carried": (1.0, 1.0, 0.0, 0.0),
         "inflated": (factor, factor, 0.0, 0.0),
         "reset": (0.0, 0.0, 1.0, 1.0),
-    }[filt.turn]
+    }.get(filt.turn, (1.0, 1.0, 0.0, 0.0))
 
 
 def navigation(c: np.ndarray, v: np.ndarray, latitude: float) -> Navigation:
@@ -196,12 +197,12 @@ def trail(static: Static, environment: Environment, params: RunParams) -> Any:
     setup = set_up(static, environment, draw, params)
     unknown = Quat(*(zero + jnp.nan for _ in range(4)))
 
-    def record(under_way: tuple[Run, Increments], number: Any) -> tuple[Any, Any]:
+    def record(under_way: tuple[Run, Read], number: Any) -> tuple[Any, Any]:
         under_way, _ = over_record(static, environment, setup, under_way, (number, unknown))
         return under_way, under_way[0].state
 
     run = begin(static, environment, environment.site, params)
-    start = run, nothing_measured(environment, draw)
+    start = run, nothing_read(static, environment, draw)
     return jax.lax.scan(record, start, jnp.arange(static.records))[1]
 
 

@@ -200,6 +200,15 @@ class Unwatched:
         """Take in that the tape is turned, with x and P."""
 
 
+def wound_back(c, increments, dt, planet, latitude, gyro_bias=0.0):
+    """C_b^n before some increments that have led to c, of gyros with a bias in b, rad/s."""
+    w_ie, _ = planet.rates(latitude, (0.0, 0.0))
+    theta, _ = compensate(increments)
+    for turn in Rotation.from_rotvec(theta - gyro_bias * dt).as_matrix()[::-1]:
+        c = exp(w_ie * dt) @ c @ turn.T
+    return c
+
+
 class History(NamedTuple):
     """After every sample: attitude, velocity, place, estimate, covariance, fed-back biases."""
 
@@ -234,18 +243,19 @@ class Update(NamedTuple):
     turns: bool
 
 
-def updates(increments, tape=None, count=None):
+def updates(increments, tape=None, count=None, *, rewind=False):
     """Forward and backward passes over ``tape`` samples, [P2] section 2.3, ``count`` updates long.
 
     Backward, samples come last to first; the body turns back from where a sample ended, and the
     specific force is seen from there. ``turns`` marks the first update of every pass but the first.
+    Where the tape is rewound, all passes are forward.
     """
     tape = tape or len(increments)
     theta, dvs = compensate(increments[:tape])
     turns = Rotation.from_rotvec(theta).as_matrix()
     for n in range(count or tape):
         number, place = divmod(n, tape)
-        if number % 2 == 0:
+        if rewind or number % 2 == 0:
             yield Update(n + 1, turns[place], dvs[place], 1, number > 0 and place == 0)
         else:
             back = turns[tape - 1 - place].T
@@ -290,15 +300,22 @@ def closed_loop(
 ):
     """Mechanise, predict, update, feed back and reset, sample after sample, over a tape.
 
-    A ``watcher`` of `naive_triggers` fades P, and resets it beside the schedule.
+    A ``watcher`` of `naive_triggers` fades P, and resets it beside the schedule. With turn "rewind"
+    all passes are forward, from the attitude wound back, with velocity zero and P0.
     """
     watcher = watcher or Unwatched()
     n = len(filt.p0)
     x, p, bias = np.zeros(n), np.diag(filt.p0), np.zeros(n - 5)
     h = np.eye(n)[:2]
-    longitude, fixed, history = 0.0, latitude, []
-    for k, turn, dv, way, turns in updates(increments, tape, count):
-        if turns:
+    longitude, fixed, history, rewind = 0.0, latitude, [], filt.turn == "rewind"
+    for k, turn, dv, way, turns in updates(increments, tape, count, rewind=rewind):
+        if turns and rewind:
+            bias = bias + x[5:]
+            c, latitude, longitude = exp(x[2:5]) @ c, fixed, 0.0
+            c = wound_back(c, increments[:tape], dt, planet, fixed, bias[2:] if n == 10 else 0.0)
+            v, x, p = np.zeros(2), np.zeros(n), np.diag(filt.p0)
+            watcher.turn(x, p)
+        elif turns:
             v, (x, p, bias) = -v, turned(x, p, bias, filt)
             watcher.turn(x, p)
         earth = planet._replace(rate=way * planet.rate)
@@ -383,9 +400,12 @@ def compass_loop(increments, dt, planet, *, latitude, c, v, loops, tape=None, co
     The Earth turns back in a backward pass, so that K3 / omega_N changes its sign there.
     """
     integral, rate, force = np.zeros(2), 0.0, np.zeros((2, 2))  # stages x (east, north)
-    longitude, fixed, history = 0.0, latitude, []
-    for k, turn, dv, way, turns in updates(increments, tape, count):
-        if turns:
+    longitude, fixed, history, rewind = 0.0, latitude, [], loops.turn == "rewind"
+    for k, turn, dv, way, turns in updates(increments, tape, count, rewind=rewind):
+        if turns and rewind:
+            c, v = wound_back(c, increments[:tape], dt, planet, fixed), np.zeros(2)
+            latitude, longitude, force = fixed, 0.0, np.zeros((2, 2))
+        elif turns:
             c, v, integral, rate, force = turned_platform(
                 c, v, integral, rate, force, planet.g(fixed), loops.turn
             )

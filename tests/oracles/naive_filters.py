@@ -5,7 +5,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oracles.naive import Filter, error_matrix, exp, mechanise, reset, update, updates
+from oracles.naive import (
+    Filter,
+    error_matrix,
+    exp,
+    mechanise,
+    reset,
+    update,
+    updates,
+    wound_back,
+)
 
 
 class Model(NamedTuple):
@@ -19,6 +28,7 @@ class Model(NamedTuple):
         feed: (share of x, c, v) -> c, v corrected; v with the vertical velocity.
         kept: numbers of the states that are not fed back.
         corrected: (x, c) -> attitude with all that is estimated taken out.
+        rewound: x -> x that begins the record again.
     """
 
     signs: np.ndarray
@@ -28,6 +38,7 @@ class Model(NamedTuple):
     feed: Callable
     kept: tuple[int, ...]
     corrected: Callable
+    rewound: Callable = np.zeros_like
 
 
 class History(NamedTuple):
@@ -46,9 +57,12 @@ def closed_loop(
     """Mechanise, predict, update, feed back and reset, sample after sample, over a tape."""
     n = len(filt.p0)
     x, p, h, v = model.start, np.diag(filt.p0), np.eye(n)[:2], np.array([*v, 0.0])
-    flip, history = np.diag(model.signs), []
-    for k, turn, dv, way, turns in updates(increments, tape, count):
-        if turns:
+    flip, history, rewind = np.diag(model.signs), [], filt.turn == "rewind"
+    for k, turn, dv, way, turns in updates(increments, tape, count, rewind=rewind):
+        if turns and rewind:
+            c = wound_back(model.corrected(x, c), increments[:tape], dt, planet, latitude)
+            v, x, p = np.zeros(3), model.rewound(x), np.diag(filt.p0)
+        elif turns:
             v, x, p = -v, flip @ x, flip @ p @ flip.T
         earth = planet._replace(rate=way * planet.rate)
         w_ie, w_en = earth.rates(latitude, v[:2])
@@ -111,6 +125,11 @@ def _sincos_corrected(x, c):
     return levelled if np.hypot(s, cosine) < 0.05 else about_up(np.arctan2(s, cosine)) @ levelled
 
 
+def _sincos_rewound(x):
+    amplitude = np.hypot(x[4], 1 - x[5])
+    return np.array([0.0] * 5 + [1.0 if amplitude < 0.05 else 1 - amplitude])
+
+
 SINCOS = Model(
     np.array([-1.0, -1.0, 1.0, 1.0, 1.0, 1.0]),
     (4, 5),
@@ -119,6 +138,7 @@ SINCOS = Model(
     lambda fed, c, v: (upright(fed[2:4]) @ c, v - np.array([*fed[:2], 0.0])),
     (4, 5),
     _sincos_corrected,
+    _sincos_rewound,
 )
 
 

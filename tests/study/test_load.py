@@ -1297,11 +1297,13 @@ def test_passes_are_checked_as_they_meet():
         ({"tape_s": 90, "ending": "forward"}, (810, 90)),
         ({"tape_s": 450, "ending": "forward"}, (450, 450)),
         ({"tape_s": 900}, (900, 900)),
+        ({"tape_s": 90, "ending": "forward", "direction": "rewind"}, (900, 90)),
+        ({"tape_s": 80, "passes": 4, "ending": "forward", "direction": "rewind"}, (320, 80)),
     ],
 )
 def test_how_long_passes_last(passes: dict[str, Any], spans: tuple[int, int]):
     (span,) = built(study={"window_s": [0, 200]}, passes=passes).spans
-    assert span == spans
+    assert (span.records, span.pass_records, span.rewinds) == (*spans, "direction" in passes)
 
 
 @pytest.mark.parametrize(

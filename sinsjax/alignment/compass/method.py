@@ -130,7 +130,13 @@ def build(options: Options) -> Method:
             force_n=_follow(state.force_n, f_dt.y / dt, params.smoothing),
         )
 
-    return Method(init, step, _reverse, _attitude, _covariance, _normalise, _limit)
+    def rewind(params: LoopParams, nav: Navigation, state: LoopState) -> LoopState:
+        """Levelling integrals and azimuth rate, which stand for gyro drift, go on as they are."""
+        return init(params, nav)._replace(
+            integral_e=state.integral_e, integral_n=state.integral_n, rate_u=state.rate_u
+        )
+
+    return Method(init, step, _reverse, _attitude, _covariance, _normalise, _limit, rewind=rewind)
 
 
 def _follow(low: LowPassed, value: Scalar, share: Scalar) -> LowPassed:

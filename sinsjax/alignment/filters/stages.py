@@ -116,6 +116,9 @@ class Filter(NamedTuple):
         limit: see `Method.limit`.
         own_results: (site, state) -> `FilterResults.own`; None of a filter without.
         common_covariance: see `Method.common_covariance`.
+        keep: (state that begins a record again, state at its end) -> the first with what is no
+            error of the navigation solution; None of a filter that has nothing of the kind.
+        gyro_bias: see `Method.gyro_bias`.
     """
 
     dt: float
@@ -133,6 +136,8 @@ class Filter(NamedTuple):
     limit: Callable[[Any, Place, Biases, Ending], Limit]
     own_results: Callable[[Site, Any], Any] | None = None
     common_covariance: bool = False
+    keep: Callable[[Any, Any], Any] | None = None
+    gyro_bias: Callable[[Any], Vec3] | None = None
 
 
 class Due(NamedTuple):
@@ -161,6 +166,8 @@ def closed_loop(filter_: Filter) -> Method:
         close=partial(_close, filter_),
         next_event=_next_event,
         common_covariance=filter_.common_covariance,
+        rewind=partial(_rewind, filter_),
+        gyro_bias=filter_.gyro_bias,
     )
 
 
@@ -227,6 +234,13 @@ def _turn(filter_: Filter, params: Any, site: Site, state: Any) -> Any:
     state = filter_.reverse(state)
     p = filter_.reset(params.turn, state.belief.p, params.p0)
     return state._replace(belief=state.belief._replace(p=p))
+
+
+def _rewind(filter_: Filter, params: Any, nav: Navigation, state: Any) -> Any:
+    # All that was known of the solution's errors is in the solution; P is that of a start.
+    begun = filter_.init(params, nav)
+    kept = begun if filter_.keep is None else filter_.keep(begun, state)
+    return kept._replace(feedback_at=state.feedback_at, innovations=state.innovations)
 
 
 def _normalise(state: Any) -> Any:

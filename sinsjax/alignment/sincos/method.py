@@ -101,6 +101,7 @@ def filter_of(options: Options) -> Filter:
         unaided,
         own_results=_north_drift,
         common_covariance=options.position == "fixed",
+        keep=_keep_amplitude,
     )
 
 
@@ -126,6 +127,14 @@ def _init(params: FilterParams, nav: Navigation) -> FilterState:
     state = begin(params, nav)
     x = (*state.belief.x[:VERSINE], 1.0 + state.belief.x[VERSINE])  # mean zero of cos a
     return state._replace(belief=state.belief._replace(x=x))
+
+
+def _keep_amplitude(begun: FilterState, ended: FilterState) -> FilterState:
+    """Sine and cosine stay as at a reset: the solution has their azimuth, they its amplitude."""
+    direction = _direction(ended)
+    versine = jnp.where(direction.known, 1 - direction.amplitude, begun.belief.x[VERSINE])
+    belief = begun.belief
+    return begun._replace(belief=belief._replace(x=(*belief.x[:VERSINE], versine)))
 
 
 def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:

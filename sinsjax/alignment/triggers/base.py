@@ -218,7 +218,7 @@ def after(
     )
 
 
-def reversed_in_time(
+def in_another_pass(
     trigger: Trigger,
     trigger_params: TriggerParams,
     trigger_state: TriggerState,
@@ -226,7 +226,7 @@ def reversed_in_time(
     p: Triangle,
     misalignment: Vec3,
 ) -> TriggerState:
-    """The trigger's state after a direction reversal: its memory begins anew, its counts stay.
+    """The trigger's state as a pass begins: its memory begins anew, its counts stay.
 
     Args:
         trigger: which.

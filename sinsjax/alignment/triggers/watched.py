@@ -77,12 +77,22 @@ def with_trigger(filter_: Filter, name: str) -> Method:
         return only_where(due, closed._replace(trigger_state=watched), state)
 
     def turn(params: Any, site: Site, state: Any) -> Any:
-        state = plain.turn(params, site, state)
-        left, p = filter_.misalignment(state), state.belief.p
-        watched = triggers.reversed_in_time(
-            trigger, params.trigger, state.trigger_state, p=p, misalignment=left
+        return with_memory_anew(params, plain.turn(params, site, state), state)
+
+    def with_memory_anew(params: Any, opened: Any, state: Any) -> Any:
+        """The state that opens a pass, the trigger's memory of the one before forgotten."""
+        watched = triggers.in_another_pass(
+            trigger,
+            params.trigger,
+            state.trigger_state,
+            p=opened.belief.p,
+            misalignment=filter_.misalignment(opened),
         )
-        return state._replace(trigger_state=watched)
+        return opened._replace(trigger_state=watched)
+
+    def rewind(params: Any, nav: Navigation, state: Any) -> Any:
+        assert plain.rewind is not None
+        return with_memory_anew(params, plain.rewind(params, nav, state), state)
 
     def called(state: Any, n: Scalar) -> Flag:
         return triggers.fires(state.trigger_state, n)
@@ -97,6 +107,7 @@ def with_trigger(filter_: Filter, name: str) -> Method:
         init=init,
         step=step,
         turn=turn,
+        rewind=rewind,
         results=results,
         close=close,
         called=called if trigger.look else None,

@@ -80,6 +80,8 @@ def filter_of(model: ErrorModel, options: Options) -> Filter:
         common_covariance=assumed_at_rest
         and options.position == "fixed"
         and not model.uses_attitude,
+        keep=_keep_biases,
+        gyro_bias=partial(_gyro_bias, model) if "eps_x" in model.states else None,
     )
 
 
@@ -101,6 +103,21 @@ def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:
         bias=tuple(b + f for b, f in biases),
     )
     return corrected, phi
+
+
+def _biases(state: FilterState) -> tuple[Scalar, ...]:
+    """Sensor biases as estimated: fed back, and not yet."""
+    left = state.belief.x[len(_LEVEL_AND_YAW) :]
+    return tuple(b + x for b, x in zip(state.bias, left, strict=True))
+
+
+def _keep_biases(begun: FilterState, ended: FilterState) -> FilterState:
+    return begun._replace(bias=_biases(ended))
+
+
+def _gyro_bias(model: ErrorModel, state: FilterState) -> Vec3:
+    of = dict(zip(model.states[len(_LEVEL_AND_YAW) :], _biases(state), strict=True))
+    return Vec3(of["eps_x"], of["eps_y"], of["eps_z"])
 
 
 def _reverse(model: ErrorModel, state: FilterState) -> FilterState:
