@@ -22,6 +22,8 @@ SUFFIXES = {
     "arcsec": "arcsec",
     "deg": "deg",
     "deg_per_h": "deg/h",
+    "deg_per_h_per_sqrt_h": "deg/h/sqrt(h)",
+    "deg_per_h_rms": "deg/h rms",
     "deg_per_h_per_sqrt_hz": "deg/h/sqrt(Hz)",
     "deg_per_sqrt_h": "deg/sqrt(h)",
     "hz": "Hz",
@@ -32,6 +34,9 @@ SUFFIXES = {
     "ppm": "ppm",
     "s": "s",
     "ug": "ug",
+    "ug_per_sqrt_h": "ug/sqrt(h)",
+    "ug_rms": "ug rms",
+    "um_per_s": "um/s",
     "ug_per_sqrt_hz": "ug/sqrt(Hz)",
 }
 """Unit suffixes of keys and columns, and the units they stand for."""

@@ -77,7 +77,7 @@ def mean_biases(errors: SensorErrors, motion: Motion) -> Biases:
 def mean_attitude(motion: Motion) -> Array:
     """Mean of C_b^n over the motion, ``(..., 3, 3)``, see `mean_biases`."""
     xp: Any = jnp if any(isinstance(a, jax.Array) for a in jax.tree.leaves(motion)) else np
-    periods = [sway.period for sway in motion]
+    periods = [sway.period for sway in motion.angles]
     # Angles of one period share the phase of the first that has it.
     second = xp.where(periods[1] == periods[0], 0, 1)
     third = xp.where(periods[2] == periods[1], second, 2)
@@ -85,13 +85,13 @@ def mean_attitude(motion: Motion) -> Array:
     modes: Any = 1.0
     for phase in range(3):
         swing: Any = 0.0
-        for axis, (sway, own) in enumerate(zip(motion, phase_of, strict=True)):
+        for axis, (sway, own) in enumerate(zip(motion.angles, phase_of, strict=True)):
             angle = sway.amplitude[..., None] * xp.sin(_PHASES + sway.phase[..., None])
             angle = xp.where((own == phase)[..., None], angle, 0.0)
             swing = swing + _along(axis)[..., None] * angle[..., None, None, None, :]
         modes = modes * xp.exp(1j * swing.astype(complex)).mean(-1)
     center: Any = 0.0
-    for axis, sway in enumerate(motion):
+    for axis, sway in enumerate(motion.angles):
         center = center + _along(axis) * sway.center[..., None, None, None]
     modes = modes * xp.exp(1j * center.astype(complex))
     to = _FROM_MODES

@@ -5,7 +5,7 @@ sensors); within a part everything that differs is a number. Parts are cut from 
 by the values of `PROGRAM_KEYS`, `ENVIRONMENT_KEYS` and `PASS_KEYS`, wherever these are swept.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cached_property
 from typing import NamedTuple
 
@@ -15,10 +15,12 @@ import numpy as np
 from sinsjax.alignment.base import Options, Site
 from sinsjax.alignment.methods import METHODS
 from sinsjax.engine.lanes import Group
+from sinsjax.engine.measurements import measured, nothing_read
 from sinsjax.engine.metrics import Criteria
-from sinsjax.engine.realisations import Draw, Environment, Static, derived, measurements
+from sinsjax.engine.realisations import Draw, Environment, Static, derived
 from sinsjax.engine.realisations import site_of as site_of_draw
 from sinsjax.engine.simulate import RunParams
+from sinsjax.engine.simulator import AMPLITUDES, DISTORTIONS, IN_TURN, NOISES
 from sinsjax.engine.study_limits import require_limit
 from sinsjax.engine.truth import recorded, simulated, site_of
 from sinsjax.errors import InputError
@@ -43,14 +45,6 @@ ENVIRONMENT_KEYS = tuple(
     key for model in (EarthSection, MotionSection, SensorsSection) for key in model.model_fields
 )
 """Keys whose values decide the truth that runs share."""
-
-_NOISES = tuple(
-    key for key in SensorsSection.model_fields if key.split("_")[1] in ("noise", "arw", "vrw")
-)
-_DISTORTIONS = tuple(
-    key for key in SensorsSection.model_fields if key.split("_")[1] in ("scale", "misalignment")
-)
-_AMPLITUDES = tuple(key for key in MotionSection.model_fields if "amplitude" in key)
 
 
 class Part(NamedTuple):
@@ -187,11 +181,12 @@ def simulated_record(study: Study, draw_id: int = 0, variant_id: int = 0) -> Rec
     @jax.jit
     def rows(environment: Environment, draw: Draw, numbers: Array) -> Increments:
         if environment.increments is None and environment.motion is not None:
-            whole = base_motion.increments(
+            whole = base_motion.increments_and_axes(
                 environment.motion, site.place, study.rate_hz, len(numbers)
             )
-            environment = environment._replace(increments=whole)
-        return measurements(static, environment, draw, numbers)
+            environment = environment._replace(increments=whole[:, :6], axes=whole[:, 6:])
+        nothing = nothing_read(environment, draw)
+        return measured(static, environment, draw, nothing, numbers)[0]
 
     records = min(static.records, int(environment.pass_records))
     out = rows(environment, draw, np.arange(records * static.record_every))
@@ -223,6 +218,12 @@ def _span(study: Study, variants: Variants) -> Span:
 
 def _program(study: Study, variants: Variants, curves: bool) -> Static:
     """The program of some variants."""
+    simulated = not study.is_recorded
+    span, kept = _span(study, variants), 0
+    reverses = study.passes is not None and not span.rewinds
+    if simulated and reverses and variants.takes(*IN_TURN):
+        # Of one length for all parts, so that they share a program.
+        kept = max(each.read for each in study.distinct_spans) * study.record_every
     return Static(
         variants.common("method"),
         Options(
@@ -233,21 +234,15 @@ def _program(study: Study, variants: Variants, curves: bool) -> Static:
             innovations=study.is_recorded,  # a simulation has the truth to be judged by
         ),
         study.record_every,
-        _span(study, variants).records,
+        span.records,
         curves,
-        noisy=_takes(study, variants, _NOISES),
-        distorted=_takes(study, variants, _DISTORTIONS),
+        noisy=simulated and variants.takes(*NOISES),
+        distorted=simulated and variants.takes(*DISTORTIONS),
         repeats=study.passes is not None,
-        rewinds=_span(study, variants).rewinds,
-        sways=_takes(study, variants, _AMPLITUDES),
+        rewinds=span.rewinds,
+        sways=simulated and variants.takes(*AMPLITUDES),
+        kept=kept,
     )
-
-
-def _takes(study: Study, variants: Variants, keys: Sequence[str]) -> bool:
-    """Whether one of some keys of a simulated study is drawn, or not zero."""
-    if study.is_recorded:
-        return False
-    return any(key in study.drawn_keys or np.any(variants.common(key) or 0) for key in keys)
 
 
 def _params(study: Study, variants: Variants, site: Site, ug: float) -> RunParams:

@@ -1,4 +1,4 @@
-"""What runs share, what a draw has for itself, and its measured increments."""
+"""What runs share, and what a draw has for itself."""
 
 from functools import partial
 from typing import NamedTuple
@@ -7,12 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.alignment import passes
 from sinsjax.alignment.base import Options, Site
 from sinsjax.alignment.limits import Biases, mean_biases
 from sinsjax.engine.metrics import Criteria
 from sinsjax.strapdown import base_motion, earth, sensors
-from sinsjax.types import Array, Count, Increments, Quat, Scalar
+from sinsjax.strapdown.base_motion import Sensed
+from sinsjax.strapdown.disturbances import Disturbances
+from sinsjax.types import Array, Count, Quat, Scalar
 
 
 class Static(NamedTuple):
@@ -29,6 +30,8 @@ class Static(NamedTuple):
         rewinds: whether it is then read forward in every pass.
         sways: whether a base that draws have for themselves sways; a still one is sensed once.
         distorted: whether the sensors have scale factor errors or misaligned axes.
+        kept: samples of a draw's record that are made once and kept, where passes read it in both
+            directions and a sample hangs on those before it; 0 where samples are made as they come.
     """
 
     method: str
@@ -41,6 +44,7 @@ class Static(NamedTuple):
     sways: bool = True
     distorted: bool = True
     rewinds: bool = False
+    kept: int = 0
 
 
 class Environment(NamedTuple):
@@ -59,6 +63,8 @@ class Environment(NamedTuple):
         times: (records,) record times by the clock of the stored record, s; None where `truth` has
             all that is needed.
         motion: of the base, where draws have something for themselves or no increments are stored.
+        axes: (T, 9) axes of n in b over the stored samples, where disturbances ask for them.
+        disturbances: of base and sensors.
     """
 
     site: Site
@@ -71,6 +77,8 @@ class Environment(NamedTuple):
     pass_records: Count
     times: Array | None = None
     motion: base_motion.Motion | None = None
+    axes: Array | None = None
+    disturbances: Disturbances = Disturbances()
 
     @property
     def dtype(self) -> jnp.dtype:
@@ -106,13 +114,13 @@ class Derived(NamedTuple):
     Attributes:
         site: at its latitude.
         biases: of its sensors, mean in n.
-        rest: ideal increments of its base, where that does not sway.
+        rest: what ideal sensors measure on its base, where that does not sway.
         nodes: of its base, where that sways.
     """
 
     site: Site | None = None
     biases: Biases | None = None
-    rest: Increments | None = None
+    rest: Sensed | None = None
     nodes: base_motion.Nodes | None = None
 
 
@@ -130,6 +138,7 @@ class Draw(NamedTuple):
         motion: of its base; its increments are made as a run goes, in place of the
             stored ones.
         latitude: of its base, which then has a motion too, rad.
+        disturbances: of its base and sensors.
         made: what follows from these.
     """
 
@@ -140,86 +149,8 @@ class Draw(NamedTuple):
     errors: sensors.SensorErrors | None = None
     motion: base_motion.Motion | None = None
     latitude: Scalar | None = None
+    disturbances: Disturbances | None = None
     made: Derived = Derived()
-
-
-def noise(
-    static: Static, environment: Environment, draw: Draw, numbers: Array
-) -> Increments | None:
-    """Standard normal numbers for n samples, None if no sensor has noise.
-
-    Leaves (n,); (n, draws) for the ids of several draws, whose numbers are made together.
-    """
-    return sensors.noise(environment.seed, draw.draw_id, numbers) if static.noisy else None
-
-
-SAMPLES_A_CALL = 1000
-"""Samples whose ideal increments are made at a time where none are stored."""
-
-
-def integrated(
-    static: Static, environment: Environment, draw: Draw, numbers: Array
-) -> Increments | None:
-    """Increments of ideal sensors over n samples of the base that all draws share, leaves (n,).
-
-    None where they are stored, or where the draw has a base of its own.
-    """
-    if environment.increments is not None or draw.motion is not None:
-        return None
-    assert environment.motion is not None
-    motion, place, rate = environment.motion, environment.site.place, 1 / static.options.dt
-    at = partial(base_motion.increment, motion, base_motion.nodes(motion, rate), place, rate)
-    k = jnp.asarray(numbers, environment.dtype)
-    return (
-        jax.vmap(at)(k)
-        if k.size <= SAMPLES_A_CALL
-        else jax.lax.map(at, k, batch_size=SAMPLES_A_CALL)
-    )
-
-
-def ideal(static: Static, environment: Environment, draw: Draw, n: Count) -> Increments:
-    """Increments of ideal sensors over sample ``n``: stored, or of the draw's own base."""
-    if draw.made.rest is not None:
-        return draw.made.rest
-    if draw.motion is None:
-        return sensors.split(jnp.asarray(environment.increments)[draw.start + n])
-    assert draw.made.nodes is not None
-    place = site_of(environment, draw).place
-    k = jnp.asarray(n, environment.dtype)
-    return base_motion.increment(draw.motion, draw.made.nodes, place, 1 / static.options.dt, k)
-
-
-def measured(
-    static: Static,
-    environment: Environment,
-    draw: Draw,
-    n: Count,
-    normal: Increments | None,
-    exact: Increments | None = None,
-) -> Increments:
-    """Measured increments of sample ``n`` (from 0) of one draw: rad, m/s.
-
-    Zeros for a negative number, before the stored record: with them nothing is compensated.
-    ``exact`` are those of ideal sensors, if they were made already.
-    """
-    if exact is None:
-        exact = ideal(static, environment, draw, n)
-    errors = environment.errors if draw.errors is None else draw.errors
-    increments = sensors.measure(
-        exact, errors, normal, static.options.dt, distorted=static.distorted
-    )
-    if static.rewinds or not static.repeats:
-        return increments
-    return passes.where(n < 0, jax.tree.map(jnp.zeros_like, increments), increments)
-
-
-def measurements(
-    static: Static, environment: Environment, draw: Draw, numbers: Array
-) -> Increments:
-    """Measured increments of n samples of one draw, leaves (n,)."""
-    normal = noise(static, environment, draw, numbers)
-    exact = integrated(static, environment, draw, numbers)
-    return jax.vmap(partial(measured, static, environment, draw))(numbers, normal, exact)
 
 
 def derived(static: Static, environment: Environment, draw: Draw) -> Derived:
@@ -229,17 +160,32 @@ def derived(static: Static, environment: Environment, draw: Draw) -> Derived:
     site = environment.site
     if draw.latitude is not None:
         site = Site(site.earth, earth.place(site.earth, draw.latitude), draw.latitude)
-    errors = environment.errors if draw.errors is None else draw.errors
+    errors = errors_of(environment, draw)
     motion = environment.motion if draw.motion is None else draw.motion
     assert motion is not None
     rest = nodes = None
     if draw.motion is not None:
         nodes = base_motion.nodes(motion, 1 / static.options.dt)
         if not static.sways:
-            rest = base_motion.increment(motion, nodes, site.place, 1 / static.options.dt, 0.0)
+            rest = base_motion.sensed(motion, nodes, site.place, 1 / static.options.dt, 0.0)
             nodes = None
     own = None if draw.latitude is None else site
     return Derived(own, mean_biases(errors, motion), rest, nodes)
+
+
+def errors_of(environment: Environment, draw: Draw) -> sensors.SensorErrors:
+    """Of the sensors of a draw."""
+    return environment.errors if draw.errors is None else draw.errors
+
+
+def quantised(environment: Environment, draw: Draw) -> bool:
+    """Whether the sensors of a draw have quanta."""
+    return errors_of(environment, draw).gyro_quantum is not None
+
+
+def disturbances_of(environment: Environment, draw: Draw) -> Disturbances:
+    """Processes that disturb a draw."""
+    return environment.disturbances if draw.disturbances is None else draw.disturbances
 
 
 def site_of(environment: Environment, draw: Draw) -> Site:

@@ -8,6 +8,7 @@ record the run is judged.
 Nothing here knows of other runs. `tile` maps the same functions over many.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -19,7 +20,8 @@ from sinsjax.alignment.base import Ending, Method, Site
 from sinsjax.alignment.limits import Biases, Limit
 from sinsjax.alignment.methods import METHODS
 from sinsjax.alignment.passes import BodyTurn, PassReading
-from sinsjax.engine import metrics
+from sinsjax.engine import measurements, metrics
+from sinsjax.engine.measurements import Read
 from sinsjax.engine.metrics import Metrics, Observation, Outcome
 from sinsjax.engine.realisations import (
     Draw,
@@ -30,7 +32,6 @@ from sinsjax.engine.realisations import (
     biases_of,
     derived,
     first_attitude,
-    measurements,
     site_of,
 )
 from sinsjax.maths import rotations
@@ -75,24 +76,14 @@ class Setup(NamedTuple):
         params: with what the draw begins with.
         site: Earth and place.
         limit: what the sensor biases leave of the misalignment.
+        record: measured increments of its draw, leaves (samples,), where `Static.kept`.
     """
 
     draw: Draw
     params: RunParams
     site: Site
     limit: Limit
-
-
-class Read(NamedTuple):
-    """What those samples of a draw that were read leave for those to come.
-
-    Attributes:
-        last: the last increments measured, which compensation looks back at.
-        turn: how the body has turned since the record began; None where nothing is wound back.
-    """
-
-    last: Increments
-    turn: BodyTurn | None
+    record: Increments | None = None
 
 
 class Run(NamedTuple):
@@ -132,7 +123,12 @@ def set_up(static: Static, environment: Environment, draw: Draw, params: RunPara
     draw = draw._replace(made=derived(static, environment, draw))
     site, biases = site_of(environment, draw), biases_of(environment, draw)
     params = starting(params, draw.begins, first_attitude(draw))
-    return Setup(draw, params, site, limit(static, environment.pass_records, params, site, biases))
+    limits = limit(static, environment.pass_records, params, site, biases)
+    record = None
+    if static.kept:
+        nothing, numbers = nothing_read(static, environment, draw), jnp.arange(static.kept)
+        record, _ = measurements.measured(static, environment, draw, nothing, numbers)
+    return Setup(draw, params, site, limits, record)
 
 
 def over_record(
@@ -159,12 +155,16 @@ def over_record(
     read = reading(static, environment, number)
     open_ = partial(open_pass, static, environment.pass_records)
     state = open_(params, setup.site, run.state, (read, before.turn))
-    before = as_pass_begins(static, environment, draw, read, before)
+    nothing = partial(nothing_read, static, environment, draw)
+    before = as_pass_begins(static, read, before, nothing)
     site = passes.site_of_pass(setup.site, read.backward)
-    increments = measurements(static, environment, draw, read.samples)
-    earlier, last = look_back(increments, before.last)
+    if setup.record is None:
+        increments, later = measurements.measured(static, environment, draw, before, read.samples)
+    else:
+        increments, later = measurements.read_back(static, setup.record, read.samples), before
+    earlier, last = measurements.look_back(increments, before.last)
     samples = jax.vmap(partial(passes.compensate, backward=read.backward))(increments, earlier)
-    before = Read(last, turned_on(static, before.turn, samples))
+    before = later._replace(last=last, turn=turned_on(static, before.turn, samples))
 
     def over_sample(state: Any, xs: tuple[Scalar, Sample]) -> tuple[Any, None]:
         n, sample = xs
@@ -174,7 +174,8 @@ def over_record(
     n = (number * every + 1 + jnp.arange(every)).astype(environment.dtype)
     state, _ = jax.lax.scan(over_sample, state, (n, samples))
     run = observe(static, environment, Run(state, run.metrics), q_true, setup.limit.phi.z, n[-1])
-    return (run, before), metrics.as_row(run.metrics.last) if static.curves else None
+    observed = metrics.as_row(run.metrics.last) if static.curves else None
+    return (run, before), observed
 
 
 def method_of(static: Static) -> Method:
@@ -220,15 +221,13 @@ def solution(site: Site, q: Quat, ve: Scalar, vn: Scalar) -> Navigation:
 
 
 def nothing_read(static: Static, environment: Environment, draw: Draw) -> Read:
-    """Before the first sample: with zeros to look back at nothing is compensated.
-
-    Leaves (), or (draws,) for several draws.
-    """
-    zero = jnp.zeros(jnp.shape(draw.draw_id), environment.dtype)
-    last = Increments(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
+    """Before the first sample of a draw, see `measurements.nothing_read`."""
+    nothing = measurements.nothing_read(environment, draw)
     if not static.rewinds:
-        return Read(last, None)
-    return Read(last, passes.no_turn(zero, biased=method_of(static).gyro_bias is not None))
+        return nothing
+    zero = jnp.zeros((), environment.dtype)
+    turn = passes.no_turn(zero, biased=method_of(static).gyro_bias is not None)
+    return nothing._replace(turn=turn)
 
 
 def turned_on(static: Static, turn: BodyTurn | None, samples: Sample) -> BodyTurn | None:
@@ -289,26 +288,10 @@ def wound_back(
 
 
 def as_pass_begins(
-    static: Static, environment: Environment, draw: Draw, read: PassReading, before: Read
+    static: Static, read: PassReading, before: Read, nothing: Callable[[], Read]
 ) -> Read:
-    """What a draw has read as a record interval begins: nothing where that begins the record."""
-    if not static.rewinds:
-        return before
-    return passes.where(read.opens_pass, nothing_read(static, environment, draw), before)
-
-
-def look_back(increments: Increments, before: Increments) -> tuple[Increments, Increments]:
-    """What each sample of a row is compensated with: the increments read before it.
-
-    Args:
-        increments: of the row, leaves (n, ...).
-        before: read before the first of them, leaves (...).
-
-    Returns:
-        Leaves (n, ...), and the last of the row, which the next one looks back at.
-    """
-    shifted = jax.tree.map(lambda a, b: jnp.concatenate([b[None], a[:-1]]), increments, before)
-    return shifted, jax.tree.map(lambda a: a[-1], increments)
+    """What was read as a record interval begins: nothing where that begins the record."""
+    return passes.where(read.opens_pass, nothing(), before) if static.rewinds else before
 
 
 def step(

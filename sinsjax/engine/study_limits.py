@@ -9,7 +9,7 @@ import numpy as np
 
 from sinsjax.alignment.limits import mean_attitude
 from sinsjax.alignment.methods import METHODS
-from sinsjax.engine.truth import errors_of, motion_of
+from sinsjax.engine.simulator import errors_of, motion_of
 from sinsjax.errors import InputError
 from sinsjax.strapdown import earth
 from sinsjax.study import sampling

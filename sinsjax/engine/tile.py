@@ -18,8 +18,9 @@ from sinsjax.alignment.limits import Limit
 from sinsjax.alignment.passes import PassReading
 from sinsjax.engine import metrics, simulate
 from sinsjax.engine.lanes import Tiles
+from sinsjax.engine.measurements import Read
 from sinsjax.engine.metrics import Observation, Outcome
-from sinsjax.engine.pieces import axes_of, maker, piece
+from sinsjax.engine.pieces import axes_of, maker, piece, record_of
 from sinsjax.engine.realisations import (
     Draw,
     Environment,
@@ -31,9 +32,9 @@ from sinsjax.engine.realisations import (
     first_attitude,
     site_of,
 )
-from sinsjax.engine.simulate import Read, Run, RunParams, method_of
+from sinsjax.engine.simulate import Run, RunParams, method_of
 from sinsjax.engine.stepping import event_by_event, sample_by_sample
-from sinsjax.types import Array, Count, Flag, Quat, Sample, Scalar
+from sinsjax.types import Array, Count, Flag, Increments, Quat, Sample, Scalar
 
 
 class TileSetup(NamedTuple):
@@ -45,6 +46,7 @@ class TileSetup(NamedTuple):
         params: with what the draws begin with, leaves (lanes, ...).
         site: leaves (lanes,), or () where all runs share it.
         limit: leaves (lanes,).
+        record: leaves (samples, draws).
     """
 
     draws: Draw
@@ -52,6 +54,7 @@ class TileSetup(NamedTuple):
     params: RunParams
     site: Site
     limit: Limit
+    record: Increments | None = None
 
     @property
     def draw_axis(self) -> int | None:
@@ -88,6 +91,11 @@ def over_draws(function: Callable[[Draw], Any], draws: Draw, *, out_axes: int = 
     return jax.vmap(function, in_axes=(axes_of(draws),), out_axes=out_axes)(draws)
 
 
+def nothing_read(static: Static, environment: Environment, draws: Draw) -> Read:
+    """`simulate.nothing_read` of all draws of a tile, leaves (draws,)."""
+    return over_draws(partial(simulate.nothing_read, static, environment), draws)
+
+
 def run_tile(
     static: Static, environment: Environment, tile: Tiles, shown: int | None = None
 ) -> tuple[Outcome, Observation | None]:
@@ -105,7 +113,7 @@ def run_tile(
     setup = set_up(static, environment, tile)
     begin = jax.vmap(partial(simulate.begin, static, environment), in_axes=(setup.site_axis, 0))
     runs = begin(setup.site, setup.params)
-    before = simulate.nothing_read(static, environment, setup.draws)
+    before = nothing_read(static, environment, setup.draws)
     q_true = None  # of draws with a motion of their own; that of others is looked up as runs go
     if setup.draws.motion is not None:
         q_true = over_draws(partial(attitudes, static, environment), setup.draws, out_axes=1)
@@ -129,7 +137,8 @@ def set_up(static: Static, environment: Environment, tile: Tiles) -> TileSetup:
     own = (None if a is None else axis for a in (draws.made.site, draws.made.biases))
     limit = partial(simulate.limit, static, environment.pass_records)
     limits = jax.vmap(limit, in_axes=(0, *own))(params, site, biases)
-    return TileSetup(draws, tile.row, params, site, limits)
+    record = record_of(static, environment, draws) if static.kept else None
+    return TileSetup(draws, tile.row, params, site, limits, record)
 
 
 def over_record(
@@ -162,7 +171,8 @@ def over_record(
         in_axes=(0, setup.site_axis, 0, (None, setup.draw_axis)),
     )
     state = open_pass(setup.params, setup.site, runs.state, (read, turn))
-    before = simulate.as_pass_begins(static, environment, setup.draws, read, before)
+    nothing = partial(nothing_read, static, environment, setup.draws)
+    before = simulate.as_pass_begins(static, read, before, nothing)
     state, before = over_samples(static, environment, setup, read, number, (state, before))
     # Looked up here: those of all records, draw by draw, would fill the memory.
     q_true = attitude(environment, setup.draws, number) if q_true is None else q_true
@@ -224,7 +234,8 @@ def over_samples(
         assert method.called is not None
         return jnp.any(jax.vmap(method.called, in_axes=(0, None))(state, n(place)))
 
-    make, size = maker(static, environment, setup.draws, read), piece(static, setup.draws)
+    make = maker(static, environment, setup.draws, read, setup.record)
+    size = piece(static, setup.draws)
     samples = (*carry, every, take, close, make, size)
     if due(carry[0], jnp.asarray(0)) is None:
         return sample_by_sample(*samples)

@@ -17,18 +17,27 @@ from sinsjax.alignment.coarse import COARSE
 from sinsjax.alignment.limits import NO_BIASES, mean_biases
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.realisations import Draw, Environment, InitialErrors, aligned_record
+from sinsjax.engine.simulator import (
+    OF_DISTURBANCES,
+    disturbances_of,
+    errors_of,
+    motion_of,
+    with_lever_arm,
+    with_quanta,
+)
 from sinsjax.errors import InputError
 from sinsjax.records import require_span
 from sinsjax.records.reference import StoredRecord
 from sinsjax.strapdown import base_motion, earth, sensors
+from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.study import sampling
 from sinsjax.study.keys import EARTH_CONSTANTS
 from sinsjax.study.schema import EarthSection, MotionSection, SensorsSection
 from sinsjax.study.study import Span, Study
 from sinsjax.study.times import stored_times
-from sinsjax.study.variants import Lookup, Variants
+from sinsjax.study.variants import Variants
 from sinsjax.types import Array, Scalar
-from sinsjax.units import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, PPM
+from sinsjax.units import DEG, DEG_PER_H
 from sinsjax.value_types import Section
 
 MOST_STORED_SAMPLES = 2**22
@@ -68,22 +77,35 @@ def site_of(study: Study, variants: Variants, stored: StoredRecord | None) -> tu
     return jax.tree.map(np.float64, site), ug
 
 
-@partial(jax.jit, static_argnames=("samples",))
+@partial(jax.jit, static_argnames=("samples", "axes"))
 def _truth(
-    motion: base_motion.Motion, place: earth.Place, times: Array, rate: Scalar, *, samples: int
+    motion: base_motion.Motion,
+    place: earth.Place,
+    times: Array,
+    rate: Scalar,
+    *,
+    samples: int,
+    axes: bool,
 ) -> tuple[Array, Array]:
-    """Ideal increments (samples, 6), and true attitudes (n, 4) at n times."""
+    """Ideal increments (samples, 6), or with axes (samples, 15); true attitudes (n, 4) at times."""
+    rows = base_motion.increments_and_axes if axes else base_motion.increments
     return (
-        base_motion.increments(motion, place, rate, samples),
+        rows(motion, place, rate, samples),
         jax.vmap(lambda t: jnp.stack(base_motion.attitude(motion, t)))(times),
     )
 
 
 def _blank(
-    motion: base_motion.Motion, place: earth.Place, times: Array, rate: Scalar, *, samples: int
+    motion: base_motion.Motion,
+    place: earth.Place,
+    times: Array,
+    rate: Scalar,
+    *,
+    samples: int,
+    axes: bool,
 ) -> tuple[Array, Array]:
     """Zeros of the shapes of `_truth`."""
-    return np.zeros((samples, 6)), np.zeros((len(times), 4))
+    return np.zeros((samples, 15 if axes else 6)), np.zeros((len(times), 4))
 
 
 def simulated(
@@ -101,9 +123,9 @@ def simulated(
     has zeros for the truth, which takes XLA a while: shapes are all that a program is compiled for.
     """
     site, ug = site_of(study, variants, None)
-    errors, motion = errors_of(variants.common, ug, study.rate_hz), motion_of(variants.common)
+    errors, motion, disturbances = _base_and_sensors(variants, ug)
     times = np.concatenate([[0.0], stored_times(study, span)])
-    increments: np.ndarray | None
+    increments, axes = None, None
     if draws_own(study, EarthSection, MotionSection):
         # Each draw makes its own as it goes.
         increments, attitudes = np.zeros((1, 6)), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
@@ -112,8 +134,11 @@ def simulated(
         samples = max(s.read for s in study.distinct_spans) * study.record_every
         kept = samples if samples <= MOST_STORED_SAMPLES else 0
         make = _blank if blank else _truth
-        truth = make(motion, site.place, times, study.rate_hz, samples=kept)
-        increments = np.asarray(truth[0]) if kept else None
+        surges = disturbances.surge is not None
+        truth = make(motion, site.place, times, study.rate_hz, samples=kept, axes=surges)
+        if kept:
+            increments = np.asarray(truth[0][:, :6])
+            axes = np.asarray(truth[0][:, 6:]) if surges else None
         attitudes = np.asarray(truth[1])
     n = len(draws)
     environment = Environment(
@@ -127,9 +152,12 @@ def simulated(
         pass_records=np.asarray(span.pass_records),
         times=times[1:] if draws_own(study, EarthSection, MotionSection) else None,
         motion=motion if study.drawn_keys or increments is None else None,
+        axes=axes,
+        disturbances=disturbances,
     )
     ids = np.arange(draws.start, draws.stop)
-    own = _own(study, variants.ids, draws, ug, (errors, motion)) if study.drawn_keys else {}
+    nominal = errors, motion, disturbances
+    own = _own(study, variants.ids, draws, ug, nominal) if study.drawn_keys else {}
     return (
         environment,
         Draw(ids, np.asarray(0), np.zeros(n, int), **own),
@@ -147,13 +175,13 @@ def _own(
     ids: np.ndarray,
     draws: range,
     ug: float,
-    nominal: tuple[sensors.SensorErrors, base_motion.Motion],
+    nominal: tuple[sensors.SensorErrors, base_motion.Motion, Disturbances],
 ) -> dict[str, Any]:
     """What the draws of a simulated study have for themselves, as fields of `Draw`."""
     values = sampling.values(study, len(draws), first=draws.start)
     variants = Variants(study, ids, values)
-    drawn = errors_of(variants.common, ug, study.rate_hz), motion_of(variants.common)
-    errors, motion = jax.tree.map(
+    drawn = _base_and_sensors(variants, ug)
+    errors, motion, disturbances = jax.tree.map(
         lambda a, like: np.broadcast_to(a, (len(draws), *np.shape(like))), drawn, nominal
     )
     own: dict[str, Any] = {"begins": _begins(values)}
@@ -163,7 +191,21 @@ def _own(
         own["motion"] = motion
     if draws_own(study, EarthSection):
         own["latitude"] = values["latitude_deg"] * DEG
+    if any(key in study.drawn_keys for key in OF_DISTURBANCES):
+        own["disturbances"] = disturbances
     return own
+
+
+def _base_and_sensors(
+    variants: Variants, ug: float
+) -> tuple[sensors.SensorErrors, base_motion.Motion, Disturbances]:
+    """Sensors, base, and what disturbs both, of some variants and of their draws if given."""
+    rate, common = variants.rate_hz, variants.common
+    return (
+        with_quanta(errors_of(common, ug, rate), variants),
+        with_lever_arm(motion_of(common), variants),
+        disturbances_of(variants, ug, rate),
+    )
 
 
 def _begins(values: Mapping[str, np.ndarray]) -> InitialErrors:
@@ -178,61 +220,6 @@ def _begins(values: Mapping[str, np.ndarray]) -> InitialErrors:
 
 def _angle(degrees: np.ndarray | None) -> np.ndarray | None:
     return None if degrees is None else degrees * DEG
-
-
-def motion_of(common: Lookup) -> base_motion.Motion:
-    """How the base of a part moves, from `Variants.common`."""
-
-    def number(key: str, factor: float = 1.0) -> np.ndarray:
-        value = common(key)
-        default = MotionSection.model_fields[key].default  # stands for a drawn value
-        given = np.asarray((default or 0.0) if value is None else value, dtype=float)
-        return np.asarray(given * factor)
-
-    def sway(angle: str) -> base_motion.Sway:
-        return base_motion.Sway(
-            center=number(f"{angle}_center_deg", DEG),
-            amplitude=number(f"{angle}_amplitude_deg", DEG),
-            period=number(f"{angle}_period_s"),
-            phase=number(f"{angle}_phase_deg", DEG),
-        )
-
-    return base_motion.Motion(sway("pitch"), sway("roll"), sway("yaw"))
-
-
-def errors_of(common: Lookup, ug: float, rate_hz: float) -> sensors.SensorErrors:
-    """What the sensors of a part do, from `Variants.common`: its ug in m/s^2, its rate in Hz."""
-    dt = 1 / rate_hz
-
-    def numbers(key: str, factor: float, count: int = 3) -> np.ndarray:
-        """(..., count): a number stands for all axes, and zero for what is drawn."""
-        value = common(key)
-        given = np.asarray(0.0 if value is None else value, dtype=float) * factor
-        return np.broadcast_to(given, np.broadcast_shapes(given.shape, (count,)))
-
-    def noise(per_sample: str, density: str, units_: tuple[float, float]) -> np.ndarray:
-        # A rate's standard deviation a sample integrates to dt times it; a density to sqrt(dt).
-        if common(density) is not None:
-            return numbers(density, units_[1] * np.sqrt(dt))
-        return numbers(per_sample, units_[0] * dt)
-
-    def matrix(scale: str, cross: str) -> np.ndarray:
-        scales, angles = numbers(scale, PPM), numbers(cross, ARCSEC, 6)
-        out = np.zeros((*np.broadcast_shapes(scales.shape[:-1], angles.shape[:-1]), 3, 3))
-        out[..., range(3), range(3)] = scales
-        out[..., ~np.eye(3, dtype=bool)] = angles
-        return out
-
-    return sensors.SensorErrors(
-        gyro_bias=numbers("gyro_bias_deg_per_h", DEG_PER_H),
-        accel_bias=numbers("accel_bias_ug", ug),
-        gyro_noise=noise(
-            "gyro_noise_deg_per_h", "gyro_arw_deg_per_sqrt_h", (DEG_PER_H, DEG_PER_SQRT_H)
-        ),
-        accel_noise=noise("accel_noise_ug", "accel_vrw_ug_per_sqrt_hz", (ug, ug)),
-        gyro_matrix=matrix("gyro_scale_ppm", "gyro_misalignment_arcsec"),
-        accel_matrix=matrix("accel_scale_ppm", "accel_misalignment_arcsec"),
-    )
 
 
 def starts_of(study: Study, rate_hz: float) -> tuple[int, np.ndarray]:

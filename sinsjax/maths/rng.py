@@ -6,11 +6,12 @@ every sample of every draw costs ten times as much as generating the numbers.
 """
 
 import math
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 
-from sinsjax.types import Scalar, Word
+from sinsjax.types import Array, Count, Scalar, Word
 
 ROUNDS = 13
 """Rounds of Threefry-2x32: the fewest with published test vectors, reported as Crush-resistant.
@@ -65,3 +66,52 @@ def normal_pair(words: tuple[Word, Word]) -> tuple[Scalar, Scalar]:
             sin = sin * square + 1 / math.factorial(2 * n + 1)
     sin = sin * half
     return radius * (1 - 2 * sin * sin), radius * (2 * sin * cos)
+
+
+def binomial_triad(words: tuple[Word, Word]) -> tuple[Scalar, Scalar, Scalar]:
+    """Three independent numbers of mean 0 and variance 1: how many of 16 bits are set, scaled.
+
+    For what drives a process: white as those of `normal_pair`, at a third of their cost, and what a
+    process makes of a few of them is normal.
+
+    Args:
+        words: two uniformly distributed words.
+    """
+    halves = words[0] & jnp.uint32(0xFFFF), words[0] >> jnp.uint32(16), words[1] >> jnp.uint32(16)
+    bits = (jax.lax.population_count(half).astype(jnp.int32) for half in halves)
+    first, second, third = (0.5 * (count.astype(jnp.float32) - 8) for count in bits)
+    return first, second, third
+
+
+def numbers(
+    of: Callable[[tuple[Word, Word]], tuple[Scalar, ...]],
+    seed: Count,
+    draw_id: Array,
+    counters: Array,
+    *,
+    apart: int = 0,
+) -> tuple[Array, ...]:
+    """Independent numbers, a function of seed, draw and counter alone.
+
+    All are generated in one row, to fill the vector units.
+
+    Args:
+        of: what is made of the two words of a counter, `normal_pair` or `binomial_triad`.
+        seed: below 2^63.
+        draw_id: () or (draws,), below 2^32.
+        counters: below 2^32.
+        apart: 0, or 1 for numbers independent of those.
+
+    Returns:
+        What is made, each of shape (*counters, *draws).
+    """
+    wide = jnp.asarray(seed).astype(jnp.uint64)
+    # No seed has the highest bit.
+    high = (wide >> 32).astype(jnp.uint32) | jnp.uint32(apart << 31)
+    key = (high, wide.astype(jnp.uint32))
+    draw = jnp.asarray(draw_id)
+    shape = (*counters.shape, *draw.shape)
+    counter = counters.reshape(*counters.shape, *(1 for _ in draw.shape))
+    row = (jnp.broadcast_to(a, shape).astype(jnp.uint32).reshape(-1) for a in (draw, counter))
+    made = jax.vmap(lambda *counter: of(threefry(key, counter)))(*row)
+    return tuple(a.reshape(shape) for a in made)

@@ -1,8 +1,9 @@
 """True motion of the base, and the increments that ideal sensors would measure.
 
-The base stays in place and sways about a mean attitude. Angular rate and specific force are known
-in closed form at any time and are integrated over each sample by Gauss quadrature, so the
-increments are independent of the mechanisation under test.
+The base stays in place and sways about a mean attitude, the sensors at a lever arm from the centre
+of the sway. Angular rate and specific force are known in closed form at any time and are integrated
+over each sample by Gauss quadrature, so the increments are independent of the mechanisation under
+test.
 """
 
 from functools import partial
@@ -12,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.maths.algebra import add, scale
+from sinsjax.maths.algebra import add, cross, dot, scale
 from sinsjax.maths.rotations import from_euler, sin_cos, sin_cos_near_zero
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Increments, Quat, Scalar, Vec3
@@ -49,6 +50,11 @@ class Sway(NamedTuple):
         omega = 2 * jnp.pi / self.period
         return self.amplitude * omega * jnp.cos(self._argument(t))
 
+    def acceleration(self, t: Scalar) -> Scalar:
+        """Second time derivative of the angle at t (s), rad/s^2."""
+        omega = 2 * jnp.pi / self.period
+        return -self.amplitude * omega * omega * jnp.sin(self._argument(t))
+
     def phase_at(self, t: Scalar) -> tuple[Scalar, Scalar]:
         """Sine and cosine of the argument at time t (s)."""
         return sin_cos(self._argument(t))
@@ -58,11 +64,24 @@ class Sway(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Attitude of the base over time, C_b^n = Rz(yaw) Rx(pitch) Ry(roll)."""
+    """Attitude of the base over time, C_b^n = Rz(yaw) Rx(pitch) Ry(roll).
+
+    Attributes:
+        pitch: angle over time.
+        roll: likewise.
+        yaw: likewise.
+        lever: from the centre of the sway to the sensors, in b, m; None where they are in it.
+    """
 
     pitch: Sway
     roll: Sway
     yaw: Sway
+    lever: Vec3 | None = None
+
+    @property
+    def angles(self) -> tuple[Sway, Sway, Sway]:
+        """Pitch, roll and yaw."""
+        return self.pitch, self.roll, self.yaw
 
 
 def attitude(motion: Motion, t: Scalar) -> Quat:
@@ -74,11 +93,12 @@ def rate_and_force(motion: Motion, place: Place, t: Scalar) -> tuple[Vec3, Vec3]
     """Angular rate of b relative to inertial space (rad/s) and specific force (m/s^2), both in b.
 
     w_nb^b follows from the Euler rates: the yaw rate resolved through pitch and roll, the pitch
-    rate through roll. The base has no velocity, so f^n = (0, 0, g) and w_in^n is the Earth rate
-    alone.
+    rate through roll. The centre of the sway has no velocity.
     """
-    now = Sines(*(sin_cos(sway.angle(t)) for sway in motion))
-    return _inertial(place, _in_body(now, *(sway.rate(t) for sway in motion)))
+    now = Sines(*(sin_cos(sway.angle(t)) for sway in motion.angles))
+    rates = EulerRates(*(sway.rate(t) for sway in motion.angles))
+    bends = EulerRates(*(sway.acceleration(t) for sway in motion.angles))
+    return _inertial(place, _in_body(place, motion.lever, now, rates, bends))
 
 
 class Sines(NamedTuple):
@@ -89,33 +109,83 @@ class Sines(NamedTuple):
     yaw: tuple[Scalar, Scalar]
 
 
-class InBody(NamedTuple):
-    """Navigation axes and rate in the body frame, before Earth rate and gravity are applied.
+class EulerRates(NamedTuple):
+    """Time derivative of each Euler angle, rad/s; or the second one, rad/s^2."""
 
-    Attributes:
-        north: unit vector to the north, in b.
-        up: unit vector up, in b.
-        rate: angular rate of b relative to n, in b, rad/s.
-    """
+    pitch: Scalar
+    roll: Scalar
+    yaw: Scalar
 
+
+class Axes(NamedTuple):
+    """Unit vectors of n, in b; or their means over a sample."""
+
+    east: Vec3
     north: Vec3
     up: Vec3
+
+
+class InBody(NamedTuple):
+    """The motion of the sensors in the body frame, before Earth rate and gravity are applied.
+
+    Attributes:
+        axes: of n.
+        rate: angular rate of b relative to the Earth, in b, rad/s.
+        force: specific force apart from gravity, in b, m/s^2; None without a lever arm.
+    """
+
+    axes: Axes
     rate: Vec3
+    force: Vec3 | None
 
 
-def _in_body(now: Sines, pitch_rate: Scalar, roll_rate: Scalar, yaw_rate: Scalar) -> InBody:
-    """Axes and rate in b at an attitude, from the rates of its Euler angles (rad/s)."""
+def _in_body(
+    place: Place, lever: Vec3 | None, now: Sines, rates: EulerRates, bends: EulerRates
+) -> InBody:
+    """Motion at an attitude, from the first and second derivatives of its Euler angles."""
+    axes, rate = axes_in_body(now), _rate_in_body(now, rates)
+    if lever is None:
+        return InBody(axes, rate, None)
+    turning = Sines(
+        *((cos * w, -sin * w) for (sin, cos), w in zip(now, rates, strict=True))
+    )  # derivatives of the sines
+    _, bend = jax.jvp(_rate_in_body, (now, rates), (turning, bends))
+    velocity = cross(rate, lever)
+    earth = add(scale(2 * place.rate_n, axes.north), scale(2 * place.rate_u, axes.up))
+    force = add(cross(bend, lever), cross(add(rate, earth), velocity))
+    east, north = dot(axes.east, velocity), dot(axes.north, velocity)
+    return InBody(axes, add(rate, transport(place, axes, east, north)), force)
+
+
+def _rate_in_body(now: Sines, rates: EulerRates) -> Vec3:
+    """w_nb^b from the Euler rates."""
+    (sp, cp), (sr, cr), _ = now
+    across = rates.yaw * cp
+    return Vec3(
+        rates.pitch * cr - across * sr,
+        rates.roll + rates.yaw * sp,
+        rates.pitch * sr + across * cr,
+    )
+
+
+def axes_in_body(now: Sines) -> Axes:
+    """The axes of n in b: the rows of C_b^n."""
     (sp, cp), (sr, cr), (sy, cy) = now
-    across, tilted = yaw_rate * cp, cy * sp
-    return InBody(
+    tilted, leaning = cy * sp, sy * sp
+    return Axes(
+        east=Vec3(cy * cr - leaning * sr, -sy * cp, cy * sr + leaning * cr),
         north=Vec3(sy * cr + tilted * sr, cy * cp, sy * sr - tilted * cr),
         up=Vec3(-cp * sr, sp, cp * cr),
-        rate=Vec3(
-            pitch_rate * cr - across * sr,
-            roll_rate + yaw_rate * sp,
-            pitch_rate * sr + across * cr,
-        ),
     )
+
+
+def transport(place: Place, axes: Axes, east: Scalar, north: Scalar) -> Vec3:
+    """Rate of n over the Earth at a velocity (m/s), in b, rad/s."""
+    about_up = east * place.curvature_e * place.tan_latitude
+    level = add(
+        scale(-north * place.curvature_n, axes.east), scale(east * place.curvature_e, axes.north)
+    )
+    return add(level, scale(about_up, axes.up))
 
 
 def _inertial(place: Place, body: InBody) -> tuple[Vec3, Vec3]:
@@ -123,8 +193,10 @@ def _inertial(place: Place, body: InBody) -> tuple[Vec3, Vec3]:
 
     Both are linear in ``body``: the mean over a time gives the mean rate and force.
     """
-    earth = add(scale(place.rate_n, body.north), scale(place.rate_u, body.up))
-    return add(earth, body.rate), scale(place.gravity, body.up)
+    earth = add(scale(place.rate_n, body.axes.north), scale(place.rate_u, body.axes.up))
+    gravity = scale(place.gravity, body.axes.up)
+    force = gravity if body.force is None else add(gravity, body.force)
+    return add(earth, body.rate), force
 
 
 class Advance(NamedTuple):
@@ -154,10 +226,22 @@ def nodes(motion: Motion, rate_hz: Scalar) -> Nodes:
         sin, cos = sin_cos(0.5 * jnp.pi * node / (sway.period * rate_hz))
         return Advance(2 * sin * cos, -2 * sin * sin)
 
-    return Nodes(*(jax.vmap(partial(advance, sway))(jnp.asarray(_NODES)) for sway in motion))
+    return Nodes(*(jax.vmap(partial(advance, sway))(jnp.asarray(_NODES)) for sway in motion.angles))
 
 
-def increment(motion: Motion, ahead: Nodes, place: Place, rate_hz: Scalar, k: Scalar) -> Increments:
+class Sensed(NamedTuple):
+    """What ideal sensors measure over a sample, and where n is meanwhile.
+
+    Attributes:
+        increments: rad and m/s, in b.
+        axes: of n in b, mean over the sample; None where nobody asks for them.
+    """
+
+    increments: Increments
+    axes: Axes | None
+
+
+def sensed(motion: Motion, ahead: Nodes, place: Place, rate_hz: Scalar, k: Scalar) -> Sensed:
     """Ideal sensor increments over one sample, by Gauss quadrature.
 
     Angles and rates at the nodes follow from those at mid-sample by the angle-sum formulas, because
@@ -170,32 +254,39 @@ def increment(motion: Motion, ahead: Nodes, place: Place, rate_hz: Scalar, k: Sc
         place: Earth rates and gravity.
         rate_hz: sample rate, Hz.
         k: number of the sample, which spans k/rate to (k+1)/rate.
-
-    Returns:
-        Angle increments (rad) and velocity increments (m/s) in b.
     """
     middle = (k + 0.5) / rate_hz
     waves = []
-    for sway in motion:
+    for sway in motion.angles:
         sin, cos = (sway.amplitude * part for part in sway.phase_at(middle))
         waves.append((sin, cos, 2 * jnp.pi / sway.period, sin_cos(sway.center + sin)))
 
     def at_pair(ahead: Nodes) -> InBody:
         sides = []
         for side in (-1.0, 1.0):
-            sines, rates = [], []
+            sines, rates, bends = [], [], []
             for (sin, cos, omega, here), advance in zip(waves, ahead, strict=True):
                 later, versed = side * advance.sin, advance.versed
-                sines.append(_sum(here, sin_cos_near_zero(sin * versed + cos * later)))
+                change = sin * versed + cos * later
+                sines.append(_sum(here, sin_cos_near_zero(change)))
                 rates.append(omega * (cos + (cos * versed - sin * later)))
-            sides.append(_in_body(Sines(*sines), *rates))
+                bends.append(-omega * omega * (sin + change))
+            sides.append(
+                _in_body(place, motion.lever, Sines(*sines), EulerRates(*rates), EulerRates(*bends))
+            )
         return jax.tree.map(jnp.add, *sides)
 
     # Mapped rather than unrolled: half the code to compile.
     pairs = jax.vmap(at_pair)(ahead)
     # A matrix product or a sum over an axis would become a loop that is not vectorised.
     mean = jax.tree.map(lambda a: sum(w * a[i] for i, w in enumerate(_WEIGHTS)), pairs)
-    return Increments(*(scale(1 / rate_hz, part) for part in _inertial(place, mean)))
+    increments = Increments(*(scale(1 / rate_hz, part) for part in _inertial(place, mean)))
+    return Sensed(increments, mean.axes)
+
+
+def increment(motion: Motion, ahead: Nodes, place: Place, rate_hz: Scalar, k: Scalar) -> Increments:
+    """The increments of `sensed`: angle increments (rad) and velocity increments (m/s) in b."""
+    return sensed(motion, ahead, place, rate_hz, k).increments
 
 
 def _sum(a: tuple[Scalar, Scalar], b: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
@@ -204,16 +295,26 @@ def _sum(a: tuple[Scalar, Scalar], b: tuple[Scalar, Scalar]) -> tuple[Scalar, Sc
 
 
 def increments(motion: Motion, place: Place, rate_hz: Scalar, samples: int) -> Array:
-    """Ideal sensor increments of samples 0 to ``samples`` - 1, (samples, 6), see `increment`.
+    """Ideal sensor increments of samples 0 to ``samples`` - 1, (samples, 6), see `sensed`."""
+    return _rows(motion, place, rate_hz, samples, with_axes=False)
 
-    Computed in two or more batches of equal size: a shorter last batch, or a single one whose loop
-    the compiler removes, would give different bits.
+
+def increments_and_axes(motion: Motion, place: Place, rate_hz: Scalar, samples: int) -> Array:
+    """Increments of samples 0 to ``samples`` - 1, and the axes meanwhile, (samples, 15)."""
+    return _rows(motion, place, rate_hz, samples, with_axes=True)
+
+
+def _rows(motion: Motion, place: Place, rate_hz: Scalar, samples: int, *, with_axes: bool) -> Array:
+    """Rows of samples, computed in two or more batches of equal size.
+
+    A shorter last batch, or a single one whose loop the compiler removes, would give other bits.
     """
     ahead = nodes(motion, rate_hz)
     batches = max(2, -(-samples // _BATCH))
     numbers = jnp.arange(batches * _BATCH, dtype=float)
 
     def row(k: Scalar) -> Array:
-        return jnp.stack(jax.tree.leaves(increment(motion, ahead, place, rate_hz, k)))
+        made = sensed(motion, ahead, place, rate_hz, k)
+        return jnp.stack(jax.tree.leaves(made if with_axes else made.increments))
 
     return jax.lax.map(row, numbers, batch_size=_BATCH)[:samples]

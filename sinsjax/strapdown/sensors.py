@@ -5,8 +5,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from sinsjax.maths import rng
 from sinsjax.maths.algebra import add, cross, dot, scale
-from sinsjax.maths.rng import normal_pair, threefry
+from sinsjax.maths.rng import normal_pair
 from sinsjax.maths.rotations import conjugate, exp, rotate
 from sinsjax.types import Array, Count, Increments, Sample, Scalar, Vec3
 
@@ -21,6 +22,8 @@ class SensorErrors(NamedTuple):
         accel_noise: (3,) standard deviation of one velocity increment, m/s.
         gyro_matrix: (3, 3) scale factor errors on the diagonal, axis misalignments (rad) off it.
         accel_matrix: (3, 3) likewise.
+        gyro_quantum: (3,) quantum of the angle, rad; zero for none, None if no sensor has one.
+        accel_quantum: (3,) of the velocity, m/s; likewise.
     """
 
     gyro_bias: Array
@@ -29,6 +32,8 @@ class SensorErrors(NamedTuple):
     accel_noise: Array
     gyro_matrix: Array
     accel_matrix: Array
+    gyro_quantum: Array | None = None
+    accel_quantum: Array | None = None
 
 
 def perfect() -> SensorErrors:
@@ -51,15 +56,9 @@ def noise(seed: Count, draw_id: Array, numbers: Array) -> Increments:
     Returns:
         `Increments` with leaves (n, *draws).
     """
-    wide = jnp.asarray(seed).astype(jnp.uint64)
-    key = ((wide >> 32).astype(jnp.uint32), wide.astype(jnp.uint32))
-    draw, first = jnp.asarray(draw_id), 3 * jnp.asarray(numbers)
-    shape = (3, *first.shape, *draw.shape)
     # A sample uses three consecutive counters, each giving a pair of numbers.
-    counter = (first[None] + jnp.arange(3)[:, None]).reshape(3, -1, *(1 for _ in draw.shape))
-    row = (jnp.broadcast_to(a, shape).astype(jnp.uint32).reshape(-1) for a in (draw, counter))
-    pairs = jax.vmap(lambda *counter: normal_pair(threefry(key, counter)))(*row)
-    (gx, gz, ay), (gy, ax, az) = (pair.reshape(shape) for pair in pairs)
+    counters = 3 * jnp.asarray(numbers)[None] + jnp.arange(3)[:, None]
+    (gx, gz, ay), (gy, ax, az) = rng.numbers(normal_pair, seed, draw_id, counters)
     return Increments(Vec3(gx, gy, gz), Vec3(ax, ay, az))
 
 
@@ -99,6 +98,28 @@ def _distort(ideal: Vec3, matrix: Array | None, bias: Array) -> Vec3:
 
 def _add_noise(exact: Vec3, sigma: Array, normal: Vec3) -> Vec3:
     return Vec3(*(x + s * z.astype(x.dtype) for x, s, z in zip(exact, sigma, normal, strict=True)))
+
+
+def quantise(
+    increments: Increments, errors: SensorErrors, left: Increments
+) -> tuple[Increments, Increments]:
+    """Increments in whole quanta, and what of the integrals is left to the next sample.
+
+    Args:
+        increments: measured, rad and m/s.
+        errors: of the sensors, with quanta.
+        left: by the samples before.
+    """
+    assert errors.gyro_quantum is not None and errors.accel_quantum is not None
+    total = jax.tree.map(jnp.add, increments, left)
+    quanta = Increments(Vec3(*errors.gyro_quantum), Vec3(*errors.accel_quantum))
+
+    def whole(a: Scalar, quantum: Scalar) -> Scalar:
+        some = jnp.where(quantum > 0, quantum, 1.0)
+        return jnp.where(quantum > 0, some * jnp.round(a / some), a)
+
+    out = jax.tree.map(whole, total, quanta)
+    return out, jax.tree.map(jnp.subtract, total, out)
 
 
 def split(row: Array) -> Increments:

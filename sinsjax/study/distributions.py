@@ -3,7 +3,7 @@
 Which keys may be drawn stands here; the numbers themselves are made in `sampling`.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import ConfigDict, Field
 
@@ -13,10 +13,24 @@ from sinsjax.value_types import IncreasingPair, Name, Normal, Positive, Section
 INITIAL_KEYS = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg", "ve0_m_per_s", "vn0_m_per_s")
 """The keys of [alignment] that may be drawn; in a recorded study no others may."""
 
+
+def _length(annotation: Any) -> int:
+    """The longest list that a type takes, 1 if it takes none; 0 of what is no number."""
+    if annotation is str or get_origin(annotation) is Literal:
+        return 0
+    if get_origin(annotation) is tuple:
+        return len(get_args(annotation))
+    return max(map(_length, get_args(annotation)), default=1)
+
+
 NUMBERS_DRAWN = {
     "latitude_deg": 1,
-    **dict.fromkeys(MotionSection.model_fields, 1),
-    **{key: 6 if "misalignment" in key else 3 for key in SensorsSection.model_fields},
+    **{
+        key: numbers
+        for section in (MotionSection, SensorsSection)
+        for key, field in section.model_fields.items()
+        if (numbers := _length(field.annotation))
+    },
     **dict.fromkeys(INITIAL_KEYS, 1),
 }
 """Every key that may be drawn and its numbers a draw: one, or one for each axis of a vector."""

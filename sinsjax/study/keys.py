@@ -7,10 +7,10 @@ from sinsjax.alignment.methods import SECTIONS_OF_METHODS
 from sinsjax.alignment.sections import AlignmentSection, CoarseSection, PassesSection
 from sinsjax.study.distributions import StopWhenSection
 from sinsjax.study.ranges import TuneSection
+from sinsjax.study.recorded import RecordSection
 from sinsjax.study.schema import (
     EarthSection,
     MotionSection,
-    RecordSection,
     SensorsSection,
     StudySection,
 )

@@ -5,24 +5,24 @@ an axis and a result column. Rules that hold inside one section live here, those
 `checks`.
 """
 
-from typing import Annotated, Literal, cast
+from typing import Annotated, Any, Literal, cast
 
-from pydantic import AfterValidator, Field, model_validator
+import numpy as np
+from pydantic import Field, model_validator
 
-from sinsjax.records.layout import Layout, axes, fault
 from sinsjax.value_types import (
-    AccelNoise,
     ActsWhere,
     Amplitude,
     Angle,
     AngleSigma,
     Band,
     Bands,
+    Bandwidth,
     Count,
     CrossAxis,
+    Damping,
     Elevation,
     Finite,
-    GyroNoise,
     HalfTurn,
     Name,
     NoisePerAxis,
@@ -32,21 +32,10 @@ from sinsjax.value_types import (
     Seconds,
     SecondsOrZero,
     Section,
-    Starts,
-    Triad,
     Usual,
     Vector,
     invalid,
 )
-
-
-def _axes_order(order: str) -> str:
-    """Refuses what no turn of the box gives."""
-    try:
-        axes(order)
-    except ValueError as error:
-        raise invalid(str(error)) from None
-    return order
 
 
 class StudySection(Section):
@@ -149,16 +138,41 @@ class EarthSection(Section):
     )
 
 
-class MotionSection(Section):
-    """[motion]: angle(t) = center + amplitude sin(2 pi t / period + phase), each angle its own."""
+def _some(*values: Any) -> bool:
+    """Whether one of some numbers, or lists of them, is not zero; a drawn one is None."""
+    return any(value is None or np.any(value) for value in values)
 
-    conditions = tuple(
+
+class MotionSection(Section):
+    """[motion]: angle(t) = center + amplitude sin(2 pi t / period + phase), each angle its own.
+
+    The sway turns about a point that the sensors may be away from; surge moves that point, and
+    vibration the box.
+    """
+
+    conditions = (
+        *(
+            ActsWhere(
+                (f"{angle}_period_s", f"{angle}_phase_deg"), (f"{angle}_amplitude_deg",), _some
+            )
+            for angle in ("pitch", "roll", "yaw")
+        ),
         ActsWhere(
-            (f"{angle}_period_s", f"{angle}_phase_deg"),
-            (f"{angle}_amplitude_deg",),
-            lambda amplitude: amplitude != 0,
-        )
-        for angle in ("pitch", "roll", "yaw")
+            ("lever_arm_m",),
+            tuple(f"{angle}_amplitude_deg" for angle in ("pitch", "roll", "yaw")),
+            _some,
+        ),
+        ActsWhere(("surge_time_s", "surge_model"), ("surge_m_per_s",), _some),
+        ActsWhere(
+            ("surge_bandwidth_hz",),
+            ("surge_m_per_s", "surge_model"),
+            lambda surge, model: _some(surge) and model == "third_order",
+        ),
+        ActsWhere(
+            ("vibration_hz", "vibration_damping"),
+            ("vibration_ug_rms", "vibration_deg_per_h_rms"),
+            _some,
+        ),
     )
 
     pitch_center_deg: Elevation = Field(0.0, description="mean pitch, deg")
@@ -175,6 +189,29 @@ class MotionSection(Section):
     yaw_amplitude_deg: Amplitude = Field(0.0, description="yaw amplitude, deg")
     yaw_period_s: Period = Field(10.0, description="yaw period, s")
     yaw_phase_deg: Angle = Field(0.0, description="yaw phase, deg")
+    lever_arm_m: Annotated[Vector, Usual(-1e3, 1e3)] = Field(
+        0.0, description="from the centre of the sway to the sensors, right, front and up, m"
+    )
+    surge_m_per_s: Annotated[NoisePerAxis, Usual(0, 100)] = Field(
+        0.0, description="surge of the base, rms of the velocity east, north and up, m/s"
+    )
+    surge_time_s: Period = Field(5.0, description="correlation time of the surge, s")
+    surge_bandwidth_hz: Bandwidth = Field(
+        1.0, description="bandwidth of the surge, which bounds its acceleration, Hz"
+    )
+    surge_model: Literal["third_order", "gauss_markov"] = Field(
+        "third_order",
+        description="third_order: position, velocity and acceleration are bounded; gauss_markov:"
+        " first-order velocity, whose acceleration grows with the sample rate",
+    )
+    vibration_ug_rms: Annotated[NoisePerAxis, Usual(0, 1e8)] = Field(
+        0.0, description="vibration of the box, rms of the specific force in body axes, ug"
+    )
+    vibration_deg_per_h_rms: Annotated[NoisePerAxis, Usual(0, 1e8)] = Field(
+        0.0, description="vibration of the box, rms of the angular rate in body axes, deg/h"
+    )
+    vibration_hz: Bandwidth = Field(30.0, description="resonant frequency of the vibration, Hz")
+    vibration_damping: Damping = Field(0.05, description="damping ratio of the resonance")
 
 
 class SensorsSection(Section):
@@ -183,6 +220,10 @@ class SensorsSection(Section):
     exclusive = (
         ("gyro_noise_deg_per_h", "gyro_arw_deg_per_sqrt_h"),
         ("accel_noise_ug", "accel_vrw_ug_per_sqrt_hz"),
+    )
+    conditions = (
+        ActsWhere(("gyro_instability_time_s",), ("gyro_instability_deg_per_h",), _some),
+        ActsWhere(("accel_instability_time_s",), ("accel_instability_ug",), _some),
     )
 
     gyro_bias_deg_per_h: Annotated[Vector, Usual(-1e5, 1e5)] = Field(
@@ -193,6 +234,20 @@ class SensorsSection(Section):
     )
     gyro_arw_deg_per_sqrt_h: Annotated[NoisePerAxis, Usual(0, 1e4)] | None = Field(
         None, description="gyro angle random walk, deg/sqrt(h)"
+    )
+    gyro_instability_deg_per_h: Annotated[NoisePerAxis, Usual(0, 1e4)] = Field(
+        0.0,
+        description="gyro bias instability, rms of a first-order Gauss-Markov bias, deg/h;"
+        " its Allan deviation is at most 0.617 of it",
+    )
+    gyro_instability_time_s: Period = Field(
+        300.0, description="correlation time of the gyro bias instability, s"
+    )
+    gyro_rrw_deg_per_h_per_sqrt_h: Annotated[NoisePerAxis, Usual(0, 1e4)] = Field(
+        0.0, description="gyro rate random walk, deg/h/sqrt(h)"
+    )
+    gyro_quantisation_arcsec: Annotated[NoisePerAxis, Usual(0, 1e4)] = Field(
+        0.0, description="quantum of the angle that a gyro puts out, arcsec"
     )
     gyro_scale_ppm: Annotated[Vector, Usual(-1e6, 1e6)] = Field(
         0.0, description="gyro scale factor error, ppm"
@@ -209,89 +264,22 @@ class SensorsSection(Section):
     accel_vrw_ug_per_sqrt_hz: Annotated[NoisePerAxis, Usual(0, 1e7)] | None = Field(
         None, description="accelerometer velocity random walk, ug/sqrt(Hz)"
     )
+    accel_instability_ug: Annotated[NoisePerAxis, Usual(0, 1e6)] = Field(
+        0.0,
+        description="accelerometer bias instability, rms of a first-order Gauss-Markov bias, ug",
+    )
+    accel_instability_time_s: Period = Field(
+        300.0, description="correlation time of the accelerometer bias instability, s"
+    )
+    accel_rrw_ug_per_sqrt_h: Annotated[NoisePerAxis, Usual(0, 1e6)] = Field(
+        0.0, description="accelerometer acceleration random walk, ug/sqrt(h)"
+    )
+    accel_quantisation_um_per_s: Annotated[NoisePerAxis, Usual(0, 1e6)] = Field(
+        0.0, description="quantum of the velocity that an accelerometer puts out, um/s"
+    )
     accel_scale_ppm: Annotated[Vector, Usual(-1e6, 1e6)] = Field(
         0.0, description="accelerometer scale factor error, ppm"
     )
     accel_misalignment_arcsec: Annotated[CrossAxis, Usual(-1e5, 1e5)] = Field(
         0.0, description="accelerometer cross-axis angles xy, xz, yx, yz, zx, zy, arcsec"
     )
-
-
-class RecordSection(Section):
-    """[record]: how to read an IMU record, and where in it the draws start."""
-
-    format: Literal["psins", "csv", "parquet"] = Field(description="file format")
-    from_s: SecondsOrZero | None = Field(
-        None, description="where the part that is used begins, s from the record's beginning"
-    )
-    to_s: Seconds | None = Field(None, description="where that part ends, s; default: its end")
-    quantity: Literal["increments", "rates"] | None = Field(
-        None, description="what the columns hold (csv, parquet)"
-    )
-    time_column: str | None = Field(
-        None, description="time stamps (csv, parquet); without it rate_hz gives the times"
-    )
-    gyro_columns: Triad | None = Field(None, description="x, y, z gyro columns (csv, parquet)")
-    accel_columns: Triad | None = Field(
-        None, description="x, y, z accelerometer columns (csv, parquet)"
-    )
-    gyro_unit: Literal["rad", "deg", "arcsec", "rad_per_s", "deg_per_s", "deg_per_h"] | None = (
-        Field(None, description="unit of the gyro columns (csv, parquet)")
-    )
-    accel_unit: Literal["m_per_s", "g_s", "ug_s", "m_per_s2", "g", "mg", "ug"] | None = Field(
-        None, description="unit of the accelerometer columns (csv, parquet)"
-    )
-    axes_order: Annotated[str, AfterValidator(_axes_order)] = Field(
-        "xyz", description="the record's axes that point right, front and up, such as 'y-xz'"
-    )
-    time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = Field(
-        None, description="unit of the time stamps, 'iso' for dates with time; default 's'"
-    )
-    start_s: Starts = Field(
-        default_factory=lambda given: (given.get("from_s") or 0.0,),
-        description="start times from the record's beginning, s; default: from_s, else 0",
-    )
-    max_gap_s: SecondsOrZero | None = Field(
-        None, description="longest gap that is interpolated, s; default 0: none"
-    )
-    gyro_bias_deg_per_h: GyroNoise | None = Field(
-        None, description="gyro bias that a plausible record may have, deg/h; default 10"
-    )
-    accel_bias_ug: AccelNoise | None = Field(
-        None, description="accelerometer bias that a plausible record may have, ug; default 5000"
-    )
-    trust: bool | None = Field(
-        None, description="whether an implausible record is aligned all the same; default false"
-    )
-
-    @model_validator(mode="after")
-    def _columns_fit_format(self) -> "RecordSection":
-        self._check_times()
-        needed = ("quantity", "gyro_columns", "accel_columns", "gyro_unit", "accel_unit")
-        if self.format == "psins":
-            for key in (*needed, "time_column", "max_gap_s"):
-                if getattr(self, key) is not None:
-                    raise invalid("does not apply to format 'psins', which fixes it", key=key)
-            return self
-        for key in needed:
-            if getattr(self, key) is None:
-                raise invalid(f"required with format '{self.format}'", key=key)
-        # Whether a rate is needed is known with the rest of the study.
-        if found := fault(self.layout(rate_hz=1.0)):
-            raise invalid(found.text, key=found.key)
-        return self
-
-    def layout(self, rate_hz: float | None) -> Layout:
-        """How the file holds the record, at a rate if the study gives one."""
-        given = {key: getattr(self, key, None) for key in Layout._fields} | {"rate_hz": rate_hz}
-        return Layout(**{key: value for key, value in given.items() if value is not None})
-
-    def _check_times(self) -> None:
-        if self.time_unit is not None and self.time_column is None:
-            raise invalid("requires a time_column", key="time_unit")
-        begin, end = self.from_s or 0.0, self.to_s
-        if end is not None and end <= begin:
-            raise invalid(f"must be after from_s = {begin:g}, not {end:g}", key="to_s")
-        if min(self.start_s) < begin:
-            text = f"{min(self.start_s):g} s lies before from_s = {begin:g}"
-            raise invalid(text, key="start_s")

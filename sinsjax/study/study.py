@@ -18,11 +18,11 @@ from sinsjax.alignment.sections import AlignmentSection, CoarseSection, PassesSe
 from sinsjax.study.distributions import DrawnSection, StopWhenSection
 from sinsjax.study.keys import PASS_KEYS, SECTION_OF, SWEEPABLE, TomlTable
 from sinsjax.study.ranges import TuneSection
+from sinsjax.study.recorded import RecordSection
 from sinsjax.study.resolved import Coded, Dimension, Resolved, same
 from sinsjax.study.schema import (
     EarthSection,
     MotionSection,
-    RecordSection,
     SensorsSection,
     StudySection,
 )

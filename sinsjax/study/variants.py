@@ -91,6 +91,11 @@ class Variants:
         """
         return self._drawn[key] if key in self._drawn else self.value(key, 0)
 
+    def takes(self, *keys: str) -> bool:
+        """Whether one of some keys is drawn, or not zero; they differ between no variants."""
+        drawn = self._study.drawn_keys
+        return any(key in drawn or np.any(self.value(key, 0) or 0) for key in keys)
+
     def refused(self, key: str, why: str) -> InputError:
         """The error of a value that cannot be run, naming the study, and where the key stands."""
         study = self._study

@@ -19,14 +19,13 @@ from scipy.spatial.transform import Rotation
 
 from sinsjax.alignment.base import Options
 from sinsjax.alignment.limits import Biases
+from sinsjax.engine.measurements import measured, noise, nothing_read
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.pieces import SAMPLES_A_PIECE, piece
 from sinsjax.engine.realisations import (
     Draw,
     Environment,
     Static,
-    measured,
-    noise,
 )
 from sinsjax.engine.simulate import RunParams, simulate
 from sinsjax.strapdown import sensors
@@ -169,8 +168,7 @@ def measure(here, draw, first, samples):
 @partial(jax.jit, static_argnums=3)
 def _measure(here, draw, first, samples):
     program, numbers = static(100, 9), first + jnp.arange(samples)
-    normal = noise(program, here, draw, numbers)
-    return jax.vmap(partial(measured, program, here, draw))(numbers, normal)
+    return measured(program, here, draw, nothing_read(here, draw), numbers)[0]
 
 
 @pytest.mark.parametrize("draws", [1, 6, 16, 64, 200])
@@ -184,18 +182,18 @@ def test_a_record_interval_is_cut_into_equal_pieces(draws, every):
 def test_sensors_without_noise_draw_none():
     program, here = static(100, 9)._replace(noisy=False), environment(100, 9)
     assert noise(program, here, draw(), np.arange(9)) is None
-    now = measured(program, here, draw(), np.asarray(3), None)
+    nothing = nothing_read(here, draw())
+    now, _ = measured(program, here, draw(), nothing, np.asarray([3]))
     expected = ideal()[2 + 3] + BIAS / RATE
-    np.testing.assert_allclose([*now.dtheta, *now.dv], expected, rtol=0, atol=1e-17)
+    np.testing.assert_allclose([*now.dtheta, *now.dv], expected[:, None], rtol=0, atol=1e-17)
 
 
 def test_before_a_tape_there_is_nothing():
     """A first sample is compensated with zeros, that is not at all, on every pass."""
-    normal = jax.tree.map(
-        lambda a: a[0], noise(static(100, 9), environment(100, 9), draw(), np.arange(1))
-    )
+    here = environment(100, 9)
+    nothing = nothing_read(here, draw())
     for repeats in (False, True):
-        now = measured(static(100, 9, repeats), environment(100, 9), draw(), np.asarray(-1), normal)
+        now, _ = measured(static(100, 9, repeats), here, draw(), nothing, np.asarray([-1]))
         assert np.any([*now.dtheta, *now.dv]) != repeats
 
 

@@ -16,10 +16,10 @@ from sinsjax.alignment.filters.stages import FilterParams
 from sinsjax.alignment.limits import NO_BIASES
 from sinsjax.alignment.methods import METHODS
 from sinsjax.alignment.schedules import CovarianceReset, Feedback, Pieces, Resets
+from sinsjax.engine.measurements import Read
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.realisations import Draw, Environment, Static
 from sinsjax.engine.simulate import (
-    Read,
     Run,
     RunParams,
     begin,

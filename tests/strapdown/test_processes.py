@@ -1,0 +1,181 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import dblquad
+
+from sinsjax.maths import rng
+from sinsjax.strapdown import processes
+
+RMS = np.array([1.0, 2.0, 0.5])
+times = st.floats(0.02, 1e5).map(np.asarray)
+rates = st.floats(1, 1000)
+
+
+def covariances(process, lags=1):
+    """Of y of the first axis with itself, by lag, from A, b, c and d."""
+    a, b, c = process.transition, process.drive, process.output
+    start = process.begin @ process.begin.T
+    with_next, out = a @ start @ c + b * process.direct, [c @ start @ c + process.direct**2]
+    for _ in range(lags):
+        out.append(c @ with_next)
+        with_next = a @ with_next
+    return process.scale[0] ** 2 * np.array(out)
+
+
+def assert_stationary(process):
+    a, b = process.transition, process.drive
+    covariance = process.begin @ process.begin.T
+    after = a @ covariance @ a.T + np.outer(b, b)
+    np.testing.assert_allclose(after, covariance, rtol=1e-6, atol=1e-9 * covariance.max())
+
+
+@given(times, rates)
+def test_gauss_markov_keeps_its_variance_and_correlation(time, rate):
+    process = processes.gauss_markov(RMS, time, 1 / rate)
+    assert_stationary(process)
+    expected = np.exp(-np.arange(3) / (rate * time))
+    np.testing.assert_allclose(covariances(process, 2), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("ratio", [1e-6, 1e-3, 0.0099, 0.0101, 0.3, 4.0])
+def test_means_of_gauss_markov_are_integrals_of_its_covariance(ratio):
+    """Of sample times up to four times the correlation time."""
+    process = processes.mean_gauss_markov(RMS, np.asarray(1.0), ratio)
+    assert_stationary(process)
+
+    def integral(lag):
+        if lag == 0:  # twice the half in which the difference is positive
+            return 2 * dblquad(lambda s, t: np.exp(-(t - s) * ratio), 0, 1, 0, lambda t: t)[0]
+        return dblquad(lambda s, t: np.exp(-(t + lag - s) * ratio), 0, 1, 0, 1)[0]
+
+    expected = [integral(lag) for lag in range(3)]
+    np.testing.assert_allclose(covariances(process, 2), expected, rtol=1e-9)
+    # What is driven is what is left of the variance: it tells small ratios apart.
+    steps = 2 * (expected[0] - expected[1])
+    found = 2 * (covariances(process)[0] - covariances(process)[1])
+    assert found == pytest.approx(steps, rel=1e-5)
+
+
+def test_means_of_a_random_walk_grow_as_its_integral():
+    """Var of the difference of two means k samples apart: (k - 1/3) times that of a sample."""
+    process = processes.mean_random_walk(RMS, 0.1)
+    (a, d) = process.drive[0], process.direct
+    for k in (1, 2, 5):
+        between = d**2 + (k - 1) * a**2 + (a - d) ** 2
+        assert between == pytest.approx(k - 1 / 3)
+    assert not process.begin.any() and process.scale[0] == pytest.approx(np.sqrt(0.1))
+
+
+@pytest.mark.parametrize("rate", [100.0, 200.0, 400.0])
+def test_surge_has_velocity_acceleration_and_bounds_at_any_rate(rate):
+    """The third-order process of 0.1 m/s, 5 s, 1 Hz: 0.114 m/s^2, of which a sample has the mean.
+
+    Of y''' + a2 y'' + a1 y' + a0 y = white: var y'' / var y' = a1, var y / var y' = a2 / a0.
+    """
+    time, bandwidth, rms = 5.0, 1.0, 0.1
+    process = processes.bounded_velocity(
+        np.full(3, rms), np.asarray(time), np.asarray(bandwidth), 1 / rate
+    )
+    assert_stationary(process)
+    velocity, nearby = covariances(process)
+    assert velocity == pytest.approx(rms**2)
+    acceleration = np.sqrt(2 * (velocity - nearby)) * rate
+    whole = rms * np.sqrt(2 * np.pi * bandwidth / time + 1 / time**2)
+    assert whole == pytest.approx(0.114, abs=5e-4)
+    lag = 2 * np.pi * bandwidth / rate
+    assert acceleration == pytest.approx(whole * np.sqrt(1 - lag / 3), rel=6e-3)
+    # The position is that of the lag, in the unit of the velocity: y' = w (s - y).
+    covariance = process.begin @ process.begin.T
+    unit = rms * process.output[0] / (2 * np.pi * bandwidth)
+    position = unit * np.sqrt(covariance[2, 2])
+    a2, a0 = 2 * np.pi * bandwidth + 1 / time, 2 * np.pi * bandwidth / time**2
+    assert position == pytest.approx(rms * np.sqrt(a2 / a0), rel=5e-3)
+
+
+@given(st.floats(0.01, 0.9).map(np.asarray), st.floats(0.1, 40).map(np.asarray))
+def test_a_resonance_has_its_variance_and_rings_at_its_frequency(damping, frequency):
+    process = processes.resonance(RMS, frequency, damping, 1 / 400)
+    assert_stationary(process)
+    found, omega = covariances(process, 4), 2 * np.pi * frequency
+    damped = omega * np.sqrt(1 - damping**2)
+    t = np.arange(5) / 400
+    expected = np.exp(-damping * omega * t) * (
+        np.cos(damped * t) + damping * omega / damped * np.sin(damped * t)
+    )
+    # Held over a sample, the noise is a little less white.
+    np.testing.assert_allclose(found, expected, atol=0.1 * (omega / 400) ** 2)
+
+
+def test_axes_and_draws_have_their_own_numbers():
+    many = processes.mean_gauss_markov(np.ones((5, 3)), np.array([1.0, 2, 3, 4, 5]), 0.1)
+    one = processes.mean_gauss_markov(np.ones(3), np.asarray(3.0), 0.1)
+    for a, b in zip(jax.tree.map(lambda a: a[2], many), one, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+DRIVING = jax.jit(processes.driving, static_argnums=3)
+
+
+def drawn(seed, draws, samples, triads):
+    made = DRIVING(np.asarray(seed), np.asarray(draws), np.asarray(samples), triads)
+    return {triad: np.stack(axes) for triad, axes in made.items()}
+
+
+def test_driving_numbers_hang_on_seed_draw_sample_and_triad_alone():
+    many = drawn(7, np.arange(4), np.arange(9), (0, 2, 3, 7))
+    for triad, axes in many.items():
+        alone = drawn(7, 3, [5], (triad,))[triad]
+        np.testing.assert_array_equal(alone[:, 0], axes[:, 5, 3])
+    whole = np.concatenate([axes.reshape(-1, 36) for axes in many.values()])
+    assert len(np.unique(whole, axis=0)) == len(whole)
+    assert not np.array_equal(drawn(8, np.arange(4), np.arange(9), (0,))[0], many[0])
+
+
+def test_driving_numbers_are_white_and_of_variance_one():
+    count = 400_000
+    rows = drawn(3, 1, np.arange(count), (0, 3))
+    rows = np.concatenate([rows[0], rows[3]])
+    error = 1 / np.sqrt(count)
+    products = rows @ rows.T / count
+    assert np.abs(rows.mean(axis=1)).max() < 4 * error
+    np.testing.assert_allclose(products, np.eye(6), atol=5 * error)
+    lagged = rows[:, 1:] @ rows[:, :-1].T / count
+    assert np.abs(lagged).max() < 4.5 * error
+    assert (rows**4).mean(axis=1) == pytest.approx(3 - 2 / 16, abs=0.03)
+
+
+def test_three_numbers_are_sums_of_sixteen_bits():
+    words = np.array([0xF000_0003, 0x00FF_1234], np.uint32)
+    made = rng.binomial_triad((jnp.asarray(words[0]), jnp.asarray(words[1])))
+    assert [float(a) for a in made] == [0.5 * (bits - 8) for bits in (2, 4, 8)]
+
+
+@pytest.mark.parametrize("order", [1, 3])
+def test_a_run_begins_stationary_and_stays_so(order):
+    """By 4000 draws: the variance of the first sample is that of the last."""
+    if order == 1:
+        process = processes.gauss_markov(RMS, np.asarray(2.0), 0.1)
+    else:
+        process = processes.bounded_velocity(RMS, np.asarray(2.0), np.asarray(1.0), 0.1)
+
+    @jax.jit
+    @jax.vmap
+    def run(draw):
+        start = processes.beginning(np.asarray(1), draw, (0,))[0]
+        driven = processes.driving(np.asarray(1), draw, jnp.arange(40), (0,))[0]
+
+        def step(state, w):
+            return processes.advance(process, state, w), processes.output(process, state)
+
+        return jnp.stack(jax.lax.scan(step, processes.begin(process, start), driven)[1])
+
+    y = np.asarray(run(np.arange(4000)))
+    rms = np.sqrt((y**2).mean(axis=0))
+    np.testing.assert_allclose(
+        rms, np.broadcast_to(RMS[:, None], rms.shape), rtol=4 / np.sqrt(8000)
+    )
+    correlation = (y[:, :, 5:] * y[:, :, :-5]).mean(axis=(0, 2)) / RMS**2
+    np.testing.assert_allclose(correlation, covariances(process, 5)[5] / RMS[0] ** 2, atol=0.03)
