@@ -4,6 +4,7 @@ import common
 
 from sinsjax.bench.cases import (
     default_group,
+    disturbed_group,
     drawn_base_group,
     engine,
     shortened,
@@ -22,7 +23,8 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     Returns:
         ``noise_off``, then rows with ``variants`` and their ``ratio`` to it: ``noise_N``,
         ``silent_N``, which has the samples of several draws a tile to hand out but none to draw,
-        and ``base_2``, ``noise_2`` with a base of its own for each draw. That has its split too,
+        ``disturbed_1``, ``noise_1`` with surge, lever arm and bias instability on top, and
+        ``base_2``, ``noise_2`` with a base of its own for each draw. That has its split too,
         ns a step and run: ``increments_ns``, ``noise_ns`` (noise, and handing it out), ``rest_ns``.
     """
     group, based = default_group(), drawn_base_group(BASE_VARIANTS)
@@ -37,6 +39,9 @@ def rows(quick: bool, repeats: int) -> list[Row]:
         if count < 64:
             cases.append(engine(f"silent_{count}", without_noise(some)))
             variants.append(count)
+    if not quick:
+        cases.append(engine("disturbed_1", disturbed_group(1)))
+        variants.append(1)
     cases.append(engine(f"base_{BASE_VARIANTS}", based))
     variants.append(BASE_VARIANTS)
     base, *others = measure_against(off, cases, repeats)

@@ -10,6 +10,9 @@ from sinsjax.bench.timing import Row
 NOISE = {64: 1.05}
 """Variants a draw, and how many times the silent row they may take."""
 
+DISTURBED = 1.5
+"""Times the row with noise alone, of surge, lever arm and bias instability, 1 variant a draw."""
+
 BASE_NS = 120.0
 """Of a step and run with a base of its own for each draw of 2 variants, ns."""
 
@@ -69,6 +72,7 @@ def judged(machine: Machine) -> list[Judged]:
     return [
         *_limit(machine),
         *_noise(machine),
+        *_disturbed(machine),
         *_bases(machine),
         *_methods(machine),
         *_devices(machine),
@@ -134,6 +138,19 @@ def _noise(machine: Machine) -> Iterator[Judged]:
                 sizes(row),
                 row["ratio"] <= most,
             )
+
+
+def _disturbed(machine: Machine) -> Iterator[Judged]:
+    plain, row = (machine.row("noise", name) for name in ("noise_1", "disturbed_1"))
+    if plain and row:
+        ratio = row["ns_per_step_run"] / plain["ns_per_step_run"]
+        yield Judged(
+            "surge, lever arm and bias instability, 1 variant a draw; times noise alone",
+            f"at most {DISTURBED:g}",
+            f"{ratio:.2f}",
+            f"medians of turns; {sizes(row)}",
+            ratio <= DISTURBED,
+        )
 
 
 def _bases(machine: Machine) -> Iterator[Judged]:

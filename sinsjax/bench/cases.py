@@ -5,8 +5,9 @@ All methods use the base motion and sensors of the default sweep.
 
 import time
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache, partial
+from typing import Any
 
 import jax
 import numpy as np
@@ -150,6 +151,22 @@ def some_variants(group: Group, count: int, runs: int = 0) -> Group:
         draws=Draw(np.arange(draws), np.asarray(0), np.zeros(draws, int)),
         q=np.tile(group.q[:1], (draws, 1)),
     )
+
+
+_DISTURBED: Mapping[str, Mapping[str, Any]] = {
+    "motion": {"surge_m_per_s": 0.1, "lever_arm_m": 1.0},
+    "sensors": {"gyro_instability_deg_per_h": 0.01, "accel_instability_ug": 10.0},
+}
+
+
+@cache
+def disturbed_group(count: int) -> Group:
+    """`some_variants` of the default sweep with surge, a lever arm and bias instability."""
+    data = tomllib.loads(asset(_DEFAULT).read_text("utf-8"))
+    for name, keys in _DISTURBED.items():
+        data[name] |= keys
+    (part,) = parts(study_from_dict(data, _DEFAULT))
+    return some_variants(part.group, count)
 
 
 @cache

@@ -10,6 +10,7 @@ from sinsjax.strapdown import base_motion, processes, sensors
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.strapdown.processes import Process
 from sinsjax.study.schema import MotionSection, SensorsSection
+from sinsjax.study.study import Study
 from sinsjax.study.variants import Lookup, Variants
 from sinsjax.types import Vec3
 from sinsjax.units import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, HOUR, PPM
@@ -42,6 +43,14 @@ OF_DISTURBANCES = tuple(
     if key.split("_")[1] in ("instability", "rrw") or key.split("_")[0] in ("surge", "vibration")
 )
 """The keys that disturb base and sensors."""
+
+
+def runs_in_turn(study: Study) -> bool:
+    """Whether a sample of some variant of a study hangs on those before it."""
+    if study.is_recorded:
+        return False
+    points = (point for key in IN_TURN for point in study.combinations(key))
+    return any(value is None or np.any(value) for point in points for value in point.values())
 
 
 def _number(common: Lookup, key: str, factor: float = 1.0) -> np.ndarray:

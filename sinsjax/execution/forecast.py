@@ -14,11 +14,13 @@ import pyarrow as pa
 from sinsjax.alignment.methods import METHODS
 from sinsjax.columns import Column
 from sinsjax.engine.batch import CHUNK_RECORDS
+from sinsjax.engine.lanes import LANES, STACKED_TILES
+from sinsjax.engine.simulator import runs_in_turn
 from sinsjax.engine.truth import MOST_STORED_SAMPLES
 from sinsjax.errors import InputError
 from sinsjax.execution import layouts, stopping
 from sinsjax.execution.parts import read_manifest
-from sinsjax.platform import machine
+from sinsjax.platform import machine, runtime
 from sinsjax.study.distributions import NUMBERS_DRAWN
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
@@ -28,6 +30,8 @@ _PACKED = 0.8
 
 _BASE, _A_SAMPLE, _A_VARIANT, _A_RUN, _A_RECORD, _A_RESET = 400e6, 160, 600, 2, 500, 60
 """Measured memory, bytes: of a process with JAX, and of each of these."""
+
+_A_MEASUREMENT = 48  # bytes, of the draws of a call whose records are kept
 
 _A_POINT = 2000  # bytes for each point of a search
 
@@ -169,6 +173,11 @@ def _forecast(study: Study, batches: Sequence[Batch], curves: bool) -> Forecast:
     # Longer simulations do not keep their increments.
     kept = samples if study.is_recorded else min(samples, MOST_STORED_SAMPLES)
     memory = _BASE + _A_SAMPLE * kept
+    alternates = study.passes is not None and any(not s.rewinds for s in study.distinct_spans)
+    if alternates and runs_in_turn(study):
+        read = max(span.read for span in study.distinct_spans) * study.record_every
+        draws = min(study.n_draws, LANES * STACKED_TILES) * runtime.usable_cores()
+        memory += _A_MEASUREMENT * read * draws
     counts = study.combinations("reset_count") if study.has("resets") else ()
     resets = [point["reset_count"] or 0 for point in counts]
     of_variant = _A_VARIANT + _A_RESET * max(resets, default=0)

@@ -32,7 +32,8 @@ def warnings_of(study: Study, stored: StoredRecord | None = None) -> list[str]:
     """
     if stored is None:
         hidden = hidden_north(study)
-        return [*_fast_sways(study), *([str(hidden)] if hidden else [])]
+        told = [*_fast_sways(study), *_rough_surges(study)]
+        return [*told, *([str(hidden)] if hidden else [])]
     return list(_of_record(study, stored))
 
 
@@ -90,6 +91,21 @@ def _used(study: Study, record: Record) -> list[tuple[int, int]]:
             f" [record] to_s is {end:g}"
         )
     return merged
+
+
+def _rough_surges(study: Study) -> Iterator[str]:
+    """The acceleration of first-order surges, which the sample rate decides."""
+    keys = ("surge_model", "surge_m_per_s", "surge_time_s")
+    worst = 0.0
+    for model, surge, time in (tuple(p[key] for key in keys) for p in study.combinations(*keys)):
+        if model == "gauss_markov" and surge is not None and time is not None:
+            changes = np.sqrt(-2 * np.expm1(-1 / (time * study.rate_hz)))
+            worst = max(worst, float(np.max(surge)) * changes * study.rate_hz)
+    if worst:
+        yield (
+            f"[motion] surge_model: the acceleration of a 'gauss_markov' surge grows with the rate,"
+            f" {worst:.3g} m/s^2 rms at {study.rate_hz:g} Hz"
+        )
 
 
 def _fast_sways(study: Study) -> Iterator[str]:

@@ -4,6 +4,7 @@ import hashlib
 import json
 from typing import Any
 
+from sinsjax.study.keys import SECTIONS
 from sinsjax.study.study import Study
 
 _NOT_COMPUTED: Any = {
@@ -29,6 +30,17 @@ _KEYS_OF_0_5 = frozenset(
 """Keys and sections that are told even where a study leaves them out, as 0.5.0 did; no others are,
 so that a study keeps its fingerprint whatever later versions add."""
 
+_KEYS_OF_0_6 = frozenset(
+    """
+    lever_arm_m surge_m_per_s surge_time_s surge_bandwidth_hz surge_model
+    vibration_ug_rms vibration_deg_per_h_rms vibration_hz vibration_damping
+    gyro_instability_deg_per_h gyro_instability_time_s gyro_rrw_deg_per_h_per_sqrt_h
+    accel_instability_ug accel_instability_time_s accel_rrw_ug_per_sqrt_h
+    gyro_quantisation_arcsec accel_quantisation_um_per_s
+    """.split()
+)
+"""Keys with a default, told only where they have another value."""
+
 
 def fingerprint(study: Study) -> str:
     """16 hex digits that tell what a study computes.
@@ -44,7 +56,12 @@ def fingerprint(study: Study) -> str:
     content = {k: v for k, v in content.items() if v or k in (*_SECTIONS_OF_0_5, "axes", "cases")}
     for name, table in content.items():
         if isinstance(table, dict):
-            told = {k: v for k, v in table.items() if v is not None or k in _KEYS_OF_0_5}
-            content[name] = told
+            content[name] = {k: v for k, v in table.items() if _told(name, k, v)}
     text = json.dumps(content, sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _told(section: str, key: str, value: Any) -> bool:
+    if key in _KEYS_OF_0_6:
+        return bool(value != SECTIONS[section].model_fields[key].default)
+    return value is not None or key in _KEYS_OF_0_5

@@ -267,6 +267,17 @@ def test_no_shipped_study_of_the_real_record_warns(name: str, data_dir: Path) ->
 # Simulations
 
 
+def test_a_first_order_surge_tells_its_acceleration() -> None:
+    """0.1 m/s and 5 s at 100 Hz: 0.1 sqrt(2 / (5 * 0.01)) to a thousandth."""
+    surge = {"surge_m_per_s": [0.1, 0.05, 0.0], "surge_model": "gauss_markov"}
+    (line,) = warnings_of(small_study(motion=surge))
+    assert line == (
+        "[motion] surge_model: the acceleration of a 'gauss_markov' surge grows with the rate,"
+        " 0.632 m/s^2 rms at 100 Hz"
+    )
+    assert not warnings_of(small_study(motion=surge | {"surge_model": "third_order"}))
+
+
 def test_a_sway_above_half_the_sample_rate_is_told(tmp_path: Path) -> None:
     study = small_study(motion={"roll_period_s": 0.0125})
     (line,) = warnings_of(study)
