@@ -125,9 +125,17 @@ PASSES = (
 """Additional columns of the curves of repeated passes over a stored record."""
 
 
-def curves(*, passes: bool) -> tuple[Column, ...]:
-    """Columns of the curves, with or without those of repeated passes."""
-    return (*CURVES, *(PASSES if passes else ()))
+def curves(*, passes: bool, coarse: bool = False) -> tuple[Column, ...]:
+    """Columns of the curves.
+
+    Args:
+        passes: whether with those of repeated passes.
+        coarse: whether runs begin with coarse alignment.
+    """
+    run_id, time_s, *observed = CURVES
+    if coarse:
+        time_s = time_s._replace(meaning="from the first sample of data")
+    return (run_id, time_s, *observed, *(PASSES if passes else ()))
 
 
 def settle_column(band_arcmin: float, *, truth: bool = False) -> Column:
@@ -139,7 +147,10 @@ def settle_column(band_arcmin: float, *, truth: bool = False) -> Column:
 
 
 def settle_data_column(band_arcmin: float, *, truth: bool = False) -> Column:
-    """The length of data recorded by the settling time of one band, with repeated passes."""
+    """The length of data recorded by the settling time of one band.
+
+    Where that is another time, with repeated passes, and where coarse alignment is counted in.
+    """
     settled = settle_column(band_arcmin, truth=truth).name
     meaning = f"length of data recorded by {settled}; null if never settled"
     return Column(f"{settled.removesuffix('_s')}_data_s", _F, "s", meaning)

@@ -163,6 +163,8 @@ class Method(NamedTuple):
         rewind: (params, navigation, state) -> state that begins the record again: the solution is
             that of its beginning, wound back from the state at its end. None of a method that takes
             in a record once.
+        begin_after: (state that begins, n) -> the same with sample n + 1 as its first; None of a
+            method whose state does not count samples.
         gyro_bias: state -> estimated gyro bias in b that samples are to be freed from, rad/s; None
             of a method that estimates none.
         called: (state, n) -> whether the n-th sample itself called for the loop to be closed after
@@ -185,3 +187,4 @@ class Method(NamedTuple):
     common_covariance: bool = False
     rewind: Callable[[Any, Navigation, Any], Any] | None = None
     gyro_bias: Callable[[Any], Vec3] | None = None
+    begin_after: Callable[[Any, Scalar], Any] | None = None

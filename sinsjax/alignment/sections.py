@@ -110,8 +110,32 @@ class PassesSection(Section):
     )
 
 
-class CoarseSection(Section):
-    """[coarse]: the coarse alignment before a record's fine alignment, whose t = 0 is its end."""
+def _is_aligned(method: str) -> bool:
+    return method != "none"
 
-    coarse_method: Literal["inertial", "analytic"] = Field("inertial", description="method")
-    coarse_duration_s: Seconds = Field(60.0, description="length, s")
+
+class CoarseSection(Section):
+    """[coarse]: the coarse alignment before the fine one, which begins at rest and with its own P0.
+
+    In a simulation it is a stage of every run. Until it ends, a run's attitude is that of the
+    coarse method; all times count from the first sample of data, resets and feedback too, and none
+    comes before fine alignment. The initial misalignment and velocity of [alignment] are not read.
+    'replay' winds the coarse attitude back to the first sample, and filters all data again before
+    the next record: what it gives before the end of coarse alignment is known only then, and not
+    recorded.
+
+    Of a record, 'replay' is the same; otherwise the coarse alignment of each start time is made
+    beforehand, its end is t = 0, and the initial misalignment is added to its attitude.
+    """
+
+    conditions = (ActsWhere(("coarse_duration_s", "coarse_then"), ("coarse_method",), _is_aligned),)
+
+    coarse_method: Literal["inertial", "analytic", "optimisation", "none"] = Field(
+        "inertial", description="method of coarse alignment, or none"
+    )
+    coarse_duration_s: Seconds = Field(60.0, description="length of coarse alignment, s")
+    coarse_then: Literal["hand_over", "replay"] | None = Field(
+        None,
+        description="where fine alignment begins: at the end of coarse alignment, 'hand_over'"
+        " (default), or over the same data again, 'replay'",
+    )

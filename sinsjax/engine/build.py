@@ -17,7 +17,7 @@ from sinsjax.alignment.methods import METHODS
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.measurements import measured, nothing_read
 from sinsjax.engine.metrics import Criteria
-from sinsjax.engine.realisations import Draw, Environment, Static, derived
+from sinsjax.engine.realisations import CoarseStage, Draw, Environment, Static, derived
 from sinsjax.engine.realisations import site_of as site_of_draw
 from sinsjax.engine.simulate import RunParams
 from sinsjax.engine.simulator import AMPLITUDES, DISTORTIONS, IN_TURN, NOISES
@@ -29,7 +29,7 @@ from sinsjax.platform import runtime
 from sinsjax.records import Record
 from sinsjax.records.reference import StoredRecord
 from sinsjax.strapdown import base_motion
-from sinsjax.study.keys import PASS_KEYS
+from sinsjax.study.keys import COARSE_KEYS, PASS_KEYS
 from sinsjax.study.resolved import Coded
 from sinsjax.study.schema import EarthSection, MotionSection, SensorsSection
 from sinsjax.study.study import Span, Study
@@ -38,7 +38,7 @@ from sinsjax.study.variants import Variants
 from sinsjax.types import Array, Increments, Quat, Vec3
 from sinsjax.units import ARCMIN, DEG
 
-PROGRAM_KEYS = ("method", "specific_force", "position", "reset_trigger")
+PROGRAM_KEYS = ("method", "specific_force", "position", "reset_trigger", *COARSE_KEYS)
 """Keys whose values decide the compiled program."""
 
 ENVIRONMENT_KEYS = tuple(
@@ -240,9 +240,21 @@ def _program(study: Study, variants: Variants, curves: bool) -> Static:
         distorted=simulated and variants.takes(*DISTORTIONS),
         repeats=study.passes is not None,
         rewinds=span.rewinds,
+        coarse=_coarse_stage(study, variants),
         sways=simulated and variants.takes(*AMPLITUDES),
         kept=kept,
     )
+
+
+def _coarse_stage(study: Study, variants: Variants) -> CoarseStage | None:
+    """Coarse alignment where it is a stage of the runs of some variants."""
+    if not study.coarse:
+        return None
+    method, length_s, then = (variants.common(key) for key in COARSE_KEYS)
+    if not study.has_coarse_stage(method, then):
+        return None
+    records = round(length_s * study.rate_hz / study.record_every)
+    return CoarseStage(method, records, then == "replay")
 
 
 def _params(study: Study, variants: Variants, site: Site, ug: float) -> RunParams:

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from sinsjax.engine.realisations import Draw, Environment, Static
-from sinsjax.engine.simulate import RunParams, method_of
+from sinsjax.engine.realisations import Draw, Environment, Static, method_of
+from sinsjax.engine.simulate import RunParams
 
 LANES = 64
 """Runs a tile. Results are bit-equal for any chunk and device count only at one lane count."""

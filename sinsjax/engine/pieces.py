@@ -28,8 +28,8 @@ from sinsjax.engine.measurements import (
     nothing_read,
     read_back,
 )
+from sinsjax.engine.reading import turned_on
 from sinsjax.engine.realisations import Draw, Environment, Static
-from sinsjax.engine.simulate import turned_on
 from sinsjax.engine.stepping import Make
 from sinsjax.strapdown.base_motion import Sensed
 from sinsjax.types import Array, Count, Increments, Sample

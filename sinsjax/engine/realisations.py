@@ -7,13 +7,28 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.alignment.base import Options, Site
+from sinsjax.alignment.base import Method, Options, Site
 from sinsjax.alignment.limits import Biases, mean_biases
+from sinsjax.alignment.methods import METHODS
 from sinsjax.engine.metrics import Criteria
 from sinsjax.strapdown import base_motion, earth, sensors
 from sinsjax.strapdown.base_motion import Sensed
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.types import Array, Count, Quat, Scalar
+
+
+class CoarseStage(NamedTuple):
+    """Coarse alignment as the first stage of a run.
+
+    Attributes:
+        method: name in `methods.METHODS`, of one that needs no initial attitude.
+        records: record intervals that it takes.
+        replays: whether fine alignment then begins with the first sample again.
+    """
+
+    method: str
+    records: int
+    replays: bool
 
 
 class Static(NamedTuple):
@@ -28,6 +43,7 @@ class Static(NamedTuple):
         noisy: whether the sensors have any noise to draw.
         repeats: whether the stored record is read in repeated passes; else forward, once.
         rewinds: whether it is then read forward in every pass.
+        coarse: the stage before the method's own; None where that begins by itself.
         sways: whether a base that draws have for themselves sways; a still one is sensed once.
         distorted: whether the sensors have scale factor errors or misaligned axes.
         kept: samples of a draw's record that are made once and kept, where passes read it in both
@@ -45,6 +61,17 @@ class Static(NamedTuple):
     distorted: bool = True
     rewinds: bool = False
     kept: int = 0
+    coarse: CoarseStage | None = None
+
+    @property
+    def winds_back(self) -> bool:
+        """Whether an attitude is wound back to the beginning of the record."""
+        return self.rewinds or (self.coarse is not None and self.coarse.replays)
+
+
+def method_of(static: Static) -> Method:
+    """Build the study's method."""
+    return METHODS[static.method](static.options)
 
 
 class Environment(NamedTuple):

@@ -8,7 +8,6 @@ record the run is judged.
 Nothing here knows of other runs. `tile` maps the same functions over many.
 """
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -16,13 +15,13 @@ import jax
 import jax.numpy as jnp
 
 from sinsjax.alignment import passes
-from sinsjax.alignment.base import Ending, Method, Site
+from sinsjax.alignment.base import Ending, Site
 from sinsjax.alignment.limits import Biases, Limit
-from sinsjax.alignment.methods import METHODS
 from sinsjax.alignment.passes import BodyTurn, PassReading
 from sinsjax.engine import measurements, metrics
 from sinsjax.engine.measurements import Read
 from sinsjax.engine.metrics import Metrics, Observation, Outcome
+from sinsjax.engine.reading import as_pass_begins, nothing_read, reading, turned_on
 from sinsjax.engine.realisations import (
     Draw,
     Environment,
@@ -32,8 +31,10 @@ from sinsjax.engine.realisations import (
     biases_of,
     derived,
     first_attitude,
+    method_of,
     site_of,
 )
+from sinsjax.engine.stages import StageFunctions, coarse_program, over_stages
 from sinsjax.maths import rotations
 from sinsjax.types import (
     Array,
@@ -108,11 +109,13 @@ def simulate(
         The outcome, and, if ``static.curves``, the observations, leaves (records,).
     """
     setup = set_up(static, environment, draw, params)
-    run = begin(static, environment, setup.site, setup.params)
-    before = nothing_read(static, environment, draw)
+    functions = StageFunctions(
+        lambda program: begin(program, environment, setup.site, setup.params),
+        lambda program, *given: over_record(program, environment, setup, *given),
+        partial(after_coarse, static, setup.params, setup.site),
+    )
     records = (jnp.arange(static.records), attitudes(static, environment, setup.draw))
-    over = partial(over_record, static, environment, setup)
-    (run, _), curves = jax.lax.scan(over, (run, before), records)
+    run, curves = over_stages(static, functions, nothing_read(static, environment, draw), records)
     return end(static, setup.site, run, setup.limit), metrics.from_rows(
         curves
     ) if static.curves else None
@@ -178,9 +181,28 @@ def over_record(
     return (run, before), observed
 
 
-def method_of(static: Static) -> Method:
-    """Build the study's method."""
-    return METHODS[static.method](static.options)
+def after_coarse(
+    static: Static, params: RunParams, site: Site, state: Any, turn: BodyTurn | None
+) -> Any:
+    """The method's state as the coarse method leaves it: at rest, with P0.
+
+    Args:
+        static: program.
+        params: of the run.
+        site: Earth and place.
+        state: of the coarse method.
+        turn: of the body since the record began; None where fine alignment does not go back there.
+    """
+    assert static.coarse is not None
+    method, zero = method_of(static), jnp.zeros_like(params.ve)
+    samples = float(static.coarse.records * static.record_every)
+    q = method_of(coarse_program(static)).attitude(state)
+    if not static.coarse.replays:
+        begun = method.init(params.method, solution(site, rotations.normalise(q), zero, zero))
+        return begun if method.begin_after is None else method.begin_after(begun, zero + samples)
+    assert turn is not None
+    q = passes.wound_back(q, turn, site.place, zero + samples * static.options.dt, None)
+    return method.init(params.method, solution(site, q, zero, zero))
 
 
 def starting(params: RunParams, own: InitialErrors, q: Quat | None) -> RunParams:
@@ -220,37 +242,13 @@ def solution(site: Site, q: Quat, ve: Scalar, vn: Scalar) -> Navigation:
     return Navigation(q=q, ve=ve, vn=vn, latitude=site.latitude + zero, longitude=zero)
 
 
-def nothing_read(static: Static, environment: Environment, draw: Draw) -> Read:
-    """Before the first sample of a draw, see `measurements.nothing_read`."""
-    nothing = measurements.nothing_read(environment, draw)
-    if not static.rewinds:
-        return nothing
-    zero = jnp.zeros((), environment.dtype)
-    turn = passes.no_turn(zero, biased=method_of(static).gyro_bias is not None)
-    return nothing._replace(turn=turn)
-
-
-def turned_on(static: Static, turn: BodyTurn | None, samples: Sample) -> BodyTurn | None:
-    """How the body has turned after further samples, leaves (n, ...)."""
-    return None if turn is None else passes.turned_on(turn, samples, static.options.dt)
-
-
-def reading(static: Static, environment: Environment, number: Count) -> PassReading:
-    """Which samples of the stored record a record interval reads, and in which direction."""
-    every = static.record_every
-    if static.repeats:
-        read = passes.reading_forward if static.rewinds else passes.reading
-        return read(number, environment.pass_records, every)
-    return PassReading(number * every + jnp.arange(every))
-
-
 def open_pass(
     static: Static,
     pass_records: Count,
     params: RunParams,
     site: Site,
     state: Any,
-    reading: tuple[PassReading, BodyTurn | None],
+    reads: tuple[PassReading, BodyTurn | None],
 ) -> Any:
     """The method's state as a record interval begins, which may open another pass.
 
@@ -260,9 +258,9 @@ def open_pass(
         params: of the run.
         site: Earth and place.
         state: at the end of the interval before.
-        reading: how the interval reads the record, and how the body has turned since it began.
+        reads: how the interval reads the record, and how the body has turned since it began.
     """
-    read, turn = reading
+    read, turn = reads
     if read.opens_pass is None:
         return state
     if read.backward is None:
@@ -285,13 +283,6 @@ def wound_back(
     q = passes.wound_back(method.attitude(state), turn, site.place, time, bias)
     zero = jnp.zeros_like(params.ve)
     return method.rewind(params.method, solution(site, q, zero, zero), state)
-
-
-def as_pass_begins(
-    static: Static, read: PassReading, before: Read, nothing: Callable[[], Read]
-) -> Read:
-    """What was read as a record interval begins: nothing where that begins the record."""
-    return passes.where(read.opens_pass, nothing(), before) if static.rewinds else before
 
 
 def step(

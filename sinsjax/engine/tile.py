@@ -15,8 +15,8 @@ import jax.numpy as jnp
 from sinsjax.alignment import passes
 from sinsjax.alignment.base import Site
 from sinsjax.alignment.limits import Limit
-from sinsjax.alignment.passes import PassReading
-from sinsjax.engine import metrics, simulate
+from sinsjax.alignment.passes import BodyTurn, PassReading
+from sinsjax.engine import metrics, reading, simulate
 from sinsjax.engine.lanes import Tiles
 from sinsjax.engine.measurements import Read
 from sinsjax.engine.metrics import Observation, Outcome
@@ -30,9 +30,11 @@ from sinsjax.engine.realisations import (
     biases_of,
     derived,
     first_attitude,
+    method_of,
     site_of,
 )
-from sinsjax.engine.simulate import Run, RunParams, method_of
+from sinsjax.engine.simulate import Run, RunParams
+from sinsjax.engine.stages import StageFunctions, over_stages
 from sinsjax.engine.stepping import event_by_event, sample_by_sample
 from sinsjax.types import Array, Count, Flag, Increments, Quat, Sample, Scalar
 
@@ -92,8 +94,8 @@ def over_draws(function: Callable[[Draw], Any], draws: Draw, *, out_axes: int = 
 
 
 def nothing_read(static: Static, environment: Environment, draws: Draw) -> Read:
-    """`simulate.nothing_read` of all draws of a tile, leaves (draws,)."""
-    return over_draws(partial(simulate.nothing_read, static, environment), draws)
+    """`reading.nothing_read` of all draws of a tile, leaves (draws,)."""
+    return over_draws(partial(reading.nothing_read, static, environment), draws)
 
 
 def run_tile(
@@ -111,17 +113,40 @@ def run_tile(
         Outcomes with leaves (lanes, ...), and if ``static.curves`` observations (records, lanes).
     """
     setup = set_up(static, environment, tile)
-    begin = jax.vmap(partial(simulate.begin, static, environment), in_axes=(setup.site_axis, 0))
-    runs = begin(setup.site, setup.params)
-    before = nothing_read(static, environment, setup.draws)
     q_true = None  # of draws with a motion of their own; that of others is looked up as runs go
     if setup.draws.motion is not None:
         q_true = over_draws(partial(attitudes, static, environment), setup.draws, out_axes=1)
-    over = partial(over_record, static, environment, setup, shown)
-    (runs, _), curves = jax.lax.scan(over, (runs, before), (jnp.arange(static.records), q_true))
+    runs, curves = over_stages(
+        static,
+        stage_functions(static, environment, setup, shown),
+        nothing_read(static, environment, setup.draws),
+        (jnp.arange(static.records), q_true),
+    )
     end = jax.vmap(partial(simulate.end, static), in_axes=(setup.site_axis, 0, 0))
     outcome = end(setup.site, runs, setup.limit)
     return outcome, metrics.from_rows(curves) if static.curves else None
+
+
+def stage_functions(
+    static: Static, environment: Environment, setup: TileSetup, shown: int | None
+) -> StageFunctions:
+    """The functions of one run's stages, mapped over the runs of a tile."""
+    params, site, axis = setup.params, setup.site, setup.site_axis
+
+    def begin(program: Static) -> Run:
+        over_runs = jax.vmap(partial(simulate.begin, program, environment), in_axes=(axis, 0))
+        return over_runs(site, params)
+
+    def after_coarse(state: Any, turn: BodyTurn | None) -> Any:
+        over_runs = jax.vmap(
+            partial(simulate.after_coarse, static), in_axes=(0, axis, 0, setup.draw_axis)
+        )
+        return over_runs(params, site, state, broadcast_to_runs(setup.row, turn))
+
+    def over(program: Static, under_way: Any, record: Any) -> Any:
+        return over_record(program, environment, setup, shown, under_way, record)
+
+    return StageFunctions(begin, over, after_coarse)
 
 
 def set_up(static: Static, environment: Environment, tile: Tiles) -> TileSetup:
@@ -164,7 +189,7 @@ def over_record(
         Both, and if ``static.curves`` observations (fields, lanes).
     """
     (runs, before), (number, q_true) = under_way, record
-    read = simulate.reading(static, environment, number)
+    read = reading.reading(static, environment, number)
     turn = broadcast_to_runs(setup.row, before.turn)
     open_pass = jax.vmap(
         partial(simulate.open_pass, static, environment.pass_records),
@@ -172,7 +197,7 @@ def over_record(
     )
     state = open_pass(setup.params, setup.site, runs.state, (read, turn))
     nothing = partial(nothing_read, static, environment, setup.draws)
-    before = simulate.as_pass_begins(static, read, before, nothing)
+    before = reading.as_pass_begins(static, read, before, nothing)
     state, before = over_samples(static, environment, setup, read, number, (state, before))
     # Looked up here: those of all records, draw by draw, would fill the memory.
     q_true = attitude(environment, setup.draws, number) if q_true is None else q_true

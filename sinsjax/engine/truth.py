@@ -14,6 +14,7 @@ import numpy as np
 from sinsjax import units
 from sinsjax.alignment.base import Site
 from sinsjax.alignment.coarse import COARSE
+from sinsjax.alignment.inertial_frame.method import optimised
 from sinsjax.alignment.limits import NO_BIASES, mean_biases
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.realisations import Draw, Environment, InitialErrors, aligned_record
@@ -31,7 +32,7 @@ from sinsjax.records.reference import StoredRecord
 from sinsjax.strapdown import base_motion, earth, sensors
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.study import sampling
-from sinsjax.study.keys import EARTH_CONSTANTS
+from sinsjax.study.keys import COARSE_KEYS, EARTH_CONSTANTS
 from sinsjax.study.schema import EarthSection, MotionSection, SensorsSection
 from sinsjax.study.study import Span, Study
 from sinsjax.study.times import stored_times
@@ -43,6 +44,7 @@ from sinsjax.value_types import Section
 MOST_STORED_SAMPLES = 2**22
 """Samples of the longest simulated record that is stored, 200 MB; more are made as runs go."""
 
+_COARSE = COARSE | {"optimisation": optimised}
 _LONGEST_GAP_S = 5.0  # in a reference; a swinging base turns within seconds
 
 
@@ -222,35 +224,52 @@ def _angle(degrees: np.ndarray | None) -> np.ndarray | None:
     return None if degrees is None else degrees * DEG
 
 
-def starts_of(study: Study, rate_hz: float) -> tuple[int, np.ndarray]:
-    """Samples of coarse alignment in a record, and (draws,) the sample at which each begins."""
-    assert study.record is not None and study.coarse is not None
-    starts = np.round(np.asarray(study.record.start_s) * rate_hz).astype(int)
-    return round(study.coarse.coarse_duration_s * rate_hz), starts
+def starts_of(study: Study, rate_hz: float) -> np.ndarray:
+    """(draws,) the sample of a record at which the coarse alignment of each begins."""
+    assert study.record is not None
+    return np.round(np.asarray(study.record.start_s) * rate_hz).astype(int)
+
+
+def samples_before(
+    study: Study,
+    rate_hz: float,
+    coarse_method: str,
+    coarse_duration_s: float,
+    coarse_then: str | None,
+) -> int:
+    """Samples of a record that are coarsely aligned before runs begin, by `COARSE_KEYS`."""
+    if study.has_coarse_stage(coarse_method, coarse_then):
+        return 0
+    return round(coarse_duration_s * rate_hz)
 
 
 def recorded(
     study: Study, variants: Variants, span: Span, criteria: Criteria, stored: StoredRecord
 ) -> tuple[Environment, Draw, np.ndarray]:
-    """Environment, draws (one a start time) and coarsely aligned attitudes of a recorded part."""
-    assert study.coarse is not None
+    """Environment, draws (one a start time) and coarsely aligned attitudes of a recorded part.
+
+    Where coarse alignment is a stage of the runs, nothing is known of the attitude.
+    """
     site, _ = site_of(study, variants, stored)
     record, rate = stored.record, study.rate_hz
     if abs(record.rate_hz - rate) > 1e-6 * rate:
         raise InputError(
             f"{record.source}: the record has {record.rate_hz:g} Hz, [study] rate_hz is {rate:g}"
         )
-    coarse_n, starts = starts_of(study, rate)
+    method, *rest = (variants.common(key) for key in COARSE_KEYS)
+    coarse_n, starts = samples_before(study, rate, method, *rest), starts_of(study, rate)
     for start in starts / rate:
         require_span(record, start, (coarse_n + span.read * study.record_every) / rate)
     # No more of the record than is read.
     first, end = starts.min(), starts.max() + coarse_n + span.read * study.record_every
     increments = aligned_record(int(end - first))
     np.concatenate([a[first:end] for a in (record.dtheta, record.dv)], axis=1, out=increments)
-    align = jax.jit(COARSE[study.coarse.coarse_method])
-    pieces = np.stack([increments[s - first :][:coarse_n] for s in starts])
-    samples = jax.vmap(sensors.compensate_record)(pieces, pieces[:, 0])
-    q = jax.vmap(lambda s: jnp.stack(align(s, site.place, 1 / rate)))(samples)
+    q = np.tile([1.0, 0.0, 0.0, 0.0], (len(starts), 1))
+    if coarse_n:
+        align = jax.jit(_COARSE[method])
+        pieces = np.stack([increments[s - first :][:coarse_n] for s in starts])
+        samples = jax.vmap(sensors.compensate_record)(pieces, pieces[:, 0])
+        q = jax.vmap(lambda s: jnp.stack(align(s, site.place, 1 / rate)))(samples)
     fine = starts + coarse_n
     truth = np.stack([_reference_at(stored, s / rate + stored_times(study, span)) for s in fine])
     environment = Environment(

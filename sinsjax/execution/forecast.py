@@ -187,8 +187,10 @@ def _forecast(study: Study, batches: Sequence[Batch], curves: bool) -> Forecast:
         most = max(batch.runs for batch in batches) * records
         memory += _A_RECORD * min(most, max(CHUNK_RECORDS, 2 * records))
     length_s = samples / study.rate_hz
+    again = (p["coarse_duration_s"] for p in study.coarse_stages if p["coarse_then"] == "replay")
+    steps = samples + max(again, default=0.0) * study.rate_hz
     at_most = study.stop_when is not None
-    return Forecast(tuple(batches), run_bytes, samples * step_s, memory, at_most, length_s)
+    return Forecast(tuple(batches), run_bytes, steps * step_s, memory, at_most, length_s)
 
 
 def _row_bytes(study: Study, columns: Iterable[Column]) -> float:

@@ -40,10 +40,15 @@ def of_methods(study: Study) -> dict[str, OwnColumn]:
 
 def curves(study: Study) -> tuple[Column, ...]:
     """Columns of the curves."""
-    return columns.curves(passes=study.passes is not None)
+    return columns.curves(passes=study.passes is not None, coarse=bool(study.coarse_stages))
+
+
+def tells_data(study: Study) -> bool:
+    """Whether the length of data stands beside settling times."""
+    return bool(study.passes or study.coarse_stages)
 
 
 def _settling(study: Study) -> list[Column]:
     """Settling times of all bands about the limit and the truth; then the data used until then."""
-    kinds = [columns.settle_column, *([columns.settle_data_column] * bool(study.passes))]
+    kinds = [columns.settle_column, *([columns.settle_data_column] * tells_data(study))]
     return [kind(b, truth=t) for kind in kinds for t in (False, True) for b in bands(study)]

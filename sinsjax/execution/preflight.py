@@ -5,12 +5,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from sinsjax.engine.study_limits import hidden_north
-from sinsjax.engine.truth import site_of, starts_of
+from sinsjax.engine.truth import samples_before, site_of, starts_of
 from sinsjax.errors import InputError
 from sinsjax.records import Layout, Record, require_span
 from sinsjax.records.plausible import StationaryValues, findings
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
+from sinsjax.study.keys import COARSE_KEYS
 from sinsjax.study.study import Study
 from sinsjax.study.variants import Variants
 from sinsjax.units import DEG_PER_H, micro_g
@@ -74,8 +75,11 @@ def _of_record(study: Study, stored: StoredRecord) -> Iterator[str]:
 
 def _used(study: Study, record: Record) -> list[tuple[int, int]]:
     """Spans of samples that a study reads, merged where they overlap; none are missing."""
-    coarse, starts = starts_of(study, record.rate_hz)
-    needed = coarse + max(span.read for span in study.distinct_spans) * study.record_every
+    starts = starts_of(study, record.rate_hz)
+    before = [
+        samples_before(study, record.rate_hz, **point) for point in study.combinations(*COARSE_KEYS)
+    ]
+    needed = max(before) + max(span.read for span in study.distinct_spans) * study.record_every
     merged: list[tuple[int, int]] = []
     for start in sorted(starts.tolist()):
         require_span(record, start / record.rate_hz, needed / record.rate_hz)

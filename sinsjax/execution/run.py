@@ -12,7 +12,7 @@ import pyarrow as pa
 from sinsjax import columns
 from sinsjax.engine.batch import in_threads
 from sinsjax.errors import InputError, StudyInterrupted
-from sinsjax.execution import forecast, stopping, store
+from sinsjax.execution import forecast, layouts, stopping, store
 from sinsjax.execution import resume as resuming
 from sinsjax.execution import tasks as study_tasks
 from sinsjax.execution.preflight import layout_of, warnings_of
@@ -126,7 +126,7 @@ def run(
     count = _ProgressCounter(study, tell)
     count.begin([])
     summaries: list[pa.Table] = []
-    kept = [columns.schema(columns.curves(passes=study.passes is not None)).empty_table()]
+    kept = [columns.schema(layouts.curves(study)).empty_table()]
     for draws, tasks in zip(runner.stages, runner.tasks(), strict=True):
         for piece in in_threads(runner.do, tasks, len(jax.devices())):
             summaries.append(piece.summary)

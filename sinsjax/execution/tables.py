@@ -23,13 +23,14 @@ from sinsjax.columns import Column
 from sinsjax.engine.batch import Chunk
 from sinsjax.engine.metrics import Observation
 from sinsjax.engine.study_limits import has_limit, scheduled_last_s
-from sinsjax.engine.truth import starts_of
+from sinsjax.engine.truth import samples_before, starts_of
 from sinsjax.engine.verdicts import LIMIT, TRUTH, Judge, Verdict
 from sinsjax.errors import InputError
 from sinsjax.execution import layouts
 from sinsjax.execution.parts import is_there, query
 from sinsjax.execution.parts import read_manifest as read_manifest
 from sinsjax.study import sampling
+from sinsjax.study.keys import COARSE_KEYS
 from sinsjax.study.resolved import Coded, same
 from sinsjax.study.study import Study
 from sinsjax.study.success import bands
@@ -66,6 +67,8 @@ class Tables:
         swept = {key: study.resolved.column(key) for key in study.axis_keys}
         self.summary_columns = layouts.summary(study)
         self.curve_columns = layouts.curves(study)
+        self._tells_data = layouts.tells_data(study)
+        self._before_s = _before_s(study)
         kinds = {c.name: c.dtype for c in self.summary_columns}
         self._by_variant = {
             name: _swept(column, kinds[name])
@@ -76,7 +79,7 @@ class Tables:
         self._own_columns = layouts.of_methods(study)
         self._start_s = np.zeros(study.n_draws)
         if study.is_recorded:
-            self._start_s = starts_of(study, study.rate_hz)[1] / study.rate_hz
+            self._start_s = starts_of(study, study.rate_hz) / study.rate_hz
 
     def summary(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
         """Summary of a chunk, one row per run.
@@ -101,7 +104,7 @@ class Tables:
             values[name] = own if own.ndim == 1 else list(own)
         values |= self._observed(out.last)
         verdict = self._judge(out, self._has_limit(chunk, variant), self._end_s[variant])
-        values |= self._settled(verdict, self._pass_s[variant])
+        values |= self._settled(verdict, self._pass_s[variant], self._before_s[variant])
         for suffix, statistics in (("_mean", out.mean), ("_std", out.std)):
             for axis, value in zip("enu", statistics[:3], strict=True):
                 values[f"phi_{axis}{suffix}_arcmin"] = self._known(value / ARCMIN)
@@ -172,7 +175,9 @@ class Tables:
         """Flags that need a truth: null without one."""
         return pa.array(flags if self._has_truth else [None] * len(flags), pa.bool_())
 
-    def _settled(self, verdict: Verdict, pass_s: np.ndarray) -> dict[str, pa.Array]:
+    def _settled(
+        self, verdict: Verdict, pass_s: np.ndarray, before_s: np.ndarray
+    ) -> dict[str, pa.Array]:
         """Settling times of all bands, about the limit and the truth, by column."""
         values = {}
         for truth, of_bands in (
@@ -182,9 +187,9 @@ class Tables:
             for band, settled in zip(self._bands, of_bands, strict=True):
                 name = columns.settle_column(band, truth=truth).name
                 values[name] = self._known(settled)
-                if self._study.passes:
+                if self._tells_data:
                     data = columns.settle_data_column(band, truth=truth).name
-                    values[data] = self._known(np.minimum(settled, pass_s))
+                    values[data] = self._known(before_s + np.minimum(settled, pass_s))
         return values
 
     def _has_limit(self, chunk: Chunk, variant: np.ndarray) -> np.ndarray:
@@ -204,6 +209,14 @@ class Tables:
         study = self._study
         variants = np.arange(study.n_variants)
         return has_limit(study, np.zeros_like(variants), variants, self._last_reset_s)
+
+
+def _before_s(study: Study) -> np.ndarray:
+    """(variants,) data of a record before t = 0, where other variants begin with its first, s."""
+    if not (study.is_recorded and study.coarse_stages):
+        return np.zeros(study.n_variants)
+    column = study.resolved.column(*COARSE_KEYS)
+    return column.each(lambda keys: samples_before(study, study.rate_hz, *keys)) / study.rate_hz
 
 
 def _swept(column: Coded, dtype: pa.DataType) -> pa.Array:

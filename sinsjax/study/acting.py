@@ -6,11 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from sinsjax.alignment.description import INITIAL_KEYS
 from sinsjax.alignment.methods import METHODS
 from sinsjax.study.keys import SECTION_OF, SECTIONS
 from sinsjax.study.resolved import Coded, distinct
 from sinsjax.study.study import Study
 from sinsjax.value_types import ActsWhere
+
+_COARSE = ("coarse_method", "coarse_then")
 
 
 @cache
@@ -73,11 +76,14 @@ def first_alike(study: Study) -> np.ndarray:
 
 def _acting_column(study: Study, key: str) -> Coded:
     """Values of a key over the variants, those that do not act being one value of their own."""
-    keys = (key, *deciding(key))
+    coarse = _COARSE if key in INITIAL_KEYS and study.coarse else ()
+    keys = tuple(dict.fromkeys((key, *deciding(key), *coarse)))
 
     def value(values: tuple[Any, ...]) -> tuple[Any, ...]:
         told = dict(zip(keys, values, strict=True))
-        return (told[key],) if acts(key, told) else ()
+        # What coarse alignment finds takes the place of what is given.
+        found = coarse and study.has_coarse_stage(*(told[key] for key in coarse))
+        return (told[key],) if acts(key, told) and not found else ()
 
     codes, choices = study.resolved.column(*keys).map(value if len(keys) > 1 else lambda v: (v,))
     place = {choice: code for code, choice in enumerate(dict.fromkeys(choices))}

@@ -8,10 +8,11 @@ import math
 from typing import NoReturn
 
 from sinsjax import columns
+from sinsjax.alignment.filters.section import OF_SCHEDULES, reset_times
 from sinsjax.alignment.methods import METHODS, keys_unread
 from sinsjax.errors import InputError
 from sinsjax.study import ignored, success
-from sinsjax.study.keys import EARTH_CONSTANTS, PASS_KEYS, SECTION_OF, SECTIONS
+from sinsjax.study.keys import COARSE_KEYS, EARTH_CONSTANTS, PASS_KEYS, SECTION_OF, SECTIONS
 from sinsjax.study.study import Study
 from sinsjax.value_types import ROUNDING
 
@@ -38,6 +39,7 @@ def check_study(study: Study, where: Where) -> None:
     _check_size(study, where)
     _check_intervals(study, where)
     _check_passes(study, where)
+    _check_coarse(study, where)
     _check_window(study, where)
     _check_success(study, where)
     _check_stop(study, where)
@@ -109,8 +111,8 @@ def _check_intervals(study: Study, where: Where) -> None:
     for point in study.combinations("feedback_interval_s"):
         if point["feedback_interval_s"] is not None:
             _check_whole(study, where, "feedback_interval_s", point["feedback_interval_s"])
-    if study.coarse:
-        _check_whole(study, where, "coarse_duration_s", study.coarse.coarse_duration_s, least=2)
+    for point in study.combinations("coarse_duration_s") if study.coarse else ():
+        _check_whole(study, where, "coarse_duration_s", point["coarse_duration_s"], least=2)
     taken: dict[int, float] = {}
     for start in study.record.start_s if study.record else ():
         _check_whole(study, where, "start_s", start, least=0)
@@ -146,6 +148,31 @@ def _check_passes(study: Study, where: Where) -> None:
             _refuse("passes", where, f"{text}, longer than the study ({_end(study)})")
         if passes and passes % 2 == 0 and point["ending"] == "forward" and not rewinds:
             _refuse("passes", where, f"{passes} end backward, not as ending = 'forward' says")
+
+
+def _check_coarse(study: Study, where: Where) -> None:
+    """Refuses coarse alignment that no run can begin with, and resets before its hand-over."""
+    every_s = study.record_every / study.rate_hz
+    tape = ("tape_s",) if study.passes else ()
+    schedule = OF_SCHEDULES if study.has("resets") else ()
+    for point in study.combinations(*COARSE_KEYS, *tape, *schedule) if study.coarse else ():
+        method, length_s, then = (point[key] for key in COARSE_KEYS)
+        if study.is_recorded and method == "none":
+            _refuse("coarse_method", where, "a record tells no attitude to begin with")
+        if not study.has_coarse_stage(method, then):
+            continue
+        if method == "analytic":
+            _refuse("coarse_method", where, "'analytic' is only for the hand-over of a record")
+        _check_multiple(study, where, "coarse_duration_s", length_s)
+        end_s = min(study.run_s - every_s, point.get("tape_s") or math.inf)
+        if length_s > end_s * (1 + ROUNDING):
+            text = f"{length_s:.12g} s leaves nothing to fine alignment (at most {end_s:.12g})"
+            _refuse("coarse_duration_s", where, text)
+        times = reset_times(*(point[key] for key in schedule)) if schedule else ()
+        if then != "replay" and (first_s := min(times, default=math.inf)) <= length_s:
+            key = "reset_times_s" if point["reset_times_s"] is not None else "reset_count"
+            text = f"a reset at {first_s:.12g} s is not after coarse alignment, {length_s:.12g} s"
+            _refuse(key, where, text)
 
 
 def _check_multiple(study: Study, where: Where, key: str, time: float) -> None:

@@ -34,7 +34,7 @@ SECTIONS: dict[str, type[Section]] = {
 TUNABLE = ("alignment", *SECTIONS_OF_METHODS, "passes")
 """The sections whose keys may be tuned."""
 
-SWEEPABLE = ("earth", "motion", "sensors", *TUNABLE)
+SWEEPABLE = ("earth", "motion", "sensors", "coarse", *TUNABLE)
 """The sections whose keys may be axes."""
 
 SIMULATED_ONLY = ("motion", "sensors", "stop_when")
@@ -54,6 +54,9 @@ EARTH_CONSTANTS = {
 
 PASS_KEYS = ("tape_s", "passes", "ending", "direction")
 """The keys that decide which sample of the stored record an update reads, and how many."""
+
+COARSE_KEYS = tuple(CoarseSection.model_fields)
+"""The keys of coarse alignment."""
 
 TomlTable = dict[str, Any]
 

@@ -213,8 +213,6 @@ def _tables(data: TomlTable) -> TomlTable:
     for name in SIMULATED_ONLY:
         if name in data and "record" in data:
             raise InputError(f"[{name}]: does not apply to a recorded study (drop it or [record])")
-    if "coarse" in data and "record" not in data:
-        raise InputError("[coarse]: only a recorded study has one ([record] is missing)")
     if "record" in data and "draws" in data.get("study", {}):
         raise InputError(
             "[study] draws: does not apply to a recorded study (one draw a start time)"
@@ -252,10 +250,11 @@ def _check_densities(where: Where, readings: set[Any]) -> None:
 def _filled(tables: TomlTable, sweep: axes.Sweep, where: Where, name: str) -> TomlTable:
     """The sections that apply, with the defaults that depend on other keys."""
     recorded = "record" in tables
-    unused: tuple[str, ...] = SIMULATED_ONLY if recorded else ("record", "coarse")
+    unused: tuple[str, ...] = SIMULATED_ONLY if recorded else ("record",)
     unread = keys_unread(_values_of("method", tables, sweep) & METHODS.keys())
     given = {SECTION_OF.get(key) for key in where}
-    unused += tuple({"passes", "stop_when", "tune"} - given - tables.keys())
+    optional = {"passes", "stop_when", "tune"} | (set() if recorded else {"coarse"})
+    unused += tuple(optional - given - tables.keys())
     unused += tuple(
         name
         for name, section in SECTIONS_OF_METHODS.items()

@@ -16,7 +16,7 @@ from sinsjax.alignment.filters.section import OF_SCHEDULES, reset_times
 from sinsjax.alignment.methods import SECTIONS_OF_METHODS
 from sinsjax.alignment.sections import AlignmentSection, CoarseSection, PassesSection
 from sinsjax.study.distributions import DrawnSection, StopWhenSection
-from sinsjax.study.keys import PASS_KEYS, SECTION_OF, SWEEPABLE, TomlTable
+from sinsjax.study.keys import COARSE_KEYS, PASS_KEYS, SECTION_OF, SWEEPABLE, TomlTable
 from sinsjax.study.ranges import TuneSection
 from sinsjax.study.recorded import RecordSection
 from sinsjax.study.resolved import Coded, Dimension, Resolved, same
@@ -80,9 +80,9 @@ class Study(_SectionsOfMethods):
 
     A variant is one point of the sweep: cases outermost, then the zips, then the axes, each as
     written, the last one fastest. A section that does not apply is None: ``motion`` and ``sensors``
-    of a recorded study, ``record`` and ``coarse`` of a simulated one, those of methods where no
-    method reads them, ``passes`` where the record is used once, ``drawn``, ``stop_when`` and
-    ``tune`` where not given. So is a key that does not apply, such as
+    of a recorded study, ``record`` of a simulated one, those of methods where no method reads them,
+    ``passes`` where the record is used once, ``drawn``, ``stop_when``, ``tune`` and, in a simulated
+    study, ``coarse`` where not given. So is a key that does not apply, such as
     ``gravity_m_per_s2`` where no variant has constants.
 
     Attributes:
@@ -202,6 +202,22 @@ class Study(_SectionsOfMethods):
             passes = whole - backward_last if ending == "forward" else None
         records = self.records if passes is None else passes * pass_records
         return Span(records, pass_records, rewinds)
+
+    def has_coarse_stage(self, coarse_method: str, coarse_then: str | None) -> bool:
+        """Whether runs with some values of these keys begin with coarse alignment.
+
+        The hand-over of a record is made before its runs.
+        """
+        return coarse_method != "none" and (not self.is_recorded or coarse_then == "replay")
+
+    @property
+    def coarse_stages(self) -> tuple[dict[str, Any], ...]:
+        """The values that `COARSE_KEYS` take together where coarse alignment is a stage of runs."""
+        if self.coarse is None:
+            return ()
+        points = self.combinations(*COARSE_KEYS)
+        given = ("coarse_method", "coarse_then")
+        return tuple(p for p in points if self.has_coarse_stage(*(p[key] for key in given)))
 
     @property
     def run_s(self) -> float:

@@ -195,6 +195,17 @@ def test_a_pass_hears_the_noise_of_the_tape_again() -> None:
             | {"axes": {"p0_yaw_deg": [10.0, 80.0]}},
             id="rewound",
         ),
+        pytest.param(
+            {"alignment": {"method": "kalman_sincos"}, "passes": {"direction": "rewind"}}
+            | {"coarse": {"coarse_duration_s": 2.0}}
+            | {"axes": {"coarse_then": ["hand_over"], "p0_level_deg": [1.0, 10.0]}},
+            id="shared covariance, rewound, after coarse alignment",
+        ),
+        pytest.param(
+            {"coarse": {"coarse_duration_s": 2.0, "coarse_then": "replay"}}
+            | {"axes": {"p0_yaw_deg": [10.0, 80.0]}},
+            id="replayed",
+        ),
     ],
 )
 def test_a_run_among_many_is_itself_alone(tables: dict[str, Any]) -> None:

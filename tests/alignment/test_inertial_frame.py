@@ -23,7 +23,7 @@ from support.studies import refusal, small_study
 from sinsjax import run as run_study
 from sinsjax.alignment.coarse import COARSE
 from sinsjax.alignment.inertial_frame.eigenvector import of_largest
-from sinsjax.alignment.inertial_frame.method import reaction_velocity
+from sinsjax.alignment.inertial_frame.method import optimised, reaction_velocity
 from sinsjax.alignment.methods import METHODS
 from sinsjax.strapdown import sensors
 from sinsjax.units import ARCMIN
@@ -102,6 +102,13 @@ def test_inertial_is_coarse_alignment_as_it_goes():
         q = jax.jit(COARSE["inertial"])(some, place(PAPER, LATITUDE), 1 / RATE)
         turn = log(of_quaternion(np.array(q)) @ found[seconds - 1].T)
         assert np.abs(turn).max() < 1e-9
+
+
+def test_an_interval_is_optimised_at_once_as_sample_by_sample():
+    samples = sensors.compensate_record(record(), record()[0])
+    q = jax.jit(optimised)(samples, place(PAPER, LATITUDE), 1 / RATE)
+    turn = log(of_quaternion(np.array(q)) @ attitudes("optimisation", record())[-1].T)
+    assert np.abs(turn).max() < 1e-9
 
 
 @pytest.mark.parametrize("name", NAMES)

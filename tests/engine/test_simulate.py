@@ -9,12 +9,24 @@ from oracles.in_engine import (
     DEG_PER_H,
     PAPER1,
     UG,
+    navigation,
     paper_filter,
     params,
+    runner,
     site,
     swing_increments,
 )
-from oracles.naive import DEG, PAPER, closed_loop, exp, judge, log, quaternion
+from oracles.naive import (
+    DEG,
+    PAPER,
+    closed_loop,
+    exp,
+    judge,
+    log,
+    of_quaternion,
+    quaternion,
+    wound_back,
+)
 from scipy.spatial.transform import Rotation
 
 from sinsjax.alignment.base import Options
@@ -23,6 +35,7 @@ from sinsjax.engine.measurements import measured, noise, nothing_read
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.pieces import SAMPLES_A_PIECE, piece
 from sinsjax.engine.realisations import (
+    CoarseStage,
     Draw,
     Environment,
     Static,
@@ -144,6 +157,52 @@ def test_one_run_is_the_naive_loop_and_its_metrics(every, records, tape):
     np.testing.assert_allclose(outcome.above_share, expected.above_share, rtol=1e-12)
     np.testing.assert_allclose(outcome.nees, expected.nees, rtol=1e-6)
     np.testing.assert_allclose(outcome.nis_u, expected.nis_u, rtol=1e-6)
+
+
+@pytest.mark.parametrize("replays", [False, True])
+def test_a_run_after_coarse_alignment_is_the_naive_loop_from_its_attitude(replays):
+    """At rest and with P0; before, its attitude is the coarse method's own."""
+    every, records, first = 30, 23, 7
+    begin = first * every
+    filt = paper_filter(5, every=70, resets=(350,))
+    # Without noise, whose last bits differ: a heading of 2 s magnifies them.
+    rows = ideal()[2:][: every * records] + BIAS / RATE
+    here = environment(every, records, noise=0 * NOISE)
+    nav = navigation(np.eye(3), (0.0, 0.0), LATITUDE)
+    _, found, _ = runner("inertial")((), site(PAPER, LATITUDE), nav, rows[:begin])
+    found = of_quaternion(np.stack(found, axis=1)[every - 1 :: every])
+    c = wound_back(found[-1], rows[:begin], 1 / RATE, PAPER, LATITUDE) if replays else found[-1]
+    naive = closed_loop(
+        rows,
+        1 / RATE,
+        PAPER,
+        latitude=LATITUDE,
+        c=c,
+        v=np.zeros(2),
+        filt=filt,
+        first=1 if replays else begin + 1,
+    )
+    x, p, of_filter = (a[0 if not replays else begin :] for a in (naive.x, naive.p, naive.c))
+    corrected = Rotation.from_rotvec(x[:, 2:5]).as_matrix() @ of_filter
+    at = np.arange(1, records + 1) * every - 1
+    expected = np.concatenate([found, corrected[at[first:] - begin]])
+    truth = np.array([PAPER1.matrix((k + 1) / RATE) for k in at])
+    phi = log(truth @ np.swapaxes(expected, 1, 2))
+    program = static(every, records)._replace(coarse=CoarseStage("inertial", first, replays))
+
+    outcome, curves = run(program, here, draw(), one_run(filt))
+
+    np.testing.assert_allclose(np.stack(curves.phi, axis=1), phi, rtol=0, atol=1e-8)
+    sigma = np.sqrt(np.diagonal(p, axis1=1, axis2=2))[:, 2:5]
+    got = np.stack(curves.sigma, axis=1)
+    assert np.all(np.isnan(got[:first]))
+    np.testing.assert_allclose(got[first:], sigma[at[first:] - begin], rtol=0, atol=1e-9)
+    error = np.abs(phi[:, 2] - FLOOR)
+    late = [max((n for n, e in zip(at, error, strict=True) if e > b), default=-1) for b in BANDS]
+    np.testing.assert_array_equal(outcome.outside_until[0], (np.array(late) + 1) / RATE)
+    settings = one_run(filt)._replace(phi=Vec3(*np.zeros(3)), ve=np.float64(0.0))
+    other, _ = run(program, here, draw(), settings)
+    np.testing.assert_array_equal(other.mean, outcome.mean)
 
 
 def test_measured_increments_do_not_depend_on_how_they_are_asked_for():

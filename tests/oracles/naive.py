@@ -296,12 +296,13 @@ def turned(x, p, bias, filt):
 
 
 def closed_loop(
-    increments, dt, planet, *, latitude, c, v, filt, tape=None, count=None, watcher=None
+    increments, dt, planet, *, latitude, c, v, filt, tape=None, count=None, watcher=None, first=1
 ):
     """Mechanise, predict, update, feed back and reset, sample after sample, over a tape.
 
     A ``watcher`` of `naive_triggers` fades P, and resets it beside the schedule. With turn "rewind"
-    all passes are forward, from the attitude wound back, with velocity zero and P0.
+    all passes are forward, from the attitude wound back, with velocity zero and P0. ``first`` is
+    the number of the update before which attitude and velocity are given.
     """
     watcher = watcher or Unwatched()
     n = len(filt.p0)
@@ -309,6 +310,8 @@ def closed_loop(
     h = np.eye(n)[:2]
     longitude, fixed, history, rewind = 0.0, latitude, [], filt.turn == "rewind"
     for k, turn, dv, way, turns in updates(increments, tape, count, rewind=rewind):
+        if k < first:
+            continue
         if turns and rewind:
             bias = bias + x[5:]
             c, latitude, longitude = exp(x[2:5]) @ c, fixed, 0.0

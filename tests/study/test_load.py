@@ -1487,8 +1487,13 @@ def test_an_amplitude_needs_its_period():
             " ([sensors] is the simulation's)",
         ),
         (
-            {"axes": {"coarse_duration_s": [1]}},
-            "[axes] coarse_duration_s: cannot be swept (it is a key of [coarse])",
+            {"axes": {"coarse_duration_s": [0.01]}},
+            "[axes] coarse_duration_s: 0.01 s is no whole number of samples of 0.01 s, 2 or more",
+        ),
+        ({"axes": {"to_s": [1]}}, "[axes] to_s: cannot be swept (it is a key of [record])"),
+        (
+            {"coarse": {"coarse_method": "none"}},
+            "[coarse] coarse_method: a record tells no attitude to begin with",
         ),
         ({"record": {"start_s": [0, -1]}}, "[record] start_s[1]: must be greater than or equal to"),
         ({"record": {"start_s": [0, 30, 0.0]}}, "[record] start_s: repeats a value"),
@@ -1507,7 +1512,10 @@ def test_an_amplitude_needs_its_period():
             {"coarse": {"coarse_duration_s": 0}},
             "[coarse] coarse_duration_s: must be greater than 0",
         ),
-        ({"coarse": {"coarse_method": "x"}}, "[coarse] coarse_method: must be 'inertial' or"),
+        (
+            {"coarse": {"coarse_method": "x"}},
+            "[coarse] coarse_method: must be 'inertial', 'analytic'",
+        ),
     ],
 )
 def test_recorded_refusals(tables: dict[str, Any], line: str):
@@ -1560,8 +1568,3 @@ def test_tabular_records(change: dict[str, Any], line: str):
 def test_a_recorded_study_draws_what_it_has():
     line = "[stop_when]: does not apply to a recorded study (drop it or [record])"
     assert refusal(RECORDED, stop_when=STOP) == line
-
-
-def test_coarse_needs_a_record():
-    line = "[coarse]: only a recorded study has one ([record] is missing)"
-    assert refusal(coarse={"coarse_duration_s": 60}) == line

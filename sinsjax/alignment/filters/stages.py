@@ -168,6 +168,7 @@ def closed_loop(filter_: Filter) -> Method:
         common_covariance=filter_.common_covariance,
         rewind=partial(_rewind, filter_),
         gyro_bias=filter_.gyro_bias,
+        begin_after=_begin_after,
     )
 
 
@@ -241,6 +242,10 @@ def _rewind(filter_: Filter, params: Any, nav: Navigation, state: Any) -> Any:
     begun = filter_.init(params, nav)
     kept = begun if filter_.keep is None else filter_.keep(begun, state)
     return kept._replace(feedback_at=state.feedback_at, innovations=state.innovations)
+
+
+def _begin_after(state: Any, n: Scalar) -> Any:
+    return state._replace(feedback_at=state.feedback_at + n)
 
 
 def _normalise(state: Any) -> Any:

@@ -22,13 +22,23 @@ def check_passes(study: CheckedStudy) -> None:
             study.refuse("tape_s", text)
 
 
+def check_coarse(study: CheckedStudy) -> None:
+    """Refuse coarse alignment before what aligns by itself, from the first sample on."""
+    if study.is_recorded or not study.has("coarse"):
+        return
+    for point in study.combinations("method", "coarse_method"):
+        if point["method"] in ("optimisation", "inertial") and point["coarse_method"] != "none":
+            text = f"method {point['method']} needs no coarse alignment before it (give 'none')"
+            study.refuse("coarse_method", text)
+
+
 _inertial_frame = partial(
     Description,
     sections={},
     reads=INITIAL_KEYS,
     silent=INITIAL_KEYS,
     has_covariance=False,
-    rules=(check_passes,),
+    rules=(check_passes, check_coarse),
 )
 
 OPTIMISATION = _inertial_frame(

@@ -150,7 +150,7 @@ def _no_velocities(zero: Scalar) -> VelocityMoments:
 
 
 def _add_velocity(
-    moments: VelocityMoments, felt: Vec3, place: Place, n: Scalar, dt: float
+    moments: VelocityMoments, felt: Vec3, place: Place, n: Scalar, dt: Scalar
 ) -> VelocityMoments:
     alpha, beta = add(moments.velocity, felt), reaction_velocity(place, n * dt)
     rows = zip(moments.profile, beta, strict=True)
@@ -186,6 +186,32 @@ def _least_squares(moments: VelocityMoments, count: Scalar) -> Quat:
         ),
         moments.weight,
     )
+
+
+def optimised(samples: Sample, place: Place, dt: Scalar) -> Quat:
+    """`optimisation` of a whole interval, as a `coarse.Coarse`: attitude at its end.
+
+    Args:
+        samples: compensated, leaves (n,).
+        place: Earth rates and gravity.
+        dt: sample time, s.
+    """
+    counts = 1 + jnp.arange(samples.dv.x.size, dtype=samples.dv.x.dtype)
+    zero = jnp.zeros_like(counts[0])
+
+    def over(
+        carry: tuple[Quat, VelocityMoments], xs: tuple[Sample, Scalar]
+    ) -> tuple[tuple[Quat, VelocityMoments], None]:
+        (body, moments), (sample, n) = carry, xs
+        felt = rotations.rotate(body, sample.dv)
+        moments = _add_velocity(moments, felt, place, n, dt)
+        return (rotations.multiply(body, sample.turn), moments), None
+
+    start = Quat(zero + 1, zero, zero, zero), _no_velocities(zero)
+    (body, moments), _ = jax.lax.scan(over, start, (samples, counts))
+    earth = rotations.exp(scale(-counts[-1] * dt, _earth_rate(place)))
+    found = rotations.multiply(_least_squares(moments, counts[-1]), body)
+    return rotations.multiply(earth, found)
 
 
 class ForceMoments(NamedTuple):

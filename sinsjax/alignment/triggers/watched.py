@@ -79,6 +79,12 @@ def with_trigger(filter_: Filter, name: str) -> Method:
     def turn(params: Any, site: Site, state: Any) -> Any:
         return with_memory_anew(params, plain.turn(params, site, state), state)
 
+    def begin_after(state: Any, n: Scalar) -> Any:
+        assert plain.begin_after is not None
+        watched = state.trigger_state
+        since = watched.since + n
+        return plain.begin_after(state, n)._replace(trigger_state=watched._replace(since=since))
+
     def with_memory_anew(params: Any, opened: Any, state: Any) -> Any:
         """The state that opens a pass, the trigger's memory of the one before forgotten."""
         watched = triggers.in_another_pass(
@@ -108,6 +114,7 @@ def with_trigger(filter_: Filter, name: str) -> Method:
         step=step,
         turn=turn,
         rewind=rewind,
+        begin_after=begin_after,
         results=results,
         close=close,
         called=called if trigger.look else None,

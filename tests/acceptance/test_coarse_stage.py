@@ -1,0 +1,188 @@
+"""Studies that begin with coarse alignment: from the study to the rows of its tables."""
+
+import tomllib
+from functools import cache
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pytest
+from rich.console import Console
+from support.studies import refusal, small_study
+
+from sinsjax.engine import build
+from sinsjax.execution import rerun, run
+from sinsjax.records import Reference
+from sinsjax.records.reference import StoredRecord
+from sinsjax.study import acting
+from sinsjax.study.load import study_from_dict, study_to_toml
+from sinsjax.study.study import Study
+
+pytestmark = pytest.mark.optimised(False)
+
+ARMS = {
+    "coarse_method": ["none", "inertial", "optimisation", "inertial"],
+    "coarse_then": ["hand_over", "hand_over", "hand_over", "replay"],
+}
+
+
+def study(**changes: Any) -> Study:
+    tables: dict[str, Any] = {
+        "study": {"draws": 3, "curves": True},
+        "coarse": {"coarse_duration_s": 3.0},
+        "axes": {"arm": ARMS, "phi_u0_deg": [0.0, 30.0]},
+    }
+    return small_study(**(tables | changes))
+
+
+@cache
+def results() -> run.Results:
+    return run.run(study())
+
+
+def of_variant(table: pa.Table, variant: int, name: str) -> np.ndarray:
+    """Values of the runs of a variant, (draws, records or 1)."""
+    runs = pc.equal(pc.bit_wise_and(table["run_id"], 7), variant)
+    return table.filter(runs)[name].to_numpy().reshape(3, -1)
+
+
+@pytest.mark.optimised(True)
+def test_until_the_hand_over_the_attitude_is_the_coarse_methods() -> None:
+    """To the bit that of a run of this method alone, which goes on where this one stops."""
+    curves = results().curves
+    for method, variants in {"inertial": (2, 3, 6, 7), "optimisation": (4, 5)}.items():
+        changes = {"alignment": {"method": method}, "axes": {}, "coarse": {"coarse_method": "none"}}
+        alone = run.run(study(**changes)).curves["phi_u_arcmin"].to_numpy().reshape(3, -1)
+        for variant in variants:
+            phi = of_variant(curves, variant, "phi_u_arcmin")
+            np.testing.assert_array_equal(phi[:, :3], alone[:, :3])
+            assert not np.any(phi[:, 3:] == alone[:, 3:])
+    assert results().curves["time_s"].to_pylist()[:6] == [1, 2, 3, 4, 5, 6]
+    meaning = curves.schema.field("time_s").metadata[b"meaning"]
+    assert meaning == b"from the first sample of data"
+
+
+def test_what_a_run_would_begin_with_makes_no_difference() -> None:
+    """Such variants are one: computed once, and shown once."""
+    phi = results().summary["phi_u_arcmin"].to_numpy().reshape(3, 4, 2)
+    same = phi[..., 0] == phi[..., 1]
+    np.testing.assert_array_equal(same, [[False, True, True, True]] * 3)
+    assert acting.first_alike(study()).tolist() == [0, 1, 2, 2, 4, 4, 6, 6]
+    assert acting.silent(study(), "phi_u0_deg").tolist() == [False] * 2 + [True] * 6
+
+
+def test_sigma_is_that_of_a_filter_that_begins_at_the_hand_over_or_replays() -> None:
+    """Before, there is none; one that has filtered all data since the start knows more."""
+    sigma = [of_variant(results().curves, v, "sigma_u_arcmin") for v in range(8)]
+    assert not np.isnan(sigma[0]).any() and np.isnan(sigma[2][:, :3]).all()
+    assert np.isnan(sigma[6][:, :3]).all() and not np.isnan(sigma[6][:, 3:]).any()
+    replayed, handed_over = sigma[6][:, 3:], sigma[2][:, 3:]
+    assert np.all(replayed < handed_over)
+
+
+def test_the_length_of_data_stands_beside_settling_times() -> None:
+    summary = results().summary
+    for band in (60, 10, 3):
+        for kind in ("", "_truth"):
+            data = summary[f"settle_{band}{kind}_data_s"]
+            assert data.equals(summary[f"settle_{band}{kind}_s"])
+    plain = run.run(small_study(study={"draws": 1})).summary
+    assert not any(name.endswith("data_s") for name in plain.column_names)
+
+
+def test_a_study_is_what_its_resolved_file_says() -> None:
+    one = study()
+    assert study_from_dict(tomllib.loads(study_to_toml(one))) == one
+    assert small_study().coarse is None and study().coarse is not None
+
+
+@pytest.mark.parametrize(
+    ("tables", "line"),
+    [
+        (
+            {"coarse": {"coarse_duration_s": 2.5}},
+            "[coarse] coarse_duration_s: 2.5 s is no whole number of record intervals,"
+            " record_interval_s = 1 (nearest: 2 or 3)",
+        ),
+        (
+            {"coarse": {"coarse_duration_s": 6.0}},
+            "[coarse] coarse_duration_s: 6 s leaves nothing to fine alignment (at most 5)",
+        ),
+        (
+            {"coarse": {"coarse_duration_s": 3.0}, "passes": {"tape_s": 2.0}},
+            "[coarse] coarse_duration_s: 3 s leaves nothing to fine alignment (at most 2)",
+        ),
+        (
+            {"coarse": {"coarse_method": "analytic", "coarse_duration_s": 2.0}},
+            "[coarse] coarse_method: 'analytic' is only for the hand-over of a record",
+        ),
+        (
+            {"coarse": {"coarse_duration_s": 2.0}, "alignment": {"method": "optimisation"}},
+            "[coarse] coarse_method: method optimisation needs no coarse alignment before it"
+            " (give 'none')",
+        ),
+        (
+            {"coarse": {"coarse_duration_s": 2.0}, "resets": {"reset_times_s": [2.0, 4.0]}},
+            "[resets] reset_times_s: a reset at 2 s is not after coarse alignment, 2 s",
+        ),
+        (
+            {"coarse": {"coarse_duration_s": 2.0}, "resets": {"reset_count": 2}}
+            | {"axes": {"reset_cycle_s": [1.5, 2.5]}},
+            "[resets] reset_count: a reset at 1.5 s is not after coarse alignment, 2 s",
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused(tables: dict[str, Any], line: str) -> None:
+    assert refusal(**tables) == line
+
+
+def test_a_replay_may_be_reset_at_any_time() -> None:
+    small_study(
+        coarse={"coarse_duration_s": 2.0, "coarse_then": "replay"},
+        resets={"reset_times_s": [1.0, 4.0]},
+    )
+
+
+def test_a_run_is_repeated_alone(tmp_path: Path) -> None:
+    """With passes that rewind, a trigger, and after a replay."""
+    one = study(
+        passes={"tape_s": 4.0, "direction": "rewind"},
+        resets={"reset_trigger": "nis", "trigger_threshold": 5.0, "trigger_window_s": 0.5},
+    )
+    run.run_into(one, tmp_path / "out", curves=False)
+    for run_id in (2, 7, 23):
+        told = StringIO()
+        rerun.rerun_into(tmp_path / "out", run_id, Console(file=told, width=200))
+        assert "identical" in told.getvalue()
+
+
+def test_a_record_is_replayed_as_its_simulation_is() -> None:
+    """From its start time, with the attitude unknown; its own hand-over has t = 0 at its end."""
+    simulated = study(axes={"coarse_then": ["replay"]}, sensors={"gyro_noise_deg_per_h": 0.0})
+    record = build.simulated_record(simulated)
+    time_s = np.arange(0, 6.01, 0.01)
+    angles = [1.8 * np.sin(2 * np.pi * time_s / 6), 2.4 * np.sin(2 * np.pi * time_s / 8)]
+    yaw = 10 + 2.8 * np.sin(2 * np.pi * time_s / 10)
+    stored = StoredRecord(record, Reference(time_s, np.column_stack([*angles, yaw]), "true.csv"))
+    tables: dict[str, Any] = {
+        "study": {"duration_s": 6.0, "rate_hz": 100.0, "window_s": [2, 6], "curves": True},
+        "record": {"format": "psins"},
+        "coarse": {"coarse_duration_s": 3.0, "coarse_then": "replay"},
+    }
+    phi = run.run(study_from_dict(tables), stored).curves["phi_u_arcmin"].to_numpy()
+    expected = run.run(simulated).curves["phi_u_arcmin"].to_numpy()[:6]
+    np.testing.assert_allclose(phi, expected, rtol=1e-4, atol=0.01)
+    tables["study"] |= {"duration_s": 3.0, "window_s": [0, 3]}
+    tables["coarse"] |= {"coarse_then": "hand_over"}
+    handed_over = run.run(study_from_dict(tables), stored)
+    assert len(handed_over.curves) == 3
+    both = tables | {"axes": {"coarse_then": ["hand_over", "replay"]}}
+    both["coarse"] = {"coarse_duration_s": 2.0}
+    summary = run.run(study_from_dict(both), stored).summary
+    settled, data = (summary[f"settle_60_truth{name}_s"].to_pylist() for name in ("", "_data"))
+    assert data[0] == (None if settled[0] is None else settled[0] + 2.0)
+    assert data[1] == settled[1]
+    assert not any(name.endswith("data_s") for name in handed_over.summary.column_names)
