@@ -205,6 +205,7 @@ def test_without_the_earths_turn_the_invariant_error_is_linear_in_its_logarithm(
 
 
 @pytest.mark.slow
+@pytest.mark.optimised(False)
 @pytest.mark.parametrize("name", ["ekf_azimuth", "unscented"])
 def test_with_a_small_azimuth_it_is_kalman5_with_gravity(name):
     """From 60 s on, to what the second order of 0.01 deg and the transform leave."""

@@ -125,7 +125,6 @@ def test_what_a_run_begins_with_makes_no_difference(name):
 
 
 @pytest.mark.optimised(False)
-@pytest.mark.optimised(False)
 def test_all_methods_stand_in_one_study():
     """Each ignores the keys of the others; those that nothing acts on have the same runs."""
     study = small_study(

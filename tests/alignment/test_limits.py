@@ -159,6 +159,7 @@ def check(study: Study) -> None:
         assert limit.no_north == (np.hypot(*eps[i][:2]) > RATE * np.cos(latitude[i] * DEG))
 
 
+@pytest.mark.optimised(False)
 def test_the_small_angle_form_is_not_where_a_filter_ends() -> None:
     study = study_of(
         "kalman5",
@@ -318,6 +319,7 @@ def test_a_filter_with_bias_states_has_a_limit_on_a_still_base_only() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.optimised(False)
 def test_a_wide_p0_of_the_biases_shares_the_heading_with_them() -> None:
     """By sigma_eps^2 : (omega_N sigma_phi)^2 of the way from the start."""
     axes = {"p0_gyro_bias_deg_per_h": [0.1, 3.0]}
@@ -331,6 +333,7 @@ def test_a_wide_p0_of_the_biases_shares_the_heading_with_them() -> None:
     assert want > 60 * ARCMIN
 
 
+@pytest.mark.optimised(False)
 def test_what_gyros_cannot_tell_from_the_earth_is_found_before_a_run() -> None:
     assert hidden_north(study_of("kalman5", sensors={"gyro_bias_deg_per_h": [5.0, 5, 50]})) is None
     study = study_of(

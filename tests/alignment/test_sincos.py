@@ -173,6 +173,7 @@ def heading_errors(results):
 
 
 @pytest.mark.slow
+@pytest.mark.optimised(False)
 def test_the_heading_of_the_start_makes_no_difference():
     """From 30 s on, on the same noise."""
     study = matched(

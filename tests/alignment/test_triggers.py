@@ -505,6 +505,7 @@ def of_variant(rows, number):
     return [row for row in rows if row["variant_id"] == number]
 
 
+@pytest.mark.optimised(False)
 def test_what_a_trigger_did_is_told(rows):
     for row in rows:
         count, *times = (row[own.column.name] for own in TRIGGER_COUNTS)
@@ -514,6 +515,7 @@ def test_what_a_trigger_did_is_told(rows):
             assert (count, times) == (0, [None, None])
 
 
+@pytest.mark.optimised(False)
 def test_a_trigger_that_never_fires_changes_nothing(rows):
     assert len(of_variant(rows, 0)) == 3
     for without, quiet in zip(of_variant(rows, 0), of_variant(rows, QUIET), strict=True):
@@ -527,6 +529,7 @@ def test_a_trigger_that_never_fires_changes_nothing(rows):
                 assert type(quiet[name]) is type(value)
 
 
+@pytest.mark.optimised(False)
 def test_a_trigger_knows_nothing_of_the_runs_beside_it(rows):
     """Other neighbours, fewer draws: the same bits."""
     tables = ROWS | {"study": ROWS["study"] | {"draws": 2}}
@@ -536,6 +539,7 @@ def test_a_trigger_knows_nothing_of_the_runs_beside_it(rows):
     assert all(row["triggered_count"] for row in of_variant(alone, QUIET))
 
 
+@pytest.mark.optimised(False)
 def test_the_columns_of_a_trigger_come_with_it_alone(rows):
     told = {own.column.name for own in TRIGGER_COUNTS}
     assert told <= rows[0].keys()

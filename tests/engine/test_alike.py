@@ -14,6 +14,8 @@ from sinsjax.execution.tasks import Job, TaskRunner
 from sinsjax.study.acting import first_alike
 from sinsjax.study.load import Study
 
+pytestmark = pytest.mark.optimised(False)
+
 CYCLES = [0.1 * n for n in range(1, 41)]
 SWEPT: dict[str, Any] = {
     "study": {"duration_s": 4.0, "draws": 6, "window_s": [1, 4]},

@@ -145,6 +145,7 @@ def test_tapes_are_cut_apart_and_their_parts_share_a_program() -> None:
         )
 
 
+@pytest.mark.optimised(False)
 def test_the_program_may_differ_with_the_length_of_the_passes() -> None:
     study = small_study(
         study={"window_s": [0, 2]}, passes={"tape_s": 2.0}, axes={"passes": [1, 2, 3]}

@@ -32,19 +32,20 @@ from sinsjax.execution import tasks as study_tasks
 from sinsjax.platform import compile_cache, runtime, xla
 from sinsjax.study.load import Study, study_from_dict
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.optimised(False)]
 needs_two_cores = pytest.mark.skipif(
     runtime.usable_cores() < 2, reason="two workers need two cores, one each"
 )
 
 CHUNK = 128
 STUDY: dict[str, Any] = BASE | {
-    "study": BASE["study"] | {"duration_s": 300.0, "window_s": [200, 300], "draws": 600},
+    "study": BASE["study"]
+    | {"duration_s": 300.0, "rate_hz": 20.0, "window_s": [200, 300], "draws": 600},
     "alignment": {"method": "compass", "phi_e0_deg": 0.1, "phi_n0_deg": 0.1},
     "compass": {"level_time_s": 60.0},
     "axes": {"phi_u0_deg": [0.0, 0.3, 0.6, 1.0]},
 }
-"""2400 runs in 19 chunks of some 0.2 s; a compass is compiled quickly."""
+"""2400 runs in 19 chunks of some 0.1 s; a compass is compiled quickly."""
 
 Parts = dict[str, bytes]
 

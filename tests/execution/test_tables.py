@@ -164,6 +164,7 @@ def test_settling_is_told_in_update_time_and_in_data() -> None:
     assert table["settle_10_data_s"].null_count == 1
 
 
+@pytest.mark.optimised(False)
 def test_compass_loops_believe_nothing() -> None:
     """No sigma and no consistency; the keys that filters read are there, and null."""
     schedules = [([1.0], []), ([2.0, 1.0], [3.0])]

@@ -12,6 +12,8 @@ from sinsjax.execution import run as study_run
 from sinsjax.report import auto, over_axes
 from sinsjax.report.base import Picture, Source, Table
 
+pytestmark = pytest.mark.optimised(False)
+
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Source:

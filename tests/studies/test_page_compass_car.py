@@ -204,6 +204,7 @@ def test_kicks_are_what_an_exact_reflection_does_not_explain(data):
 
 
 @pytest.mark.slow
+@pytest.mark.optimised(False)
 def test_tilt_at_the_turns_explains_the_heading_on_the_real_record(data, data_dir, tmp_path):
     """On a base that sways, 7 passes over 80 s end as well as a filter does, if turned with care.
 

@@ -60,6 +60,7 @@ def test_the_least_error_is_that_of_the_best_schedule_and_sigma():
     assert least["reflect"][1].value == pytest.approx(np.sqrt(np.mean(errors[:, 9] ** 2)))
 
 
+@pytest.mark.optimised(False)
 def test_the_linear_loops_are_what_the_engine_does_without_noise():
     study = map_study(
         study={"rate_hz": 20.0, "draws": 1, "duration_s": 200.0, "window_s": [100, 200]},

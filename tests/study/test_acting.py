@@ -13,6 +13,8 @@ from sinsjax.engine.build import Scenario
 from sinsjax.study.acting import acts, conditions, deciding, first_alike
 from sinsjax.study.keys import SECTIONS
 
+pytestmark = pytest.mark.optimised(False)
+
 COMPASS = {"alignment": {"method": "compass"}}
 PASSES = {"passes": {"tape_s": 3.0}}
 SILENT: dict[str, tuple[dict[str, Any], str, list[Any]]] = {

@@ -71,6 +71,7 @@ def test_densities_out_of_place(changes: dict, line: str) -> None:
     assert str(caught.value) == line
 
 
+@pytest.mark.optimised(False)
 def test_heading_is_clockwise_from_north() -> None:
     study = small_study(axes={"yaw_center_deg": [10.0, -100.0]}, alignment={"phi_u0_deg": 0.0})
     made = run.run(study, curves=True)
