@@ -164,6 +164,9 @@ def in_turn(
     """
     disturbed = jax.tree.leaves(disturbances_of(environment, draw))
     if disturbed or quantised(environment, draw):
+        if ahead.numbers.size == 1:  # of many draws, which fill the vectors by themselves
+            before, now = step(before, *jax.tree.map(lambda a: a[0], ahead))
+            return jax.tree.map(lambda a: a[None], now), before
         before, rows = jax.lax.scan(lambda before, one: as_row(step(before, *one)), before, ahead)
         return from_rows(rows), before
     return jax.vmap(lambda *one: step(before, *one)[1])(*ahead), before
