@@ -205,10 +205,10 @@ class MotionSection(Section):
         " first-order velocity, whose acceleration grows with the sample rate",
     )
     vibration_ug_rms: Annotated[NoisePerAxis, Usual(0, 1e8)] = Field(
-        0.0, description="vibration of the box, rms of the specific force in body axes, ug"
+        0.0, description="vibration of the box, specific force along body axes, ug rms"
     )
     vibration_deg_per_h_rms: Annotated[NoisePerAxis, Usual(0, 1e8)] = Field(
-        0.0, description="vibration of the box, rms of the angular rate in body axes, deg/h"
+        0.0, description="vibration of the box, angular rate about body axes, deg/h rms"
     )
     vibration_hz: Bandwidth = Field(30.0, description="resonant frequency of the vibration, Hz")
     vibration_damping: Damping = Field(0.05, description="damping ratio of the resonance")

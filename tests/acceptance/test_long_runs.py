@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.studies import small_study
 
-from sinsjax.engine import batch, build, realisations, tile, truth
+from sinsjax.engine import batch, build, measurements, tile, truth
 from sinsjax.engine import lanes as lane_layout
 from sinsjax.engine.realisations import aligned_record
 from sinsjax.execution import run
@@ -23,7 +23,7 @@ MOST_BYTES = 60e6
 @pytest.fixture
 def without_tapes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(truth, "MOST_STORED_SAMPLES", 0)
-    monkeypatch.setattr(realisations, "SAMPLES_A_CALL", 30)
+    monkeypatch.setattr(measurements, "SAMPLES_A_CALL", 30)
 
 
 def arrays(jaxpr: Any) -> Iterator[tuple[int, str]]:

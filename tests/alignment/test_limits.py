@@ -48,7 +48,9 @@ MOTIONS = {
 def test_the_mean_attitude_is_that_over_many_periods(name: str) -> None:
     one = MOTIONS[name]
     t = np.linspace(0, 71_000, 300_007, endpoint=False)
-    angles = [s.center + s.amplitude * np.sin(2 * np.pi * t / s.period + s.phase) for s in one]
+    angles = [
+        s.center + s.amplitude * np.sin(2 * np.pi * t / s.period + s.phase) for s in one.angles
+    ]
     pitch, roll, yaw = angles
     turned = Rotation.from_euler("ZXY", np.column_stack([yaw, pitch, roll])).as_matrix()
     weights = np.hanning(len(t))  # over no whole number of all periods

@@ -12,6 +12,7 @@ from sinsjax.alignment.methods import SECTIONS_OF_METHODS
 from sinsjax.alignment.triggers.section import any_trigger
 from sinsjax.errors import InputError
 from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.keys import SECTIONS
 from sinsjax.study.load import Study, study_from_dict, study_to_toml
 
 BASE: dict[str, Any] = {
@@ -43,6 +44,15 @@ NEW: dict[str, dict[str, Any]] = {
 
 OF_SUCCESS = ("judged_from", "success_band_arcmin", "level_band_arcmin", "dwell_s", "diverged_deg")
 """Keys of [study] that came later still."""
+
+DISTURBANCES = {
+    *("surge_m_per_s", "surge_time_s", "surge_bandwidth_hz", "surge_model", "lever_arm_m"),
+    *("vibration_ug_rms", "vibration_deg_per_h_rms", "vibration_hz", "vibration_damping"),
+    *("gyro_instability_deg_per_h", "gyro_instability_time_s", "gyro_rrw_deg_per_h_per_sqrt_h"),
+    *("accel_instability_ug", "accel_instability_time_s", "accel_rrw_ug_per_sqrt_h"),
+    *("gyro_quantisation_arcsec", "accel_quantisation_um_per_s"),
+}
+"""Keys of the base and of the sensors that came later still, each with a default."""
 
 
 def built(**tables: Any) -> Study:
@@ -205,6 +215,9 @@ def test_a_study_without_these_keys_is_told_as_before(tables: dict[str, Any]) ->
     for section, keys in later.items():
         for key in keys if content[section] else ():
             assert content[section].pop(key) is None
+    for section in ("motion", "sensors"):
+        for key in content[section].keys() & DISTURBANCES:
+            assert content[section].pop(key) == SECTIONS[section].model_fields[key].default
     text = json.dumps(content, sort_keys=True)
     assert fingerprint(study) == hashlib.sha256(text.encode()).hexdigest()[:16]
 
