@@ -12,6 +12,7 @@ from sinsjax.maths.algebra import add, cross, dot, scale
 from sinsjax.types import Quat, Scalar, Vec3
 
 _TERMS = 8
+_TERMS_OF_A_SAMPLE = 4
 
 
 def multiply(a: Quat, b: Quat) -> Quat:
@@ -63,10 +64,23 @@ def exp(phi: Vec3) -> Quat:
     A power series in a quarter of the half angle, doubled twice: without calls of sin, cos or sqrt
     it is vectorised inside a scan, and it is smooth at zero.
     """
+    return _exp(phi, _TERMS)
+
+
+def exp_of_sample(phi: Vec3) -> Quat:
+    """`exp` of what a body turns within one sample, with half the terms.
+
+    Accurate to rounding for |phi| <= 0.6 rad, to 1e-10 rad up to 2 rad: far below what coning
+    compensation leaves of such a turn.
+    """
+    return _exp(phi, _TERMS_OF_A_SAMPLE)
+
+
+def _exp(phi: Vec3, terms: int) -> Quat:
     s = scale(0.125, phi)
     g = -dot(s, s)
-    cos, sinc = 1 / math.factorial(2 * _TERMS), 1 / math.factorial(2 * _TERMS + 1)
-    for n in reversed(range(_TERMS)):
+    cos, sinc = 1 / math.factorial(2 * terms), 1 / math.factorial(2 * terms + 1)
+    for n in reversed(range(terms)):
         cos = cos * g + 1 / math.factorial(2 * n)
         sinc = sinc * g + 1 / math.factorial(2 * n + 1)
     # q -> q q twice: (w, v) -> (2 w^2 - 1, 2 w v)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from sinsjax.maths import rng
 from sinsjax.maths.algebra import add, cross, dot, scale
 from sinsjax.maths.rng import normal_pair
-from sinsjax.maths.rotations import conjugate, exp, rotate
+from sinsjax.maths.rotations import conjugate, exp_of_sample, rotate
 from sinsjax.types import Array, Count, Increments, Sample, Scalar, Vec3
 
 
@@ -144,7 +144,7 @@ def compensate(now: Increments, before: Increments) -> Sample:
     rotation = cross(theta, dv)
     sculling = scale(1 / 12, add(cross(before.dtheta, dv), cross(before.dv, theta)))
     body = add(dv, add(scale(0.5, rotation), scale(1 / 6, cross(theta, rotation))))
-    return Sample(turn=exp(add(theta, coning)), dv=add(body, sculling))
+    return Sample(turn=exp_of_sample(add(theta, coning)), dv=add(body, sculling))
 
 
 def reverse(sample: Sample) -> Sample:
