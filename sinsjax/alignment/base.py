@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from sinsjax.alignment.description import StudyView
 from sinsjax.alignment.limits import Biases, Limit
+from sinsjax.maths.algebra import Entries
 from sinsjax.strapdown.earth import Earth, Place
 from sinsjax.types import Array, Flag, Navigation, Quat, Sample, Scalar, Vec3
 
@@ -112,6 +113,26 @@ class Ending(NamedTuple):
     backward: Flag
 
 
+class ErrorStep(NamedTuple):
+    """What a sample does to the error d of the corrected solution, to first order.
+
+    d <- (I - k_m h_m) ... (I - k_1 h_1) ((I + A dt) d + G w): estimates that are fed back leave d
+    as it is, and what is measured, a velocity that is truly zero, has no noise of its own.
+
+    Attributes:
+        transition: non-zero entries of A dt.
+        inputs: non-zero entries of G, of errors of the increments in n: velocity east, north, up,
+            m/s, then angle, rad.
+        gains: k of each measurement, in the order they are taken, n entries each.
+        measured: numbers of the measured states.
+    """
+
+    transition: Entries
+    inputs: Entries
+    gains: tuple[tuple[Scalar, ...], ...]
+    measured: tuple[int, ...]
+
+
 Change = Callable[[Any, int | None, Scalar, Scalar], Any]
 """(params of one run, entry of a list or None, value of a key, its value before) -> params."""
 
@@ -169,6 +190,12 @@ class Method(NamedTuple):
             of a method that estimates none.
         called: (state, n) -> whether the n-th sample itself called for the loop to be closed after
             it, which no `next_event` could tell before; None of a method where none does.
+        error_step: (params, site, state, sample, n) -> `ErrorStep` of the step from that state;
+            None of a method whose step tells no linear part.
+        error_angles: state -> phi of the corrected attitude by the states of d, (3, n) rows in n;
+            None with ``error_step``.
+        per_record: state at a record time -> state that begins the next interval, and what is
+            told of this one beside the observation; None of a method that tells no more.
         common_covariance: whether the covariance depends on params and n alone, so that runs that
             differ in their draw can share it.
     """
@@ -188,3 +215,6 @@ class Method(NamedTuple):
     rewind: Callable[[Any, Navigation, Any], Any] | None = None
     gyro_bias: Callable[[Any], Vec3] | None = None
     begin_after: Callable[[Any, Scalar], Any] | None = None
+    error_step: Callable[[Any, Site, Any, Sample, Scalar], ErrorStep] | None = None
+    error_angles: Callable[[Any], tuple[tuple[Scalar, ...], ...]] | None = None
+    per_record: Callable[[Any], tuple[Any, tuple[Scalar, ...]]] | None = None

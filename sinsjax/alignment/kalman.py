@@ -86,16 +86,33 @@ def update(belief: Belief, measured: Sequence[int], z: Sequence[Scalar], r: Scal
         r: variance of each measurement.
     """
     n = len(belief.x)
-    at = triangle_index(n)
     x, p = belief
     for m, value in zip(measured, z, strict=True):
-        column = [p[at[i, m]] for i in range(n)]
-        inverse = 1 / (column[m] + r)
+        column, inverse, p = _taken(p, m, r, n)
         innovation = (value - x[m]) * inverse
-        gain = [c * inverse for c in column]
         x = tuple(x[i] + column[i] * innovation for i in range(n))
-        p = tuple(p[at[i, j]] - gain[i] * column[j] for i in range(n) for j in range(i, n))
     return Belief(x, p)
+
+
+def gains(
+    p: Triangle, measured: Sequence[int], r: Scalar, n: int
+) -> tuple[tuple[Scalar, ...], ...]:
+    """The gain of each measurement of an `update`, (n,) each, from the predicted covariance."""
+    columns = []
+    for m in measured:
+        column, inverse, p = _taken(p, m, r, n)
+        columns.append(tuple(c * inverse for c in column))
+    return tuple(columns)
+
+
+def _taken(p: Triangle, m: int, r: Scalar, n: int) -> tuple[list[Scalar], Scalar, Triangle]:
+    """Column of P of a measured state, the inverse of its innovation's variance, and P after it."""
+    at = triangle_index(n)
+    column = [p[at[i, m]] for i in range(n)]
+    inverse = 1 / (column[m] + r)
+    gain = [c * inverse for c in column]
+    after = tuple(p[at[i, j]] - gain[i] * column[j] for i in range(n) for j in range(i, n))
+    return column, inverse, after
 
 
 def innovation(

@@ -27,6 +27,10 @@ class Observation(NamedTuple):
     yaw: Scalar
 
 
+FIELDS = 9
+"""Numbers of an `Observation`."""
+
+
 class Criteria(NamedTuple):
     """What the runs of a study are judged against.
 
@@ -127,7 +131,7 @@ def as_row(now: Observation) -> Array:
 
 def from_rows(rows: Array) -> Observation:
     """Observations with leaves (records, ...) from rows (records, fields, ...) of `as_row`."""
-    e, n, u, *sigma, pitch, roll, yaw = (rows[:, i] for i in range(rows.shape[1]))
+    e, n, u, *sigma, pitch, roll, yaw = (rows[:, i] for i in range(FIELDS))
     return Observation(Vec3(e, n, u), Vec3(*sigma), pitch, roll, yaw)
 
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sinsjax.alignment.base import Method, Options, Site
+from sinsjax.alignment.error_growth import with_growth
 from sinsjax.alignment.limits import Biases, mean_biases
 from sinsjax.alignment.methods import METHODS
 from sinsjax.engine.metrics import Criteria
@@ -46,6 +47,7 @@ class Static(NamedTuple):
         coarse: the stage before the method's own; None where that begins by itself.
         sways: whether a base that draws have for themselves sways; a still one is sensed once.
         distorted: whether the sensors have scale factor errors or misaligned axes.
+        errors: whether the growth of the true error goes with the runs, see `error_growth`.
         kept: samples of a draw's record that are made once and kept, where passes read it in both
             directions and a sample hangs on those before it; 0 where samples are made as they come.
     """
@@ -62,6 +64,7 @@ class Static(NamedTuple):
     rewinds: bool = False
     kept: int = 0
     coarse: CoarseStage | None = None
+    errors: bool = False
 
     @property
     def winds_back(self) -> bool:
@@ -71,7 +74,8 @@ class Static(NamedTuple):
 
 def method_of(static: Static) -> Method:
     """Build the study's method."""
-    return METHODS[static.method](static.options)
+    method = METHODS[static.method](static.options)
+    return with_growth(method) if static.errors else method
 
 
 class Environment(NamedTuple):

@@ -177,7 +177,7 @@ def over_record(
     n = (number * every + 1 + jnp.arange(every)).astype(environment.dtype)
     state, _ = jax.lax.scan(over_sample, state, (n, samples))
     run = observe(static, environment, Run(state, run.metrics), q_true, setup.limit.phi.z, n[-1])
-    observed = metrics.as_row(run.metrics.last) if static.curves else None
+    run, observed = told(static, run)
     return (run, before), observed
 
 
@@ -318,6 +318,17 @@ def observe(
     return Run(
         state, metrics.accumulate(run.metrics, environment.criteria, now, floor=floor, time=time)
     )
+
+
+def told(static: Static, run: Run) -> tuple[Run, Array | None]:
+    """The run that begins the next record interval, and what is kept of this one, see `as_row`."""
+    if not static.curves:
+        return run, None
+    observed, per_record = metrics.as_row(run.metrics.last), method_of(static).per_record
+    if per_record is None:
+        return run, observed
+    state, more = per_record(run.state)
+    return run._replace(state=state), jnp.concatenate([observed, jnp.stack(more)])
 
 
 def end(static: Static, site: Site, run: Run, limit: Limit) -> Outcome:

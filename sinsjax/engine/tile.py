@@ -112,19 +112,26 @@ def run_tile(
     Returns:
         Outcomes with leaves (lanes, ...), and if ``static.curves`` observations (records, lanes).
     """
+    outcome, rows = rows_of_tile(static, environment, tile, shown)
+    return outcome, None if rows is None else metrics.from_rows(rows)
+
+
+def rows_of_tile(
+    static: Static, environment: Environment, tile: Tiles, shown: int | None = None
+) -> tuple[Outcome, Array | None]:
+    """`run_tile` with what is told at record times as one array (records, fields, lanes)."""
     setup = set_up(static, environment, tile)
     q_true = None  # of draws with a motion of their own; that of others is looked up as runs go
     if setup.draws.motion is not None:
         q_true = over_draws(partial(attitudes, static, environment), setup.draws, out_axes=1)
-    runs, curves = over_stages(
+    runs, rows = over_stages(
         static,
         stage_functions(static, environment, setup, shown),
         nothing_read(static, environment, setup.draws),
         (jnp.arange(static.records), q_true),
     )
     end = jax.vmap(partial(simulate.end, static), in_axes=(setup.site_axis, 0, 0))
-    outcome = end(setup.site, runs, setup.limit)
-    return outcome, metrics.from_rows(curves) if static.curves else None
+    return end(setup.site, runs, setup.limit), rows
 
 
 def stage_functions(
@@ -207,8 +214,8 @@ def over_record(
     n = ((number + 1) * static.record_every).astype(environment.dtype)
     runs = Run(state, runs.metrics)
     runs = observe(runs, broadcast_to_runs(setup.row, q_true), setup.limit.phi.z, n)
-    observed = metrics.as_row(runs.metrics.last)[:, :shown] if static.curves else None
-    return (runs, before), observed
+    runs, observed = simulate.told(static, runs)
+    return (runs, before), None if observed is None else observed[:, :shown]
 
 
 def over_samples(

@@ -9,7 +9,12 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import NamedTuple
 
+import jax.numpy as jnp
+
 from sinsjax.types import Scalar, Vec3
+
+_LEAST_SHARE = 1e-12
+"""Of a variance, that is still told from rounding."""
 
 
 class Minus(NamedTuple):
@@ -92,6 +97,23 @@ def change_signs(signs: Sequence[float], p: Triangle) -> Triangle:
     n = len(signs)
     pairs = (signs[i] * signs[j] for i in range(n) for j in range(i, n))
     return tuple(sign * entry for sign, entry in zip(pairs, p, strict=True))
+
+
+def cholesky(p: Triangle, n: int) -> list[list[Scalar]]:
+    """Rows of the lower triangular L with P = L L', P symmetric and positive semidefinite.
+
+    What rounding leaves of a variance that others explain wholly counts as nothing.
+    """
+    at = triangle_index(n)
+    rows: list[list[Scalar]] = [[] for _ in range(n)]
+    for j in range(n):
+        left = p[at[j, j]] - sum(x * x for x in rows[j])
+        told = left > _LEAST_SHARE * p[at[j, j]]
+        root = jnp.sqrt(jnp.where(told, left, 1.0))
+        for i in range(j, n):
+            off = p[at[j, i]] - sum(x * y for x, y in zip(rows[i], rows[j], strict=False))
+            rows[i].append(jnp.where(told, off / root, 0.0))
+    return rows
 
 
 def solve3(p: Triangle, b: Vec3) -> Vec3:

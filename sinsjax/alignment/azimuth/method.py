@@ -38,7 +38,7 @@ from sinsjax.alignment.kalman import Belief
 from sinsjax.alignment.schedules import reset_covariance
 from sinsjax.alignment.triggers.watched import method_of
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import Entries, triangle_index
+from sinsjax.maths.algebra import Entries, Minus, triangle_index
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
@@ -78,10 +78,10 @@ def filter_of(predict: Prediction, options: Options) -> Filter:
 
     def propagate(
         params: FilterParams, site: Site, state: FilterState, sample: Sample
-    ) -> FilterState:
+    ) -> tuple[FilterState, Entries]:
         nav, _, here = mechanise(site, state.nav, sample)
         belief = predict(state.belief, here, dt, params.own.alpha)
-        return state._replace(nav=nav, belief=belief)
+        return state._replace(nav=nav, belief=belief), at_rest(state, here)
 
     def at_rest(state: FilterState, here: Place) -> Entries:
         return derivative(state.belief.x, here, dt)
@@ -100,6 +100,7 @@ def filter_of(predict: Prediction, options: Options) -> Filter:
         _attitude,
         _covariance,
         unaided,
+        _inputs,
     )
 
 
@@ -109,6 +110,11 @@ def _rotation(state: FilterState, phi: Vec3) -> Quat:
     sine, cosine = rotations.sin_cos(phi.z)
     by_vector = turned(phi.x, phi.y, sine, cosine)
     return jax.tree.map(lambda a, b: jnp.where(state.own.by_angles > 0, a, b), by_angles, by_vector)
+
+
+def _inputs(state: FilterState) -> Entries:
+    turned_by = {(i, 3 + k): Minus(1.0) for k, i in enumerate((TILT_E, TILT_N, AZIMUTH))}
+    return {(VE, 0): 1.0, (VN, 1): 1.0, **turned_by}
 
 
 def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:

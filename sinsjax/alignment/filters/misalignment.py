@@ -4,8 +4,8 @@ from typing import Any
 
 from sinsjax.alignment.base import AttitudeCovariance
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import triangle_index
-from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U
+from sinsjax.maths.algebra import Entries, Minus, triangle_index
+from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN
 from sinsjax.types import Quat, Vec3
 
 _ANGLES = (PHI_E, PHI_N, PHI_U)
@@ -14,6 +14,12 @@ _ANGLES = (PHI_E, PHI_N, PHI_U)
 def estimated(state: Any) -> Vec3:
     """`Filter.misalignment`: the estimated rotation vector, rad."""
     return Vec3(*(state.belief.x[i] for i in _ANGLES))
+
+
+def inputs(state: Any) -> Entries:
+    """`Filter.inputs`: velocities by velocity increments, phi against the angles."""
+    turned = {(i, 3 + k): Minus(1.0) for k, i in enumerate(_ANGLES)}
+    return {(VE, 0): 1.0, (VN, 1): 1.0, **turned}
 
 
 def corrected(state: Any) -> Quat:

@@ -17,6 +17,7 @@ from sinsjax.alignment import kalman, limits
 from sinsjax.alignment.base import (
     AttitudeCovariance,
     Ending,
+    ErrorStep,
     FilterResults,
     Innovations,
     Method,
@@ -101,7 +102,8 @@ class Filter(NamedTuple):
         dt: sample time, s.
         init: (params, navigation) -> state.
         propagate: (params, site, state, sample) -> state at the end of the sample: mechanised,
-            belief propagated, its process noise not yet added.
+            belief propagated, its process noise not yet added; and the transition of its errors,
+            the non-zero entries of A dt.
         update: (params, state) -> state after the update by the velocity, and the `Innovation`.
         feed_back: (state, share) -> state with that share of its estimate moved into the
             navigation solution, and by how much its attitude was corrected, rad.
@@ -114,6 +116,7 @@ class Filter(NamedTuple):
         attitude: state -> best attitude.
         covariance: state -> of that attitude.
         limit: see `Method.limit`.
+        inputs: state -> `ErrorStep.inputs`.
         own_results: (site, state) -> `FilterResults.own`; None of a filter without.
         common_covariance: see `Method.common_covariance`.
         keep: (state that begins a record again, state at its end) -> the first with what is no
@@ -123,7 +126,7 @@ class Filter(NamedTuple):
 
     dt: float
     init: Callable[[Any, Navigation], Any]
-    propagate: Callable[[Any, Site, Any, Sample], Any]
+    propagate: Callable[[Any, Site, Any, Sample], tuple[Any, Entries]]
     update: Callable[[Any, Any], tuple[Any, Innovation]]
     feed_back: Callable[[Any, Scalar], tuple[Any, Vec3]]
     reset: Callable[[CovarianceReset, Triangle, tuple[Scalar, ...]], Triangle]
@@ -134,6 +137,7 @@ class Filter(NamedTuple):
     attitude: Callable[[Any], Quat]
     covariance: Callable[[Any], AttitudeCovariance]
     limit: Callable[[Any, Place, Biases, Ending], Limit]
+    inputs: Callable[[Any], Entries]
     own_results: Callable[[Site, Any], Any] | None = None
     common_covariance: bool = False
     keep: Callable[[Any, Any], Any] | None = None
@@ -168,6 +172,8 @@ def closed_loop(filter_: Filter) -> Method:
         common_covariance=filter_.common_covariance,
         rewind=partial(_rewind, filter_),
         gyro_bias=filter_.gyro_bias,
+        error_step=partial(_error_step, filter_),
+        error_angles=partial(_error_angles, filter_),
         begin_after=_begin_after,
     )
 
@@ -178,9 +184,34 @@ def _results(filter_: Filter, site: Site, state: Any) -> FilterResults:
 
 
 def _step(filter_: Filter, params: Any, site: Site, state: Any, sample: Sample, n: Scalar) -> Any:
-    propagated = filter_.propagate(params, site, state, sample)
+    propagated, _ = filter_.propagate(params, site, state, sample)
     updated, _ = filter_.update(params, with_process_noise(params, propagated))
     return updated
+
+
+def _error_step(
+    filter_: Filter, params: Any, site: Site, state: Any, sample: Sample, n: Scalar
+) -> ErrorStep:
+    propagated, transition = filter_.propagate(params, site, state, sample)
+    predicted = with_process_noise(params, propagated).belief
+    gains = kalman.gains(predicted.p, (VE, VN), params.r, len(predicted.x))
+    return ErrorStep(transition, filter_.inputs(state), gains, (VE, VN))
+
+
+def _error_angles(filter_: Filter, state: Any) -> tuple[tuple[Scalar, ...], ...]:
+    """The corrected attitude's derivative by the estimates, whose errors are -d."""
+    x, q = state.belief.x, filter_.attitude(state)
+
+    def phi(x: tuple[Scalar, ...]) -> Vec3:
+        moved = state._replace(belief=state.belief._replace(x=x))
+        return rotations.misalignment(q, filter_.attitude(moved))
+
+    zero = tuple(jnp.zeros_like(one) for one in x)
+    columns = [
+        jax.jvp(phi, (x,), ((*zero[:i], jnp.ones_like(x[i]), *zero[i + 1 :]),))[1]
+        for i in range(len(x))
+    ]
+    return tuple(tuple(-one for one in row) for row in zip(*columns, strict=True))
 
 
 def with_process_noise(params: Any, state: Any) -> Any:

@@ -60,12 +60,13 @@ def filter_of(options: Options) -> Filter:
 
     def propagate(
         params: FilterParams, site: Site, state: FilterState, sample: Sample
-    ) -> FilterState:
+    ) -> tuple[FilterState, Entries]:
         before = state.nav
         nav, f_dt, here = mechanise(site, before, sample)
         up = state.own + (f_dt.z - here.gravity * dt) + _coriolis_up(before, here) * dt
-        belief = kalman.propagate(state.belief, transition(before, here))
-        return state._replace(nav=nav, belief=belief, own=up)
+        entries = transition(before, here)
+        belief = kalman.propagate(state.belief, entries)
+        return state._replace(nav=nav, belief=belief, own=up), entries
 
     return Filter(
         dt,
@@ -81,6 +82,7 @@ def filter_of(options: Options) -> Filter:
         misalignment.corrected,
         misalignment.covariance,
         unaided,
+        misalignment.inputs,
         common_covariance=options.position == "fixed",
     )
 

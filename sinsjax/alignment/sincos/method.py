@@ -81,9 +81,10 @@ def filter_of(options: Options) -> Filter:
 
     def propagate(
         params: FilterParams, site: Site, state: FilterState, sample: Sample
-    ) -> FilterState:
+    ) -> tuple[FilterState, Entries]:
         nav, _, here = mechanise(site, state.nav, sample)
-        return state._replace(nav=nav, belief=kalman.propagate(state.belief, transition(here, dt)))
+        entries = transition(here, dt)
+        return state._replace(nav=nav, belief=kalman.propagate(state.belief, entries)), entries
 
     return Filter(
         dt,
@@ -99,6 +100,7 @@ def filter_of(options: Options) -> Filter:
         _attitude,
         _covariance,
         unaided,
+        _inputs,
         own_results=_north_drift,
         common_covariance=options.position == "fixed",
         keep=_keep_amplitude,
@@ -163,6 +165,15 @@ def _direction(state: Any) -> Direction:
         jnp.where(known, c, 1.0) / amplitude,
         amplitude,
     )
+
+
+def _inputs(state: FilterState) -> Entries:
+    """`Filter.inputs`: a turn about the vertical moves sine and cosine of the azimuth."""
+    d = _direction(state)
+    return {
+        **{(VE, 0): 1.0, (VN, 1): 1.0, (TILT_E, 3): Minus(1.0), (TILT_N, 4): Minus(1.0)},
+        **{(SINE, 5): Minus(d.cosine), (VERSINE, 5): Minus(d.sine)},
+    }
 
 
 def _misalignment(state: FilterState) -> Vec3:

@@ -43,7 +43,7 @@ def with_trigger(filter_: Filter, name: str) -> Method:
 
     def step(params: Any, site: Site, state: Any, sample: Sample, n: Scalar) -> Any:
         before, noise = state, AssumedNoise(params.q, params.r)
-        state = filter_.propagate(params, site, state, sample)
+        state, _ = filter_.propagate(params, site, state, sample)
         measured = state.nav.ve, state.nav.vn
         watched, belief = triggers.fade(
             trigger, params.trigger, noise, state.trigger_state, state.belief, measured

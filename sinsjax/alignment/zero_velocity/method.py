@@ -53,7 +53,7 @@ def filter_of(model: ErrorModel, options: Options) -> Filter:
 
     def propagate(
         params: FilterParams, site: Site, state: FilterState, sample: Sample
-    ) -> FilterState:
+    ) -> tuple[FilterState, Entries]:
         """Mechanise, then [P1] eqs (8) and (9) but for Q."""
         before, sample = state.nav, model.correct_sample(sample, state.bias, dt)
         nav, f_dt, here = mechanise(site, before, sample)
@@ -61,7 +61,8 @@ def filter_of(model: ErrorModel, options: Options) -> Filter:
             transition = at_rest(state, here)
         else:
             transition = model.transition(before, here, f_dt, dt)
-        return state._replace(nav=nav, belief=kalman.propagate(state.belief, transition))
+        belief = kalman.propagate(state.belief, transition)
+        return state._replace(nav=nav, belief=belief), transition
 
     return Filter(
         dt,
@@ -77,6 +78,7 @@ def filter_of(model: ErrorModel, options: Options) -> Filter:
         misalignment.corrected,
         misalignment.covariance,
         unaided,
+        misalignment.inputs,
         common_covariance=assumed_at_rest
         and options.position == "fixed"
         and not model.uses_attitude,

@@ -1,0 +1,198 @@
+"""How the true error of a run grows and shrinks over a record interval: linear covariance analysis.
+
+Beside the noise-free run of a method goes the error d of its corrected solution, to first order
+and in closed loop (`base.ErrorStep`): over an interval d <- F d + noise of covariance W. The gains
+are those the filter has, the noise is that of the sensors, whatever the filter believes of it.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from sinsjax.alignment.base import ErrorStep, Method, Site
+from sinsjax.maths import rotations
+from sinsjax.maths.algebra import (
+    Entries,
+    Minus,
+    Triangle,
+    congruence,
+    times_plus_identity,
+    triangle_index,
+)
+from sinsjax.types import Navigation, Quat, Sample, Scalar
+
+
+class IncrementNoise(NamedTuple):
+    """Variances of the noise of a sample's increments, white, about the body's axes.
+
+    Attributes:
+        velocity: of x, y, z, (m/s)^2.
+        angle: likewise, rad^2.
+    """
+
+    velocity: tuple[Scalar, Scalar, Scalar]
+    angle: tuple[Scalar, Scalar, Scalar]
+
+
+class ErrorGrowth(NamedTuple):
+    """What has become of the error since a record interval began.
+
+    Attributes:
+        columns: of F, n of n entries.
+        noise: W, upper triangle.
+    """
+
+    columns: tuple[tuple[Scalar, ...], ...]
+    noise: Triangle
+
+
+class Watched(NamedTuple):
+    """A method's state, and how its error has grown.
+
+    Attributes:
+        inner: the method's own state.
+        growth: since the record interval began.
+    """
+
+    inner: Any
+    growth: ErrorGrowth
+
+    @property
+    def nav(self) -> Navigation:
+        """The method's navigation solution."""
+        nav: Navigation = self.inner.nav
+        return nav
+
+
+class ErrorParams(NamedTuple):
+    """Numbers of a method whose error is watched.
+
+    Attributes:
+        inner: the method's own.
+        noise: of the sensors.
+    """
+
+    inner: Any
+    noise: IncrementNoise
+
+
+def no_growth(n: int, zero: Scalar) -> ErrorGrowth:
+    """At the beginning of an interval: F = I and W = 0, for n states."""
+    columns = tuple(tuple(zero + float(i == j) for i in range(n)) for j in range(n))
+    return ErrorGrowth(columns, (zero,) * (n * (n + 1) // 2))
+
+
+def advance(growth: ErrorGrowth, step: ErrorStep, q: Quat, noise: IncrementNoise) -> ErrorGrowth:
+    """The growth a sample later.
+
+    Args:
+        growth: so far.
+        step: of the sample.
+        q: attitude, body to n, in which the noise enters.
+        noise: of the sample's increments.
+    """
+    n = len(growth.columns)
+    columns = tuple(times_plus_identity(step.transition, column) for column in growth.columns)
+    w = congruence(step.transition, growth.noise, n)
+    w = _with_inputs(step.inputs, w, _in_n(q, noise), n)
+    for k, m in zip(step.gains, step.measured, strict=True):
+        columns = tuple(updated(column, k, m) for column in columns)
+        w = _updated(w, k, m)
+    return ErrorGrowth(columns, w)
+
+
+def updated(d: tuple[Scalar, ...], k: tuple[Scalar, ...], m: int) -> tuple[Scalar, ...]:
+    """(I - k h) d, h the row that measures state m."""
+    return tuple(one - gain * d[m] for one, gain in zip(d, k, strict=True))
+
+
+def _in_n(q: Quat, noise: IncrementNoise) -> dict[tuple[int, int], Scalar]:
+    """C diag(variances) C' of both sensors, entries (i, j) with i <= j."""
+    c, out = rotations.matrix(q), {}
+    for first, variances in ((0, noise.velocity), (3, noise.angle)):
+        for i in range(3):
+            for j in range(i, 3):
+                terms = (c[i][a] * c[j][a] * variances[a] for a in range(3))
+                out[first + i, first + j] = sum(terms)
+    return out
+
+
+def _with_inputs(
+    inputs: Entries, w: Triangle, noise: dict[tuple[int, int], Scalar], n: int
+) -> Triangle:
+    """W + G N G' for the entries of G and of N, in n."""
+    out, at = list(w), triangle_index(n)
+    for (i, a), by_a in inputs.items():
+        for (j, b), by_b in inputs.items():
+            if i <= j and (min(a, b), max(a, b)) in noise:
+                term = noise[min(a, b), max(a, b)]
+                out[at[i, j]] = out[at[i, j]] + _number(by_a) * _number(by_b) * term
+    return tuple(out)
+
+
+def _number(entry: Scalar | Minus) -> Scalar:
+    return -entry.of if isinstance(entry, Minus) else entry
+
+
+def _updated(w: Triangle, k: tuple[Scalar, ...], m: int) -> Triangle:
+    """(I - k h) W (I - k h)', h the row that measures state m."""
+    n = len(k)
+    at = triangle_index(n)
+    column = [w[at[i, m]] for i in range(n)]
+    left = [c - 0.5 * g * column[m] for c, g in zip(column, k, strict=True)]
+    return tuple(
+        w[at[i, j]] - (k[i] * left[j] + left[i] * k[j]) for i in range(n) for j in range(i, n)
+    )
+
+
+def with_growth(method: Method) -> Method:
+    """A method that also tells, at record times, how its error has grown since the last one.
+
+    Its params are `ErrorParams`. `Method.per_record` gives the rows of F, then W, then the rows of
+    phi by the states of d.
+
+    Args:
+        method: with an `error_step`, read forward once.
+    """
+    error_step, error_angles = method.error_step, method.error_angles
+    assert error_step is not None and error_angles is not None
+    close, next_event, called, results = (
+        method.close,
+        method.next_event,
+        method.called,
+        method.results,
+    )
+
+    def init(params: ErrorParams, nav: Navigation) -> Watched:
+        inner = method.init(params.inner, nav)
+        n = len(error_angles(inner)[0])
+        return Watched(inner, no_growth(n, jnp.zeros_like(nav.ve)))
+
+    def step(params: ErrorParams, site: Site, state: Watched, sample: Sample, n: Scalar) -> Watched:
+        given = params.inner, site, state.inner, sample, n
+        growth = advance(state.growth, error_step(*given), state.nav.q, params.noise)
+        return Watched(method.step(*given), growth)
+
+    def per_record(state: Watched) -> tuple[Watched, tuple[Scalar, ...]]:
+        columns, w = state.growth
+        rows = [entry for row in zip(*columns, strict=True) for entry in row]
+        angles = [entry for row in error_angles(state.inner) for entry in row]
+        anew = no_growth(len(columns), jnp.zeros_like(w[0]))
+        return state._replace(growth=anew), (*rows, *w, *angles)
+
+    return Method(
+        init,
+        step,
+        lambda params, site, state: state,
+        lambda state: method.attitude(state.inner),
+        lambda state: method.covariance(state.inner),
+        lambda state: state._replace(inner=method.normalise(state.inner)),
+        lambda params, *given: method.limit(params.inner, *given),
+        results=results and (lambda site, state: results(site, state.inner)),
+        close=close
+        and (lambda params, state, n: state._replace(inner=close(params.inner, state.inner, n))),
+        next_event=next_event
+        and (lambda params, state, n: next_event(params.inner, state.inner, n)),
+        called=called and (lambda state, n: called(state.inner, n)),
+        per_record=per_record,
+    )
