@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from sinsjax.engine.covariance import Spread
 from sinsjax.engine.lanes import LANES, Group, Lanes, Tiles, layout, shown, tiles_of
 from sinsjax.engine.metrics import Observation, Outcome
 from sinsjax.engine.realisations import Environment, Static
@@ -46,13 +47,14 @@ class Chunk(NamedTuple):
         draw: (runs,) number of each run's draw in the study.
         variant: (runs,) place of each run's variant in the group.
         outcome: `Outcome` with leaves (runs, ...).
-        curves: `Observation` with leaves (runs, records), or None.
+        curves: `Observation` with leaves (runs, records), or `Spread` with leaves (runs, ...),
+            or None.
     """
 
     draw: np.ndarray
     variant: np.ndarray
     outcome: Outcome
-    curves: Observation | None
+    curves: Observation | Spread | None
 
 
 class Plan:
@@ -278,7 +280,7 @@ class Calls:
             group.draws.draw_id[draw[runs]],
             variant[runs],
             jax.tree.map(lambda a: a[tile, lane], outcome),
-            jax.tree.map(lambda a: a[tile, :, lane], curves),
+            jax.tree.map(lambda a: a[tile, ..., lane], curves),
         )
 
 

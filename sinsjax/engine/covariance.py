@@ -14,63 +14,47 @@ import numpy as np
 
 from sinsjax.alignment.error_growth import ErrorParams, IncrementNoise
 from sinsjax.engine import metrics
-from sinsjax.engine.lanes import Group, Tiles
+from sinsjax.engine.lanes import Group
 from sinsjax.engine.metrics import FIELDS
 from sinsjax.engine.realisations import Environment, Static
-from sinsjax.engine.tile import rows_of_tile
 from sinsjax.maths.algebra import Triangle, cholesky, triangle_index
-from sinsjax.types import Array
+from sinsjax.types import Array, Count
 
 
 class Spread(NamedTuple):
-    """Of the errors of one variant; leaves (records,) with lanes after them.
+    """Of the errors of runs about their noise-free run; runs are the last axis of each leaf.
 
     Attributes:
         phi: (3, records) misalignment of the noise-free run, e, n, u, rad.
         sigma: (3, records) standard deviation of the misalignment about it, rad.
         belief: (3, records) that which the method itself tells, rad.
         outside_until: (2, B, samples) as `Metrics.outside_until`, of sampled errors.
-        floor: what phi_u should settle to, rad.
     """
 
     phi: Array
     sigma: Array
     belief: Array
     outside_until: Array
-    floor: Array
 
 
-def watched(group: Group) -> Group:
-    """The noise-free group of one draw whose method tells how its error grows."""
+def watched(group: Group, samples: int) -> Group:
+    """The noise-free group of one draw whose runs tell the spread of those with noise.
+
+    Args:
+        group: of one draw.
+        samples: sampled errors of a run, an even number; the same numbers for all runs.
+    """
     errors = group.environment.errors
     noise = IncrementNoise(tuple(errors.accel_noise**2), tuple(errors.gyro_noise**2))
     like = np.zeros_like(group.variants.ve)
     params = ErrorParams(group.variants.method, jax.tree.map(lambda a: a + like, noise))
     return group._replace(
-        static=group.static._replace(errors=True, noisy=False, curves=True),
+        static=group.static._replace(sampled_errors=samples, noisy=False, curves=True),
         variants=group.variants._replace(method=params),
     )
 
 
-def spread_of_tile(static: Static, environment: Environment, normals: Array, tile: Tiles) -> Spread:
-    """The spread of the variants in the lanes of a tile.
-
-    Args:
-        static: program of a `watched` group.
-        environment: shared by all.
-        normals: (records, n, samples) standard normal numbers, the same for all variants.
-        tile: a single one, of one draw.
-
-    Returns:
-        Leaves with lanes as last axis.
-    """
-    outcome, rows = rows_of_tile(static, environment, tile)
-    return judged(static, environment, rows, outcome.limit.phi.z, normals)
-
-
-def judged(
-    static: Static, environment: Environment, rows: Array, floor: Array, normals: Array
-) -> Spread:
+def spread(static: Static, environment: Environment, rows: Array, floor: Array) -> Spread:
     """Mean, covariance and sampled errors from what a watched method tells record by record.
 
     Args:
@@ -78,10 +62,10 @@ def judged(
         environment: shared by all.
         rows: (records, fields, lanes): the observation, F, W, and phi by the states.
         floor: (lanes,) what phi_u should settle to, rad.
-        normals: as of `spread_of_tile`.
     """
-    n, samples = normals.shape[1:]
+    n, samples = states_of(rows.shape[1]), static.sampled_errors
     squares = n * n
+    normals = standard_normals(environment.seed, len(rows), n, samples)
     zero = jnp.zeros_like(floor)
     criteria = environment.criteria
 
@@ -107,7 +91,12 @@ def judged(
     numbers = jnp.arange(len(rows))
     (_, _, outside), told = jax.lax.scan(over, (s, e, outside), (numbers, rows, normals))
     phi, sigma, belief = (jnp.moveaxis(a, 0, 1) for a in told)
-    return Spread(phi, sigma, belief, outside, floor)
+    return Spread(phi, sigma, belief, outside)
+
+
+def states_of(fields: int) -> int:
+    """How many states a watched method has that tells so many numbers: n^2 + n (n + 1)/2 + 3 n."""
+    return next(n for n in range(fields) if n * n + n * (n + 1) // 2 + 3 * n == fields - FIELDS)
 
 
 def over_bands(criteria: metrics.Criteria, error: Array) -> Array:
@@ -147,7 +136,7 @@ def _variance(row: list[Array], s: Triangle) -> Array:
     return jnp.maximum(sum(terms), 0.0)
 
 
-def standard_normals(seed: int, records: int, n: int, samples: int) -> Array:
+def standard_normals(seed: Count, records: int, n: int, samples: int) -> Array:
     """(records, n, samples) standard normal numbers, half of them the others' opposites."""
     half = jax.random.normal(jax.random.key(seed), (records, n, samples // 2), float)
     return jnp.concatenate([half, -half], axis=-1)

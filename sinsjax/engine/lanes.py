@@ -132,4 +132,5 @@ def shown(group: Group) -> int | None:
     """
     draws, variants = group.sizes
     taken = draws * layout(group.static, variants)[1]
-    return taken if group.static.curves and taken < LANES else None
+    static = group.static
+    return taken if static.curves and not static.sampled_errors and taken < LANES else None

@@ -47,7 +47,8 @@ class Static(NamedTuple):
         coarse: the stage before the method's own; None where that begins by itself.
         sways: whether a base that draws have for themselves sways; a still one is sensed once.
         distorted: whether the sensors have scale factor errors or misaligned axes.
-        errors: whether the growth of the true error goes with the runs, see `error_growth`.
+        sampled_errors: of how many sampled errors of each run the spread is told beside it, see
+            `covariance`; 0 where none is.
         kept: samples of a draw's record that are made once and kept, where passes read it in both
             directions and a sample hangs on those before it; 0 where samples are made as they come.
     """
@@ -64,7 +65,7 @@ class Static(NamedTuple):
     rewinds: bool = False
     kept: int = 0
     coarse: CoarseStage | None = None
-    errors: bool = False
+    sampled_errors: int = 0
 
     @property
     def winds_back(self) -> bool:
@@ -75,7 +76,7 @@ class Static(NamedTuple):
 def method_of(static: Static) -> Method:
     """Build the study's method."""
     method = METHODS[static.method](static.options)
-    return with_growth(method) if static.errors else method
+    return with_growth(method) if static.sampled_errors else method
 
 
 class Environment(NamedTuple):

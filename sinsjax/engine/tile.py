@@ -17,6 +17,7 @@ from sinsjax.alignment.base import Site
 from sinsjax.alignment.limits import Limit
 from sinsjax.alignment.passes import BodyTurn, PassReading
 from sinsjax.engine import metrics, reading, simulate
+from sinsjax.engine.covariance import Spread, spread
 from sinsjax.engine.lanes import Tiles
 from sinsjax.engine.measurements import Read
 from sinsjax.engine.metrics import Observation, Outcome
@@ -100,7 +101,7 @@ def nothing_read(static: Static, environment: Environment, draws: Draw) -> Read:
 
 def run_tile(
     static: Static, environment: Environment, tile: Tiles, shown: int | None = None
-) -> tuple[Outcome, Observation | None]:
+) -> tuple[Outcome, Observation | Spread | None]:
     """All runs of one tile, as `simulate.simulate` for one.
 
     Args:
@@ -110,16 +111,9 @@ def run_tile(
         shown: lanes whose observations are returned, the first ones; None for all.
 
     Returns:
-        Outcomes with leaves (lanes, ...), and if ``static.curves`` observations (records, lanes).
+        Outcomes with leaves (lanes, ...), and if ``static.curves`` observations (records, lanes),
+        or, if ``static.sampled_errors``, the spread of runs with noise.
     """
-    outcome, rows = rows_of_tile(static, environment, tile, shown)
-    return outcome, None if rows is None else metrics.from_rows(rows)
-
-
-def rows_of_tile(
-    static: Static, environment: Environment, tile: Tiles, shown: int | None = None
-) -> tuple[Outcome, Array | None]:
-    """`run_tile` with what is told at record times as one array (records, fields, lanes)."""
     setup = set_up(static, environment, tile)
     q_true = None  # of draws with a motion of their own; that of others is looked up as runs go
     if setup.draws.motion is not None:
@@ -131,7 +125,12 @@ def rows_of_tile(
         (jnp.arange(static.records), q_true),
     )
     end = jax.vmap(partial(simulate.end, static), in_axes=(setup.site_axis, 0, 0))
-    return end(setup.site, runs, setup.limit), rows
+    outcome = end(setup.site, runs, setup.limit)
+    if rows is None:
+        return outcome, None
+    if static.sampled_errors:
+        return outcome, spread(static, environment, rows, outcome.limit.phi.z)
+    return outcome, metrics.from_rows(rows)
 
 
 def stage_functions(

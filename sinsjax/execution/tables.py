@@ -130,7 +130,7 @@ class Tables:
 
     def curves(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
         """Curves of a chunk that has them, one row per run and record time."""
-        assert chunk.curves is not None
+        assert isinstance(chunk.curves, Observation)
         run_id = chunk.draw * self._study.n_variants + variant_ids[chunk.variant]
         codes, spans = self._study.lengths
         span = spans[codes[variant_ids[0]]]  # common to all variants of a part
