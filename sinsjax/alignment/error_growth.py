@@ -16,10 +16,11 @@ from sinsjax.maths.algebra import (
     Minus,
     Triangle,
     congruence,
+    dot,
     times_plus_identity,
     triangle_index,
 )
-from sinsjax.types import Navigation, Quat, Sample, Scalar
+from sinsjax.types import Increments, Navigation, Quat, Sample, Scalar
 
 
 class IncrementNoise(NamedTuple):
@@ -99,6 +100,29 @@ def advance(growth: ErrorGrowth, step: ErrorStep, q: Quat, noise: IncrementNoise
         columns = tuple(updated(column, k, m) for column in columns)
         w = _updated(w, k, m)
     return ErrorGrowth(columns, w)
+
+
+def driven(
+    step: ErrorStep, q: Quat, excess: Increments, d: tuple[Scalar, ...]
+) -> tuple[Scalar, ...]:
+    """The error a sample later.
+
+    Args:
+        step: of the sample.
+        q: attitude, body to n, in which the error of the increments enters.
+        excess: error of the increments in b, rad and m/s.
+        d: error so far.
+    """
+    rows = rotations.matrix(q)
+    in_n = [dot(row, excess.dv) for row in rows] + [dot(row, excess.dtheta) for row in rows]
+    out = list(times_plus_identity(step.transition, d))
+    for (i, axis), by in step.inputs.items():
+        entry = in_n[axis]
+        out[i] = out[i] - by.of * entry if isinstance(by, Minus) else out[i] + by * entry
+    d = tuple(out)
+    for k, m in zip(step.gains, step.measured, strict=True):
+        d = updated(d, k, m)
+    return d
 
 
 def updated(d: tuple[Scalar, ...], k: tuple[Scalar, ...], m: int) -> tuple[Scalar, ...]:

@@ -205,16 +205,27 @@ def over_record(
     nothing = partial(nothing_read, static, environment, setup.draws)
     before = reading.as_pass_begins(static, read, before, nothing)
     state, before = over_samples(static, environment, setup, read, number, (state, before))
+    runs = observe(static, environment, setup, Run(state, runs.metrics), number, q_true)
+    runs, observed = simulate.told(static, runs)
+    return (runs, before), None if observed is None else observed[:, :shown]
+
+
+def observe(
+    static: Static,
+    environment: Environment,
+    setup: TileSetup,
+    runs: Run,
+    number: Count,
+    q_true: Quat | None,
+) -> Run:
+    """All runs after their observation at the end of a record interval; see `over_record`."""
     # Looked up here: those of all records, draw by draw, would fill the memory.
     q_true = attitude(environment, setup.draws, number) if q_true is None else q_true
-    observe = jax.vmap(
+    over_runs = jax.vmap(
         partial(simulate.observe, static, environment), in_axes=(0, setup.draw_axis, 0, None)
     )
     n = ((number + 1) * static.record_every).astype(environment.dtype)
-    runs = Run(state, runs.metrics)
-    runs = observe(runs, broadcast_to_runs(setup.row, q_true), setup.limit.phi.z, n)
-    runs, observed = simulate.told(static, runs)
-    return (runs, before), None if observed is None else observed[:, :shown]
+    return over_runs(runs, broadcast_to_runs(setup.row, q_true), setup.limit.phi.z, n)
 
 
 def over_samples(
