@@ -6,18 +6,20 @@ those of the variant, common to its draws: a companion costs a part of a run. It
 close to that of the run with the same noise, and its expectation is known: a control variate.
 """
 
+from collections.abc import Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from sinsjax.alignment import passes
 from sinsjax.alignment.error_growth import driven
 from sinsjax.alignment.schedules import mix
 from sinsjax.engine import simulate, tile
-from sinsjax.engine.covariance import over_bands
-from sinsjax.engine.lanes import Tiles
+from sinsjax.engine.covariance import over_bands, record_times
+from sinsjax.engine.lanes import Group, Tiles
 from sinsjax.engine.measurements import Read, look_back
 from sinsjax.engine.pieces import measurer, piece
 from sinsjax.engine.realisations import Draw, Environment, Static, method_of
@@ -51,6 +53,50 @@ class Accompanied(NamedTuple):
     errors: tuple[Array, ...]
 
 
+VARIANTS, DRAWS = 8, 64
+"""Of a call: the errors of some states of theirs stay in the first-level cache."""
+
+
+def of_group(group: Group) -> Iterator[tuple[np.ndarray, np.ndarray, Companions]]:
+    """The companions of all runs of a group, call by call.
+
+    Yields:
+        Places of some variants and of some draws, and the companions, leaves (..., variants,
+        draws).
+    """
+    draws, variants = group.sizes
+    for first in range(0, variants, VARIANTS):
+        lanes = np.arange(first, first + VARIANTS)
+        tile_ = _tile(group, np.minimum(lanes, variants - 1))
+        for begin in range(0, draws, DRAWS):
+            taken = np.arange(begin, begin + DRAWS)
+            lane, draw = lanes < variants, taken < draws
+            own = _some(group.draws, np.minimum(taken, draws - 1))
+            made = jax.device_get(_call(group.static, group.environment, tile_, own))
+            # Idle lanes and draws are at the end.
+            phi, outside = (a[..., : sum(lane), : sum(draw)] for a in made)
+            yield lanes[lane], taken[draw], Companions(phi, outside)
+
+
+def _some(draws: Draw, places: np.ndarray) -> Draw:
+    taken: Draw = jax.tree.map(lambda a: a[places] if np.ndim(a) else a, draws)
+    return taken
+
+
+def _tile(group: Group, variants: np.ndarray) -> Tiles:
+    """Some variants in the lanes of a tile of one draw, the group's first."""
+    first = jax.tree.map(lambda a: a[:1] if np.ndim(a) else np.full(1, a), group.draws)
+    params = jax.tree.map(lambda a: np.asarray(a)[variants], group.variants)
+    q = np.broadcast_to(group.q[0], (len(variants), 4)).T
+    row = np.zeros(len(variants), np.int32)
+    return Tiles(first, row, params._replace(q=type(group.variants.q)(*q)))
+
+
+@partial(jax.jit, static_argnums=0)
+def _call(static: Static, environment: Environment, variants: Tiles, draws: Draw) -> Companions:
+    return companions(static, environment, variants, draws)
+
+
 def companions(
     static: Static, environment: Environment, variants: Tiles, draws: Draw
 ) -> Companions:
@@ -71,7 +117,7 @@ def companions(
     method, count = method_of(quiet), draws.draw_id.size
     assert method.error_angles is not None
     none = jnp.zeros((setup.row.size, count))
-    errors = (none,) * len(method.error_angles(runs.state)[0])
+    errors = (none,) * len(jax.vmap(method.error_angles)(runs.state)[0])
     reads = (
         tile.nothing_read(quiet, _undisturbed(environment), setup.draws),
         tile.nothing_read(static, environment, draws),
@@ -129,7 +175,7 @@ def _over_record(
         quiet, environment, setup, Run(state.inner, runs.metrics), number, q_true=None
     )
     assert method.error_angles is not None
-    angles = method.error_angles(inner.state)
+    angles = jax.vmap(method.error_angles)(inner.state)
     phi = jnp.stack(
         [
             mean[:, None] + sum(a[:, None] * d for a, d in zip(row, state.errors, strict=True))
@@ -151,7 +197,8 @@ def _step(
     method, (sample, excess) = method_of(static), made
     assert method.error_step is not None
     given = params.method, site, state.inner, sample, n
-    errors = driven(method.error_step(*given), state.inner.nav.q, excess, state.errors)
+    moved = partial(driven, method.error_step(*given), state.inner.nav.q)
+    errors = jax.vmap(moved)(excess, state.errors)
     return Accompanied(method.step(*given), errors)
 
 
@@ -182,12 +229,11 @@ def _judged(static: Static, environment: Environment, phi: Array, floor: Array) 
     """Settling of misalignments (records, 3, lanes, draws)."""
     criteria = environment.criteria
 
-    def over(outside: Array, record: tuple[Count, Array]) -> tuple[Array, None]:
-        number, error = record
-        time = (number + 1) * (static.record_every * static.options.dt)
+    def over(outside: Array, record: tuple[Scalar, Array]) -> tuple[Array, None]:
+        time, error = record
         now = [over_bands(criteria, error - floor[:, None]), over_bands(criteria, error)]
         return mix(jnp.stack(now), time, outside), None
 
     outside = jnp.zeros((2, len(criteria.bands), *phi.shape[2:]))
-    outside, _ = jax.lax.scan(over, outside, (jnp.arange(len(phi)), phi[:, 2]))
+    outside, _ = jax.lax.scan(over, outside, (record_times(static), phi[:, 2]))
     return Companions(jnp.moveaxis(phi, 0, 1), outside)

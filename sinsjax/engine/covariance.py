@@ -6,6 +6,7 @@ covariance of the true error, and e <- F e + chol(W) n are errors as runs with n
 them, which are judged as runs are.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -13,12 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from sinsjax.alignment.error_growth import ErrorParams, IncrementNoise
+from sinsjax.alignment.schedules import mix
 from sinsjax.engine import metrics
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.metrics import FIELDS
 from sinsjax.engine.realisations import Environment, Static
 from sinsjax.maths.algebra import Triangle, cholesky, triangle_index
-from sinsjax.types import Array, Count
+from sinsjax.types import Array, Count, Scalar
 
 
 class Spread(NamedTuple):
@@ -63,34 +65,37 @@ def spread(static: Static, environment: Environment, rows: Array, floor: Array) 
         rows: (records, fields, lanes): the observation, F, W, and phi by the states.
         floor: (lanes,) what phi_u should settle to, rad.
     """
-    n, samples = states_of(rows.shape[1]), static.sampled_errors
-    squares = n * n
-    normals = standard_normals(environment.seed, len(rows), n, samples)
-    zero = jnp.zeros_like(floor)
-    criteria = environment.criteria
+    n = states_of(rows.shape[1])
+    normals = standard_normals(environment.seed, len(rows), n, static.sampled_errors)
+    over = partial(_over_records, static, environment.criteria, normals)
+    return jax.vmap(over, in_axes=(-1, 0), out_axes=-1)(rows, floor)
 
-    def over(carry: tuple, record: tuple[Array, Array, Array]) -> tuple[tuple, tuple]:
+
+def _over_records(
+    static: Static, criteria: metrics.Criteria, normals: Array, rows: Array, floor: Scalar
+) -> Spread:
+    """`spread` of one run."""
+    n, samples = normals.shape[1:]
+    squares, triangle = n * n, n * (n + 1) // 2
+
+    def over(carry: tuple, record: tuple[Scalar, Array, Array]) -> tuple[tuple, tuple]:
         s, e, outside = carry
-        number, row, normal = record
-        told = row[FIELDS:]
-        f = [[told[i * n + j] for j in range(n)] for i in range(n)]
-        w = tuple(told[squares + k] for k in range(len(at_entries)))
-        angles = [[told[squares + len(w) + i * n + j] for j in range(n)] for i in range(3)]
-        s = _propagated(f, s, w)
-        e = _sampled(f, e, cholesky(w, n), normal)
-        sigma = jnp.sqrt(jnp.stack([_variance(a, s) for a in angles]))
-        error = row[2] + sum(a * d for a, d in zip(angles[2], e, strict=True))
-        time = (number + 1) * static.record_every * static.options.dt
-        now = jnp.stack([over_bands(criteria, error - floor), over_bands(criteria, error)])
-        return (s, e, metrics.mix(now, time, outside)), (row[:3], sigma, row[3:6])
+        time, row, normal = record
+        f, w, angles = jnp.split(row[FIELDS:], [squares, squares + triangle])
+        f, angles = f.reshape(n, n), angles.reshape(3, n)
+        noise = tuple(w)
+        s = _propagated(f, s, noise)
+        e = _sampled(f, cholesky(noise, n), e, normal)
+        error = row[2] + sum(angles[2, i] * e[i] for i in range(n))
+        now = [over_bands(criteria, error - floor), over_bands(criteria, error)]
+        sigma = jnp.sqrt(jnp.stack([_variance(one, s) for one in angles]))
+        return (s, e, mix(jnp.stack(now), time, outside)), (row[:3], sigma, row[3:6])
 
-    at_entries = range(n * (n + 1) // 2)
-    s = tuple(zero for _ in at_entries)
-    e = tuple(jnp.zeros((samples, *zero.shape)) for _ in range(n))
-    outside = jnp.zeros((2, len(criteria.bands), samples, *zero.shape))
-    numbers = jnp.arange(len(rows))
-    (_, _, outside), told = jax.lax.scan(over, (s, e, outside), (numbers, rows, normals))
-    phi, sigma, belief = (jnp.moveaxis(a, 0, 1) for a in told)
+    zero = jnp.zeros_like(floor)
+    nothing = jnp.zeros((2, len(criteria.bands), samples))
+    begun = (zero,) * triangle, jnp.zeros((n, samples)), nothing
+    (_, _, outside), told = jax.lax.scan(over, begun, (record_times(static), rows, normals))
+    phi, sigma, belief = (a.T for a in told)
     return Spread(phi, sigma, belief, outside)
 
 
@@ -99,36 +104,38 @@ def states_of(fields: int) -> int:
     return next(n for n in range(fields) if n * n + n * (n + 1) // 2 + 3 * n == fields - FIELDS)
 
 
+def record_times(static: Static) -> Array:
+    """(records,) s."""
+    return jnp.arange(1.0, static.records + 1) * (static.record_every * static.options.dt)
+
+
 def over_bands(criteria: metrics.Criteria, error: Array) -> Array:
-    """`metrics.outside` with the bands before the axes of the errors."""
-    return jnp.moveaxis(metrics.outside(criteria, error[..., None]), -1, 0)
+    """`metrics.outside` of errors of any shape, the bands before their axes."""
+    outside = jnp.vectorize(partial(metrics.outside, criteria), signature="()->(b)")
+    return jnp.moveaxis(outside(error), -1, 0)
 
 
-def _propagated(f: list[list[Array]], s: Triangle, w: Triangle) -> Triangle:
+def _propagated(f: Array, s: Triangle, w: Triangle) -> Triangle:
     """F S F' + W."""
     n = len(f)
     at = triangle_index(n)
-    fs = [[sum(f[i][k] * s[at[k, j]] for k in range(n)) for j in range(n)] for i in range(n)]
+    fs = [[sum(f[i, k] * s[at[k, j]] for k in range(n)) for j in range(n)] for i in range(n)]
     return tuple(
-        sum(fs[i][k] * f[j][k] for k in range(n)) + w[at[i, j]]
+        sum(fs[i][k] * f[j, k] for k in range(n)) + w[at[i, j]]
         for i in range(n)
         for j in range(i, n)
     )
 
 
-def _sampled(
-    f: list[list[Array]], e: tuple[Array, ...], root: list[list[Array]], normal: Array
-) -> tuple[Array, ...]:
-    """F e + L n."""
+def _sampled(f: Array, root: list[list[Scalar]], e: Array, normal: Array) -> Array:
+    """F e + L n of sampled errors, (n, samples)."""
     n = len(f)
-    return tuple(
-        sum(f[i][j] * e[j] for j in range(n))
-        + sum(root[i][j] * normal[j][:, None] for j in range(i + 1))
-        for i in range(n)
-    )
+    turned = [sum(f[i, j] * e[j] for j in range(n)) for i in range(n)]
+    added = [sum(root[i][j] * normal[j] for j in range(i + 1)) for i in range(n)]
+    return jnp.stack([a + b for a, b in zip(turned, added, strict=True)])
 
 
-def _variance(row: list[Array], s: Triangle) -> Array:
+def _variance(row: Array, s: Triangle) -> Scalar:
     """A S a'."""
     n = len(row)
     at = triangle_index(n)

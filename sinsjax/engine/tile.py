@@ -206,7 +206,7 @@ def over_record(
     before = reading.as_pass_begins(static, read, before, nothing)
     state, before = over_samples(static, environment, setup, read, number, (state, before))
     runs = observe(static, environment, setup, Run(state, runs.metrics), number, q_true)
-    runs, observed = simulate.told(static, runs)
+    runs, observed = jax.vmap(partial(simulate.told, static), out_axes=(0, -1))(runs)
     return (runs, before), None if observed is None else observed[:, :shown]
 
 

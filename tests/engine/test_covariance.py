@@ -1,0 +1,131 @@
+"""The spread of runs by linear covariance analysis, against runs with noise."""
+
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from scipy import stats
+from support.studies import small_study
+
+from sinsjax.engine import batch, build, companions, covariance
+from sinsjax.engine.covariance import Spread
+from sinsjax.engine.lanes import Group
+from sinsjax.units import ARCMIN
+
+METHODS = ("kalman5", "kalman10", "kalman_sincos", "ekf_azimuth", "invariant", "unscented")
+DRAWS = 192
+
+
+SMALL = {
+    **{"gyro_bias_deg_per_h": 0.0, "accel_bias_ug": 0.0},
+    **{"gyro_noise_deg_per_h": 0.01, "accel_noise_ug": 50.0},
+}
+"""Errors that leave filters linear: A(t) and gains hardly follow them."""
+
+QUIET = {"gyro_noise_deg_per_h": 0.0, "accel_noise_ug": 0.0}
+
+
+def study_of(method: str, **changes: Any) -> Any:
+    """A minute from small misalignments, a reset within."""
+    return small_study(
+        **{
+            "study": {"duration_s": 60.0, "draws": DRAWS, "window_s": [30, 60], "curves": True},
+            "alignment": {
+                "method": method,
+                **{"phi_e0_deg": 0.001, "phi_n0_deg": -0.001, "phi_u0_deg": 0.03},
+                "feedback_interval_s": 1.0,
+            },
+            "sensors": SMALL,
+            "cases": [{"reset_times_s": []}, {"reset_times_s": [20.5]}],
+        }
+        | changes
+    )
+
+
+def group_of(study: Any) -> Group:
+    (part,) = build.parts(study, curves=True)
+    return part.group
+
+
+def spread_of(group: Group, samples: int = 512) -> tuple[Spread, Any]:
+    """The spread of each variant, and outcomes of the noise-free runs."""
+    one = group._replace(draws=jax.tree.map(lambda a: a[:1] if np.ndim(a) else a, group.draws))
+    (chunk,) = batch.chunks(covariance.watched(one, samples))
+    return chunk.curves, chunk.outcome
+
+
+def companions_of(group: Group) -> tuple[np.ndarray, np.ndarray]:
+    """(variants, draws, 3, records) misalignments, and (variants, draws, 2, B) settling."""
+    draws, variants = group.sizes
+    phi = np.zeros((variants, draws, 3, group.static.records))
+    outside = np.zeros((variants, draws, 2, len(group.environment.criteria.bands)))
+    for lanes, taken, made in companions.of_group(group):
+        at = np.ix_(lanes, taken)
+        phi[at] = np.moveaxis(made.phi, (2, 3), (0, 1))
+        outside[at] = np.moveaxis(made.outside_until, (2, 3), (0, 1))
+    return phi, outside
+
+
+def runs_of(group: Group) -> np.ndarray:
+    """(variants, draws, 3, records) misalignments."""
+    chunks = list(batch.chunks(group))
+    out = np.zeros((*group.sizes[::-1], 3, group.static.records))
+    for chunk in chunks:
+        place = np.searchsorted(group.draws.draw_id, chunk.draw)
+        out[chunk.variant, place] = np.stack(chunk.curves.phi, axis=1)
+    return out
+
+
+@pytest.fixture(scope="module", params=METHODS)
+def made(request: pytest.FixtureRequest) -> tuple[Group, Spread, np.ndarray, np.ndarray]:
+    group = group_of(study_of(request.param))
+    return group, spread_of(group)[0], companions_of(group)[0], runs_of(group)
+
+
+def test_a_companion_is_the_run_of_its_draw_where_errors_are_small(made: Any) -> None:
+    group, spread, companion, run = made
+    name = group.static.method
+    # Sigma points follow the estimate, and gains with them.
+    share = 0.25 if name == "unscented" else 0.05
+    rms = np.sqrt(np.mean((companion - run) ** 2, axis=1)) / spread.sigma
+    if name == "kalman_sincos":
+        # Sine and cosine show no heading at first, which turns the level error of that time.
+        rms = rms[:, 2:, 30:]
+    assert rms[..., 10:].max() < share, rms
+
+
+def test_companions_spread_as_the_covariance_says(made: Any) -> None:
+    """Within the chi-square interval of each, at 99.9 % over all that is compared."""
+    _, spread, companion, _ = made
+    records = [39, 49, 59]
+    count = companion.shape[1]
+    ratio = companion[..., records].var(axis=1, ddof=1) / spread.sigma[..., records] ** 2
+    tail = 0.0005 / ratio.size
+    low, high = stats.chi2.ppf([tail, 1 - tail], count - 1) / (count - 1)
+    assert (ratio > low).all() and (ratio < high).all(), ratio
+
+
+def test_sampled_errors_settle_as_companions_do(made: Any) -> None:
+    """Means of settling times within four standard errors of both."""
+    group, spread, _, _ = made
+    sampled = np.asarray(spread.outside_until)  # (variants, 2, B, samples)
+    _, outside = companions_of(group)
+    a, b = sampled.mean(-1), np.moveaxis(outside, 1, -1).mean(-1)
+    spread_ = np.sqrt(sampled.var(-1) / (sampled.shape[-1]) + outside.var(1) / outside.shape[1])
+    assert (np.abs(a - b) <= 4 * spread_ + 1e-9).all(), (a, b, spread_)
+
+
+def test_the_noise_free_run_is_that_of_a_study_without_noise() -> None:
+    group = group_of(study_of("kalman5"))
+    plain = group_of(study_of("kalman5", sensors=SMALL | QUIET))
+    spread, outcome = spread_of(group, samples=2)
+    np.testing.assert_allclose(spread.phi, runs_of(plain)[:, 0], rtol=0, atol=1e-9 * ARCMIN)
+    first = next(iter(batch.chunks(plain))).outcome
+    np.testing.assert_array_equal(outcome.outside_until, first.outside_until[:2])
+
+
+def test_without_noise_nothing_is_spread() -> None:
+    spread, _ = spread_of(group_of(study_of("kalman5", sensors=SMALL | QUIET)), samples=4)
+    assert (np.asarray(spread.sigma) == 0).all()
+    assert np.ptp(spread.outside_until, axis=-1).max() == 0
