@@ -18,7 +18,7 @@ from sinsjax.plots.curves import (
 from sinsjax.plots.errors import Mark, attitude_errors, over_time
 from sinsjax.plots.grids import Contours, Scale, Shown, Verdicts, heat_maps, spread, verdict_matrix
 from sinsjax.plots.spreads import Expected, along_axis
-from sinsjax.plots.stored_records import by_record_length, survival
+from sinsjax.plots.stored_records import survival
 from sinsjax.plots.style import COLOURS, colour, png
 from sinsjax.plots.words import label, setting
 
@@ -37,7 +37,6 @@ __all__ = [
     "attitude",
     "attitude_errors",
     "beliefs",
-    "by_record_length",
     "colour",
     "draw",
     "ensembles",

@@ -1,4 +1,4 @@
-"""Figures of runs from several start times of a record: scatter, by start time."""
+"""Figures of runs from several start times of a record."""
 
 from collections.abc import Mapping, Sequence
 
@@ -53,32 +53,3 @@ def _tick(axis: Axis) -> None:
     axis.set_major_locator(FixedLocator([*-decades[::-1], 0.0, *decades]))
     axis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.set_minor_locator(NullLocator())
-
-
-@styled
-def by_start(
-    starts_s: Sequence[float],
-    panels: Mapping[str, Mapping[str, NDArray]],
-    title: str,
-    quantity: str,
-) -> Figure:
-    """Values over the start time in a record, panels side by side.
-
-    Args:
-        starts_s: (starts,) start times, s.
-        panels: panel title to line label to (starts,) values.
-        title: title of the figure.
-        quantity: label of the values, with their unit.
-    """
-    figure = Figure(figsize=(9.2, 3.9))
-    figure.suptitle(title)
-    grid = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
-    for axes, (name, lines) in zip(grid, panels.items(), strict=True):
-        for i, (line, values) in enumerate(lines.items()):
-            axes.plot(starts_s, values, "o-", color=colour(i), label=line, markersize=4)
-        axes.axhline(0.0, color=GREY, linewidth=0.9, zorder=1.5)
-        axes.set_title(name)
-        axes.set_xlabel("start time (s)")
-    grid[0].set_ylabel(quantity)
-    legend_outside(figure, grid[0])
-    return figure

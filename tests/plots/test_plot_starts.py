@@ -21,12 +21,3 @@ def test_strips_have_a_dot_a_start_and_a_line_at_the_median():
     assert [label.get_text() for label in axes.get_yticklabels()] == ["a", "b", "c"]
     assert axes.get_xscale() == "asinh" and axes.get_xlabel().startswith("error (arcmin)")
     assert plots.png(figure).startswith(b"\x89PNG")
-
-
-def test_panels_by_start_share_their_axis():
-    lines = {"one": np.array([1.0, 2.0]), "two": np.array([-3.0, 0.0])}
-    figure = starts.by_start([0.0, 20.0], {"80 s": lines, "120 s": lines}, "T", "error (arcmin)")
-    left, right = figure.axes
-    assert left.get_ylim() == right.get_ylim()
-    assert list(left.lines[1].get_ydata()) == [-3.0, 0.0]
-    assert legend_of(figure) == ["one", "two"]

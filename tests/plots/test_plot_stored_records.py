@@ -5,7 +5,6 @@ import pytest
 from matplotlib.colors import LogNorm
 
 from sinsjax import plots
-from sinsjax.analysis import Estimate
 from sinsjax.plots import Contours, Scale, Shown
 
 SIGMAS, TAPES = [0.01, 0.02, 0.04], [20.0, 40.0]
@@ -52,23 +51,6 @@ def test_a_spread_passes_through_the_middles_and_goes_on_to_the_edges():
     found = plots.spread([1.0, 4.0, 64.0], 7)
     np.testing.assert_allclose(found[1::2], [1.0, 4.0, 64.0])
     np.testing.assert_allclose(found[::2], [0.5, 2.0, 16.0, 256.0])
-
-
-def test_errors_by_tape_above_the_bound():
-    lines = {
-        "a": [Estimate(3.0, 2.0, 4.0, 8), Estimate(math.inf, math.nan, math.nan, 8)],
-        "b": [Estimate(2.0, 1.0, 3.0, 8), Estimate(1.0, 0.5, math.nan, 8)],
-    }
-    bound = (np.array([20.0, 40.0]), np.array([1.0, 0.5]))
-    figure = plots.by_record_length(TAPES, lines, bound, title="Title", quantity="error (arcmin)")
-    axes = figure.axes[0]
-    assert axes.get_xscale() == axes.get_yscale() == "log"
-    names = [t.get_text() for t in figure.legends[0].get_texts()]
-    assert set(names) == {"a", "b", "information bound of the record"}
-    dashed = [line for line in axes.get_lines() if line.get_linestyle() == "--"]
-    np.testing.assert_array_equal(dashed[0].get_ydata(), bound[1])
-    assert sum(len(line.get_xdata()) == 1 for line in axes.get_lines()) >= 1
-    assert plots.png(figure)
 
 
 def test_who_has_not_settled():

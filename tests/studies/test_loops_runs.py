@@ -2,11 +2,10 @@ import copy
 import math
 
 import numpy as np
-import pyarrow as pa
 import pytest
 from support.studies import BASE, small_study
 
-from docs.studies.loops.runs import bound_arcmin, heading_errors
+from docs.studies.loops.runs import bound_arcmin
 from sinsjax.study.load import study_from_dict
 
 COMPASS = {"alignment": {"method": "compass"}, "compass": {"level_time_s": 2.0}}
@@ -17,11 +16,6 @@ def compass_study(**changes):
     for name, change in changes.items():
         sections[name] = sections.get(name, {}) | change
     return small_study(**sections)
-
-
-def test_errors_are_from_the_floor():
-    table = pa.table({"phi_u_arcmin": [1.0, None, 3.0], "floor_arcmin": [0.5, 0.5, None]})
-    np.testing.assert_array_equal(heading_errors(table), [0.5, np.nan, np.nan])
 
 
 def test_the_bound_is_the_closed_form():

@@ -7,7 +7,6 @@ import pyarrow as pa
 import pytest
 from support.stored import store
 
-from docs.studies.loops.linear import heading_from_limit
 from docs.studies.loops.runs import limits_of
 from docs.studies.paper2 import cases as paper2
 from sinsjax import analysis
@@ -122,9 +121,3 @@ def test_errors_are_minus_phi(tmp_path):
     np.testing.assert_allclose(case.means("heading"), -phi / 60)
     assert case.curves.columns["roll"].shape == (DRAWS, 300)
     np.testing.assert_allclose(case.from_limit(551.0), 0.1 - case.limits["heading"])
-
-
-def test_linear_loops_start_at_the_stated_error():
-    one = one_variant(study_of("static"), 0)
-    before = heading_from_limit(one, np.array([2.0, 150.0]))
-    np.testing.assert_allclose(before, 1.5 + limits_of(one).u / 60, rtol=1e-9)

@@ -1,6 +1,6 @@
 import pytest
 
-from docs.studies.paper2 import reasons
+from docs.studies.paper2 import page as paper2
 from sinsjax.alignment.compass import design
 
 
@@ -16,13 +16,13 @@ from sinsjax.alignment.compass import design
     ],
 )
 def test_agrees_to_the_last_printed_digit(text, value, same):
-    assert reasons.agrees(text, value) is same
+    assert paper2.agrees(text, value) is same
 
 
 def test_the_printed_k3_makes_the_levelling_loop_unstable():
-    earth = {"gravity": 9.8, "radius": reasons.RADIUS}
+    earth = {"gravity": 9.8, "radius": paper2.RADIUS}
     formula = design.level_gains(0.02, design.PAPER_DAMPING, **earth)
-    printed = formula._replace(k3=float(reasons.LEVEL_K3))
+    printed = formula._replace(k3=float(paper2.LEVEL_K3))
     found = [design.roots(design.level_polynomial(g, **earth)) for g in (printed, formula)]
     assert sorted(found[0].real.round(4)) == [-0.1108, 0.0254, 0.0254]
     assert sorted(found[1].real.round(4)) == [-0.02, -0.02, -0.02]

@@ -5,13 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from sinsjax import analysis, plots
-from sinsjax.plots import Scale, Shown
+from sinsjax import analysis
+from sinsjax.plots import Scale
 from sinsjax.report.base import Picture, Source, Table
 from sinsjax.report.folder import Page, Sources
 from sinsjax.report.grids import Grid, median
-from sinsjax.report.output import counted
 from sinsjax.units import ARCMIN, DEG
+
+from ..common.settling import settling_maps
 
 PRINTED_DEG = {"PHINS": 85.5903, "Scheme 1": 84.6823, "Scheme 3": 85.0917}
 """Mean headings of Table 3 of the paper; PHINS is its reference."""
@@ -38,7 +39,7 @@ def page(sources: Sources) -> Page:
     return Page(
         values,
         {"expected": _expected(schemes)},
-        {"yaw": _figure(test, schemes), "batch": _batch_figure(batch)},
+        {"batch": _batch_figure(batch)},
         claims
         | more
         | {
@@ -51,7 +52,7 @@ def page(sources: Sources) -> Page:
 
 def _schemes(source: Source) -> Grid:
     """The three schemes with two tunings each, by feedback interval (s) and start time."""
-    study, columns = source.study, (END, MEAN, TRUTH, "run_id")
+    study, columns = source.study, (END, MEAN, TRUTH)
     intervals = study.values("feedback_interval_s")
     return Grid.of(source, columns, case=study.values("case"), feedback=intervals)
 
@@ -113,23 +114,21 @@ def _batch(source: Source) -> tuple[dict[str, Any], dict[str, bool]]:
 
 def _batch_figure(source: Source) -> Picture:
     grid = _grid(source)
-    panels = [
-        (words, median(grid.at(TRUTH, resets=times)))
-        for words, times in (("no reset", ()), ("four at 50, 100, 150 and 200 s", RESETS))
-    ]
-    figure = plots.heat_maps(
+    panels = {
+        f"{words}: {100 * np.isfinite(runs).mean():.0f} % settle": runs
+        for words, times in (("no reset", ()), ("four resets", RESETS))
+        for runs in [grid.at(TRUTH, resets=times)]
+    }
+    return settling_maps(
+        source,
+        "batch",
         panels,
-        "How long until the heading stays within 10' of the reference?",
-        Shown("median settling time (s)", 0.0, source.study.duration_s, reverse=True),
+        "Level errors about east, 5 deg about north. With four resets (50 to 200 s) every"
+        " misalignment settles 30 s after the last one.",
         rows=Scale("added level error_deg", grid.axes["level"]),
         columns=Scale("added heading error_deg", grid.axes["yaw"]),
-        across=2,
+        title="How long until the heading stays within 10' of the reference?",
     )
-    caption = (
-        f"Median over {grid.draws} start times on one record; light is good, hatched: at least half"
-        " never settle. Level errors about east, 5 deg about north."
-    )
-    return Picture("batch", caption, figure, counted(source))
 
 
 def _expected(grid: Grid) -> Table:
@@ -153,17 +152,3 @@ def _expected(grid: Grid) -> Table:
     header = ["", "setting", "at the end: median", "worst", "300 to 500 s mean: worst"]
     title = "What to expect: heading error from the reference (deg)"
     return Table(title, [*header, "settled to 10'", "median time (s)"], rows)
-
-
-def _figure(source: Source, grid: Grid) -> Picture:
-    settings: dict[str, dict[str, list[int]]] = {}
-    for case, feedback in product(*grid.axes.values()):
-        name, _, tuning = case.partition(", ")
-        panel = settings.setdefault(f"{tuning}, feedback {feedback:g} s", {})
-        runs = grid.at("run_id", case=case, feedback=feedback)
-        panel[name.capitalize()] = runs.astype(int).tolist()
-    curves = source.curves()
-    panels = {name: plots.ensembles(curves, runs) for name, runs in settings.items()}
-    figure = plots.yaw_errors(panels, "Heading error of the three schemes, from the reference")
-    caption = f"Mean over {source.draws} start times on one record; shading: 95 % of them."
-    return Picture("yaw_error", caption, figure, counted(source))

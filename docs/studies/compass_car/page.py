@@ -1,29 +1,100 @@
 """Numbers of the page on compass alignment of a recorded car."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sinsjax import analysis
-from sinsjax.plots.starts import by_start, strips
+from sinsjax.plots.starts import strips
 from sinsjax.report.base import Picture, Source, Table
 from sinsjax.report.folder import Page, Sources
-from sinsjax.report.output import counted
+from sinsjax.report.grids import Grid
 
-from .cases import Case, cases_of, first_of_kinds, partner
-from .transients import gain, without_kicks
+from ..loops.turns import TURNS
 
-_QUANTITY = "heading error at the end (arcmin)"
+HEADING, SIGMA = "phi_u_arcmin", "sigma_u_arcmin"
+
+
+class Case(NamedTuple):
+    """The runs of one variant, one a start time.
+
+    Attributes:
+        name: in words.
+        variant: its number.
+        is_compass: whether the compass loops align; a Kalman filter otherwise.
+        data_s: length of the data, s.
+        passes: over the data; the last one may be part of one.
+        turn: what compass loops do at a turn; empty where there is none.
+        errors: (starts,) heading error phi_u at the end, arcmin; NaN if unknown.
+        sigma: (starts,) what a filter believes of it, arcmin; NaN of compass loops.
+    """
+
+    name: str
+    variant: int
+    is_compass: bool
+    data_s: float
+    passes: int
+    turn: str
+    errors: NDArray
+    sigma: NDArray
+
+    @property
+    def kind(self) -> str:
+        """What figures tell cases apart by."""
+        return (
+            f"compass, {TURNS.get(self.turn, 'one pass')}" if self.is_compass else "Kalman filter"
+        )
+
+    @property
+    def rms(self) -> float:
+        """Rms heading error over the start times, arcmin."""
+        return analysis.rms(self.errors).value
+
+
+def cases_of(source: Source) -> list[Case]:
+    """The runs by variant, in the study's order."""
+    study = source.study
+    grid = Grid.of(source, (HEADING, SIGMA), case=study.values("case"))
+    found = []
+    for variant, (name, span) in enumerate(zip(grid.axes["case"], study.spans, strict=True)):
+        is_compass = study.values("method")[variant] == "compass"
+        passes = -(-span.records // span.pass_records)
+        found.append(
+            Case(
+                name=name,
+                variant=variant,
+                is_compass=is_compass,
+                data_s=span.pass_records * study.record_every / study.rate_hz,
+                passes=passes,
+                turn=study.values("turn")[variant] if is_compass and passes > 1 else "",
+                errors=grid.at(HEADING, case=name),
+                sigma=grid.at(SIGMA, case=name),
+            )
+        )
+    return found
+
+
+def partner(cases: Sequence[Case], case: Case) -> Case:
+    """The filter that goes once over the same data."""
+    return next(c for c in cases if not c.is_compass and c.passes == 1 and c.data_s == case.data_s)
+
+
+def first_of_kinds(cases: Sequence[Case]) -> list[Case]:
+    """The first case of each kind and number of passes over each length of data."""
+    keys = [(case.data_s, case.kind, case.passes) for case in cases]
+    return [case for i, case in enumerate(cases) if keys.index(keys[i]) == i]
 
 
 def page(sources: Sources) -> Page:
-    """Heading errors of all cases, what limits them, and what the turns do."""
+    """Heading errors of all cases, and what limits them."""
     source = sources["compass_car"]
     cases = cases_of(source)
     first = first_of_kinds(cases)
     stored = {(case.turn, case.data_s): case for case in first if case.turn}
     short = min(data_s for _, data_s in stored)
-    reflected, flipped = stored["reflect", short], stored["velocity", short]
+    reflected, reversed_ = stored["reflect", short], stored["velocity", short]
     once = next(c for c in first if c.is_compass and (c.data_s, c.passes) == (short, 1))
     many = next(c for c in first if not c.is_compass and c.passes > 1)
     longest = max((c for c in cases if c.is_compass), key=lambda c: c.data_s)
@@ -31,20 +102,16 @@ def page(sources: Sources) -> Page:
     sigma, sigma_many = (float(np.median(c.sigma)) for c in (single, many))
     pairs = [(case.errors, partner(cases, case).errors) for case in stored.values()]
     together = [float(np.corrcoef(*pair)[0, 1]) for pair in pairs]
-    gains = {data_s: gain(source, case) for (turn, data_s), case in stored.items()}
-    rest = without_kicks(source, [case for case in cases if case.data_s == short])
-    left, by_name = [analysis.rms(e).value for e in rest.values()], {c.name: c.rms for c in cases}
+    by_name = {c.name: c.rms for c in cases}
     values = {
         "starts": str(source.draws),
         "once": f"{once.rms:.1f} arcmin",
         "reflected": f"{reflected.rms:.1f} arcmin",
-        "flipped": f"{flipped.rms:.1f} arcmin",
+        "reversed": f"{reversed_.rms:.1f}",
         "filter": {"once": f"{single.rms:.2f} arcmin", "many": f"{many.rms:.2f} arcmin"},
         "sigma": {"once": f"{sigma:.1f}", "many": f"{sigma_many:.1f} arcmin"},
         "long": {"compass": f"{longest.rms:.2f} arcmin", "filter": f"{filtered.rms:.2f} arcmin"},
         "together": f"{min(together):.2f} to {max(together):.2f}",
-        "gains": ", ".join(f"{g:.0f} arcmin (record of {d:g} s)" for d, g in gains.items()),
-        "rest": f"{max(left):.1f} arcmin",
         "by_2": f"{by_name['80 s tape, reflected, delay 2 s']:.1f}",
         "by_10": f"{by_name['80 s tape, reflected, delay 10 s']:.1f}",
     }
@@ -58,15 +125,14 @@ def page(sources: Sources) -> Page:
         ),
         "compass and filter err together": min(together) > 0.5,
         "the filter takes each pass for new data": sigma_many < sigma / 2,
-        "without the kicks the turns are alike": max(left) < 1.5 * min(left),
         "the reflecting turn is best on the shortest record only": all(
             (case.rms < stored["velocity", data_s].rms) == (data_s == short)
             for (turn, data_s), case in stored.items()
             if turn == "reflect"
         ),
     }
-    figures = {"errors": _strips(source, cases), "by_start": _by_start(source, cases)}
-    return Page(values, {"expected": _expected(cases)}, figures, claims)
+    figures = {"errors": _strips(source, first)}
+    return Page(values, {"expected": _expected(first)}, figures, claims)
 
 
 def _expected(cases: Sequence[Case]) -> Table:
@@ -85,24 +151,16 @@ def _expected(cases: Sequence[Case]) -> Table:
 
 
 def _strips(source: Source, cases: Sequence[Case]) -> Picture:
+    """Every start time of each kind, by length of the data."""
+    rows = sorted(cases, key=lambda case: (case.data_s, not case.is_compass, case.passes))
     figure = strips(
-        {case.name: case.errors for case in cases},
-        "Heading error from the reference at the end, from every start time",
-        _QUANTITY,
-        kinds=[case.kind for case in cases],
+        {f"{c.data_s:g} s × {c.passes}, {c.kind}": c.errors for c in rows},
+        "Heading error at the end, from the reference",
+        "heading error (arcmin)",
+        kinds=[case.kind for case in rows],
     )
-    caption = "A dot is a start time, a line the median. A *tape* is a stored record."
-    return Picture("heading_error", caption, figure, counted(source))
-
-
-def _by_start(source: Source, cases: Sequence[Case]) -> Picture:
-    panels: dict[str, dict[str, np.ndarray]] = {}
-    for case in first_of_kinds(cases):
-        if case.turn:
-            panel = panels.setdefault(f"{case.data_s:g} s of data", {})
-            panel |= {"Kalman": partner(cases, case).errors, case.kind: case.errors}
-    assert source.study.record is not None
-    title = "What two methods make of the same data, from the reference"
-    figure = by_start(source.study.record.start_s, panels, title, _QUANTITY)
-    caption = "Lines that go together: what is left lies in the data."
-    return Picture("by_start", caption, figure, counted(source))
+    caption = (
+        f"A dot is one of {source.draws} start times, a bar their median; by length of the data."
+        " No interval: all start times are on one record."
+    )
+    return Picture("heading_error", caption, figure)

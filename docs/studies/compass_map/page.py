@@ -1,7 +1,5 @@
 """Numbers of the page on a stored record gone over again: gain schedules, and the map."""
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,11 +12,9 @@ from sinsjax.report.grids import Grid, median, shared
 from sinsjax.report.output import counted
 from sinsjax.report.words import seconds, share
 
-from ..loops.linear import all_loops, heading_of, start_of
 from ..loops.runs import bound_arcmin
 from .map import mapped
 
-_HORIZON = 4  # durations that the linear loops are followed for
 SCHEME_1, SCHEME_2, LONG, RECORD = range(4)  # variants of the comparison
 
 
@@ -92,7 +88,6 @@ def compared(source: Source) -> Page:
     outside = share_outside(bound_arcmin(study, study.values("tape_s")), narrow)
     begins_last = study.run_s - 2 * study.values("tape_s")[RECORD]
     to_wide, to_narrow = ([analysis.quantile(one) for one in times] for times in (wide_s, narrow_s))
-    leaves_s = _left_for_good(source, SCHEME_1, narrow)
     values = {
         "bands": {"wide": f"{wide:g} arcmin", "narrow": f"{narrow:g} arcmin"},
         "draws": f"{study.n_draws:,}",
@@ -110,7 +105,6 @@ def compared(source: Source) -> Page:
         "scheme_1": {
             "wide": seconds(to_wide[SCHEME_1]),
             "narrow": seconds(to_narrow[SCHEME_1]),
-            "linear": f"{leaves_s:.0f} s",
         },
         "scheme_2": share(shared(np.isfinite(wide_s[SCHEME_2]))),
     }
@@ -126,7 +120,6 @@ def compared(source: Source) -> Page:
         "with 600 s of data nearly every draw comes within the narrow band": bool(
             settled[LONG].mean() > 0.99
         ),
-        "Scheme 1 leaves the narrow band again after the end": leaves_s > study.run_s,
     }
     times = {f"within {wide:g} arcmin": wide_s, f"within {narrow:g} arcmin": narrow_s}
     names = [case.partition(":")[0] for case in study.values("case")]
@@ -169,13 +162,3 @@ def _cases(source: Source, wide_s: NDArray, narrow_s: NDArray, outside: NDArray)
         " an estimator at the information bound of the data could reach."
     )
     return Table("What to expect", [*header, "median (s)", "at most (%)"], rows, note)
-
-
-def _left_for_good(source: Source, variant: int, band: float) -> float:
-    """When the linear loops of a single pass, run on beyond the end, are within a band for good."""
-    study = source.study
-    step = study.study.record_interval_s
-    times = np.arange(1, round(_HORIZON * study.duration_s / step) + 1) * step
-    model = all_loops(study)[variant]._replace(tape_s=math.inf)
-    outside = times[np.abs(heading_of(model, start_of(study), times)) * 60 > band]
-    return float(outside[-1]) if outside.size else 0.0

@@ -4,10 +4,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
-from sinsjax import analysis
 from sinsjax.alignment.bounds import Number, tape_bound
 from sinsjax.engine.truth import errors_of, site_of
 from sinsjax.errors import InputError
@@ -58,11 +56,6 @@ def limits_of(study: Study, earth_rate_deg_per_h: float | None = None) -> Limits
     gyro = float(-drift / (rate * math.cos(latitude))) / ARCMIN
     accel = float(east) * math.tan(latitude)
     return Limits(-float(north), float(east), gyro + accel, gyro, accel)
-
-
-def heading_errors(rows: pa.Table) -> NDArray:
-    """Heading error phi_u from its floor at the end, one a run, arcmin; NaN if unknown."""
-    return analysis.numbers(rows, "phi_u_arcmin") - analysis.numbers(rows, "floor_arcmin")
 
 
 def bound_arcmin(study: Study, tape_s: Number) -> NDArray:

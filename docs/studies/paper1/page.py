@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import format_estimate, numbers
-from sinsjax.plots import Ensemble, Line
+from sinsjax.plots import Ensemble
 from sinsjax.report.base import Picture, Source, Table, percent
 from sinsjax.report.folder import Page, Sources
 from sinsjax.report.output import counted
@@ -50,13 +50,6 @@ def page(sources: Sources) -> Page:
             _misalignment(free, shown, "Misalignment left by conditions 1 to 5 without resets"),
             counted(free),
         ),
-        "covariance": Picture(
-            "covariance",
-            f"After the paper's Figs 3 and 6. {band} The paper takes the error from truth; from the"
-            " limit is what a filter without bias states can be asked for.",
-            _variances([shown["1"], shown["5"], beside[RESET]], limits_of(free.study).u),
-            f"{counted(free)}; {counted(reset)}",
-        ),
     }
     return Page.joined(
         Page({"draws": str(free.draws)}, {"conditions": _table(free, runs)}, figures),
@@ -84,19 +77,6 @@ def _misalignment(source: Source, shown: Mapping[str, Ensemble], title: str) -> 
         resets_s=source.study.reset_times()[-1],
         zoom_s=(source.study.study.steady_after_s, source.study.duration_s),
     )
-
-
-def _variances(shown: Sequence[Ensemble], limit: float) -> Figure:
-    panels = {}
-    for one in shown:
-        time, phi = one.time_s, one.columns["phi_u_arcmin"]
-        believed = one.columns["sigma_u_arcmin"] ** 2
-        panels[one.label] = [
-            Line("the filter's variance P", time, believed, plots.colour(0), "--"),
-            Line("squared error from truth", time, phi**2, plots.colour(2)),
-            Line("squared error from the limit", time, (phi - limit) ** 2, plots.colour(3)),
-        ]
-    return plots.squares(panels, "Heading variance: what the filter believes and what is true")
 
 
 def _table(source: Source, runs: Mapping[str, pa.Table]) -> Table:
@@ -176,10 +156,6 @@ def _statements(judged: Sequence[Judged], source: Source) -> Page:
     texts = {name: one.text for name, one in STATEMENTS.items()}
     figure = _verdicts(judged, [one is best for one in judged].index(True), source)
     larger, steady, ratio = (best.findings[name].number for name in ("S13", "S10", "S14"))
-    always, never = (
-        "; ".join(texts[name] for name in texts if all(one.holds(name) is held for one in judged))
-        for held in (True, False)
-    )
     explained = ("S5", "S8", "S10")  # 4 converges, 5 does not, and P is too small
     values = {
         "statements": str(len(texts)),
@@ -190,8 +166,6 @@ def _statements(judged: Sequence[Judged], source: Source) -> Page:
         "steady": format_estimate(steady, digits=3),
         "ratio": format_estimate(ratio, digits=2),
         "failing": "; ".join(texts[name] for name in texts if not best.holds(name)),
-        "always": always,
-        "never": never,
         "pairs": {
             "_".join(pair): str(sum(one.holds(*pair) for one in judged))
             for pair in combinations(explained, 2)

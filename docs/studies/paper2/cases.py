@@ -21,7 +21,6 @@ from sinsjax.study.load import one_variant
 from sinsjax.study.study import Study
 from sinsjax.units import ARCMIN, DEG
 
-from ..loops.linear import Loops, loops_of
 from ..loops.runs import limits_of
 
 ANGLES = {"pitch": "e", "roll": "n", "heading": "u"}
@@ -62,15 +61,10 @@ class Case:
         """Constant gyro drift, deg/h."""
         return float(self["gyro_bias_deg_per_h"])
 
-    @cached_property
-    def loops(self) -> Loops:
-        """Its linear loops."""
-        return loops_of(self.study)
-
     @property
     def scheme(self) -> int:
         """1 where the data are gone over once, 2 where a tape is gone over again."""
-        return 1 if self.loops.tape_s >= self.study.duration_s else 2
+        return 1 if self["tape_s"] >= self.study.duration_s else 2
 
     @property
     def name(self) -> str:
@@ -108,7 +102,7 @@ def cases_of(source: Source) -> list[Case]:
     return [Case(source, one_variant(source.study, k["variant_id"]), rows) for k, rows in groups]
 
 
-def figure(cases: Sequence[Case], number: int, base: str) -> Picture:
+def figure(cases: Sequence[Case], number: int) -> Picture:
     """The attitude errors of one scheme, as a figure of the paper.
 
     A colour for each reading, a style for each drift.
@@ -127,7 +121,7 @@ def figure(cases: Sequence[Case], number: int, base: str) -> Picture:
     marks = [Mark(f"limit, drift {d:g} deg/h", at, styles[d]) for d, at in drifts.items()]
     drawn = plots.attitude_errors(
         lines,
-        f"{base} base, Scheme {first.scheme}: attitude error from truth",
+        f"Static base, Scheme {first.scheme}: attitude error from truth",
         marks=[*marks, Mark("printed", PRINTED[first.scheme], "-.", "black")],
         zoom_s=(max(0.0, 2 * start - end), end),
         reach=_REACH_DEG,

@@ -1,48 +1,59 @@
 """Numbers of the page on paper 2: its two schemes, and why its tables do not come out."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
+from decimal import Decimal
 
 import numpy as np
 
-from sinsjax import analysis
+from sinsjax import analysis, plots
+from sinsjax.alignment.compass import design
 from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.plots import Line
+from sinsjax.report.base import Picture
 from sinsjax.report.folder import Page, Sources
+from sinsjax.report.output import counted
 from sinsjax.units import ARCMIN, DEG, MICRO
 
-from ..loops.linear import heading_from_limit
-from ..loops.runs import bound_arcmin, limits_of
+from ..loops.runs import limits_of
+from ..loops.turns import TURNS, cycle_radius
 from .cases import PRINTED, Case, cases_of, figure, table
-from .reasons import REFLECTED, gains, turns
 
 PRINTED_K3 = "K3 as printed"
+V_FLIPPED, BOTH_FLIPPED, REFLECTED = "V flipped", "V and azimuth rate flipped", "reflected"
+"""Cases of the study, by what is done at a turn."""
+
+GRAVITY, RADIUS = 9.8, 6378165.0
+"""g and R of the paper's gains, SI; R is what the printed digits of K2 fix."""
+
+LEVEL_SIGMA, AZIMUTH_SIGMA = 0.02, 0.01
+"""Decay rates that the printed K1 mean, 1/s."""
+
+LEVEL_K3 = "0.000081632653"
+"""As printed."""
 
 
 def page(sources: Sources) -> Page:
-    """Figs 3 to 6, Tables 1 and 2, and the reasons."""
+    """Figs 3 and 4, Table 1, and the reasons."""
     static, swing = (cases_of(sources[f"paper2_{base}"]) for base in ("static", "swing"))
-    named = {case.name: case for case in static if case.drift == static[0].drift}
     shown = [case for case in static if case.name != PRINTED_K3]
     stated = [c for c in shown if c["phi_u0_deg"] < 0 and c["misalignment"] == "vector"]
     first = [c for c in stated if c.drift == static[0].drift]
+    named = {case.name: case for case in static if case.drift == static[0].drift}
     figures = {
-        f"fig{number + scheme}": figure(
-            [case for case in cases if case.scheme == scheme], number + scheme, base
-        )
-        for base, cases, number in (("Static", stated, 2), ("Swing", swing, 4))
+        f"fig{2 + scheme}": figure([case for case in stated if case.scheme == scheme], 2 + scheme)
         for scheme in (1, 2)
     }
     tables = {
         "expected": table(first, "What to expect, and what is printed", folded=False),
         "table_1": table(shown, "Table 1, static base: every reading"),
-        "table_2": table(swing, "Table 2, swing base"),
     }
     return Page.joined(
         Page({"draws": str(static[0].source.draws)}, tables, figures),
         _limit(static[0]),
         _unsettled([case for case in shown if case.scheme == 1]),
-        turns(named),
-        gains(named[PRINTED_K3]),
-        _spread(first[0], named[REFLECTED]),
+        _turns(named),
+        _gains(named[PRINTED_K3]),
         _bases(first, swing),
     )
 
@@ -84,7 +95,6 @@ def _unsettled(cases: Sequence[Case]) -> Page:
     centres = [means[case].value for case in stated]
     near = min(means.values(), key=lambda mean: abs(mean.value - printed))
     left = analysis.mean(first.from_limit(start))
-    linear = float(heading_from_limit(first.study, np.array([start]))[0])
     values = {
         "window": f"{start:g} to {end:g} s",
         "start": f"{start:g} s",
@@ -93,26 +103,14 @@ def _unsettled(cases: Sequence[Case]) -> Page:
         "nearest": _deg(near),
         "readings": str(len(cases)),
         "left": _deg(left),
-        "linear": f"{linear:.4f}",
     }
     claims = {
         "Scheme 1 has not settled in the window": bool(min(moves) > 0.05),
-        "linear loops without noise leave the same": abs(linear - left.value) < 0.01,
+        "it has not settled in the mean over the draws": abs(left.value)
+        > 50 * (left.high - left.low),
         "no reading comes to the printed heading": not near.low <= printed <= near.high,
     }
     return Page({"unsettled": values}, claims=claims)
-
-
-def _spread(whole: Case, tape: Case) -> Page:
-    """How far apart the draws are in heading where 600 s are used and where a tape is."""
-    few, many = (analysis.std(c.means("heading"), is_normal=True) for c in (tape, whole))
-    least = float(bound_arcmin(tape.study, tape.loops.tape_s)) * ARCMIN / DEG
-    values = {"tape": _deg(few), "whole": _deg(many), "least": f"{least:.4f} deg"}
-    claims = {
-        "the tape's heading scatters far more than that of 600 s": few.value > 5 * many.value,
-        "it is near what the noise of the tape must leave": 1 <= few.value / least < 2,
-    }
-    return Page({"spread": values}, claims=claims)
 
 
 def _bases(static: Sequence[Case], swing: Sequence[Case]) -> Page:
@@ -126,6 +124,96 @@ def _bases(static: Sequence[Case], swing: Sequence[Case]) -> Page:
     values = {"least": f"{sizes[0]:.4f}", "most": f"{sizes[-1]:.4f} deg"}
     unlike = all(one.low > 0 or one.high < 0 for one in apart)
     return Page({"bases": values}, claims={"the bases are not the same": unlike})
+
+
+def _turns(cases: Mapping[str, Case]) -> Page:
+    """What each turn leaves of the heading error from cycle to cycle.
+
+    Args:
+        cases: of one gyro drift, by name.
+    """
+    shown = [cases[name] for name in (V_FLIPPED, BOTH_FLIPPED, REFLECTED)]
+    tape_s, end_s = shown[0]["tape_s"], shown[0].study.duration_s
+    radii = [float(cycle_radius(c.study, c["turn"], AZIMUTH_SIGMA, tape_s)) for c in shown]
+    lines = [
+        Line(
+            TURNS[case["turn"]],
+            case.curves.time_s,
+            case.curves.columns["heading"] - case.limits["heading"],
+            plots.colour(number),
+        )
+        for number, case in enumerate(shown)
+    ]
+    begins, ends = ([float(np.mean(c.from_limit(t))) for c in shown] for t in (0.0, end_s))
+    values = {
+        "begins": f"{begins[0]:.1f} deg",
+        "grows": f"{ends[0]:.1f} deg",
+        "ends": f"{ends[2]:.2f} deg",
+        "paper": f"{radii[0]:.3f}",
+        "rates": f"{radii[1]:.3f}",
+        "reflected": f"{radii[2]:.2f}",
+        "exact": f"{math.exp(-2 * AZIMUTH_SIGMA * tape_s):.2f}",
+        "tape": f"{tape_s:g} s",
+    }
+    claims = {
+        "with the paper's turn the heading error grows and stays": (
+            ends[0] > 1.5 * begins[0] and 0.98 < radii[0] < 1
+        ),
+        "reversing the azimuth rate too makes it grow": radii[1] > 1,
+        "reflecting the tilt makes the tape converge": radii[2] < 0.5 and abs(ends[2]) < 0.1,
+    }
+    figure = plots.over_time(
+        {"": lines},
+        "Scheme 2 by what is done at a turn: heading error from its limit",
+        quantity="heading error from its limit (deg)",
+    )
+    caption = f"Static base; mean over {shown[0].source.draws} draws, shading: 95 % of them."
+    picture = Picture("turns", caption, figure, counted(shown[0].source))
+    return Page({"turns": values}, figures={"turns": picture}, claims=claims)
+
+
+def _gains(printed_k3: Case) -> Page:
+    """The printed gains beside the formulas of [P2] eqs (18) and (23), and what their K3 does."""
+    earth = {"gravity": GRAVITY, "radius": RADIUS}
+    level = design.level_gains(LEVEL_SIGMA, design.PAPER_DAMPING, **earth)
+    azimuth = design.azimuth_gains(AZIMUTH_SIGMA, design.PAPER_DAMPING, **earth)
+    printed = {
+        "0.06": level.k1,
+        "1040.33306122": level.k2,
+        LEVEL_K3: level.k3,
+        "0.02": azimuth.k1,
+        "259.3332653": azimuth.k2,
+        "4.082e-9": azimuth.k3,
+    }
+    as_printed = level._replace(k3=np.float64(LEVEL_K3))
+    root = design.roots(design.level_polynomial(as_printed, **earth))[0]
+    period_s = 2 * math.pi / abs(root.imag)
+    ratio = float(LEVEL_K3) / level.k3
+    values = {
+        "ratio": f"{ratio:.0f}",
+        "root": f"{root.real:+.4f} ± {abs(root.imag):.4f}j 1/s",
+        "factor": f"{math.exp(root.real * period_s):.2f}",
+        "period": f"{period_s:.1f} s",
+    }
+    claims = {
+        "all printed gains but K3 of levelling follow their formulas to the last digit": (
+            [text for text, value in printed.items() if not agrees(text, value)] == [LEVEL_K3]
+        ),
+        "the printed K3 is fifty times that of its formula": round(ratio) == 50,
+        "the printed K3 lacks one factor sigma": agrees(LEVEL_K3, level.k3 / LEVEL_SIGMA),
+        "with the printed K3 the levelling loop is unstable": bool(root.real > 0),
+        "every draw with the printed K3 diverges": bool(
+            analysis.has_status(printed_k3.rows, "diverged").all()
+        ),
+    }
+    return Page({"gains": values}, claims=claims)
+
+
+def agrees(text: str, value: float) -> bool:
+    """Whether a value, rounded to the significant digits of a printed number, is that number."""
+    printed = Decimal(text)
+    digits = len(printed.as_tuple().digits) - 1
+    return f"{Decimal(value):.{digits}e}" == f"{printed:.{digits}e}"
 
 
 def _deg(estimate: Estimate) -> str:

@@ -5,63 +5,50 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.report.base import Source, Table
+from sinsjax.plots import Scale
+from sinsjax.report.base import Picture, Source, Table
 from sinsjax.report.folder import Page, Sources
-from sinsjax.report.grids import Grid, held_out, least_mean, median, pooled_mean, shared, soonest
-from sinsjax.report.output import counted
-from sinsjax.report.words import apart, arcmin, degrees, seconds, share
+from sinsjax.report.grids import Grid, held_out, least_mean, median, shared, soonest
+from sinsjax.report.words import apart, degrees, seconds, share
 
-from . import figures
-from .grid import (
-    GRAVITY,
-    HEADING,
-    HERE,
-    MEASURED,
-    NONE,
-    PAPER,
-    POINT,
-    PRINTED,
-    SETTLE,
-    SMALL,
-    THREE,
-    TWO,
-    Schedule,
-    converges,
-    layout,
-    named,
-    schedules,
-)
+from ..common.settling import mean_time, settling_maps
 
+Schedule = tuple[float, ...]
+
+NONE: Schedule = ()
+TWO: Schedule = (10.0, 60.0)
+THREE: Schedule = (25.0, 125.0, 225.0)
+PAPER: Schedule = (50.0, 100.0, 150.0)  # paper 1, section 3.3.2
+MEASURED, GRAVITY = "measured", "gravity"
+PRINTED = {"force": MEASURED, "q": "per_step"}  # Q as printed: most of paper 1's statements
+HERE = PRINTED | {"feedback": 1.0}
+POINT = HERE | {"level": 5.0, "yaw": 30.0}  # its condition 5
+SETTLE = "settle_10_s"
+CONVERGES = 0.95
+"""Share of the draws from which a setting is said to settle."""
 SHORT, SLOW = [0.01, 1.0], 10.0  # s, feedback intervals
 
 
 def page(sources: Sources) -> Page:
-    """How many resets, when, what governs failure, where the paper's claim holds."""
+    """How many resets, when, and what makes the filter fail without."""
     source = sources["reset_cycle_study"]
-    grid, run_s = layout(source), source.study.run_s
+    grid = layout(source)
     one, more = (
         held_out(grid.at(SETTLE, force=MEASURED, schedule=times), soonest).values
         for times in (schedules(grid, 1, 1), schedules(grid, 2))
     )
-    made = Page.joined(
+    return Page.joined(
         Page({"study": {"runs": f"{source.runs:,}", "draws": str(grid.draws)}}),
-        _answer(grid, run_s),
-        _counts(one, more),
-        _single(grid, run_s),
+        _answer(source, grid),
+        _counts(grid, one, more),
+        _single(source, grid),
         _phase(sources["reset_phase"]),
         _failure(grid),
-        _paper(grid, one, more),
     )
-    shown = {name: one._replace(rests_on=counted(source)) for name, one in made.figures.items()}
-    return made._replace(figures=shown)
 
 
-def _mean(settle_s: NDArray, run_s: float) -> str:
-    """Mean settling time, with the whole run for one that never settles."""
-    return seconds(pooled_mean(np.minimum(settle_s, run_s)))
-
-
-def _answer(grid: Grid, run_s: float) -> Page:
+def _answer(source: Source, grid: Grid) -> Page:
+    run_s = source.study.run_s
     short = PRINTED | {"feedback": SHORT}
     two, without = (grid.at(SETTLE, schedule=times, **short) for times in (TWO, NONE))
     gravity = grid.at(SETTLE, schedule=NONE, **short | {"force": GRAVITY})
@@ -74,15 +61,15 @@ def _answer(grid: Grid, run_s: float) -> Page:
         "worst": degrees(level, level, yaw),
         "two": {
             "name": named(TWO).removeprefix("two "),
-            "mean": _mean(two, run_s),
+            "mean": mean_time(two, run_s),
             "slowest": seconds(analysis.quantile(slowest)),
         },
         "without": {"failed": share(shared(np.isinf(without)))},
-        "gravity": {"mean": _mean(gravity, run_s)},
+        "gravity": {"mean": mean_time(gravity, run_s)},
         "slow": {
             "failed": share(shared(np.isinf(slow))),
             "late": named(THREE),
-            "mean": _mean(late[0, -1], run_s),
+            "mean": mean_time(late[0, -1], run_s),
         },
     }
     claims = {
@@ -99,7 +86,7 @@ def _answer(grid: Grid, run_s: float) -> Page:
             np.isfinite(singles).all(axis=(0, 1, 3)).any()
         ),
     }
-    shown = {"settings": _settings(grid, run_s)}, {"answer": figures.answer(grid, run_s)}
+    shown = {"settings": _settings(grid, run_s)}, {"answer": _answer_figure(source, grid)}
     return Page(values, *shown, claims)
 
 
@@ -109,9 +96,7 @@ def _settings(grid: Grid, run_s: float) -> Table:
 
     def row(name: str, force: str, times: tuple[float, ...]) -> list[str]:
         runs = grid.at(SETTLE, schedule=times, **PRINTED | {"force": force})
-        settled = (f"{100 * np.isfinite(one).mean():.0f} %" for one in runs)
-        means = (_mean(one, run_s) for one in runs)
-        return [name, *map(", ".join, zip(settled, means, strict=True))]
+        return [name, *(f"{share(shared(np.isfinite(r)))}, {mean_time(r, run_s)}" for r in runs)]
 
     rows = [
         row("no reset", MEASURED, NONE),
@@ -123,8 +108,8 @@ def _settings(grid: Grid, run_s: float) -> Table:
     note = (
         f"Share that settles, and mean settling time with {run_s:g} s for a run that never does;"
         f" all {len(grid.axes['level']) * len(grid.axes['yaw'])} misalignments, [95 % interval over"
-        f" the {grid.draws} draws]. One time of the single reset serves all misalignments; it is"
-        " chosen on one half of the draws and judged on the other."
+        f" the {grid.draws} Monte Carlo runs of each]. One time of the single reset serves all"
+        " misalignments; it is chosen on one half of the runs and judged on the other."
     )
     return Table("All misalignments, Q as printed", header, rows, note)
 
@@ -136,10 +121,10 @@ def _best_one(grid: Grid, feedback: float, run_s: float) -> str:
     settled = np.take_along_axis(np.isfinite(runs), choice.places[None, None, None], axis=2)
     name = choice.named([f"{time:g} s" for (time,) in times])
     mean = format_estimate(analysis.mean(choice.values), "s", 0)
-    return f"{100 * settled.mean():.0f} %, {mean} ({name})"
+    return f"{share(shared(settled))}, {mean} ({name})"
 
 
-def _counts(one: NDArray, more: NDArray) -> Page:
+def _counts(grid: Grid, one: NDArray, more: NDArray) -> Page:
     """The best single reset against the best of more: settling times (q, ..., yaw, draws)."""
     pairs = list(zip(*(runs.reshape(-1, runs.shape[-1]) for runs in (more, one)), strict=True))
     saved = [analysis.quantile_difference(*pair) for pair in pairs]
@@ -148,6 +133,8 @@ def _counts(one: NDArray, more: NDArray) -> Page:
     by_one = sum(by.low > 0 for by in saved)
     only = sooner & np.isinf(median(one)) & np.isfinite(median(more))
     near, *_, large = sooner.sum(axis=(0, 1, 2))
+    at = tuple(grid.axes[name].index(POINT[name]) for name in ("q", "feedback", "level", "yaw"))
+    here = analysis.quantile_difference(more[at], one[at])
     values = {
         "contest": {
             "points": str(sooner.size),
@@ -158,6 +145,7 @@ def _counts(one: NDArray, more: NDArray) -> Page:
             "at_small_yaw": str(near),
             "at_large_yaw": str(large),
             "of_a_yaw": str(sooner[..., 0].size),
+            "here": apart(here),
         }
     }
     claims = {
@@ -165,11 +153,12 @@ def _counts(one: NDArray, more: NDArray) -> Page:
             min(sooner.sum(), by_one) > 4 * chance
         ),
         "more is better at large heading errors, one at small ones": large > 3 * near,
+        "at the paper's point no difference is shown": here.low <= 0 <= here.high,
     }
     return Page(values, claims=claims)
 
 
-def _single(grid: Grid, run_s: float) -> Page:
+def _single(source: Source, grid: Grid) -> Page:
     times = schedules(grid, 1, 1)
     settles = converges(grid.at(SETTLE, force=MEASURED, schedule=times))
     here = grid.at(SETTLE, schedule=times, **POINT)
@@ -190,34 +179,22 @@ def _single(grid: Grid, run_s: float) -> Page:
         ),
         "one reset at the right time is nearly always enough": enough > 0.9 * points,
     }
-    return Page(values, figures={"single": figures.single(grid, run_s)}, claims=claims)
+    return Page(values, figures={"single": _single_figure(source, grid)}, claims=claims)
 
 
 def _failure(grid: Grid) -> Page:
     measured, gravity = (
         np.isinf(grid.at(SETTLE, force=force, schedule=NONE)) for force in (MEASURED, GRAVITY)
     )
-    here = np.isinf(grid.at(SETTLE, schedule=NONE, **HERE))
     everywhere, ablated = shared(measured), shared(gravity)
-    level, yaw = measured[:, :, :, 0].mean(axis=2), measured[:, :, 0].mean(axis=2)
-    values = {
-        "failure": {
-            "measured": share(everywhere),
-            "gravity": share(ablated),
-            "level_alone": share(shared(here[:, :1])),
-            "yaw_alone": share(shared(here[:1])),
-        }
-    }
+    values = {"failure": {"measured": share(everywhere), "gravity": share(ablated)}}
     claims = {
         "gravity in A(t) prevents most failures": ablated.high < everywhere.low / 2,
-        "feedback every second: level errors alone fail more; every 0.01 s: heading errors": bool(
-            (level[0, 1] > yaw[0, 1]).all() and (level[0, 0] < yaw[0, 0]).all()
-        ),
         "with gravity only feedback every 10 s fails": bool(
             not gravity[:, :2].any() and gravity[:, 2].any()
         ),
     }
-    return Page(values, figures={"failure": figures.failure(grid)}, claims=claims)
+    return Page(values, claims=claims)
 
 
 def _phase(source: Source) -> Page:
@@ -238,7 +215,7 @@ def _phase(source: Source) -> Page:
     best = grid.at(SETTLE, feedback=SLOW, schedule=between)
     values = {
         "phase": {
-            "between": _mean(best, run_s),
+            "between": mean_time(best, run_s),
             "settled": share(shared(np.isfinite(best))),
             **{name: apart(one) for name, one in found.items()},
         }
@@ -251,35 +228,72 @@ def _phase(source: Source) -> Page:
     return Page(values, claims=claims)
 
 
-def _paper(grid: Grid, one: NDArray, more: NDArray) -> Page:
-    """Where three resets cure; with the best single reset, and with more, on unused draws."""
-    none, three = (
-        converges(grid.at(SETTLE, force=MEASURED, schedule=times)) for times in (NONE, PAPER)
+def _answer_figure(source: Source, grid: Grid) -> Picture:
+    """Settling times over the misalignments, with the settings that the page is about."""
+    shown = {
+        "no reset": (MEASURED, NONE),
+        named((50.0,)): (MEASURED, (50.0,)),
+        named(TWO): (MEASURED, TWO),
+        "no reset, gravity in A(t)": (GRAVITY, NONE),
+    }
+    panels = {
+        name: grid.at(SETTLE, schedule=times, **HERE | {"force": force})
+        for name, (force, times) in shown.items()
+    }
+    return settling_maps(
+        source,
+        "answer",
+        panels,
+        "Feedback every second, Q as printed.",
+        rows=Scale("initial level error_deg", grid.axes["level"]),
+        columns=Scale("initial heading error_deg", grid.axes["yaw"]),
     )
-    cured, one_too = ~none & three, ~none & three & converges(one)
-    at = tuple(grid.axes[name].index(POINT[name]) for name in ("q", "feedback", "level", "yaw"))
-    small, large = HERE | SMALL, POINT | {"schedule": PAPER}
-    later = analysis.quantile_difference(grid.at(SETTLE, **large), grid.at(SETTLE, **small))
-    off = analysis.difference(grid.at(HEADING, **large), grid.at(HEADING, **small))
-    apart_here = analysis.quantile_difference(more[at], one[at])
-    values = {
-        "paper": {
-            "holds": str(cured[..., *at[2:]].sum()),
-            "readings": str(cured[..., *at[2:]].size),
-            "not_needed": str(none.sum()),
-            "cured": str(cured.sum()),
-            "one_too": str(one_too.sum()),
-            "later": apart(later),
-            "off": arcmin(off),
-            "more": apart(apart_here),
-        }
-    }
-    claims = {
-        "at the paper's point its three resets cure, within 1 arcmin": bool(
-            cured[at] and -1 < off.low and off.high < 1
-        ),
-        "where the three cure, one reset mostly does too": one_too.sum() > 0.75 * cured.sum(),
-        "with the three it settles later than a small misalignment": later.low > 0,
-        "at the paper's point no difference is shown": apart_here.low <= 0 <= apart_here.high,
-    }
-    return Page(values, claims=claims)
+
+
+def _single_figure(source: Source, grid: Grid) -> Picture:
+    """Settling time against the time of the only reset."""
+    times = schedules(grid, 1, 1)
+    runs = grid.at(SETTLE, schedule=times, **HERE)
+    return settling_maps(
+        source,
+        "single_reset",
+        {f"heading error {yaw:g} deg": runs[:, y] for y, yaw in enumerate(grid.axes["yaw"])},
+        "As above, against the time of the only reset.",
+        rows=Scale("initial level error_deg", grid.axes["level"]),
+        columns=Scale("time of the reset_s", [time for (time,) in times]),
+        title="When must a single reset come? Heading within 10' of its limit",
+    )
+
+
+def layout(source: Source) -> Grid:
+    """Every run by force in A(t), reading of Q, feedback interval, level, yaw, schedule, draw."""
+    study = source.study
+    return Grid.of(
+        source,
+        (SETTLE,),
+        force=study.values("specific_force"),
+        q=study.values("q_reading"),
+        feedback=study.values("feedback_interval_s"),
+        level=study.values("phi_e0_deg"),
+        yaw=study.values("phi_u0_deg"),
+        schedule=[tuple(times) for times in study.reset_times()],
+    )
+
+
+def schedules(grid: Grid, least: int, most: int = 99) -> list[Schedule]:
+    """The schedules with some number of resets."""
+    return [times for times in grid.axes["schedule"] if least <= len(times) <= most]
+
+
+def named(times: Schedule) -> str:
+    """A schedule in words: ``none``, ``one at 50 s``, ``two at 10 and 60 s``."""
+    words = ("none", "one", "two", "three", "four", "five")
+    if len(times) < 2:
+        return f"one at {times[0]:g} s" if times else "none"
+    *first, last = (f"{time:g}" for time in times)
+    return f"{words[len(times)]} at {', '.join(first)} and {last} s"
+
+
+def converges(settle_s: NDArray) -> NDArray:
+    """Whether enough of the draws (..., draws) settle."""
+    return np.isfinite(settle_s).mean(axis=-1) >= CONVERGES

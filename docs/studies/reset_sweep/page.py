@@ -4,14 +4,15 @@ from typing import Any
 
 import numpy as np
 
-from sinsjax import analysis, plots
+from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.plots import Scale, Shown
-from sinsjax.report.base import Picture, Table
+from sinsjax.plots import Scale
+from sinsjax.report.base import Table
 from sinsjax.report.folder import Page, Sources
-from sinsjax.report.grids import Choice, Grid, held_out, median, pooled_mean, shared, soonest
-from sinsjax.report.output import counted
-from sinsjax.report.words import seconds, share
+from sinsjax.report.grids import Choice, Grid, held_out, median, shared, soonest
+from sinsjax.report.words import share
+
+from ..common.settling import mean_time, settling_maps
 
 LIMIT, TRUTH = "settle_10_s", "settle_10_truth_s"
 
@@ -46,8 +47,8 @@ def page(sources: Sources) -> Page:
         "best": {
             "count": str(best[0]),
             "cycle": f"{best[1]:g} s",
-            "mean": seconds(pooled_mean(np.minimum(at_best, run_s))),
-            "one": seconds(pooled_mean(np.minimum(one, run_s))),
+            "mean": mean_time(at_best, run_s),
+            "one": mean_time(one, run_s),
         },
     }
     contests = _contests(grid)
@@ -64,19 +65,15 @@ def page(sources: Sources) -> Page:
         "several win at large heading errors": all(gain.high < 0 for gain in gains[5:]),
         "no run with resets stays near true north": not np.isfinite(truth).any(),
     }
-    figure = plots.heat_maps(
-        [(f"heading error {yaw:g} deg", median(grid.at(LIMIT, yaw=yaw))) for yaw in yaws],
-        "How long until the heading stays within 10' of its limit?",
-        Shown("median settling time (s)", 0.0, run_s, reverse=True),
-        rows=Scale("reset_count", counts),
+    runs = {yaw: grid.at(LIMIT, count=list(counts[1:]), yaw=yaw) for yaw in yaws if yaw % 30 == 0}
+    picture = settling_maps(
+        source,
+        "settling_time",
+        {f"heading error {yaw:g} deg": here for yaw, here in runs.items()},
+        "The first reset comes after one time between resets; level errors of 5 deg.",
+        rows=Scale("reset_count", counts[1:]),
         columns=Scale("reset_cycle_s", cycles),
-        across=4,
     )
-    caption = (
-        f"Median over {grid.draws} draws; light is good, hatched: at least half of the draws never"
-        " settle. The first reset comes after one time between resets."
-    )
-    picture = Picture("settling_time", caption, figure, counted(source))
     return Page(values, {"best": _best(grid, contests, gains)}, {"settling": picture}, claims)
 
 

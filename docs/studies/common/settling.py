@@ -1,0 +1,64 @@
+"""How long the heading takes to settle, as the pages on resets draw and tell it."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sinsjax import analysis, plots
+from sinsjax.plots import Scale, Shown
+from sinsjax.report.base import Picture, Source
+from sinsjax.report.grids import median, pooled_mean
+from sinsjax.report.output import counted
+from sinsjax.report.words import seconds
+
+
+def mean_time(settle_s: NDArray, run_s: float) -> str:
+    """Mean settling time of runs (..., draws), with the whole run for one that never settles."""
+    return seconds(pooled_mean(np.minimum(settle_s, run_s)))
+
+
+def settling_maps(
+    source: Source,
+    name: str,
+    panels: Mapping[str, NDArray],
+    note: str,
+    *,
+    rows: Scale,
+    columns: Scale,
+    title: str = "How long until the heading stays within 10' of its limit?",
+) -> Picture:
+    """Median settling times over two axes, at most four panels side by side.
+
+    Args:
+        source: of the runs.
+        name: of the figure.
+        panels: settling times (rows, columns, draws), s.
+        note: what else the caption has to say.
+        rows: upwards.
+        columns: to the right.
+        title: of the figure, with what the heading is judged from.
+    """
+    figure = plots.heat_maps(
+        [(panel, median(runs)) for panel, runs in panels.items()],
+        title,
+        Shown("median settling time (s)", 0.0, source.study.run_s, reverse=True),
+        rows=rows,
+        columns=columns,
+        across=4,
+    )
+    caption = (
+        f"Medians over {_how_many(source, panels)}; light is good, hatched: at least half of them"
+        f" never settle. {note}"
+    )
+    return Picture(name, caption, figure, counted(source))
+
+
+def _how_many(source: Source, panels: Mapping[str, NDArray]) -> str:
+    """The number of runs of a cell, and how well their median is known."""
+    if source.study.is_recorded:
+        return f"{source.draws} start times on one record, which give no interval"
+    cells = np.concatenate([runs.reshape(-1, source.draws) for runs in panels.values()])
+    known = [analysis.quantile(runs) for runs in cells[np.isfinite(median(cells))]]
+    width = np.median([(one.high - one.low) / 2 for one in known])
+    return f"{source.draws} Monte Carlo runs (95 % interval: ±{width:.0f} s in half of the cells)"
