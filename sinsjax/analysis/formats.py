@@ -10,13 +10,15 @@ def format_estimate(estimate: Estimate, unit: str = "", digits: int = 1) -> str:
 
     Args:
         estimate: estimate to write; infinite numbers become ``never``, NaN becomes ``unknown``, and
-            an interval with neither end known is omitted.
+            an interval with neither end known, or of *never* alone, is omitted.
         unit: unit, written after the interval.
         digits: decimals.
     """
     words = {"nan": "unknown", "inf": "never", "-inf": "-never"}
     printed = (f"{number:.{digits}f}" for number in estimate[:3])
     value, low, high = (words.get(text, text) for text in printed)
+    if value == low == high == words["inf"]:
+        return value
     interval = "" if low == high == words["nan"] else f"[{low}, {high}] "
     return f"{value} {interval}{unit}".rstrip()
 

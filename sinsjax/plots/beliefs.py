@@ -87,6 +87,7 @@ def _shares(axes: Axes, shown: Sequence[BeliefPanel]) -> None:
                 capsize=2.5,
                 markersize=6,
             )
+        axes.text(0.0, i - 0.3, belief.label, color=colour(i), fontsize=8.5, va="center")
     names = list(shown[0].shares) if shown else []
     for mark, name in zip(_MARKS, names, strict=False):
         axes.plot([], [], mark, color=GREY, label=name)

@@ -268,7 +268,7 @@ def verdict_matrix(verdicts: Verdicts, title: str) -> Figure:
     axes.tick_params(which="both", length=0)
     for row, column in np.argwhere(verdicts.straddles):
         axes.text(column, row, "~", ha="center", va="center", color="white", fontsize=9)
-    axes.set_ylabel("reading of Q, of R, feedback; how many hold")
+    axes.set_ylabel("interpretation of Q, of R, feedback; how many hold")
     handles = [
         Patch(color=yes, label="holds"),
         Patch(color=no, label="does not hold"),

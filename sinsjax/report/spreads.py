@@ -90,9 +90,9 @@ def consistency(beliefs: Sequence[BeliefPanel], note: str = "") -> Picture:
     return Picture(
         "consistency",
         "Left: NEES, the squared attitude error at the end in units of the filter's own covariance;"
-        " a filter whose belief is true follows the dashed line, right of it it believes too much."
+        " a consistent filter follows the dashed line, an overconfident one lies right of it."
         " Right: mean share of records, with its 95 % interval, in which the filter's heading"
-        " variance exceeds the squared heading error; a true belief has 68 % (dashed), right of it"
-        f" it is too cautious.{note}",
+        " variance exceeds the squared heading error; a consistent filter has 68 % (dashed), a too"
+        f" cautious one more.{note}",
         plots.beliefs(beliefs, "Does the filter know its own error?"),
     )

@@ -31,13 +31,14 @@ PAGES = {
         "tune_condition5",
         "tune_large",
         "tune_compass",
+        "tuned_schedules",
         "paper2_map",
         "compass_80s_search",
         "compass_80s_best",
         "kalman_passes",
         "consistency",
     ),
-    "tuning": ("tune_condition5", "tune_large", "tune_compass"),
+    "tuning": ("tune_condition5", "tune_large", "tune_compass", "tuned_schedules"),
     "adaptive": ("adaptive_resets", "car_adaptive"),
     "consistency": ("consistency",),
     "kalman_passes": ("kalman_passes",),
@@ -97,10 +98,10 @@ def tunings(monkeypatch):
 
     figure = Figure()
     figure.suptitle("made up")
+    figure.subplots()
     monkeypatch.setattr(tuned_results, "Tuning", MadeUp)
-    made = Picture("seen", "made up", figure)
-    monkeypatch.setattr(tuned_figures, "landscape", lambda _: [made])
-    monkeypatch.setattr(tuned_figures, "course", lambda _: made)
+    seen = Picture("seen", "made up", figure)
+    monkeypatch.setattr(tuned_figures, "landscape", lambda _: [seen])
 
 
 @pytest.fixture

@@ -12,13 +12,13 @@ from sinsjax.report.grids import Grid, median, shared
 from sinsjax.report.output import counted
 from sinsjax.report.words import share
 
-from .scores import NONE, PAPER, WITHIN, Policy, Scores
+from .scores import NONE, PAPER, SETTLE, WITHIN, Policy, Scores
 
 SHORT = (0.01, 1.0)  # s, feedback intervals
 TRUTH = "settle_10_truth_s"
 FIXED = "the paper's four"
 
-_Q_WORDS = {"per_step": "printed", "psd": "density", "per_sample": "sample"}
+_Q_WORDS = {"per_step": "as printed", "psd": "as a density", "per_sample": "of a sample"}
 _CLASSES = (
     Class(0.9, "up to 0.9 (faster)", "#d6e9f8"),
     Class(WITHIN, f"up to {WITHIN:g} (as fast)", "#f7f7f7"),
@@ -46,29 +46,35 @@ def _cells(count: Estimate) -> str:
 
 
 def _answer(scores: Scores, best: Policy, footer: str) -> Picture:
-    """No reset, the paper's three and the best trigger over all cells."""
+    """No reset and the best trigger over all cells."""
     axes = scores.grid.axes
     shape = len(axes["q"]) * len(axes["feedback"]), len(scores.starts)
-    panels = []
-    for policy in (NONE, PAPER, best):
-        count, ratios = scores.within(policy), scores.ratios(policy)
-        title = f"{policy.words}: {count.value:.0f} of {count.n}"
-        panels.append((title, ratios.reshape(shape).T))
+    panels = [
+        (f"{policy.words}: {_cells(scores.within(policy))}", scores.ratios(policy))
+        for policy in (NONE, best)
+    ]
     figure = ratio_maps(
-        panels,
+        [(title, ratios.reshape(shape).T) for title, ratios in panels],
         _CLASSES,
-        "Settling time over that of the best single reset",
+        "Settling time over that of the best single reset, from the limit",
         rows=[start.name for start in scores.starts],
-        columns=[f"{_Q_WORDS[q]}, {f:g} s" for q in axes["q"] for f in axes["feedback"]],
+        columns=[f"Q {_Q_WORDS[q]}, {f:g} s" for q in axes["q"] for f in axes["feedback"]],
         side="initial misalignment (deg)",
         only="only it settles",
     )
     caption = (
-        f"Ratio of the median times, over {scores.grid.draws} draws, until the heading stays within"
-        " 10 arcmin of its limit. Columns: reading of Q and feedback interval. In"
-        f" the titles: cells with a ratio of at most {WITHIN:g}."
+        f"Ratios of median times over {scores.grid.draws} Monte Carlo runs until the heading stays"
+        " within 10 arcmin of its limit. A column is an interpretation of Q and a feedback"
+        f" interval. In the titles: cells as fast (ratio up to {WITHIN:g}) [certainly, possibly]."
     )
     return Picture("answer", caption, figure, footer)
+
+
+def _ties(scores: Scores) -> str:
+    """How many ties stand behind the numbers of cells, where there are any."""
+    policies = [*scores.by_trigger.values(), NONE, PAPER]
+    ties = {policy.words: scores.ties(policy) for policy in policies}
+    return ", ".join(f"{count} of *{name}*" for name, count in ties.items() if count) or "none"
 
 
 def _expected(scores: Scores) -> Table:
@@ -90,8 +96,10 @@ def _expected(scores: Scores) -> Table:
     header = ["resets by", "threshold", "cells as fast as the best single reset", "worst ratio"]
     note = (
         f"*As fast*: median settling time at most {WITHIN:g} times that of the best single reset."
-        " Each trigger with its best threshold. Number [95 % interval]; of a number of cells: how"
-        " many lie within with their whole interval, and with a part."
+        " Each trigger with its best threshold. Number [95 % interval]; of a number of cells:"
+        " [certainly as fast, possibly as fast], with the whole or with a part of the interval of"
+        " their ratio. Ties, where neither settles half of its runs, count as fast:"
+        f" {_ties(scores)}."
     )
     return Table("What to expect", [*header, "settled (%)", "false alarms (%)"], rows, note)
 
@@ -109,6 +117,7 @@ def _simulated(scores: Scores, footer: str) -> Page:
     tests = {name: scores.acts_in_need(strictest[name]) for name in ("nis", "innovation")}
     short = [scores.within(best, feedback) for feedback in SHORT]
     alarms = [scores.alarms(best, feedback) for feedback in SHORT]
+    healthy = scores.grid.at(SETTLE, policy=best, start=scores.healthy, feedback=[*SHORT])
     slow, slow_alarms = scores.within(best, 10.0), scores.alarms(best, 10.0)
     values = {
         "best": {
@@ -119,6 +128,9 @@ def _simulated(scores: Scores, footer: str) -> Page:
             "most": str(best.most),
             "within": _cells(scores.within(best)),
             "short": f"{sum(one.value for one in short):.0f} of {sum(one.n for one in short)}",
+            "certain": f"{sum(one.low for one in short):.0f}",
+            "ties": str(scores.ties(best)),
+            "healthy": str(healthy.size),
             "slow": _cells(slow),
             "slow_alarms": share(slow_alarms),
             "worst": format_estimate(worst_ratio, digits=2),

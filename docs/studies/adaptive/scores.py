@@ -93,7 +93,7 @@ class Scores:
 
     @cached_property
     def cells(self) -> list[tuple[str, float, Start]]:
-        """Reading of Q, feedback interval (s) and start of each cell."""
+        """Interpretation of Q, feedback interval (s) and start of each cell."""
         axes = self.grid.axes
         return [(q, f, s) for q in axes["q"] for f in axes["feedback"] for s in self.starts]
 
@@ -130,6 +130,11 @@ class Scores:
         value = int((self.ratios(policy)[here] <= WITHIN).sum())
         least, most = min(int(high.sum()), value), max(int(low.sum()), value)
         return Estimate(value, least, most, int(here.sum()))
+
+    def ties(self, policy: Policy) -> int:
+        """Number of cells in which neither a policy nor the best single reset settles half."""
+        never = np.isinf(median(self.runs(policy))) & np.isinf(median(self.best_runs))
+        return int(never.sum())
 
     def best(self, policies: list[Policy], draws: slice = slice(None)) -> Policy:
         """The policy with the fewest cells beyond `WITHIN`, then the smallest worst ratio."""

@@ -98,8 +98,8 @@ def _error_maps(source: Source, grid: Grid, rms: NDArray) -> Picture:
         across=2,
     )
     caption = (
-        f"Rms over {study.n_draws} draws, constant sigma; light is good, the darkest is the initial"
-        " error and more. Left of the line of 1 a record cannot converge. *Too*: the azimuth rate,"
-        " besides the velocity."
+        f"Rms over {study.n_draws} Monte Carlo runs, constant sigma; light is good, the darkest is"
+        " the initial error and more. Left of the line of 1 a record cannot converge. *Too*: the"
+        " azimuth rate, besides the velocity."
     )
     return Picture("heading_error", caption, figure, counted(source))

@@ -1,4 +1,4 @@
-"""Numbers of the page on a filter whose belief is true, and on four that are wrong."""
+"""Numbers of the page on a consistent filter, and on three that are not."""
 
 from typing import Any, NamedTuple
 
@@ -30,7 +30,7 @@ class Checked(NamedTuple):
 
 
 def page(sources: Sources) -> Page:
-    """Mean NEES and NIS of each filter beside the chi-square band of a true belief."""
+    """Mean NEES and NIS of each filter beside the chi-square band of a consistent one."""
     source = sources["consistency"]
     checked = checks(source)
     draws = checked[TRUE].nees.n
@@ -49,7 +49,7 @@ def page(sources: Sources) -> Page:
     values["right"]["inside"] = share(checked[TRUE].inside)
     values["biased"]["nis"] = format_estimate(checked[BIASED].nis_u, digits=2)
     claims = {
-        "the true beliefs lie in both bands": all(
+        "consistent filters lie in both bands": all(
             within(checked[case].nees, nees) and within(checked[case].nis_u, nis)
             for case in (TRUE, SLOW)
         ),
@@ -95,11 +95,11 @@ def table(
         for case, one in checked.items()
     ]
     bands = [f"{low:.2f} to {high:.2f}" for low, high in (nees, nis)]
-    rows.insert(0, ["*expected of a true belief*", *bands, "95"])
+    rows.insert(0, ["*expected of a consistent filter*", *bands, "95"])
     header = [
         "filter",
         "mean NEES",
         "mean NEES of the heading, from its limit",
         "runs up to the 95 % quantile (%)",
     ]
-    return Table("Five filters on the same draws", header, rows, "Number [95 % interval].")
+    return Table("Five filters on the same noise", header, rows, "Number [95 % interval].")

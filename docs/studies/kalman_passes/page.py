@@ -15,7 +15,7 @@ FREEDOM = analysis.NEES_FREEDOM
 
 
 class Point(NamedTuple):
-    """The runs with one number of passes: mean NEES, rms heading error and believed sigma."""
+    """The runs with one number of passes: mean NEES, rms heading error, the filter's own sigma."""
 
     nees: Estimate
     error: Estimate
@@ -23,7 +23,7 @@ class Point(NamedTuple):
 
 
 def page(sources: Sources) -> Page:
-    """How the filter's belief and its error go with the number of passes."""
+    """How the filter's covariance and its error go with the number of passes."""
     source = sources["kalman_passes"]
     study = source.study
     grid = Grid.of(
@@ -73,11 +73,11 @@ def page(sources: Sources) -> Page:
     settled = [points[case, turn, last] for case in (SMALL, LARGE) for turn in (INFLATED, RESET)]
 
     def meets(nees: Estimate) -> bool:
-        """Whether the interval of a mean NEES meets the band of a true belief."""
+        """Whether the interval of a mean NEES meets the band of a consistent filter."""
         return nees.low <= high and nees.high >= low
 
     claims = {
-        "carried, the belief narrows by 1/sqrt(passes)": (
+        "carried, its sigma shrinks by 1/sqrt(passes)": (
             abs(seven.sigma.value / one.sigma.value * last**0.5 - 1) < 0.05
         ),
         "carried, the error stays": abs(seven.error.value / one.error.value - 1) < 0.05,
@@ -95,28 +95,24 @@ def page(sources: Sources) -> Page:
         "passes",
         tuple(map(float, counts)),
         {
-            f"mean NEES from {case}": {
-                f"P {turn}": [points[case, turn, n].nees for n in counts] for turn in turns
+            f"mean NEES, misaligned by {case}": {
+                f"P {turn} at a turn": [points[case, turn, n].nees for n in counts]
+                for turn in turns
             }
             for case in (SMALL, LARGE)
         },
-        title="Does the filter know its error? Repeated passes over a stored record",
-        expected=plots.Expected(
-            "a true belief, and 95 % of its studies", float(FREEDOM), (low, high)
-        ),
+        title="Passes over a stored record: mean NEES of the attitude, from truth",
+        expected=plots.Expected("consistent: 3, and its 95 % band", float(FREEDOM), (low, high)),
         log=True,
     )
+    for axes in figure.axes:
+        axes.set_ylim(2.0, 50.0)
     caption = (
-        f"Mean NEES with its 95 % interval over {grid.draws} draws, logarithmic; up is worse."
-        " Above the grey band the filter is surer than it should be."
+        f"Mean NEES with its 95 % interval over {grid.draws} Monte Carlo runs, logarithmic. Above"
+        " the grey band the filter is overconfident."
     )
     picture = Picture("nees_by_passes", caption, figure)
-    return Page(
-        values,
-        {"settings": _settings(points, last)},
-        {"nees": picture},
-        claims,
-    )
+    return Page(values, {"settings": _settings(points, last)}, {"nees": picture}, claims)
 
 
 def _settings(points: dict[Any, Point], last: int) -> Table:
@@ -133,6 +129,7 @@ def _settings(points: dict[Any, Point], last: int) -> Table:
         ]
         for turn in (RESET, INFLATED, CARRIED)
     ]
-    header = ["at a turn", f"error from {SMALL}", "believed", f"error from {LARGE}", "believed"]
-    note = "Heading, root mean square from truth; *believed*: the filter's own sigma."
+    own = "filter's own sigma"
+    header = ["at a turn", f"error from {SMALL}", own, f"error from {LARGE}", own]
+    note = "Heading error: root mean square from truth."
     return Table(f"After {last} passes", header, rows, note)

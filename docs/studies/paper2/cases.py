@@ -127,8 +127,8 @@ def figure(cases: Sequence[Case], number: int) -> Picture:
         reach=_REACH_DEG,
     )
     caption = (
-        f"After the paper's Fig. {number}. Mean over {source.draws} draws; shading: 95 % of them."
-        f" The enlargement leaves out lines {_REACH_DEG:g} deg and more from a limit."
+        f"After the paper's Fig. {number}. Mean over {source.draws} Monte Carlo runs; shading: 95 %"
+        f" of them. The enlargement leaves out lines {_REACH_DEG:g} deg and more from a limit."
     )
     return Picture(f"fig{number}", caption, drawn, counted(source))
 

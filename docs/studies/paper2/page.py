@@ -167,7 +167,9 @@ def _turns(cases: Mapping[str, Case]) -> Page:
         "Scheme 2 by what is done at a turn: heading error from its limit",
         quantity="heading error from its limit (deg)",
     )
-    caption = f"Static base; mean over {shown[0].source.draws} draws, shading: 95 % of them."
+    caption = (
+        f"Static base; mean over {shown[0].source.draws} Monte Carlo runs, shading: 95 % of them."
+    )
     picture = Picture("turns", caption, figure, counted(shown[0].source))
     return Page({"turns": values}, figures={"turns": picture}, claims=claims)
 

@@ -104,8 +104,8 @@ def _best(grid: Grid, contests: list[tuple[Choice, Choice]], gains: list[Estimat
         rows.append([f"{yaw:g} deg", none_s, names[0], one_s, names[1], more_s, later])
     header = ["initial heading error", "no reset (s)", "best one", "median (s)", "best of more"]
     note = (
-        f"Median [95 % interval over the {grid.draws} draws]; each half of the draws chose for the"
-        " other, two schedules where they differ."
+        f"Median [95 % interval over {grid.draws} Monte Carlo runs]; each half of the runs chose"
+        " for the other, two schedules where they differ."
     )
     title = "What to set if the heading error is known, and what to expect"
     return Table(title, [*header, "median (s)", "more less one (s)"], rows, note)
