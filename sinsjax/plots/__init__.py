@@ -15,7 +15,7 @@ from sinsjax.plots.curves import (
     squares,
     yaw_errors,
 )
-from sinsjax.plots.errors import Mark, attitude_errors, over_time
+from sinsjax.plots.errors import over_time
 from sinsjax.plots.grids import Contours, Scale, Shown, Verdicts, heat_maps, spread, verdict_matrix
 from sinsjax.plots.spreads import Expected, along_axis
 from sinsjax.plots.stored_records import survival
@@ -29,13 +29,11 @@ __all__ = [
     "Ensemble",
     "Expected",
     "Line",
-    "Mark",
     "Scale",
     "Shown",
     "Verdicts",
     "along_axis",
     "attitude",
-    "attitude_errors",
     "beliefs",
     "colour",
     "draw",

@@ -8,7 +8,7 @@ import pytest
 from support.stored import store
 
 from docs.studies.loops.runs import limits_of
-from docs.studies.paper2 import cases as paper2
+from docs.studies.paper2 import page as paper2
 from sinsjax import analysis
 from sinsjax.alignment.compass import design as loops
 from sinsjax.report.base import Source
@@ -119,5 +119,5 @@ def test_errors_are_minus_phi(tmp_path):
     assert (case["case"], case.name) == ("Scheme 1, level 150 s", "level 150 s")
     phi = analysis.numbers(case.rows, "phi_u_mean_arcmin")
     np.testing.assert_allclose(case.means("heading"), -phi / 60)
-    assert case.curves.columns["roll"].shape == (DRAWS, 300)
-    np.testing.assert_allclose(case.from_limit(551.0), 0.1 - case.limits["heading"])
+    assert case.heading[1].shape == (DRAWS, 300)
+    np.testing.assert_allclose(case.from_limit(551.0), 0.1 - case.limit)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.analysis import UNKNOWN, Estimate
+from sinsjax.analysis import Estimate
 from sinsjax.analysis.estimates import RESAMPLES, SEED, TAIL, place
 from sinsjax.report.base import Source
 from sinsjax.report.grids import Grid, held_out, median, shared, soonest
@@ -166,12 +166,6 @@ class Scores:
         later = np.where(same, 0.0, runs - np.where(same, 0.0, without))
         share = LATER_SHARE * np.where(np.isfinite(without), without, 0.0)
         return shared(self.acts(policy, **at) & ((later > share) | (later > LATER_S)))
-
-    def acts_in_need(self, policy: Policy) -> Estimate:
-        """Share of the runs that it resets, of cells that are too slow without reset."""
-        in_need = self.ratios(NONE) > WITHIN
-        acts = self.acts(policy, start=self.starts).reshape(len(self.cells), -1)
-        return shared(acts[in_need]) if in_need.any() else UNKNOWN
 
 
 def _ratio(one: NDArray, other: NDArray) -> NDArray:

@@ -22,7 +22,6 @@ class Case(NamedTuple):
 
     Attributes:
         name: in words.
-        variant: its number.
         is_compass: whether the compass loops align; a Kalman filter otherwise.
         data_s: length of the data, s.
         passes: over the data; the last one may be part of one.
@@ -32,7 +31,6 @@ class Case(NamedTuple):
     """
 
     name: str
-    variant: int
     is_compass: bool
     data_s: float
     passes: int
@@ -64,7 +62,6 @@ def cases_of(source: Source) -> list[Case]:
         found.append(
             Case(
                 name=name,
-                variant=variant,
                 is_compass=is_compass,
                 data_s=span.pass_records * study.record_every / study.rate_hz,
                 passes=passes,

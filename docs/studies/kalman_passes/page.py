@@ -1,5 +1,6 @@
 """Numbers of the page on a Kalman filter that goes over a stored record again and again."""
 
+from itertools import chain, product
 from typing import Any, NamedTuple
 
 from sinsjax import analysis, plots
@@ -22,6 +23,11 @@ class Point(NamedTuple):
     sigma: Estimate
 
 
+def _point(grid: Grid, **at: Any) -> Point:
+    nees, yaw, floor, sigma = (grid.at(column, **at) for column in grid.columns)
+    return Point(analysis.mean(nees), analysis.rms(yaw - floor), analysis.mean(sigma))
+
+
 def page(sources: Sources) -> Page:
     """How the filter's covariance and its error go with the number of passes."""
     source = sources["kalman_passes"]
@@ -34,19 +40,11 @@ def page(sources: Sources) -> Page:
         passes=study.values("passes"),
     )
 
-    def point(case: str, turn: str, passes: int) -> Point:
-        nees, yaw, floor, sigma = (
-            grid.at(column, case=case, turn=turn, passes=passes) for column in grid.columns
-        )
-        return Point(analysis.mean(nees), analysis.rms(yaw - floor), analysis.mean(sigma))
-
-    counts = grid.axes["passes"]
-    last, turns = counts[-1], grid.axes["turn"]
+    counts, turns = grid.axes["passes"], grid.axes["turn"]
+    last = counts[-1]
     points = {
-        (case, turn, n): point(case, turn, n)
-        for case in grid.axes["case"]
-        for turn in turns
-        for n in counts
+        (case, turn, n): _point(grid, case=case, turn=turn, passes=n)
+        for case, turn, n in product(*grid.axes.values())
     }
     one, seven = points[SMALL, CARRIED, 1], points[SMALL, CARRIED, last]
     low, high = analysis.chi2_mean_band(FREEDOM, grid.draws)
@@ -117,18 +115,11 @@ def page(sources: Sources) -> Page:
 
 def _settings(points: dict[Any, Point], last: int) -> Table:
     """What each treatment of P gives after the last pass."""
-    rows = [
-        [
-            f"P {turn}",
-            *(
-                cell
-                for case in (SMALL, LARGE)
-                for p in [points[case, turn, last]]
-                for cell in (arcmin(p.error, 2), f"{p.sigma.value:.2f} arcmin")
-            ),
-        ]
-        for turn in (RESET, INFLATED, CARRIED)
-    ]
+    rows = []
+    for turn in (RESET, INFLATED, CARRIED):
+        small, large = (points[case, turn, last] for case in (SMALL, LARGE))
+        told = ((arcmin(p.error, 2), f"{p.sigma.value:.2f} arcmin") for p in (small, large))
+        rows.append([f"P {turn}", *chain(*told)])
     own = "filter's own sigma"
     header = ["at a turn", f"error from {SMALL}", own, f"error from {LARGE}", own]
     note = "Heading error: root mean square from truth."

@@ -1,23 +1,32 @@
-"""Numbers of the page on paper 2: its two schemes, and why its tables do not come out."""
+"""Numbers of the page on paper 2: its two schemes, and why its tables do not come out.
+
+An error is estimate minus truth, which is -phi; heading is positive counter-clockwise.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from decimal import Decimal
+from functools import cached_property
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
 from sinsjax.alignment.compass import design
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.plots import Line
-from sinsjax.report.base import Picture
+from sinsjax.report.base import Picture, Source, Table, only
 from sinsjax.report.folder import Page, Sources
 from sinsjax.report.output import counted
+from sinsjax.study.load import one_variant
+from sinsjax.study.study import Study
 from sinsjax.units import ARCMIN, DEG, MICRO
 
 from ..loops.runs import limits_of
 from ..loops.turns import TURNS, cycle_radius
-from .cases import PRINTED, Case, cases_of, figure, table
 
 PRINTED_K3 = "K3 as printed"
 V_FLIPPED, BOTH_FLIPPED, REFLECTED = "V flipped", "V and azimuth rate flipped", "reflected"
@@ -32,24 +41,87 @@ LEVEL_SIGMA, AZIMUTH_SIGMA = 0.02, 0.01
 LEVEL_K3 = "0.000081632653"
 """As printed."""
 
+ANGLES = {"pitch": "e", "roll": "n", "heading": "u"}
+"""The paper's attitude angles, and the axis of phi that each is an error about."""
+
+PRINTED = {
+    1: {"pitch": 0.00261, "roll": -0.00208, "heading": 0.0251},
+    2: {"pitch": 0.00234, "roll": -0.00209, "heading": 0.0236},
+}
+"""Tables 1 and 2 by scheme, deg; the two tables are identical."""
+
+_DIGITS = {"pitch": 5, "roll": 5, "heading": 4}  # decimals of a degree in the paper's tables
+_FROM_PHI = -ARCMIN / DEG
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One variant of a study: a scheme, how it is read, and a gyro drift.
+
+    Attributes:
+        source: what it is of.
+        study: of this variant alone.
+        rows: its runs, one a draw.
+    """
+
+    source: Source
+    study: Study
+    rows: pa.Table
+
+    def __getitem__(self, key: str) -> Any:
+        """The value of a key of the study."""
+        return only(self.study, key)
+
+    @property
+    def drift(self) -> float:
+        """Constant gyro drift, deg/h."""
+        return float(self["gyro_bias_deg_per_h"])
+
+    @property
+    def scheme(self) -> int:
+        """1 where the data are gone over once, 2 where a tape is gone over again."""
+        return 1 if self["tape_s"] >= self.study.duration_s else 2
+
+    @property
+    def name(self) -> str:
+        """The label without the scheme."""
+        return str(self["case"]).removeprefix(f"Scheme {self.scheme}, ")
+
+    @cached_property
+    def limit(self) -> float:
+        """What the heading error settles to, deg."""
+        return _FROM_PHI * limits_of(self.study).u
+
+    def means(self, angle: str) -> NDArray:
+        """Window means of an angle's error by draw, (draws,), deg."""
+        return _FROM_PHI * analysis.numbers(self.rows, f"phi_{ANGLES[angle]}_mean_arcmin")
+
+    @cached_property
+    def heading(self) -> tuple[NDArray, NDArray]:
+        """Times (T,), s, and heading errors from the limit (draws, T), deg."""
+        columns, ids = ["run_id", "time_s", "phi_u_arcmin"], self.rows["run_id"].to_pylist()
+        (phi,) = plots.ensembles(self.source.curves(ids).select(columns), {self.name: ids})
+        return phi.time_s, _FROM_PHI * phi.columns["phi_u_arcmin"] - self.limit
+
+    def from_limit(self, time_s: float) -> NDArray:
+        """Heading errors from the limit at the record nearest to a time, (draws,), deg."""
+        times, errors = self.heading
+        return np.asarray(errors[:, int(np.argmin(np.abs(times - time_s)))])
+
 
 def page(sources: Sources) -> Page:
-    """Figs 3 and 4, Table 1, and the reasons."""
+    """Table 1, and why it does not come out as printed."""
     static, swing = (cases_of(sources[f"paper2_{base}"]) for base in ("static", "swing"))
     shown = [case for case in static if case.name != PRINTED_K3]
-    stated = [c for c in shown if c["phi_u0_deg"] < 0 and c["misalignment"] == "vector"]
-    first = [c for c in stated if c.drift == static[0].drift]
+    first = [c for c in shown if c.drift == static[0].drift and c["phi_u0_deg"] < 0]
+    first = [c for c in first if c["misalignment"] == "vector"]
     named = {case.name: case for case in static if case.drift == static[0].drift}
-    figures = {
-        f"fig{2 + scheme}": figure([case for case in stated if case.scheme == scheme], 2 + scheme)
-        for scheme in (1, 2)
-    }
     tables = {
         "expected": table(first, "What to expect, and what is printed", folded=False),
         "table_1": table(shown, "Table 1, static base: every reading"),
     }
     return Page.joined(
-        Page({"draws": str(static[0].source.draws)}, tables, figures),
+        Page({"draws": str(static[0].source.draws)}, tables),
         _limit(static[0]),
         _unsettled([case for case in shown if case.scheme == 1]),
         _turns(named),
@@ -60,7 +132,7 @@ def page(sources: Sources) -> Page:
 
 def _limit(case: Case) -> Page:
     """The limit of the heading error, and the biases that the printed means would follow from."""
-    limit, random = case.limits["heading"], case["gyro_noise_deg_per_h"]
+    limit, random = case.limit, case["gyro_noise_deg_per_h"]
     printed = [of_scheme["heading"] for of_scheme in PRINTED.values()]
     parts = limits_of(case.study)  # the first is linear in the drift
     drifts = [
@@ -138,8 +210,7 @@ def _turns(cases: Mapping[str, Case]) -> Page:
     lines = [
         Line(
             TURNS[case["turn"]],
-            case.curves.time_s,
-            case.curves.columns["heading"] - case.limits["heading"],
+            *case.heading,
             plots.colour(number),
         )
         for number, case in enumerate(shown)
@@ -216,6 +287,36 @@ def agrees(text: str, value: float) -> bool:
     printed = Decimal(text)
     digits = len(printed.as_tuple().digits) - 1
     return f"{Decimal(value):.{digits}e}" == f"{printed:.{digits}e}"
+
+
+def cases_of(source: Source) -> list[Case]:
+    """The variants of a study, in its order."""
+    groups = analysis.groups(source.summary, ["variant_id"])
+    return [Case(source, one_variant(source.study, k["variant_id"]), rows) for k, rows in groups]
+
+
+def table(cases: Sequence[Case], title: str, *, folded: bool = True) -> Table:
+    """Window means, those that the paper prints above those of each scheme."""
+    rows = []
+    for scheme, printed in PRINTED.items():
+        numbers = (f"{printed[angle]:.{digits}f}" for angle, digits in _DIGITS.items())
+        rows.append([f"Scheme {scheme}, as printed", "", *numbers, ""])
+        rows += [_row(case) for case in cases if case.scheme == scheme]
+    start, end = cases[0].source.study.study.window_s
+    header = ["", "gyro drift (deg/h)", *(f"{angle} (deg)" for angle in ANGLES), "its limit (deg)"]
+    note = (
+        f"Mean error from {start:g} to {end:g} s [95 % interval over {cases[0].source.draws}"
+        " draws], the last column: where the heading would settle."
+    )
+    return Table(title, header, rows, note, folded=folded)
+
+
+def _row(case: Case) -> list[str]:
+    means = (
+        format_estimate(analysis.mean(case.means(angle)), digits=digits)
+        for angle, digits in _DIGITS.items()
+    )
+    return [str(case["case"]), f"{case.drift:g}", *means, f"{case.limit:.4f}"]
 
 
 def _deg(estimate: Estimate) -> str:
