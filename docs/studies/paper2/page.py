@@ -118,7 +118,7 @@ def page(sources: Sources) -> Page:
     named = {case.name: case for case in static if case.drift == static[0].drift}
     tables = {
         "expected": table(first, "What to expect, and what is printed", folded=False),
-        "table_1": table(shown, "Table 1, static base: every reading"),
+        "table_1": table(shown, "Table 1, static base: every interpretation"),
     }
     return Page.joined(
         Page({"draws": str(static[0].source.draws)}, tables),
@@ -205,7 +205,7 @@ def _turns(cases: Mapping[str, Case]) -> Page:
         cases: of one gyro drift, by name.
     """
     shown = [cases[name] for name in (V_FLIPPED, BOTH_FLIPPED, REFLECTED)]
-    tape_s, end_s = shown[0]["tape_s"], shown[0].study.duration_s
+    tape_s = shown[0]["tape_s"]
     radii = [float(cycle_radius(c.study, c["turn"], AZIMUTH_SIGMA, tape_s)) for c in shown]
     lines = [
         Line(
@@ -215,11 +215,12 @@ def _turns(cases: Mapping[str, Case]) -> Page:
         )
         for number, case in enumerate(shown)
     ]
-    begins, ends = ([float(np.mean(c.from_limit(t))) for c in shown] for t in (0.0, end_s))
+    begins = float(np.mean(shown[0].from_limit(0.0)))
+    ends = [float(np.mean(case.means("heading"))) - case.limit for case in shown]
     values = {
-        "begins": f"{begins[0]:.1f} deg",
+        "begins": f"{begins:.1f} deg",
         "grows": f"{ends[0]:.1f} deg",
-        "ends": f"{ends[2]:.2f} deg",
+        "ends": f"{abs(ends[2]):.2f} deg",
         "paper": f"{radii[0]:.3f}",
         "rates": f"{radii[1]:.3f}",
         "reflected": f"{radii[2]:.2f}",
@@ -228,7 +229,7 @@ def _turns(cases: Mapping[str, Case]) -> Page:
     }
     claims = {
         "with the paper's turn the heading error grows and stays": (
-            ends[0] > 1.5 * begins[0] and 0.98 < radii[0] < 1
+            ends[0] > 1.5 * begins and 0.98 < radii[0] < 1
         ),
         "reversing the azimuth rate too makes it grow": radii[1] > 1,
         "reflecting the tilt makes the tape converge": radii[2] < 0.5 and abs(ends[2]) < 0.1,
@@ -306,7 +307,7 @@ def table(cases: Sequence[Case], title: str, *, folded: bool = True) -> Table:
     header = ["", "gyro drift (deg/h)", *(f"{angle} (deg)" for angle in ANGLES), "its limit (deg)"]
     note = (
         f"Mean error from {start:g} to {end:g} s [95 % interval over {cases[0].source.draws}"
-        " draws], the last column: where the heading would settle."
+        " Monte Carlo runs], the last column: where the heading would settle."
     )
     return Table(title, header, rows, note, folded=folded)
 
@@ -316,7 +317,11 @@ def _row(case: Case) -> list[str]:
         format_estimate(analysis.mean(case.means(angle)), digits=digits)
         for angle, digits in _DIGITS.items()
     )
-    return [str(case["case"]), f"{case.drift:g}", *means, f"{case.limit:.4f}"]
+    name = str(case["case"])
+    if case.scheme == 2:
+        _, *more = case.name.split(", ")
+        name = ", ".join(["Scheme 2", TURNS[case["turn"]], *more])
+    return [name, f"{case.drift:g}", *means, f"{case.limit:.4f}"]
 
 
 def _deg(estimate: Estimate) -> str:
