@@ -27,12 +27,12 @@ class IncrementNoise(NamedTuple):
     """Variances of the noise of a sample's increments, white, about the body's axes.
 
     Attributes:
-        velocity: of x, y, z, (m/s)^2.
+        velocity: of x, y, z, or one of all axes, (m/s)^2.
         angle: likewise, rad^2.
     """
 
-    velocity: tuple[Scalar, Scalar, Scalar]
-    angle: tuple[Scalar, Scalar, Scalar]
+    velocity: tuple[Scalar, ...]
+    angle: tuple[Scalar, ...]
 
 
 class ErrorGrowth(NamedTuple):
@@ -131,9 +131,12 @@ def updated(d: tuple[Scalar, ...], k: tuple[Scalar, ...], m: int) -> tuple[Scala
 
 
 def _in_n(q: Quat, noise: IncrementNoise) -> dict[tuple[int, int], Scalar]:
-    """C diag(variances) C' of both sensors, entries (i, j) with i <= j."""
-    c, out = rotations.matrix(q), {}
+    """C diag(variances) C' of both sensors, its non-zero entries (i, j) with i <= j."""
+    c, out = rotations.matrix(q), dict[tuple[int, int], Scalar]()
     for first, variances in ((0, noise.velocity), (3, noise.angle)):
+        if len(variances) == 1:  # the same from any attitude
+            out |= {(first + i, first + i): variances[0] for i in range(3)}
+            continue
         for i in range(3):
             for j in range(i, 3):
                 terms = (c[i][a] * c[j][a] * variances[a] for a in range(3))

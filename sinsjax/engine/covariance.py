@@ -6,6 +6,7 @@ covariance of the true error, and e <- F e + chol(W) n are errors as runs with n
 them, which are judged as runs are.
 """
 
+from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
 
@@ -13,14 +14,53 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from sinsjax.alignment.base import Options
 from sinsjax.alignment.error_growth import ErrorParams, IncrementNoise
+from sinsjax.alignment.methods import METHODS
 from sinsjax.alignment.schedules import mix
+from sinsjax.alignment.triggers.section import any_trigger
 from sinsjax.engine import metrics
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.metrics import FIELDS
 from sinsjax.engine.realisations import Environment, Static
+from sinsjax.engine.simulator import keys_in_turn
+from sinsjax.errors import InputError
 from sinsjax.maths.algebra import Triangle, cholesky, triangle_index
+from sinsjax.study.keys import SECTION_OF
+from sinsjax.study.study import Study
 from sinsjax.types import Array, Count, Scalar
+
+
+def require_modelled(study: Study) -> None:
+    """Reject what linear covariance analysis does not hold for.
+
+    Raises:
+        InputError: names the key, and why.
+    """
+    told = next(_unmodelled(study), None)
+    if told is not None:
+        raise InputError(f"{study.name}: {told}")
+
+
+def _unmodelled(study: Study) -> Iterator[str]:
+    """What there is of it, a line each."""
+    if study.is_recorded:
+        yield "[record]: covariance analysis needs the noise of a simulation"
+        return
+    if study.passes:
+        yield "[passes]: covariance analysis takes noise as white, passes take it in again"
+    if study.coarse_stages:
+        yield "[coarse]: covariance analysis begins with the method's own P0"
+    for key in study.drawn_keys:
+        yield f"[drawn] {key}: covariance analysis takes its value as given (sweep it instead)"
+    if any_trigger(study):
+        yield "[resets] reset_trigger: covariance analysis needs resets at given times"
+    for key in keys_in_turn(study):
+        yield f"[{SECTION_OF[key]}] {key}: covariance analysis takes white noise alone"
+    for name in study.methods:
+        options = Options(1 / study.study.rate_hz if study.study.rate_hz else 0.01)
+        if METHODS[name](options).error_step is None:
+            yield f"[alignment] method: covariance analysis knows no linear part of {name}"
 
 
 class Spread(NamedTuple):
@@ -47,7 +87,7 @@ def watched(group: Group, samples: int) -> Group:
         samples: sampled errors of a run, an even number; the same numbers for all runs.
     """
     errors = group.environment.errors
-    noise = IncrementNoise(tuple(errors.accel_noise**2), tuple(errors.gyro_noise**2))
+    noise = IncrementNoise(_variances(errors.accel_noise), _variances(errors.gyro_noise))
     like = np.zeros_like(group.variants.ve)
     params = ErrorParams(group.variants.method, jax.tree.map(lambda a: a + like, noise))
     return group._replace(
@@ -65,38 +105,63 @@ def spread(static: Static, environment: Environment, rows: Array, floor: Array) 
         rows: (records, fields, lanes): the observation, F, W, and phi by the states.
         floor: (lanes,) what phi_u should settle to, rad.
     """
-    n = states_of(rows.shape[1])
-    normals = standard_normals(environment.seed, len(rows), n, static.sampled_errors)
-    over = partial(_over_records, static, environment.criteria, normals)
-    return jax.vmap(over, in_axes=(-1, 0), out_axes=-1)(rows, floor)
+    n, criteria = states_of(rows.shape[1]), environment.criteria
+    lanes, samples = len(floor), static.sampled_errors
+    normals = standard_normals(environment.seed, len(rows), n, samples)
+    over_lanes = jax.vmap(partial(_over_record, criteria), in_axes=(0, None, None, 0, 0))
 
-
-def _over_records(
-    static: Static, criteria: metrics.Criteria, normals: Array, rows: Array, floor: Scalar
-) -> Spread:
-    """`spread` of one run."""
-    n, samples = normals.shape[1:]
-    squares, triangle = n * n, n * (n + 1) // 2
-
-    def over(carry: tuple, record: tuple[Scalar, Array, Array]) -> tuple[tuple, tuple]:
-        s, e, outside = carry
+    def over(carry: _Carry, record: tuple[Scalar, Array, Array]) -> tuple[_Carry, Array]:
         time, row, normal = record
-        f, w, angles = jnp.split(row[FIELDS:], [squares, squares + triangle])
-        f, angles = f.reshape(n, n), angles.reshape(3, n)
-        noise = tuple(w)
-        s = _propagated(f, s, noise)
-        e = _sampled(f, cholesky(noise, n), e, normal)
-        error = row[2] + sum(angles[2, i] * e[i] for i in range(n))
-        now = [over_bands(criteria, error - floor), over_bands(criteria, error)]
-        sigma = jnp.sqrt(jnp.stack([_variance(one, s) for one in angles]))
-        return (s, e, mix(jnp.stack(now), time, outside)), (row[:3], sigma, row[3:6])
+        # Numbers of all lanes side by side: as matrices of each lane they would be gathered.
+        carry, told = over_lanes(carry, time, tuple(normal), tuple(row), floor)
+        return carry, jnp.stack(told)  # several arrays XLA would copy with every record
 
     zero = jnp.zeros_like(floor)
-    nothing = jnp.zeros((2, len(criteria.bands), samples))
-    begun = (zero,) * triangle, jnp.zeros((n, samples)), nothing
-    (_, _, outside), told = jax.lax.scan(over, begun, (record_times(static), rows, normals))
-    phi, sigma, belief = (a.T for a in told)
-    return Spread(phi, sigma, belief, outside)
+    none = (jnp.zeros((lanes, samples)),) * n
+    outside = jnp.zeros((lanes, 2, len(criteria.bands), samples))
+    begun = _Carry((zero,) * (n * (n + 1) // 2), none, outside)
+    ended, told = jax.lax.scan(over, begun, (record_times(static), rows, normals))
+    phi, sigma, belief = jnp.split(jnp.moveaxis(told, 0, 1), 3)
+    return Spread(phi, sigma, belief, jnp.moveaxis(ended.outside, 0, -1))
+
+
+def _variances(sigmas: np.ndarray) -> tuple[np.float64, ...]:
+    """Of the three axes, or one where all are alike."""
+    return tuple(np.unique(sigmas) ** 2) if np.ptp(sigmas) == 0 else tuple(sigmas**2)
+
+
+class _Carry(NamedTuple):
+    """Of one run: S, sampled errors by state (samples,), and (2, B, samples) outside until, s."""
+
+    s: Triangle
+    e: tuple[Array, ...]
+    outside: Array
+
+
+def _over_record(
+    criteria: metrics.Criteria,
+    carry: _Carry,
+    time: Scalar,
+    normal: tuple[Array, ...],
+    row: tuple[Scalar, ...],
+    floor: Scalar,
+) -> tuple[_Carry, tuple[Scalar, ...]]:
+    """One run's errors a record interval later: misalignment, its sigma, the method's own sigma."""
+    n, told = len(normal), row[FIELDS:]
+    f = [told[i * n : (i + 1) * n] for i in range(n)]
+    w = told[n * n : -3 * n]
+    angles = [told[len(told) - (3 - i) * n :][:n] for i in range(3)]
+    s, root = _propagated(f, carry.s, w), cholesky(w, n)
+    e = tuple(
+        sum(f[i][j] * carry.e[j] for j in range(n))
+        + sum(root[i][j] * normal[j] for j in range(i + 1))
+        for i in range(n)
+    )
+    error = row[2] + sum(a * one for a, one in zip(angles[2], e, strict=True))
+    now = jnp.stack([over_bands(criteria, error - floor), over_bands(criteria, error)])
+    sigma = (jnp.sqrt(_variance(one, s)) for one in angles)
+    outside = mix(now, time, carry.outside)
+    return _Carry(s, e, outside), (*row[:3], *sigma, *row[3:6])
 
 
 def states_of(fields: int) -> int:
@@ -115,27 +180,19 @@ def over_bands(criteria: metrics.Criteria, error: Array) -> Array:
     return jnp.moveaxis(outside(error), -1, 0)
 
 
-def _propagated(f: Array, s: Triangle, w: Triangle) -> Triangle:
+def _propagated(f: list[tuple[Scalar, ...]], s: Triangle, w: Triangle) -> Triangle:
     """F S F' + W."""
     n = len(f)
     at = triangle_index(n)
-    fs = [[sum(f[i, k] * s[at[k, j]] for k in range(n)) for j in range(n)] for i in range(n)]
+    fs = [[sum(f[i][k] * s[at[k, j]] for k in range(n)) for j in range(n)] for i in range(n)]
     return tuple(
-        sum(fs[i][k] * f[j, k] for k in range(n)) + w[at[i, j]]
+        sum(fs[i][k] * f[j][k] for k in range(n)) + w[at[i, j]]
         for i in range(n)
         for j in range(i, n)
     )
 
 
-def _sampled(f: Array, root: list[list[Scalar]], e: Array, normal: Array) -> Array:
-    """F e + L n of sampled errors, (n, samples)."""
-    n = len(f)
-    turned = [sum(f[i, j] * e[j] for j in range(n)) for i in range(n)]
-    added = [sum(root[i][j] * normal[j] for j in range(i + 1)) for i in range(n)]
-    return jnp.stack([a + b for a, b in zip(turned, added, strict=True)])
-
-
-def _variance(row: Array, s: Triangle) -> Scalar:
+def _variance(row: tuple[Scalar, ...], s: Triangle) -> Scalar:
     """A S a'."""
     n = len(row)
     at = triangle_index(n)

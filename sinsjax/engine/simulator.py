@@ -45,12 +45,21 @@ OF_DISTURBANCES = tuple(
 """The keys that disturb base and sensors."""
 
 
+def keys_in_turn(study: Study) -> list[str]:
+    """Those of `IN_TURN` that some variant of a study has."""
+    if study.is_recorded:
+        return []
+
+    def taken(key: str) -> bool:
+        values = (point[key] for point in study.combinations(key))
+        return any(value is None or np.any(value) for value in values)
+
+    return [key for key in IN_TURN if taken(key)]
+
+
 def runs_in_turn(study: Study) -> bool:
     """Whether a sample of some variant of a study hangs on those before it."""
-    if study.is_recorded:
-        return False
-    points = (point for key in IN_TURN for point in study.combinations(key))
-    return any(value is None or np.any(value) for point in points for value in point.values())
+    return bool(keys_in_turn(study))
 
 
 def _number(common: Lookup, key: str, factor: float = 1.0) -> np.ndarray:

@@ -46,8 +46,8 @@ def random_step(rng: np.random.Generator, n: int) -> ErrorStep:
     return ErrorStep(transition, inputs, gains, (0, 1))
 
 
-@given(seeds, st.sampled_from([5, 6, 10]))
-def test_growth_is_that_of_dense_matrices(seed: int, n: int) -> None:
+@given(seeds, st.sampled_from([5, 6, 10]), st.booleans())
+def test_growth_is_that_of_dense_matrices(seed: int, n: int, alike: bool) -> None:
     rng = np.random.default_rng(seed)
     growth = error_growth.no_growth(n, np.float64(0.0))
     f, w, d = np.eye(n), np.zeros((n, n)), rng.normal(size=n)
@@ -57,7 +57,10 @@ def test_growth_is_that_of_dense_matrices(seed: int, n: int) -> None:
         turned = Rotation.random(rng=rng)
         q = Quat(*turned.as_quat(scalar_first=True))
         variances = rng.uniform(0.1, 2, 6)
-        noise = error_growth.IncrementNoise(tuple(variances[:3]), tuple(variances[3:]))
+        velocity, angle = tuple(variances[:3]), tuple(variances[3:])
+        if alike:
+            velocity, variances[:3] = velocity[:1], velocity[0]
+        noise = error_growth.IncrementNoise(velocity, angle)
         excess = rng.normal(size=6)
         increments = Increments(dtheta=Vec3(*excess[3:]), dv=Vec3(*excess[:3]))
         growth = error_growth.advance(growth, step, q, noise)

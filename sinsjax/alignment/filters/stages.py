@@ -200,18 +200,19 @@ def _error_step(
 
 def _error_angles(filter_: Filter, state: Any) -> tuple[tuple[Scalar, ...], ...]:
     """The corrected attitude's derivative by the estimates, whose errors are -d."""
-    x, q = state.belief.x, filter_.attitude(state)
+    x, angles = state.belief.x, []
 
-    def phi(x: tuple[Scalar, ...]) -> Vec3:
-        moved = state._replace(belief=state.belief._replace(x=x))
-        return rotations.misalignment(q, filter_.attitude(moved))
+    def attitude(x: tuple[Scalar, ...]) -> Quat:
+        return filter_.attitude(state._replace(belief=state.belief._replace(x=x)))
 
     zero = tuple(jnp.zeros_like(one) for one in x)
-    columns = [
-        jax.jvp(phi, (x,), ((*zero[:i], jnp.ones_like(x[i]), *zero[i + 1 :]),))[1]
-        for i in range(len(x))
-    ]
-    return tuple(tuple(-one for one in row) for row in zip(*columns, strict=True))
+    for i in range(len(x)):
+        unit = (*zero[:i], jnp.ones_like(x[i]), *zero[i + 1 :])
+        q, rate = jax.jvp(attitude, (x,), (unit,))
+        # Of q = exp(phi/2) q_0: twice the vector part of its rate times its conjugate.
+        turn = rotations.multiply(rate, rotations.conjugate(q))
+        angles.append((2 * turn.x, 2 * turn.y, 2 * turn.z))
+    return tuple(zip(*angles, strict=True))
 
 
 def with_process_noise(params: Any, state: Any) -> Any:
