@@ -119,13 +119,15 @@ def of_tuning(study: Study) -> Forecast:
         "random": tune.random_points * len(free),
         "gradient": tune.descent_starts * tune.descent_steps * (2 + max(free)),
     }
-    wanted = {("equal_cost" if s == "gradient" else s): points[s] for s in tune.searches}
+    # A search by covariance analysis keeps its history alone.
+    kept = [search for search in tune.searches if search != "covariance"]
+    wanted = {("equal_cost" if s == "gradient" else s): points[s] for s in kept}
     wanted = {name: max(1, count) for name, count in wanted.items()}
     batches = [
         Batch(name, n * variants * draws, n * variants * draws, n * variants, n)
         for name, n in wanted.items()
     ]
-    found = (len(wanted) + 1) * variants
+    found = (len(wanted) + 1 + (len(kept) < len(tune.searches))) * variants
     batches.append(Batch("evaluation", found * judging, found * judging, found))
     return _forecast(study, batches, False)
 

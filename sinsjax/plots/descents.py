@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sinsjax.plots.style import COLOURS, GREY, colour, legend_outside, styled
 
 _COLOURS = "viridis_r"  # light where the objective is small
-_MARKERS = ("*", "D", "^", "s", "o", "P")
+_MARKERS = ("*", "D", "^", "s", "o", "P", "X")
 _EDGE: Any = [withStroke(linewidth=3.0, foreground="black")]
 _LETTERS = 44  # characters per line of an axis label
 _MOST_PANELS = 10  # pairs of variables; more would not be legible

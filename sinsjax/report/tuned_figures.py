@@ -8,9 +8,9 @@ from sinsjax.report.base import Picture, value_text
 from sinsjax.report.tuned_results import Tuning, axis
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.tuned_keys import TIMES
-from sinsjax.tuning.carry_out import GRADIENT
+from sinsjax.tuning.carry_out import COVARIANCE, GRADIENT
 
-_LOOKS = ("grid", GRADIENT, "baseline", "sobol", "equal cost", "random")  # by marker
+_LOOKS = ("grid", GRADIENT, "baseline", "sobol", "equal cost", "random", COVARIANCE)  # by marker
 
 
 def landscape(tuning: Tuning) -> list[Picture]:
@@ -112,9 +112,12 @@ def course(tuning: Tuning) -> Picture:
     for name, found in tuning.found.items():
         relaxed = [look for look in found.looks if look.window_s is not None]
         if not relaxed:
-            cost = np.array([look.cost for look in found.looks])
-            best = np.minimum.accumulate([look.objective for look in found.looks])
-            searches.append(CostCurve(name, cost, best, False, None))
+            estimated = [look for look in found.looks if look.estimated]
+            looks = estimated or found.looks
+            cost = np.array([look.cost for look in looks])
+            best = np.minimum.accumulate([look.objective for look in looks])
+            ending = (found.cost, found.best.objective) if estimated else None
+            searches.append(CostCurve(name, cost, best, bool(estimated), ending))
             continue
         steps = list(dict.fromkeys(look.step for look in relaxed))
         own = [[look for look in relaxed if look.step == step] for step in steps]
@@ -123,7 +126,10 @@ def course(tuning: Tuning) -> Picture:
         searches.append(CostCurve(name, cost, best, True, (found.cost, found.best.objective)))
     told = "Best objective on the tuning draws against cost (steps of simulation)"
     if any(one.relaxed for one in searches):
-        told += "; dashed: the best of all descents at each step, relaxed, on the draws of the step"
+        told += (
+            "; dashed: the best of all descents at each step, relaxed, on the draws of the step, or"
+            " the best so far by covariance analysis"
+        )
     figure = best_by_cost(
         searches, axis(tuning.study), "Best so far against what the search had cost"
     )

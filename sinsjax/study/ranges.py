@@ -12,7 +12,7 @@ from sinsjax.value_types import Band, Count, Finite, Positive, Seconds, Section,
 
 Some = Annotated[Count, Field(ge=1)]
 Searches = Annotated[
-    tuple[Literal["grid", "sobol", "random", "gradient"], ...],
+    tuple[Literal["grid", "sobol", "random", "gradient", "covariance"], ...],
     Field(min_length=1),
     AfterValidator(unique),
 ]
@@ -96,6 +96,25 @@ class TuneSection(Section):
     )
     relaxed_sharpness: tuple[Positive, Positive] = Field(
         (6.0, 16.0), description="sharpness of the band's relaxed edge at the first and last step"
+    )
+    evolution_screen: Some = Field(
+        64, description="Sobol points looked at first by 'covariance'; the best is begun at"
+    )
+    evolution_points: Annotated[Count, Field(ge=4)] = Field(
+        8, description="points of a generation of the evolution strategy"
+    )
+    evolution_steps: Some = Field(12, description="generations")
+    evolution_spread: Positive = Field(
+        0.2, description="standard deviation of the first generation, all ranges being one long"
+    )
+    evolution_samples: Annotated[Count, Field(ge=2, multiple_of=2)] = Field(
+        64, description="errors sampled for a point and variant by 'covariance'"
+    )
+    evolution_finalists: Some = Field(3, description="best points run on the tuning draws")
+    feedback_phases: Some = Field(
+        4,
+        description="shifts of the reset times within a feedback interval that 'covariance' "
+        "averages over; 1 leaves them as they are",
     )
     variables: dict[str, Range | tuple[Range, ...]] = Field(
         description="what may change: [tune.variables] with a range a key"

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
+from sinsjax.engine.covariance import require_modelled
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import belongings, forecast
 from sinsjax.execution import resume as resuming
@@ -23,13 +24,13 @@ from sinsjax.study.load import load_study, study_to_toml, with_point, with_rate
 from sinsjax.study.ranges import TuneSection
 from sinsjax.study.search_space import SearchSpace, comparable
 from sinsjax.study.study import Study
-from sinsjax.tuning import history, search
+from sinsjax.tuning import evolution, history, search
 from sinsjax.tuning.history import Found
 from sinsjax.tuning.relaxation import Relaxation
 from sinsjax.tuning.search import SearchSession
 
 STUDY, TUNED, EVALUATION = "study.toml", "tuned.toml", "evaluation"
-GRADIENT, EQUAL_COST = "gradient", "equal_cost"
+GRADIENT, EQUAL_COST, COVARIANCE = "gradient", "equal_cost", evolution.NAME
 _NAMES = (STUDY, TUNED, history.FILE, "figures", "grid", "sobol", "random", EQUAL_COST, EVALUATION)
 
 Watch = Callable[[str], AbstractContextManager[Tell | None]]
@@ -82,6 +83,8 @@ def tune(
     if GRADIENT in settings.searches:
         for combination in space.combinations:
             Relaxation(study, space, combination)  # rejects variables without gradient before runs
+    if COVARIANCE in settings.searches:
+        require_modelled(study)
     session = SearchSession(
         directory,
         tape,
@@ -193,9 +196,9 @@ def _search(
 ) -> Found:
     """Run one search, or take it from the known ones."""
     settings = require_tune(study)
-    if name == GRADIENT:
-        done = [one for one in known if one.search == GRADIENT]
-        return done[0] if done else _gradient(study, session)
+    if name in (GRADIENT, COVARIANCE):
+        done = [one for one in known if one.search == name]
+        return done[0] if done else _watched(name, study, session)
     if name == "grid":
         return search.evaluate(study, name, search.grid(space, settings.grid_points), session)
     draw = {"sobol": search.sobol, "random": search.random}[name]
@@ -204,17 +207,20 @@ def _search(
     return search.evaluate(study, name, design, session)
 
 
-def _gradient(study: Study, session: SearchSession) -> Found:
-    # Optax is slow to import, and only this search needs it.
-    from sinsjax.tuning import descent
-
-    with session.watch(GRADIENT) as tell:
+def _watched(name: str, study: Study, session: SearchSession) -> Found:
+    """A search that keeps no results but its history."""
+    with session.watch(name) as tell:
 
         def tell_or_stop(progress: RunProgress) -> None:
             if session.stop.is_set():
                 raise StudyInterrupted(f"the complete searches are in {session.directory}")
             if tell is not None:
                 tell(progress)
+
+        if name == COVARIANCE:
+            return evolution.evolve(study, tell=tell_or_stop)
+        # Optax is slow to import, and only this search needs it.
+        from sinsjax.tuning import descent
 
         return descent.descend(study, session.stored, tell=tell_or_stop)
 

@@ -32,6 +32,7 @@ class Evaluation(NamedTuple):
         start: number of the descent; None for other searches.
         window_s: half width of the relaxed resets, s; None if not relaxed.
         sharpness: sharpness of the band's relaxed edge; None if not relaxed.
+        estimated: whether by covariance analysis rather than by draws.
     """
 
     step: int
@@ -42,6 +43,7 @@ class Evaluation(NamedTuple):
     start: int | None = None
     window_s: float | None = None
     sharpness: float | None = None
+    estimated: bool = False
 
 
 class Found(NamedTuple):
@@ -57,8 +59,8 @@ class Found(NamedTuple):
 
     @property
     def best(self) -> Evaluation:
-        """The best evaluation that is not relaxed; the first of equals."""
-        hard = (look for look in self.looks if look.window_s is None)
+        """The best evaluation by draws that is not relaxed; the first of equals."""
+        hard = (look for look in self.looks if look.window_s is None and not look.estimated)
         return min(hard, key=lambda look: look.objective)
 
     @property
@@ -88,6 +90,7 @@ def columns_of(space: SearchSpace) -> tuple[Column, ...]:
         Column("cost", _I, "", "steps so far, in steps of a plain run, tangents included"),
         Column("window_s", _F, "s", "half width of relaxed resets; null if not relaxed"),
         Column("sharpness", _F, "", "sharpness of the band's relaxed edge; null if not relaxed"),
+        Column("estimated", pa.bool_(), "", "objective by covariance analysis, not by draws"),
     )
 
 

@@ -1,0 +1,202 @@
+"""Search by the covariance of the true error: noise-free runs stand for all draws.
+
+Sobol points are looked at first; from the best of them an evolution strategy goes on (CMA-ES,
+Hansen and Ostermeier 2001). Resets stay hard. What a point is worth is the objective of errors that
+are sampled from linear covariance analysis (`engine.covariance`); the best few are then run on the
+tuning draws, by which they are judged as those of other searches are.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sinsjax.engine import batch, covariance
+from sinsjax.engine.build import Scenario
+from sinsjax.engine.verdicts import LIMIT, TRUTH
+from sinsjax.execution import run as study_run
+from sinsjax.execution.run import RunProgress, Tell
+from sinsjax.study.keys import TomlTable
+from sinsjax.study.ranges import TuneSection
+from sinsjax.study.search_space import SearchSpace
+from sinsjax.study.study import Study
+from sinsjax.study.success import bands, success_of
+from sinsjax.study.times import spans_s
+from sinsjax.study.tuned_keys import TIMES
+from sinsjax.tuning import objective, search
+from sinsjax.tuning.history import Evaluation, Found
+from sinsjax.units import ARCMIN
+
+NAME = "covariance"
+
+PLAIN_RUNS = 3.5
+"""What a run with its covariance and sampled errors costs, in plain ones; see docs/performance."""
+
+
+def evolve(study: Study, *, tell: Tell | None = None) -> Found:
+    """Search with the objective of covariance analysis.
+
+    Args:
+        study: study with [tune], simulated.
+        tell: called with the progress after every generation.
+
+    Returns:
+        All evaluations; those by covariance analysis are marked as estimates.
+    """
+    return _Evolution(study, tell).carry_out()
+
+
+class _Evolution:
+    """A search under way."""
+
+    def __init__(self, study: Study, tell: Tell | None) -> None:
+        assert study.tune is not None
+        self._study, self._tune, self._space = study, study.tune, SearchSpace.of(study)
+        self._tell = tell or (lambda progress: None)
+        self._looks: list[Evaluation] = []
+        self._cost = 0.0
+        tune, combinations = self._tune, len(self._space.combinations)
+        self._total = (
+            tune.evolution_screen * combinations
+            + tune.evolution_steps * tune.evolution_points
+            + tune.evolution_finalists
+        )
+
+    def carry_out(self) -> Found:
+        tune, space = self._tune, self._space
+        counts = [tune.evolution_screen] * len(space.combinations)
+        design = search.sobol(space, counts, search.seed_of(self._study, NAME))
+        for block in np.array_split(np.arange(len(design.candidate)), len(space.combinations)):
+            self._look(design.box[block], int(design.candidate[block[0]]))
+        first = min(self._looks, key=lambda look: look.objective)
+        if used := space.used(space.combinations[first.candidate]):
+            for box in self._generations(first, used):
+                self._look(box, first.candidate)
+        self._judge()
+        return Found(NAME, self._looks)
+
+    def _generations(self, first: Evaluation, used: list[int]) -> Iterator[NDArray]:
+        """Box points of each generation, (points, variables)."""
+        import cma  # late: it takes a second, and only this search needs it
+
+        tune = self._tune
+        values = [1.0 if np.isnan(value) else value for value in first.values]
+        box = np.asarray(self._space.box(values))
+        seed = int(search.seed_of(self._study, "evolution").generate_state(1)[0]) or 1
+        settings = {
+            **{"bounds": [0.0, 1.0], "popsize": tune.evolution_points, "seed": seed},
+            **{"verbose": -9, "CMA_stds": np.ones(max(2, len(used)))},
+        }
+        # It has no strategy of one variable: a second one without effect goes with it.
+        start = np.append(box[used], 0.5) if len(used) == 1 else box[used]
+        strategy = cma.CMAEvolutionStrategy(start, tune.evolution_spread, settings)
+        for _ in range(tune.evolution_steps):
+            asked = np.asarray(strategy.ask())
+            points = np.full((len(asked), len(self._space.variables)), np.nan)
+            points[:, used] = asked[:, : len(used)]
+            yield points
+            strategy.tell(list(asked), [look.objective for look in self._looks[-len(asked) :]])
+
+    def _look(self, box: NDArray, candidate: int) -> None:
+        """Estimate the objective at some box points of a combination."""
+        values = [self._space.values(np.nan_to_num(row)) for row in box]
+        combination = self._space.combinations[candidate]
+        points = [self._space.point(row, combination) for row in values]
+        scores, steps = self._estimated(points)
+        for row, at, score in zip(box, values, scores, strict=True):
+            self._cost += steps
+            found = [np.nan if np.isnan(a) else v for a, v in zip(row, at, strict=True)]
+            number = len(self._looks)
+            look = Evaluation(number, candidate, found, score, int(self._cost), estimated=True)
+            self._looks.append(look)
+        self._tell(RunProgress(len(self._looks), self._total, 0, 0))
+
+    def _estimated(self, points: Sequence[TomlTable]) -> tuple[list[float], float]:
+        """The objective of points by covariance analysis, and the steps that one costs."""
+        derived, cases = self._derived(points)
+        return self._scores(derived, cases, estimated_values(derived, self._tune)), PLAIN_RUNS * (
+            search.cost(derived) / derived.n_draws / len(points)
+        )
+
+    def _judge(self) -> None:
+        """Run the best on the tuning draws, with the shifts that they were estimated with."""
+        best: dict[tuple[Any, ...], tuple[Evaluation, TomlTable]] = {}
+        for look in sorted(self._looks, key=lambda look: look.objective):
+            combination = self._space.combinations[look.candidate]
+            point = self._space.point(list(np.nan_to_num(look.values)), combination)
+            best.setdefault(tuple(point.values()), (look, point))
+        looks, points = zip(*list(best.values())[: self._tune.evolution_finalists], strict=True)
+        derived, cases = self._derived(points)
+        found = search.run_values(
+            self._study, derived, study_run.run(derived, curves=False).summary
+        )
+        scores = self._scores(derived, cases, found)
+        for look, score in zip(looks, scores, strict=True):
+            self._cost += search.cost(derived) / len(points)
+            self._looks.append(
+                look._replace(
+                    step=len(self._looks), objective=score, cost=int(self._cost), estimated=False
+                )
+            )
+        self._tell(RunProgress(len(self._looks), self._total, 0, 0))
+
+    def _derived(self, points: Sequence[TomlTable]) -> tuple[Study, NDArray]:
+        """The study of points with all shifts, equal ones once, and (points, shifts) its cases."""
+        phases = self._tune.feedback_phases
+        cases: dict[tuple[Any, ...], TomlTable] = {}
+        places: dict[tuple[Any, ...], int] = {}
+        of_points = []
+        for point in points:
+            shifts = [shifted(self._study, point, phase / phases) for phase in range(phases)]
+            cases |= {tuple(one.values()): one for one in shifts}
+            of_points.append(
+                [places.setdefault(tuple(one.values()), len(places)) for one in shifts]
+            )
+        labelled = {str(number): point for number, point in enumerate(cases.values())}
+        name = f"{self._study.name}_{NAME}"
+        return search.derive(self._study, labelled, name=name), np.array(of_points)
+
+    def _scores(self, derived: Study, cases: NDArray, values: NDArray) -> list[float]:
+        """The objective of each point over its shifts and the study's variants."""
+        by_case = values.reshape(len(derived.cases), -1, values.shape[-1])
+        return [
+            objective.score(self._tune, by_case[own].reshape(-1, values.shape[-1])) for own in cases
+        ]
+
+
+def shifted(study: Study, point: TomlTable, share: float) -> TomlTable:
+    """A point whose resets come later by a share of the feedback interval, on whole samples."""
+    times = point.get(TIMES)
+    if not times or not share:
+        return point
+    of_study = [value or 0.0 for value in study.values("feedback_interval_s")]
+    interval = point.get("feedback_interval_s", max(of_study))
+    rate = study.study.rate_hz
+    return point | {TIMES: tuple(round((t + share * interval) * rate) / rate for t in times)}
+
+
+def estimated_values(study: Study, tune: TuneSection) -> NDArray:
+    """`objective.values` of sampled errors, (variants, samples), from one run of each variant."""
+    scenario = Scenario(study, curves=True)
+    kind = TRUTH if success_of(study).from_truth else LIMIT
+    at = int(np.argmin(np.abs(np.asarray(bands(study)) - tune.objective_band_arcmin)))
+    out = np.empty((study.n_variants, tune.evolution_samples))
+    end = spans_s(study)[:, 0]
+    for number, ids in enumerate(scenario.variant_ids):
+        group = covariance.watched(scenario.part(number, range(1)).group, tune.evolution_samples)
+        for chunk in batch.chunks(group, devices=2):
+            out[ids[chunk.variant]] = _of_chunk(tune, chunk, kind, at, end[ids[chunk.variant]])
+    return out
+
+
+def _of_chunk(tune: TuneSection, chunk: batch.Chunk, kind: int, band: int, end: NDArray) -> NDArray:
+    assert isinstance(chunk.curves, covariance.Spread)
+    settled: NDArray = chunk.curves.outside_until[:, kind, band]
+    if tune.objective == "final_error":
+        mean = chunk.curves.phi[:, 2, -1] - (chunk.outcome.limit.phi.z if kind == LIMIT else 0.0)
+        rms = np.hypot(mean, chunk.curves.sigma[:, 2, -1]) / ARCMIN
+        return np.repeat(rms[:, None], settled.shape[1], axis=1)
+    if tune.objective == "failure_rate":
+        return (settled >= end[:, None]).astype(float)
+    return settled

@@ -1,0 +1,154 @@
+"""The search by covariance analysis: what it estimates, how it goes on, what it refuses."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.studies import STILL, small_study
+
+import sinsjax
+from sinsjax.errors import InputError
+from sinsjax.execution import run
+from sinsjax.study.load import Study
+from sinsjax.study.search_space import SearchSpace
+from sinsjax.tuning import evolution, history, objective, search
+
+pytestmark = pytest.mark.optimised(False)
+
+TIMES = [{"low": 1.0, "high": 10.0}, {"low": 1.0, "high": 20.0}]
+FEW = {
+    **{"evolution_screen": 4, "evolution_points": 4, "evolution_steps": 2},
+    **{"evolution_samples": 16, "evolution_finalists": 2, "feedback_phases": 2},
+}
+
+
+def tuned(changes: dict[str, Any] | None = None, **tune: Any) -> Study:
+    tune = {
+        "searches": ["covariance"],
+        "variables": {"reset_times_s": TIMES},
+        "objective_band_arcmin": 60.0,
+        **{"tune_draws": 4, "evaluation_draws": 4},
+        **FEW,
+    } | tune
+    section = {"duration_s": 40.0, "window_s": [20, 40], "settle_bands_arcmin": [60.0]}
+    motion = {"motion": STILL | {"yaw_center_deg": 10.0}}
+    heading = {"phi_e0_deg": 0.1, "phi_n0_deg": 0.1, "phi_u0_deg": 2.0}
+    own = {"study": section, "alignment": heading | {"feedback_interval_s": 1.0}}
+    return small_study(tune=tune, **(motion | own | (changes or {})))
+
+
+@pytest.mark.parametrize("kind", ["settle_mean", "settle_quantile", "failure_rate", "final_error"])
+def test_what_is_estimated_is_what_draws_give(kind: str) -> None:
+    """Within four standard errors of 256 draws, at each of three points."""
+    study = tuned(objective=kind, tune_draws=256, evolution_samples=1024)
+    assert study.tune is not None
+    times = [(5.0, 12.0), (2.0, 3.0), (9.5, 18.0)]
+    points = {str(number): {"reset_times_s": of} for number, of in enumerate(times)}
+    derived = search.derive(study, points, name="derived")
+    drawn = search.run_values(study, derived, run.run(derived, curves=False).summary)[:, 0]
+    estimated = evolution.estimated_values(derived, study.tune)
+    assert estimated.shape[0] == len(points) == drawn.shape[0]
+    for one, other in zip(estimated, drawn, strict=True):
+        got = objective.score(study.tune, one[None])
+        samples = np.random.default_rng(0).choice(other, (400, other.size))
+        spread = np.std([objective.score(study.tune, again[None]) for again in samples])
+        # Settling times are whole records.
+        assert abs(got - objective.score(study.tune, other[None])) < 4 * spread + 0.3, kind
+
+
+def test_a_shift_is_of_all_resets_and_on_whole_samples() -> None:
+    study = tuned()
+    point = {"reset_times_s": (5.0, 12.34), "q_scale": 0.5}
+    assert evolution.shifted(study, point, 0.0) is point
+    assert evolution.shifted(study, point, 0.333)["reset_times_s"] == (5.33, 12.67)
+    own = point | {"feedback_interval_s": 10.0}
+    assert evolution.shifted(study, own, 0.5)["reset_times_s"] == (10.0, 17.34)
+    assert evolution.shifted(study, {"q_scale": 0.5}, 0.5) == {"q_scale": 0.5}
+
+
+def test_the_best_are_judged_by_the_tuning_draws() -> None:
+    study = tuned()
+    found = evolution.evolve(study)
+    assert study.tune is not None
+    space = SearchSpace.of(study)
+    judged = [look for look in found.looks if not look.estimated]
+    assert (len(found.looks), len(judged)) == (4 + 2 * 4 + 2, 2)
+    best = sorted(look.objective for look in found.looks if look.estimated)
+    assert best[0] <= best[1]
+    for look in judged:
+        point = space.point(list(look.values), {})
+        phases = {str(k): evolution.shifted(study, point, k / 2) for k in range(2)}
+        derived = search.derive(study, phases, name="again")
+        values = search.run_values(study, derived, run.run(derived, curves=False).summary)
+        assert look.objective == objective.score(study.tune, values.reshape(2, -1))
+    assert found.best in judged
+    costs = [look.cost for look in found.looks]
+    assert costs == sorted(costs) and costs[0] > 0
+
+
+def test_the_same_seed_finds_the_same() -> None:
+    assert evolution.evolve(tuned()) == evolution.evolve(tuned())
+
+
+@pytest.mark.parametrize(
+    "variables",
+    [
+        {"q_scale": {"low": 0.1, "high": 10.0, "scale": "log"}},  # of one variable
+        {"reset_times_s": TIMES, "reset_count": {"candidates": [0, 2]}},
+        {"q_scale": {"candidates": [0.5, 2.0]}},  # of none
+    ],
+)
+def test_any_number_of_variables(variables: dict[str, Any]) -> None:
+    study = tuned(variables=variables)
+    found = evolution.evolve(study)
+    space = SearchSpace.of(study)
+    assert not found.best.estimated
+    for look in found.looks:
+        point = space.point(list(np.nan_to_num(look.values)), space.combinations[look.candidate])
+        assert search.derive(study, {"one": point}, name="one").n_variants == 1
+
+
+def test_a_tuning_by_covariance_is_kept_and_told(tmp_path: Path) -> None:
+    study = tuned()
+    sinsjax.tune(study, tmp_path / "out")
+    rows = history.read_history(tmp_path / "out")
+    assert rows["estimated"].to_pylist().count(False) == 2
+    (found,) = history.read(tmp_path / "out", SearchSpace.of(study))
+    assert found == evolution.evolve(study)
+    sinsjax.tune(study, tmp_path / "out", resume=True)
+    assert history.read_history(tmp_path / "out").equals(rows)
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        (
+            {"alignment": {"method": "compass"}},
+            "[alignment] method: covariance analysis knows no linear part of compass",
+        ),
+        ({"passes": {"tape_s": 20.0}}, "[passes]: covariance analysis takes noise as white"),
+        (
+            {"motion": {"surge_m_per_s": 0.1}},
+            "[motion] surge_m_per_s: covariance analysis takes white noise alone",
+        ),
+        (
+            {"resets": {"reset_trigger": "nis", "trigger_threshold": 9.0}},
+            "[resets] reset_trigger: covariance analysis needs resets at given times",
+        ),
+        (
+            {"drawn": {"ve0_m_per_s": {"uniform": [0.0, 3.0]}}},
+            "[drawn] ve0_m_per_s: covariance analysis takes its value as given",
+        ),
+    ],
+)
+def test_what_is_not_modelled_is_refused(
+    tmp_path: Path, changes: dict[str, Any], line: str
+) -> None:
+    variables: dict[str, Any] = {"p0_level_deg": {"low": 1.0, "high": 10.0}}
+    if "alignment" in changes:
+        variables = {"level_time_s": {"low": 10.0, "high": 20.0}}
+    with pytest.raises(InputError) as caught:
+        sinsjax.tune(tuned(changes, variables=variables), tmp_path / "out")
+    assert line in str(caught.value) and "\n" not in str(caught.value)
+    assert not (tmp_path / "out").exists()
