@@ -156,6 +156,16 @@ def settle_data_column(band_arcmin: float, *, truth: bool = False) -> Column:
     return Column(f"{settled.removesuffix('_s')}_data_s", _F, "s", meaning)
 
 
+def report_columns(time_s: float) -> tuple[Column, Column, Column]:
+    """Heading error, its sigma and NEES at one of a study's report times."""
+    at = f"{time_s:g}"
+    return (
+        Column(f"phi_u_at_{at}_arcmin", _F, "arcmin", f"phi_u_arcmin at {at} s of data"),
+        Column(f"sigma_u_at_{at}_arcmin", _F, "arcmin", f"sigma_u_arcmin at {at} s of data"),
+        Column(f"nees_at_{at}", _F, "", f"nees at {at} s of data; 3 degrees of freedom"),
+    )
+
+
 def bands(study_bands: Iterable[float], success_band: float | None = None) -> tuple[float, ...]:
     """A study's settling bands, including its success band, arcmin."""
     decisive = SUCCESS_BAND_ARCMIN if success_band is None else success_band

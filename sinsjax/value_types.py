@@ -141,6 +141,13 @@ def _distinct_columns(bands: tuple[float, ...]) -> tuple[float, ...]:
     return bands
 
 
+def _distinct_reports(times_s: tuple[float, ...]) -> tuple[float, ...]:
+    """Reject report times whose result columns would share a name."""
+    if len({columns.report_columns(time) for time in times_s}) < len(times_s):
+        raise invalid("repeats a value, to the 6 digits in the names of its columns")
+    return times_s
+
+
 def _increasing(times: tuple[Any, ...]) -> tuple[Any, ...]:
     if any(late <= early for early, late in pairwise(times)):
         raise invalid("must increase")
@@ -192,6 +199,12 @@ Normal = tuple[Finite, NonNegative]
 Name = Annotated[str, Field(min_length=1), AfterValidator(_printable)]
 Triad = tuple[Name, Name, Name]
 Times = Annotated[tuple[Seconds, ...], AfterValidator(_increasing)]
+ReportTimes = Annotated[
+    tuple[Seconds, ...],
+    Field(min_length=1),
+    AfterValidator(_increasing),
+    AfterValidator(_distinct_reports),
+]
 Bands = Annotated[tuple[Band, ...], AfterValidator(unique), AfterValidator(_distinct_columns)]
 Starts = Annotated[
     tuple[SecondsOrZero, ...],

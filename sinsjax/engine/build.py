@@ -34,6 +34,7 @@ from sinsjax.study.resolved import Coded
 from sinsjax.study.schema import EarthSection, MotionSection, SensorsSection
 from sinsjax.study.study import Span, Study
 from sinsjax.study.success import bands
+from sinsjax.study.times import counts_before, report_samples, report_times, samples_before
 from sinsjax.study.variants import Variants
 from sinsjax.types import Array, Increments, Quat, Vec3
 from sinsjax.units import ARCMIN, DEG
@@ -132,14 +133,7 @@ class Scenario:
         ids = ids if variants is None else ids[variants]
         columns = Variants(study, ids)
         site, ug = site_of(study, columns, self.stored)
-        criteria = Criteria(
-            bands=np.asarray(bands(study)) * ARCMIN,
-            window_start=np.float64(study.study.window_s[0]),
-            window_end=np.float64(study.study.window_s[1]),
-            consistency_after=np.float64(study.study.consistency_after_s),
-            steady_after=np.float64(study.study.steady_after_s),
-        )
-        span = _span(study, columns)
+        span, criteria = _span(study, columns), _criteria(study, columns)
         if self.stored is None:
             draws = range(study.n_draws) if draws is None else draws
             environment, drawn, q = simulated(study, columns, span, criteria, draws, blank=blank)
@@ -214,6 +208,22 @@ def _split(study: Study) -> Iterator[np.ndarray]:
 
 def _span(study: Study, variants: Variants) -> Span:
     return study.span(**{k: variants.common(k) for k in PASS_KEYS} if study.passes else {})
+
+
+def _criteria(study: Study, variants: Variants) -> Criteria:
+    """What the runs of some variants are judged against."""
+    settings, before = study.study, 0
+    if counts_before(study):
+        coarse = (variants.common(key) for key in COARSE_KEYS)
+        before = samples_before(study, study.rate_hz, *coarse)
+    return Criteria(
+        bands=np.asarray(bands(study)) * ARCMIN,
+        window_start=np.float64(settings.window_s[0]),
+        window_end=np.float64(settings.window_s[1]),
+        consistency_after=np.float64(settings.consistency_after_s),
+        steady_after=np.float64(settings.steady_after_s),
+        report_samples=report_samples(study, before) if report_times(study) else None,
+    )
 
 
 def _program(study: Study, variants: Variants, curves: bool) -> Static:

@@ -43,6 +43,8 @@ class Criteria(NamedTuple):
         sharpness: None, or how sharp the edge of a band is where settling times are relaxed to be
             differentiated: an error of x times the band is outside with the share
             x^k / (1 + x^k), k being the sharpness.
+        report_samples: None, or (T,) numbers of the samples, from 1, at whose record times
+            heading error, its sigma and NEES are reported.
     """
 
     bands: Array
@@ -51,6 +53,7 @@ class Criteria(NamedTuple):
     consistency_after: Scalar
     steady_after: Scalar
     sharpness: Scalar | None = None
+    report_samples: Array | None = None
 
 
 class Window(NamedTuple):
@@ -80,6 +83,8 @@ class Metrics(NamedTuple):
             (phi_u - floor)^2, and phi_u^2 again in the steady process.
         judged: (3,) record times that each of these counts looked at.
         last: the latest observation.
+        at_times: None, or (T, 3) phi_u (rad), its 1 sigma (rad) and NEES at the times that are
+            reported; NaN until then.
     """
 
     outside_until: Array
@@ -87,6 +92,7 @@ class Metrics(NamedTuple):
     above: Array
     judged: Array
     last: Observation
+    at_times: Array | None = None
 
 
 class Outcome(NamedTuple):
@@ -102,6 +108,7 @@ class Outcome(NamedTuple):
         nis_u: (phi_u - limit)^2 / P_UU.
         limit: what the run's own sensor biases leave of phi, from which the heading was judged.
         results: what the method tells of itself, see `Method.results`.
+        at_times: as in `Metrics`.
     """
 
     last: Observation
@@ -113,6 +120,7 @@ class Outcome(NamedTuple):
     nis_u: Scalar
     limit: Limit
     results: Any = None
+    at_times: Array | None = None
 
 
 def observe(q_true: Quat, q_hat: Quat, covariance: AttitudeCovariance) -> Observation:
@@ -142,7 +150,10 @@ def start(criteria: Criteria, zero: Scalar) -> Metrics:
     window = Window(zero, six, six, six)
     last = Observation(nothing, nothing, zero, zero, zero)
     outside_until = jnp.zeros((2, *criteria.bands.shape)) + zero
-    return Metrics(outside_until, window, three, three, last)
+    at_times = None
+    if criteria.report_samples is not None:
+        at_times = jnp.full((*criteria.report_samples.shape, 3), jnp.nan) + zero
+    return Metrics(outside_until, window, three, three, last, at_times)
 
 
 def accumulate(
@@ -178,7 +189,32 @@ def accumulate(
         above=_count(metrics.above, judged & above),
         judged=_count(metrics.judged, judged),
         last=now,
+        at_times=metrics.at_times,
     )
+
+
+def report(
+    metrics: Metrics, criteria: Criteria, covariance: AttitudeCovariance, n: Scalar
+) -> Metrics:
+    """Keep what the latest observation says where its time is one that is reported.
+
+    Args:
+        metrics: with the observation taken in.
+        criteria: of the study.
+        covariance: at the observation.
+        n: number of its sample.
+    """
+    if criteria.report_samples is None:
+        return metrics
+    phi, sigma = metrics.last.phi, metrics.last.sigma
+    now = jnp.stack([phi.z, sigma.z, nees(phi, covariance)])
+    due = (criteria.report_samples == n)[:, None]
+    return metrics._replace(at_times=jnp.where(due, now, metrics.at_times))
+
+
+def nees(phi: Vec3, covariance: AttitudeCovariance) -> Scalar:
+    """NEES, phi' P^-1 phi over the attitude states."""
+    return dot(phi, solve3(tuple(covariance), phi))
 
 
 def outside(criteria: Criteria, error: Scalar) -> Array:
@@ -234,8 +270,9 @@ def finish(
         mean=tuple(mean),
         std=tuple(std),
         above_share=tuple(metrics.above / metrics.judged),
-        nees=dot(phi, solve3(tuple(covariance), phi)),
+        nees=nees(phi, covariance),
         nis_u=(phi.z - limit.phi.z) ** 2 / covariance.uu,
         limit=limit,
         results=results,
+        at_times=metrics.at_times,
     )

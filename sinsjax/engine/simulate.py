@@ -313,11 +313,11 @@ def observe(
     """
     method = method_of(static)
     state = method.normalise(run.state)
-    now = metrics.observe(q_true, method.attitude(state), method.covariance(state))
+    covariance, criteria = method.covariance(state), environment.criteria
+    now = metrics.observe(q_true, method.attitude(state), covariance)
     time = n * static.options.dt
-    return Run(
-        state, metrics.accumulate(run.metrics, environment.criteria, now, floor=floor, time=time)
-    )
+    taken_in = metrics.accumulate(run.metrics, criteria, now, floor=floor, time=time)
+    return Run(state, metrics.report(taken_in, criteria, covariance, n))
 
 
 def told(static: Static, run: Run) -> tuple[Run, Array | None]:

@@ -35,7 +35,7 @@ from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS, EARTH_CONSTANTS
 from sinsjax.study.schema import EarthSection, MotionSection, SensorsSection
 from sinsjax.study.study import Span, Study
-from sinsjax.study.times import stored_times
+from sinsjax.study.times import samples_before, stored_times
 from sinsjax.study.variants import Variants
 from sinsjax.types import Array, Scalar
 from sinsjax.units import DEG, DEG_PER_H
@@ -228,19 +228,6 @@ def starts_of(study: Study, rate_hz: float) -> np.ndarray:
     """(draws,) the sample of a record at which the coarse alignment of each begins."""
     assert study.record is not None
     return np.round(np.asarray(study.record.start_s) * rate_hz).astype(int)
-
-
-def samples_before(
-    study: Study,
-    rate_hz: float,
-    coarse_method: str,
-    coarse_duration_s: float,
-    coarse_then: str | None,
-) -> int:
-    """Samples of a record that are coarsely aligned before runs begin, by `COARSE_KEYS`."""
-    if study.has_coarse_stage(coarse_method, coarse_then):
-        return 0
-    return round(coarse_duration_s * rate_hz)
 
 
 def recorded(

@@ -8,6 +8,7 @@ from sinsjax.study.distributions import NUMBERS_DRAWN
 from sinsjax.study.keys import meaning
 from sinsjax.study.study import Study
 from sinsjax.study.success import bands
+from sinsjax.study.times import report_times
 
 
 def summary(study: Study) -> tuple[Column, ...]:
@@ -27,6 +28,7 @@ def summary(study: Study) -> tuple[Column, ...]:
         *extra,
         *columns.OBSERVED,
         *_settling(study),
+        *(column for t in report_times(study) for column in columns.report_columns(t)),
         *columns.JUDGED,
         *(own.column for own in of_methods(study).values()),
     )

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sinsjax.engine.study_limits import hidden_north
-from sinsjax.engine.truth import samples_before, site_of, starts_of
+from sinsjax.engine.truth import site_of, starts_of
 from sinsjax.errors import InputError
 from sinsjax.records import Layout, Record, require_span
 from sinsjax.records.plausible import StationaryValues, findings
@@ -13,6 +13,7 @@ from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS
 from sinsjax.study.study import Study
+from sinsjax.study.times import samples_before
 from sinsjax.study.variants import Variants
 from sinsjax.units import DEG_PER_H, micro_g
 

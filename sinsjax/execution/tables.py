@@ -21,9 +21,9 @@ from sinsjax.alignment.description import Description
 from sinsjax.alignment.methods import METHODS
 from sinsjax.columns import Column
 from sinsjax.engine.batch import Chunk
-from sinsjax.engine.metrics import Observation
+from sinsjax.engine.metrics import Observation, Outcome
 from sinsjax.engine.study_limits import has_limit, scheduled_last_s
-from sinsjax.engine.truth import samples_before, starts_of
+from sinsjax.engine.truth import starts_of
 from sinsjax.engine.verdicts import LIMIT, TRUTH, Judge, Verdict
 from sinsjax.errors import InputError
 from sinsjax.execution import layouts
@@ -34,7 +34,15 @@ from sinsjax.study.keys import COARSE_KEYS
 from sinsjax.study.resolved import Coded, same
 from sinsjax.study.study import Study
 from sinsjax.study.success import bands
-from sinsjax.study.times import pass_numbers, spans_s, stored_times, update_times
+from sinsjax.study.times import (
+    counts_before,
+    pass_numbers,
+    report_times,
+    samples_before,
+    spans_s,
+    stored_times,
+    update_times,
+)
 from sinsjax.units import ARCMIN, DEG
 
 
@@ -105,6 +113,7 @@ class Tables:
         values |= self._observed(out.last)
         verdict = self._judge(out, self._has_limit(chunk, variant), self._end_s[variant])
         values |= self._settled(verdict, self._pass_s[variant], self._before_s[variant])
+        values |= self._at_times(out)
         for suffix, statistics in (("_mean", out.mean), ("_std", out.std)):
             for axis, value in zip("enu", statistics[:3], strict=True):
                 values[f"phi_{axis}{suffix}_arcmin"] = self._known(value / ARCMIN)
@@ -192,6 +201,16 @@ class Tables:
                     values[data] = self._known(before_s + np.minimum(settled, pass_s))
         return values
 
+    def _at_times(self, out: Outcome) -> dict[str, pa.Array]:
+        """Heading error, its sigma and NEES at the report times, by column."""
+        values: dict[str, pa.Array] = {}
+        for number, time in enumerate(report_times(self._study)):
+            phi, sigma, nees = np.asarray(out.at_times)[:, number].T
+            arrays = self._known(phi / ARCMIN), _nullable(sigma / ARCMIN), self._known(nees)
+            names = (column.name for column in columns.report_columns(time))
+            values |= dict(zip(names, arrays, strict=True))
+        return values
+
     def _has_limit(self, chunk: Chunk, variant: np.ndarray) -> np.ndarray:
         """Which runs have a limit, given the last reset of their schedule or trigger."""
         method = self._method(variant)
@@ -213,7 +232,7 @@ class Tables:
 
 def _before_s(study: Study) -> np.ndarray:
     """(variants,) data of a record before t = 0, where other variants begin with its first, s."""
-    if not (study.is_recorded and study.coarse_stages):
+    if not counts_before(study):
         return np.zeros(study.n_variants)
     column = study.resolved.column(*COARSE_KEYS)
     return column.each(lambda keys: samples_before(study, study.rate_hz, *keys)) / study.rate_hz

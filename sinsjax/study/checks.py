@@ -14,6 +14,7 @@ from sinsjax.errors import InputError
 from sinsjax.study import ignored, success
 from sinsjax.study.keys import COARSE_KEYS, EARTH_CONSTANTS, PASS_KEYS, SECTION_OF, SECTIONS
 from sinsjax.study.study import Study
+from sinsjax.study.times import counts_before, report_times, samples_before
 from sinsjax.value_types import ROUNDING
 
 Where = dict[str, str]
@@ -41,6 +42,7 @@ def check_study(study: Study, where: Where) -> None:
     _check_passes(study, where)
     _check_coarse(study, where)
     _check_window(study, where)
+    _check_report_times(study, where)
     _check_success(study, where)
     _check_stop(study, where)
     checked = _Checked(study, where)
@@ -215,6 +217,25 @@ def _check_window(study: Study, where: Where) -> None:
     if (last - 1) * every / rate <= start:
         text = f"fewer than 2 records are after {start:.12g} s and up to {end:.12g} s"
         _refuse("window_s", where, f"{text} ({_end(study)})")
+
+
+def _check_report_times(study: Study, where: Where) -> None:
+    """Refuses report times that are no record times of every run."""
+    key, rate, every = "report_times_s", study.rate_hz, study.record_every
+    befores = {0}
+    if counts_before(study):
+        coarse = study.combinations(*COARSE_KEYS)
+        befores = {samples_before(study, rate, **point) for point in coarse}
+    for time in report_times(study):
+        _check_multiple(study, where, key, time)
+        if time > (min(befores) / rate + study.run_s) * (1 + ROUNDING):
+            _refuse(key, where, f"{time:.12g} s is not within the run ({_end(study)})")
+        for before in sorted(befores, reverse=True):
+            after = f"runs that follow coarse alignment of {before / rate:.12g} s"
+            if round(time * rate) <= before:
+                _refuse(key, where, f"{time:.12g} s is before the first record of {after}")
+            if before % every:
+                _refuse(key, where, f"{time:.12g} s is between two records of {after}")
 
 
 def _check_success(study: Study, where: Where) -> None:

@@ -29,6 +29,7 @@ from sinsjax.value_types import (
     NonNegative,
     Period,
     Positive,
+    ReportTimes,
     Seconds,
     SecondsOrZero,
     Section,
@@ -92,6 +93,11 @@ class StudySection(Section):
     diverged_deg: AngleSigma | None = Field(
         None,
         description="heading error at the end beyond which a run has diverged, deg; default 10",
+    )
+    report_times_s: ReportTimes | None = Field(
+        None,
+        description="times from the first sample of data at which every run's heading error, its"
+        " sigma and NEES are told too, s; default none",
     )
     unchecked: bool | None = Field(
         None, description="whether numbers beyond what is usual are run; default false"

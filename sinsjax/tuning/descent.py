@@ -197,7 +197,10 @@ class Slope:
         group = part.group
         some = jax.tree.map(lambda a: a[draws] if np.ndim(a) else a, group.draws)
         group = group._replace(draws=some, q=group.q[draws])
-        soft = group.environment.criteria._replace(sharpness=np.float64(softness.sharpness))
+        # What is only reported has no part in the objective, nor in its derivatives.
+        soft = group.environment.criteria._replace(
+            sharpness=np.float64(softness.sharpness), report_samples=None
+        )
         environment = group.environment._replace(criteria=soft)
         width = np.float64(softness.window_s * self._rate_hz)
         return [(environment, tiles_of(group, lanes), box, width) for lanes in part.plan]
