@@ -209,7 +209,7 @@ def report(
     phi, sigma = metrics.last.phi, metrics.last.sigma
     now = jnp.stack([phi.z, sigma.z, nees(phi, covariance)])
     due = (criteria.report_samples == n)[:, None]
-    return metrics._replace(at_times=jnp.where(due, now, metrics.at_times))
+    return metrics._replace(at_times=jnp.where(due, now[None], metrics.at_times))
 
 
 def nees(phi: Vec3, covariance: AttitudeCovariance) -> Scalar:

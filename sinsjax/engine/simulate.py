@@ -313,9 +313,9 @@ def observe(
     """
     method = method_of(static)
     state = method.normalise(run.state)
-    covariance, criteria = method.covariance(state), environment.criteria
-    now = metrics.observe(q_true, method.attitude(state), covariance)
-    time = n * static.options.dt
+    attitude, covariance = method.attitude(state), method.covariance(state)
+    now = metrics.observe(q_true, attitude, covariance)
+    criteria, time = environment.criteria, n * static.options.dt
     taken_in = metrics.accumulate(run.metrics, criteria, now, floor=floor, time=time)
     return Run(state, metrics.report(taken_in, criteria, covariance, n))
 

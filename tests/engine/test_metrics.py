@@ -22,7 +22,11 @@ TIMES = STEP * np.arange(1, N + 1)
 
 @jax.jit
 def outcome(criteria, values, sigma, p, floor):
-    """Outcome of curves: values (N, 6) as phi e, n, u, pitch, roll, yaw; sigma (N, 3)."""
+    """Outcome of curves: values (N, 6) as phi e, n, u, pitch, roll, yaw; sigma (N, 3).
+
+    P is the same at all times.
+    """
+    covariance = AttitudeCovariance(*p[np.triu_indices(3)])
 
     def observation(value, sigma):
         return Observation(Vec3(*value[:3]), Vec3(*sigma), *value[3:])
@@ -30,12 +34,13 @@ def outcome(criteria, values, sigma, p, floor):
     def record(so_far, xs):
         time, value, s = xs
         now = observation(value, s)
-        return metrics.accumulate(so_far, criteria, now, floor=floor, time=time), None
+        so_far = metrics.accumulate(so_far, criteria, now, floor=floor, time=time)
+        return metrics.report(so_far, criteria, covariance, time / STEP), None
 
     start = metrics.start(criteria, np.float64(0.0))
     so_far, _ = jax.lax.scan(record, start, (TIMES, values, sigma))
     limit = Limit(Vec3(0.0, 0.0, floor), jnp.asarray(0.0), jnp.asarray(False))
-    return metrics.finish(so_far, AttitudeCovariance(*p[np.triu_indices(3)]), limit)
+    return metrics.finish(so_far, covariance, limit)
 
 
 def criteria(window=(10.0, 25.0), after=5.0, steady=20.0):
@@ -87,6 +92,18 @@ def test_metrics_as_from_whole_curves(seed, window, after):
     np.testing.assert_array_equal(got.limit.phi.z, FLOOR)
     np.testing.assert_array_equal((*got.last.phi, *got.last[2:]), values[-1])
     np.testing.assert_array_equal(got.last.sigma, sigma[-1])
+
+
+def test_reported_are_the_records_asked_for_and_none_before_its_time():
+    values, sigma, p = random_curves(1)
+    at = np.array([7.0, 1.0, N, N + 1])
+    got = outcome(criteria()._replace(report_samples=at), values, sigma, p, FLOOR)
+    k = at[:3].astype(int) - 1
+    phi = values[k, :3]
+    expected = [values[k, 2], sigma[k, 2], np.sum(phi * np.linalg.solve(p, phi.T).T, axis=1)]
+    np.testing.assert_allclose(got.at_times[:3], np.transpose(expected), rtol=1e-8)
+    assert np.isnan(got.at_times[3]).all()
+    assert outcome(criteria(), values, sigma, p, FLOOR).at_times is None
 
 
 def curves(phi_u):

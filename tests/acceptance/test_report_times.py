@@ -1,0 +1,258 @@
+"""Report times: heading error, its sigma and NEES of every run, without its curve."""
+
+import tomllib
+from functools import cache
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pyarrow as pa
+import pytest
+from rich.console import Console
+from support.studies import refusal, small_study
+
+from sinsjax.engine import batch, build
+from sinsjax.engine.lanes import tiles_of
+from sinsjax.engine.simulate import simulate
+from sinsjax.errors import InputError
+from sinsjax.execution import forecast, rerun, run
+from sinsjax.execution.tables import Tables
+from sinsjax.records import Reference
+from sinsjax.records.reference import StoredRecord
+from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.load import study_from_dict, study_to_toml
+from sinsjax.tuning.descent import Slope, Softness
+from sinsjax.types import Quat
+from sinsjax.units import ARCMIN
+
+pytestmark = pytest.mark.optimised(False)
+
+METHODS = {"axes": {"method": ["kalman5", "kalman_sincos", "compass"]}}
+LOOPS = {"compass": {"level_sigma_per_s": 0.5, "level_time_s": 2.0, "azimuth_sigma_per_s": 0.05}}
+COARSE: dict[str, Any] = {
+    "coarse": {"coarse_duration_s": 3.0},
+    "axes": {
+        "arm": {
+            "coarse_method": ["none", "inertial", "inertial"],
+            "coarse_then": ["hand_over", "hand_over", "replay"],
+        }
+    },
+}
+STUDIES: dict[str, dict[str, Any]] = {
+    "methods": METHODS | LOOPS,
+    "passes": {"passes": {"tape_s": 2.0, "direction": "rewind"}},
+    "turns": {"passes": {"tape_s": 2.0}, "axes": {"turn_covariance": ["carried", "reset"]}},
+    "coarse": COARSE,
+    "coarse_passes": COARSE | {"passes": {"tape_s": 4.0, "direction": "rewind"}},
+}
+
+
+@cache
+def results(name: str, *times: float) -> run.Results:
+    reported = {"report_times_s": list(times)} if times else {}
+    return run.run(small_study(**STUDIES[name] | {"study": {"curves": True} | reported}))
+
+
+def at_record(curves: pa.Table, name: str, record: int) -> np.ndarray:
+    """(runs,) a column of the curves at a record, from 1; NaN for null."""
+    return curves[name].to_numpy().reshape(-1, 6)[:, record - 1]
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_columns_are_the_curves_at_these_times(name: str) -> None:
+    """Counted over all passes, and from the first sample of coarse alignment."""
+    summary, curves = results(name, 1.0, 2.0, 5.0)
+    for time in (1, 2, 5):
+        for column in ("phi_u", "sigma_u"):
+            told = summary[f"{column}_at_{time}_arcmin"].to_numpy()
+            np.testing.assert_array_equal(told, at_record(curves, f"{column}_arcmin", time))
+        unknown = np.isnan(at_record(curves, "sigma_u_arcmin", time))
+        np.testing.assert_array_equal(np.isnan(summary[f"nees_at_{time}"].to_numpy()), unknown)
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_nothing_else_changes_by_a_bit(name: str) -> None:
+    plain, reported = results(name), results(name, 1.0, 2.0, 5.0)
+    names = plain.summary.column_names
+    assert reported.summary.select(names).equals(plain.summary)
+    assert reported.curves.equals(plain.curves)
+    of_times = [n for n in reported.summary.column_names if n not in names]
+    assert of_times == [
+        *("phi_u_at_1_arcmin", "sigma_u_at_1_arcmin", "nees_at_1"),
+        *("phi_u_at_2_arcmin", "sigma_u_at_2_arcmin", "nees_at_2"),
+        *("phi_u_at_5_arcmin", "sigma_u_at_5_arcmin", "nees_at_5"),
+    ]
+
+
+@pytest.mark.optimised(True)
+@pytest.mark.parametrize("method", ["kalman5", "kalman_sincos"])
+def test_nor_does_it_in_optimised_programs(method: str) -> None:
+    plain, reported = (
+        run.run(small_study(alignment={"method": method}, study={"curves": True} | times))
+        for times in ({}, {"report_times_s": [2.0, 5.0]})
+    )
+    assert reported.summary.select(plain.summary.column_names).equals(plain.summary)
+    assert reported.curves.equals(plain.curves)
+
+
+@pytest.mark.parametrize("time", [2.0, 5.0])
+def test_nees_is_that_of_runs_that_end_there(time: float) -> None:
+    whole = results("methods", 1.0, 2.0, 5.0).summary
+    ended = run.run(
+        small_study(**METHODS, **LOOPS, study={"duration_s": time, "window_s": [0, time]})
+    ).summary
+    nees = whole[f"nees_at_{time:g}"].to_numpy()
+    np.testing.assert_allclose(nees, ended["nees"].to_numpy(), rtol=1e-12)
+    assert (
+        np.isnan(nees.reshape(3, 3)[:, 2]).all() and not np.isnan(nees.reshape(3, 3)[:, :2]).any()
+    )
+
+
+def test_one_run_tells_what_the_batch_does() -> None:
+    (part,) = build.parts(small_study(study={"report_times_s": [2.0, 6.0], "draws": 1}))
+    group = part.group
+    draw = jax.tree.map(lambda a: a[0] if np.ndim(a) else a, group.draws)
+    params = jax.tree.map(lambda a: a[0], group.variants)._replace(q=Quat(*group.q[0]))
+    one, _ = jax.jit(simulate, static_argnums=0)(group.static, group.environment, draw, params)
+    (chunk,) = batch.chunks(group)
+    np.testing.assert_allclose(one.at_times, chunk.outcome.at_times[0], rtol=1e-9)
+    assert abs(one.at_times[1, 0] - one.last.phi.z) == 0
+
+
+def test_other_times_are_other_numbers_of_the_same_program() -> None:
+    def program(times: list[float]) -> batch.Program:
+        (part,) = build.parts(small_study(study={"report_times_s": times}))
+        group = part.group
+        tiles = tiles_of(group, batch.plan(group)[0])
+        return batch.program(group.static, group.environment, tiles)
+
+    assert program([1.0, 2.0]) is program([3.0, 6.0])
+    assert program([1.0, 2.0]) is not program([3.0])
+
+
+def test_the_gradient_of_a_tuning_knows_nothing_of_them() -> None:
+    tune: dict[str, Any] = {"searches": ["gradient"], "tune_draws": 2}
+    tune["variables"] = {"r_scale": {"low": 0.2, "high": 5.0, "scale": "log"}}
+    tables = {"tune": tune, "alignment": {"method": "kalman5"}}
+    tables["tune"]["objective_band_arcmin"] = 60.0
+    found = [
+        Slope(small_study(**tables, study=reported), None, 0, starts=2, draws=2)(
+            np.array([[0.3], [0.7]]), np.arange(2), Softness(5.0, 3.0)
+        )
+        for reported in ({}, {"report_times_s": [2.0]})
+    ]
+    for plain, reported in zip(*found, strict=True):
+        np.testing.assert_array_equal(plain, reported)
+
+
+def test_a_study_without_them_is_as_it_was() -> None:
+    plain, reported = small_study(), small_study(study={"report_times_s": [2.0]})
+    assert "report_times_s" not in study_to_toml(plain)
+    assert len({fingerprint(plain), fingerprint(reported)}) == 2
+    assert study_from_dict(tomllib.loads(study_to_toml(reported))) == reported
+    assert forecast.of(reported).run_bytes > forecast.of(plain).run_bytes
+    (part,) = build.parts(plain)
+    assert part.group.environment.criteria.report_samples is None
+
+
+def test_columns_have_unit_and_meaning() -> None:
+    made = Tables(small_study(study={"record_interval_s": 0.5, "report_times_s": [2.5]}))
+    told = {c.name: (c.unit, c.meaning) for c in made.summary_columns if "_at_" in c.name}
+    assert told == {
+        "phi_u_at_2.5_arcmin": ("arcmin", "phi_u_arcmin at 2.5 s of data"),
+        "sigma_u_at_2.5_arcmin": ("arcmin", "sigma_u_arcmin at 2.5 s of data"),
+        "nees_at_2.5": ("", "nees at 2.5 s of data; 3 degrees of freedom"),
+    }
+
+
+def test_a_run_is_repeated_alone(tmp_path: Path) -> None:
+    study = small_study(**STUDIES["coarse_passes"], study={"report_times_s": [1.0, 5.0]})
+    run.run_into(study, tmp_path / "out", curves=False)
+    told = StringIO()
+    rerun.rerun_into(tmp_path / "out", 5, Console(file=told, width=200))
+    assert "identical" in told.getvalue()
+
+
+def record() -> StoredRecord:
+    """Six seconds of the swinging base, with its true attitude."""
+    simulated = small_study(sensors={"gyro_noise_deg_per_h": 0.0})
+    time_s = np.arange(0, 6.01, 0.01)
+    angles = [1.8 * np.sin(2 * np.pi * time_s / 6), 2.4 * np.sin(2 * np.pi * time_s / 8)]
+    yaw = 10 + 2.8 * np.sin(2 * np.pi * time_s / 10)
+    attitude = np.column_stack([*angles, yaw])
+    return StoredRecord(build.simulated_record(simulated), Reference(time_s, attitude, "true.csv"))
+
+
+def recorded(times: list[float], coarse: dict[str, Any], **tables: Any) -> dict[str, Any]:
+    settings = {"duration_s": 4.0, "rate_hz": 100.0, "window_s": [2, 4], "curves": True}
+    return {
+        "study": settings | {"report_times_s": times},
+        "record": {"format": "psins"},
+        "coarse": {"coarse_duration_s": 2.0} | coarse,
+    } | tables
+
+
+def test_of_a_record_the_same_data_count_for_a_hand_over_and_a_replay() -> None:
+    """The one has heard 2 s before t = 0; alone, its times are those of its records."""
+    stored = record()
+    both = recorded([3.0, 4.0], {}, axes={"coarse_then": ["hand_over", "replay"]})
+    summary, curves = run.run(study_from_dict(both), stored)
+    phi = curves["phi_u_arcmin"].to_numpy().reshape(2, 4)
+    for time in (3, 4):
+        told = summary[f"phi_u_at_{time}_arcmin"].to_numpy()
+        np.testing.assert_array_equal(told, [phi[0, time - 3], phi[1, time - 1]])
+    alone = run.run(study_from_dict(recorded([1.0, 4.0], {})), stored)
+    own = alone.curves["phi_u_arcmin"].to_numpy()
+    assert alone.summary["phi_u_at_1_arcmin"].to_pylist() == [own[0]]
+    assert alone.summary["phi_u_at_4_arcmin"].to_pylist() == [own[3]]
+
+
+def test_without_a_reference_there_is_a_sigma_alone() -> None:
+    summary = run.run(study_from_dict(recorded([1.0], {})), record()._replace(reference=None))[0]
+    assert summary["phi_u_at_1_arcmin"].null_count == summary["nees_at_1"].null_count == 1
+    assert summary["sigma_u_at_1_arcmin"].to_pylist()[0] > 1 * ARCMIN
+
+
+HERE = "[study] report_times_s: "
+
+
+@pytest.mark.parametrize(
+    ("tables", "line"),
+    [
+        (
+            {"study": {"report_times_s": [2.0, 2.5]}},
+            "2.5 s is no whole number of record intervals, record_interval_s = 1 (nearest: 2 or 3)",
+        ),
+        (
+            {"study": {"report_times_s": [2.0, 7.0]}},
+            "7 s is not within the run (duration_s = 6)",
+        ),
+        (
+            {"study": {"report_times_s": [5.0]}, "passes": {"tape_s": 2.0, "passes": 2}},
+            "5 s is not within the run (duration_s = 6; the shortest run ends at 4 s)",
+        ),
+    ],
+)
+def test_times_that_are_no_records_are_refused(tables: dict[str, Any], line: str) -> None:
+    assert refusal(**tables) == HERE + line
+
+
+@pytest.mark.parametrize(
+    ("times", "coarse_s", "line"),
+    [
+        ([2.0], 2.0, "2 s is before the first record of runs that follow coarse alignment of 2 s"),
+        ([4.0], 2.5, "4 s is between two records of runs that follow coarse alignment of 2.5 s"),
+        ([5.0], 2.0, "5 s is not within the run (duration_s = 4)"),
+    ],
+)
+def test_times_that_a_hand_over_has_not_are_refused(
+    times: list[float], coarse_s: float, line: str
+) -> None:
+    arms = {"arm": {"coarse_then": ["hand_over", "replay"], "coarse_duration_s": [coarse_s, 2.0]}}
+    tables = recorded(times, {}, axes=arms)
+    del tables["coarse"]["coarse_duration_s"]
+    with pytest.raises(InputError) as caught:
+        study_from_dict(tables)
+    assert str(caught.value) == f"study: {HERE}{line}"
