@@ -129,7 +129,7 @@ def read_history(directory: str | Path) -> pa.Table:
     Returns:
         One row per evaluated point, in order of evaluation: ``search``, ``step``, ``start``,
         ``candidate``, ``objective``, one column per variable, ``cost``, ``window_s``,
-        ``sharpness``; the schema has units and meanings.
+        ``sharpness``, and since 0.6.0 ``estimated``; the schema has units and meanings.
 
     Raises:
         InputError: there is no history, or it cannot be read.
@@ -148,6 +148,8 @@ def read(directory: Path, space: SearchSpace) -> list[Found]:
         InputError: the history cannot be read, or is of other variables.
     """
     table = read_history(directory)
+    if "estimated" not in table.column_names:  # before 0.6.0, which estimated nothing
+        table = table.append_column("estimated", pa.array([False] * table.num_rows))
     missing = {column.name for column in columns_of(space)}.difference(table.column_names)
     if missing:
         raise InputError(f"{directory / FILE}: column {sorted(missing)[0]} is missing")
