@@ -32,13 +32,14 @@ PAGES = {
         "tune_large",
         "tune_compass",
         "tuned_schedules",
+        "tuned_phase",
         "paper2_map",
         "compass_80s_search",
         "compass_80s_best",
         "kalman_passes",
         "consistency",
     ),
-    "tuning": ("tune_condition5", "tune_large", "tune_compass", "tuned_schedules"),
+    "tuning": ("tune_condition5", "tune_large", "tune_compass", "tuned_schedules", "tuned_phase"),
     "adaptive": ("adaptive_resets", "car_adaptive"),
     "consistency": ("consistency",),
     "kalman_passes": ("kalman_passes",),
@@ -81,8 +82,12 @@ def tunings(monkeypatch):
         def __init__(self, source):
             self.study = self.judged = source.study
             self.tune, self.rival, self.best = source.study.tune, "grid", "grid"
-            found = {"grid": 10.0, "gradient": 2.0, "equal cost": 2.0}
-            self.found = {name: SimpleNamespace(cost=cost) for name, cost in found.items()}
+            found = {"grid": 10.0, "sobol": 10.0, "gradient": 2.0, "equal cost": 2.0}
+            looks = [SimpleNamespace(estimated=True)]
+            self.found = {
+                name: SimpleNamespace(cost=cost, looks=looks)
+                for name, cost in (found | {"covariance": 1.0}).items()
+            }
             self.places = dict.fromkeys(["baseline", *found], 0)
             self.judged = SimpleNamespace(cases=[{"case": "all", "reset_times_s": (1.0, 2.0)}])
             self.runs = np.ones((1, 2, 8))
