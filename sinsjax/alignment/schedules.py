@@ -19,10 +19,13 @@ class Feedback(NamedTuple):
     Attributes:
         every: samples between two corrections.
         gain: share of the estimate fed back each time, 1 for all of it.
+        restarts: 1 where a reset starts the count to the next correction anew, 0 where it goes on;
+            None where it goes on in all runs.
     """
 
     every: Scalar
     gain: Scalar
+    restarts: Scalar | None = None
 
 
 class CovarianceReset(NamedTuple):
@@ -83,6 +86,18 @@ class Windows(NamedTuple):
     covariance_reset: CovarianceReset
 
 
+class Due(NamedTuple):
+    """What is due after a sample.
+
+    Attributes:
+        feedback: whether the estimate is fed back.
+        reset: whether P is reset; of a relaxed schedule, which share of a reset.
+    """
+
+    feedback: Flag
+    reset: Flag | Scalar
+
+
 WINDOW_STRENGTH = 8.0
 """A relaxed reset leaves some exp(-8), 3e-4, of what a whole one would take away."""
 
@@ -119,6 +134,21 @@ def next_due(feedback_at: Scalar, resets: Resets, n: Scalar) -> Scalar:
     """
     ahead = jnp.where(resets.samples > n, resets.samples, jnp.inf)
     return jnp.minimum(jnp.ceil(feedback_at), jnp.min(ahead, initial=jnp.inf))
+
+
+def feedback_after(feedback: Feedback, feedback_at: Scalar, due: Due, n: Scalar) -> Scalar:
+    """The sample of the next feedback, once what was due after the n-th is done.
+
+    Args:
+        feedback: when it comes.
+        feedback_at: sample of the next feedback before.
+        due: what was due.
+        n: number of the sample.
+    """
+    later = jnp.where(due.feedback, feedback_at + feedback.every, feedback_at)
+    if feedback.restarts is None:
+        return later
+    return jnp.where(due.reset & (feedback.restarts > 0), n + feedback.every, later)
 
 
 def _window_share(windows: Windows, n: Scalar) -> Scalar:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from sinsjax.alignment.filters.section import OF_RESETS, times_of_resets
 from sinsjax.alignment.limits import mean_attitude
 from sinsjax.alignment.methods import METHODS
 from sinsjax.engine.simulator import errors_of, motion_of
@@ -98,7 +99,10 @@ def has_limit(
 
 def scheduled_last_s(study: Study) -> np.ndarray:
     """(variants,) time of the last reset of every schedule, s; 0 for none."""
-    return study.schedules.each(lambda times: max(times, default=0.0))
+    if not study.has("resets"):
+        return np.zeros(study.n_variants)
+    values = study.resolved.column(*OF_RESETS)
+    return values.each(lambda own: max(times_of_resets(study.rate_hz, *own), default=0.0))
 
 
 def require_limit(study: Study) -> None:

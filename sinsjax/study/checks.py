@@ -8,7 +8,7 @@ import math
 from typing import NoReturn
 
 from sinsjax import columns
-from sinsjax.alignment.filters.section import OF_SCHEDULES, reset_times
+from sinsjax.alignment.filters.section import OF_RESETS, OF_SCHEDULES, reset_times
 from sinsjax.alignment.methods import METHODS, keys_unread
 from sinsjax.errors import InputError
 from sinsjax.study import ignored, success
@@ -156,8 +156,8 @@ def _check_coarse(study: Study, where: Where) -> None:
     """Refuses coarse alignment that no run can begin with, and resets before its hand-over."""
     every_s = study.record_every / study.rate_hz
     tape = ("tape_s",) if study.passes else ()
-    schedule = OF_SCHEDULES if study.has("resets") else ()
-    for point in study.combinations(*COARSE_KEYS, *tape, *schedule) if study.coarse else ():
+    resets = OF_RESETS if study.has("resets") else ()
+    for point in study.combinations(*COARSE_KEYS, *tape, *resets) if study.coarse else ():
         method, length_s, then = (point[key] for key in COARSE_KEYS)
         if study.is_recorded and method == "none":
             _refuse("coarse_method", where, "a record tells no attitude to begin with")
@@ -170,11 +170,21 @@ def _check_coarse(study: Study, where: Where) -> None:
         if length_s > end_s * (1 + ROUNDING):
             text = f"{length_s:.12g} s leaves nothing to fine alignment (at most {end_s:.12g})"
             _refuse("coarse_duration_s", where, text)
-        times = reset_times(*(point[key] for key in schedule)) if schedule else ()
-        if then != "replay" and (first_s := min(times, default=math.inf)) <= length_s:
+        times = reset_times(*(point[key] for key in OF_SCHEDULES)) if resets else ()
+        if then == "replay" or not times:
+            continue
+        if (first_s := min(times)) <= length_s:
             key = "reset_times_s" if point["reset_times_s"] is not None else "reset_count"
             text = f"a reset at {first_s:.12g} s is not after coarse alignment, {length_s:.12g} s"
             _refuse(key, where, text)
+        interval_s = point["feedback_interval_s"]
+        if point["reset_at_feedback"] and _samples(study, length_s) % _samples(study, interval_s):
+            text = f"coarse alignment of {length_s:.12g} s is no whole number of feedback intervals"
+            _refuse("reset_at_feedback", where, f"{text}, feedback_interval_s = {interval_s:.12g}")
+
+
+def _samples(study: Study, time_s: float) -> int:
+    return round(time_s * study.rate_hz)
 
 
 def _check_multiple(study: Study, where: Where, key: str, time: float) -> None:

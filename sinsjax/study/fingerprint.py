@@ -37,6 +37,7 @@ _KEYS_OF_0_6 = frozenset(
     gyro_instability_deg_per_h gyro_instability_time_s gyro_rrw_deg_per_h_per_sqrt_h
     accel_instability_ug accel_instability_time_s accel_rrw_ug_per_sqrt_h
     gyro_quantisation_arcsec accel_quantisation_um_per_s
+    reset_at_feedback reset_restarts_feedback
     """.split()
 )
 """Keys with a default, told only where they have another value."""

@@ -146,6 +146,8 @@ SCHEDULES = {
     "feedback every second, resets": {"every": 100, "resets": (333, 700)},
     "partial feedback, heading reset": {"every": 10, "gain": 0.3, "resets": (250,), "kind": "yaw"},
     "P times 10": {"every": 50, "resets": (500,), "kind": "scale"},
+    "resets restart feedback": {"every": 100, "resets": (333, 700), "restarts": True},
+    "resets wait for feedback": {"every": 60, "resets": (301, 720), "at_feedback": True},
 }
 
 

@@ -265,11 +265,18 @@ def dense(entries, n):
     return matrix
 
 
-@pytest.mark.parametrize("turn", ["carried", "inflated", "reset", "rewind"])
+@pytest.mark.parametrize(
+    ("turn", "clock"),
+    [
+        *((turn, {}) for turn in ("carried", "inflated", "reset", "rewind")),
+        ("carried", {"restarts": True}),
+        ("rewind", {"at_feedback": True}),
+    ],
+)
 @pytest.mark.parametrize(
     ("name", "planet", "position"), [("kalman5", EARTH, "fixed"), ("kalman10", WGS84, "integrated")]
 )
-def test_three_passes_of_a_filter_as_the_naive_loop(name, planet, position, turn):
+def test_three_passes_of_a_filter_as_the_naive_loop(name, planet, position, turn, clock):
     """With feedback over the turn, a reset, biases fed back, and P carried, inflated or reset.
 
     Or all three forward, rewound from what biases and feedback leave at their ends.
@@ -279,6 +286,7 @@ def test_three_passes_of_a_filter_as_the_naive_loop(name, planet, position, turn
     filt = paper_filter(
         n, every=130, gain=0.7, resets=(250, 1500), position=position, turn=turn, turn_factor=3.0
     )
+    filt = filt._replace(**clock)
     rows = swing_increments(
         PAPER1,
         planet,

@@ -70,6 +70,7 @@ class Step(NamedTuple):
     fed: Any
     at_rest: Any
     scheduled: Any
+    feedback_at: Any
     after_reset: Any
 
 
@@ -79,7 +80,7 @@ def positive(rng, *shape, scale=1.0):
     return half @ np.swapaxes(half, -1, -2) + 0.1 * scale**2 * np.eye(shape[-1])
 
 
-def sequence(seed, samples, scheduled=()):
+def sequence(seed, samples, scheduled=(), every=1):
     """Random things to see, one a sample; innovations are correlated over time."""
     rng = np.random.default_rng(seed)
     s = positive(rng, samples, 2, 2)
@@ -98,6 +99,7 @@ def sequence(seed, samples, scheduled=()):
         fed=rng.normal(size=(samples, 3)),
         at_rest=0.3 * rng.normal(size=(samples, 5, 5)),
         scheduled=np.isin(n, list(scheduled)),
+        feedback_at=np.ceil(n / every) * every,
         after_reset=positive(rng, 5, 5),
     )
 
@@ -124,8 +126,9 @@ def columns_of(rows):
     return tuple(rows[:, i] for i in range(rows.shape[1]))
 
 
-def engine_numbers(trigger_params):
-    return triggers.TriggerParams(*map(np.float64, trigger_params))
+def engine_numbers(trigger_params, at_feedback=False):
+    at_feedback = np.float64(1) if at_feedback else None
+    return triggers.TriggerParams(*map(np.float64, trigger_params), at_feedback)
 
 
 @cache
@@ -136,7 +139,8 @@ def driven(name):
     @jax.jit
     def run(trigger_params, noise, p0, here, after_reset, steps):
         def one(trigger_state, step):
-            n, velocity, innovation, variance, propagated, updated, x, fed, at_rest, due, _ = step
+            n, velocity, innovation, variance, propagated, updated, x, fed, at_rest, *rest = step
+            due, feedback_at, _ = rest
             before = Belief(x, propagated)
             trigger_state, faded = triggers.fade(
                 trigger, trigger_params, noise, trigger_state, before, velocity
@@ -157,7 +161,7 @@ def driven(name):
             if trigger.look:
                 score = trigger.look(trigger_params, noise, trigger_state.memory, snapshot)[1]
             trigger_state = triggers.take_in(
-                trigger, trigger_params, noise, trigger_state, snapshot, n
+                trigger, trigger_params, noise, trigger_state, snapshot, n, feedback_at=feedback_at
             )
             fires = triggers.fires(trigger_state, n)
             reset = due | fires
@@ -172,7 +176,7 @@ def driven(name):
     return run
 
 
-def drive(name, trigger_params, steps):
+def drive(name, trigger_params, steps, *, at_feedback=False):
     """The engine's trigger over a sequence."""
     packed = steps._replace(
         **{k: columns_of(getattr(steps, k)) for k in ("velocity", "innovation", "x", "fed")},
@@ -182,7 +186,7 @@ def drive(name, trigger_params, steps):
     )
     noise = AssumedNoise(tuple(NOISE[0]), np.float64(NOISE[1]))
     trigger_state, out = driven(name)(
-        engine_numbers(trigger_params),
+        engine_numbers(trigger_params, at_feedback),
         noise,
         upper(steps.after_reset),
         place(PAPER, LATITUDE),
@@ -194,10 +198,10 @@ def drive(name, trigger_params, steps):
     return score, factor, [int(n) for n in steps.n[fires]], trigger_state
 
 
-def drive_naively(name, trigger_params, steps):
+def drive_naively(name, trigger_params, steps, every=1):
     """The naive trigger over a sequence."""
     q, r = NOISE
-    watcher = Watcher(name, trigger_params, q=q, r=r, p0=steps.after_reset, dt=DT)
+    watcher = Watcher(name, trigger_params, q=q, r=r, p0=steps.after_reset, dt=DT, every=every)
     factors = []
     for i in range(len(steps.n)):
         k, x, p = i + 1, steps.x[i], steps.updated[i]
@@ -228,17 +232,22 @@ def threshold_at(scores, share):
     most=st.integers(1, 6) | st.just(100),
     until=st.sampled_from([np.inf, 7, 30]),
     scheduled=st.sets(st.integers(1, 60), max_size=4),
+    every=st.sampled_from([1, 4, 7]),
 )
 @settings(max_examples=25)
 def test_a_trigger_scores_and_fires_as_the_naive_one(
-    name, seed, share, window, refractory, most, until, scheduled
+    name, seed, share, window, refractory, most, until, scheduled, every
 ):
-    steps = sequence(seed, 60, scheduled)
+    """Every so many samples, too; all of its resets wait for that, scheduled ones as well."""
+    steps = sequence(seed, 60, {-(-k // every) * every for k in scheduled}, every)
     trigger_params = Numbers(np.inf, window, refractory, most, until)
-    quiet, _ = drive_naively(name, trigger_params, steps)
+    quiet, _ = drive_naively(name, trigger_params, steps, every)
     trigger_params = trigger_params._replace(threshold=threshold_at(quiet.scores, share))
-    naive, _ = drive_naively(name, trigger_params, steps)
-    score, factor, trigger_counts, trigger_state = drive(name, trigger_params, steps)
+    naive, _ = drive_naively(name, trigger_params, steps, every)
+    score, factor, trigger_counts, trigger_state = drive(
+        name, trigger_params, steps, at_feedback=every > 1
+    )
+    assert all(k % every == 0 for k in trigger_counts)
     np.testing.assert_allclose(score, naive.scores, rtol=1e-9, atol=1e-12)
     assert trigger_counts == naive.trigger_counts
     assert tuple(trigger_state.trigger_counts) == (
@@ -383,14 +392,16 @@ def engine_run(name, trigger, trigger_params, filt, tape=None):
         np.array([u.turns for u in all_read]),
     )
     nav = navigation(exp(-PHI0) @ PAPER1.matrix(0.0), V0, LATITUDE)
-    filt_params = params(filt)._replace(trigger=engine_numbers(trigger_params))
+    trigger_params = engine_numbers(trigger_params, filt.at_feedback)
+    filt_params = params(filt)._replace(trigger=trigger_params)
     return program(name, trigger, filt.force)(filt_params, site(planet, LATITUDE), nav, read)
 
 
 def naive_run(name, trigger, trigger_params, filt, tape=None):
     """History, and the watcher."""
     planet = FILTERS[name][1]
-    watcher = Watcher(trigger, trigger_params, q=filt.q, r=filt.r, p0=filt.p0, dt=DT)
+    every = filt.every if filt.at_feedback else 1
+    watcher = Watcher(trigger, trigger_params, q=filt.q, r=filt.r, p0=filt.p0, dt=DT, every=every)
     c = exp(-PHI0) @ PAPER1.matrix(0.0)
     case = {"latitude": LATITUDE, "c": c, "v": V0, "filt": filt, "watcher": watcher}
     return closed_loop(measured(planet), DT, planet, tape=tape, count=SAMPLES, **case), watcher
@@ -442,6 +453,9 @@ NEAR = Numbers(np.inf, window=20, refractory=10, most=12, until=380)
         ("kalman5", "levelled", 145, CLOSED),
         ("kalman5", "tilt_drift", 145, CLOSED | {"kind": "yaw"}),
         ("kalman10", "linearisation", 145, CLOSED),
+        ("kalman5", "innovation", 145, CLOSED | {"r": 1e-5, "restarts": True}),
+        ("kalman5", "nis", 145, CLOSED | {"r": 1e-5, "at_feedback": True}),
+        ("kalman5", "linearisation", 145, CLOSED | {"every": 31, "at_feedback": True}),
     ],
 )
 def test_a_filter_with_a_trigger_is_reset_where_the_naive_one_is(name, trigger, tape, changes):

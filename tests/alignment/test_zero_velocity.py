@@ -92,6 +92,24 @@ SCHEDULES = {
     "P shrunk": {"every": 33, "resets": (200,), "kind": "scale", "factor": 0.01},
     "resets alone feed back, in any order": {"every": 10**9, "resets": (1600, 3, 800)},
     "other numbers": {"r": 1e-6, "every": 50, "resets": (60,)},
+    "resets restart feedback": {
+        "every": 70,
+        "gain": 0.5,
+        "resets": (99, 140, 1333),
+        "restarts": True,
+    },
+    "yaw resets wait for feedback, two for the same": {
+        "every": 300,
+        "resets": (301, 599, 1200),
+        "kind": "yaw",
+        "at_feedback": True,
+    },
+    "resets wait, and restart nothing": {
+        "every": 64,
+        "resets": (65, 500),
+        "at_feedback": True,
+        "restarts": True,
+    },
 }
 
 

@@ -12,6 +12,7 @@ from oracles.naive import DEG, STATES, WGS84, Filter, Loops, Planet, Swing, quat
 from sinsjax.alignment.base import Options, Site
 from sinsjax.alignment.compass import method as compass
 from sinsjax.alignment.compass.design import AzimuthGains, LevelGains
+from sinsjax.alignment.filters.section import times_of_resets
 from sinsjax.alignment.filters.stages import FilterParams
 from sinsjax.alignment.limits import NO_BIASES
 from sinsjax.alignment.methods import METHODS
@@ -109,13 +110,17 @@ def params(filt: Filter) -> FilterParams:
 def filter_params(filt: Filter) -> FilterParams:
     """Numbers of a filter whose states are in one order here and there."""
     scale = (filt.factor, filt.factor, 0.0, 0.0)
-    when = [*filt.resets] + [np.inf] * (RESETS - len(filt.resets))
+    written = tuple(map(float, filt.resets)), None, None, None
+    when = times_of_resets(1.0, *written, filt.at_feedback, float(filt.every))
+    when = [*when, *[np.inf] * (RESETS - len(when))]
     p0 = tuple(map(np.float64, filt.p0))
     return FilterParams(
         p0=p0,
         q=tuple(map(np.float64, filt.q)),
         r=np.float64(filt.r),
-        feedback=Feedback(np.float64(filt.every), np.float64(filt.gain)),
+        feedback=Feedback(
+            np.float64(filt.every), np.float64(filt.gain), np.float64(1) if filt.restarts else None
+        ),
         resets=Resets(
             np.array(when, dtype=float),
             CovarianceReset(*map(np.float64, _KINDS.get(filt.kind, scale))),

@@ -166,6 +166,30 @@ class Filter(NamedTuple):
     position: str = "fixed"
     turn: str = "carried"
     turn_factor: float = 10.0
+    restarts: bool = False
+    at_feedback: bool = False
+
+
+class Clock:
+    """When a filter feeds back and resets, told sample after sample from the ``first`` one on.
+
+    Feedback comes ``every`` so many samples of a run, or of what follows a reset that ``restarts``
+    the clock; resets come when they are wanted, or wait for the feedback after that.
+    """
+
+    def __init__(self, filt, first=1):
+        """Begin before the ``first`` sample, which is the first of an interval."""
+        self.filt, self.began, self.waits = filt, first - 1, False
+
+    def look(self, k, called=False):
+        """Whether feedback, and whether a reset is due after sample k, which may call for one."""
+        feedback = (k - self.began) % self.filt.every == 0
+        self.waits = self.waits or called or k in self.filt.resets
+        reset = self.waits and (feedback or not self.filt.at_feedback)
+        self.waits = self.waits and not reset
+        if reset and self.filt.restarts:
+            self.began = k
+        return feedback, reset
 
 
 class Innovation(NamedTuple):
@@ -305,7 +329,7 @@ def closed_loop(
     the number of the update before which attitude and velocity are given.
     """
     watcher = watcher or Unwatched()
-    n = len(filt.p0)
+    n, clock = len(filt.p0), Clock(filt, first)
     x, p, bias = np.zeros(n), np.diag(filt.p0), np.zeros(n - 5)
     h = np.eye(n)[:2]
     longitude, fixed, history, rewind = 0.0, latitude, [], filt.turn == "rewind"
@@ -339,8 +363,8 @@ def closed_loop(
         p = watcher.factor(p, v - x[:2]) * p + np.diag(filt.q)
         seen = Innovation(k, v - x[:2], p[:2, :2] + filt.r * np.eye(2), earth, at, c0)
         x, p = update(x, p, h, v, filt.r)
-        due = watcher.look(seen, x, p) or k in filt.resets
-        share = 1.0 if due else filt.gain if k % filt.every == 0 else 0.0
+        feedback, due = clock.look(k, watcher.look(seen, x, p))
+        share = 1.0 if due else filt.gain if feedback else 0.0
         watcher.feed(share * x[2:5])
         if share:
             v = v - share * x[:2]

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from oracles.naive import (
+    Clock,
     Filter,
     error_matrix,
     exp,
@@ -58,6 +59,7 @@ def closed_loop(
     n = len(filt.p0)
     x, p, h, v = model.start, np.diag(filt.p0), np.eye(n)[:2], np.array([*v, 0.0])
     flip, history, rewind = np.diag(model.signs), [], filt.turn == "rewind"
+    clock = Clock(filt)
     for k, turn, dv, way, turns in updates(increments, tape, count, rewind=rewind):
         if turns and rewind:
             c = wound_back(model.corrected(x, c), increments[:tape], dt, planet, latitude)
@@ -71,8 +73,8 @@ def closed_loop(
         v = np.array([*level, v[2] + dt * (f[2] - planet.g(latitude) - upward)])
         x, p = model.predict(x, p, earth, latitude, dt)
         x, p = update(x, p + np.diag(filt.q), h, v[:2], filt.r)
-        due = k in filt.resets
-        share = 1.0 if due else filt.gain if k % filt.every == 0 else 0.0
+        feedback, due = clock.look(k)
+        share = 1.0 if due else filt.gain if feedback else 0.0
         fed = share * x
         fed[list(model.kept)] = 0.0
         if share:

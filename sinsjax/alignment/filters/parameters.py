@@ -2,11 +2,12 @@
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
 from sinsjax.alignment.base import Site
-from sinsjax.alignment.filters.section import OF_SCHEDULES, Q_DENSITIES, reset_times
+from sinsjax.alignment.filters.section import OF_RESETS, Q_DENSITIES, times_of_resets
 from sinsjax.alignment.filters.stages import FilterParams
 from sinsjax.alignment.filters.states import STATES, StateKind
 from sinsjax.alignment.parameters import Columns, column_or, in_samples
@@ -94,6 +95,7 @@ def _trigger(columns: Columns) -> TriggerParams | None:
         refractory=np.round(columns.column("trigger_refractory_s") * rate_hz),
         most=columns.column("trigger_most"),
         until=np.round(column_or(columns, "trigger_until_s", math.inf) * rate_hz),
+        at_feedback=_where_any(columns, "reset_at_feedback"),
     )
 
 
@@ -104,12 +106,19 @@ def _feedback(columns: Columns) -> Feedback:
         samples = np.round(interval_s * rate_hz)
         return samples, -np.expm1(-samples / rate_hz / constant_s) if constant_s > 0 else 1.0
 
-    return Feedback(*columns.each(one, "feedback_interval_s", "feedback_time_constant_s").T)
+    every, gain = columns.each(one, "feedback_interval_s", "feedback_time_constant_s").T
+    return Feedback(every, gain, _where_any(columns, "reset_restarts_feedback"))
 
 
 def _resets(columns: Columns) -> Resets:
-    samples = in_samples(columns, reset_times, *OF_SCHEDULES)
+    samples = in_samples(columns, partial(times_of_resets, columns.rate_hz), *OF_RESETS)
     return Resets(samples, _covariance_reset(columns, "reset_kind", "reset_scale"))
+
+
+def _where_any(columns: Columns, key: str) -> np.ndarray | None:
+    """1 where a key holds and 0 elsewhere, (variants,); None where it holds in no variant."""
+    holds = columns.each(float, key)
+    return holds if holds.any() else None
 
 
 def _covariance_reset(columns: Columns, kind: str, factor: str) -> CovarianceReset:

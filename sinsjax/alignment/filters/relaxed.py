@@ -113,6 +113,9 @@ def _refused(study: StudyView) -> str | None:
         return None
     if any(point["reset_kind"] == "scale" for point in study.combinations("reset_kind")):
         return "[resets] reset_kind = 'scale'"
+    for key in ("reset_at_feedback", "reset_restarts_feedback"):
+        if any(point[key] for point in study.combinations(key)):
+            return f"[resets] {key}"
     return "[resets] reset_trigger" if any_trigger(study) else None
 
 

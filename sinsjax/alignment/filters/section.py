@@ -38,6 +38,9 @@ Q_DENSITIES = {
 OF_SCHEDULES = ("reset_times_s", "reset_count", "reset_cycle_s", "reset_first_s")
 """The keys that give the times of resets, in the order of `reset_times`."""
 
+OF_RESETS = (*OF_SCHEDULES, "reset_at_feedback", "feedback_interval_s")
+"""The keys that tell when resets come, in the order of `times_of_resets`."""
+
 
 class FilterSection(Section):
     """[filter]: what the filter believes; standard deviations."""
@@ -108,6 +111,10 @@ def _sets_all(kind: str, *schedule: Any) -> bool:
     return kind == "full" and _resets(*schedule)
 
 
+def _moves_feedback(at_feedback: bool, *schedule: Any) -> bool:
+    return not at_feedback and _resets(*schedule)
+
+
 def _needs_cycle(count: int | None, first_s: float | None) -> bool:
     return (count or 0) > (0 if first_s is None else 1)
 
@@ -120,7 +127,8 @@ class ResetsSection(TriggerKeys):
         *TriggerKeys.conditions,
         ActsWhere(("reset_first_s",), ("reset_count",), bool),
         ActsWhere(("reset_cycle_s",), ("reset_count", "reset_first_s"), _needs_cycle),
-        ActsWhere(("reset_kind",), _RESETS, _resets),
+        ActsWhere(("reset_kind", "reset_at_feedback"), _RESETS, _resets),
+        ActsWhere(("reset_restarts_feedback",), ("reset_at_feedback", *_RESETS), _moves_feedback),
         ActsWhere(("reset_scale",), ("reset_kind", *_RESETS), _scales),
         ActsWhere(("reset_yaw_deg",), ("reset_kind", *_RESETS), _sets_yaw),
         ActsWhere(_SET_BY_FULL, ("reset_kind", *_RESETS), _sets_all),
@@ -135,6 +143,12 @@ class ResetsSection(TriggerKeys):
     )
     reset_times_s: Annotated[Times | None, Whole("sample", merged=True)] = Field(
         None, description="explicit reset times, s"
+    )
+    reset_at_feedback: bool = Field(
+        False, description="whether a reset is put off to the next feedback"
+    )
+    reset_restarts_feedback: bool = Field(
+        False, description="whether the next feedback comes a whole interval after a reset"
     )
     reset_kind: Literal["full", "yaw", "scale"] = Field("full", description="what P is set to")
     reset_scale: Factor = Field(10.0, description="factor on P, for kind 'scale'")
@@ -175,18 +189,44 @@ def reset_times(
     cycle_s: float | None,
     first_s: float | None,
 ) -> tuple[float, ...]:
-    """Times of the resets of a schedule, s: as given, or counted."""
+    """Times of the resets of a schedule as it is written, s: as given, or counted."""
     return counted_resets(count or 0, cycle_s, first_s) if times_s is None else tuple(times_s)
+
+
+def times_of_resets(rate_hz: float, *values: Any) -> tuple[float, ...]:
+    """Times at which P is reset by a schedule, s; two may be put off to one feedback.
+
+    Args:
+        rate_hz: samples a second.
+        values: of the keys of `OF_RESETS`.
+    """
+    *schedule, at_feedback, interval_s = values
+    times = reset_times(*schedule)
+    if not at_feedback:
+        return times
+    every = round(interval_s * rate_hz)
+    return tuple(-(-round(time * rate_hz) // every) * every / rate_hz for time in times)
 
 
 def check_resets(study: CheckedStudy) -> None:
     """Refuses resets after the end, on the start, or two on one sample."""
-    for point in study.combinations(*OF_SCHEDULES) if study.has("resets") else ():
+    for point in study.combinations(*OF_RESETS) if study.has("resets") else ():
         times, count, cycle, first = (point[key] for key in OF_SCHEDULES)
         if times is not None:
             _check_times(study, times)
         elif count:
             _check_counted(study, count, cycle, first)
+        if point["reset_at_feedback"]:
+            _check_put_off(study, [point[key] for key in OF_RESETS])
+
+
+def _check_put_off(study: CheckedStudy, values: Sequence[Any]) -> None:
+    """Refuses a reset that is put off to a feedback after the end."""
+    written = reset_times(*values[: len(OF_SCHEDULES)])
+    for time, later in zip(written, times_of_resets(study.rate_hz, *values), strict=True):
+        if later > study.run_s * (1 + ROUNDING):
+            text = f"puts the reset at {time:.12g} s off to the feedback at {later:.12g} s"
+            study.refuse("reset_at_feedback", f"{text}, after the study's end ({study.end})")
 
 
 def _check_times(study: CheckedStudy, times: tuple[float, ...], key: str = "reset_times_s") -> None:

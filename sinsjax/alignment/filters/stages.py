@@ -28,9 +28,11 @@ from sinsjax.alignment.kalman import Belief, Innovation
 from sinsjax.alignment.limits import Biases, Limit
 from sinsjax.alignment.schedules import (
     CovarianceReset,
+    Due,
     Feedback,
     Resets,
     Windows,
+    feedback_after,
     mix,
     next_due,
     reset_due,
@@ -41,7 +43,7 @@ from sinsjax.maths.algebra import Entries, Triangle, change_signs
 from sinsjax.strapdown import earth, mechanisation
 from sinsjax.strapdown.earth import Place
 from sinsjax.strapdown.error_model import VE, VN
-from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar, Vec3
+from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
 
 
 class FilterParams(NamedTuple):
@@ -144,18 +146,6 @@ class Filter(NamedTuple):
     gyro_bias: Callable[[Any], Vec3] | None = None
 
 
-class Due(NamedTuple):
-    """What is due after a sample.
-
-    Attributes:
-        feedback: whether the estimate is fed back.
-        reset: whether P is reset; of a relaxed schedule, which share of a reset.
-    """
-
-    feedback: Flag
-    reset: Flag | Scalar
-
-
 def closed_loop(filter_: Filter) -> Method:
     """The method of a filter that feeds back, and resets P, on schedule."""
     return Method(
@@ -222,7 +212,7 @@ def with_process_noise(params: Any, state: Any) -> Any:
 
 def _close(filter_: Filter, params: Any, state: Any, n: Scalar) -> Any:
     due = scheduled(params, state, n)
-    return only_where(due, fed_back_and_reset(filter_, params, state, due)[0], state)
+    return only_where(due, fed_back_and_reset(filter_, params, state, due, n)[0], state)
 
 
 def scheduled(params: Any, state: Any, n: Scalar) -> Due:
@@ -236,8 +226,10 @@ def _next_event(params: Any, state: Any, n: Scalar) -> Scalar | None:
     return next_due(state.feedback_at, params.resets, n)
 
 
-def fed_back_and_reset(filter_: Filter, params: Any, state: Any, due: Due) -> tuple[Any, Vec3]:
-    """The state after feedback, all of the estimate at a reset, and reset.
+def fed_back_and_reset(
+    filter_: Filter, params: Any, state: Any, due: Due, n: Scalar
+) -> tuple[Any, Vec3]:
+    """The state after feedback, all of the estimate at a reset, and reset, at the n-th sample.
 
     Returns:
         The state, and the attitude correction that was fed back, rad.
@@ -246,11 +238,9 @@ def fed_back_and_reset(filter_: Filter, params: Any, state: Any, due: Due) -> tu
     fed_back, correction = filter_.feed_back(state, share)
     covariance_reset = where_due(due.reset, params.resets.covariance_reset)
     p = filter_.reset(covariance_reset, state.belief.p, params.reset_to)
-    later = state.feedback_at + params.feedback.every
-    return fed_back._replace(
-        belief=fed_back.belief._replace(p=p),
-        feedback_at=jnp.where(due.feedback, later, state.feedback_at),
-    ), correction
+    feedback_at = feedback_after(params.feedback, state.feedback_at, due, n)
+    belief = fed_back.belief._replace(p=p)
+    return fed_back._replace(belief=belief, feedback_at=feedback_at), correction
 
 
 def only_where(due: Due, closed: Any, state: Any) -> Any:

@@ -31,6 +31,8 @@ class TriggerParams(NamedTuple):
         refractory: that a reset has to be after the start, and after the reset before it.
         most: resets that it may call for.
         until: last sample after which it may.
+        at_feedback: 1 where a reset that it calls for is put off to the next feedback, else 0;
+            None where that is so in no run.
     """
 
     threshold: Scalar
@@ -38,6 +40,7 @@ class TriggerParams(NamedTuple):
     refractory: Scalar
     most: Scalar
     until: Scalar
+    at_feedback: Scalar | None = None
 
 
 class AssumedNoise(NamedTuple):
@@ -83,12 +86,14 @@ class TriggerState(NamedTuple):
             was estimated before that reversal, rad.
         trigger_counts: what it did so far.
         since: sample of the last reset of any kind.
+        put_off: whether a reset waits for feedback; None where none ever does.
     """
 
     memory: Any
     fed: Vec3
     trigger_counts: TriggerCounts
     since: Scalar
+    put_off: Flag | None = None
 
 
 class Trigger(NamedTuple):
@@ -114,7 +119,11 @@ def start(trigger: Trigger, trigger_params: TriggerParams, p: Triangle) -> Trigg
     zero = jnp.zeros_like(trigger_params.threshold)
     trigger_counts = TriggerCounts(zero, zero, zero)
     return TriggerState(
-        trigger.start(trigger_params, p), Vec3(zero, zero, zero), trigger_counts, zero
+        trigger.start(trigger_params, p),
+        Vec3(zero, zero, zero),
+        trigger_counts,
+        zero,
+        None if trigger_params.at_feedback is None else zero > 0,
     )
 
 
@@ -152,6 +161,8 @@ def take_in(
     trigger_state: TriggerState,
     snapshot: FilterSnapshot,
     n: Scalar,
+    *,
+    feedback_at: Scalar,
 ) -> TriggerState:
     """Take one sample in, and note whether P is to be reset after it, see `fires`.
 
@@ -162,6 +173,7 @@ def take_in(
         trigger_state: so far.
         snapshot: what there is to see.
         n: number of the sample.
+        feedback_at: sample of the next feedback.
     """
     if trigger.look is None:
         return trigger_state
@@ -173,12 +185,17 @@ def take_in(
         & (trigger_counts.count < trigger_params.most)
         & (n <= trigger_params.until)
     )
+    put_off = trigger_state.put_off
+    if put_off is not None:
+        wanted = calls | put_off
+        calls = wanted & ((n >= feedback_at) | (trigger_params.at_feedback == 0))
+        put_off = wanted & ~calls
     trigger_counts = TriggerCounts(
         count=jnp.where(calls, trigger_counts.count + 1, trigger_counts.count),
         first=jnp.where(calls & (trigger_counts.count == 0), n, trigger_counts.first),
         last=jnp.where(calls, n, trigger_counts.last),
     )
-    return trigger_state._replace(memory=memory, trigger_counts=trigger_counts)
+    return trigger_state._replace(memory=memory, trigger_counts=trigger_counts, put_off=put_off)
 
 
 def fires(trigger_state: TriggerState, n: Scalar) -> Flag:
@@ -228,6 +245,8 @@ def in_another_pass(
 ) -> TriggerState:
     """The trigger's state as a pass begins: its memory begins anew, its counts stay.
 
+    A reset that still waits for feedback is forgotten with the memory that called for it.
+
     Args:
         trigger: which.
         trigger_params: its numbers.
@@ -236,4 +255,6 @@ def in_another_pass(
         misalignment: estimated and not yet fed back, rad: no correction of the pass that begins.
     """
     fed = Vec3(*(-angle for angle in misalignment))
-    return trigger_state._replace(memory=trigger.start(trigger_params, p), fed=fed)
+    put_off = None if trigger_state.put_off is None else jnp.zeros_like(trigger_state.put_off)
+    memory = trigger.start(trigger_params, p)
+    return trigger_state._replace(memory=memory, fed=fed, put_off=put_off)

@@ -63,13 +63,15 @@ def with_trigger(filter_: Filter, name: str) -> Method:
             place=place,
             dt=filter_.dt,
         )
-        watched = triggers.take_in(trigger, params.trigger, noise, watched, snapshot, n)
+        watched = triggers.take_in(
+            trigger, params.trigger, noise, watched, snapshot, n, feedback_at=state.feedback_at
+        )
         return state._replace(trigger_state=watched)
 
     def close(params: Any, state: Any, n: Scalar) -> Any:
         due = scheduled(params, state, n)
         due = due._replace(reset=due.reset | called(state, n))
-        closed, fed = fed_back_and_reset(filter_, params, state, due)
+        closed, fed = fed_back_and_reset(filter_, params, state, due, n)
         watched, p = state.trigger_state, closed.belief.p
         watched = triggers.after(
             trigger, params.trigger, watched, reset=due.reset, p=p, fed=fed, n=n
