@@ -4,6 +4,22 @@ from sinsjax.alignment.description import Description
 from sinsjax.alignment.methods import METHODS
 from sinsjax.alignment.triggers.description import TRIGGERS
 
+_RESETS_AND_FEEDBACK = (
+    "At a reset all of the estimate is fed back, then P is set anew. What comes of it depends on"
+    " how soon after the reset the next feedback is due, which is whatever part of"
+    " `feedback_interval_s` the schedule happens to leave. Two keys of [resets] settle it, for"
+    " schedules and triggers alike. With `reset_restarts_feedback = true` the next feedback comes"
+    " a whole interval after a reset, and the following ones an interval apart from there, over"
+    " the ends of passes too. With `reset_at_feedback = true` a reset waits for the next feedback."
+    " Two that wait for the same one are one reset; the columns of the schedule tell its times as"
+    " written. A reset that a trigger called for is counted when it comes, and forgotten if a pass"
+    " ends before. A reset that has waited restarts nothing, so that both keys together do what"
+    " the second does alone; with feedback after every sample neither does anything. Neither has"
+    " a gradient, as a reset spread over a window has no phase. After coarse alignment that hands"
+    " over, the clock begins with fine alignment: a schedule can wait for feedback there only if"
+    " the coarse alignment lasts whole feedback intervals."
+)
+
 
 def page() -> str:
     """What every method reads, gives and can be tuned by, as Markdown."""
@@ -23,6 +39,7 @@ def page() -> str:
     ]
     for method in METHODS.values():
         lines += ["", f"## `{method.name}`", "", *_keys(method)]
+    lines += ["", "## Resets between two feedbacks", "", _RESETS_AND_FEEDBACK]
     lines += ["", "## Triggers", "", "`[resets] reset_trigger` names one.", ""]
     lines += ["| trigger | calls for a reset at |", "| --- | --- |"]
     lines += [

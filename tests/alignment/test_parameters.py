@@ -205,10 +205,13 @@ def test_numbers_of_a_trigger_are_in_samples() -> None:
         "refractory": [50.0],
         "most": [3.0],
         "until": [1234.0],
+        "at_feedback": None,
     }
+    swept = of_filter(resets=trigger, axes={"reset_at_feedback": [False, True]}).trigger
+    assert swept.at_feedback.tolist() == [0.0, 1.0]
     # What is left out.
     short = {key: trigger[key] for key in ("reset_trigger", "trigger_threshold")}
-    assert all_of(of_filter(resets=short).trigger).tolist() == [[9.5, 1000, 500, 10, np.inf]]
+    assert all_of(of_filter(resets=short).trigger[:-1]).tolist() == [[9.5, 1000, 500, 10, np.inf]]
     for none in ({}, {"reset_trigger": "none"}):
         assert of_filter(resets=none).trigger is None
 

@@ -45,6 +45,21 @@ def test_closing_at_events_and_at_every_sample_give_the_same_bits(draws, monkeyp
         assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
 
 
+def test_resets_that_heed_feedback_are_closed_at_events_as_well(monkeypatch):
+    """What restarts the clock, and what a trigger called for that waits for it."""
+    study = small_study(
+        study={"draws": 16, "curves": True},
+        filter={"r_velocity_m_per_s": 1e-3},
+        resets={"reset_trigger": "nis", "trigger_threshold": 3e-4, "reset_times_s": [1.37, 4.0]},
+        axes={"reset_at_feedback": [False, True], "reset_restarts_feedback": [False, True]},
+    )
+    (part,) = build.parts(study)
+    at_events = run_tiles(part.group)
+    monkeypatch.setattr(tile, "event_by_event", lambda *given, **_: sample_by_sample(*given))
+    for a, b in zip(at_events, run_tiles(part.group), strict=True):
+        assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
+
+
 def test_other_schedules_in_the_tile_change_no_bit_of_a_run():
     """One of sixteen schedules, and the same beside fifteen others."""
     resets = [(0.3 + 0.11 * i,) for i in range(15)]

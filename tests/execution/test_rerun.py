@@ -59,6 +59,18 @@ def test_keeping_curves_changes_no_row() -> None:
     assert_alone_as_among_others(study, curves=False, runs=[7, 299])
 
 
+def test_a_run_whose_resets_heed_feedback() -> None:
+    """Of the schedule and of a trigger; the clock of some runs in a tile starts anew."""
+    study = small_study(
+        study={"draws": 20, "duration_s": 2.0, "window_s": [0, 2]},
+        alignment={"feedback_interval_s": 0.3},
+        filter={"r_velocity_m_per_s": 1e-3},
+        resets={"reset_trigger": "nis", "trigger_threshold": 3e-4, "reset_times_s": [1.37]},
+        axes={"reset_at_feedback": [False, True], "reset_restarts_feedback": [False, True]},
+    )
+    assert_alone_as_among_others(study, curves=True, runs=[1, 2, 77])
+
+
 def stopping_study() -> Study:
     """Stops after 64 draws of 6 variants, which are compiled as those of "worlds" are."""
     return small_study(

@@ -36,6 +36,13 @@ SILENT: dict[str, tuple[dict[str, Any], str, list[Any]]] = {
         "reset_level_deg",
         [2.0, 3.0],
     ),
+    "waiting of no reset": ({}, "reset_at_feedback", [False, True]),
+    "new clock of no reset": ({}, "reset_restarts_feedback", [False, True]),
+    "new clock of a reset that waits": (
+        {"resets": {"reset_count": 1, "reset_cycle_s": 1.37, "reset_at_feedback": True}},
+        "reset_restarts_feedback",
+        [False, True],
+    ),
     "bias of a filter without": ({}, "p0_gyro_bias_deg_per_h", [0.1, 1.0]),
     "remainder of a period": (
         {"compass": {"azimuth_adjustment_s": 100.0}, **COMPASS},
@@ -65,6 +72,16 @@ ACTING: dict[str, tuple[dict[str, Any], str, list[Any]]] = {
         {"resets": {"reset_count": 1, "reset_cycle_s": 1.0, "reset_kind": "scale"}},
         "reset_scale",
         [2.0, 3.0],
+    ),
+    "waiting": (
+        {"resets": {"reset_count": 1, "reset_cycle_s": 1.37}},
+        "reset_at_feedback",
+        [False, True],
+    ),
+    "new clock": (
+        {"resets": {"reset_count": 1, "reset_cycle_s": 1.37}},
+        "reset_restarts_feedback",
+        [False, True],
     ),
     "bias of a filter with": (
         {"alignment": {"method": "kalman10"}},

@@ -54,6 +54,9 @@ DISTURBANCES = {
 }
 """Keys of the base and of the sensors that came later still, each with a default."""
 
+OF_FEEDBACK = {"reset_at_feedback", "reset_restarts_feedback"}
+"""Keys of [resets] that came last, each with a default."""
+
 
 def built(**tables: Any) -> Study:
     data = copy.deepcopy(BASE)
@@ -215,8 +218,8 @@ def test_a_study_without_these_keys_is_told_as_before(tables: dict[str, Any]) ->
     for section, keys in later.items():
         for key in keys if content[section] else ():
             assert content[section].pop(key) is None
-    for section in ("motion", "sensors"):
-        for key in content[section].keys() & DISTURBANCES:
+    for section in ("motion", "sensors", "resets"):
+        for key in (content[section] or {}).keys() & (DISTURBANCES | OF_FEEDBACK):
             assert content[section].pop(key) == SECTIONS[section].model_fields[key].default
     text = json.dumps(content, sort_keys=True)
     assert fingerprint(study) == hashlib.sha256(text.encode()).hexdigest()[:16]

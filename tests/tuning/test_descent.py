@@ -457,6 +457,16 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
         {"resets": {"reset_trigger": "nis", "trigger_threshold": 9.0}},
         "[resets] reset_trigger",
     ),
+    "resets that wait": (
+        TIMES,
+        {"resets": TWO | {"reset_at_feedback": True}},
+        "[resets] reset_at_feedback",
+    ),
+    "resets that restart feedback, as a candidate": (
+        YAW | {"reset_restarts_feedback": {"candidates": [False, True]}},
+        {"resets": TWO},
+        "[resets] reset_restarts_feedback",
+    ),
 }
 
 

@@ -1,0 +1,188 @@
+"""`reset_at_feedback` and `reset_restarts_feedback`: where a reset falls between two feedbacks."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.studies import refusal, small_study
+
+from sinsjax.alignment.filters.section import times_of_resets
+from sinsjax.engine.build import Scenario
+from sinsjax.engine.study_limits import scheduled_last_s
+from sinsjax.execution import run as study_run
+from sinsjax.study.acting import first_alike
+from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.load import study_to_toml
+
+AT, RESTARTS = "reset_at_feedback", "reset_restarts_feedback"
+NIS = {"reset_trigger": "nis", "trigger_threshold": 3e-4, "trigger_refractory_s": 0.3}
+KEYS = {AT: [False, True, False, True], RESTARTS: [False, False, True, True]}
+PLAIN, WAITING, RESTARTING, BOTH = range(4)
+
+
+def rows(**tables: Any) -> list[list[dict[str, Any]]]:
+    """Rows of a short study by variant, without what names the run and what is swept."""
+    short = {"duration_s": 3.0, "window_s": [0, 3]}
+    study = small_study(study=short, **tables)
+    table = study_run.run(study).summary
+    swept = {*study.axis_keys, "run_id", "variant_id", "reset_times_s", "reset_count"}
+    variants = table["variant_id"].to_pylist()
+    told = table.drop_columns([name for name in table.column_names if name in swept]).to_pylist()
+    by_variant: list[list[dict[str, Any]]] = [[] for _ in range(study.n_variants)]
+    for variant, row in zip(variants, told, strict=True):
+        by_variant[variant].append(row)
+    return by_variant
+
+
+# What a study computes
+
+
+def test_a_reset_that_waits_for_feedback_does_not_tell_its_phase() -> None:
+    """To the bit that of a schedule on the feedbacks themselves."""
+    phases = [[0.71, 1.41], [0.8, 1.77], [1.05, 2.05], [1.05, 2.1]]
+    waiting = rows(
+        alignment={"feedback_interval_s": 0.35},
+        resets={AT: True},
+        axes={"reset_times_s": phases},
+    )
+    written = rows(
+        alignment={"feedback_interval_s": 0.35},
+        axes={"reset_times_s": [[1.05, 1.75], [1.05, 2.1], *phases[:1]]},
+    )
+    assert waiting[0] == written[0]
+    assert waiting[1] == waiting[2] == waiting[3] == written[1]
+    assert written[0] != written[1] != written[2]
+
+
+@pytest.mark.parametrize("method", ["kalman5", "kalman_sincos"])
+def test_either_leaves_the_runs_beside_it_alone(method: str) -> None:
+    """With a covariance for each run, and with one for all draws."""
+    tables = {"alignment": {"method": method, "feedback_interval_s": 0.6}}
+    own = rows(**tables, resets={"reset_times_s": [1.0, 1.9]}, axes={"keys": KEYS})
+    (alone,) = rows(**tables, resets={"reset_times_s": [1.0, 1.9]})
+    assert own[PLAIN] == alone
+    assert own[BOTH] == own[WAITING]
+    assert own[PLAIN] != own[WAITING] != own[RESTARTING] != own[PLAIN]
+
+
+def test_with_feedback_after_every_sample_neither_does_anything() -> None:
+    tables = {"alignment": {"feedback_interval_s": 0.01}, "axes": {"keys": KEYS}}
+    plain, *others = rows(**tables, resets={"reset_times_s": [1.0, 1.9]})
+    assert all(other == plain for other in others)
+
+
+def test_resets_of_a_trigger_wait_for_feedback_as_those_of_the_schedule_do() -> None:
+    found = rows(
+        alignment={"feedback_interval_s": 0.25},
+        filter={"r_velocity_m_per_s": 1e-3},
+        resets=NIS | {"reset_times_s": [1.01]},
+        axes={"keys": KEYS},
+    )
+    assert found[BOTH] == found[WAITING]
+    assert found[PLAIN] != found[RESTARTING]
+    for row in found[WAITING]:
+        assert row["triggered_count"] > 1
+        ticks = np.array([row["triggered_first_s"], row["triggered_last_s"]]) / 0.25
+        np.testing.assert_array_equal(ticks, np.round(ticks))
+    assert any(row["triggered_first_s"] % 0.25 for row in found[PLAIN])
+
+
+# When resets come
+
+
+@given(
+    st.lists(st.integers(1, 5000), max_size=4, unique=True),
+    st.integers(1, 700),
+    st.sampled_from([100.0, 125.0, 199.8]),
+)
+@settings(max_examples=50)
+def test_resets_are_put_off_to_the_next_feedback_and_no_further(samples, every, rate_hz) -> None:
+    written = tuple(sample / rate_hz for sample in sorted(samples))
+    later = times_of_resets(rate_hz, written, None, None, None, True, every / rate_hz)
+    for sample, time in zip(sorted(samples), later, strict=True):
+        tick = round(time * rate_hz)
+        assert time * rate_hz == pytest.approx(tick, rel=1e-12)
+        assert tick % every == 0 and sample <= tick < sample + every
+    assert times_of_resets(rate_hz, written, None, None, None, False, every / rate_hz) == written
+
+
+def test_the_last_reset_is_that_which_is_carried_out() -> None:
+    """The columns tell the schedule as it is written, its axes among them."""
+    study = small_study(
+        alignment={"feedback_interval_s": 2.0}, resets={AT: True}, axes={"reset_times_s": [[], [3]]}
+    )
+    assert scheduled_last_s(study).tolist() == [0.0, 4.0]
+    assert study.reset_times() == [(), (3,)]
+    assert scheduled_last_s(small_study(alignment={"method": "compass"})).tolist() == [0.0]
+
+
+# What is absent, and what is refused
+
+
+@pytest.mark.parametrize("given_keys", [{}, {AT: False}, {RESTARTS: False}])
+def test_a_study_without_them_has_the_program_and_fingerprint_of_before(given_keys: Any) -> None:
+    study = small_study(resets=NIS | {"reset_times_s": [1.0]} | given_keys)
+    assert fingerprint(study) == fingerprint(small_study(resets=NIS | {"reset_times_s": [1.0]}))
+    params = Scenario(study, curves=False).part(0, range(1)).group.variants.method
+    assert params.feedback.restarts is None and params.trigger.at_feedback is None
+
+
+def test_each_tells_studies_apart() -> None:
+    base = {"reset_times_s": [1.0]}
+    tables = [base, base | {AT: True}, base | {RESTARTS: True}, base | {AT: True, RESTARTS: True}]
+    assert len({fingerprint(small_study(resets=own)) for own in tables}) == 4
+
+
+def test_both_may_be_cases_and_one_hides_the_other() -> None:
+    cases = [{AT: False, RESTARTS: True}, {AT: True, RESTARTS: False}, {AT: True, RESTARTS: True}]
+    study = small_study(resets={"reset_times_s": [1.0]}, cases=cases)
+    assert first_alike(study).tolist() == [0, 1, 1]
+    assert first_alike(small_study(axes={"keys": KEYS})).tolist() == [0, 0, 0, 0]
+    assert f"{AT} = true" in study_to_toml(small_study(resets={AT: True}))
+
+
+@pytest.mark.parametrize(
+    ("tables", "line"),
+    [
+        (
+            {"alignment": {"feedback_interval_s": 4.0}, "resets": {AT: True, "reset_times_s": [5]}},
+            f"[resets] {AT}: puts the reset at 5 s off to the feedback at 8 s,"
+            " after the study's end (duration_s = 6)",
+        ),
+        (
+            {"axes": {AT: [False, True], "feedback_interval_s": [1.0, 4.0]}}
+            | {"resets": {"reset_count": 2, "reset_cycle_s": 2.5}},
+            f"[axes] {AT}: puts the reset at 5 s off to the feedback at 8 s,"
+            " after the study's end (duration_s = 6)",
+        ),
+        (
+            {"coarse": {"coarse_duration_s": 2.0}, "alignment": {"feedback_interval_s": 1.5}}
+            | {"resets": {AT: True, "reset_times_s": [3.0]}},
+            f"[resets] {AT}: coarse alignment of 2 s is no whole number of feedback intervals,"
+            " feedback_interval_s = 1.5",
+        ),
+        ({"resets": {AT: 1}}, f"[resets] {AT}: must be true or false, not 1"),
+        (
+            {"resets": {RESTARTS: True}, "alignment": {"method": "compass"}},
+            f"[resets] {RESTARTS}: does not apply to method compass",
+        ),
+        (
+            {"drawn": {RESTARTS: {"values": [True]}}},
+            f"[drawn] {RESTARTS}: cannot be drawn (what can: latitude_deg, keys of [motion] and"
+            " [sensors], phi_e0_deg, phi_n0_deg, phi_u0_deg, ve0_m_per_s, vn0_m_per_s)",
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused(tables: dict[str, Any], line: str) -> None:
+    assert refusal(**tables) == line
+
+
+def test_coarse_alignment_of_whole_feedback_intervals_or_replayed_is_fine() -> None:
+    for coarse, interval in (({}, 1.0), ({"coarse_then": "replay"}, 1.5)):
+        small_study(
+            coarse={"coarse_duration_s": 2.0} | coarse,
+            alignment={"feedback_interval_s": interval},
+            resets={AT: True, "reset_times_s": [3.0]},
+        )
