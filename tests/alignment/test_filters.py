@@ -30,7 +30,9 @@ def made_up():
 
     def propagate(params, site, state, sample):
         nav = state.nav._replace(ve=state.nav.ve + sample.dv.x, vn=state.nav.vn + sample.dv.y)
-        return state._replace(nav=nav, belief=kalman.propagate(state.belief, {(0, 1): 0.1}))
+        transition = {(0, 1): 0.1}
+        belief = kalman.propagate(state.belief, transition)
+        return state._replace(nav=nav, belief=belief), transition
 
     def update(params, state):
         measured = state.nav.ve, state.nav.vn
@@ -69,6 +71,7 @@ def made_up():
         attitude=lambda state: state.nav.q,
         covariance=lambda state: state.belief.p,
         limit=lambda params, place, biases, ending: unaided(place, biases),
+        inputs=lambda state: {},
     )
 
 
