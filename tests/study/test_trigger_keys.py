@@ -42,7 +42,10 @@ NEW: dict[str, dict[str, Any]] = {
 }
 """Every key that came with triggers, and a value."""
 
-OF_SUCCESS = ("judged_from", "success_band_arcmin", "level_band_arcmin", "dwell_s", "diverged_deg")
+OF_SUCCESS = (
+    *("judged_from", "success_band_arcmin", "level_band_arcmin", "dwell_s", "diverged_deg"),
+    "report_times_s",
+)
 """Keys of [study] that came later still."""
 
 DISTURBANCES = {
