@@ -24,6 +24,7 @@ SCRIPTS = (
     "throughput",
     "noise",
     "methods",
+    "answer",
     "devices",
     "scaling",
     "cold_start",

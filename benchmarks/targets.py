@@ -13,6 +13,10 @@ NOISE = {64: 1.05}
 DISTURBED = 1.5
 """Times the row with noise alone, of surge, lever arm and bias instability, 1 variant a draw."""
 
+ANSWER = {"covariance_2": 3.0, "covariance_64": 3.5, "companion": 0.35}
+"""Times a plain run, of a noise-free run with its covariance and so many sampled errors, and of the
+linear error of a draw beside it."""
+
 BASE_NS = 120.0
 """Of a step and run with a base of its own for each draw of 2 variants, ns."""
 
@@ -73,6 +77,7 @@ def judged(machine: Machine) -> list[Judged]:
         *_limit(machine),
         *_noise(machine),
         *_disturbed(machine),
+        *_answer(machine),
         *_bases(machine),
         *_methods(machine),
         *_devices(machine),
@@ -137,6 +142,23 @@ def _noise(machine: Machine) -> Iterator[Judged]:
                 plus_minus(row, "ratio"),
                 sizes(row),
                 row["ratio"] <= most,
+            )
+
+
+def _answer(machine: Machine) -> Iterator[Judged]:
+    of = {
+        "covariance_2": "a noise-free run with the covariance of its error",
+        "covariance_64": "the same with 64 sampled errors",
+        "companion": "the linear error of a draw beside it",
+    }
+    for name, what in of.items():
+        if row := machine.row("answer", name):
+            yield Judged(
+                f"{what}; times a plain run",
+                f"at most {ANSWER[name]:g}",
+                plus_minus(row, "ratio"),
+                sizes(row),
+                row["ratio"] <= ANSWER[name],
             )
 
 

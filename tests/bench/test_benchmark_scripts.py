@@ -19,6 +19,7 @@ from sinsjax.errors import InputError
 FOLDER = Path(__file__).parents[2] / "benchmarks"
 sys.path.insert(0, str(FOLDER))
 
+import answer  # noqa: E402
 import common  # noqa: E402
 import derivative  # noqa: E402
 import devices  # noqa: E402
@@ -328,7 +329,7 @@ def of_methods() -> list[Row]:
 @pytest.mark.slow
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize(
-    "script", [pairs, throughput, noise, methods, devices, derivative, single_precision]
+    "script", [pairs, throughput, noise, methods, answer, devices, derivative, single_precision]
 )
 def test_a_script_runs_quickly(script):
     if script is pairs and (why := gate.unable()):
