@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from sinsjax.analysis import summarise
     from sinsjax.engine.build import simulated_record
     from sinsjax.errors import InputError
+    from sinsjax.execution.estimates import read_estimates
     from sinsjax.execution.run import Results, load_tape, run, run_into
     from sinsjax.execution.tables import read_curves, read_manifest, read_summary
     from sinsjax.platform.runtime import configure, info
@@ -69,6 +70,7 @@ __all__ = [
     "load_study",
     "load_tape",
     "read_curves",
+    "read_estimates",
     "read_history",
     "read_manifest",
     "read_record",
@@ -86,6 +88,7 @@ _HOMES = {
     "analysis": ("summarise",),
     "engine.build": ("simulated_record",),
     "errors": ("InputError",),
+    "execution.estimates": ("read_estimates",),
     "execution.run": ("Results", "load_tape", "run", "run_into"),
     "execution.tables": ("read_curves", "read_manifest", "read_summary"),
     "platform.runtime": ("configure", "info"),

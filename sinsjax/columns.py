@@ -1,7 +1,8 @@
 """The result columns, with units and types, and the version of their schema.
 
-A study writes two datasets: ``summary`` with one row per run, and ``curves`` with one row per run
-and record time. The keys that a study sweeps are also columns of the summary.
+A study of draws writes two datasets: ``summary`` with one row per run, and ``curves`` with one row
+per run and record time. One that estimates without draws writes ``estimates``, one row per variant.
+The keys that a study sweeps are also columns of the summary and of the estimates.
 """
 
 from collections.abc import Iterable
@@ -81,13 +82,18 @@ OBSERVED = (
 )
 """Columns of one observation: the summary has the last observation, the curves have all of them."""
 
+LIMIT = (
+    Column("has_limit", pa.bool_(), "", "whether phi_u has a limit under the run's biases"),
+    Column("floor_arcmin", _F, "arcmin", "limit of phi_u under the run's constant biases"),
+)
+"""Columns of the limit that a heading is judged from."""
+
 JUDGED = (
     *_phi("phi", "window mean of the misalignment", "_mean"),
     *_phi("phi", "window standard deviation of the misalignment", "_std"),
     *_euler("window mean of", "_mean"),
     *_euler("window standard deviation of", "_std"),
-    Column("has_limit", pa.bool_(), "", "whether phi_u has a limit under the run's biases"),
-    Column("floor_arcmin", _F, "arcmin", "limit of phi_u under the run's constant biases"),
+    *LIMIT,
     Column("nees", _F, "", "phi' P^-1 phi at the end, phi from the truth; 3 degrees of freedom"),
     Column("nis_u", _F, "", "(phi_u - floor)^2 / P_UU at the end"),
     Column("p_above_error_share", _F, "", "share of records with P_UU > phi_u^2"),
@@ -164,6 +170,47 @@ def report_columns(time_s: float) -> tuple[Column, Column, Column]:
         Column(f"sigma_u_at_{at}_arcmin", _F, "arcmin", f"sigma_u_arcmin at {at} s of data"),
         Column(f"nees_at_{at}", _F, "", f"nees at {at} s of data; 3 degrees of freedom"),
     )
+
+
+def estimated(bands_arcmin: Iterable[float], time_s: float | None = None) -> tuple[Column, ...]:
+    """Columns of an estimate at one time: mean and spread of the misalignment, shares in bands.
+
+    Args:
+        bands_arcmin: of the heading.
+        time_s: from the first sample of data; None for the end.
+    """
+    at, when = ("", "at the end") if time_s is None else (f"_at_{time_s:g}", f"at {time_s:g} s")
+    shares = (
+        Column(
+            f"within_{band:g}{'_truth' if truth else ''}{at}_share",
+            _F,
+            "",
+            f"probability of {'|phi_u|' if truth else '|phi_u - floor|'} <= {band:g} arcmin {when},"
+            " by the normal distribution",
+        )
+        for truth in (False, True)
+        for band in bands_arcmin
+    )
+    return (
+        *_phi("phi", f"mean misalignment of the corrected attitude {when}", at),
+        *_phi("true_sigma", f"1 sigma of the misalignment about its mean {when}", at),
+        *_phi("sigma", f"the filter's own 1 sigma of the misalignment {when}", at),
+        *shares,
+    )
+
+
+def settle_estimates(band_arcmin: float, *, truth: bool = False) -> tuple[Column, ...]:
+    """The settling time into one band, estimated from sampled errors."""
+    settled = settle_column(band_arcmin, truth=truth).name.removesuffix("_s")
+    never = "null if so many never settle"
+    meanings = {
+        "mean": f"mean of {settled}_s over sampled errors; never counts as the end of the run",
+        "mean_error": "standard error of that mean",
+        "q10": f"10 % quantile of {settled}_s; {never}",
+        "median": f"median of {settled}_s; {never}",
+        "q90": f"90 % quantile of {settled}_s; {never}",
+    }
+    return tuple(Column(f"{settled}_{k}_s", _F, "s", text) for k, text in meanings.items())
 
 
 def bands(study_bands: Iterable[float], success_band: float | None = None) -> tuple[float, ...]:

@@ -122,6 +122,8 @@ class Description:
         gyro_bias_keys: pairs of keys, the sigma of gyro bias states and that of heading beside
             them: such a filter tells gyro biases from heading once the base moves. Empty for a
             method without these states.
+        has_error_step: whether its steps tell their linear part, so that the covariance of its true
+            error can be computed without draws.
         rules: check the rules between its keys.
         columns: its own result columns.
         last_called: (`Method.results` of runs) -> sample of the last reset that a run itself called
@@ -139,6 +141,7 @@ class Description:
     has_covariance: bool = True
     has_limit: bool = True
     gyro_bias_keys: tuple[tuple[str, str], ...] = ()
+    has_error_step: bool = False
     rules: tuple[Callable[[CheckedStudy], None], ...] = ()
     columns: tuple[OwnColumn, ...] = ()
     last_called: Callable[[Any], NDArray | None] = lambda results: None

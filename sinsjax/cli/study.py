@@ -59,6 +59,8 @@ def run_study(
         raise InputError(f"{config}: has no [record] section to read {files[0]} with")
     check_options(overwrite=overwrite, resume=resume, devices=devices)
     resuming.check_free(out, overwrite=overwrite or resume)
+    if study.is_estimated:
+        curves = None  # there are no runs to have any
     runs = study.n_draws * study.n_variants
     terminal = plain_console()
     if curves and runs > MOST_RUNS and files is None:

@@ -78,20 +78,34 @@ class Spread(NamedTuple):
     belief: Array
     outside_until: Array
 
+    def at(self, records: Array | None) -> "Spread":
+        """The same at some records alone, None for all, of leaves (3, records, ...)."""
+        if records is None:
+            return self
+        phi, sigma, belief = (a[:, records] for a in self[:3])
+        return Spread(phi, sigma, belief, self.outside_until)
 
-def watched(group: Group, samples: int) -> Group:
+
+def watched_program(static: Static, samples: int) -> Static:
+    """The program of `watched` groups."""
+    return static._replace(sampled_errors=samples, noisy=False, curves=True)
+
+
+def watched(group: Group, samples: int, records: np.ndarray | None = None) -> Group:
     """The noise-free group of one draw whose runs tell the spread of those with noise.
 
     Args:
         group: of one draw.
         samples: sampled errors of a run, an even number; the same numbers for all runs.
+        records: numbers, from 0, of the records at which the spread is told; None for all.
     """
     errors = group.environment.errors
     noise = IncrementNoise(_variances(errors.accel_noise), _variances(errors.gyro_noise))
     like = np.zeros_like(group.variants.ve)
     params = ErrorParams(group.variants.method, jax.tree.map(lambda a: a + like, noise))
     return group._replace(
-        static=group.static._replace(sampled_errors=samples, noisy=False, curves=True),
+        static=watched_program(group.static, samples),
+        environment=group.environment._replace(spread_at=records),
         variants=group.variants._replace(method=params),
     )
 

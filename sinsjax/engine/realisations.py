@@ -97,6 +97,8 @@ class Environment(NamedTuple):
         motion: of the base, where draws have something for themselves or no increments are stored.
         axes: (T, 9) axes of n in b over the stored samples, where disturbances ask for them.
         disturbances: of base and sensors.
+        spread_at: numbers, from 0, of the records at which the spread of runs is told; None for
+            all.
     """
 
     site: Site
@@ -111,6 +113,7 @@ class Environment(NamedTuple):
     motion: base_motion.Motion | None = None
     axes: Array | None = None
     disturbances: Disturbances = Disturbances()
+    spread_at: Array | None = None
 
     @property
     def dtype(self) -> jnp.dtype:

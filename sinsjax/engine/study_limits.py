@@ -105,6 +105,12 @@ def scheduled_last_s(study: Study) -> np.ndarray:
     return values.each(lambda own: max(times_of_resets(study.rate_hz, *own), default=0.0))
 
 
+def limited_variants(study: Study) -> np.ndarray:
+    """(variants,) which have a limit, where that depends neither on draws nor on triggers."""
+    variants = np.arange(study.n_variants)
+    return has_limit(study, np.zeros_like(variants), variants, scheduled_last_s(study))
+
+
 def require_limit(study: Study) -> None:
     """Refuses a study that is judged from a limit where some run has none.
 

@@ -129,7 +129,8 @@ def run_tile(
     if rows is None:
         return outcome, None
     if static.sampled_errors:
-        return outcome, spread(static, environment, rows, outcome.limit.phi.z)
+        told = spread(static, environment, rows, outcome.limit.phi.z)
+        return outcome, told.at(environment.spread_at)
     return outcome, metrics.from_rows(rows)
 
 

@@ -9,7 +9,10 @@ from pathlib import Path
 
 from sinsjax.platform.files import replacing
 
-DATASETS = ("summary", "curves")
+WHOLE = ("summary", "estimates")
+"""Datasets of one row a run, or a variant, written last: a part implies its like in the others."""
+
+DATASETS = (*WHOLE, "curves")
 RERUN = ("summary.parquet", "curve.parquet", "curve.png")
 """Files of a repeated run."""
 

@@ -31,6 +31,9 @@ _PACKED = 0.8
 _BASE, _A_SAMPLE, _A_VARIANT, _A_RUN, _A_RECORD, _A_RESET = 400e6, 160, 600, 2, 500, 60
 """Measured memory, bytes: of a process with JAX, and of each of these."""
 
+_ESTIMATE = 3.0
+"""Cost of a noise-free run with the covariance of the true error beside it, in plain runs."""
+
 _A_MEASUREMENT = 48  # bytes, of the draws of a call whose records are kept
 
 _A_POINT = 2000  # bytes for each point of a search
@@ -171,7 +174,10 @@ def _forecast(study: Study, batches: Sequence[Batch], curves: bool) -> Forecast:
     records = max(span.records for span in study.distinct_spans)
     samples = records * study.record_every
     step_s = max(METHODS[name].step_s for name in study.methods)
-    run_bytes = _row_bytes(study, layouts.summary(study))
+    if study.is_estimated:
+        step_s *= _ESTIMATE
+    layout = layouts.estimates(study) if study.is_estimated else layouts.summary(study)
+    run_bytes = _row_bytes(study, layout)
     # Longer simulations do not keep their increments.
     kept = samples if study.is_recorded else min(samples, MOST_STORED_SAMPLES)
     memory = _BASE + _A_SAMPLE * kept

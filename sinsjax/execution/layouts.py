@@ -1,11 +1,16 @@
 """Columns of a study's results."""
 
+from collections.abc import Iterable
+
+import pyarrow as pa
+
 from sinsjax import columns
 from sinsjax.alignment.description import OwnColumn
 from sinsjax.alignment.methods import METHODS
 from sinsjax.columns import Column
 from sinsjax.study.distributions import NUMBERS_DRAWN
 from sinsjax.study.keys import meaning
+from sinsjax.study.resolved import Coded, same
 from sinsjax.study.study import Study
 from sinsjax.study.success import bands
 from sinsjax.study.times import report_times
@@ -13,9 +18,69 @@ from sinsjax.study.times import report_times
 
 def summary(study: Study) -> tuple[Column, ...]:
     """Columns of the summary; the cost is proportional to the total length of the axes."""
+    return (
+        *columns.IDENTITY,
+        *_of_keys(study),
+        *columns.OBSERVED,
+        *_settling(study),
+        *(column for t in report_times(study) for column in columns.report_columns(t)),
+        *columns.JUDGED,
+        *(own.column for own in of_methods(study).values()),
+    )
+
+
+def estimates(study: Study) -> tuple[Column, ...]:
+    """Columns of the estimates."""
+    of_runs = ("run_id", "draw_id", "start_s")
+    times: list[float | None] = [*report_times(study), None]
+    return (
+        *(column for column in columns.IDENTITY if column.name not in of_runs),
+        *_of_keys(study),
+        *(c for time_s in times for c in columns.estimated(bands(study), time_s)),
+        *(
+            c
+            for truth in (False, True)
+            for band in bands(study)
+            for c in columns.settle_estimates(band, truth=truth)
+        ),
+        *columns.LIMIT,
+    )
+
+
+def of_variants(study: Study, layout: Iterable[Column]) -> dict[str, pa.Array]:
+    """What the study says of its variants, in the types of some columns; leaves (variants,)."""
+    resets, cycle = study.schedules, same(study.n_variants, None)
+    if study.has("resets"):
+        cycle = study.resolved.column("reset_cycle_s")
+    fixed = {
+        "method": study.resolved.column("method"),
+        "reset_count": resets.map(len),
+        "reset_cycle_s": cycle,
+        "reset_times_s": resets.map(list),
+        **{(key := f"phi_{a}0_deg"): study.resolved.column(key) for a in "enu"},
+    }
+    swept = {key: study.resolved.column(key) for key in study.axis_keys}
+    kinds = {c.name: c.dtype for c in layout}
+    return {
+        name: _coded(column, kinds[name])
+        for name, column in (swept | fixed).items()
+        if name not in study.drawn_keys
+    }
+
+
+def _coded(column: Coded, dtype: pa.DataType) -> pa.Array:
+    """Values of a key, one per variant; a number among lists applies to all axes."""
+    codes, choices = column
+    if pa.types.is_list(dtype):
+        choices = tuple([v] if isinstance(v, int | float) else v for v in choices)
+    return pa.array(choices, dtype).take(pa.array(codes))
+
+
+def _of_keys(study: Study) -> list[Column]:
+    """Columns of swept and of drawn keys that are not among those of every study."""
     known = {c.name for c in columns.IDENTITY}
     swept = {key: values for dimension in study.dimensions for key, values in dimension.items()}
-    extra = [
+    return [
         *(columns.axis_column(k, v, meaning(k)) for k, v in swept.items() if k not in known),
         *(
             columns.drawn_column(k, 1 if NUMBERS_DRAWN[k] == 1 else 2, meaning(k))
@@ -23,15 +88,6 @@ def summary(study: Study) -> tuple[Column, ...]:
             if k not in known
         ),
     ]
-    return (
-        *columns.IDENTITY,
-        *extra,
-        *columns.OBSERVED,
-        *_settling(study),
-        *(column for t in report_times(study) for column in columns.report_columns(t)),
-        *columns.JUDGED,
-        *(own.column for own in of_methods(study).values()),
-    )
 
 
 def of_methods(study: Study) -> dict[str, OwnColumn]:

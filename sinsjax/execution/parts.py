@@ -20,6 +20,12 @@ from sinsjax.messages import first_line, shortened
 
 MANIFEST = "manifest.json"
 _HINT = "`sinsjax sweep --resume` recomputes broken parts"
+_OTHERWISE = {
+    "summary": ("estimates", "estimates of variants, and no runs (`read_estimates` reads them)"),
+    "estimates": ("summary", "runs, and no estimates of variants (`read_summary` reads them)"),
+}
+"""For a dataset that is not there: the one that may be, and what a directory of that holds."""
+
 _TICK_NS = 10**9
 _READERS = 4  # threads; hashing releases Python's lock
 
@@ -64,7 +70,9 @@ def query(
         InputError: there are no parts, or a part has changed or cannot be read.
     """
     if not is_there(directory, name, verify=verify):
-        raise InputError(f"{directory}: holds no results (no part in {name}/)")
+        other, why = _OTHERWISE.get(name, ("", ""))
+        found = why if other and any(find(directory, other)) else f"no results (no part in {name}/)"
+        raise InputError(f"{directory}: holds {found}")
     parts = sorted(find(directory, name))
     checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
     form = ds.ParquetFileFormat(default_fragment_scan_options=checked)

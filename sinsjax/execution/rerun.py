@@ -58,6 +58,8 @@ def rerun(study: Study, run_id: int, stored_record: StoredRecord | None = None) 
 
 
 def _check_number(study: Study, run_id: int, source: str | Path) -> None:
+    if study.is_estimated:
+        raise InputError(f"{source}: a covariance estimate has no run to repeat")
     runs = study.n_draws * study.n_variants
     if not 0 <= run_id < runs:
         raise InputError(f"{source}: has no run {run_id} (runs are numbered 0 to {runs - 1})")

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from sinsjax.errors import InputError
-from sinsjax.execution.belongings import DATASETS
+from sinsjax.execution.belongings import DATASETS, WHOLE
 from sinsjax.execution.parts import MANIFEST, find, read_manifest
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import one_line, shortened
@@ -196,7 +196,7 @@ def _from_parts(directory: Path) -> Manifest | None:
 def _readable_parts(directory: Path) -> Iterator[Manifest]:
     """A manifest from the metadata of each readable part."""
     curves = True if any(find(directory, "curves")) else None
-    for path in sorted(find(directory, "summary")):
+    for path in (path for name in WHOLE for path in sorted(find(directory, name))):
         try:
             marks = pq.read_schema(path).metadata or {}
             chunk, identity = json.loads(marks[b"sinsjax.chunk"]), marks[b"sinsjax.study"].decode()

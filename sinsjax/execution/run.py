@@ -28,12 +28,14 @@ class Results(NamedTuple):
     """Results of a study.
 
     Attributes:
-        summary: one row per run, ordered by run_id.
+        summary: one row per run, ordered by run_id; empty where variants are estimated without.
         curves: one row per run and record time; empty if curves were not kept.
+        estimates: one row per variant, ordered by variant_id; None of a study of draws.
     """
 
     summary: pa.Table
     curves: pa.Table
+    estimates: pa.Table | None = None
 
 
 class RunProgress(NamedTuple):
@@ -125,18 +127,25 @@ def run(
     runner = TaskRunner(Job(study, tape, curves, chunk_runs))
     count = _ProgressCounter(study, tell)
     count.begin([])
-    summaries: list[pa.Table] = []
-    kept = [columns.schema(layouts.curves(study)).empty_table()]
+    of_runs = {"summary": layouts.summary(study), "curves": layouts.curves(study)}
+    made = {
+        name: [columns.schema(layout).empty_table()]
+        for name, layout in (of_runs | dict(runner.output.layouts)).items()
+    }
     for draws, tasks in zip(runner.stages, runner.tasks(), strict=True):
         for piece in in_threads(runner.do, tasks, len(jax.devices())):
-            summaries.append(piece.summary)
-            kept += [] if piece.curves is None else [piece.curves]
-            count.add(piece.task, study_tasks.failures(piece.summary))
-        if _enough(study, pa.concat_tables(summaries).select, draws):
+            for name, table in piece.tables.items():
+                made[name].append(table)
+            count.add(piece.task, runner.output.failures(piece.tables))
+        if _enough(study, pa.concat_tables(made["summary"]).select, draws):
             break
-    order = [("run_id", "ascending"), ("time_s", "ascending")]
-    summary = pa.concat_tables(summaries).sort_by("run_id")
-    return Results(summary, pa.concat_tables(kept).sort_by(order))
+    order = {"summary": ["run_id"], "curves": ["run_id", "time_s"], "estimates": ["variant_id"]}
+    return Results(
+        **{
+            name: pa.concat_tables(tables).sort_by([(key, "ascending") for key in order[name]])
+            for name, tables in made.items()
+        }
+    )
 
 
 def run_into(

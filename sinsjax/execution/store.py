@@ -133,17 +133,14 @@ class Store:
             InputError: the directory cannot be written.
         """
         files = []
-        # The summary last, so that a summary implies the curves.
-        for dataset in reversed(DATASETS):
-            if (content := encoded.files.get(dataset)) is None:
-                continue
+        for dataset, rows in self._runner.rows(encoded.task).items():
+            content = encoded.files[dataset]
             path = self._path(dataset, encoded.task)
             try:
                 path.parent.mkdir(exist_ok=True)
             except OSError as error:
                 raise InputError(unwritable(path, error)) from error
             _write(path, content)
-            rows = encoded.task.runs * (encoded.task.records if dataset == "curves" else 1)
             files.append(self._entry(path, rows, content))
         self._chunks[encoded.task.name] = {
             "name": encoded.task.name,
@@ -187,9 +184,7 @@ class Store:
         known = self._chunks.get(task.name, {})
         recorded = {entry["file"]: entry for entry in known.get("files", [])}
         files = []
-        for dataset, rows in (("curves", task.runs * task.records), ("summary", task.runs)):
-            if not rows:
-                continue
+        for dataset, rows in self._runner.rows(task).items():
             path = self._path(dataset, task)
             try:
                 content = path.read_bytes()

@@ -22,7 +22,7 @@ from sinsjax.alignment.methods import METHODS
 from sinsjax.columns import Column
 from sinsjax.engine.batch import Chunk
 from sinsjax.engine.metrics import Observation, Outcome
-from sinsjax.engine.study_limits import has_limit, scheduled_last_s
+from sinsjax.engine.study_limits import has_limit, limited_variants, scheduled_last_s
 from sinsjax.engine.truth import starts_of
 from sinsjax.engine.verdicts import LIMIT, TRUTH, Judge, Verdict
 from sinsjax.errors import InputError
@@ -31,7 +31,6 @@ from sinsjax.execution.parts import is_there, query
 from sinsjax.execution.parts import read_manifest as read_manifest
 from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS
-from sinsjax.study.resolved import Coded, same
 from sinsjax.study.study import Study
 from sinsjax.study.success import bands
 from sinsjax.study.times import (
@@ -62,27 +61,11 @@ class Tables:
         self._judge = Judge(study, has_truth=has_truth)
         self._end_s, self._pass_s = spans_s(study).T
         self._last_reset_s = scheduled_last_s(study)
-        resets, cycle = study.schedules, same(study.n_variants, None)
-        if study.has("resets"):
-            cycle = study.resolved.column("reset_cycle_s")
-        fixed = {
-            "method": study.resolved.column("method"),
-            "reset_count": resets.map(len),
-            "reset_cycle_s": cycle,
-            "reset_times_s": resets.map(list),
-            **{(key := f"phi_{a}0_deg"): study.resolved.column(key) for a in "enu"},
-        }
-        swept = {key: study.resolved.column(key) for key in study.axis_keys}
         self.summary_columns = layouts.summary(study)
         self.curve_columns = layouts.curves(study)
         self._tells_data = layouts.tells_data(study)
         self._before_s = _before_s(study)
-        kinds = {c.name: c.dtype for c in self.summary_columns}
-        self._by_variant = {
-            name: _swept(column, kinds[name])
-            for name, column in (swept | fixed).items()
-            if name not in study.drawn_keys
-        }
+        self._by_variant = layouts.of_variants(study, self.summary_columns)
         self._methods = study.resolved.column("method")
         self._own_columns = layouts.of_methods(study)
         self._start_s = np.zeros(study.n_draws)
@@ -118,7 +101,7 @@ class Tables:
             for axis, value in zip("enu", statistics[:3], strict=True):
                 values[f"phi_{axis}{suffix}_arcmin"] = self._known(value / ARCMIN)
             for angle, value in zip(("pitch", "roll", "yaw"), statistics[3:], strict=True):
-                values[f"{angle}{suffix}_deg"] = _nullable(value / DEG)
+                values[f"{angle}{suffix}_deg"] = nullable(value / DEG)
         shares = ("error", "floor_error", "error_steady")
         for name, value in zip(shares, out.above_share, strict=True):
             values[f"p_above_{name}_share"] = self._known(value)
@@ -135,7 +118,7 @@ class Tables:
         values["nees"] = self._known(out.nees)
         values["status"] = verdict.status
         values |= self._of_method(chunk, variant)
-        return _table(self.summary_columns, values)
+        return table_of(self.summary_columns, values)
 
     def curves(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
         """Curves of a chunk that has them, one row per run and record time."""
@@ -149,16 +132,16 @@ class Tables:
             values["update_time_s"] = values["time_s"]
             values["tape_time_s"] = np.tile(stored_times(self._study, span), len(run_id))
             values["pass"] = np.tile(pass_numbers(span), len(run_id))
-        return _table(self.curve_columns, values | self._observed(chunk.curves))
+        return table_of(self.curve_columns, values | self._observed(chunk.curves))
 
     def _observed(self, seen: Observation) -> dict[str, pa.Array]:
         values = {f"phi_{a}_arcmin": self._known(v / ARCMIN) for a, v in _axes(seen.phi)}
-        values |= {f"sigma_{a}_arcmin": _nullable(v / ARCMIN) for a, v in _axes(seen.sigma)}
+        values |= {f"sigma_{a}_arcmin": nullable(v / ARCMIN) for a, v in _axes(seen.sigma)}
         angles = {"pitch": seen.pitch, "roll": seen.roll, "yaw": seen.yaw}
-        values |= {f"{name}_deg": _nullable(v / DEG) for name, v in angles.items()}
+        values |= {f"{name}_deg": nullable(v / DEG) for name, v in angles.items()}
         # Twice, because a tiny negative angle is rounded to 360.
         heading = np.mod(np.mod(-np.asarray(seen.yaw) / DEG, 360.0), 360.0)
-        return values | {"heading_deg": _nullable(heading)}
+        return values | {"heading_deg": nullable(heading)}
 
     def _method(self, variant: np.ndarray) -> Description:
         """The method of a chunk's variants, common to all of them."""
@@ -172,13 +155,13 @@ class Tables:
         values = {}
         for name, (column, value, missing, _) in self._own_columns.items():
             found = value(chunk.outcome.results, self._study.rate_hz) if name in own else missing
-            array = _nullable(np.broadcast_to(found, len(variant)))
+            array = nullable(np.broadcast_to(found, len(variant)))
             values[name] = array.cast(column.dtype)
         return values
 
     def _known(self, values: Any) -> pa.Array:
         """Values that need a truth: null without one, and where they are not finite."""
-        return _nullable(values if self._has_truth else np.full(np.shape(values), np.nan))
+        return nullable(values if self._has_truth else np.full(np.shape(values), np.nan))
 
     def _if_known(self, flags: np.ndarray) -> pa.Array:
         """Flags that need a truth: null without one."""
@@ -225,9 +208,7 @@ class Tables:
     @cached_property
     def _limit_by_variant(self) -> np.ndarray:
         """Which variants have a limit, if that depends neither on draws nor on triggers."""
-        study = self._study
-        variants = np.arange(study.n_variants)
-        return has_limit(study, np.zeros_like(variants), variants, self._last_reset_s)
+        return limited_variants(self._study)
 
 
 def _before_s(study: Study) -> np.ndarray:
@@ -238,24 +219,18 @@ def _before_s(study: Study) -> np.ndarray:
     return column.each(lambda keys: samples_before(study, study.rate_hz, *keys)) / study.rate_hz
 
 
-def _swept(column: Coded, dtype: pa.DataType) -> pa.Array:
-    """Values of a key, one per variant; a number among lists applies to all axes."""
-    codes, choices = column
-    if pa.types.is_list(dtype):
-        choices = tuple([v] if isinstance(v, int | float) else v for v in choices)
-    return pa.array(choices, dtype).take(pa.array(codes))
-
-
 def _axes(vector: Any) -> Any:
     return zip("enu", vector, strict=True)
 
 
-def _nullable(values: Any) -> pa.Array:
+def nullable(values: Any) -> pa.Array:
+    """Numbers of any shape as a column, null where they are not finite."""
     flat = np.asarray(values, dtype=float).ravel()
     return pa.array(flat, mask=~np.isfinite(flat))
 
 
-def _table(layout: tuple[Column, ...], values: dict[str, Any]) -> pa.Table:
+def table_of(layout: tuple[Column, ...], values: dict[str, Any]) -> pa.Table:
+    """A table of some columns, from their values by name."""
     arrays = [pa.array(values[c.name]).cast(c.dtype) for c in layout]
     return pa.Table.from_arrays(arrays, schema=columns.schema(layout))
 

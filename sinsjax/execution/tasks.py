@@ -25,7 +25,7 @@ from sinsjax.engine.batch import Calls, Plan, in_threads, targets
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.lanes import LANES, Group
 from sinsjax.execution import stopping
-from sinsjax.execution.tables import Tables
+from sinsjax.execution.outputs import output_of
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.acting import first_alike
 from sinsjax.study.fingerprint import fingerprint
@@ -88,14 +88,12 @@ class TaskResult(NamedTuple):
 
     Attributes:
         task: the task.
-        summary: one row per run.
-        curves: one row per run and record time, or None.
+        tables: by dataset.
         seconds: time taken without compilation, s.
     """
 
     task: Task
-    summary: pa.Table
-    curves: pa.Table | None
+    tables: dict[str, pa.Table]
     seconds: float
 
 
@@ -122,7 +120,7 @@ class TaskRunner:
         job: the job.
         identity: hash that identifies the job.
         scenario: the study, ready to run.
-        tables: converter of chunks to tables.
+        output: what its chunks become.
     """
 
     def __init__(self, job: Job) -> None:
@@ -134,14 +132,15 @@ class TaskRunner:
         """
         self.job = job
         self.scenario = Scenario(job.study, job.stored, curves=job.curves)
-        self.tables = Tables(job.study, has_truth=self.scenario.has_truth)
+        self.output = output_of(self.scenario)
+        self._programs = [self.output.program(static) for static in self.scenario.programs]
         self._tiles = None if job.chunk_runs is None else -(-job.chunk_runs // LANES)
         self.identity = job.identity
         self._lock = threading.Lock()
         kinds = first_alike(job.study)
         self._alike = [
             find_alike(static, job.study.n_draws, kinds[ids])
-            for static, ids in zip(self.scenario.programs, self.scenario.variant_ids, strict=True)
+            for static, ids in zip(self._programs, self.scenario.variant_ids, strict=True)
         ]
         self._part = lru_cache(_PARTS_READY)(self._made)
         self._blank = lru_cache(1)(partial(self._made, blank=True))
@@ -160,13 +159,13 @@ class TaskRunner:
 
     def tasks(self) -> list[list[Task]]:
         """The tasks of every stage."""
-        study, scenario = self.job.study, self.scenario
-        records = [s.records if scenario.curves else 0 for s in scenario.programs]
-        before = [0] * len(scenario.programs)
+        study, scenario, programs = self.job.study, self.scenario, self._programs
+        records = [s.records if scenario.curves else 0 for s in programs]
+        before = [0] * len(programs)
         staged = []
         for stage in self.stages:
             tasks = []
-            parts = enumerate(zip(scenario.programs, scenario.variant_ids, strict=True))
+            parts = enumerate(zip(programs, scenario.variant_ids, strict=True))
             for (part, (static, ids)), draws in product(parts, self._blocks(stage)):
                 alike = self._alike[part]
                 count = len(ids) if alike is None else len(alike.computed)
@@ -198,17 +197,18 @@ class TaskRunner:
         if alike := self._alike[task.part]:
             chunk = alike.spread(chunk)
         seconds = time.perf_counter() - since
-        curves = None if chunk.curves is None else self.tables.curves(chunk, ids)
-        return TaskResult(task, self.tables.summary(chunk, ids), curves, seconds)
+        return TaskResult(task, self.output.tables(chunk, ids), seconds)
 
     def pack(self, task: Task) -> EncodedResult:
         """Compute the Parquet files of one task: the same bytes on any machine."""
         result = self.do(task)
-        tables = {"summary": result.summary}
-        if result.curves is not None:
-            tables["curves"] = result.curves
-        files = {name: self.parquet(name, table, task) for name, table in tables.items()}
-        return EncodedResult(task, files, failures(result.summary), result.seconds)
+        files = {name: self.parquet(name, table, task) for name, table in result.tables.items()}
+        return EncodedResult(task, files, self.output.failures(result.tables), result.seconds)
+
+    def rows(self, task: Task) -> dict[str, int]:
+        """Rows of the datasets that a task writes, in the order in which they are written."""
+        names = self.output.layouts
+        return {n: task.runs * (task.records if n == "curves" else 1) for n in names}
 
     def parquet(self, dataset: str, table: pa.Table, task: Task) -> bytes:
         """A table of a task as a Parquet file: the same rows give the same bytes.
@@ -216,9 +216,7 @@ class TaskRunner:
         Raises:
             ValueError: the table lacks columns of the dataset.
         """
-        made = self.tables
-        layout = made.summary_columns if dataset == "summary" else made.curve_columns
-        schema = columns.schema(layout)
+        schema = columns.schema(self.output.layouts[dataset])
         marked = table.cast(schema.with_metadata(schema.metadata | self._marks(task)))
         sink = pa.BufferOutputStream()
         # Numbers seldom repeat: a dictionary would make them larger and three times as slow.
@@ -238,7 +236,8 @@ class TaskRunner:
     def _made(self, number: int, draws: range, *, blank: bool = False) -> Group:
         alike = self._alike[number]
         variants = None if alike is None else alike.computed
-        return self.scenario.part(number, draws, variants=variants, blank=blank).group
+        part = self.scenario.part(number, draws, variants=variants, blank=blank)
+        return self.output.group(part.group)
 
     def _compile(self, part: int, draws: range) -> Calls:
         if self.scenario.stored is not None:
@@ -250,12 +249,6 @@ class TaskRunner:
             made = self._part(part, draws)  # meanwhile, on another core
             compiling.result()
         return Calls(made, tiles_a_chunk=self._tiles)
-
-
-def failures(summary: pa.Table) -> int:
-    """Number of runs of a summary that diverged or became non-finite."""
-    status = summary["status"].to_pylist()
-    return status.count("diverged") + status.count("nonfinite")
 
 
 class Executor(NamedTuple):

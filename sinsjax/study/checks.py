@@ -11,7 +11,7 @@ from sinsjax import columns
 from sinsjax.alignment.filters.section import OF_RESETS, OF_SCHEDULES, reset_times
 from sinsjax.alignment.methods import METHODS, keys_unread
 from sinsjax.errors import InputError
-from sinsjax.study import ignored, success
+from sinsjax.study import estimating, ignored, success
 from sinsjax.study.keys import COARSE_KEYS, EARTH_CONSTANTS, PASS_KEYS, SECTION_OF, SECTIONS
 from sinsjax.study.study import Study
 from sinsjax.study.times import counts_before, report_times, samples_before
@@ -35,6 +35,7 @@ def check_study(study: Study, where: Where) -> None:
     """
     _check_required(study, where)
     _check_methods(study, where)
+    estimating.check(study, where)
     if not study.study.rate_hz:  # checked again once the record has told it
         return
     _check_size(study, where)

@@ -32,6 +32,7 @@ so that a study keeps its fingerprint whatever later versions add."""
 
 _KEYS_OF_0_6 = frozenset(
     """
+    estimate
     lever_arm_m surge_m_per_s surge_time_s surge_bandwidth_hz surge_model
     vibration_ug_rms vibration_deg_per_h_rms vibration_hz vibration_damping
     gyro_instability_deg_per_h gyro_instability_time_s gyro_rrw_deg_per_h_per_sqrt_h

@@ -42,6 +42,7 @@ __all__ = [
 ]
 
 _DEFAULT_DRAWS = 64
+_SAMPLES = 256
 _SWEEPS = ("axes", "cases", "drawn")
 _UNREAD = ("report", "statements")
 """Sections of 0.5.0 that nothing reads: files that still have them load for one more version."""
@@ -263,7 +264,9 @@ def _filled(tables: TomlTable, sweep: axes.Sweep, where: Where, name: str) -> To
     sections = {key: dict(tables.get(key, {})) for key in SECTIONS if key not in unused}
     sections["study"].setdefault("name", name)
     if not recorded:
-        sections["study"].setdefault("draws", _DEFAULT_DRAWS)
+        estimated = sections["study"].get("estimate") == "covariance"
+        missing = ("estimate_samples", _SAMPLES) if estimated else ("draws", _DEFAULT_DRAWS)
+        sections["study"].setdefault(*missing)
         sections["earth"].setdefault("height_m", 0.0)
         for white, density in SECTIONS["sensors"].exclusive:
             if white not in where and density not in where:

@@ -55,6 +55,16 @@ class StudySection(Section):
         description="draws of noise and of [drawn], with [stop_when] at most; default 64 where the"
         " sensors are simulated",
     )
+    estimate: Literal["draws", "covariance"] = Field(
+        "draws",
+        description="where statistics come from: draws, each with runs of its own (`summary/`), or"
+        " the covariance of the true error beside one noise-free run of a variant (`estimates/`)",
+    )
+    estimate_samples: Annotated[int, Field(ge=4, le=2**16, multiple_of=2)] | None = Field(
+        None,
+        description="sampled errors that settling times are estimated from, an even number;"
+        " estimate = 'covariance' only, default 256",
+    )
     seed: int = Field(1, ge=0, lt=2**63, description="seed of all that is drawn")
     settle_bands_arcmin: Bands = Field(
         (60.0, 10.0, 3.0), description="heading error bands of the settling times, arcmin"

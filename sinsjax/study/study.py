@@ -131,13 +131,21 @@ class Study(_SectionsOfMethods):
         return self.study.seed
 
     @property
+    def is_estimated(self) -> bool:
+        """Whether its results are estimates of variants, and no runs."""
+        return self.study.estimate != "draws"
+
+    @property
     def is_recorded(self) -> bool:
         """Whether the sensors come from a record and not from a simulation."""
         return self.record is not None
 
     @property
     def n_draws(self) -> int:
-        """Number of draws, or of the start times in a record; with ``stop_when`` the most."""
+        """Number of draws, or of the start times in a record; with ``stop_when`` the most.
+
+        1 where one noise-free run stands for all.
+        """
         return len(self.record.start_s) if self.record else self.study.draws or 1
 
     @property

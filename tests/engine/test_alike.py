@@ -53,7 +53,7 @@ def test_fewer_runs_are_computed_and_all_are_counted(study: Study) -> None:
     (tasks,) = runner.tasks()
     assert sum(task.runs for task in tasks) == study.n_draws * study.n_variants
     for task in tasks:
-        assert runner.do(task).summary.num_rows == task.runs
+        assert runner.do(task).tables["summary"].num_rows == task.runs
 
 
 def test_a_run_is_done_again_by_its_number(study: Study) -> None:

@@ -28,6 +28,7 @@ filter_description = partial(
     sections={"filter": FilterSection, "resets": ResetsSection},
     reads=READS,
     silent=OF_BIASES,
+    has_error_step=True,
     rules=(check_trigger, check_resets),
     columns=COLUMNS,
     last_called=last_called,

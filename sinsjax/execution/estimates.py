@@ -1,0 +1,163 @@
+"""Estimates of a study's variants without draws: their tables, and reading them from Parquet.
+
+One noise-free run of a variant, and the covariance of the true error beside it, stand for all draws
+(`engine.covariance`). Rows depend only on the study, as those of runs do.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from sinsjax import columns
+from sinsjax.columns import Column
+from sinsjax.engine.batch import Chunk
+from sinsjax.engine.build import Scenario
+from sinsjax.engine.covariance import Spread, watched, watched_program
+from sinsjax.engine.lanes import Group
+from sinsjax.engine.realisations import Static
+from sinsjax.engine.study_limits import limited_variants
+from sinsjax.engine.verdicts import LIMIT, TRUTH
+from sinsjax.errors import InputError
+from sinsjax.execution import layouts
+from sinsjax.execution.parts import query
+from sinsjax.execution.tables import nullable, table_of
+from sinsjax.study.success import bands
+from sinsjax.study.times import report_times, spans_s
+from sinsjax.units import ARCMIN
+
+DATASET = "estimates"
+_QUANTILES = {"q10": 0.1, "median": 0.5, "q90": 0.9}
+
+
+class Estimates:
+    """The covariance of the true error as the output of a study's tasks, see `outputs.Output`.
+
+    Attributes:
+        layouts: columns by dataset.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Take a study that is estimated by covariance.
+
+        Raises:
+            InputError: curves are asked for.
+        """
+        study = scenario.study
+        if scenario.curves:
+            raise InputError(f"{study.name}: a covariance estimate has no runs with curves to keep")
+        assert study.study.estimate_samples is not None
+        self.layouts: Mapping[str, tuple[Column, ...]] = {DATASET: layouts.estimates(study)}
+        self._samples = study.study.estimate_samples
+        self._bands = bands(study)
+        self._times: list[float | None] = [*report_times(study), None]
+        every_s = study.record_every / study.rate_hz
+        numbers = [round(time_s / every_s) - 1 for time_s in report_times(study)]
+        self._records = np.array([*numbers, study.records - 1])
+        self._end_s = spans_s(study)[:, 0]
+        self._limited = limited_variants(study)
+        self._by_variant = layouts.of_variants(study, self.layouts[DATASET])
+
+    def program(self, static: Static) -> Static:
+        """The program of a part."""
+        return watched_program(static, self._samples)
+
+    def group(self, group: Group) -> Group:
+        """What the engine runs of a part."""
+        return watched(group, self._samples, self._records)
+
+    def tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
+        """Estimates of a chunk, one row per variant.
+
+        Args:
+            chunk: engine results, with `Spread`.
+            variant_ids: (variants of the part,) their numbers in the study.
+        """
+        spread, variant = chunk.curves, variant_ids[chunk.variant]
+        assert isinstance(spread, Spread)
+        limited = self._limited[variant]
+        floor = np.where(limited, chunk.outcome.limit.phi.z, np.nan)
+        values: dict[str, Any] = {"variant_id": variant}
+        values |= {name: column.take(variant) for name, column in self._by_variant.items()}
+        for place, time_s in enumerate(self._times):
+            phi, sigma, belief = (np.asarray(a)[:, :, place] for a in spread[:3])
+            names = (c.name for c in columns.estimated(self._bands, time_s))
+            values |= zip(names, self._at(phi, sigma, belief, floor), strict=True)
+        until = np.ascontiguousarray(spread.outside_until)  # sums of one order, however cut
+        for truth, about in ((False, LIMIT), (True, TRUTH)):
+            for number, band in enumerate(self._bands):
+                settled = _settled(until[:, about, number], self._end_s[variant])
+                known = limited if about == LIMIT else np.ones_like(limited)
+                names = (c.name for c in columns.settle_estimates(band, truth=truth))
+                cells = (nullable(np.where(known, value, np.nan)) for value in settled)
+                values |= zip(names, cells, strict=True)
+        values |= {"has_limit": pa.array(limited), "floor_arcmin": nullable(floor / ARCMIN)}
+        return {DATASET: table_of(self.layouts[DATASET], values)}
+
+    def failures(self, tables: Mapping[str, pa.Table]) -> int:
+        """Number of variants whose noise-free run became non-finite."""
+        return tables[DATASET]["phi_u_arcmin"].null_count
+
+    def _at(self, phi: NDArray, sigma: NDArray, belief: NDArray, floor: NDArray) -> list[pa.Array]:
+        """Columns of one time from misalignment, 1 sigma and belief (runs, 3), and floor (runs,).
+
+        All of them rad, in the order of `columns.estimated`.
+        """
+        angles = np.concatenate([phi, sigma, belief], axis=1).T / ARCMIN
+        shares = [
+            _share_within(band * ARCMIN, phi[:, 2] - centre, sigma[:, 2])
+            for centre in (floor, np.zeros_like(floor))
+            for band in self._bands
+        ]
+        return [nullable(one) for one in (*angles, *shares)]
+
+
+def _share_within(band: float, mean: NDArray, sigma: NDArray) -> NDArray:
+    """P(|error| <= band) of normal errors, (runs,)."""
+    from scipy.special import ndtr  # late: a tenth of a second, which studies of draws do not need
+
+    with np.errstate(divide="ignore", invalid="ignore"):  # without noise: inside or outside
+        return ndtr((band - mean) / sigma) - ndtr((-band - mean) / sigma)
+
+
+def _settled(until_s: NDArray, end_s: NDArray) -> tuple[NDArray, ...]:
+    """Mean, its standard error, and quantiles of settling times, in the order of their columns.
+
+    Args:
+        until_s: (runs, samples) end of the last interval outside the band, s; the second half of
+            the samples has the opposite noise of the first.
+        end_s: (runs,) lengths, s.
+    """
+    pairs = np.mean(np.split(until_s, 2, axis=1), axis=0)
+    error = pairs.std(axis=1, ddof=1) / np.sqrt(pairs.shape[1])
+    settled = np.where(until_s >= end_s[:, None] * (1 - 1e-12), np.inf, until_s)
+    quantiles = np.quantile(settled, list(_QUANTILES.values()), axis=1, method="inverted_cdf")
+    return (until_s.mean(axis=1), error, *quantiles)
+
+
+def read_estimates(
+    directory: str | Path, names: Sequence[str] | None = None, *, verify: bool = True
+) -> pa.Table:
+    """Read the estimates of a study's variants, ordered by variant_id.
+
+    Args:
+        directory: results directory.
+        names: columns to read, in this order; None for all.
+        verify: whether to compare every part with the manifest's SHA-256, once per process.
+
+    Raises:
+        InputError: the directory holds no estimates, a part has changed, or a column is missing.
+    """
+    directory = Path(directory)
+    there = query(directory, DATASET, lambda dataset: dataset.schema.names, verify=verify)
+    wanted = there if names is None else list(names)
+    if missing := [name for name in wanted if name not in there]:
+        raise InputError(f"{directory}: estimates: column {missing[0]} is missing")
+    read = sorted({"variant_id", *wanted})
+    table = query(directory, DATASET, lambda d: d.to_table(columns=read), verify=verify)
+    # The metadata of the first part does not apply to the others.
+    table = table.replace_schema_metadata({"sinsjax.schema": columns.SCHEMA_VERSION})
+    return table.sort_by("variant_id").select(wanted)

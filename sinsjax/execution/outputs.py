@@ -1,0 +1,88 @@
+"""What the tasks of a study give: tables of its runs, or estimates of its variants."""
+
+from collections.abc import Mapping
+from typing import Protocol, runtime_checkable
+
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from sinsjax.columns import Column
+from sinsjax.engine.batch import Chunk
+from sinsjax.engine.build import Scenario
+from sinsjax.engine.lanes import Group
+from sinsjax.engine.realisations import Static
+from sinsjax.execution.estimates import Estimates
+from sinsjax.execution.tables import Tables
+
+
+@runtime_checkable
+class Output(Protocol):
+    """What becomes of the parts of a study.
+
+    Attributes:
+        layouts: columns of the datasets that every task writes, in the order in which they are
+            written: the last one is there only if the others are.
+    """
+
+    layouts: Mapping[str, tuple[Column, ...]]
+
+    def program(self, static: Static) -> Static:
+        """The program of a part, from that of its runs."""
+        ...
+
+    def group(self, group: Group) -> Group:
+        """What the engine runs of a part, from all its runs."""
+        ...
+
+    def tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
+        """Tables by dataset, of a chunk of the variants of a part."""
+        ...
+
+    def failures(self, tables: Mapping[str, pa.Table]) -> int:
+        """Number of runs in these tables that diverged or became non-finite."""
+        ...
+
+
+class Runs:
+    """Summary and curves of all runs.
+
+    Attributes:
+        layouts: see `Output`.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._made = Tables(scenario.study, has_truth=scenario.has_truth)
+        curves = {"curves": self._made.curve_columns} if scenario.curves else {}
+        self.layouts: Mapping[str, tuple[Column, ...]] = {
+            **curves,
+            "summary": self._made.summary_columns,
+        }
+
+    def program(self, static: Static) -> Static:
+        """As it is."""
+        return static
+
+    def group(self, group: Group) -> Group:
+        """As it is."""
+        return group
+
+    def tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
+        """One row per run, and one per run and record time."""
+        made = {"summary": self._made.summary(chunk, variant_ids)}
+        if "curves" in self.layouts:
+            made["curves"] = self._made.curves(chunk, variant_ids)
+        return made
+
+    def failures(self, tables: Mapping[str, pa.Table]) -> int:
+        """By their status."""
+        status = tables["summary"]["status"].to_pylist()
+        return status.count("diverged") + status.count("nonfinite")
+
+
+def output_of(scenario: Scenario) -> Output:
+    """What a study asks for.
+
+    Raises:
+        InputError: curves are asked for where there are no runs.
+    """
+    return Estimates(scenario) if scenario.study.is_estimated else Runs(scenario)
