@@ -28,14 +28,14 @@ class Results(NamedTuple):
     """Results of a study.
 
     Attributes:
-        summary: one row per run, ordered by run_id; empty where variants are estimated without.
+        summary: one row per run, ordered by run_id; empty where there are none but estimates.
         curves: one row per run and record time; empty if curves were not kept.
-        estimates: one row per variant, ordered by variant_id; None of a study of draws.
+        estimates: one row per variant, ordered by variant_id; empty of a study of draws.
     """
 
     summary: pa.Table
     curves: pa.Table
-    estimates: pa.Table | None = None
+    estimates: pa.Table = pa.table({})
 
 
 class RunProgress(NamedTuple):
