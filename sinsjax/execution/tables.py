@@ -189,7 +189,7 @@ class Tables:
         values: dict[str, pa.Array] = {}
         for number, time in enumerate(report_times(self._study)):
             phi, sigma, nees = np.asarray(out.at_times)[:, number].T
-            arrays = self._known(phi / ARCMIN), _nullable(sigma / ARCMIN), self._known(nees)
+            arrays = self._known(phi / ARCMIN), nullable(sigma / ARCMIN), self._known(nees)
             names = (column.name for column in columns.report_columns(time))
             values |= dict(zip(names, arrays, strict=True))
         return values
