@@ -67,6 +67,7 @@ class Forecast(NamedTuple):
         memory: peak memory, bytes.
         at_most: whether the study may stop early.
         length_s: length of the longest run, s.
+        noise_free: whether runs are without noise, one a variant.
     """
 
     batches: tuple[Batch, ...]
@@ -75,6 +76,7 @@ class Forecast(NamedTuple):
     memory: float
     at_most: bool
     length_s: float
+    noise_free: bool = False
 
     @property
     def runs(self) -> int:
@@ -83,7 +85,8 @@ class Forecast(NamedTuple):
 
     def describe(self, cores: int) -> str:
         """One line for a user, with the time on a number of cores."""
-        runs = f"{self.runs:,} run{'s' if self.runs != 1 else ''} of up to {self.length_s:g} s"
+        kind = "noise-free run" if self.noise_free else "run"
+        runs = f"{self.runs:,} {kind}{'s' if self.runs != 1 else ''} of up to {self.length_s:g} s"
         takes = _time(self.runs * self.run_s / cores)
         most = "At most " if self.at_most else ""
         on = f"{cores} core{'s' if cores != 1 else ''}"
@@ -198,7 +201,9 @@ def _forecast(study: Study, batches: Sequence[Batch], curves: bool) -> Forecast:
     again = (p["coarse_duration_s"] for p in study.coarse_stages if p["coarse_then"] == "replay")
     steps = samples + max(again, default=0.0) * study.rate_hz
     at_most = study.stop_when is not None
-    return Forecast(tuple(batches), run_bytes, steps * step_s, memory, at_most, length_s)
+    return Forecast(
+        tuple(batches), run_bytes, steps * step_s, memory, at_most, length_s, study.is_estimated
+    )
 
 
 def _row_bytes(study: Study, columns: Iterable[Column]) -> float:

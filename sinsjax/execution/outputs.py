@@ -75,8 +75,13 @@ class Runs:
 
     def failures(self, tables: Mapping[str, pa.Table]) -> int:
         """By their status."""
-        status = tables["summary"]["status"].to_pylist()
-        return status.count("diverged") + status.count("nonfinite")
+        return failures(tables["summary"])
+
+
+def failures(summary: pa.Table) -> int:
+    """Number of runs of a summary that diverged or became non-finite."""
+    status = summary["status"].to_pylist()
+    return status.count("diverged") + status.count("nonfinite")
 
 
 def output_of(scenario: Scenario) -> Output:

@@ -1,7 +1,7 @@
 """What is printed, drawn and written about directories of results, from Parquet alone.
 
-Every study has the same report, `auto`, and every tuning, `tuned`; a folder of prose and a script
-makes a page of its own, `folder`.
+Every study has the same report, `auto`, or `estimated` where it has no draws, and every tuning,
+`tuned`; a folder of prose and a script makes a page of its own, `folder`.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from sinsjax import console as screen
 from sinsjax.errors import InputError
 from sinsjax.execution.belongings import list_figures
 from sinsjax.messages import shortened
-from sinsjax.report import auto, folder, glossary, tuned
+from sinsjax.report import auto, estimated, folder, glossary, tuned
 from sinsjax.report.base import Report, Source, at_the_end
 from sinsjax.report.html import write_html
 from sinsjax.report.output import FIGURES, Made, print_report, save_figures, write_page
@@ -69,7 +69,7 @@ def _summarise(
             made.append(_tell(tuned.report(source), source, console))
         else:
             source = Source.read(directory)
-            told = auto.report(source)
+            told = (estimated if source.study.is_estimated else auto).report(source)
             headline = [*told.headline, *at_the_end(source)]
             told = _with_warnings(told._replace(headline=headline), source)
             made.append(_tell(told, source, console))

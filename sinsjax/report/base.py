@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 from sinsjax import analysis, columns, plots
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.errors import InputError
-from sinsjax.execution import tables
+from sinsjax.execution import estimates, tables
+from sinsjax.execution.parts import is_there
 from sinsjax.study.acting import first_alike, silent
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
@@ -30,7 +31,7 @@ class Source:
         directory: where they are.
         study: the resolved study.
         config: what a page names as the study's file.
-        table: the summary by run_id, where it need not be read.
+        table: the summary by run_id, where it need not be read; the estimates by variant_id.
         schema: version of the results' columns.
         warnings: what was doubtful before the study ran, a line each.
         version: of the package that computed them.
@@ -51,7 +52,11 @@ class Source:
         Raises:
             InputError: it holds none, or its study cannot be read.
         """
-        tables.count_runs(directory)
+        table = None
+        if is_there(directory, estimates.DATASET):
+            table = estimates.read_estimates(directory)
+        else:
+            tables.count_runs(directory)
         study = load_study(directory / "study.toml")
         manifest = tables.read_manifest(directory)
         schema = str(manifest.get("schema"))
@@ -62,11 +67,11 @@ class Source:
         warnings = tuple(map(str, told if isinstance(told, list) else ()))
         versions = manifest.get("versions")
         version = str((versions if isinstance(versions, dict) else {}).get("sinsjax", "unknown"))
-        return cls(directory, study, str(name), None, schema, warnings, version)
+        return cls(directory, study, str(name), table, schema, warnings, version)
 
     @cached_property
     def runs(self) -> int:
-        """Number of runs, which is that of the rows of the summary."""
+        """Number of rows: of runs, or of variants where these are estimated."""
         return tables.count_runs(self.directory) if self.table is None else self.table.num_rows
 
     @property

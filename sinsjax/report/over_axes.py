@@ -25,11 +25,12 @@ from sinsjax.report.base import (
 )
 from sinsjax.study.acting import first_alike
 from sinsjax.study.keys import SECTION_OF
+from sinsjax.study.study import Study
 from sinsjax.study.success import Yardstick
 
-_MOST_PANELS = 12
-_MOST_LINES = 7
-_CHOSEN = tuple(SECTIONS_OF_METHODS)  # whose values a user chooses, so that one can be best
+MOST_PANELS = 12
+MOST_LINES = 7
+_CHOSEN = tuple(SECTIONS_OF_METHODS)
 
 Axes = Mapping[str, Sequence[float]]
 
@@ -40,16 +41,26 @@ def over_axes(source: Source) -> list[Block]:
     With two numeric axes or more, heat maps over the first two as the study writes them, a panel
     for each point of all other keys; with one, curves with intervals; with none, nothing.
     """
-    numeric = {
-        keys[0]: tuple(map(float, values))
-        for keys, values in swept(source.study).items()
-        if _are_numbers(values)
-    }
-    shown = dict(list(numeric.items())[:2])
-    others = [key for key in shown_keys(source.study) if key not in shown]
+    shown, others = shown_axes(source.study)
     if len(shown) == 2:
         return [b for yard in source.yardsticks for b in _heat_maps(source, yard, shown, others)]
     return [_along_axis(source, *axis, others) for axis in shown.items()]
+
+
+def shown_axes(study: Study) -> tuple[dict[str, tuple[float, ...]], list[str]]:
+    """The first two swept numbers with their values, and all other swept keys."""
+    numeric = {
+        keys[0]: tuple(map(float, values))
+        for keys, values in swept(study).items()
+        if _are_numbers(values)
+    }
+    shown = dict(list(numeric.items())[:2])
+    return shown, [key for key in shown_keys(study) if key not in shown]
+
+
+def is_chosen(key: str) -> bool:
+    """Whether a user chooses the values of a key, so that one can be best."""
+    return SECTION_OF.get(key) in _CHOSEN
 
 
 def _are_numbers(values: Sequence[Any]) -> bool:
@@ -105,11 +116,11 @@ def _heat_maps(
     """The maps from one yardstick; the names of the files are those of the first."""
     end = "" if yard == source.yardsticks[0] else "_truth" if yard.truth else "_limit"
     maps = _maps(source, yard, axes, others)
-    if all(SECTION_OF[key] in _CHOSEN for key in axes):
+    if all(map(is_chosen, axes)):
         yield _best(yard, axes, maps)
     # A line of panels for each value of the other keys but the last, if it is short enough.
     across = len({value_text(m.point[others[-1]]) for m in maps}) if others else 1
-    drawn = maps[: _MOST_PANELS // across * across or _MOST_PANELS]
+    drawn = maps[: MOST_PANELS // across * across or MOST_PANELS]
     rest = f" The first {len(drawn)} of {len(maps)} panels." if len(drawn) < len(maps) else ""
     if any(m.repeated.any() for m in drawn):
         rest += " Cells without a number repeat the one beside them: there a key does not act."
@@ -150,7 +161,7 @@ def _heat_maps(
 def _best(yard: Yardstick, axes: Axes, maps: Sequence[_Map]) -> Table:
     """At each point of the other keys, where most runs settle, and among those the fastest."""
     rows = []
-    for here in maps[: 2 * _MOST_PANELS]:
+    for here in maps[: 2 * MOST_PANELS]:
         median = _median(here.settle_s)
         share = here.ok.mean(axis=0)
         best = min(np.ndindex(share.shape), key=lambda at, s=share, m=median: (-s[at], m[at]))  # type: ignore[misc]
@@ -194,7 +205,7 @@ def _along_axis(
     groups = list(analysis.groups(table, others))
     found = {
         name_of(point): analysis.summarise(rows, [axis], list(shown)).to_pylist()
-        for point, rows in groups[:_MOST_LINES]
+        for point, rows in groups[:MOST_LINES]
     }
     panels = {
         words: {name: [estimate_of(row, statistic) for row in rows] for name, rows in found.items()}
