@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from sinsjax.engine.batch import in_threads
+from sinsjax.execution.belongings import DATASETS
 from sinsjax.execution.tasks import EncodedResult, Executor, Task, TaskRunner
 from sinsjax.study.load import Study, study_from_dict
 from support.studies import BASE, small_study
@@ -80,7 +81,7 @@ def study_of(name: str, draws: int | None = None) -> Study:
 
 def parts(directory: Path) -> dict[str, bytes]:
     """The bytes of every part, by its place in the directory."""
-    found = (p for name in ("summary", "curves") for p in directory.glob(f"{name}/*.parquet"))
+    found = (p for name in DATASETS for p in directory.glob(f"{name}/*.parquet"))
     return {path.relative_to(directory).as_posix(): path.read_bytes() for path in found}
 
 

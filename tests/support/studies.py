@@ -32,15 +32,24 @@ STILL = {f"{angle}_amplitude_deg": 0.0 for angle in ("pitch", "roll", "yaw")}
 """A base whose runs have a limit, however short they are."""
 
 
-def small_study(**changes: Any) -> Study:
-    """`BASE` with sections changed key by key; lists and new sections are taken as given."""
+def small_tables(**changes: Any) -> dict[str, Any]:
+    """`BASE` with sections changed key by key; lists and new sections are taken as given.
+
+    A key of `BASE` that is changed to None is left out.
+    """
     data: dict[str, Any] = {name: dict(section) for name, section in BASE.items()}
     for name, change in changes.items():
         if isinstance(change, dict) and name in data:
-            data[name] |= change
+            merged = data[name] | change
+            data[name] = {k: v for k, v in merged.items() if v is not None or k not in BASE[name]}
         else:
             data[name] = change
-    return study_from_dict(data)
+    return data
+
+
+def small_study(**changes: Any) -> Study:
+    """The study of `small_tables`."""
+    return study_from_dict(small_tables(**changes))
 
 
 def refusal(**tables: Any) -> str:

@@ -1,0 +1,287 @@
+"""Estimates by covariance: against draws of the same study, and as a dataset among others."""
+
+import itertools
+import random
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from rich.console import Console
+from scipy import stats
+from support.dying import Dying
+from support.kept import assert_complete, manifest, parts, times
+from support.stored import told
+from support.studies import STILL, small_study
+
+from sinsjax import columns
+from sinsjax.errors import InputError
+from sinsjax.execution import forecast, rerun, resume, tables
+from sinsjax.execution import run as study_run
+from sinsjax.execution.estimates import read_estimates
+from sinsjax.execution.tasks import Executor, Job, TaskRunner
+from sinsjax.study.load import Study, study_to_toml
+
+pytestmark = pytest.mark.optimised(False)
+
+RUN_S, DRAWS = 60.0, 256
+TIMES = ["", "_at_20", "_at_45"]
+
+
+SHORT = {"duration_s": 2.0, "window_s": [0, 2], "report_times_s": [1.0]}
+
+
+def study_of(**changes: Any) -> Study:
+    """A minute at rest, three starts by two schedules, from errors of a few degrees."""
+    settings: dict[str, Any] = {
+        **{"duration_s": RUN_S, "window_s": [30, RUN_S], "report_times_s": [20.0, 45.0]},
+        **{"estimate": "covariance", "draws": None, "settle_bands_arcmin": [60.0, 20.0, 10.0]},
+    }
+    tables_: dict[str, Any] = {
+        "motion": STILL,
+        "alignment": {"feedback_interval_s": 1.0, "phi_e0_deg": 0.5, "phi_n0_deg": 0.5},
+        "axes": {"phi_u0_deg": [0.0, 2.0, 5.0], "reset_times_s": [[], [10.0]]},
+    }
+    changes = dict(changes)
+    settings |= changes.pop("study", {})
+    return small_study(**(tables_ | changes), study=settings)
+
+
+def short(**changes: Any) -> Study:
+    """Two parts of 130 variants, 2 s each: three tiles a part."""
+    settings = SHORT | {"estimate_samples": 16} | changes.pop("study", {})
+    axes = {"yaw_amplitude_deg": [2.8, 0.0], "p0_yaw_deg": [0.5 * i for i in range(1, 131)]}
+    return study_of(study=settings, motion={}, axes=axes, **changes)
+
+
+@pytest.fixture(scope="module")
+def pair() -> tuple[pa.Table, pa.Table]:
+    """Estimates, and the summary of draws of the same study."""
+    drawn = study_of(study={"estimate": "draws", "draws": DRAWS})
+    return study_run.run(study_of()).estimates, study_run.run(drawn).summary
+
+
+def by_variant(summary: pa.Table, column: str) -> np.ndarray:
+    """(draws, variants)."""
+    return summary[column].to_numpy().reshape(DRAWS, -1)
+
+
+def test_mean_and_sigma_are_those_of_draws(pair: tuple[pa.Table, pa.Table]) -> None:
+    """At each time: means within four standard errors, variances in their chi-square interval."""
+    made, summary = pair
+    assert made.num_rows == 6
+    tail = 0.0005 / (len(TIMES) * made.num_rows)
+    low, high = stats.chi2.ppf([tail, 1 - tail], DRAWS - 1) / (DRAWS - 1)
+    for at in TIMES:
+        phi = by_variant(summary, f"phi_u{at}_arcmin")
+        mean, sigma = (made[f"{name}_u{at}_arcmin"].to_numpy() for name in ("phi", "true_sigma"))
+        assert (np.abs(phi.mean(0) - mean) < 4 * sigma / DRAWS**0.5).all(), at
+        ratio = phi.var(0, ddof=1) / sigma**2
+        assert (ratio > low).all() and (ratio < high).all(), (at, ratio)
+        own = by_variant(summary, f"sigma_u{at}_arcmin").mean(0)
+        np.testing.assert_allclose(made[f"sigma_u{at}_arcmin"], own, rtol=0.02)
+    for axis in "en":
+        phi = by_variant(summary, f"phi_{axis}_arcmin")
+        sigma = made[f"true_sigma_{axis}_arcmin"].to_numpy()
+        ratio = phi.var(0, ddof=1) / sigma**2
+        assert (ratio > 0.7).all() and (ratio < 1.4).all(), (axis, ratio)
+
+
+def test_shares_and_settling_times_are_those_of_draws(pair: tuple[pa.Table, pa.Table]) -> None:
+    """Within four standard errors, never counting as the end of the run."""
+    made, summary = pair
+    floor = by_variant(summary, "floor_arcmin")
+    for band, (side, settled) in itertools.product(
+        (60, 20, 10), (("", "settle_{}"), ("_truth", "settle_{}_truth"))
+    ):
+        name = settled.format(band)
+        for at in TIMES:
+            error = by_variant(summary, f"phi_u{at}_arcmin") - (0.0 if side else floor)
+            share = made[f"within_{band}{side}{at}_share"].to_numpy()
+            allowed = 4 * np.sqrt(share * (1 - share) / DRAWS) + 0.01
+            assert (np.abs((np.abs(error) <= band).mean(0) - share) < allowed).all(), (name, at)
+        seconds = np.nan_to_num(by_variant(summary, f"{name}_s"), nan=RUN_S)
+        mean, error = (made[f"{name}_{what}_s"].to_numpy() for what in ("mean", "mean_error"))
+        apart = 4 * np.sqrt(error**2 + seconds.var(0) / DRAWS) + 0.5
+        assert (np.abs(seconds.mean(0) - mean) < apart).all(), (name, seconds.mean(0), mean)
+        never = np.isnan(by_variant(summary, f"{name}_s")).mean(0)
+        for q, share in (("q10", 0.1), ("median", 0.5), ("q90", 0.9)):
+            missing = made[f"{name}_{q}_s"].is_null().to_numpy(zero_copy_only=False)
+            assert (never[missing] > 1 - share - 0.12).all()
+            assert (never[~missing] < 1 - share + 0.12).all()
+
+
+def test_columns_say_unit_and_meaning() -> None:
+    made = study_run.run(short()).estimates
+    for name in made.column_names:
+        about = made.schema.field(name).metadata
+        assert about[b"meaning"]
+        for end, unit in (("_arcmin", b"arcmin"), ("_s", b"s"), ("_share", b"")):
+            if name.endswith(end) and not name.endswith("_per_s"):
+                assert about[b"unit"] == unit, name
+    assert made["p0_yaw_deg"].to_pylist()[:3] == [0.5, 1.0, 1.5]
+    assert {"method", "reset_times_s", "phi_u0_deg", "floor_arcmin"} < set(made.column_names)
+    assert not {"run_id", "draw_id", "start_s"}.intersection(made.column_names)
+
+
+def test_a_variant_without_a_limit_is_estimated_about_the_truth_alone() -> None:
+    """A sway of 10 s has no limit in runs of a minute."""
+    (row,) = study_run.run(
+        study_of(motion={}, axes={"reset_times_s": [[10.0]]})
+    ).estimates.to_pylist()
+    assert not row["has_limit"] and row["floor_arcmin"] is None
+    assert row["within_10_share"] is row["settle_10_mean_s"] is None
+    assert row["within_10_truth_share"] is not None and row["settle_10_truth_mean_s"] is not None
+
+
+def test_without_noise_the_estimate_is_the_run() -> None:
+    quiet = {"gyro_noise_deg_per_h": 0.0, "accel_noise_ug": 0.0}
+    made = study_run.run(study_of(sensors=quiet)).estimates
+    drawn = study_run.run(study_of(sensors=quiet, study={"estimate": "draws", "draws": 1})).summary
+    for at in TIMES:
+        assert set(made[f"true_sigma_u{at}_arcmin"].to_pylist()) == {0.0}
+        expected = drawn[f"phi_u{at}_arcmin"].to_numpy()
+        np.testing.assert_allclose(made[f"phi_u{at}_arcmin"], expected, rtol=1e-9)
+        inside = np.abs(expected) <= 10
+        np.testing.assert_array_equal(made[f"within_10_truth{at}_share"], inside.astype(float))
+    seconds = drawn["settle_10_truth_s"]
+    assert made["settle_10_truth_median_s"].equals(seconds)
+    np.testing.assert_array_equal(made["settle_10_truth_mean_s"], seconds.fill_null(RUN_S))
+    assert set(made["settle_10_truth_mean_error_s"].to_pylist()) == {0.0}
+
+
+# --- as a dataset -------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What an uninterrupted run leaves, in parts of 128 variants and the rest."""
+    directory = tmp_path_factory.mktemp("whole") / "out"
+    study_run.run_into(short(), directory, chunk_runs=128)
+    assert sorted(parts(directory)) == [
+        f"estimates/part-{part:04d}-{call:06d}.parquet" for part in (0, 1) for call in (0, 1)
+    ]
+    return directory
+
+
+def test_rows_are_the_same_for_any_chunk_and_as_stored(whole: Path) -> None:
+    one, other = (study_run.run(short(), chunk_runs=n) for n in (2, 10**6))
+    assert one.estimates.equals(other.estimates) and one.estimates.num_rows == 260
+    assert one.summary.num_rows == one.curves.num_rows == 0
+    stored = read_estimates(whole)
+    assert stored["variant_id"].to_pylist() == list(range(260))
+    assert stored.cast(one.estimates.schema).equals(one.estimates)
+    few = read_estimates(whole, ["phi_u_arcmin", "method"])
+    assert few.column_names == ["phi_u_arcmin", "method"] and few.num_rows == 260
+    told_ = manifest(whole)
+    assert told_["runs"] == told_["runs_done"] == 260 and told_["state"] == "complete"
+
+
+def test_bytes_are_the_same_in_any_order_and_place(whole: Path, tmp_path: Path) -> None:
+    def elsewhere(_: TaskRunner, tasks: Any) -> Any:
+        todo = list(tasks)
+        random.Random(3).shuffle(todo)
+        for task in todo:
+            yield TaskRunner(Job(short(), None, None, 128)).pack(task)
+
+    study_run.run_into(short(), tmp_path, chunk_runs=128, executor=Executor(elsewhere, {}))
+    assert_complete(tmp_path, whole)
+
+
+def test_what_is_missing_or_broken_is_made_again_and_nothing_else(
+    whole: Path, tmp_path: Path
+) -> None:
+    study_run.run_into(short(), tmp_path, chunk_runs=128)
+    before = times(tmp_path)
+    first, second, *kept = sorted(before)
+    (tmp_path / first).unlink()
+    (tmp_path / second).write_bytes((tmp_path / second).read_bytes()[:-9])
+    (tmp_path / "manifest.json").unlink()
+    study_run.run_into(short(), tmp_path, resume=True)
+    assert_complete(tmp_path, whole)
+    assert {name: times(tmp_path)[name] for name in kept} == {name: before[name] for name in kept}
+    with pytest.raises(InputError, match=r"another study: \[study\] estimate_samples: 16 there"):
+        study_run.run_into(short(study={"estimate_samples": 18}), tmp_path, resume=True)
+    assert resume.resumed(tmp_path, Job(short())).chunk_runs == 128
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("moment", ["half", "before", "after"])
+def test_a_killed_sweep_is_gone_on_with(moment: str, whole: Path, tmp_path: Path) -> None:
+    config, out = tmp_path / "study.toml", tmp_path / "out"
+    config.write_text(study_to_toml(short()))
+    words = ["sweep", str(config), "-o", str(out), "--resume", "--chunk-runs", "128"]
+    killed = [(moment, "estimates/*", 2), ("never", "", 0)]
+    for number, point in enumerate(killed):
+        process = Dying(words, {}, tmp_path / f"said{number}", point=point)
+        process.go().process.join(120)
+        code = process.process.exitcode
+        assert code == (0 if number else -signal.SIGKILL), process.said()
+        process.close()
+    assert_complete(out, whole)
+
+
+def test_a_study_of_draws_may_take_its_place(whole: Path, tmp_path: Path) -> None:
+    study_run.run_into(short(), tmp_path, chunk_runs=128)
+    short_draws = SHORT | {"estimate": "draws", "draws": 2}
+    drawn = study_of(study=short_draws, axes={"phi_u0_deg": [0.0, 5.0]})
+    with pytest.raises(InputError, match="holds results of another study"):
+        study_run.run_into(drawn, tmp_path, resume=True)
+    study_run.run_into(drawn, tmp_path, overwrite=True)
+    assert not list(tmp_path.glob("estimates/*"))
+    with pytest.raises(InputError) as caught:
+        read_estimates(tmp_path)
+    assert str(caught.value) == (
+        f"{tmp_path}: holds runs, and no estimates of variants (`read_summary` reads them)"
+    )
+
+
+def test_what_needs_runs_says_that_there_are_none(whole: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        tables.read_summary(whole)
+    assert str(caught.value) == (
+        f"{whole}: holds estimates of variants, and no runs (`read_estimates` reads them)"
+    )
+    with pytest.raises(InputError) as caught:
+        rerun.rerun_into(whole, 0, Console())
+    assert str(caught.value) == f"{whole}: a covariance estimate has no run to repeat"
+    with pytest.raises(InputError, match="a covariance estimate has no runs with curves to keep"):
+        study_run.run(short(), curves=True)
+    with pytest.raises(InputError, match="estimates: column settle_7_s is missing"):
+        read_estimates(whole, ["settle_7_s"])
+
+
+def test_the_forecast_counts_noise_free_runs() -> None:
+    assert forecast.of(short()).describe(1).startswith("260 noise-free runs of up to 2 s")
+
+
+# --- reported -----------------------------------------------------------------------------------
+
+
+def test_a_report_tells_the_soonest_settings_and_draws_the_axes(
+    tmp_path: Path,
+) -> None:
+    axes = {"reset_count": [0, 1], "reset_cycle_s": [5.0, 10.0], "phi_u0_deg": [0.0, 5.0]}
+    study = study_of(axes=axes, resets={}, study={"estimate_samples": 16})
+    study_run.run_into(study, tmp_path / "out")
+    page = tmp_path / "page.md"
+    said = told(tmp_path / "out", page=page)
+    assert "8 variants, estimated without draws" in said
+    table = said.partition("The soonest within 10' of true north, mean over phi_u0_deg")[2]
+    made = read_estimates(tmp_path / "out")
+    seconds = made["settle_10_truth_mean_s"].to_numpy().reshape(2, 2, 2).mean(-1)
+    seconds[0, 1] = np.inf  # as the first: without resets there is no cycle
+    assert f"{seconds.min():.1f}" in table.splitlines()[4]
+    assert "settling_time.png" in said and "within_band.png" in said
+    assert page.read_text().count("](figures/") == said.count(".png")
+
+
+@pytest.mark.parametrize("axes", [{"phi_u0_deg": [0.0, 5.0]}, {"method": ["kalman5"]}])
+def test_a_report_of_any_axes_opens(axes: dict[str, Any], tmp_path: Path) -> None:
+    study = study_of(axes=axes, study={"estimate_samples": 16})
+    study_run.run_into(study, tmp_path)
+    said = told(tmp_path)
+    assert "Every variant" in said and "estimated without draws" in said
+    assert columns.settle_estimates(10.0)[0].name in read_estimates(tmp_path).column_names
