@@ -20,7 +20,7 @@ from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.realisations import CoarseStage, Draw, Environment, Static, derived
 from sinsjax.engine.realisations import site_of as site_of_draw
 from sinsjax.engine.simulate import RunParams
-from sinsjax.engine.simulator import AMPLITUDES, DISTORTIONS, IN_TURN, NOISES
+from sinsjax.engine.simulator import AMPLITUDES, DISTORTIONS, NOISES
 from sinsjax.engine.study_limits import require_limit
 from sinsjax.engine.truth import recorded, simulated, site_of
 from sinsjax.errors import InputError
@@ -29,6 +29,7 @@ from sinsjax.platform import runtime
 from sinsjax.records import Record
 from sinsjax.records.reference import StoredRecord
 from sinsjax.strapdown import base_motion
+from sinsjax.study.in_turn import IN_TURN
 from sinsjax.study.keys import COARSE_KEYS, PASS_KEYS
 from sinsjax.study.resolved import Coded
 from sinsjax.study.schema import EarthSection, MotionSection, SensorsSection

@@ -6,7 +6,6 @@ covariance of the true error, and e <- F e + chol(W) n are errors as runs with n
 them, which are judged as runs are.
 """
 
-from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
 
@@ -14,53 +13,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.alignment.base import Options
 from sinsjax.alignment.error_growth import ErrorParams, IncrementNoise
-from sinsjax.alignment.methods import METHODS
 from sinsjax.alignment.schedules import mix
-from sinsjax.alignment.triggers.section import any_trigger
 from sinsjax.engine import metrics
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.metrics import FIELDS
 from sinsjax.engine.realisations import Environment, Static
-from sinsjax.engine.simulator import keys_in_turn
-from sinsjax.errors import InputError
 from sinsjax.maths.algebra import Triangle, cholesky, triangle_index
-from sinsjax.study.keys import SECTION_OF
-from sinsjax.study.study import Study
 from sinsjax.types import Array, Count, Scalar
-
-
-def require_modelled(study: Study) -> None:
-    """Reject what linear covariance analysis does not hold for.
-
-    Raises:
-        InputError: names the key, and why.
-    """
-    told = next(_unmodelled(study), None)
-    if told is not None:
-        raise InputError(f"{study.name}: {told}")
-
-
-def _unmodelled(study: Study) -> Iterator[str]:
-    """What there is of it, a line each."""
-    if study.is_recorded:
-        yield "[record]: covariance analysis needs the noise of a simulation"
-        return
-    if study.passes:
-        yield "[passes]: covariance analysis takes noise as white, passes take it in again"
-    if study.coarse_stages:
-        yield "[coarse]: covariance analysis begins with the method's own P0"
-    for key in study.drawn_keys:
-        yield f"[drawn] {key}: covariance analysis takes its value as given (sweep it instead)"
-    if any_trigger(study):
-        yield "[resets] reset_trigger: covariance analysis needs resets at given times"
-    for key in keys_in_turn(study):
-        yield f"[{SECTION_OF[key]}] {key}: covariance analysis takes white noise alone"
-    for name in study.methods:
-        options = Options(1 / study.study.rate_hz if study.study.rate_hz else 0.01)
-        if METHODS[name](options).error_step is None:
-            yield f"[alignment] method: covariance analysis knows no linear part of {name}"
 
 
 class Spread(NamedTuple):

@@ -10,7 +10,6 @@ from sinsjax.strapdown import base_motion, processes, sensors
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.strapdown.processes import Process
 from sinsjax.study.schema import MotionSection, SensorsSection
-from sinsjax.study.study import Study
 from sinsjax.study.variants import Lookup, Variants
 from sinsjax.types import Vec3
 from sinsjax.units import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, HOUR, PPM
@@ -28,14 +27,6 @@ DISTORTIONS = tuple(
 AMPLITUDES = tuple(key for key in MotionSection.model_fields if "amplitude" in key)
 """The keys of sway."""
 
-IN_TURN = (
-    *("surge_m_per_s", "vibration_ug_rms", "vibration_deg_per_h_rms"),
-    *("gyro_instability_deg_per_h", "accel_instability_ug"),
-    *("gyro_rrw_deg_per_h_per_sqrt_h", "accel_rrw_ug_per_sqrt_h"),
-    *("gyro_quantisation_arcsec", "accel_quantisation_um_per_s"),
-)
-"""The keys with which a sample hangs on those before it."""
-
 OF_DISTURBANCES = tuple(
     key
     for section in (MotionSection, SensorsSection)
@@ -43,23 +34,6 @@ OF_DISTURBANCES = tuple(
     if key.split("_")[1] in ("instability", "rrw") or key.split("_")[0] in ("surge", "vibration")
 )
 """The keys that disturb base and sensors."""
-
-
-def keys_in_turn(study: Study) -> list[str]:
-    """Those of `IN_TURN` that some variant of a study has."""
-    if study.is_recorded:
-        return []
-
-    def taken(key: str) -> bool:
-        values = (point[key] for point in study.combinations(key))
-        return any(value is None or np.any(value) for value in values)
-
-    return [key for key in IN_TURN if taken(key)]
-
-
-def runs_in_turn(study: Study) -> bool:
-    """Whether a sample of some variant of a study hangs on those before it."""
-    return bool(keys_in_turn(study))
 
 
 def _number(common: Lookup, key: str, factor: float = 1.0) -> np.ndarray:

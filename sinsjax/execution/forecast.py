@@ -15,13 +15,13 @@ from sinsjax.alignment.methods import METHODS
 from sinsjax.columns import Column
 from sinsjax.engine.batch import CHUNK_RECORDS
 from sinsjax.engine.lanes import LANES, STACKED_TILES
-from sinsjax.engine.simulator import runs_in_turn
 from sinsjax.engine.truth import MOST_STORED_SAMPLES
 from sinsjax.errors import InputError
 from sinsjax.execution import layouts, stopping
 from sinsjax.execution.parts import read_manifest
 from sinsjax.platform import machine, runtime
 from sinsjax.study.distributions import NUMBERS_DRAWN
+from sinsjax.study.in_turn import runs_in_turn
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 

@@ -1,45 +1,28 @@
-"""What a study estimates without draws, and what keeps it from that."""
+"""What covariance analysis holds for, and what a study that is estimated by it has no use for."""
 
-from collections.abc import Mapping
-from typing import NoReturn
-
-import numpy as np
+from collections.abc import Iterator, Mapping
 
 from sinsjax.alignment.methods import METHODS
+from sinsjax.alignment.triggers.section import any_trigger
 from sinsjax.errors import InputError
+from sinsjax.study.in_turn import keys_in_turn
 from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.study import Study
 
-_SECTIONS = {
-    "record": "the noise of recorded data is not known",
-    "passes": "repeated passes use the same noise again",
-    "drawn": "what is drawn differs between draws, of which there are none",
-    "stop_when": "there are no draws to stop",
-    "tune": "searches compare draws",
-}
-_COLOURED = "its noise is not white"
-_KEYS = {
-    **{f"vibration_{kind}_rms": _COLOURED for kind in ("ug", "deg_per_h")},
-    "surge_m_per_s": _COLOURED,
-    **{
-        f"{kind}_quantisation_{u}": "quanta are no noise"
-        for kind, u in (("gyro", "arcsec"), ("accel", "um_per_s"))
-    },
-    **{
-        key: _COLOURED
-        for key in (
-            "gyro_instability_deg_per_h",
-            "gyro_rrw_deg_per_h_per_sqrt_h",
-            "accel_instability_ug",
-            "accel_rrw_ug_per_sqrt_h",
-        )
-    },
-}
-"""What the covariance of the true error does not hold, and why."""
+
+def require_modelled(study: Study) -> None:
+    """Refuses what covariance analysis does not hold for.
+
+    Raises:
+        InputError: names the key, and why.
+    """
+    told = next(_unmodelled(study, {}), None)
+    if told is not None:
+        raise InputError(f"{study.name}: {told}")
 
 
 def check(study: Study, where: Mapping[str, str]) -> None:
-    """Refuses what the covariance of the true error does not hold, in any variant.
+    """Refuses what does not go with the way in which a study's results are estimated.
 
     Args:
         study: checked study.
@@ -52,28 +35,38 @@ def check(study: Study, where: Mapping[str, str]) -> None:
         if study.study.estimate_samples is not None:
             raise InputError("[study] estimate_samples: requires estimate = 'covariance'")
         return
-    for section, why in _SECTIONS.items():
-        if study.has(section):
-            _refuse(f"[{section}]", why)
+    told = next(_unmodelled(study, where), None)
+    if told is not None:
+        raise InputError(f"{told} (use estimate = 'draws')")
+    unread = {
+        "[study] draws": ("draws" in where, "estimate_samples is"),
+        "[study] curves": (study.study.curves, "there are no runs to have any"),
+        "[stop_when]": (study.has("stop_when"), "there are no draws to stop"),
+        "[tune]": (study.has("tune"), "a search by covariance analysis is one of its searches"),
+    }
+    for place, (given, why) in unread.items():
+        if given:
+            raise InputError(f"{place}: is not read beside estimate = 'covariance' ({why})")
+
+
+def _unmodelled(study: Study, where: Mapping[str, str]) -> Iterator[str]:
+    """What there is that covariance analysis does not hold for, a line each."""
+    if study.is_recorded:
+        yield "[record]: covariance analysis needs the noise of a simulation"
+        return
+    if study.passes:
+        yield "[passes]: covariance analysis takes noise as white, passes take it in again"
     if study.coarse_stages:
-        _refuse("[coarse]", "its methods do not tell their linear part")
-    if "draws" in where:
-        text = "is not read beside estimate = 'covariance' (estimate_samples is)"
-        raise InputError(f"[study] draws: {text}")
-    if study.study.curves:
-        _refuse("[study] curves", "there are no runs whose curves could be kept")
-    for key, why in _KEYS.items():
-        if any(np.any(point[key]) for point in study.combinations(key)):
-            _refuse(f"{where.get(key, f'[{SECTION_OF[key]}]')} {key}", why)
+        yield "[coarse]: covariance analysis begins with the method's own P0"
+    for key in study.drawn_keys:
+        yield f"[drawn] {key}: covariance analysis takes its value as given (sweep it instead)"
+    if any_trigger(study):
+        place = where.get("reset_trigger", "[resets]")
+        yield f"{place} reset_trigger: covariance analysis needs resets at given times"
+    for key in keys_in_turn(study):
+        place = where.get(key, f"[{SECTION_OF[key]}]")
+        yield f"{place} {key}: covariance analysis takes white noise alone"
     for name in study.methods:
         if not METHODS[name].has_error_step:
             place = where.get("method", "[alignment]")
-            _refuse(f"{place} method", f"'{name}' does not tell its linear part")
-    triggers = study.combinations("reset_trigger") if study.has("resets") else ()
-    if any(point["reset_trigger"] not in (None, "none") for point in triggers):
-        place = where.get("reset_trigger", "[resets]")
-        _refuse(f"{place} reset_trigger", "triggered resets move with the noise")
-
-
-def _refuse(place: str, why: str) -> NoReturn:
-    raise InputError(f"{place}: does not go with estimate = 'covariance': {why}")
+            yield f"{place} method: covariance analysis knows no linear part of {name}"

@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
-from sinsjax.engine.covariance import require_modelled
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import belongings, forecast
 from sinsjax.execution import resume as resuming
@@ -18,6 +17,7 @@ from sinsjax.execution.parts import MANIFEST
 from sinsjax.execution.run import RunProgress, Tell
 from sinsjax.platform.files import replacing, unwritable
 from sinsjax.records.reference import StoredRecord
+from sinsjax.study.estimating import require_modelled
 from sinsjax.study.fingerprint import fingerprint
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import load_study, study_to_toml, with_point, with_rate

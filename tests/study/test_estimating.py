@@ -12,7 +12,7 @@ from sinsjax.study.fingerprint import fingerprint
 from sinsjax.study.load import study_from_dict, tables_of
 
 ESTIMATED = {"estimate": "covariance", "draws": None}
-COLOURED = "its noise is not white"
+COLOURED = "takes white noise alone"
 WHY: dict[str, tuple[dict[str, Any], str]] = {
     "[motion] vibration_ug_rms": ({"motion": {"vibration_ug_rms": 10.0}}, COLOURED),
     "[motion] vibration_deg_per_h_rms": (
@@ -36,44 +36,36 @@ WHY: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "[sensors] gyro_quantisation_arcsec": (
         {"sensors": {"gyro_quantisation_arcsec": 1.0}},
-        "quanta are no noise",
+        COLOURED,
     ),
     "[sensors] accel_quantisation_um_per_s": (
         {"sensors": {"accel_quantisation_um_per_s": 1.0}},
-        "quanta are no noise",
+        COLOURED,
     ),
     "[alignment] method": (
         {"alignment": {"method": "compass"}},
-        "'compass' does not tell its linear part",
+        "knows no linear part of compass",
     ),
     "[axes] method": (
         {"axes": {"method": ["kalman5", "optimisation"]}},
-        "'optimisation' does not tell its linear part",
+        "knows no linear part of optimisation",
     ),
     "[cases] method": (
         {"cases": [{"method": "kalman5"}, {"method": "inertial"}]},
-        "'inertial' does not tell its linear part",
+        "knows no linear part of inertial",
     ),
     "[resets] reset_trigger": (
         {"resets": {"reset_trigger": "nis", "trigger_threshold": 5.0}},
-        "triggered resets move with the noise",
+        "needs resets at given times",
     ),
     "[coarse]": (
         {"coarse": {"coarse_method": "inertial", "coarse_duration_s": 2.0}},
-        "its methods do not tell their linear part",
+        "begins with the method's own P0",
     ),
-    "[passes]": ({"passes": {"tape_s": 2.0}}, "repeated passes use the same noise again"),
-    "[drawn]": (
+    "[passes]": ({"passes": {"tape_s": 2.0}}, "takes noise as white, passes take it in again"),
+    "[drawn] vn0_m_per_s": (
         {"drawn": {"vn0_m_per_s": {"normal": [0, 1]}}},
-        "what is drawn differs between draws, of which there are none",
-    ),
-    "[stop_when]": (
-        {"stop_when": {"statistic": "success_rate", "half_width": 0.1}},
-        "there are no draws to stop",
-    ),
-    "[study] curves": (
-        {"study": {"curves": True}},
-        "there are no runs whose curves could be kept",
+        "takes its value as given (sweep it instead)",
     ),
 }
 
@@ -83,18 +75,37 @@ def test_what_the_covariance_does_not_hold_is_refused_with_the_reason(place: str
     changes, why = WHY[place]
     small_study(**changes)  # with draws it runs
     changes = changes | {"study": ESTIMATED | changes.get("study", {})}
-    told = f"{place}: does not go with estimate = 'covariance': {why}"
+    told = f"{place}: covariance analysis {why} (use estimate = 'draws')"
     assert refusal(**changes) == told
 
 
-def test_searches_are_refused() -> None:
-    tune = {
-        "objective": "mean_settling_time",
-        "variables": {"p0_yaw_deg": {"low": 10.0, "high": 90.0}},
-        "baseline": {"p0_yaw_deg": 80.0},
-        "searches": ["sobol"],
-    }
-    assert refusal(study=ESTIMATED, tune=tune).startswith("[tune]")
+UNREAD: dict[str, tuple[dict[str, Any], str]] = {
+    "[study] draws": ({"study": {"draws": 3}}, "estimate_samples is"),
+    "[study] curves": ({"study": {"curves": True}}, "there are no runs to have any"),
+    "[stop_when]": (
+        {"stop_when": {"statistic": "success_rate", "half_width": 0.1}},
+        "there are no draws to stop",
+    ),
+    "[tune]": (
+        {
+            "tune": {
+                "objective": "settle_mean",
+                "variables": {"p0_yaw_deg": {"low": 10.0, "high": 90.0}},
+                "baseline": {"p0_yaw_deg": 80.0},
+                "searches": ["sobol"],
+            }
+        },
+        "a search by covariance analysis is one of its searches",
+    ),
+}
+
+
+@pytest.mark.parametrize("place", UNREAD)
+def test_what_is_not_read_without_draws_is_refused(place: str) -> None:
+    changes, why = UNREAD[place]
+    changes = changes | {"study": ESTIMATED | changes.get("study", {})}
+    told = f"{place}: is not read beside estimate = 'covariance' ({why})"
+    assert refusal(**changes) == told
 
 
 def test_recorded_data_are_refused() -> None:
@@ -104,14 +115,12 @@ def test_recorded_data_are_refused() -> None:
     with pytest.raises(InputError) as caught:
         study_from_dict(recorded)
     assert str(caught.value) == (
-        "study: [record]: does not go with estimate = 'covariance': the noise of recorded data is"
-        " not known"
+        "study: [record]: covariance analysis needs the noise of a simulation (use estimate ="
+        " 'draws')"
     )
 
 
-def test_draws_and_samples_are_for_one_kind_of_estimate_each() -> None:
-    told = "[study] draws: is not read beside estimate = 'covariance' (estimate_samples is)"
-    assert refusal(study={"estimate": "covariance"}) == told
+def test_samples_are_an_even_number_and_for_estimates_alone() -> None:
     told = "[study] estimate_samples: requires estimate = 'covariance'"
     assert refusal(study={"estimate_samples": 64}) == told
     assert "estimate_samples: must be" in refusal(study=ESTIMATED | {"estimate_samples": 65})
