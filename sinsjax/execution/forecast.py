@@ -31,7 +31,7 @@ _PACKED = 0.8
 _BASE, _A_SAMPLE, _A_VARIANT, _A_RUN, _A_RECORD, _A_RESET = 400e6, 160, 600, 2, 500, 60
 """Measured memory, bytes: of a process with JAX, and of each of these."""
 
-_ESTIMATE = 3.0
+_ESTIMATE = 4.5
 """Cost of a noise-free run with the covariance of the true error beside it, in plain runs."""
 
 _A_MEASUREMENT = 48  # bytes, of the draws of a call whose records are kept
