@@ -221,8 +221,8 @@ def test_a_study_without_these_keys_is_told_as_before(tables: dict[str, Any]) ->
     for section, keys in later.items():
         for key in keys if content[section] else ():
             assert content[section].pop(key) is None
-    for section in ("motion", "sensors", "resets"):
-        for key in (content[section] or {}).keys() & (DISTURBANCES | OF_FEEDBACK):
+    for section in ("study", "motion", "sensors", "resets"):
+        for key in (content[section] or {}).keys() & {*DISTURBANCES, *OF_FEEDBACK, "estimate"}:
             assert content[section].pop(key) == SECTIONS[section].model_fields[key].default
     text = json.dumps(content, sort_keys=True)
     assert fingerprint(study) == hashlib.sha256(text.encode()).hexdigest()[:16]
