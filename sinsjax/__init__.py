@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from sinsjax.engine.build import simulated_record
     from sinsjax.errors import InputError
     from sinsjax.execution.estimates import read_estimates
-    from sinsjax.execution.run import Results, load_tape, run, run_into
+    from sinsjax.execution.run import Results, estimate, load_tape, run, run_into
     from sinsjax.execution.tables import read_curves, read_manifest, read_summary
     from sinsjax.platform.runtime import configure, info
     from sinsjax.records import read_record, read_reference
@@ -66,6 +66,7 @@ __all__ = [
     "Results",
     "Study",
     "configure",
+    "estimate",
     "info",
     "load_study",
     "load_tape",
@@ -89,7 +90,7 @@ _HOMES = {
     "engine.build": ("simulated_record",),
     "errors": ("InputError",),
     "execution.estimates": ("read_estimates",),
-    "execution.run": ("Results", "load_tape", "run", "run_into"),
+    "execution.run": ("Results", "estimate", "load_tape", "run", "run_into"),
     "execution.tables": ("read_curves", "read_manifest", "read_summary"),
     "platform.runtime": ("configure", "info"),
     "records": ("read_record", "read_reference"),

@@ -28,14 +28,12 @@ class Results(NamedTuple):
     """Results of a study.
 
     Attributes:
-        summary: one row per run, ordered by run_id; empty where there are none but estimates.
+        summary: one row per run, ordered by run_id.
         curves: one row per run and record time; empty if curves were not kept.
-        estimates: one row per variant, ordered by variant_id; empty of a study of draws.
     """
 
     summary: pa.Table
     curves: pa.Table
-    estimates: pa.Table = pa.table({})
 
 
 class RunProgress(NamedTuple):
@@ -120,32 +118,54 @@ def run(
         Tables of all runs.
 
     Raises:
-        InputError: the record does not fit the study.
+        InputError: the record does not fit the study, or that has no runs but estimates.
         RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
+    if study.is_estimated:
+        text = "covariance estimates have no runs (use sinsjax.estimate)"
+        raise InputError(f"{study.name}: [study] estimate: {text}")
     study, _ = made_ready(study, tape)
-    runner = TaskRunner(Job(study, tape, curves, chunk_runs))
+    made = _tables(Job(study, tape, curves, chunk_runs), tell)
+    order = [("run_id", "ascending"), ("time_s", "ascending")]
+    kept = made.get("curves", columns.schema(layouts.curves(study)).empty_table())
+    return Results(made["summary"].sort_by("run_id"), kept.sort_by(order))
+
+
+def estimate(study: Study, *, chunk_runs: int | None = None, tell: Tell | None = None) -> pa.Table:
+    """Estimate the errors of a study's variants in memory, without draws.
+
+    Args:
+        study: checked study with ``estimate = "covariance"``.
+        chunk_runs: variants per chunk; does not affect the rows.
+        tell: called with the progress after every chunk.
+
+    Returns:
+        One row per variant, ordered by variant_id; the schema has units and meanings.
+
+    Raises:
+        InputError: the study asks for draws, or covariance analysis does not hold for it.
+        RuntimeError: double precision is off (`runtime.configure` turns it on).
+    """
+    if not study.is_estimated:
+        raise InputError(f"{study.name}: [study] estimate: is 'draws' (use sinsjax.run)")
+    study, _ = made_ready(study, None)
+    return _tables(Job(study, chunk_runs=chunk_runs), tell)["estimates"].sort_by("variant_id")
+
+
+def _tables(job: Job, tell: Tell | None) -> dict[str, pa.Table]:
+    """The rows of all tasks of a job, by dataset, in any order."""
+    study, runner = job.study, TaskRunner(job)
     count = _ProgressCounter(study, tell)
     count.begin([])
-    of_runs = {"summary": layouts.summary(study), "curves": layouts.curves(study)}
-    made = {
-        name: [columns.schema(layout).empty_table()]
-        for name, layout in (of_runs | dict(runner.output.layouts)).items()
-    }
+    made: dict[str, list[pa.Table]] = {}
     for draws, tasks in zip(runner.stages, runner.tasks(), strict=True):
         for piece in in_threads(runner.do, tasks, len(jax.devices())):
             for name, table in piece.tables.items():
-                made[name].append(table)
+                made.setdefault(name, []).append(table)
             count.add(piece.task, runner.output.failures(piece.tables))
-        if _enough(study, pa.concat_tables(made["summary"]).select, draws):
+        if _enough(study, lambda names: pa.concat_tables(made["summary"]).select(names), draws):
             break
-    order = {"summary": ["run_id"], "curves": ["run_id", "time_s"], "estimates": ["variant_id"]}
-    return Results(
-        **{
-            name: pa.concat_tables(tables).sort_by([(key, "ascending") for key in order[name]])
-            for name, tables in made.items()
-        }
-    )
+    return {name: pa.concat_tables(tables) for name, tables in made.items()}
 
 
 def run_into(

@@ -182,7 +182,8 @@ OTHERS: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "unknown search": (
         {},
         {"variables": {"p0_yaw_deg": YAW}, "searches": ["grid", "luck"]},
-        "[tune] searches[1]: must be 'grid', 'sobol', 'random', 'gradient' or 'covariance', not 'luck'",
+        "[tune] searches[1]: must be 'grid', 'sobol', 'random', 'gradient' or 'covariance',"
+        " not 'luck'",
     ),
     "search twice": (
         {},

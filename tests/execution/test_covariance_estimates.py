@@ -60,7 +60,7 @@ def short(**changes: Any) -> Study:
 def pair() -> tuple[pa.Table, pa.Table]:
     """Estimates, and the summary of draws of the same study."""
     drawn = study_of(study={"estimate": "draws", "draws": DRAWS})
-    return study_run.run(study_of()).estimates, study_run.run(drawn).summary
+    return study_run.estimate(study_of()), study_run.run(drawn).summary
 
 
 def by_variant(summary: pa.Table, column: str) -> np.ndarray:
@@ -114,7 +114,7 @@ def test_shares_and_settling_times_are_those_of_draws(pair: tuple[pa.Table, pa.T
 
 
 def test_columns_say_unit_and_meaning() -> None:
-    made = study_run.run(short()).estimates
+    made = study_run.estimate(short())
     for name in made.column_names:
         about = made.schema.field(name).metadata
         assert about[b"meaning"]
@@ -128,9 +128,8 @@ def test_columns_say_unit_and_meaning() -> None:
 
 def test_a_variant_without_a_limit_is_estimated_about_the_truth_alone() -> None:
     """A sway of 10 s has no limit in runs of a minute."""
-    (row,) = study_run.run(
-        study_of(motion={}, axes={"reset_times_s": [[10.0]]})
-    ).estimates.to_pylist()
+    study = study_of(motion={}, axes={"reset_times_s": [[10.0]]})
+    (row,) = study_run.estimate(study).to_pylist()
     assert not row["has_limit"] and row["floor_arcmin"] is None
     assert row["within_10_share"] is row["settle_10_mean_s"] is None
     assert row["within_10_truth_share"] is not None and row["settle_10_truth_mean_s"] is not None
@@ -138,7 +137,7 @@ def test_a_variant_without_a_limit_is_estimated_about_the_truth_alone() -> None:
 
 def test_without_noise_the_estimate_is_the_run() -> None:
     quiet = {"gyro_noise_deg_per_h": 0.0, "accel_noise_ug": 0.0}
-    made = study_run.run(study_of(sensors=quiet)).estimates
+    made = study_run.estimate(study_of(sensors=quiet))
     drawn = study_run.run(study_of(sensors=quiet, study={"estimate": "draws", "draws": 1})).summary
     for at in TIMES:
         assert set(made[f"true_sigma_u{at}_arcmin"].to_pylist()) == {0.0}
@@ -167,12 +166,11 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_rows_are_the_same_for_any_chunk_and_as_stored(whole: Path) -> None:
-    one, other = (study_run.run(short(), chunk_runs=n) for n in (2, 10**6))
-    assert one.estimates.equals(other.estimates) and one.estimates.num_rows == 260
-    assert one.summary.num_rows == one.curves.num_rows == 0
+    one, other = (study_run.estimate(short(), chunk_runs=n) for n in (2, 10**6))
+    assert one.equals(other) and one.num_rows == 260
     stored = read_estimates(whole)
     assert stored["variant_id"].to_pylist() == list(range(260))
-    assert stored.cast(one.estimates.schema).equals(one.estimates)
+    assert stored.cast(one.schema).equals(one)
     few = read_estimates(whole, ["phi_u_arcmin", "method"])
     assert few.column_names == ["phi_u_arcmin", "method"] and few.num_rows == 260
     told_ = manifest(whole)
@@ -248,7 +246,8 @@ def test_what_needs_runs_says_that_there_are_none(whole: Path) -> None:
         rerun.rerun_into(whole, 0, Console())
     assert str(caught.value) == f"{whole}: a covariance estimate has no run to repeat"
     with pytest.raises(InputError, match="a covariance estimate has no runs with curves to keep"):
-        study_run.run(short(), curves=True)
+        study_run.run_into(short(), whole.parent / "curves", curves=True)
+    assert not (whole.parent / "curves").exists()
     with pytest.raises(InputError, match="estimates: column settle_7_s is missing"):
         read_estimates(whole, ["settle_7_s"])
 
@@ -285,3 +284,10 @@ def test_a_report_of_any_axes_opens(axes: dict[str, Any], tmp_path: Path) -> Non
     said = told(tmp_path)
     assert "Every variant" in said and "estimated without draws" in said
     assert columns.settle_estimates(10.0)[0].name in read_estimates(tmp_path).column_names
+
+
+def test_runs_and_estimates_are_asked_for_by_their_names() -> None:
+    with pytest.raises(InputError, match="have no runs \\(use sinsjax.estimate\\)"):
+        study_run.run(short())
+    with pytest.raises(InputError, match="is 'draws' \\(use sinsjax.run\\)"):
+        study_run.estimate(study_of(study={"estimate": "draws", "draws": 1}))
