@@ -2,7 +2,8 @@
 
 `clusters` determines which runs are dependent. `estimates` computes statistics of some runs,
 `differences` those between runs on the same noise, and `summaries` tables of them from a whole
-summary, with the help of `tables`.
+summary, with the help of `tables`; `grids` lays runs out over the axes of a study. `formats` and
+`words` print estimates.
 """
 
 from sinsjax.analysis.clusters import NO_INTERVAL, are_single, clusters_of

@@ -28,6 +28,9 @@ NEES_FREEDOM = 3
 """Degrees of freedom of ``nees``: three angles."""
 
 _YAW, _FLOOR = "phi_u_mean_arcmin", "floor_arcmin"
+NEEDED = ("draw_id", "start_s", "status", "phi_u_arcmin", "has_limit", _YAW, _FLOOR)
+"""Columns that `summarise` needs besides keys and those that its statistics are of."""
+
 _INTERVAL = ("", "_low", "_high")
 _MEAN = (*_INTERVAL, "_n")  # a mean omits non-finite values, so its number of values is given
 _CHI2 = (*_MEAN, "_chi2_low", "_chi2_high")
@@ -105,6 +108,13 @@ def summarise(table: pa.Table, by: Sequence[str], names: Sequence[str] | None = 
         for key, rows in groups(_select(table, *by, *_needed(table), *used), by)
     )
     return _table(made, table.schema, by)
+
+
+def estimate_of(row: Mapping[str, Any], name: str) -> Estimate:
+    """A statistic in a row of `summarise`; NaN where it is unknown."""
+    ends = (row[f"{name}{end}"] for end in _INTERVAL)
+    value, low, high = (math.nan if end is None else end for end in ends)
+    return Estimate(value, low, high, row["n"])
 
 
 def compare(table: pa.Table, by: Sequence[str], baseline: Mapping[str, Any]) -> pa.Table:

@@ -249,7 +249,7 @@ def gains(
 
     Example: sinsjax gains --azimuth-sigma 0.025
     """
-    from sinsjax.report.gains import print_gains
+    from sinsjax.cli.loop_gains import print_gains
 
     numbers = {
         "--level-sigma": level_sigma,

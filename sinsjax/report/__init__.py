@@ -12,9 +12,10 @@ from rich.console import Console
 from sinsjax import console as screen
 from sinsjax.errors import InputError
 from sinsjax.execution.belongings import list_figures
+from sinsjax.execution.source import Source
 from sinsjax.messages import shortened
 from sinsjax.report import auto, estimated, folder, glossary, tuned
-from sinsjax.report.base import Report, Source, at_the_end
+from sinsjax.report.base import Report, at_the_end
 from sinsjax.report.html import write_html
 from sinsjax.report.output import FIGURES, Made, print_report, save_figures, write_page
 from sinsjax.tuning.carry_out import is_tuning

@@ -4,7 +4,9 @@ from scipy import special
 
 from sinsjax import analysis
 from sinsjax.errors import InputError
-from sinsjax.report.base import Source, Table, shown_keys, value_text
+from sinsjax.execution.source import Source
+from sinsjax.report.base import Table, value_text
+from sinsjax.study.swept import shown_keys
 
 MOST_ROWS = 20
 """Rows of a table; what is left out is said."""

@@ -8,22 +8,20 @@ import numpy as np
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_difference, format_estimate
+from sinsjax.analysis.summaries import NEEDED, estimate_of
+from sinsjax.analysis.words import percent
 from sinsjax.execution import stopping
+from sinsjax.execution.source import Source
 from sinsjax.report.attitudes import MOST_ROWS, attitudes
 from sinsjax.report.base import (
-    NEEDED,
     Block,
     Chapter,
     Picture,
     Report,
-    Source,
     Table,
     Text,
-    estimate_of,
     intervals,
     name_of,
-    percent,
-    shown_keys,
     value_text,
 )
 from sinsjax.report.over_axes import over_axes
@@ -31,6 +29,7 @@ from sinsjax.report.spreads import spreads
 from sinsjax.study.acting import first_alike
 from sinsjax.study.study import Study
 from sinsjax.study.success import yardsticks
+from sinsjax.study.swept import shown_keys
 
 _MOST_LINES = 6
 _MOST_DRAWS = 256  # in a line's band

@@ -9,21 +9,13 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis, columns, plots
 from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.execution.source import Source
 from sinsjax.report.attitudes import MOST_ROWS
-from sinsjax.report.base import (
-    Block,
-    Chapter,
-    Picture,
-    Report,
-    Source,
-    Table,
-    name_of,
-    shown_keys,
-    value_text,
-)
+from sinsjax.report.base import Block, Chapter, Picture, Report, Table, name_of, value_text
 from sinsjax.report.over_axes import MOST_LINES, MOST_PANELS, is_chosen, shown_axes
 from sinsjax.study.acting import first_alike
 from sinsjax.study.success import Yardstick, success_of, yardsticks
+from sinsjax.study.swept import shown_keys
 
 _MOST_BEST = 10
 _NORMAL = 1.96  # 95 % interval, standard errors

@@ -21,8 +21,9 @@ from jinja2.meta import find_undeclared_variables
 
 from sinsjax import plots
 from sinsjax.errors import InputError
+from sinsjax.execution.source import Source
 from sinsjax.platform.files import replacing
-from sinsjax.report.base import Picture, Source, Table
+from sinsjax.report.base import Picture, Table
 from sinsjax.report.markup import environment, template
 from sinsjax.report.output import FIGURES, counted, markdown, save_figures
 

@@ -13,8 +13,9 @@ from rich.text import Text as RichText
 from sinsjax import console as screen
 from sinsjax import plots
 from sinsjax.errors import InputError
+from sinsjax.execution.source import Source
 from sinsjax.platform.files import replacing, unwritable
-from sinsjax.report.base import Block, Picture, Report, Source, Table, Text, yardstick
+from sinsjax.report.base import Block, Picture, Report, Table, Text, yardstick
 from sinsjax.report.markup import template
 from sinsjax.report.names import NO_NAMES, Names, file_stem
 

@@ -9,24 +9,15 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
 from sinsjax.alignment.methods import SECTIONS_OF_METHODS
-from sinsjax.report.base import (
-    NEEDED,
-    Block,
-    Picture,
-    Source,
-    Table,
-    estimate_of,
-    intervals,
-    name_of,
-    percent,
-    shown_keys,
-    swept,
-    value_text,
-)
+from sinsjax.analysis.summaries import NEEDED, estimate_of
+from sinsjax.analysis.words import percent
+from sinsjax.execution.source import Source
+from sinsjax.report.base import Block, Picture, Table, intervals, name_of, value_text
 from sinsjax.study.acting import first_alike
 from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.study import Study
 from sinsjax.study.success import Yardstick
+from sinsjax.study.swept import shown_keys, swept
 
 MOST_PANELS = 12
 MOST_LINES = 7

@@ -7,8 +7,10 @@ import pyarrow as pa
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate
+from sinsjax.execution.source import Source
 from sinsjax.plots import BeliefPanel
-from sinsjax.report.base import Picture, Source, Text, name_of, shown_keys, swept
+from sinsjax.report.base import Picture, Text, name_of
+from sinsjax.study.swept import shown_keys, swept
 from sinsjax.units import ARCMIN, MICRO
 
 _MOST_LINES = 7

@@ -8,14 +8,15 @@ from typing import Any
 
 from sinsjax.analysis import NO_INTERVAL, Estimate, format_estimate
 from sinsjax.errors import InputError
+from sinsjax.execution.source import Source
 from sinsjax.report import tuned_figures
-from sinsjax.report.base import Chapter, Report, Source, Table, value_text
-from sinsjax.report.tuned_results import Tuning, words
+from sinsjax.report.base import Chapter, Report, Table, value_text
 from sinsjax.study.search_space import Variable
 from sinsjax.study.success import yardsticks
 from sinsjax.study.tuned_keys import TIMES
 from sinsjax.tuning import objective
 from sinsjax.tuning.carry_out import EVALUATION, GRADIENT
+from sinsjax.tuning.results import Tuning, words
 
 NEAR_S = 1.0
 """Resets closer than this are told as a double one, s."""

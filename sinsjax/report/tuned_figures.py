@@ -5,10 +5,10 @@ import numpy as np
 from sinsjax import plots
 from sinsjax.plots.descents import CostCurve, Landscape, Side, Spot, Way, best_by_cost, descent
 from sinsjax.report.base import Picture, value_text
-from sinsjax.report.tuned_results import Tuning, axis
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.tuned_keys import TIMES
 from sinsjax.tuning.carry_out import COVARIANCE, GRADIENT
+from sinsjax.tuning.results import Tuning, axis
 
 _LOOKS = ("grid", GRADIENT, "baseline", "sobol", "equal cost", "random", COVARIANCE)  # by marker
 

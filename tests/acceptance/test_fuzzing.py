@@ -15,10 +15,10 @@ from hypothesis import HealthCheck, Phase, given, settings
 
 from sinsjax.errors import InputError
 from sinsjax.execution import resume
+from sinsjax.execution.source import Source
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import first_line
 from sinsjax.records import read_reference
-from sinsjax.report.base import Source
 from sinsjax.study.keys import SECTIONS
 
 EXAMPLES = {"studies": 1000, "manifests": 500, "records": 500}

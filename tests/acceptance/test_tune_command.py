@@ -26,11 +26,11 @@ from sinsjax.execution.run import RunProgress
 from sinsjax.plots import descents
 from sinsjax.records import write_psins
 from sinsjax.report import tuned
-from sinsjax.report.tuned_results import Tuning
 from sinsjax.study.load import Study, load_study, study_from_dict, with_point
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.tuning import carry_out, history, objective, search
 from sinsjax.tuning.history import Evaluation, Found
+from sinsjax.tuning.results import Tuning
 
 pytestmark = pytest.mark.optimised(False)
 

@@ -15,7 +15,7 @@ from support.studies import STILL, small_study
 from sinsjax import analysis, report
 from sinsjax.errors import InputError
 from sinsjax.execution import run, tables
-from sinsjax.report.base import Source
+from sinsjax.execution.source import Source
 from sinsjax.study import success
 from sinsjax.study.fingerprint import fingerprint
 from sinsjax.study.load import Study, load_study, study_to_toml

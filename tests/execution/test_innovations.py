@@ -9,10 +9,10 @@ from support.studies import small_study
 
 from sinsjax.engine import build
 from sinsjax.execution import run
+from sinsjax.execution.source import Source
 from sinsjax.execution.tables import Tables
 from sinsjax.records.reference import StoredRecord
 from sinsjax.report.attitudes import innovations
-from sinsjax.report.base import Source
 from sinsjax.study.load import Study, study_from_dict
 
 pytestmark = pytest.mark.optimised(False)

@@ -17,10 +17,10 @@ from fuzzing.edits import Quiet
 from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import forecast, resume, run, tables
+from sinsjax.execution.source import Source
 from sinsjax.execution.tables import Tables
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import is_control
-from sinsjax.report.base import Source
 from sinsjax.study.fingerprint import fingerprint
 from sinsjax.study.load import Study, load_study, study_from_dict, study_to_toml
 from sinsjax.tuning import carry_out

@@ -11,11 +11,14 @@ from support.stored import store, told
 from support.studies import STILL, small_study
 
 from sinsjax import analysis, report
+from sinsjax.analysis.words import percent
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
 from sinsjax.execution import tables as result_tables
+from sinsjax.execution.source import Source
 from sinsjax.report import base, over_axes
 from sinsjax.study.load import study_from_dict
+from sinsjax.study.swept import shown_keys, swept
 
 pytestmark = [pytest.mark.usefixtures("drawn_on_request"), pytest.mark.optimised(False)]
 
@@ -103,7 +106,7 @@ def test_variants_are_compared_with_the_first_on_the_same_noise(tmp_path):
     share = analysis.proportion_difference(np.arange(40) < 39, np.full(40, True))
     yaw = np.abs(summary["phi_u_mean_arcmin"].to_numpy() - FLOOR)
     error = analysis.format_estimate(analysis.difference(yaw[1::2], yaw[::2]))
-    assert "7 [7, 7]" in row and base.percent(share) in row and error in row
+    assert "7 [7, 7]" in row and percent(share) in row and error in row
 
 
 @pytest.mark.parametrize("changes", [{"study": {"draws": 1}}, {}])
@@ -115,9 +118,9 @@ def test_one_draw_or_one_variant_is_compared_with_nothing(tmp_path, changes):
 def test_axes_that_go_together_are_one(tmp_path):
     level = {"phi_e0_deg": [0.0, 5.0, 10.0], "phi_n0_deg": [0.0, 5.0, 5.0]}
     study = small_study(axes={"level": level, "phi_u0_deg": [0.0, 30.0]})
-    assert base.swept(study) == {("phi_e0_deg",): (0.0, 5.0, 10.0), ("phi_u0_deg",): (0.0, 30.0)}
+    assert swept(study) == {("phi_e0_deg",): (0.0, 5.0, 10.0), ("phi_u0_deg",): (0.0, 30.0)}
     settle = np.tile([10.0, 20.0, 30.0, 40.0, 50.0, 60.0], 3)
-    source = base.Source(tmp_path, study, "x.toml", summary_of(study, settle_10_s=settle))
+    source = Source(tmp_path, study, "x.toml", summary_of(study, settle_10_s=settle))
     blocks = {block.name: block for block in over_axes.over_axes(source)}
     axes = blocks["settling_time"].figure.axes[0]
     assert (axes.get_ylabel(), axes.get_xlabel()) == (
@@ -130,8 +133,8 @@ def test_axes_that_go_together_are_one(tmp_path):
 def test_an_axis_whose_first_key_repeats_is_told_by_all_of_its_keys():
     both = {"phi_e0_deg": [0.0, 0.0], "phi_n0_deg": [0.0, 5.0]}
     study = small_study(axes={"level": both})
-    assert base.swept(study) == {("phi_e0_deg", "phi_n0_deg"): ((0.0, 0.0), (0.0, 5.0))}
-    assert base.shown_keys(study) == ("phi_e0_deg", "phi_n0_deg")
+    assert swept(study) == {("phi_e0_deg", "phi_n0_deg"): ((0.0, 0.0), (0.0, 5.0))}
+    assert shown_keys(study) == ("phi_e0_deg", "phi_n0_deg")
 
 
 def test_a_study_that_stopped_early_has_the_draws_that_it_has(tmp_path):
@@ -162,11 +165,11 @@ def test_no_column_is_read_that_is_not_told(tmp_path, monkeypatch):
 def test_rows_are_some_columns_by_run(tmp_path):
     study = small_study(axes={"phi_u0_deg": [0.0, 30.0]})
     whole = summary_of(study)
-    source = base.Source.read(store(tmp_path, study, whole.take([5, 1, 3, 0, 2, 4])))
+    source = Source.read(store(tmp_path, study, whole.take([5, 1, 3, 0, 2, 4])))
     names = ["nees", "phi_u0_deg", "nees"]
     assert source.rows(names).equals(whole.select(["nees", "phi_u0_deg"]))
     assert source.runs == 6 and source.draws == 3
-    held = base.Source(tmp_path, study, "x.toml", whole)
+    held = Source(tmp_path, study, "x.toml", whole)
     assert held.rows(names).equals(source.rows(names))
     for one in (source, held):
         with pytest.raises(InputError, match="summary: column nothing is missing"):
@@ -183,13 +186,13 @@ def test_rows_are_some_columns_by_run(tmp_path):
 )
 def test_figures_say_what_they_rest_on(tmp_path, axes, draws, text):
     study = small_study(study={"name": "swing", "draws": draws}, axes=axes)
-    source = base.Source(tmp_path, study, "x.toml", summary_of(study))
+    source = Source(tmp_path, study, "x.toml", summary_of(study))
     assert report.output.counted(source) == text
 
 
 def test_figures_of_a_record_count_its_start_times(tmp_path):
     study = recorded_study()
-    source = base.Source(tmp_path, study, "x.toml", summary_of(study))
+    source = Source(tmp_path, study, "x.toml", summary_of(study))
     assert report.output.counted(source) == "car: 3 start times"
 
 
@@ -280,7 +283,7 @@ def test_a_study_whose_file_is_not_known_is_named_by_its_results(tmp_path):
     directory = store(tmp_path, study, summary_of(study))
     manifest = json.loads((directory / "manifest.json").read_text())
     (directory / "manifest.json").write_text(json.dumps(manifest | {"config": None}))
-    assert base.Source.read(directory).config == "study.toml of swing"
+    assert Source.read(directory).config == "study.toml of swing"
 
 
 # --- the readings -------------------------------------------------------------------------------
@@ -303,7 +306,7 @@ def test_both_yardsticks_stand_in_words_in_table_figure_and_page(tmp_path):
     study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
     flags = {"ok_truth": [True, False] * 8, "ok_limit": [True] * 16}
     summary = summary_of(study, **flags, phi_u_arcmin=np.tile([9.0, 11.0], 8))
-    source = base.Source(tmp_path, study, "x.toml", summary)
+    source = Source(tmp_path, study, "x.toml", summary)
     html = tmp_path / "page.html"
     text = told(store(tmp_path / "out", study, summary), html=html)
     truth, limit = "within 10' of true north", "within 10' of what its gyro bias allows"
@@ -350,7 +353,7 @@ def test_a_study_that_stops_by_itself_tells_why(tmp_path):
         stop_when={"statistic": "success_rate", "half_width": 0.9},
     )
     study_run.run_into(study, tmp_path / "out")
-    source = base.Source.read(tmp_path / "out")
+    source = Source.read(tmp_path / "out")
     assert source.draws == 64
     (_, why) = report.auto.report(source).headline
     assert "after 64 draws" in why and ", narrow enough" in why and "0.9" in why
@@ -364,11 +367,11 @@ def test_a_stopped_study_that_lacks_a_part_is_told(tmp_path):
         axes={"specific_force": ["measured", "gravity"]},
     )
     study_run.run_into(study, tmp_path / "out")
-    assert base.Source.read(tmp_path / "out").draws == 64
+    assert Source.read(tmp_path / "out").draws == 64
     for path in (tmp_path / "out" / "summary").glob("part-0001-*"):
         path.unlink()
     with pytest.raises(InputError, match=r"part-0001-.*: listed in the manifest but missing"):
-        base.Source.read(tmp_path / "out")
+        Source.read(tmp_path / "out")
     (tmp_path / "out" / "manifest.json").write_text("{}")  # which knows of no part
     with pytest.raises(InputError, match="64 runs where the study has 128"):
-        report.auto.report(base.Source.read(tmp_path / "out"))
+        report.auto.report(Source.read(tmp_path / "out"))

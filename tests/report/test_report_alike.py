@@ -9,8 +9,9 @@ from support.studies import small_study
 
 from sinsjax import analysis
 from sinsjax.execution import run as study_run
+from sinsjax.execution.source import Source
 from sinsjax.report import auto, over_axes
-from sinsjax.report.base import Picture, Source, Table
+from sinsjax.report.base import Picture, Table
 
 pytestmark = pytest.mark.optimised(False)
 

@@ -12,6 +12,7 @@ from support.studies import small_study
 
 from sinsjax import columns
 from sinsjax.errors import InputError
+from sinsjax.execution.source import Source
 from sinsjax.report import base, html
 from sinsjax.report.output import Made
 
@@ -48,7 +49,7 @@ def made(*blocks, headline=("Found: *much*.",), name="swing"):
     table = pa.table({"run_id": np.arange(3)})
     report = base.Report(list(headline), [base.Chapter("A `part`", blocks)])
     images = {block.name: PNG for block in blocks if isinstance(block, base.Picture)}
-    return Made(base.Source(Path("results"), study, f"{name}.toml", table), report, images)
+    return Made(Source(Path("results"), study, f"{name}.toml", table), report, images)
 
 
 def page(tmp_path, *parts, title="Title"):

@@ -10,7 +10,7 @@ import pytest
 from docs.studies.compass_car import page as compass_cases
 from sinsjax.analysis import rms
 from sinsjax.execution import run as study_run
-from sinsjax.report.base import Source
+from sinsjax.execution.source import Source
 from sinsjax.study.load import load_study, study_from_dict
 
 CONFIGS = Path(__file__).parents[2] / "configs"

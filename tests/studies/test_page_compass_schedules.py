@@ -7,7 +7,7 @@ import pyarrow as pa
 
 from docs.studies.compass_map.page import rank, settling
 from sinsjax import analysis
-from sinsjax.report.base import Source
+from sinsjax.execution.source import Source
 from sinsjax.study.load import load_study, study_from_dict
 
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -7,8 +7,8 @@ import pytest
 
 from sinsjax import analysis
 from sinsjax.execution import run as study_run
+from sinsjax.execution.source import Source
 from sinsjax.report import folder
-from sinsjax.report.base import Source
 from sinsjax.study.load import study_from_dict
 
 ROOT = Path(__file__).parents[2]

@@ -12,9 +12,11 @@ from matplotlib.figure import Figure
 from support.made_up import curves_of, summary_of
 
 from sinsjax.analysis import Estimate
-from sinsjax.report import folder, tuned_figures, tuned_results
-from sinsjax.report.base import Picture, Source
+from sinsjax.execution.source import Source
+from sinsjax.report import folder, tuned_figures
+from sinsjax.report.base import Picture
 from sinsjax.study.load import study_from_dict
+from sinsjax.tuning import results
 
 ROOT = Path(__file__).parents[2]
 PAGES = {
@@ -104,7 +106,7 @@ def tunings(monkeypatch):
     figure = Figure()
     figure.suptitle("made up")
     figure.subplots()
-    monkeypatch.setattr(tuned_results, "Tuning", MadeUp)
+    monkeypatch.setattr(results, "Tuning", MadeUp)
     seen = Picture("seen", "made up", figure)
     monkeypatch.setattr(tuned_figures, "landscape", lambda _: [seen])
 

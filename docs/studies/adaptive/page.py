@@ -5,12 +5,13 @@ import math
 import numpy as np
 
 from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.analysis.grids import median, shared
+from sinsjax.analysis.words import percent, share
+from sinsjax.execution.source import Source
 from sinsjax.plots.cells import Class, ratio_maps
-from sinsjax.report.base import Picture, Source, Table, percent
+from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
-from sinsjax.report.grids import Grid, median, shared
 from sinsjax.report.output import counted
-from sinsjax.report.words import share
 
 from .scores import NONE, PAPER, SETTLE, WITHIN, Policy, Scores
 
@@ -166,8 +167,7 @@ def _simulated(scores: Scores, footer: str) -> Page:
 
 def _recorded(source: Source) -> Page:
     """The winning trigger on the recorded car, beside fixed resets."""
-    study = source.study
-    grid = Grid.of(source, (TRUTH,), case=study.values("case"), yaw=study.values("phi_u0_deg"))
+    grid = source.grid((TRUTH,), case="case", yaw="phi_u0_deg")
     worst = grid.at(TRUTH, yaw=grid.axes["yaw"][-1])
     settled, times = (
         dict(zip(grid.axes["case"], found, strict=True))

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from sinsjax.analysis import Estimate
 from sinsjax.analysis.estimates import RESAMPLES, SEED, TAIL, place
-from sinsjax.report.base import Source
-from sinsjax.report.grids import Grid, held_out, median, shared, soonest
+from sinsjax.analysis.grids import held_out, median, shared, soonest
+from sinsjax.execution.source import Source
 
 WITHIN = 1.1
 """A policy does what the best single reset does up to this ratio of median settling times."""
@@ -74,11 +74,10 @@ class Scores:
         keys = ("threshold", "window_s", "refractory_s", "until_s", "most")
         numbers = [study.values(f"trigger_{key}") for key in keys]
         rows = zip(study.reset_times(), study.values("reset_trigger"), *numbers, strict=True)
-        self.grid = Grid.of(
-            source,
+        self.grid = source.grid(
             (SETTLE, COUNT),
-            q=study.values("q_reading"),
-            feedback=study.values("feedback_interval_s"),
+            q="q_reading",
+            feedback="feedback_interval_s",
             start=[Start(*one) for one in zip(bias, east, yaw, strict=True)],
             policy=[
                 Policy(tuple(times)) if trigger == "none" else Policy(tuple(times), trigger, *rest)

@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 
 from sinsjax import analysis
+from sinsjax.analysis.grids import Grid, median
+from sinsjax.execution.source import Source
 from sinsjax.plots import Scale
-from sinsjax.report.base import Picture, Source, Table
+from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
-from sinsjax.report.grids import Grid, median
 from sinsjax.units import ARCMIN, DEG
 
 from ..common.settling import settling_maps
@@ -41,9 +42,7 @@ def page(sources: Sources) -> Page:
 
 def _schemes(source: Source) -> Grid:
     """The three schemes with two tunings each, by feedback interval (s) and start time."""
-    study, columns = source.study, (END, MEAN, TRUTH)
-    intervals = study.values("feedback_interval_s")
-    return Grid.of(source, columns, case=study.values("case"), feedback=intervals)
+    return source.grid((END, MEAN, TRUTH), case="case", feedback="feedback_interval_s")
 
 
 def _told(grid: Grid) -> tuple[dict[str, Any], dict[str, bool]]:
@@ -71,12 +70,11 @@ def _told(grid: Grid) -> tuple[dict[str, Any], dict[str, bool]]:
 
 
 def _grid(source: Source) -> Grid:
-    return Grid.of(
-        source,
+    return source.grid(
         (TRUTH,),
         resets=[tuple(times) for times in source.study.reset_times()],
-        level=source.study.values("phi_e0_deg"),
-        yaw=source.study.values("phi_u0_deg"),
+        level="phi_e0_deg",
+        yaw="phi_u0_deg",
     )
 
 

@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
+from sinsjax.analysis.grids import median, pooled_mean
+from sinsjax.analysis.words import seconds
+from sinsjax.execution.source import Source
 from sinsjax.plots import Scale, Shown
-from sinsjax.report.base import Picture, Source
-from sinsjax.report.grids import median, pooled_mean
+from sinsjax.report.base import Picture
 from sinsjax.report.output import counted
-from sinsjax.report.words import seconds
 
 
 def mean_time(settle_s: NDArray, run_s: float) -> str:

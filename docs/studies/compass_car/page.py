@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax import analysis
+from sinsjax.execution.source import Source
 from sinsjax.plots.starts import strips
-from sinsjax.report.base import Picture, Source, Table
+from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
-from sinsjax.report.grids import Grid
 
 from ..loops.turns import TURNS
 
@@ -54,7 +54,7 @@ class Case(NamedTuple):
 def cases_of(source: Source) -> list[Case]:
     """The runs by variant, in the study's order."""
     study = source.study
-    grid = Grid.of(source, (HEADING, SIGMA), case=study.values("case"))
+    grid = source.grid((HEADING, SIGMA), case="case")
     found = []
     for variant, (name, span) in enumerate(zip(grid.axes["case"], study.spans, strict=True)):
         is_compass = study.values("method")[variant] == "compass"

@@ -6,12 +6,14 @@ from numpy.typing import NDArray
 from sinsjax import analysis, plots
 from sinsjax.alignment.bounds import share_outside
 from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.analysis.grids import Grid, median, shared
+from sinsjax.analysis.words import percent, seconds, share
+from sinsjax.execution.source import Source
 from sinsjax.plots import Contours, Scale, Shown
-from sinsjax.report.base import Picture, Source, Table, only, percent, value_text
+from sinsjax.report.base import Picture, Table, value_text
 from sinsjax.report.folder import Page, Sources
-from sinsjax.report.grids import Grid, median, shared
 from sinsjax.report.output import counted
-from sinsjax.report.words import seconds, share
+from sinsjax.study.swept import only
 from sinsjax.units import ARCMIN, DEG
 
 from ..loops.runs import bound_arcmin
@@ -42,7 +44,7 @@ def page(sources: Sources) -> Page:
 def settling(source: Source) -> tuple[NDArray, NDArray]:
     """Settling times to the widest and to the narrowest band, (variants, draws), s."""
     wide, narrow = (f"settle_{band:g}_s" for band in bands_of(source))
-    grid = Grid.of(source, (wide, narrow), variant=range(source.study.n_variants))
+    grid = source.grid((wide, narrow), variant=range(source.study.n_variants))
     return grid.columns[wide], grid.columns[narrow]
 
 
@@ -174,10 +176,9 @@ def _cases(source: Source, wide_s: NDArray, narrow_s: NDArray, outside: NDArray)
 
 def layout(source: Source) -> Grid:
     """Every run by schedule, turn, length of the record, sigma and draw."""
-    study, columns = source.study, ("phi_u_arcmin", "floor_arcmin")
-    schedules = study.values("sigma_factors")
-    sides = {"turn": study.values("turn"), "length": study.values(LENGTH)}
-    return Grid.of(source, columns, schedule=schedules, **sides, sigma=study.values(SIGMA))
+    columns = ("phi_u_arcmin", "floor_arcmin")
+    sides = {"schedule": "sigma_factors", "turn": "turn", "length": LENGTH, "sigma": SIGMA}
+    return source.grid(columns, **sides)
 
 
 def mapped(source: Source) -> Page:

@@ -8,10 +8,11 @@ from scipy import special
 
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.report.base import Source, Table, percent
+from sinsjax.analysis.words import percent, share
+from sinsjax.execution.source import Source
+from sinsjax.report.base import Table
 from sinsjax.report.folder import Page, Sources
 from sinsjax.report.spreads import belief, consistency
-from sinsjax.report.words import share
 
 TRUE, SLOW = "Q as the noise", "the same, feedback every 10 s"
 SMALL_Q, LARGE_Q = "a quarter of that Q", "four times that Q"

@@ -5,10 +5,10 @@ from typing import Any, NamedTuple
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.analysis.grids import Grid
+from sinsjax.analysis.words import arcmin
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
-from sinsjax.report.grids import Grid
-from sinsjax.report.words import arcmin
 
 SMALL, LARGE = "0.01, 0.01, 0.15 deg", "0.1, 0.1, 1.5 deg"
 CARRIED, INFLATED, RESET = "carried", "inflated", "reset"
@@ -32,12 +32,11 @@ def page(sources: Sources) -> Page:
     """How the filter's covariance and its error go with the number of passes."""
     source = sources["kalman_passes"]
     study = source.study
-    grid = Grid.of(
-        source,
+    grid = source.grid(
         ("nees", "phi_u_arcmin", "floor_arcmin", "sigma_u_arcmin"),
-        case=study.values("case"),
-        turn=study.values("turn_covariance"),
-        passes=study.values("passes"),
+        case="case",
+        turn="turn_covariance",
+        passes="passes",
     )
 
     counts, turns = grid.axes["passes"], grid.axes["turn"]

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from sinsjax.alignment.bounds import Number, tape_bound
 from sinsjax.engine.truth import errors_of, site_of
 from sinsjax.errors import InputError
-from sinsjax.report.base import only
 from sinsjax.study.study import Study
+from sinsjax.study.swept import only
 from sinsjax.study.variants import Variants
 from sinsjax.units import ARCMIN, DEG, MICRO
 

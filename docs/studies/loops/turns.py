@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from sinsjax.alignment.compass import design as loops
 from sinsjax.alignment.compass.design import Number
 from sinsjax.alignment.compass.parameters import REVERSALS
-from sinsjax.report.base import only
 from sinsjax.study.study import Study
+from sinsjax.study.swept import only
 
 TURNS = {
     "velocity": "paper's turn",

@@ -9,12 +9,13 @@ from matplotlib.figure import Figure
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import format_estimate, numbers
+from sinsjax.analysis.words import arcmin, degrees, percent, share
+from sinsjax.execution.source import Source
 from sinsjax.plots import Ensemble
 from sinsjax.plots.style import GREY
-from sinsjax.report.base import Picture, Source, Table, percent
+from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
 from sinsjax.report.output import counted
-from sinsjax.report.words import arcmin, degrees, share
 
 from ..loops.runs import limits_of
 from .statements import (

@@ -18,7 +18,7 @@ import pyarrow as pa
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, numbers, paired
 from sinsjax.errors import InputError
-from sinsjax.report.base import Source
+from sinsjax.execution.source import Source
 
 RESET = "5 with resets"
 CONDITIONS = ("1", "2", "3", "4", "5", RESET)

@@ -17,12 +17,14 @@ from numpy.typing import NDArray
 from sinsjax import analysis, plots
 from sinsjax.alignment.compass import design
 from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.execution.source import Source
 from sinsjax.plots import Line
-from sinsjax.report.base import Picture, Source, Table, only
+from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
 from sinsjax.report.output import counted
 from sinsjax.study.load import one_variant
 from sinsjax.study.study import Study
+from sinsjax.study.swept import only
 from sinsjax.units import ARCMIN, DEG, MICRO
 
 from ..loops.runs import limits_of

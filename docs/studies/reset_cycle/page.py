@@ -5,11 +5,12 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.analysis.grids import Grid, held_out, least_mean, median, shared, soonest
+from sinsjax.analysis.words import apart, degrees, seconds, share
+from sinsjax.execution.source import Source
 from sinsjax.plots import Scale
-from sinsjax.report.base import Picture, Source, Table
+from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
-from sinsjax.report.grids import Grid, held_out, least_mean, median, shared, soonest
-from sinsjax.report.words import apart, degrees, seconds, share
 
 from ..common.settling import mean_time, settling_maps
 
@@ -268,14 +269,13 @@ def _single_figure(source: Source, grid: Grid) -> Picture:
 def layout(source: Source) -> Grid:
     """Every run by force in A(t), reading of Q, feedback interval, level, yaw, schedule, draw."""
     study = source.study
-    return Grid.of(
-        source,
+    return source.grid(
         (SETTLE,),
-        force=study.values("specific_force"),
-        q=study.values("q_reading"),
-        feedback=study.values("feedback_interval_s"),
-        level=study.values("phi_e0_deg"),
-        yaw=study.values("phi_u0_deg"),
+        force="specific_force",
+        q="q_reading",
+        feedback="feedback_interval_s",
+        level="phi_e0_deg",
+        yaw="phi_u0_deg",
         schedule=[tuple(times) for times in study.reset_times()],
     )
 

@@ -6,11 +6,11 @@ import numpy as np
 
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.analysis.grids import Choice, Grid, held_out, median, shared, soonest
+from sinsjax.analysis.words import share
 from sinsjax.plots import Scale
 from sinsjax.report.base import Table
 from sinsjax.report.folder import Page, Sources
-from sinsjax.report.grids import Choice, Grid, held_out, median, shared, soonest
-from sinsjax.report.words import share
 
 from ..common.settling import mean_time, settling_maps
 
@@ -20,13 +20,12 @@ LIMIT, TRUTH = "settle_10_s", "settle_10_truth_s"
 def page(sources: Sources) -> Page:
     """When several resets beat one."""
     source = sources["reset_sweep"]
-    study, run_s = source.study, source.study.run_s
-    grid = Grid.of(
-        source,
+    run_s = source.study.run_s
+    grid = source.grid(
         (LIMIT, TRUTH),
-        count=study.values("reset_count"),
-        cycle=study.values("reset_cycle_s"),
-        yaw=study.values("phi_u0_deg"),
+        count="reset_count",
+        cycle="reset_cycle_s",
+        yaw="phi_u0_deg",
     )
     counts, cycles, yaws = grid.axes.values()
     without = grid.at(LIMIT, count=0)[0]

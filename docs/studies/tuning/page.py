@@ -7,14 +7,16 @@ import numpy as np
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate
-from sinsjax.report import tuned_figures, tuned_results
-from sinsjax.report.base import Picture, Source, Table, value_text
+from sinsjax.analysis.grids import Grid, pooled_mean
+from sinsjax.analysis.words import seconds
+from sinsjax.execution.source import Source
+from sinsjax.report import tuned_figures
+from sinsjax.report.base import Picture, Table, value_text
 from sinsjax.report.folder import Page, Sources
-from sinsjax.report.grids import Grid, pooled_mean
 from sinsjax.report.output import counted
-from sinsjax.report.tuned_results import Tuning
-from sinsjax.report.words import seconds
+from sinsjax.tuning import results
 from sinsjax.tuning.carry_out import COVARIANCE, GRADIENT
+from sinsjax.tuning.results import Tuning
 
 STUDIES = {"small": "tune_condition5", "large": "tune_large", "compass": "tune_compass"}
 QUESTIONS = {
@@ -40,7 +42,7 @@ SHIFTS_S = np.arange(-10, 10) / 20  # of configs/tuned_phase.toml, schedule by s
 
 def page(sources: Sources) -> Page:
     """What each tuning found, judged on noise that tuned nothing, beside the plain two resets."""
-    tunings = {name: tuned_results.Tuning.of(sources[study]) for name, study in STUDIES.items()}
+    tunings = {name: results.Tuning.of(sources[study]) for name, study in STUDIES.items()}
     beside = sources["tuned_schedules"]
     grid, run_s = _beside(beside), beside.study.run_s
 
@@ -100,7 +102,7 @@ def _shifted(source: Source) -> Page:
     starts = list(zip(study.values("phi_e0_deg"), study.values("phi_u0_deg"), strict=True))
     keys = ("reset_times_s", "q_scale", "reset_at_feedback")
     schedules = list(zip(*map(study.values, keys), strict=True))
-    grid = Grid.of(source, (SETTLE,), schedule=schedules, start=starts)
+    grid = source.grid((SETTLE,), schedule=schedules, start=starts)
     runs = np.minimum(grid.at(SETTLE), study.run_s)
     runs = runs.reshape(len(SHIFTED), len(SHIFTS_S), *runs.shape[1:])
     times = [[pooled_mean(one) for one in of] for of in runs]
@@ -160,7 +162,7 @@ def _beside(source: Source) -> Grid:
     """Settling times and NEES by schedule and start: level and heading error, deg."""
     study = source.study
     starts = zip(study.values("phi_e0_deg"), study.values("phi_u0_deg"), strict=True)
-    return Grid.of(source, (SETTLE, "nees"), case=study.values("case"), start=list(starts))
+    return source.grid((SETTLE, "nees"), case="case", start=list(starts))
 
 
 def _told(tuning: Tuning) -> dict[str, str]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sinsjax.analysis import Estimate
 from sinsjax.analysis.estimates import bootstrap
-from sinsjax.report.base import Source
+from sinsjax.execution.source import Source
 from sinsjax.study.load import load_study
 from sinsjax.study.ranges import TuneSection
 from sinsjax.study.search_space import SearchSpace, Variable

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from sinsjax.analysis import Estimate, format_difference, format_estimate
-from sinsjax.report.base import percent
+from sinsjax.analysis.estimates import Estimate
+from sinsjax.analysis.formats import format_difference, format_estimate
 
 
 def seconds(time_s: Estimate, digits: int = 0) -> str:
@@ -34,7 +34,7 @@ def degrees(*angles_deg: float) -> str:
     return f"({text}) deg" if len(angles_deg) > 1 else f"{text} deg"
 
 
-def listed(words: list[str]) -> str:
-    """Words as a list in a sentence: ``a, b and c``."""
-    *first, last = words
-    return f"{', '.join(first)} and {last}" if first else last
+def percent(share: Estimate) -> str:
+    """A share with its interval as a number of percent."""
+    low, value, high = (100 * x for x in (share.low, share.value, share.high))
+    return format_estimate(Estimate(value, low, high, share.n), digits=0)

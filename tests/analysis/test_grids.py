@@ -12,10 +12,7 @@ from support.made_up import summary_of
 from support.studies import small_study
 
 from sinsjax import analysis
-from sinsjax.errors import InputError
-from sinsjax.report.base import Source
-from sinsjax.report.grids import (
-    Grid,
+from sinsjax.analysis.grids import (
     held_out,
     least_mean,
     median,
@@ -23,6 +20,8 @@ from sinsjax.report.grids import (
     shared,
     soonest,
 )
+from sinsjax.errors import InputError
+from sinsjax.execution.source import Source
 
 NEVER = np.inf
 AXES = {"reset_count": [0, 1, 2], "phi_u0_deg": [5.0, 30.0]}
@@ -34,8 +33,7 @@ def source_of(axes=AXES, **given):
 
 
 def grid_of(source, columns=("settle_10_s",)):
-    values = source.study.values
-    return Grid.of(source, columns, yaw=values("phi_u0_deg"), count=values("reset_count"))
+    return source.grid(columns, yaw="phi_u0_deg", count="reset_count")
 
 
 @pytest.mark.parametrize("axes", [AXES, dict(reversed(AXES.items()))])
@@ -66,7 +64,7 @@ def test_points_leave_the_other_axes_and_lists_keep_their_own():
 def test_axes_that_make_no_full_grid_are_refused():
     source = source_of()
     with pytest.raises(InputError, match="swing: is no full grid of count|is no full grid of"):
-        Grid.of(source, ["settle_10_s"], count=source.study.values("reset_count"))
+        source.grid(["settle_10_s"], count="reset_count")
 
 
 def test_incomplete_results_are_refused():

@@ -5,13 +5,13 @@ import io
 import pytest
 from rich.console import Console
 
-from sinsjax.report import gains
+from sinsjax.cli import loop_gains
 
 PAPER = {"gravity": 9.8, "radius": 6378165.0}
 
 
 def test_gains_and_roots_of_the_papers_loops():
-    made, roots = gains.design(0.02, 0.01, 0.5**0.5, **PAPER)
+    made, roots = loop_gains.design(0.02, 0.01, 0.5**0.5, **PAPER)
     level, azimuth = made.rows
     assert level[:3] == ["level", "0.06", "1040.33306122"]
     assert float(level[3]) == pytest.approx(2 * 0.02**3 / 9.8, rel=1e-5)
@@ -22,6 +22,6 @@ def test_gains_and_roots_of_the_papers_loops():
 
 def test_they_are_printed():
     console = Console(record=True, width=120, file=io.StringIO())
-    gains.print_gains(console, 0.05, 0.02, 0.7, **PAPER)
+    loop_gains.print_gains(console, 0.05, 0.02, 0.7, **PAPER)
     text = console.export_text()
     assert "Roots" in text and "damping 0.7" in text

@@ -1,16 +1,16 @@
 """The runs of a study as arrays over its axes, and the best of several settings on unused draws."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
-from sinsjax import analysis
-from sinsjax.analysis import Estimate
+from sinsjax.analysis.estimates import Estimate, mean, share
+from sinsjax.analysis.tables import numbers
 from sinsjax.errors import InputError
-from sinsjax.report.base import Source
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,27 +28,26 @@ class Grid:
     draws: int
 
     @classmethod
-    def of(cls, source: Source, columns: Sequence[str], **axes: Sequence[Any]) -> "Grid":
+    def of(cls, rows: pa.Table, draws: int, axes: Mapping[str, Sequence[Any]]) -> "Grid":
         """Lays out the runs of a study.
 
         Args:
-            source: results, complete.
-            columns: of the summary, numbers; a time to settle is infinite where it is null.
+            rows: of the summary, by run_id, numbers; a time to settle is infinite where it is null.
+            draws: of every variant.
             axes: a value for each variant, by the name of the axis.
 
         Raises:
-            InputError: runs are missing, or a point of the axes is there not once.
+            InputError: a point of the axes is there not once.
         """
         points = {name: tuple(dict.fromkeys(values)) for name, values in axes.items()}
         shape = tuple(map(len, points.values()))
         at = [[points[name].index(value) for value in values] for name, values in axes.items()]
         place = np.ravel_multi_index(at, shape)
         if not np.array_equal(np.sort(place), np.arange(np.prod(shape))):
-            raise InputError(f"{source.study.name}: is no full grid of {', '.join(axes)}")
-        draws, rows = source.draws, source.rows(columns)
+            raise InputError(f"is no full grid of {', '.join(axes)}")
         found = {}
-        for name in columns:
-            runs = analysis.numbers(rows, name).reshape(draws, -1)[:, np.argsort(place)].T
+        for name in rows.column_names:
+            runs = numbers(rows, name).reshape(draws, -1)[:, np.argsort(place)].T
             missing = np.inf if name.startswith("settle_") else np.nan
             found[name] = np.nan_to_num(runs, nan=missing, posinf=np.inf).reshape(*shape, draws)
         return cls(points, found, draws)
@@ -78,13 +77,13 @@ def median(settle_s: NDArray) -> NDArray:
 def shared(flags: NDArray) -> Estimate:
     """Share of runs (..., draws) that have a property; its interval is that of the draws."""
     draws = np.broadcast_to(np.arange(flags.shape[-1]), flags.shape)
-    return analysis.share(flags.ravel(), draws.ravel())
+    return share(flags.ravel(), draws.ravel())
 
 
 def pooled_mean(values: NDArray) -> Estimate:
     """Mean of values (..., draws); its interval is that of the draws."""
     draws = np.broadcast_to(np.arange(values.shape[-1]), values.shape)
-    return analysis.mean(values.ravel(), draws.ravel())
+    return mean(values.ravel(), draws.ravel())
 
 
 class Choice(NamedTuple):

@@ -1,0 +1,169 @@
+"""A directory of results as reports and pages read it."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from sinsjax import analysis, columns
+from sinsjax.analysis.grids import Grid
+from sinsjax.errors import InputError
+from sinsjax.execution import estimates, tables
+from sinsjax.execution.parts import is_there
+from sinsjax.study.acting import first_alike, silent
+from sinsjax.study.load import load_study
+from sinsjax.study.study import Study
+from sinsjax.study.success import Yardstick, as_of_schema_1, yardsticks
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A directory of results; what is asked for is read, and no more.
+
+    Attributes:
+        directory: where they are.
+        study: the resolved study.
+        config: what a page names as the study's file.
+        table: the summary by run_id, where it need not be read; the estimates by variant_id.
+        schema: version of the results' columns.
+        warnings: what was doubtful before the study ran, a line each.
+        version: of the package that computed them.
+    """
+
+    directory: Path
+    study: Study
+    config: str
+    table: pa.Table | None = None
+    schema: str = columns.SCHEMA_VERSION
+    warnings: tuple[str, ...] = ()
+    version: str = "unknown"
+
+    @classmethod
+    def read(cls, directory: Path) -> "Source":
+        """Opens a directory of results.
+
+        Raises:
+            InputError: it holds none, or its study cannot be read.
+        """
+        table = None
+        if is_there(directory, estimates.DATASET):
+            table = estimates.read_estimates(directory)
+        else:
+            tables.count_runs(directory)
+        study = load_study(directory / "study.toml")
+        manifest = tables.read_manifest(directory)
+        schema = str(manifest.get("schema"))
+        if schema == "1":
+            study = as_of_schema_1(study)
+        name = manifest.get("config") or f"study.toml of {study.name}"
+        told = manifest.get("warnings")
+        warnings = tuple(map(str, told if isinstance(told, list) else ()))
+        versions = manifest.get("versions")
+        version = str((versions if isinstance(versions, dict) else {}).get("sinsjax", "unknown"))
+        return cls(directory, study, str(name), table, schema, warnings, version)
+
+    @cached_property
+    def runs(self) -> int:
+        """Number of rows: of runs, or of variants where these are estimated."""
+        return tables.count_runs(self.directory) if self.table is None else self.table.num_rows
+
+    @property
+    def draws(self) -> int:
+        """Draws of every variant: fewer than the study's where it may stop before.
+
+        Raises:
+            InputError: runs are missing.
+        """
+        study = self.study
+        draws = study.n_draws
+        if study.stop_when and self.runs:
+            draws = int(analysis.numbers(self.rows(["draw_id"]), "draw_id").max()) + 1
+        if self.runs != draws * study.n_variants:
+            raise InputError(
+                f"{self.directory}: {self.runs} runs where the study has"
+                f" {draws * study.n_variants}: are the results complete?"
+            )
+        return draws
+
+    @cached_property
+    def summary(self) -> pa.Table:
+        """All columns, one row a run, by run_id; kept. A large study has no room for it."""
+        return tables.read_summary(self.directory) if self.table is None else self.table
+
+    def rows(self, names: Iterable[str]) -> pa.Table:
+        """Some columns, one row a run, by run_id; read anew each time.
+
+        Args:
+            names: of the columns; repeated ones are there once.
+
+        Raises:
+            InputError: a column is missing.
+        """
+        wanted = list(dict.fromkeys(names))
+        if self.table is None:
+            return tables.read_summary(self.directory, wanted)
+        if missing := [name for name in wanted if name not in self.table.column_names]:
+            raise InputError(f"{self.directory}: summary: column {missing[0]} is missing")
+        return self.table.select(wanted)
+
+    def grid(self, columns: Sequence[str], **axes: str | Sequence[Any]) -> Grid:
+        """Every run as arrays over the axes that a page names.
+
+        Args:
+            columns: of the summary, numbers.
+            axes: a key of the study, or a value for each variant, by the name of the axis.
+
+        Raises:
+            InputError: runs are missing, or a point of the axes is there not once.
+        """
+        values = {n: self.study.values(v) if isinstance(v, str) else v for n, v in axes.items()}
+        rows, draws = self.rows(columns), self.draws
+        try:
+            return Grid.of(rows, draws, values)
+        except InputError as error:
+            raise InputError(f"{self.study.name}: {error}") from error
+
+    def distinct(self, names: Iterable[str]) -> pa.Table:
+        """As `rows`, of variants that differ: one of each kind that has the same runs.
+
+        Keys are null where they do not act: without resets there is no cycle.
+        """
+        first = first_alike(self.study)
+        if (first == np.arange(len(first))).all():
+            return self.rows(names)
+        table = self.rows(names)
+        variant = np.tile(np.arange(len(first)), self.draws)
+        keep = first[variant] == variant
+        table, variant = table.filter(pa.array(keep)), variant[keep]
+        for key in self.study.axis_keys:
+            if key != "case" and key in table.column_names:
+                place = table.column_names.index(key)
+                nothing = pa.array(silent(self.study, key)[variant])
+                values = pc.if_else(nothing, None, table[key])
+                table = table.set_column(place, key, values)
+        return table
+
+    @cached_property
+    def yardsticks(self) -> tuple[Yardstick, ...]:
+        """What success can be counted from, what the study is judged from first.
+
+        Not the truth where an earlier version did not record it, nor the limit where no run has
+        one.
+        """
+        found = yardsticks(self.study)
+        flags = self.rows([yard.ok for yard in found])
+        return tuple(yard for yard in found if flags[yard.ok].null_count < flags.num_rows)
+
+    @property
+    def has_curves(self) -> bool:
+        """Whether curves of any run were stored."""
+        return (self.directory / "curves").is_dir()
+
+    def curves(self, run_ids: Iterable[int] | None = None) -> pa.Table:
+        """Curves of some runs, or of all; empty where none were stored."""
+        return tables.read_curves(self.directory, None if run_ids is None else sorted(run_ids))
