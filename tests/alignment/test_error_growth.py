@@ -19,7 +19,8 @@ from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Minus, numbers_of, triangle_index
 from sinsjax.types import Increments, Navigation, Quat, Sample, Vec3
 
-WITH_LINEAR_PART = ("kalman5", "kalman10", "kalman_sincos", "ekf_azimuth", "invariant", "unscented")
+FILTERS = ("kalman5", "kalman10", "kalman_sincos", "ekf_azimuth", "invariant", "unscented")
+WITH_LINEAR_PART = (*FILTERS, "compass")
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -94,7 +95,7 @@ def test_gains_are_those_of_the_update(seed: int, n: int) -> None:
     np.testing.assert_allclose(kalman.update(belief, (0, 1), tuple(z), r).x, x, rtol=1e-12)
 
 
-def test_every_filter_tells_its_linear_part() -> None:
+def test_every_filter_and_the_compass_tell_their_linear_part() -> None:
     """By name, so that a further method is thought of."""
     for name in METHODS:
         built = method_of(_program(name)[0])
@@ -125,7 +126,7 @@ def _states(name: str, off: float) -> tuple[Any, ...]:
     return method, params, site, state
 
 
-@pytest.mark.parametrize("name", WITH_LINEAR_PART)
+@pytest.mark.parametrize("name", FILTERS)
 def test_a_step_moves_the_error_of_the_corrected_solution_by_its_linear_part(name: str) -> None:
     """Of two runs that begin a little apart, on a base at rest; the states' order is the filter's.
 
@@ -161,7 +162,7 @@ def test_a_step_moves_the_error_of_the_corrected_solution_by_its_linear_part(nam
     np.testing.assert_allclose(rows @ np.array(moved), errors(*after), atol=1e-5 * size)
 
 
-@pytest.mark.parametrize("name", WITH_LINEAR_PART)
+@pytest.mark.parametrize("name", FILTERS)
 def test_increments_in_error_enter_as_told(name: str) -> None:
     """One step with increments a little off, against the step with exact ones."""
     method, params, site, state = _states(name, 0.0)
@@ -183,3 +184,60 @@ def test_increments_in_error_enter_as_told(name: str) -> None:
     np.testing.assert_allclose(told, np.array(phi), atol=1e-4 * size)
     velocity = [m.nav.ve - m.belief.x[0] for m in (exact, moved)]
     np.testing.assert_allclose(d[0], velocity[1] - velocity[0], atol=1e-4 * size)
+
+
+def _compass_error(state: Any, rate: Any) -> np.ndarray:
+    """The error that grows as a state of the compass changes at a rate: its eight numbers."""
+    turn = rotations.multiply(rate.nav.q, rotations.conjugate(state.nav.q))
+    phi = (-2 * turn.x, -2 * turn.y, -2 * turn.z)
+    loops = (rate.integral_e, rate.integral_n, rate.rate_u)
+    return np.array([rate.nav.ve, rate.nav.vn, *phi, *loops], float)
+
+
+@pytest.mark.parametrize("n", [1.0, 1e9])
+def test_the_linear_part_of_the_compass_is_its_steps_derivative(n: float) -> None:
+    """By each state and each increment, while levelling and after, in any state of the loops."""
+    method, params, site, state = _states("compass", 0.02)
+    assert method.error_step is not None
+    state = state._replace(integral_e=3e-4, integral_n=-2e-4, rate_u=5e-4)
+    state = jax.tree.map(np.float64, state)
+    turn = rotations.exp(Vec3(2e-3, -1e-3, 3e-3))
+    sample = jax.tree.map(np.float64, Sample(turn=turn, dv=Vec3(0.01, -0.02, 0.098)))
+    step = method.error_step(params, site, state, sample, n)
+    still, idle = (jax.tree.map(np.zeros_like, one) for one in (state, sample))
+    still = jax.tree.map(np.float64, still)
+    after = method.step(params, site, state, sample, n)
+
+    def derivative(state_rate: Any, sample_rate: Any) -> np.ndarray:
+        def taken(state: Any, sample: Sample) -> Any:
+            return method.step(params, site, state, sample, n)
+
+        given = (state, sample), (state_rate, jax.tree.map(np.float64, sample_rate))
+        return _compass_error(after, jax.jvp(taken, *given)[1])
+
+    def turned(q: Quat, axis: int, sign: float) -> Quat:
+        half = Quat(0.0, *(0.5 * sign * float(i == axis) for i in range(3)))
+        return jax.tree.map(np.float64, rotations.multiply(half, q))
+
+    one = np.float64(1.0)
+    nav = still.nav
+    rates = [
+        *(still._replace(nav=nav._replace(**{name: one})) for name in ("ve", "vn")),
+        *(still._replace(nav=nav._replace(q=turned(state.nav.q, i, -1.0))) for i in range(3)),
+        *(still._replace(**{name: one}) for name in ("integral_e", "integral_n", "rate_u")),
+    ]
+    columns = np.transpose([derivative(rate, idle) for rate in rates])
+    told = np.eye(8) + matrix(step.transition, (8, 8))
+    # But for half the turn that the platform makes within the sample itself.
+    np.testing.assert_allclose(told[:2], columns[:2], rtol=0, atol=0.51 * 9.8 * 0.01**2)
+    np.testing.assert_allclose(told[2:], columns[2:], rtol=2e-4, atol=4e-8)
+    axes = np.transpose([rotations.rotate(state.nav.q, Vec3(*axis)) for axis in np.eye(3)])
+    pushed = [idle._replace(dv=Vec3(*map(np.float64, axis))) for axis in np.eye(3)]
+    # About the axes of the body when the sample ends.
+    turns = [
+        idle._replace(turn=rotations.multiply(sample.turn, Quat(0.0, *(0.5 * axis))))
+        for axis in np.eye(3)
+    ]
+    columns = np.transpose([derivative(still, rate) for rate in (*pushed, *turns)])
+    told = matrix(step.inputs, (8, 6)) @ np.kron(np.eye(2), axes)
+    np.testing.assert_allclose(told, columns, atol=5e-3)

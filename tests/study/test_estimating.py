@@ -43,16 +43,16 @@ WHY: dict[str, tuple[dict[str, Any], str]] = {
         COLOURED,
     ),
     "[alignment] method": (
-        {"alignment": {"method": "compass"}},
-        "knows no linear part of compass",
-    ),
-    "[axes] method": (
-        {"axes": {"method": ["kalman5", "optimisation"]}},
+        {"alignment": {"method": "optimisation"}},
         "knows no linear part of optimisation",
     ),
-    "[cases] method": (
-        {"cases": [{"method": "kalman5"}, {"method": "inertial"}]},
+    "[axes] method": (
+        {"axes": {"method": ["kalman5", "inertial"]}},
         "knows no linear part of inertial",
+    ),
+    "[cases] method": (
+        {"cases": [{"method": "compass"}, {"method": "optimisation"}]},
+        "knows no linear part of optimisation",
     ),
     "[resets] reset_trigger": (
         {"resets": {"reset_trigger": "nis", "trigger_threshold": 5.0}},

@@ -20,6 +20,7 @@ COMPASS = Description(
     reads=(*INITIAL_KEYS, "turn", "turn_smoothing_s"),
     load=_load,
     has_covariance=False,
+    has_error_step=True,
     rules=(check_pieces,),
     step_s=5e-9,
 )

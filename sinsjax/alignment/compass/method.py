@@ -12,13 +12,32 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from sinsjax.alignment.base import AttitudeCovariance, Ending, Method, Options, Site, no_covariance
+from sinsjax.alignment.base import (
+    AttitudeCovariance,
+    Ending,
+    ErrorStep,
+    Method,
+    Options,
+    Site,
+    no_covariance,
+)
 from sinsjax.alignment.compass.design import AzimuthGains, LevelGains, at_pace
 from sinsjax.alignment.limits import Biases, Limit, unaided
 from sinsjax.alignment.schedules import Pieces, value_at
 from sinsjax.maths import rotations
+from sinsjax.maths.algebra import Entries, Minus
 from sinsjax.strapdown import earth, mechanisation
-from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
+from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN, five_state
+from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar, Vec3
+
+INTEGRAL_E, INTEGRAL_N, RATE_U = range(5, 8)
+"""States of the error beyond those of `error_model.five_state`."""
+
+_INPUTS: Entries = {
+    **{(VE, 0): 1.0, (VN, 1): 1.0},
+    **{(angle, 3 + axis): Minus(1.0) for axis, angle in enumerate((PHI_E, PHI_N, PHI_U))},
+}
+"""See `ErrorStep.inputs`: velocities by velocity increments, phi against the angles."""
 
 
 class Reversal(NamedTuple):
@@ -103,26 +122,23 @@ def build(options: Options) -> Method:
         zero = jnp.zeros_like(nav.ve)
         return LoopState(nav, zero, zero, zero, LowPassed(zero, zero), LowPassed(zero, zero))
 
+    def place_of(site: Site, nav: Navigation) -> earth.Place:
+        return earth.place(site.earth, nav.latitude) if integrated else site.place
+
     def step(
         params: LoopParams, site: Site, state: LoopState, sample: Sample, n: Scalar
     ) -> LoopState:
-        before = state.nav
-        place = earth.place(site.earth, before.latitude) if integrated else site.place
-        level, azimuth = params.level, at_pace(params.azimuth, value_at(params.pace, n))
-        levelling = n <= params.azimuth_from
-        k1 = jnp.where(levelling, level.k1, azimuth.k1)
-        k2 = jnp.where(levelling, level.k2, azimuth.k2)
-        control = Vec3(
-            -k2 * place.curvature_n * before.vn - jnp.where(levelling, state.integral_n, 0.0),
-            level.k2 * place.curvature_e * before.ve + state.integral_e,
-            state.rate_u,
-        )
+        before, place, gains = state.nav, place_of(site, state.nav), gains_at(params, n)
+        level, azimuth, levelling = params.level, gains.azimuth, gains.levelling
+        control = platform_control(gains, state, place)
         nav, f_dt = mechanisation.step(before, sample, place, dt, control)
         if integrated:
             nav = mechanisation.travel(nav, place, dt)
         spin = azimuth.k3 / place.rate_n * before.vn - azimuth.k4 * state.rate_u
         return LoopState(
-            nav=mechanisation.correct_velocity(nav, level.k1 * dt * before.ve, k1 * dt * before.vn),
+            nav=mechanisation.correct_velocity(
+                nav, level.k1 * dt * before.ve, gains.k1 * dt * before.vn
+            ),
             integral_e=state.integral_e + level.k3 * dt * before.ve,
             integral_n=state.integral_n + jnp.where(levelling, level.k3 * dt * before.vn, 0.0),
             rate_u=state.rate_u + jnp.where(levelling, 0.0, spin * dt),
@@ -130,13 +146,116 @@ def build(options: Options) -> Method:
             force_n=_follow(state.force_n, f_dt.y / dt, params.smoothing),
         )
 
+    def error_step(
+        params: LoopParams, site: Site, state: LoopState, sample: Sample, n: Scalar
+    ) -> ErrorStep:
+        place, gains = place_of(site, state.nav), gains_at(params, n)
+        control = platform_control(gains, state, place)
+        _, f_dt = mechanisation.step(state.nav, sample, place, dt, control)
+        transition = linear_part(gains, state.nav, control, place, f_dt, dt)
+        return ErrorStep(transition, _INPUTS, (), ())
+
     def rewind(params: LoopParams, nav: Navigation, state: LoopState) -> LoopState:
         """Levelling integrals and azimuth rate, which stand for gyro drift, go on as they are."""
         return init(params, nav)._replace(
             integral_e=state.integral_e, integral_n=state.integral_n, rate_u=state.rate_u
         )
 
-    return Method(init, step, _reverse, _attitude, _covariance, _normalise, _limit, rewind=rewind)
+    return Method(
+        init,
+        step,
+        _reverse,
+        _attitude,
+        _covariance,
+        _normalise,
+        _limit,
+        rewind=rewind,
+        error_step=error_step,
+        error_angles=_error_angles,
+    )
+
+
+class Gains(NamedTuple):
+    """Gains in force at a sample; those of the north channel are of levelling or of the azimuth.
+
+    Attributes:
+        level: of the levelling loop.
+        azimuth: of the azimuth loop, at its pace.
+        k1: of the north channel.
+        k2: of the north channel.
+        levelling: whether the north channel levels.
+    """
+
+    level: LevelGains
+    azimuth: AzimuthGains
+    k1: Scalar
+    k2: Scalar
+    levelling: Flag
+
+
+def gains_at(params: LoopParams, n: Scalar) -> Gains:
+    """The gains in force at the n-th sample."""
+    level, azimuth = params.level, at_pace(params.azimuth, value_at(params.pace, n))
+    levelling = n <= params.azimuth_from
+    k1 = jnp.where(levelling, level.k1, azimuth.k1)
+    k2 = jnp.where(levelling, level.k2, azimuth.k2)
+    return Gains(level, azimuth, k1, k2, levelling)
+
+
+def platform_control(gains: Gains, state: LoopState, place: earth.Place) -> Vec3:
+    """Commanded rate of the platform in addition to w_in, in n, rad/s."""
+    nav, level = state.nav, gains.level
+    return Vec3(
+        -gains.k2 * place.curvature_n * nav.vn - jnp.where(gains.levelling, state.integral_n, 0.0),
+        level.k2 * place.curvature_e * nav.ve + state.integral_e,
+        state.rate_u,
+    )
+
+
+def linear_part(
+    gains: Gains, nav: Navigation, control: Vec3, place: earth.Place, f_dt: Vec3, dt: Scalar
+) -> Entries:
+    """Non-zero entries of A dt of the closed loops, by the states of the error.
+
+    Those of `error_model.five_state`, then the levelling integrals and the azimuth rate, whose
+    errors turn the platform. The latitude's error, of metres, is left out.
+
+    Args:
+        gains: in force.
+        nav: solution before the sample.
+        control: `platform_control`.
+        place: Earth at the solution's latitude.
+        f_dt: specific force in n times dt, m/s.
+        dt: sample time, s.
+    """
+    level, azimuth = gains.level, gains.azimuth
+    entries = dict(five_state(nav, place, f_dt, dt))
+
+    def add(row: int, column: int, value: Scalar) -> None:
+        before = entries.get((row, column), 0.0)
+        entries[row, column] = value + (-before.of if isinstance(before, Minus) else before)
+
+    add(VE, VE, -level.k1 * dt)
+    add(VN, VN, -gains.k1 * dt)
+    add(PHI_E, VN, -gains.k2 * place.curvature_n * dt)
+    add(PHI_N, VE, level.k2 * place.curvature_e * dt)
+    # phi' = phi x control, as with w_in.
+    for i, j, rate in ((PHI_E, PHI_N, control.z), (PHI_N, PHI_U, control.x)):
+        add(i, j, rate * dt)
+        add(j, i, -rate * dt)
+    add(PHI_U, PHI_E, control.y * dt)
+    add(PHI_E, PHI_U, -control.y * dt)
+    once = jnp.where(gains.levelling, dt, 0.0)  # the azimuth loop is its complement
+    then = dt - once
+    return entries | {
+        (PHI_E, INTEGRAL_N): Minus(once),
+        (PHI_N, INTEGRAL_E): dt,
+        (PHI_U, RATE_U): dt,
+        (INTEGRAL_E, VE): level.k3 * dt,
+        (INTEGRAL_N, VN): level.k3 * once,
+        (RATE_U, VN): azimuth.k3 / place.rate_n * then,
+        (RATE_U, RATE_U): Minus(azimuth.k4 * then),
+    }
 
 
 def _follow(low: LowPassed, value: Scalar, share: Scalar) -> LowPassed:
@@ -186,6 +305,12 @@ def _attitude(state: LoopState) -> Quat:
 
 def _covariance(state: LoopState) -> AttitudeCovariance:
     return no_covariance(state.rate_u)
+
+
+def _error_angles(state: LoopState) -> tuple[tuple[Scalar, ...], ...]:
+    zero = jnp.zeros_like(state.rate_u)
+    states = range(RATE_U + 1)
+    return tuple(tuple(zero + float(i == angle) for i in states) for angle in (PHI_E, PHI_N, PHI_U))
 
 
 def _normalise(state: LoopState) -> LoopState:
