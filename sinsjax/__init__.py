@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from sinsjax.analysis import summarise
     from sinsjax.engine.build import simulated_record
     from sinsjax.errors import InputError
+    from sinsjax.execution.estimated_curves import estimated_curves
     from sinsjax.execution.estimates import read_estimates
     from sinsjax.execution.run import Results, estimate, load_tape, run, run_into
     from sinsjax.execution.tables import read_curves, read_manifest, read_summary
@@ -67,6 +68,7 @@ __all__ = [
     "Study",
     "configure",
     "estimate",
+    "estimated_curves",
     "info",
     "load_study",
     "load_tape",
@@ -89,6 +91,7 @@ _HOMES = {
     "analysis": ("summarise",),
     "engine.build": ("simulated_record",),
     "errors": ("InputError",),
+    "execution.estimated_curves": ("estimated_curves",),
     "execution.estimates": ("read_estimates",),
     "execution.run": ("Results", "estimate", "load_tape", "run", "run_into"),
     "execution.tables": ("read_curves", "read_manifest", "read_summary"),

@@ -199,6 +199,16 @@ def estimated(bands_arcmin: Iterable[float], time_s: float | None = None) -> tup
     )
 
 
+ESTIMATED_CURVES = (
+    Column("variant_id", _I, "", "point of the study's axes"),
+    CURVES[1],
+    *_phi("phi", "mean misalignment of the corrected attitude"),
+    *_phi("true_sigma", "1 sigma of the misalignment about its mean"),
+    *_phi("sigma", "the filter's own 1 sigma of the misalignment"),
+)
+"""Columns of estimates over time, of which `sinsjax.estimated_curves` makes a table."""
+
+
 def settle_estimates(band_arcmin: float, *, truth: bool = False) -> tuple[Column, ...]:
     """The settling time into one band, estimated from sampled errors."""
     settled = settle_column(band_arcmin, truth=truth).name.removesuffix("_s")

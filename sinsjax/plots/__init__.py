@@ -5,6 +5,7 @@ figure. Nothing here changes matplotlib's global state.
 """
 
 from sinsjax.plots.beliefs import BeliefPanel, beliefs
+from sinsjax.plots.believed import Course, believed
 from sinsjax.plots.curves import (
     Ensemble,
     Line,
@@ -26,6 +27,7 @@ __all__ = [
     "COLOURS",
     "BeliefPanel",
     "Contours",
+    "Course",
     "Ensemble",
     "Expected",
     "Line",
@@ -35,6 +37,7 @@ __all__ = [
     "along_axis",
     "attitude",
     "beliefs",
+    "believed",
     "colour",
     "draw",
     "ensembles",

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pytest
 from rich.console import Console
 from scipy import stats
@@ -20,6 +21,7 @@ from sinsjax import columns
 from sinsjax.errors import InputError
 from sinsjax.execution import forecast, rerun, resume, tables
 from sinsjax.execution import run as study_run
+from sinsjax.execution.estimated_curves import estimated_curves
 from sinsjax.execution.estimates import read_estimates
 from sinsjax.execution.tasks import Executor, Job, TaskRunner
 from sinsjax.study.load import Study, study_to_toml
@@ -149,6 +151,20 @@ def test_without_noise_the_estimate_is_the_run() -> None:
     assert made["settle_10_truth_median_s"].equals(seconds)
     np.testing.assert_array_equal(made["settle_10_truth_mean_s"], seconds.fill_null(RUN_S))
     assert set(made["settle_10_truth_mean_error_s"].to_pylist()) == {0.0}
+
+
+def test_curves_are_those_of_estimates_at_their_times(pair: tuple[pa.Table, pa.Table]) -> None:
+    """Of a study without draws, or with any."""
+    made = estimated_curves(study_of(study={"estimate": "draws", "draws": 2}))
+    assert made["variant_id"].to_pylist() == np.repeat(range(6), int(RUN_S)).tolist()
+    assert made["time_s"].to_pylist()[:3] == [1.0, 2.0, 3.0]
+    for at, time_s in zip(TIMES, (RUN_S, 20.0, 45.0), strict=True):
+        rows = made.filter(pc.equal(made["time_s"], time_s))
+        for kind, axis in itertools.product(("phi", "true_sigma", "sigma"), "enu"):
+            own = pair[0][f"{kind}_{axis}{at}_arcmin"]
+            np.testing.assert_allclose(rows[f"{kind}_{axis}_arcmin"], own, rtol=1e-9, atol=1e-12)
+    with pytest.raises(InputError, match="optimisation"):
+        estimated_curves(small_study(alignment={"method": "optimisation"}))
 
 
 # --- as a dataset -------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from scipy import stats
 
 from sinsjax import plots
 from sinsjax.analysis import Estimate
-from sinsjax.plots import BeliefPanel, Ensemble, Line, Scale, Shown, Verdicts
+from sinsjax.plots import BeliefPanel, Course, Ensemble, Line, Scale, Shown, Verdicts
 from sinsjax.plots.spreads import steps
 
 TIME = np.arange(1.0, 11.0)
@@ -290,6 +290,28 @@ def test_beliefs():
 def test_beliefs_where_nothing_is_known():
     shown = [BeliefPanel("x", np.full(3, np.nan), {"a": Estimate(*[math.nan] * 3, 0)})]
     assert plots.png(plots.beliefs(shown, "Title"))
+
+
+def course(label: str, *, resets_s=()) -> Course:
+    mean, own = np.linspace(600.0, -20.0, TIME.size), np.full(TIME.size, 100.0)
+    return Course(label, TIME, mean, own / 4, own, resets_s, limit=-25.0)
+
+
+def test_true_errors_stand_beside_what_the_filter_believes():
+    figure = plots.believed([course("plain"), course("reset", resets_s=[4.0, 6.0])], "Title")
+    above, resets, ratio, _ = figure.axes
+    own, true = (band.get_paths()[0].get_extents() for band in above.collections)
+    assert (own.ymin, own.ymax) == (-200.0, 200.0)
+    assert (true.ymin, true.ymax) == (-70.0, 650.0)
+    mean = next(line for line in above.get_lines() if line.get_label() == "true error: mean")
+    np.testing.assert_array_equal(mean.get_ydata(), course("").mean)
+    np.testing.assert_allclose(ratio.get_lines()[0].get_ydata()[0], np.hypot(600, 25) / 100)
+    assert [line.get_xdata()[0] for line in resets.get_lines()[-2:]] == [4.0, 6.0]
+    said = words(figure)
+    for word in ("arcmin", "time (s)", "plain", "reset", "limit", "believes", "± 2 sigma"):
+        assert word in said
+    assert said.count("limit, left by the sensor biases") == 1
+    assert plots.png(figure)
 
 
 def test_panels_go_side_by_side_as_asked_and_long_names_wrap():
