@@ -1,0 +1,36 @@
+"""What the script on covariance analysis makes of draws: its intervals and its verdicts."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from scipy import stats
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+import covariance_accuracy as accuracy
+
+
+def test_the_interval_of_sigma_is_that_of_normal_draws() -> None:
+    draws = np.random.default_rng(3).normal(5.0, 2.0, (1024, 3))
+    low, high = accuracy.bootstrap(draws, 0.05, seed=1) / draws.std(axis=0, ddof=1)
+    expected = np.sqrt(1023 / stats.chi2.ppf([0.975, 0.025], 1023))
+    np.testing.assert_allclose(low, expected[0], atol=0.012)
+    np.testing.assert_allclose(high, expected[1], atol=0.012)
+
+
+@pytest.mark.parametrize(("share", "misses"), [(0.5, 0), (0.62, 0), (0.8, 2)])
+def test_a_share_misses_where_its_interval_is_beyond_the_bar(share: float, misses: int) -> None:
+    """Half of 64 draws of two variants are within, at the one time before the end and there."""
+    size = accuracy.QUICK._replace(draws=64, times_s=(1, 2))
+    error = np.tile([0.0, 0.0, 50.0, 50.0], 32)
+    names = ("phi_u_at_1_arcmin", "phi_u_arcmin")
+    summary = pa.table(
+        {name: error - 25.0 for name in names} | {"floor_arcmin": np.full(128, -25.0)}
+    )
+    at_times = {"within_10_at_1_share": [0.5, 0.5], "within_10_share": [share, share]}
+    row = accuracy.shares(size, summary, pa.table(at_times))
+    assert row["compared"] == 4 and row["misses"] == misses and row["kept"] == (misses == 0)
+    assert row["greatest"] == pytest.approx(share - 0.5)
