@@ -14,9 +14,11 @@ from sinsjax.errors import InputError
 from sinsjax.execution.belongings import list_figures
 from sinsjax.execution.source import Source
 from sinsjax.messages import shortened
-from sinsjax.report import auto, estimated, folder, glossary, tuned
-from sinsjax.report.base import Report, at_the_end
+from sinsjax.report import auto, estimated, folder, tuned
+from sinsjax.report.base import Chapter, Report, Text, at_the_end
 from sinsjax.report.html import write_html
+from sinsjax.report.markup import template
+from sinsjax.report.names import NO_NAMES
 from sinsjax.report.output import FIGURES, Made, print_report, save_figures, write_page
 from sinsjax.tuning.carry_out import is_tuning
 
@@ -75,9 +77,13 @@ def _summarise(
             told = _with_warnings(told._replace(headline=headline), source)
             made.append(_tell(told, source, console))
     names = list(dict.fromkeys(one.source.study.name for one in made))
-    glossary.print_words(console)
+    words = template("words.md.j2").render()
+    console.print()
+    for line in words.splitlines():
+        screen.say(console, NO_NAMES.plain(line.removeprefix("- ")), wrap=True)
     *_, last = made
-    made[-1] = last._replace(report=last.report.followed_by(glossary.section()))
+    sections = [*last.report.sections, Chapter("What the words mean", [Text(words.rstrip())])]
+    made[-1] = last._replace(report=last.report._replace(sections=sections))
     if page is not None:
         write_page(page, ", ".join(names), made)
     if html is not None:

@@ -1,8 +1,8 @@
 """The report of any study: statistics of its variants, curves, and figures over its axes."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,8 +12,9 @@ from sinsjax.analysis.summaries import NEEDED, estimate_of
 from sinsjax.analysis.words import percent
 from sinsjax.execution import stopping
 from sinsjax.execution.source import Source
-from sinsjax.report.attitudes import MOST_ROWS, attitudes
+from sinsjax.report.attitudes import attitudes
 from sinsjax.report.base import (
+    MOST_ROWS,
     Block,
     Chapter,
     Picture,
@@ -22,7 +23,7 @@ from sinsjax.report.base import (
     Text,
     intervals,
     name_of,
-    value_text,
+    table_of,
 )
 from sinsjax.report.over_axes import over_axes
 from sinsjax.report.spreads import spreads
@@ -56,27 +57,12 @@ def report(source: Source) -> Report:
 
 
 def statistics(source: Source, keys: Sequence[str], title: str, *, note: str = "") -> Table:
-    """The statistics of each group of runs as a table.
-
-    Args:
-        source: whose runs.
-        keys: what tells the groups apart.
-        title: of the table.
-        note: said below it.
-    """
+    """The statistics of each group of runs, told apart by some keys, as a table."""
     shown = _shown(source)
-    columns = [*keys, *NEEDED, *_judged(source)]
-    found = analysis.summarise(source.distinct(columns), keys, [s.name for s in shown]).to_pylist()
-    rows = []
-    for row in found[:MOST_ROWS]:
-        none = row["no_limit"] == row["n"]
-        numbers = [
-            "no limit" if none and s.of_limit else s.text(estimate_of(row, s.name)) for s in shown
-        ]
-        rows.append([*(value_text(row[key]) for key in keys), str(row["n"]), *numbers])
-    if left := len(found) - len(rows):
-        note = f"{note} {left} more rows are not shown.".lstrip()
-    return Table(title, [*keys, "runs", *(s.header for s in shown)], rows, note)
+    table = source.distinct([*keys, *NEEDED, *_judged(source)])
+    rows = analysis.summarise(table, keys, [one.name for one in shown]).to_pylist()
+    cells = [("runs", lambda row: str(row["n"])), *((one.header, one.cell) for one in shown)]
+    return table_of(title, keys, rows, cells, note, most=MOST_ROWS, left="rows are not shown")
 
 
 class _Shown(NamedTuple):
@@ -94,18 +80,25 @@ class _Shown(NamedTuple):
     text: Callable[[Estimate], str]
     of_limit: bool = False
 
+    def cell(self, row: Mapping[str, Any]) -> str:
+        """What a row of `analysis.summarise` tells of it."""
+        if self.of_limit and row["no_limit"] == row["n"]:
+            return "no limit"
+        return self.text(estimate_of(row, self.name))
+
 
 def _shown(source: Source) -> list[_Shown]:
     """How many runs succeed and how soon, from the truth and from the limit; and the heading."""
     seconds, arcmin = (partial(format_estimate, digits=digits) for digits in (0, 1))
-    missing = [y for y in yardsticks(source.study) if y not in source.yardsticks]
+    yards = source.yardsticks
+    missing = [yard for yard in yardsticks(source.study) if yard not in yards]
     lost = "not recorded" if source.schema == "1" else "no limit"
     return [
-        *(_Shown(f"ok: {y.words} (%)", y.rate, percent, not y.truth) for y in source.yardsticks),
+        *(_Shown(f"ok: {y.words} (%)", y.rate, percent, not y.truth) for y in yards),
         *(_Shown(f"ok: {y.words} (%)", y.rate, lambda _: lost) for y in missing),
         *(
             _Shown(f"time to {y.words}, median (s)", f"{y.settle}_median", seconds, not y.truth)
-            for y in source.yardsticks
+            for y in yards
         ),
         _Shown("phi_u, window mean (arcmin)", "phi_u_mean_arcmin_mean", arcmin),
         _Shown("... from its limit (arcmin)", "phi_u_from_floor_arcmin_mean", arcmin, True),
@@ -119,30 +112,24 @@ def _judged(source: Source) -> list[str]:
 
 def against_first(source: Source) -> Table:
     """How each variant differs from the first one, draw by draw."""
-    keys = shown_keys(source.study)
+    keys, yards = shown_keys(source.study), source.yardsticks
     table = source.distinct([*keys, *NEEDED, *_judged(source)])
     first = {key: table[key][0].as_py() for key in keys}
-    yards = source.yardsticks
-    rows = []
-    for row in analysis.compare(table, keys, first).to_pylist():
-        shares = (percent(estimate_of(row, f"{yard.rate}_difference")) for yard in yards)
-        times = (estimate_of(row, f"{yard.settle}_median_difference") for yard in yards)
-        cells = (
-            *shares,
-            *(format_difference(t, digits=0, sides=("it", "the first")) for t in times),
-            format_estimate(estimate_of(row, "phi_u_error_arcmin_difference"), digits=1),
-        )
-        rows.append([*(value_text(row[key]) for key in keys), *cells])
-    shared = "from the same start times" if source.study.is_recorded else "on the same noise"
-    header = [
-        *(f"ok: {yard.words} (% points)" for yard in yards),
-        *(f"time to {yard.words}, median (s)" for yard in yards),
-        "phi_u error (arcmin)",
+    times = partial(format_difference, digits=0, sides=("it", "the first"))
+    shown = [
+        *(_Shown(f"ok: {y.words} (% points)", f"{y.rate}_difference", percent) for y in yards),
+        *(
+            _Shown(f"time to {y.words}, median (s)", f"{y.settle}_median_difference", times)
+            for y in yards
+        ),
+        _Shown("phi_u error (arcmin)", "phi_u_error_arcmin_difference", format_estimate),
     ]
-    return Table(
+    shared = "from the same start times" if source.study.is_recorded else "on the same noise"
+    return table_of(
         f"Against {name_of(first)}, {shared}",
-        [*keys, *header],
-        rows,
+        keys,
+        analysis.compare(table, keys, first).to_pylist(),
+        [(one.header, one.cell) for one in shown],
         f"{intervals(source, 'pairs of runs of a draw', 'Difference')} phi_u error: how far its"
         " window mean lies from its limit.",
     )

@@ -1,6 +1,6 @@
 """What a report is made of, and words that all of them use."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,8 +10,12 @@ from sinsjax import analysis, plots
 from sinsjax.analysis.words import percent
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
+from sinsjax.report.markup import said
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_of
+
+MOST_ROWS = 20
+"""Rows of a table; what is left out is said."""
 
 
 class Text(NamedTuple):
@@ -36,6 +40,36 @@ class Table(NamedTuple):
     rows: Sequence[Sequence[str]]
     note: str = ""
     folded: bool = False
+
+
+def table_of(
+    title: str,
+    keys: Sequence[str],
+    rows: Sequence[Mapping[str, Any]],
+    cells: Sequence[tuple[str, Callable[[Any], str]]],
+    note: str = "",
+    *,
+    most: int | None = None,
+    left: str = "",
+) -> Table:
+    """A table with a line for each row: its keys, then what is told of it.
+
+    Args:
+        title: of the table.
+        keys: of the rows, a column each.
+        rows: with the keys, and what the cells tell.
+        cells: header of each further column, and its text for a row.
+        note: said below.
+        most: rows that are shown; all if None.
+        left: what is said of the others, after their number.
+    """
+    lines = [
+        [*(value_text(row[key]) for key in keys), *(tell(row) for _, tell in cells)]
+        for row in rows[:most]
+    ]
+    if hidden := len(rows) - len(lines):
+        note = f"{note} {hidden} more {left}.".lstrip()
+    return Table(title, [*keys, *(header for header, _ in cells)], lines, note)
 
 
 class Picture(NamedTuple):
@@ -77,19 +111,6 @@ class Report(NamedTuple):
     sections: Sequence[Chapter]
     rests_on: str = ""
 
-    def followed_by(self, section: Chapter) -> "Report":
-        """The report with one more section at its end."""
-        return self._replace(sections=[*self.sections, section])
-
-
-def aim_of(study: Study) -> str:
-    """What a study's headings are judged against, after *within 10 arcmin of*."""
-    if study.is_recorded:
-        return "the reference's heading"
-    if success_of(study).from_truth:
-        return "true north"
-    return "what the run's own constant sensor biases allow (not of true north)"
-
 
 def yardstick(study: Study) -> str:
     """What *settled* and *ok* mean in a study, in one sentence for pages and captions."""
@@ -97,11 +118,17 @@ def yardstick(study: Study) -> str:
     ends_s = np.array([s.records for s in study.distinct_spans]) * study.study.record_interval_s
     dwell_s = rule.dwell(ends_s)
     last = " to ".join(f"{s:g}" for s in sorted({dwell_s.min(), dwell_s.max()}))
-    how = f"has been there for {last} s at the end" if dwell_s.max() else "ends there"
-    return (
-        f"Settled: the heading stays within {rule.band_arcmin:g} arcmin (or the band that is"
-        f" named) of {aim_of(study)} from then to the end of the run; ok: it {how}, and the level"
-        f" errors end within {rule.level_band_arcmin:g} arcmin."
+    aim = "what the run's own constant sensor biases allow (not of true north)"
+    if rule.from_truth:
+        aim = "true north"
+    if study.is_recorded:
+        aim = "the reference's heading"
+    return said(
+        "yardstick",
+        band=rule.band_arcmin,
+        aim=aim,
+        dwell=last if dwell_s.max() else "",
+        level_band=rule.level_band_arcmin,
     )
 
 

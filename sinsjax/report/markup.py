@@ -1,6 +1,7 @@
 """The package's templates: Markdown as it stands, HTML with everything escaped."""
 
 from functools import lru_cache
+from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
@@ -27,6 +28,12 @@ def environment() -> Environment:
 def template(name: str) -> Template:
     """A template of the package by the name of its file."""
     return environment().get_template(name)
+
+
+def said(name: str, **told: Any) -> str:
+    """A macro of ``sentences.md.j2`` with what it tells, in one line."""
+    macro = getattr(template("sentences.md.j2").module, name)
+    return " ".join(str(macro(**told)).split())
 
 
 def _cell(text: str) -> str:

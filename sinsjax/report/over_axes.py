@@ -1,17 +1,19 @@
 """Tables and figures over a study's swept numbers: heat maps, and curves with intervals."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
 from sinsjax.alignment.methods import SECTIONS_OF_METHODS
+from sinsjax.analysis import format_estimate
 from sinsjax.analysis.summaries import NEEDED, estimate_of
 from sinsjax.analysis.words import percent
 from sinsjax.execution.source import Source
+from sinsjax.plots import Shown
 from sinsjax.report.base import Block, Picture, Table, intervals, name_of, value_text
 from sinsjax.study.acting import first_alike
 from sinsjax.study.keys import SECTION_OF
@@ -21,7 +23,6 @@ from sinsjax.study.swept import shown_keys, swept
 
 MOST_PANELS = 12
 MOST_LINES = 7
-_CHOSEN = tuple(SECTIONS_OF_METHODS)
 
 Axes = Mapping[str, Sequence[float]]
 
@@ -34,7 +35,7 @@ def over_axes(source: Source) -> list[Block]:
     """
     shown, others = shown_axes(source.study)
     if len(shown) == 2:
-        return [b for yard in source.yardsticks for b in _heat_maps(source, yard, shown, others)]
+        return [block for yard in source.yardsticks for block in _heat_maps(source, yard)]
     return [_along_axis(source, *axis, others) for axis in shown.items()]
 
 
@@ -43,7 +44,7 @@ def shown_axes(study: Study) -> tuple[dict[str, tuple[float, ...]], list[str]]:
     numeric = {
         keys[0]: tuple(map(float, values))
         for keys, values in swept(study).items()
-        if _are_numbers(values)
+        if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
     }
     shown = dict(list(numeric.items())[:2])
     return shown, [key for key in shown_keys(study) if key not in shown]
@@ -51,137 +52,178 @@ def shown_axes(study: Study) -> tuple[dict[str, tuple[float, ...]], list[str]]:
 
 def is_chosen(key: str) -> bool:
     """Whether a user chooses the values of a key, so that one can be best."""
-    return SECTION_OF.get(key) in _CHOSEN
+    return SECTION_OF.get(key) in SECTIONS_OF_METHODS
 
 
-def _are_numbers(values: Sequence[Any]) -> bool:
-    return all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
+def yard_end(yard: Yardstick, first: Yardstick) -> str:
+    """The end of a figure's name: that from the yardstick that a study is judged from has none."""
+    return "" if yard == first else "_truth" if yard.truth else "_limit"
 
 
-class _Map(NamedTuple):
-    """One point of the other keys: settling times and success over the two axes.
+class Panel(NamedTuple):
+    """One point of the keys that are no axis of a map, and its rows.
 
     Attributes:
-        name: of the point.
+        point: the keys' values.
+        rows: in run order: the draws are outermost, and among a draw's variants the first axis.
+        shape: of the map.
+    """
+
+    point: dict[str, Any]
+    rows: pa.Table
+    shape: tuple[int, ...]
+
+    def of(self, column: str) -> NDArray:
+        """A column, (draws, rows, columns); null is NaN."""
+        return analysis.numbers(self.rows, column).reshape(-1, *self.shape)
+
+
+class Maps:
+    """Heat maps over the first two swept numbers, a panel for each point of all other keys.
+
+    Attributes:
+        axes: the two numbers, rows first.
+        panels: all of them.
+        drawn: those that have room, in whole lines: one for each value of the other keys but the
+            last, if it is short enough.
+    """
+
+    def __init__(self, source: Source, columns: Sequence[str]) -> None:
+        self.axes, others = shown_axes(source.study)
+        shape = tuple(map(len, self.axes.values()))
+        table = source.rows([*others, *columns, "variant_id"])
+        self.panels = [Panel(*group, shape) for group in analysis.groups(table, others)]
+        lines = {value_text(panel.point[others[-1]]) for panel in self.panels} if others else [""]
+        self._across = len(lines)
+        self.drawn = self.panels[: MOST_PANELS // self._across * self._across or MOST_PANELS]
+        self._first = first_alike(source.study)
+
+    def draw(
+        self, name: str, caption: str, values: Sequence[NDArray], title: str, shown: Shown
+    ) -> Picture:
+        """The figure of numbers (rows, columns) of each panel that is drawn."""
+        few = f" The first {len(self.drawn)} of {len(self.panels)} panels."
+        if len(self.drawn) < len(self.panels):
+            caption += few
+        variants = [panel.of("variant_id")[0].astype(int) for panel in self.drawn]
+        repeated = [self._first[own] != own for own in variants]
+        rows, columns = (plots.Scale(key, points) for key, points in self.axes.items())
+        figure = plots.heat_maps(
+            [(name_of(panel.point), own) for panel, own in zip(self.drawn, values, strict=True)],
+            title,
+            shown,
+            rows=rows,
+            columns=columns,
+            across=self._across,
+            repeated=repeated,
+        )
+        if np.any(repeated):
+            caption += (
+                " Cells without a number repeat the one beside them: there a key does not act."
+            )
+        return Picture(name, caption, figure)
+
+
+def differ(values: Sequence[NDArray]) -> bool:
+    """Whether cells differ; a figure of equal ones says nothing."""
+    return len(np.unique(values)) > 1
+
+
+def lines_of(table: pa.Table, others: Sequence[str]) -> tuple[dict[str, pa.Table], str]:
+    """The rows of each line along an axis by its name, and what is said of those left out."""
+    groups = list(analysis.groups(table, others))
+    left = len(groups) - MOST_LINES
+    said = f" {left} more lines are not drawn." if left > 0 else ""
+    return {name_of(point): rows for point, rows in groups[:MOST_LINES]}, said
+
+
+class _Runs(NamedTuple):
+    """The runs of one point of the other keys.
+
+    Attributes:
         point: the other keys' values.
         settle_s: (draws, rows, columns), infinite where a run never settled.
         ok: (draws, rows, columns) bool.
         cluster: (draws,), see `analysis.clusters_of`.
-        repeated: (rows, columns) cells whose runs are those of an earlier one: there a key does not
-            act.
     """
 
-    name: str
     point: dict[str, Any]
     settle_s: NDArray
     ok: NDArray
     cluster: NDArray
-    repeated: NDArray
+
+    @property
+    def median(self) -> NDArray:
+        """Over the draws; infinite where fewer than half of them settled."""
+        return np.quantile(self.settle_s, 0.5, axis=0, method="inverted_cdf")
 
 
-def _maps(source: Source, yard: Yardstick, axes: Axes, others: Sequence[str]) -> list[_Map]:
-    shape = (source.draws, *map(len, axes.values()))
-    maps = []
-    columns = (*others, yard.settle, yard.ok, "draw_id", "start_s", "variant_id")
-    first = first_alike(source.study)
-    for point, rows in analysis.groups(source.rows(columns), others):
-        # In run order the draws are outermost; among the variants of a point, the first axis.
-        settle = np.nan_to_num(analysis.numbers(rows, yard.settle), nan=np.inf)
-        ok = rows[yard.ok].fill_null(False).to_numpy()
-        cluster = np.asarray(analysis.clusters_of(rows)).reshape(shape)[:, 0, 0]
-        settle, ok = settle.reshape(shape), ok.reshape(shape)
-        variant = analysis.numbers(rows, "variant_id").astype(int).reshape(shape)[0]
-        repeated = first[variant] != variant
-        maps.append(_Map(name_of(point), point, settle, ok, cluster, repeated))
-    return maps
+def _runs(panel: Panel, yard: Yardstick) -> _Runs:
+    settle_s, ok = np.nan_to_num(panel.of(yard.settle), nan=np.inf), panel.of(yard.ok) > 0
+    cluster = np.asarray(analysis.clusters_of(panel.rows)).reshape(ok.shape)[:, 0, 0]
+    return _Runs(panel.point, settle_s, ok, cluster)
 
 
-def _median(settle_s: NDArray) -> NDArray:
-    """Median over the draws; infinite where fewer than half of them settled."""
-    return np.quantile(settle_s, 0.5, axis=0, method="inverted_cdf")
-
-
-def _heat_maps(
-    source: Source, yard: Yardstick, axes: Axes, others: Sequence[str]
-) -> Iterator[Block]:
-    """The maps from one yardstick; the names of the files are those of the first."""
-    end = "" if yard == source.yardsticks[0] else "_truth" if yard.truth else "_limit"
-    maps = _maps(source, yard, axes, others)
-    if all(map(is_chosen, axes)):
-        yield _best(yard, axes, maps)
-    # A line of panels for each value of the other keys but the last, if it is short enough.
-    across = len({value_text(m.point[others[-1]]) for m in maps}) if others else 1
-    drawn = maps[: MOST_PANELS // across * across or MOST_PANELS]
-    rest = f" The first {len(drawn)} of {len(maps)} panels." if len(drawn) < len(maps) else ""
-    if any(m.repeated.any() for m in drawn):
-        rest += " Cells without a number repeat the one beside them: there a key does not act."
-    rows, columns = (plots.Scale(key, values) for key, values in axes.items())
-    draw = partial(
-        plots.heat_maps,
-        rows=rows,
-        columns=columns,
-        across=across,
-        repeated=[m.repeated for m in drawn],
-    )
-    medians = [(m.name, _median(m.settle_s)) for m in drawn]
-    high = max((v.max() for _, m in medians if (v := m[np.isfinite(m)]).size), default=1.0)
-    yield Picture(
+def _heat_maps(source: Source, yard: Yardstick) -> Iterator[Block]:
+    """The maps from one yardstick."""
+    maps = Maps(source, (yard.settle, yard.ok, "draw_id", "start_s"))
+    runs = [_runs(panel, yard) for panel in maps.panels]
+    if all(map(is_chosen, maps.axes)):
+        yield _best(yard, maps.axes, runs)
+    drawn, end = runs[: len(maps.drawn)], yard_end(yard, source.yardsticks[0])
+    medians = [one.median for one in drawn]
+    yield maps.draw(
         f"settling_time{end}",
         f"Median time over {source.draws} draws until the heading stays {yard.words}; hatched where"
-        f" at least half of the runs never do.{rest}",
-        draw(
-            medians,
-            f"How long until the heading stays {yard.words}?",
-            plots.Shown("median settling time (s)", 0.0, float(high), reverse=True),
-        ),
+        " at least half of the runs never do.",
+        medians,
+        f"How long until the heading stays {yard.words}?",
+        Shown("median settling time (s)", 0.0, _highest(medians), reverse=True),
     )
-    shares = [(m.name, 100 * m.ok.mean(axis=0)) for m in drawn]
-    if len(np.unique([values for _, values in shares])) == 1:
-        return  # such a figure says nothing
-    yield Picture(
-        f"success_rate{end}",
-        f"Share of the {source.draws} draws that are ok, {yard.words}.{rest}",
-        draw(
+    shares = [100 * one.ok.mean(axis=0) for one in drawn]
+    if differ(shares):
+        yield maps.draw(
+            f"success_rate{end}",
+            f"Share of the {source.draws} draws that are ok, {yard.words}.",
             shares,
             f"How many runs are ok, {yard.words}?",
-            plots.Shown("runs that are ok (%)", 0.0, 100.0),
-        ),
-    )
+            Shown("runs that are ok (%)", 0.0, 100.0),
+        )
 
 
-def _best(yard: Yardstick, axes: Axes, maps: Sequence[_Map]) -> Table:
+def _highest(values: Sequence[NDArray]) -> float:
+    known = np.concatenate([one[np.isfinite(one)] for one in values])
+    return float(known.max()) if known.size else 1.0
+
+
+def _best(yard: Yardstick, axes: Axes, runs: Sequence[_Runs]) -> Table:
     """At each point of the other keys, where most runs settle, and among those the fastest."""
     rows = []
-    for here in maps[: 2 * MOST_PANELS]:
-        median = _median(here.settle_s)
-        share = here.ok.mean(axis=0)
-        best = min(np.ndindex(share.shape), key=lambda at, s=share, m=median: (-s[at], m[at]))  # type: ignore[misc]
+    for here in runs[: 2 * MOST_PANELS]:
+        share, median = here.ok.mean(axis=0), here.median
+        order = np.lexsort((median.ravel(), -share.ravel()))
+        best = np.unravel_index(order[0], share.shape)
         place = (slice(None), *best)
+        time = analysis.quantile(here.settle_s[place], cluster=here.cluster)
         rows.append(
             [
-                *(value_text(value) for value in here.point.values()),
+                *map(value_text, here.point.values()),
                 *(value_text(values[at]) for values, at in zip(axes.values(), best, strict=True)),
                 percent(analysis.share(here.ok[place], here.cluster)),
-                analysis.format_estimate(
-                    analysis.quantile(here.settle_s[place], cluster=here.cluster), digits=0
-                ),
+                format_estimate(time, digits=0),
                 percent(analysis.share(here.ok[:, 0, 0], here.cluster)),
             ]
         )
     first = ", ".join(f"{key} {value_text(values[0])}" for key, values in axes.items())
-    others = list(maps[0].point)
     header = [
-        *others,
+        *runs[0].point,
         *(f"best {key}" for key in axes),
         f"ok: {yard.words} (%)",
         "from when on, median (s)",
+        f"at {first} (%)",
     ]
-    return Table(
-        f"Where most runs are ok, {yard.words}, and settle first, over {' and '.join(axes)}",
-        [*header, f"at {first} (%)"],
-        rows,
-        "Equals: the first in the study's order.",
-    )
+    title = f"Where most runs are ok, {yard.words}, and settle first, over {' and '.join(axes)}"
+    return Table(title, header, rows, "Equals: the first in the study's order.")
 
 
 def _along_axis(
@@ -190,27 +232,24 @@ def _along_axis(
     yards = source.yardsticks
     shown = {y.rate: f"share of runs that are ok, {y.words}" for y in yards}
     shown |= {f"{y.settle}_median": f"median time (s) to {y.words}" for y in yards}
-    shown["phi_u_from_floor_arcmin_mean"] = "phi_u from its limit (arcmin)"
+    last = "phi_u_from_floor_arcmin_mean"
+    shown[last] = "phi_u from its limit (arcmin)"
     judged = (name for yard in yards for name in (yard.ok, yard.settle))
-    table = source.rows((*others, axis, *judged, *NEEDED))
-    groups = list(analysis.groups(table, others))
+    lines, left = lines_of(source.rows((*others, axis, *judged, *NEEDED)), others)
     found = {
-        name_of(point): analysis.summarise(rows, [axis], list(shown)).to_pylist()
-        for point, rows in groups[:MOST_LINES]
+        name: analysis.summarise(rows, [axis], list(shown)).to_pylist()
+        for name, rows in lines.items()
     }
     panels = {
         words: {name: [estimate_of(row, statistic) for row in rows] for name, rows in found.items()}
         for statistic, words in shown.items()
     }
-    *_, last = panels
-    if not any(np.isfinite(e.value) for line in panels[last].values() for e in line):
-        del panels[last]
-    left = len(groups) - len(found)
-    rest = f" {left} more lines are not drawn." if left else ""
+    if not any(np.isfinite(e.value) for line in panels[shown[last]].values() for e in line):
+        del panels[shown[last]]
     return Picture(
         "along_axis",
         "How many runs are ok, when their heading has entered the band for good, and how far the"
         f" mean heading error at the end lies from its limit. {intervals(source, what='Estimate')}"
-        f"{rest}",
+        f"{left}",
         plots.along_axis(axis, values, panels, title=f"What {axis} decides"),
     )

@@ -10,6 +10,7 @@ from sinsjax.analysis import Estimate
 from sinsjax.execution.source import Source
 from sinsjax.plots import BeliefPanel
 from sinsjax.report.base import Picture, Text, name_of
+from sinsjax.report.markup import said
 from sinsjax.study.swept import shown_keys, swept
 from sinsjax.units import ARCMIN, MICRO
 
@@ -46,19 +47,9 @@ def _biases_unknown(source: Source) -> Iterator[Text]:
     east, north = (
         analysis.quantile(analysis.numbers(rows, f"sigma_{a}_arcmin")).value for a in "en"
     )
-    text = (
-        f"A NEES of {analysis.NEES_FREEDOM} is not to be expected here: it counts the whole error,"
-        f" and the sensors have constant biases (gyros up to {gyro:g} deg/h, accelerometers up to"
-        f" {accel:g} ug) for which this filter has no states, so that what they leave of the error"
-        " is never in P."
-    )
-    if accel:
-        text += (
-            f" The accelerometers' alone is a tilt of up to {accel * MICRO / ARCMIN:.2f} arcmin,"
-            f" where the filter believes in 1 sigma of {east:.2f} arcmin about east and"
-            f" {north:.2f} about north (medians over the runs)."
-        )
-    yield Text(text)
+    tilt = accel * MICRO / ARCMIN
+    told = {"gyro": gyro, "accel": accel, "tilt": tilt, "east": east, "north": north}
+    yield Text(said("biases_unknown", nees=analysis.NEES_FREEDOM, **told))
 
 
 def _lines(source: Source) -> tuple[Sequence[str], str]:
