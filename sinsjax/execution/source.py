@@ -73,6 +73,16 @@ class Source:
         return tables.count_runs(self.directory) if self.table is None else self.table.num_rows
 
     @property
+    def counted(self) -> str:
+        """What a figure rests on, for its footer: the study's name and how many runs it has."""
+        study = self.study
+        unit = "start times" if study.is_recorded else "draws"
+        if study.n_variants == 1:
+            return f"{study.name}: {self.runs:,} {unit if self.runs > 1 else unit[:-1]}"
+        each = f"{self.runs / study.n_variants:,g} {unit}"
+        return f"{study.name}: {study.n_variants:,} variants × {each} = {self.runs:,} runs"
+
+    @property
     def draws(self) -> int:
         """Draws of every variant: fewer than the study's where it may stop before.
 

@@ -1,6 +1,8 @@
-"""Atomic writing of files."""
+"""Atomic writing of files, and names for them."""
 
+import hashlib
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -45,3 +47,9 @@ def _sync(directory: Path) -> None:
             os.fsync(handle)
         finally:
             os.close(handle)
+
+
+def file_stem(name: str) -> str:
+    """A name as the beginning of a file's; one that had to change is told from others by digits."""
+    stem = re.sub(r"[^\w.-]+", "-", name)[:80].strip("-.")
+    return stem if stem == name else f"{stem}-{hashlib.sha256(name.encode()).hexdigest()[:6]}"

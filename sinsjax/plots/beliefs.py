@@ -4,15 +4,20 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 from scipy import special
 
+from sinsjax import analysis
 from sinsjax.analysis import NEES_FREEDOM, Estimate
 from sinsjax.plots.spreads import steps
 from sinsjax.plots.style import GREY, colour, legend_outside, styled
+
+SHARES = {"from truth": "p_above_error_share", "from the limit": "p_above_floor_error_share"}
+"""Columns of the shares of records with P above the squared error."""
 
 _WITHIN_SIGMA = float(special.erf(0.5**0.5))  # share of a normal variable within 1 sigma
 _FAR = (1e-2, 1e4)  # widest range of the NEES axis
@@ -32,6 +37,16 @@ class BeliefPanel(NamedTuple):
     label: str
     nees: NDArray
     shares: Mapping[str, Estimate]
+
+    @classmethod
+    def of(cls, label: str, rows: pa.Table) -> "BeliefPanel":
+        """NEES and shares of some runs of a summary, with ``nees``, `SHARES` and the clusters."""
+        shares = {}
+        for of, column in SHARES.items():
+            found = analysis.mean(analysis.numbers(rows, column), analysis.clusters_of(rows))
+            low, high = np.clip(found[1:3], 0.0, 1.0).tolist()
+            shares[of] = found._replace(low=low, high=high)
+        return cls(label, analysis.numbers(rows, "nees"), shares)
 
 
 @styled

@@ -1,5 +1,8 @@
 """Plain-English names of a study's keys, for figures."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from sinsjax.units import split_unit
 
 WORDS = {
@@ -55,6 +58,21 @@ def setting(key: str, value: str) -> str:
     """A key with its value: ``phi_u0_deg`` at 30 becomes ``initial heading error 30 deg``."""
     name, unit = _split(key)
     return f"{name} {value} {unit}" if unit and value[-1:].isdigit() else f"{name} {value}"
+
+
+def name_of(key: Mapping[str, Any]) -> str:
+    """A variant in words: ``reset_count 3, phi_u0 30 deg``; a case by its label alone."""
+    words = (str(v) if k == "case" else setting(k, value_text(v)) for k, v in key.items())
+    return ", ".join(words) or "all runs"
+
+
+def value_text(value: Any) -> str:
+    """A key's value as a reader wants it: 50 for 50.0, ``none`` for an empty list."""
+    if isinstance(value, list | tuple):
+        return ", ".join(map(value_text, value)) or "none"
+    if isinstance(value, float):
+        return f"{value:g}"
+    return "-" if value is None else str(value)
 
 
 def _split(column: str) -> tuple[str, str]:

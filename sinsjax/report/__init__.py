@@ -20,6 +20,7 @@ from sinsjax.report.html import write_html
 from sinsjax.report.markup import template
 from sinsjax.report.names import NO_NAMES
 from sinsjax.report.output import FIGURES, Made, print_report, save_figures, write_page
+from sinsjax.tuning import results
 from sinsjax.tuning.carry_out import is_tuning
 
 
@@ -29,16 +30,10 @@ def summarise(
     page: Path | None = None,
     html: Path | None = None,
 ) -> None:
-    """Prints the tables of some results and draws their figures; writes pages on request.
+    """Prints the tables of results or tunings, draws their figures to ``figures/`` in each of them.
 
+    On request it writes a Markdown file, with figures beside it, and an HTML file that holds all.
     Of a page that is a folder with prose and a script, nothing else is made, unless ``html`` asks.
-
-    Args:
-        directories: of results or of tunings; the figures of each go to ``figures/`` in it.
-        console: where the tables are printed.
-        page: Markdown file to write, with figures beside it in ``figures/``; or a folder whose
-            script is run, see `folder`.
-        html: HTML file to write, with all figures in it.
 
     Raises:
         InputError: a directory holds no results that its layout can use, or cannot be written; or
@@ -67,15 +62,14 @@ def _summarise(
         page = None
     made = []
     for directory in directories:
+        source = _read(directory)
         if is_tuning(directory):
-            source = tuned.read(directory)
-            made.append(_tell(tuned.report(source), source, console))
+            told = tuned.report(source)
         else:
-            source = Source.read(directory)
             told = (estimated if source.study.is_estimated else auto).report(source)
-            headline = [*told.headline, *at_the_end(source)]
-            told = _with_warnings(told._replace(headline=headline), source)
-            made.append(_tell(told, source, console))
+            doubtful = [f"Warning: {line}" for line in source.warnings]
+            told = told._replace(headline=[*doubtful, *told.headline, *at_the_end(source)])
+        made.append(_tell(told, source, console))
     names = list(dict.fromkeys(one.source.study.name for one in made))
     words = template("words.md.j2").render()
     console.print()
@@ -91,13 +85,7 @@ def _summarise(
 
 
 def _read(directory: Path) -> Source:
-    return tuned.read(directory) if is_tuning(directory) else Source.read(directory)
-
-
-def _with_warnings(report: Report, source: Source) -> Report:
-    """A report that begins with what was doubtful before the study ran."""
-    warnings = (f"Warning: {line}" for line in source.warnings)
-    return report._replace(headline=[*warnings, *report.headline])
+    return results.read(directory) if is_tuning(directory) else Source.read(directory)
 
 
 def _tell(report: Report, source: Source, console: Console) -> Made:

@@ -1,14 +1,11 @@
 """The attitude that a run ends with: the first thing that a user of a record wants."""
 
-from functools import partial
-from typing import Any
-
 from scipy import special
 
 from sinsjax import analysis
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
-from sinsjax.report.base import MOST_ROWS, Table, table_of
+from sinsjax.report.base import MOST_ROWS, Table, number, table_of
 from sinsjax.report.markup import said
 from sinsjax.study.swept import shown_keys
 
@@ -21,16 +18,12 @@ def attitudes(source: Source) -> Table:
     variants = source.study.n_variants
     shown = MOST_ROWS // variants * variants or MOST_ROWS  # whole start times, where they fit
     rows = source.rows([*keys, *digits]).slice(0, shown).to_pylist()
-    cells = [(name, partial(_number, name, places)) for name, places in digits.items()]
+    cells = [(name, lambda row, n=name: number(row[n], digits[n])) for name in digits]
     left = source.runs - len(rows)
     notes = [f"{left} more runs are in `summary/`."] if left else []
     notes += [innovations(source)] if source.study.is_recorded else []
     title = "Attitude at the end, with the filter's own 1 sigma"
     return table_of(title, keys, rows, cells, " ".join(notes))
-
-
-def _number(name: str, digits: int, row: dict[str, Any]) -> str:
-    return "unknown" if row[name] is None else f"{row[name]:.{digits}f}"
 
 
 def innovations(source: Source) -> str:

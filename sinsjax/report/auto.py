@@ -12,6 +12,7 @@ from sinsjax.analysis.summaries import NEEDED, estimate_of
 from sinsjax.analysis.words import percent
 from sinsjax.execution import stopping
 from sinsjax.execution.source import Source
+from sinsjax.plots.words import name_of
 from sinsjax.report.attitudes import attitudes
 from sinsjax.report.base import (
     MOST_ROWS,
@@ -22,13 +23,12 @@ from sinsjax.report.base import (
     Table,
     Text,
     intervals,
-    name_of,
     table_of,
 )
+from sinsjax.report.markup import said
 from sinsjax.report.over_axes import over_axes
 from sinsjax.report.spreads import spreads
 from sinsjax.study.acting import first_alike
-from sinsjax.study.study import Study
 from sinsjax.study.success import yardsticks
 from sinsjax.study.swept import shown_keys
 
@@ -148,44 +148,28 @@ def _headline(source: Source, has_truth: bool) -> str:
     return f"{text} Of these {' and '.join(counted)} are ok."
 
 
-def _stopped(source: Source) -> Iterator[str]:
+def _stopped(source: Source) -> list[str]:
     """Why drawing ended where it did, for a study that decides it by itself."""
     study = source.study
     if study.stop_when is None:
-        return
-    rule = study.stop_when
+        return []
     found = stopping.analyse_interim(study, source.rows(stopping.columns(study)), source.draws)
-    why = "narrow enough" if found.enough else "not narrow enough, but there are no more draws"
-    yield (
-        f"Drawing ended after {found.draws:,} draws: the widest interval of {rule.statistic} over"
-        f" the variants has a half-width of {found.half_width:.3g}, {why} (asked:"
-        f" {rule.half_width:g})."
-    )
+    return [said("stopped", rule=study.stop_when, found=found)]
 
 
 def _tables(source: Source) -> list[Block]:
     study = source.study
     start, end = study.study.window_s
-    note = f"Window: {start:g} to {end:g} s; *never*: did not settle."
     keys = shown_keys(study)
-    note = f"{intervals(source)} {note}"
+    note = f"{intervals(source)} Window: {start:g} to {end:g} s; *never*: did not settle."
     if study.n_variants <= MOST_ROWS:
         tables: list[Block] = [statistics(source, keys, "Every variant", note=note)]
         compared = study.n_variants > 1 and source.draws > 1
         return [*tables, against_first(source)] if compared else tables
-    return [
-        Text(
-            f"{study.n_variants} variants{_differ(study)}: each table takes one key and pools the"
-            " others."
-        ),
-        *(statistics(source, [key], f"By {key}", note=note) for key in keys),
-    ]
-
-
-def _differ(study: Study) -> str:
-    """How many variants have runs of their own, where that is not all of them."""
     different = len(np.unique(first_alike(study)))
-    return "" if different == study.n_variants else f", of which {different} differ"
+    differ = "" if different == study.n_variants else f", of which {different} differ"
+    each = f"{study.n_variants} variants{differ}: each table takes one key and pools the others."
+    return [Text(each), *(statistics(source, [key], f"By {key}", note=note) for key in keys)]
 
 
 def _curves(source: Source, has_truth: bool) -> Iterator[Block]:

@@ -6,10 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from sinsjax import analysis, plots
+from sinsjax import analysis
 from sinsjax.analysis.words import percent
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
+from sinsjax.plots.words import value_text
 from sinsjax.report.markup import said
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_of
@@ -40,6 +41,11 @@ class Table(NamedTuple):
     rows: Sequence[Sequence[str]]
     note: str = ""
     folded: bool = False
+
+
+def number(value: float | None, digits: int = 1, factor: float = 1.0) -> str:
+    """A number as text, perhaps times a factor."""
+    return "unknown" if value is None else f"{factor * value:.{digits}f}"
 
 
 def table_of(
@@ -130,21 +136,6 @@ def yardstick(study: Study) -> str:
         dwell=last if dwell_s.max() else "",
         level_band=rule.level_band_arcmin,
     )
-
-
-def name_of(key: Mapping[str, Any]) -> str:
-    """A variant in words: ``reset_count 3, phi_u0 30 deg``; a case by its label alone."""
-    words = (str(v) if k == "case" else plots.setting(k, value_text(v)) for k, v in key.items())
-    return ", ".join(words) or "all runs"
-
-
-def value_text(value: Any) -> str:
-    """A key's value as a reader wants it: 50 for 50.0, ``none`` for an empty list."""
-    if isinstance(value, list | tuple):
-        return ", ".join(map(value_text, value)) or "none"
-    if isinstance(value, float):
-        return f"{value:g}"
-    return "-" if value is None else str(value)
 
 
 def at_the_end(source: Source) -> Iterator[str]:

@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sinsjax import analysis, columns, plots
-from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.analysis import UNKNOWN, Estimate, format_estimate
 from sinsjax.execution.source import Source
 from sinsjax.plots import Shown
-from sinsjax.report.base import MOST_ROWS, Block, Chapter, Picture, Report, Table, table_of
+from sinsjax.report.base import MOST_ROWS, Block, Chapter, Picture, Report, Table, number, table_of
 from sinsjax.report.over_axes import Maps, differ, is_chosen, lines_of, shown_axes, yard_end
 from sinsjax.study.success import Yardstick, success_of, yardsticks
 from sinsjax.study.swept import shown_keys
@@ -40,7 +40,7 @@ class _Names(NamedTuple):
 
     def settling(self, row: Row) -> Estimate:
         """The expected settling time of a variant."""
-        return _interval(_known(row[self.mean]), _known(row[self.error]))
+        return _interval(row[self.mean], row[self.error])
 
     def quantiles(self, row: Row) -> str:
         """When 10, 50 and 90 % of the runs have settled."""
@@ -54,7 +54,7 @@ class _Names(NamedTuple):
         return [
             (f"mean time to {words} (s)", lambda row: format_estimate(self.settling(row))),
             ("10, 50, 90 % of runs by (s)", self.quantiles),
-            (f"{words} at the end (%)", lambda row: _number(row[self.within], 100, 0)),
+            (f"{words} at the end (%)", lambda row: number(row[self.within], 0, 100)),
         ]
 
 
@@ -92,16 +92,10 @@ def _yards(source: Source) -> list[_Names]:
     return [one for one in found if table[one.mean].null_count < table.num_rows]
 
 
-def _known(value: float | None) -> float:
-    return np.nan if value is None else value
-
-
-def _number(value: float | None, factor: float = 1.0, digits: int = 1) -> str:
-    return "unknown" if value is None else f"{factor * value:.{digits}f}"
-
-
-def _interval(value: float, error: float) -> Estimate:
+def _interval(value: float | None, error: float | None) -> Estimate:
     """An estimate with a standard error."""
+    if value is None or error is None:
+        return UNKNOWN
     return Estimate(value, value - _NORMAL * error, value + _NORMAL * error, 1)
 
 
@@ -152,9 +146,9 @@ def _every_variant(source: Source, found: Sequence[_Names]) -> Table:
     needed = [name for one in found for name in one[1:]]
     cells = [
         *(cell for one in found for cell in one.cells),
-        ("phi_u, mean (arcmin)", lambda row: _number(row[_YAW])),
-        ("1 sigma (arcmin)", lambda row: _number(row[_SIGMA])),
-        ("the filter's own (arcmin)", lambda row: _number(row[_OWN])),
+        ("phi_u, mean (arcmin)", lambda row: number(row[_YAW])),
+        ("1 sigma (arcmin)", lambda row: number(row[_SIGMA])),
+        ("the filter's own (arcmin)", lambda row: number(row[_OWN])),
     ]
     rows = source.distinct([*keys, *needed, _YAW, _SIGMA, _OWN]).to_pylist()
     note, left = f"{_TIMES} {_SIGMAS}", "variants are in `estimates/`"
@@ -166,9 +160,8 @@ def _figures(source: Source, names: _Names, first: _Names) -> Iterator[Picture]:
     axes, others = shown_axes(source.study)
     if len(axes) == 2:
         yield from _heat_maps(source, names, yard_end(names.yard, first.yard))
-    elif names is first:
-        for axis, values in axes.items():
-            yield _along_axis(source, names, axis, values, others)
+    elif axes and names is first:
+        yield _along_axis(source, names, *axes.popitem(), others)
 
 
 def _heat_maps(source: Source, names: _Names, end: str) -> Iterator[Picture]:
@@ -204,7 +197,7 @@ def _along_axis(
         return {name: [of(row) for row in rows.to_pylist()] for name, rows in lines.items()}
 
     def exact(name: str) -> dict[str, list[Estimate]]:
-        return panel(lambda row: _interval(_known(row[name]), 0.0))
+        return panel(lambda row: _interval(row[name], 0.0))
 
     panels = {
         f"expected time (s) to {names.yard.words}": panel(names.settling),

@@ -9,15 +9,15 @@ makes it true.
 import importlib
 import sys
 from collections import ChainMap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from importlib.machinery import ModuleSpec
 from importlib.util import module_from_spec
 from pathlib import Path
-from types import MappingProxyType, ModuleType
+from types import MappingProxyType, ModuleType, SimpleNamespace
 from typing import Any, NamedTuple
 
 from jinja2 import TemplateError
-from jinja2.meta import find_undeclared_variables
 
 from sinsjax import plots
 from sinsjax.errors import InputError
@@ -25,7 +25,7 @@ from sinsjax.execution.source import Source
 from sinsjax.platform.files import replacing
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.markup import environment, template
-from sinsjax.report.output import FIGURES, counted, markdown, save_figures
+from sinsjax.report.output import FIGURES, markdown, save_figures
 
 SCRIPT, PROSE = "page.py", "page.md.j2"
 """The files of a page's folder."""
@@ -54,44 +54,37 @@ class Page(NamedTuple):
         return cls(*(dict(ChainMap(*map(dict, kind))) for kind in zip(*parts, strict=True)))
 
 
-class Sources(Mapping[str, Source]):
+class Sources(dict[str, Source]):
     """Results by the name of their study."""
 
-    def __init__(self, sources: Sequence[Source]) -> None:
-        self._sources = {source.study.name: source for source in sources}
-
-    def __getitem__(self, name: str) -> Source:
-        """The results of a study.
-
-        Raises:
-            InputError: they are not among those that were given.
-        """
-        if name not in self._sources:
-            given = ", ".join(self._sources) or "none"
-            raise InputError(f"the page needs results of {name}: add their directory ({given})")
-        return self._sources[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._sources)
-
-    def __len__(self) -> int:
-        return len(self._sources)
+    def __missing__(self, name: str) -> Source:
+        """Tells that results are not among those that were given."""
+        given = ", ".join(self) or "none"
+        raise InputError(f"the page needs results of {name}: add their directory ({given})")
 
 
-class _Names:
-    """What the prose can name, by name; notes in ``used`` what it did."""
+class _Noted:
+    """A value that notes when the prose prints it."""
 
-    def __init__(self, values: Mapping[str, Any], used: set[str], of: str = "") -> None:
-        self._values, self._used, self._of = values, used, of
+    def __init__(self, value: Any, note: Callable[[], None]) -> None:
+        self._value, self._note = value, note
 
-    def __getattr__(self, name: str) -> Any:
-        if name not in self._values:
-            raise AttributeError(f"no attribute {name!r}")
-        value = self._values[name]
+    def __str__(self) -> str:
+        self._note()
+        return str(self._value)
+
+
+def _noted(values: Mapping[str, Any], unused: set[str], of: str = "") -> dict[str, Any]:
+    """Values by name, whose names within names are attributes; each leaves ``unused`` in print."""
+    made: dict[str, Any] = {}
+    for name, value in values.items():
+        whole = f"{of}{name}"
         if isinstance(value, Mapping):
-            return _Names(value, self._used, f"{self._of}{name}.")
-        self._used.add(f"{self._of}{name}")
-        return str(value)
+            made[name] = SimpleNamespace(**_noted(value, unused, f"{whole}."))
+        else:
+            unused.add(whole)
+            made[name] = _Noted(value, partial(unused.discard, whole))
+    return made
 
 
 def script(folder: Path) -> ModuleType:
@@ -121,28 +114,23 @@ def compute(folder: Path, sources: Sequence[Source]) -> Page:
     Raises:
         InputError: the folder is no page's, or results are missing.
     """
-    page: Page = script(folder).page(Sources(sources))
+    page: Page = script(folder).page(Sources({one.study.name: one for one in sources}))
     return page
 
 
 def render(folder: Path, page: Page, *, enforced: bool = True) -> str:
-    """The prose with its numbers, in Markdown.
-
-    Args:
-        folder: of the page.
-        page: what its script computed.
-        enforced: whether a claim that does not hold is an error.
+    """The prose of a page with its numbers, in Markdown.
 
     Raises:
-        InputError: the prose names what is not there, something is not named, or a claim does not
-            hold.
+        InputError: the prose names what is not there, something is not named, or, where that is
+            ``enforced``, a claim does not hold.
     """
-    used: set[str] = set()
+    unused = {f"claim {text!r}" for text in page.claims}
 
     def claim(text: str) -> str:
         if text not in page.claims:
             raise InputError(f"{folder / PROSE}: {SCRIPT} does not say whether {text!r} is so")
-        used.add(f"claim {text!r}")
+        unused.discard(f"claim {text!r}")
         return ""
 
     prefix = f"{folder.name}_"
@@ -150,19 +138,14 @@ def render(folder: Path, page: Page, *, enforced: bool = True) -> str:
         "tables": {name: markdown(table) for name, table in page.tables.items()},
         "figures": {name: markdown(one, prefix) for name, one in page.figures.items()},
     }
-    values = {**page.values, **content}
-    names = {
-        n: _Names(v, used, f"{n}.") if isinstance(v, Mapping) else v for n, v in values.items()
-    }
-    jinja, prose = environment(), (folder / PROSE).read_text(encoding="utf-8")
+    names = _noted({**page.values, **content}, unused)
+    prose = (folder / PROSE).read_text(encoding="utf-8")
     try:
-        used |= find_undeclared_variables(jinja.parse(prose))
-        text = jinja.from_string(prose).render(names, claim=claim)
+        text = environment().from_string(prose).render(names, claim=claim)
     except TemplateError as error:
         raise InputError(f"{folder / PROSE}: {error}") from error
-    offered = {*_flat(values), *(f"claim {text!r}" for text in page.claims)}
-    if unused := sorted(offered - used):
-        raise InputError(f"{folder / PROSE}: no sentence names {', '.join(unused)}")
+    if unused:
+        raise InputError(f"{folder / PROSE}: no sentence names {', '.join(sorted(unused))}")
     wrong = [text for text, holds in page.claims.items() if not holds]
     if enforced and wrong:
         raise InputError(f"{folder / PROSE}: not so in these results: {'; '.join(wrong)}")
@@ -170,14 +153,9 @@ def render(folder: Path, page: Page, *, enforced: bool = True) -> str:
 
 
 def write(folder: Path, sources: Sequence[Source]) -> tuple[Path, int]:
-    """Writes a page and its figures.
+    """Writes the page of ``docs/studies/NAME``, ``docs/NAME.md``, and its figures.
 
-    Args:
-        folder: of the page, ``docs/studies/NAME``; it becomes ``docs/NAME.md``.
-        sources: results.
-
-    Returns:
-        The file, and how many figures it has.
+    Returns the file, and how many figures it has.
 
     Raises:
         InputError: see `compute` and `render`; or the page cannot be written.
@@ -186,7 +164,7 @@ def write(folder: Path, sources: Sequence[Source]) -> tuple[Path, int]:
     page = compute(folder, sources)
     body = render(folder, page)
     path = folder.parents[1] / f"{folder.name}.md"
-    footer = "; ".join(map(counted, sources))
+    footer = "; ".join(source.counted for source in sources)
     images = {
         f"{folder.name}_{one.name}": plots.png(one.figure, one.rests_on or footer)
         for one in page.figures.values()
@@ -197,12 +175,3 @@ def write(folder: Path, sources: Sequence[Source]) -> tuple[Path, int]:
     with replacing(path) as file:
         file.write(text.encode())
     return path, len(images)
-
-
-def _flat(values: Mapping[str, Any], of: str = "") -> Iterator[str]:
-    """Every name, those within names too."""
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{of}{name}.")
-        else:
-            yield f"{of}{name}"

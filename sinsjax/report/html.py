@@ -1,6 +1,6 @@
 """A report as one HTML page that needs nothing else: no network, no file beside it, no script."""
 
-import base64
+from base64 import b64encode
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -17,11 +17,6 @@ from sinsjax.report.output import Made, meanings, names_of, origin
 def write_html(path: Path, title: str, made: Sequence[Made]) -> None:
     """Writes a page with all that is said, every table and every figure.
 
-    Args:
-        path: HTML file.
-        title: of the page.
-        made: what stands on it, in this order.
-
     Raises:
         InputError: the page cannot be written.
     """
@@ -33,7 +28,7 @@ def write_html(path: Path, title: str, made: Sequence[Made]) -> None:
         origin=origin(made),
         inline=_inline,
         paragraphs=_paragraphs,
-        base64=_base64,
+        base64=lambda content: b64encode(content).decode(),
     )
     with replacing(path) as file:
         file.write(page.encode())
@@ -45,10 +40,6 @@ def _inline(text: str, names: Names = NO_NAMES) -> Markup:
 
 def _paragraphs(text: str, names: Names = NO_NAMES) -> Markup:
     return Markup(_markdown().render(names.markdown(text)).rstrip())
-
-
-def _base64(content: bytes) -> str:
-    return base64.b64encode(content).decode()
 
 
 @lru_cache(maxsize=1)

@@ -4,7 +4,6 @@ What a layout says is Markdown of its own, into which it puts names as they are.
 leaves for a medium, are they told from it: by the study, which has them all.
 """
 
-import hashlib
 import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
@@ -54,12 +53,6 @@ NO_NAMES = Names()
 def escaped(name: str) -> str:
     """A name as Markdown that shows it letter by letter; in a table ``|`` is escaped besides."""
     return _MARKUP.sub(r"\\\g<0>", name.replace("&", "&amp;")).replace("<", "&lt;")
-
-
-def file_stem(name: str) -> str:
-    """A name as the beginning of a file's; one that had to change is told from others by digits."""
-    stem = re.sub(r"[^\w.-]+", "-", name)[:80].strip("-.")
-    return stem if stem == name else f"{stem}-{hashlib.sha256(name.encode()).hexdigest()[:6]}"
 
 
 def _has_markup(text: str) -> bool:

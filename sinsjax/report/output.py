@@ -14,10 +14,10 @@ from sinsjax import console as screen
 from sinsjax import plots
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
-from sinsjax.platform.files import replacing, unwritable
+from sinsjax.platform.files import file_stem, replacing, unwritable
 from sinsjax.report.base import Block, Picture, Report, Table, Text, yardstick
 from sinsjax.report.markup import template
-from sinsjax.report.names import NO_NAMES, Names, file_stem
+from sinsjax.report.names import NO_NAMES, Names
 
 FIGURES = "figures"
 """Directory of the figures, in that of the results or of a page."""
@@ -43,19 +43,9 @@ class Made(NamedTuple):
         """Draws the figures of a report."""
         blocks = (block for section in report.sections for block in section.blocks)
         pictures = (block for block in blocks if isinstance(block, Picture))
-        footer = report.rests_on or counted(source)
+        footer = report.rests_on or source.counted
         images = {one.name: plots.png(one.figure, one.rests_on or footer) for one in pictures}
         return cls(source, report, images, Names.of(source.study, source.config, *source.warnings))
-
-
-def counted(source: Source) -> str:
-    """What a figure rests on, for its footer: the study's name and how many runs it has."""
-    study = source.study
-    unit = "start times" if study.is_recorded else "draws"
-    if study.n_variants == 1:
-        return f"{study.name}: {source.runs:,} {unit if source.runs > 1 else unit[:-1]}"
-    each = f"{source.runs / study.n_variants:,g} {unit}"
-    return f"{study.name}: {study.n_variants:,} variants × {each} = {source.runs:,} runs"
 
 
 def print_report(made: Made, console: Console) -> None:
@@ -76,11 +66,7 @@ def print_report(made: Made, console: Console) -> None:
 
 
 def save_figures(images: Mapping[str, bytes], directory: Path) -> None:
-    """Writes PNG files.
-
-    Args:
-        images: content by name, without extension.
-        directory: where; made if missing.
+    """Writes PNG files, by their names without extension, to a directory that is made if missing.
 
     Raises:
         InputError: the directory cannot be written.
@@ -102,12 +88,7 @@ def origin(made: Sequence[Made]) -> str:
 
 
 def write_page(page: Path, title: str, made: Sequence[Made]) -> None:
-    """Writes a documentation page, and its figures beside it.
-
-    Args:
-        page: Markdown file; figures go to ``figures/`` in its directory.
-        title: of the page.
-        made: what stands on it, in this order.
+    """Writes a documentation page in Markdown, and its figures to ``figures/`` beside it.
 
     Raises:
         InputError: the page cannot be written.
@@ -143,13 +124,7 @@ def meanings(made: Sequence[Made]) -> list[str]:
 
 
 def markdown(block: Block, prefix: str = "", names: Names = NO_NAMES) -> str:
-    """A block as Markdown.
-
-    Args:
-        block: to write.
-        prefix: before the file name of a figure.
-        names: that it may hold.
-    """
+    """A block with its names as Markdown; the file name of a figure may have a prefix."""
     text = template("block.md.j2").render(
         block=block,
         md=names.markdown,

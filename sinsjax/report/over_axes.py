@@ -1,6 +1,6 @@
 """Tables and figures over a study's swept numbers: heat maps, and curves with intervals."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +14,8 @@ from sinsjax.analysis.summaries import NEEDED, estimate_of
 from sinsjax.analysis.words import percent
 from sinsjax.execution.source import Source
 from sinsjax.plots import Shown
-from sinsjax.report.base import Block, Picture, Table, intervals, name_of, value_text
+from sinsjax.plots.words import name_of, value_text
+from sinsjax.report.base import Block, Picture, Table, intervals
 from sinsjax.study.acting import first_alike
 from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.study import Study
@@ -23,8 +24,6 @@ from sinsjax.study.swept import shown_keys, swept
 
 MOST_PANELS = 12
 MOST_LINES = 7
-
-Axes = Mapping[str, Sequence[float]]
 
 
 def over_axes(source: Source) -> list[Block]:
@@ -137,41 +136,13 @@ def lines_of(table: pa.Table, others: Sequence[str]) -> tuple[dict[str, pa.Table
     return {name_of(point): rows for point, rows in groups[:MOST_LINES]}, said
 
 
-class _Runs(NamedTuple):
-    """The runs of one point of the other keys.
-
-    Attributes:
-        point: the other keys' values.
-        settle_s: (draws, rows, columns), infinite where a run never settled.
-        ok: (draws, rows, columns) bool.
-        cluster: (draws,), see `analysis.clusters_of`.
-    """
-
-    point: dict[str, Any]
-    settle_s: NDArray
-    ok: NDArray
-    cluster: NDArray
-
-    @property
-    def median(self) -> NDArray:
-        """Over the draws; infinite where fewer than half of them settled."""
-        return np.quantile(self.settle_s, 0.5, axis=0, method="inverted_cdf")
-
-
-def _runs(panel: Panel, yard: Yardstick) -> _Runs:
-    settle_s, ok = np.nan_to_num(panel.of(yard.settle), nan=np.inf), panel.of(yard.ok) > 0
-    cluster = np.asarray(analysis.clusters_of(panel.rows)).reshape(ok.shape)[:, 0, 0]
-    return _Runs(panel.point, settle_s, ok, cluster)
-
-
 def _heat_maps(source: Source, yard: Yardstick) -> Iterator[Block]:
     """The maps from one yardstick."""
     maps = Maps(source, (yard.settle, yard.ok, "draw_id", "start_s"))
-    runs = [_runs(panel, yard) for panel in maps.panels]
     if all(map(is_chosen, maps.axes)):
-        yield _best(yard, maps.axes, runs)
-    drawn, end = runs[: len(maps.drawn)], yard_end(yard, source.yardsticks[0])
-    medians = [one.median for one in drawn]
+        yield _best(yard, maps)
+    end = yard_end(yard, source.yardsticks[0])
+    medians = [_median(panel, yard) for panel in maps.drawn]
     yield maps.draw(
         f"settling_time{end}",
         f"Median time over {source.draws} draws until the heading stays {yard.words}; hatched where"
@@ -180,7 +151,7 @@ def _heat_maps(source: Source, yard: Yardstick) -> Iterator[Block]:
         f"How long until the heading stays {yard.words}?",
         Shown("median settling time (s)", 0.0, _highest(medians), reverse=True),
     )
-    shares = [100 * one.ok.mean(axis=0) for one in drawn]
+    shares = [100 * (panel.of(yard.ok) > 0).mean(axis=0) for panel in maps.drawn]
     if differ(shares):
         yield maps.draw(
             f"success_rate{end}",
@@ -191,32 +162,42 @@ def _heat_maps(source: Source, yard: Yardstick) -> Iterator[Block]:
         )
 
 
+def _settle(panel: Panel, yard: Yardstick) -> NDArray:
+    """(draws, rows, columns) settling times, infinite where a run never settled, s."""
+    return np.nan_to_num(panel.of(yard.settle), nan=np.inf)
+
+
+def _median(panel: Panel, yard: Yardstick) -> NDArray:
+    """(rows, columns) medians over the draws; infinite where fewer than half of them settled."""
+    return np.quantile(_settle(panel, yard), 0.5, axis=0, method="inverted_cdf")
+
+
 def _highest(values: Sequence[NDArray]) -> float:
     known = np.concatenate([one[np.isfinite(one)] for one in values])
     return float(known.max()) if known.size else 1.0
 
 
-def _best(yard: Yardstick, axes: Axes, runs: Sequence[_Runs]) -> Table:
+def _best(yard: Yardstick, maps: Maps) -> Table:
     """At each point of the other keys, where most runs settle, and among those the fastest."""
-    rows = []
-    for here in runs[: 2 * MOST_PANELS]:
-        share, median = here.ok.mean(axis=0), here.median
-        order = np.lexsort((median.ravel(), -share.ravel()))
-        best = np.unravel_index(order[0], share.shape)
-        place = (slice(None), *best)
-        time = analysis.quantile(here.settle_s[place], cluster=here.cluster)
+    rows, axes = [], maps.axes
+    for panel in maps.panels[: 2 * MOST_PANELS]:
+        ok, settle_s = panel.of(yard.ok) > 0, _settle(panel, yard)
+        cluster = np.asarray(analysis.clusters_of(panel.rows)).reshape(ok.shape)[:, 0, 0]
+        order = np.lexsort((_median(panel, yard).ravel(), -ok.mean(axis=0).ravel()))
+        row, column = np.unravel_index(order[0], panel.shape)
+        time = analysis.quantile(settle_s[:, row, column], cluster=cluster)
         rows.append(
             [
-                *map(value_text, here.point.values()),
-                *(value_text(values[at]) for values, at in zip(axes.values(), best, strict=True)),
-                percent(analysis.share(here.ok[place], here.cluster)),
+                *map(value_text, panel.point.values()),
+                *(value_text(v[at]) for v, at in zip(axes.values(), (row, column), strict=True)),
+                percent(analysis.share(ok[:, row, column], cluster)),
                 format_estimate(time, digits=0),
-                percent(analysis.share(here.ok[:, 0, 0], here.cluster)),
+                percent(analysis.share(ok[:, 0, 0], cluster)),
             ]
         )
     first = ", ".join(f"{key} {value_text(values[0])}" for key, values in axes.items())
     header = [
-        *runs[0].point,
+        *maps.panels[0].point,
         *(f"best {key}" for key in axes),
         f"ok: {yard.words} (%)",
         "from when on, median (s)",

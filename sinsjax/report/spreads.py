@@ -3,19 +3,17 @@
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import pyarrow as pa
 
 from sinsjax import analysis, plots
-from sinsjax.analysis import Estimate
 from sinsjax.execution.source import Source
-from sinsjax.plots import BeliefPanel
-from sinsjax.report.base import Picture, Text, name_of
+from sinsjax.plots.beliefs import SHARES, BeliefPanel
+from sinsjax.plots.words import name_of
+from sinsjax.report.base import Picture, Text
 from sinsjax.report.markup import said
 from sinsjax.study.swept import shown_keys, swept
 from sinsjax.units import ARCMIN, MICRO
 
 _MOST_LINES = 7
-_SHARES = {"from truth": "p_above_error_share", "from the limit": "p_above_floor_error_share"}
 
 
 def spreads(source: Source) -> Iterator[Picture | Text]:
@@ -24,9 +22,9 @@ def spreads(source: Source) -> Iterator[Picture | Text]:
     A line a variant; of many variants, a line a value of the first key that has few.
     """
     keys, note = _lines(source)
-    needed = (*keys, "nees", *_SHARES.values(), "draw_id", "start_s")
+    needed = (*keys, "nees", *SHARES.values(), "draw_id", "start_s")
     groups = analysis.groups(source.rows(needed), keys)
-    beliefs = [belief(name_of(key), rows) for key, rows in groups]
+    beliefs = [BeliefPanel.of(name_of(key), rows) for key, rows in groups]
     if beliefs := [one for one in beliefs if np.isfinite(one.nees).any()]:
         yield consistency(beliefs, note)
         yield from _biases_unknown(source)
@@ -61,21 +59,6 @@ def _lines(source: Source) -> tuple[Sequence[str], str]:
         if len(values) <= _MOST_LINES:
             return own, f" All runs of the same {' and '.join(own)} make one line."
     return (), " All runs together."
-
-
-def belief(name: str, rows: pa.Table) -> BeliefPanel:
-    """NEES of some runs, and how often P_UU lies above the squared error.
-
-    Args:
-        name: of the line.
-        rows: of the summary, with ``nees``, the shares of records and what tells clusters.
-    """
-    shares = {}
-    for of, column in _SHARES.items():
-        found = analysis.mean(analysis.numbers(rows, column), analysis.clusters_of(rows))
-        low, high = np.clip(found[1:3], 0.0, 1.0).tolist()
-        shares[of] = Estimate(found.value, low, high, found.n)
-    return BeliefPanel(name, analysis.numbers(rows, "nees"), shares)
 
 
 def consistency(beliefs: Sequence[BeliefPanel], note: str = "") -> Picture:

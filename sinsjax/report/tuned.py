@@ -1,47 +1,25 @@
 """A tuning: what its searches found, judged on draws that tuned nothing, and how they did."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
-from pathlib import Path
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from sinsjax.analysis import NO_INTERVAL, Estimate, format_estimate
-from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
+from sinsjax.plots.words import value_text
 from sinsjax.report import tuned_figures
-from sinsjax.report.base import Chapter, Report, Table, value_text
+from sinsjax.report.base import Chapter, Report, Table
+from sinsjax.report.markup import template
 from sinsjax.study.search_space import Variable
 from sinsjax.study.success import yardsticks
 from sinsjax.study.tuned_keys import TIMES
 from sinsjax.tuning import objective
-from sinsjax.tuning.carry_out import EVALUATION, GRADIENT
+from sinsjax.tuning.carry_out import GRADIENT
 from sinsjax.tuning.results import Tuning, words
 
 NEAR_S = 1.0
 """Resets closer than this are told as a double one, s."""
-
-_CLOSE = (
-    f"Resets less than {NEAR_S:g} s apart are joined by *and*: a double reset, whose effect need"
-    " not be that of one."
-)
-_MILLION = 1e6
-
-
-def read(directory: Path) -> Source:
-    """Opens a tuning: the results of its judging, with the directory of all of it.
-
-    Raises:
-        InputError: it is not complete, or cannot be read.
-    """
-    if not (directory / EVALUATION / "summary").is_dir():
-        raise InputError(
-            f"{directory}: holds a tuning that is not complete (`sinsjax tune --resume` goes on"
-            " with it)"
-        )
-    judged = Source.read(directory / EVALUATION)
-    assert judged.draws  # of which none is missing, or that is told
-    return replace(judged, directory=directory, table=judged.summary)
 
 
 def report(source: Source) -> Report:
@@ -56,10 +34,7 @@ def report(source: Source) -> Report:
     each = f" × {variants} variants" if variants > 1 else ""
     return Report(
         _headline(tuning),
-        [
-            Chapter("What was found", [_candidates(tuning)]),
-            Chapter("How it was found", pictures),
-        ],
+        [Chapter("What was found", [_candidates(tuning)]), Chapter("How it was found", pictures)],
         f"{tuning.study.name}: {_drawn(tuning)}{each} a point",
     )
 
@@ -72,61 +47,44 @@ def _drawn(tuning: Tuning) -> str:
 
 
 def _headline(tuning: Tuning) -> list[str]:
-    tune, best = tuning.tune, tuning.best
-    unit = "start times" if tuning.study.is_recorded else "draws"
-    judged = yardsticks(tuning.study, tune.objective_band_arcmin)[0]
-    name, across = words(tuning.study)[0], {"mean": "mean", "worst": "worst"}[tune.objective_across]
-    over = f", {across} over {tuning.runs.shape[1]} variants" if tuning.runs.shape[1] > 1 else ""
-    lines = [
-        f"Tuned on {_drawn(tuning)}, judged on {tuning.runs.shape[2]} others by the {name}{over}:"
-        f" {tuning.study.name}.",
-        f"The best on the tuning {unit}, which is in `tuned.toml`, is that of the search"
-        f" '{best}': {_said(tuning, tuning.score(best))} on the others, the baseline"
-        f" {_said(tuning, tuning.score('baseline'))}.",
-    ]
+    tune, rival = tuning.tune, tuning.rival
     looks = [
         look.objective
         for found in tuning.found.values()
         for look in found.looks
         if look.sharpness is None
     ]
-    if min(looks) >= objective.failing(tune, tuning.study):
-        lines.append(
-            "Every point fails: no run of any point looked at keeps its heading"
-            f" {judged.words}, so that the objective is the same everywhere and what is called the"
-            " best is any of them. Widen `objective_band_arcmin`, lengthen the runs"
-            + (", or judge from the limit (`judged_from`)." if judged.truth else ".")
-        )
-    if GRADIENT in tuning.found and tuning.rival != GRADIENT:
-        difference = tuning.difference(GRADIENT)
-        share = tuning.found[GRADIENT].cost / tuning.found[tuning.rival].cost
-        verdict = (
-            "better than"
-            if difference.high < 0
-            else "worse than"
-            if difference.low > 0
-            else "not told apart from"
-        )
-        lines.append(
-            f"The gradient is {verdict} the best of '{tuning.rival}' (difference"
-            f" {_said(tuning, difference)}), at {_percent(share)} of its cost."
-        )
-    return [*lines, _at_bounds(tuning)]
-
-
-def _at_bounds(tuning: Tuning) -> str:
-    """Which values of which candidate stand at the end of their range, in a sentence."""
-    found = [
-        f"{variable.name} = {value_text(value)} of '{name}'"
-        for name, there in tuning.on_bounds.items()
-        for variable, value in there
-    ]
-    if not found:
-        return "No tuned value stands at the end of the range that was searched."
-    return (
-        "At the end of the range that was searched, so that a better value may lie beyond it:"
-        f" {'; '.join(found)}."
+    gradient = {}
+    if GRADIENT in tuning.found and rival != GRADIENT:
+        apart = tuning.difference(GRADIENT)
+        lower = "better than" if apart.high < 0 else "not told apart from"
+        gradient = {
+            "verdict": "worse than" if apart.low > 0 else lower,
+            "difference": _said(tuning, apart),
+            "share": _percent(tuning.found[GRADIENT].cost / tuning.found[rival].cost),
+        }
+    text = template("tuned.md.j2").render(
+        study=tuning.study.name,
+        drawn=_drawn(tuning),
+        others=tuning.runs.shape[2],
+        variants=tuning.runs.shape[1],
+        unit="start times" if tuning.study.is_recorded else "draws",
+        name=words(tuning.study)[0],
+        across=tune.objective_across,
+        best=tuning.best,
+        score=_said(tuning, tuning.score(tuning.best)),
+        baseline=_said(tuning, tuning.score("baseline")),
+        fails=min(looks) >= objective.failing(tune, tuning.study),
+        judged=yardsticks(tuning.study, tune.objective_band_arcmin)[0],
+        gradient=gradient,
+        rival=rival,
+        bounds=[
+            f"{variable.name} = {value_text(value)} of '{name}'"
+            for name, there in tuning.on_bounds.items()
+            for variable, value in there
+        ],
     )
+    return text.splitlines()
 
 
 def _value(value: Any, bounds: Sequence[tuple[Variable, float]], key: str) -> str:
@@ -156,37 +114,36 @@ def _said(tuning: Tuning, estimate: Estimate) -> str:
 
 
 def _candidates(tuning: Tuning) -> Table:
-    rival = tuning.rival
-    paid = tuning.found[rival].cost if rival in tuning.found else None
-    keys = [key for key in tuning.judged.cases[0] if key != "case"]
-    bounds = tuning.on_bounds
-    rows = []
-    for name, place in tuning.places.items():
-        case = tuning.judged.cases[place]
-        found = tuning.found.get(name)
-        rows.append(
-            [
-                name,
-                _said(tuning, tuning.score(name)),
-                "-" if name == rival else _said(tuning, tuning.difference(name)),
-                f"{found.cost / _MILLION:,.4g}" if found else "-",
-                _percent(found.cost / paid) if found and paid else "-",
-                *(_value(case[key], bounds.get(name, ()), key) for key in keys),
-            ]
-        )
-    header = [
-        "candidate",
-        words(tuning.study)[0],
-        f"less that of '{rival}'",
-        "cost (10^6 steps)",
-        f"of that of '{rival}'",
-        *keys,
+    rival, bounds = tuning.rival, tuning.on_bounds
+    costs = {name: found.cost for name, found in tuning.found.items()}
+
+    def lessened(name: str) -> str:
+        return "-" if name == rival else _said(tuning, tuning.difference(name))
+
+    def share(name: str) -> str:
+        known = name in costs and costs.get(rival)
+        return _percent(costs[name] / costs[rival]) if known else "-"
+
+    def cell(key: str, name: str) -> str:
+        value = tuning.judged.cases[tuning.places[name]][key]
+        return _value(value, bounds.get(name, ()), key)
+
+    cells: list[tuple[str, Callable[[str], str]]] = [
+        (words(tuning.study)[0], lambda name: _said(tuning, tuning.score(name))),
+        (f"less that of '{rival}'", lessened),
+        ("cost (10^6 steps)", lambda name: f"{costs[name] / 1e6:,.4g}" if name in costs else "-"),
+        (f"of that of '{rival}'", share),
+        *((key, partial(cell, key)) for key in tuning.judged.cases[0] if key != "case"),
     ]
+    rows = [[name, *(tell(name) for _, tell in cells)] for name in tuning.places]
     recorded = tuning.study.is_recorded
     note = (
         "On draws that tuned nothing, the same for all."
         f" {NO_INTERVAL if recorded else 'Number [95 % interval by the bootstrap over them].'}"
         " Cost: simulated steps of the search, those of its derivatives included."
-        f" *Bound*: the value stands at the end of the range that was searched. {_CLOSE}"
+        " *Bound*: the value stands at the end of the range that was searched."
+        f" Resets less than {NEAR_S:g} s apart are joined by *and*: a double reset, whose effect"
+        " need not be that of one."
     )
+    header = ["candidate", *(name for name, _ in cells)]
     return Table("Candidates on the unused draws", header, rows, note)

@@ -4,10 +4,13 @@ import numpy as np
 
 from sinsjax import plots
 from sinsjax.plots.descents import CostCurve, Landscape, Side, Spot, Way, best_by_cost, descent
-from sinsjax.report.base import Picture, value_text
+from sinsjax.plots.words import value_text
+from sinsjax.report.base import Picture
+from sinsjax.report.markup import said
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.tuned_keys import TIMES
 from sinsjax.tuning.carry_out import COVARIANCE, GRADIENT
+from sinsjax.tuning.history import Evaluation
 from sinsjax.tuning.results import Tuning, axis
 
 _LOOKS = ("grid", GRADIENT, "baseline", "sobol", "equal cost", "random", COVARIANCE)  # by marker
@@ -33,16 +36,16 @@ def landscape(tuning: Tuning) -> list[Picture]:
     )
     ways = _ways(tuning, number, used)
     spots = [*_baseline_spot(tuning, space, number), *_spots(tuning, number, used)]
-    told = f"Points of the search '{name}', coloured by their objective on the tuning draws"
-    if len(used) == 1:
-        told = f"Objective of the points of the search '{name}' on the tuning draws"
-    if ways:
-        told += "; lines: the descents, of the relaxed objective"
-    if len(space.combinations) > 1:
-        chosen = ", ".join(f"{key} = {value_text(v)}" for key, v in combination.items())
-        told += f". All with {chosen}, as the best candidate has"
+    chosen = ", ".join(f"{key} = {value_text(v)}" for key, v in combination.items())
+    caption = said(
+        "landscape",
+        search=name,
+        is_line=len(used) == 1,
+        has_ways=bool(ways),
+        chosen=chosen if len(space.combinations) > 1 else "",
+    )
     figure = descent(seen, ways, spots, "Where the searches looked, and the best of each")
-    return [Picture("descent", f"{told}.", figure)]
+    return [Picture("descent", caption, figure)]
 
 
 def _side(variable: Variable) -> Side:
@@ -55,19 +58,18 @@ def _side(variable: Variable) -> Side:
 
 
 def _ways(tuning: Tuning, number: int, used: list[int]) -> list[Way]:
-    if GRADIENT not in tuning.found:
-        return []
-    looks = [
-        look
-        for look in tuning.found[GRADIENT].looks
-        if look.window_s is not None and look.candidate == number
-    ]
+    """The descents of the combination."""
+    found = tuning.found.get(GRADIENT)
+    descents: dict[int | None, list[Evaluation]] = {}
+    for look in found.relaxed if found else ():
+        if look.candidate == number:
+            descents.setdefault(look.start, []).append(look)
     return [
         Way(
-            np.array([look.values for look in looks if look.start == start])[:, used],
-            np.array([look.objective for look in looks if look.start == start]),
+            np.array([look.values for look in looks])[:, used],
+            np.array([look.objective for look in looks]),
         )
-        for start in dict.fromkeys(look.start for look in looks)
+        for looks in descents.values()
     ]
 
 
@@ -110,27 +112,9 @@ def course(tuning: Tuning) -> Picture:
     """The best objective of each search against what it had cost by then."""
     searches = []
     for name, found in tuning.found.items():
-        relaxed = [look for look in found.looks if look.window_s is not None]
-        if not relaxed:
-            estimated = [look for look in found.looks if look.estimated]
-            looks = estimated or found.looks
-            cost = np.array([look.cost for look in looks])
-            best = np.minimum.accumulate([look.objective for look in looks])
-            ending = (found.cost, found.best.objective) if estimated else None
-            searches.append(CostCurve(name, cost, best, bool(estimated), ending))
-            continue
-        steps = list(dict.fromkeys(look.step for look in relaxed))
-        own = [[look for look in relaxed if look.step == step] for step in steps]
-        cost = np.array([max(look.cost for look in looks) for looks in own])
-        best = np.array([min(look.objective for look in looks) for looks in own])
-        searches.append(CostCurve(name, cost, best, True, (found.cost, found.best.objective)))
-    told = "Best objective on the tuning draws against cost (steps of simulation)"
-    if any(one.relaxed for one in searches):
-        told += (
-            "; dashed: the best of all descents at each step, relaxed, on the draws of the step, or"
-            " the best so far by covariance analysis"
-        )
-    figure = best_by_cost(
-        searches, axis(tuning.study), "Best so far against what the search had cost"
-    )
-    return Picture("history", f"{told}.", figure)
+        cost, best, relaxed = found.course
+        ending = (found.cost, found.best.objective) if relaxed else None
+        searches.append(CostCurve(name, cost, best, relaxed, ending))
+    caption = said("course", relaxed=any(one.relaxed for one in searches))
+    title = "Best so far against what the search had cost"
+    return Picture("history", caption, best_by_cost(searches, axis(tuning.study), title))

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from sinsjax.columns import Column, schema
 from sinsjax.errors import InputError
@@ -67,6 +68,27 @@ class Found(NamedTuple):
     def cost(self) -> int:
         """Cost of the whole search, in steps of a plain run."""
         return max(look.cost for look in self.looks)
+
+    @property
+    def relaxed(self) -> list[Evaluation]:
+        """The relaxed evaluations, those of descents."""
+        return [look for look in self.looks if look.window_s is not None]
+
+    @property
+    def course(self) -> tuple[NDArray, NDArray, bool]:
+        """Cost and best objective so far, and whether that is relaxed or estimated.
+
+        Of descents the best of all of them at each step.
+        """
+        if relaxed := self.relaxed:
+            steps = dict.fromkeys(look.step for look in relaxed)
+            own = [[look for look in relaxed if look.step == step] for step in steps]
+            cost = np.array([max(look.cost for look in at) for at in own])
+            return cost, np.array([min(look.objective for look in at) for at in own]), True
+        estimated = [look for look in self.looks if look.estimated]
+        looks = estimated or self.looks
+        best = np.minimum.accumulate([look.objective for look in looks])
+        return np.array([look.cost for look in looks]), best, bool(estimated)
 
     def point(self, space: SearchSpace) -> TomlTable:
         """The keys and values of the best point."""

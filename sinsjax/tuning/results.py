@@ -2,14 +2,16 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax.analysis import Estimate
 from sinsjax.analysis.estimates import bootstrap
+from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
 from sinsjax.study.load import load_study
 from sinsjax.study.ranges import TuneSection
@@ -17,11 +19,27 @@ from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
 from sinsjax.study.success import as_of_schema_1, yardsticks
 from sinsjax.tuning import history, objective, search
-from sinsjax.tuning.carry_out import STUDY, require_tune
+from sinsjax.tuning.carry_out import EVALUATION, STUDY, require_tune
 from sinsjax.tuning.history import Found
 
 _AT_BOUND = 5e-3
 """A value within this share of its range is on the bound: descents stop short of it."""
+
+
+def read(directory: Path) -> Source:
+    """Opens a tuning: the results of its judging, with the directory of all of it.
+
+    Raises:
+        InputError: it is not complete, or cannot be read.
+    """
+    if not (directory / EVALUATION / "summary").is_dir():
+        raise InputError(
+            f"{directory}: holds a tuning that is not complete (`sinsjax tune --resume` goes on"
+            " with it)"
+        )
+    judged = Source.read(directory / EVALUATION)
+    assert judged.draws  # of which none is missing, or that is told
+    return replace(judged, directory=directory, table=judged.summary)
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from sinsjax.records import write_psins
 from sinsjax.report import tuned
 from sinsjax.study.load import Study, load_study, study_from_dict, with_point
 from sinsjax.study.search_space import SearchSpace, Variable
-from sinsjax.tuning import carry_out, history, objective, search
+from sinsjax.tuning import carry_out, history, objective, results, search
 from sinsjax.tuning.history import Evaluation, Found
 from sinsjax.tuning.results import Tuning
 
@@ -157,7 +157,7 @@ def test_a_tuning_is_reported_from_its_files(made: Path, tmp_path: Path) -> None
 
 
 def test_values_on_the_bound_of_their_range_are_flagged(made: Path) -> None:
-    tuning = Tuning.of(tuned.read(made))
+    tuning = Tuning.of(results.read(made))
     space = SearchSpace.of(tuning.study)
     bounds = {
         name: {v.name for v, x in there if x in (v.low, v.high)}
@@ -171,7 +171,7 @@ def test_values_on_the_bound_of_their_range_are_flagged(made: Path) -> None:
             if found.best.values[i] in (space.variables[i].low, space.variables[i].high)
         }
         assert bounds[name] == there
-    made_report = tuned.report(tuned.read(made))
+    made_report = tuned.report(results.read(made))
     (last,) = made_report.headline[-1:]
     assert ("At the end of the range" in last) == any(bounds.values())
     cells = [cell for row in made_report.sections[0].blocks[0].rows for cell in row]
@@ -198,7 +198,7 @@ def test_a_judging_that_lacks_runs_is_not_reported(made: Path, tmp_path: Path) -
 
 
 def test_intervals_and_differences_are_of_common_draws(made: Path) -> None:
-    tuning = Tuning.of(tuned.read(made))
+    tuning = Tuning.of(results.read(made))
     own, other = (tuning.runs[tuning.places[name]] for name in ("gradient", "grid"))
     rows = tables.read_summary(made / "evaluation").to_pylist()
     errors = [abs(row["phi_u_arcmin"]) for row in rows if row["case"] == "gradient"]

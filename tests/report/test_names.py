@@ -21,9 +21,10 @@ from sinsjax import console as screen
 from sinsjax.errors import InputError
 from sinsjax.execution import progress, run
 from sinsjax.execution.run import RunProgress
+from sinsjax.platform.files import file_stem
 from sinsjax.plots import png
 from sinsjax.plots.style import styled
-from sinsjax.report.names import NO_NAMES, Names, escaped, file_stem
+from sinsjax.report.names import NO_NAMES, Names, escaped
 from sinsjax.study.load import load_study
 
 NASTY = (

@@ -187,13 +187,13 @@ def test_rows_are_some_columns_by_run(tmp_path):
 def test_figures_say_what_they_rest_on(tmp_path, axes, draws, text):
     study = small_study(study={"name": "swing", "draws": draws}, axes=axes)
     source = Source(tmp_path, study, "x.toml", summary_of(study))
-    assert report.output.counted(source) == text
+    assert source.counted == text
 
 
 def test_figures_of_a_record_count_its_start_times(tmp_path):
     study = recorded_study()
     source = Source(tmp_path, study, "x.toml", summary_of(study))
-    assert report.output.counted(source) == "car: 3 start times"
+    assert source.counted == "car: 3 start times"
 
 
 def test_incomplete_results_are_told(tmp_path):

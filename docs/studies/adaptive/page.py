@@ -11,7 +11,6 @@ from sinsjax.execution.source import Source
 from sinsjax.plots.cells import Class, ratio_maps
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
-from sinsjax.report.output import counted
 
 from .scores import NONE, PAPER, SETTLE, WITHIN, Policy, Scores
 
@@ -36,7 +35,7 @@ def page(sources: Sources) -> Page:
     scores = Scores(source)
     return Page.joined(
         Page({"study": {"runs": f"{source.runs:,}", "draws": str(scores.grid.draws)}}),
-        _simulated(scores, counted(source)),
+        _simulated(scores, source.counted),
         _recorded(sources["car_adaptive"]),
     )
 

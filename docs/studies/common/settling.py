@@ -11,7 +11,6 @@ from sinsjax.analysis.words import seconds
 from sinsjax.execution.source import Source
 from sinsjax.plots import Scale, Shown
 from sinsjax.report.base import Picture
-from sinsjax.report.output import counted
 
 
 def mean_time(settle_s: NDArray, run_s: float) -> str:
@@ -52,7 +51,7 @@ def settling_maps(
         f"Medians over {_how_many(source, panels)}; light is good, hatched: at least half of them"
         f" never settle. {note}"
     )
-    return Picture(name, caption, figure, counted(source))
+    return Picture(name, caption, figure, source.counted)
 
 
 def _how_many(source: Source, panels: Mapping[str, NDArray]) -> str:

@@ -10,9 +10,9 @@ from sinsjax.analysis.grids import Grid, median, shared
 from sinsjax.analysis.words import percent, seconds, share
 from sinsjax.execution.source import Source
 from sinsjax.plots import Contours, Scale, Shown
-from sinsjax.report.base import Picture, Table, value_text
+from sinsjax.plots.words import value_text
+from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
-from sinsjax.report.output import counted
 from sinsjax.study.swept import only
 from sinsjax.units import ARCMIN, DEG
 
@@ -145,7 +145,7 @@ def compared(source: Source) -> Page:
         " Scheme 2 never settles. Dashed: what the noise of that record leaves outside, whatever"
         " the method."
     )
-    picture = Picture("settling", caption, figure, counted(source))
+    picture = Picture("settling", caption, figure, source.counted)
     return Page(
         values, {"cases": _cases(source, wide_s, narrow_s, outside)}, {"settling": picture}, claims
     )
@@ -232,4 +232,4 @@ def _error_maps(source: Source, grid: Grid, rms: NDArray) -> Picture:
         " the initial error and more. Left of the line of 1 a record cannot converge. *Too*: the"
         " azimuth rate, besides the velocity."
     )
-    return Picture("heading_error", caption, figure, counted(source))
+    return Picture("heading_error", caption, figure, source.counted)

@@ -10,9 +10,10 @@ from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.analysis.words import percent, share
 from sinsjax.execution.source import Source
+from sinsjax.plots import BeliefPanel
 from sinsjax.report.base import Table
 from sinsjax.report.folder import Page, Sources
-from sinsjax.report.spreads import belief, consistency
+from sinsjax.report.spreads import consistency
 
 TRUE, SLOW = "Q as the noise", "the same, feedback every 10 s"
 SMALL_Q, LARGE_Q = "a quarter of that Q", "four times that Q"
@@ -63,7 +64,7 @@ def page(sources: Sources) -> Page:
             checked[BIASED].nees.low > nees[1] and within(checked[BIASED].nis_u, nis)
         ),
     }
-    figure = consistency([belief(case, one.rows) for case, one in checked.items()])
+    figure = consistency([BeliefPanel.of(case, one.rows) for case, one in checked.items()])
     return Page(values, {"all": table(checked, nees, nis)}, {"consistency": figure}, claims)
 
 

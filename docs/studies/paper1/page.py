@@ -15,7 +15,6 @@ from sinsjax.plots import Ensemble
 from sinsjax.plots.style import GREY
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
-from sinsjax.report.output import counted
 
 from ..loops.runs import limits_of
 from .statements import (
@@ -49,13 +48,13 @@ def page(sources: Sources) -> Page:
             "resets",
             f"After the paper's Fig. 5. {band} Dotted: resets.",
             _heading(reset, beside, "Condition 5 with and without resets"),
-            counted(reset),
+            reset.counted,
         ),
         "conditions": Picture(
             "conditions",
             f"After the paper's Fig. 2. {band}",
             _heading(free, shown, "Conditions 1 to 5 without resets"),
-            counted(free),
+            free.counted,
         ),
     }
     return Page.joined(
@@ -228,4 +227,4 @@ def _verdicts(judged: Sequence[Judged], best: int, source: Source) -> Picture:
         f"{source.draws} Monte Carlo runs a condition, heading from its limit; the interpretation"
         " under which most statements hold is in bold."
     )
-    return Picture("verdicts", caption, drawn, counted(source))
+    return Picture("verdicts", caption, drawn, source.counted)

@@ -21,7 +21,6 @@ from sinsjax.execution.source import Source
 from sinsjax.plots import Line
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
-from sinsjax.report.output import counted
 from sinsjax.study.load import one_variant
 from sinsjax.study.study import Study
 from sinsjax.study.swept import only
@@ -244,7 +243,7 @@ def _turns(cases: Mapping[str, Case]) -> Page:
     caption = (
         f"Static base; mean over {shown[0].source.draws} Monte Carlo runs, shading: 95 % of them."
     )
-    picture = Picture("turns", caption, figure, counted(shown[0].source))
+    picture = Picture("turns", caption, figure, shown[0].source.counted)
     return Page({"turns": values}, figures={"turns": picture}, claims=claims)
 
 

@@ -10,10 +10,10 @@ from sinsjax.analysis import Estimate
 from sinsjax.analysis.grids import Grid, pooled_mean
 from sinsjax.analysis.words import seconds
 from sinsjax.execution.source import Source
+from sinsjax.plots.words import value_text
 from sinsjax.report import tuned_figures
-from sinsjax.report.base import Picture, Table, value_text
+from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
-from sinsjax.report.output import counted
 from sinsjax.tuning import results
 from sinsjax.tuning.carry_out import COVARIANCE, GRADIENT
 from sinsjax.tuning.results import Tuning
@@ -137,7 +137,7 @@ def _shifted(source: Source) -> Page:
         "the plain two hang on the shift": max(plain) > 1.3 * min(plain),
         "put off they do not": max(put_off) < 1.02 * min(put_off),
     }
-    pictures = {"shifted": Picture("shifted", caption, figure, counted(source))}
+    pictures = {"shifted": Picture("shifted", caption, figure, source.counted)}
     return Page({"shifted": values}, figures=pictures, claims=claims)
 
 
@@ -155,7 +155,7 @@ def _seen(tuning: Tuning, source: Source) -> Picture:
         f"Condition 5, a grid of reset times, each over {tuning.tune.tune_draws} Monte Carlo runs;"
         " light is good. Lines: gradient descents. *Equal cost*: a grid at the gradient's cost."
     )
-    return Picture("small_seen", caption, seen.figure, counted(source))
+    return Picture("small_seen", caption, seen.figure, source.counted)
 
 
 def _beside(source: Source) -> Grid:
