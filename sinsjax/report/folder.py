@@ -17,6 +17,7 @@ from pathlib import Path
 from types import MappingProxyType, ModuleType, SimpleNamespace
 from typing import Any, NamedTuple
 
+import numpy as np
 from jinja2 import TemplateError
 
 from sinsjax import plots
@@ -37,7 +38,7 @@ class Page(NamedTuple):
     """What the prose of a page may name; all of it has to be named.
 
     Attributes:
-        values: text by name, or by name within a name.
+        values: text and numbers by name, or by name within a name.
         tables: by name.
         figures: by name.
         claims: whether what the prose says is so, by what it says.
@@ -46,7 +47,7 @@ class Page(NamedTuple):
     values: Mapping[str, Any]
     tables: Mapping[str, Table] = MappingProxyType({})
     figures: Mapping[str, Picture] = MappingProxyType({})
-    claims: Mapping[str, bool] = MappingProxyType({})
+    claims: Mapping[str, bool | np.bool_] = MappingProxyType({})
 
     @classmethod
     def joined(cls, *parts: "Page") -> "Page":

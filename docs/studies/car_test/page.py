@@ -1,7 +1,6 @@
 """Numbers of the page on the car test of paper 1, on another car's record."""
 
 from itertools import product
-from typing import Any
 
 import numpy as np
 
@@ -9,7 +8,7 @@ from sinsjax import analysis
 from sinsjax.analysis.grids import Grid, median
 from sinsjax.execution.source import Source
 from sinsjax.plots import Scale
-from sinsjax.report.base import Picture, Table
+from sinsjax.report.base import Table
 from sinsjax.report.folder import Page, Sources
 from sinsjax.units import ARCMIN, DEG
 
@@ -22,37 +21,20 @@ END, MEAN, TRUTH = "phi_u_arcmin", "phi_u_mean_arcmin", "settle_10_truth_s"
 
 def page(sources: Sources) -> Page:
     """The three schemes over all start times, and a batch of misalignments."""
-    test, batch = sources["car_test"], sources["car_batch"]
-    schemes = _schemes(test)
-    told, claims = _told(schemes)
-    covered, more = _batch(batch)
-    values: dict[str, Any] = {
-        "starts": str(test.draws),
-        "schemes": told,
-        "batch": covered,
-        "no_interval": analysis.NO_INTERVAL,
-    }
-    return Page(
-        values,
-        {"expected": _expected(schemes)},
-        {"batch": _batch_figure(batch)},
-        claims | more,
-    )
+    return Page.joined(_schemes(sources["car_test"]), _batch(sources["car_batch"]))
 
 
-def _schemes(source: Source) -> Grid:
+def _schemes(source: Source) -> Page:
     """The three schemes with two tunings each, by feedback interval (s) and start time."""
-    return source.grid((END, MEAN, TRUTH), case="case", feedback="feedback_interval_s")
+    grid = source.grid((END, MEAN, TRUTH), case="case", feedback="feedback_interval_s")
 
-
-def _told(grid: Grid) -> tuple[dict[str, Any], dict[str, bool]]:
     def worst(case: str, **feedback: float) -> float:
         return float(np.abs(grid.at(END, case=case, **feedback)).max()) * ARCMIN / DEG
 
     aligned, without, resets = (worst(f"scheme {number}, {UNIT}") for number in (1, 2, 3))
     often = worst(f"scheme 2, {UNIT}", feedback=0.01)
     paper_without, paper_resets = (worst(f"scheme {number}, {PAPER}") for number in (2, 3))
-    values = {
+    told = {
         "aligned": f"{aligned:.3f} deg",
         "resets": f"{resets:.3f} deg",
         "without": f"{without:.3f} deg",
@@ -60,62 +42,48 @@ def _told(grid: Grid) -> tuple[dict[str, Any], dict[str, bool]]:
         "paper_resets": f"{paper_resets:.3f} deg",
         "paper_without": f"{paper_without:.1f} deg",
     }
+    values = {"starts": source.draws, "schemes": told, "no_interval": analysis.NO_INTERVAL}
     claims = {
         "with resets the misaligned runs end as near as the aligned ones": resets < 1.5 * aligned,
         "without resets the paper's tuning and feedback every second fail": paper_without > 1,
         "with feedback at every sample the unit's tuning needs no resets": often < 1.5 * aligned,
         "the unit's tuning ends nearer than the paper's": resets < paper_resets / 2,
     }
-    return values, claims
+    return Page(values, {"expected": _expected(grid)}, claims=claims)
 
 
-def _grid(source: Source) -> Grid:
-    return source.grid(
-        (TRUTH,),
-        resets=[tuple(times) for times in source.study.reset_times()],
-        level="phi_e0_deg",
-        yaw="phi_u0_deg",
-    )
-
-
-def _batch(source: Source) -> tuple[dict[str, Any], dict[str, bool]]:
-    grid = _grid(source)
+def _batch(source: Source) -> Page:
+    """Four resets and none over the misalignments of a batch."""
+    times = [tuple(times) for times in source.study.reset_times()]
+    grid = source.grid((TRUTH,), resets=times, level="phi_e0_deg", yaw="phi_u0_deg")
     without, resets = (grid.at(TRUTH, resets=times) for times in ((), RESETS))
     share = [100 * float(np.isfinite(runs).mean()) for runs in (without, resets)]
     small = grid.at(TRUTH, resets=(), yaw=[-10, 0, 10])
     values = {
-        "runs": str(source.runs),
+        "runs": source.runs,
         "without": f"{share[0]:.0f} %",
         "resets": f"{share[1]:.0f} %",
-        "misalignments": str(without[..., 0].size),
+        "misalignments": without[..., 0].size,
         "slowest": f"{median(resets).max():.0f} s",
         "small": f"{100 * np.isfinite(small).mean():.0f} %",
     }
     claims = {
         "with four resets every run of the batch settles": share[1] == 100,
         "without them many do not": share[0] < 75,
-        "small heading errors settle without": bool(np.isfinite(small).all()),
+        "small heading errors settle without": np.isfinite(small).all(),
     }
-    return values, claims
-
-
-def _batch_figure(source: Source) -> Picture:
-    grid = _grid(source)
-    panels = {
-        f"{words}: {100 * np.isfinite(runs).mean():.0f} % settle": runs
-        for words, times in (("no reset", ()), ("four resets", RESETS))
-        for runs in [grid.at(TRUTH, resets=times)]
-    }
-    return settling_maps(
+    runs = {"no reset": (without, share[0]), "four resets": (resets, share[1])}
+    picture = settling_maps(
         source,
         "batch",
-        panels,
+        {f"{words}: {settle:.0f} % settle": times for words, (times, settle) in runs.items()},
         "Level errors about east, 5 deg about north. With four resets (50 to 200 s) every"
         " misalignment settles 30 s after the last one.",
         rows=Scale("added level error_deg", grid.axes["level"]),
         columns=Scale("added heading error_deg", grid.axes["yaw"]),
         title="How long until the heading stays within 10' of the reference?",
     )
+    return Page({"batch": values}, figures={"batch": picture}, claims=claims)
 
 
 def _expected(grid: Grid) -> Table:

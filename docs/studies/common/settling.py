@@ -6,11 +6,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
-from sinsjax.analysis.grids import median, pooled_mean
-from sinsjax.analysis.words import seconds
+from sinsjax.analysis.grids import median, pooled_mean, shared
+from sinsjax.analysis.words import seconds, share
 from sinsjax.execution.source import Source
 from sinsjax.plots import Scale, Shown
 from sinsjax.report.base import Picture
+
+
+def settled(settle_s: NDArray) -> str:
+    """Share of runs (..., draws) that settle."""
+    return share(shared(np.isfinite(settle_s)))
+
+
+def median_time(settle_s: NDArray) -> str:
+    """Median settling time of runs (draws,)."""
+    return seconds(analysis.quantile(settle_s))
 
 
 def mean_time(settle_s: NDArray, run_s: float) -> str:

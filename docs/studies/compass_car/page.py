@@ -41,9 +41,8 @@ class Case(NamedTuple):
     @property
     def kind(self) -> str:
         """What figures tell cases apart by."""
-        return (
-            f"compass, {TURNS.get(self.turn, 'one pass')}" if self.is_compass else "Kalman filter"
-        )
+        turn = TURNS.get(self.turn, "one pass")
+        return f"compass, {turn}" if self.is_compass else "Kalman filter"
 
     @property
     def rms(self) -> float:
@@ -58,18 +57,11 @@ def cases_of(source: Source) -> list[Case]:
     found = []
     for variant, (name, span) in enumerate(zip(grid.axes["case"], study.spans, strict=True)):
         is_compass = study.values("method")[variant] == "compass"
+        data_s = span.pass_records * study.record_every / study.rate_hz
         passes = -(-span.records // span.pass_records)
-        found.append(
-            Case(
-                name=name,
-                is_compass=is_compass,
-                data_s=span.pass_records * study.record_every / study.rate_hz,
-                passes=passes,
-                turn=study.values("turn")[variant] if is_compass and passes > 1 else "",
-                errors=grid.at(HEADING, case=name),
-                sigma=grid.at(SIGMA, case=name),
-            )
-        )
+        turn = study.values("turn")[variant] if is_compass and passes > 1 else ""
+        ends = (grid.at(column, case=name) for column in (HEADING, SIGMA))
+        found.append(Case(name, is_compass, data_s, passes, turn, *ends))
     return found
 
 
@@ -101,7 +93,7 @@ def page(sources: Sources) -> Page:
     together = [float(np.corrcoef(*pair)[0, 1]) for pair in pairs]
     by_name = {c.name: c.rms for c in cases}
     values = {
-        "starts": str(source.draws),
+        "starts": source.draws,
         "once": f"{once.rms:.1f} arcmin",
         "reflected": f"{reflected.rms:.1f} arcmin",
         "reversed": f"{reversed_.rms:.1f}",

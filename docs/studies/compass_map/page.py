@@ -7,7 +7,7 @@ from sinsjax import analysis, plots
 from sinsjax.alignment.bounds import share_outside
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.analysis.grids import Grid, median, shared
-from sinsjax.analysis.words import percent, seconds, share
+from sinsjax.analysis.words import percent, share
 from sinsjax.execution.source import Source
 from sinsjax.plots import Contours, Scale, Shown
 from sinsjax.plots.words import value_text
@@ -16,6 +16,7 @@ from sinsjax.report.folder import Page, Sources
 from sinsjax.study.swept import only
 from sinsjax.units import ARCMIN, DEG
 
+from ..common.settling import median_time, settled
 from ..loops.runs import bound_arcmin
 from ..loops.turns import TURNS, cycle_radius
 
@@ -76,18 +77,12 @@ def _overlap(one: Estimate, other: Estimate) -> bool:
 
 def searched(source: Source) -> Page:
     """The best schedule of the search."""
-    study, (wide_s, narrow_s) = source.study, settling(source)
-    order, tied = rank(wide_s, narrow_s)
-    best = order[0]
+    study, (order, tied) = source.study, rank(*settling(source))
     gains = ("level_sigma_per_s", "level_time_s", "azimuth_sigma_per_s")
     keys = (*gains, "sigma_factors", "sigma_times_s", "turn_smoothing_s")
     values = {
-        "search": {
-            "schedules": str(len(order)),
-            "draws": str(study.n_draws),
-            "tied": str(tied),
-        },
-        "set": {key: value_text(study.values(key)[best]) for key in keys},
+        "search": {"schedules": len(order), "draws": study.n_draws, "tied": tied},
+        "set": {key: value_text(study.values(key)[order[0]]) for key in keys},
     }
     return Page(values)
 
@@ -96,42 +91,35 @@ def compared(source: Source) -> Page:
     """The best schedule beside the paper's schemes."""
     study, (wide, narrow) = source.study, bands_of(source)
     wide_s, narrow_s = settling(source)
-    settled = np.isfinite(narrow_s)
+    reached = np.isfinite(narrow_s).mean(axis=-1)
     outside = share_outside(bound_arcmin(study, study.values("tape_s")), narrow)
     begins_last = study.run_s - 2 * study.values("tape_s")[RECORD]
-    to_wide, to_narrow = ([analysis.quantile(one) for one in times] for times in (wide_s, narrow_s))
+    to_wide = [analysis.quantile(times) for times in wide_s]
+
+    def told(variant: int) -> dict[str, str]:
+        return {"wide": median_time(wide_s[variant]), "narrow": median_time(narrow_s[variant])}
+
     values = {
         "bands": {"wide": f"{wide:g} arcmin", "narrow": f"{narrow:g} arcmin"},
         "draws": f"{study.n_draws:,}",
         "record": {
-            "wide": seconds(to_wide[RECORD]),
-            "narrow": share(shared(settled[RECORD])),
+            "wide": median_time(wide_s[RECORD]),
+            "narrow": settled(narrow_s[RECORD]),
             "bound": f"{100 * (1 - outside[RECORD]):.0f} %",
             "cycle": share(shared(narrow_s[RECORD] <= begins_last)),
         },
-        "long": {
-            "wide": seconds(to_wide[LONG]),
-            "narrow": seconds(to_narrow[LONG]),
-            "share": share(shared(settled[LONG])),
-        },
-        "scheme_1": {
-            "wide": seconds(to_wide[SCHEME_1]),
-            "narrow": seconds(to_narrow[SCHEME_1]),
-        },
-        "scheme_2": share(shared(np.isfinite(wide_s[SCHEME_2]))),
+        "long": told(LONG) | {"share": settled(narrow_s[LONG])},
+        "scheme_1": told(SCHEME_1),
+        "scheme_2": settled(wide_s[SCHEME_2]),
     }
     claims = {
-        "80 s with the best schedule settle far sooner than Scheme 1": bool(
+        "80 s with the best schedule settle far sooner than Scheme 1": (
             to_wide[RECORD].high < to_wide[SCHEME_1].low / 4
             and np.isfinite(wide_s[RECORD]).mean() > 0.99
         ),
-        "no draw of Scheme 2 settles with the paper's turn": bool(np.isinf(wide_s[SCHEME_2]).all()),
-        "the record comes near its bound": bool(
-            settled[RECORD].mean() > 0.8 * (1 - outside[RECORD])
-        ),
-        "with 600 s of data nearly every draw comes within the narrow band": bool(
-            settled[LONG].mean() > 0.99
-        ),
+        "no draw of Scheme 2 settles with the paper's turn": np.isinf(wide_s[SCHEME_2]).all(),
+        "the record comes near its bound": reached[RECORD] > 0.8 * (1 - outside[RECORD]),
+        "with 600 s of data nearly every draw comes within the narrow band": (reached[LONG] > 0.99),
     }
     times = {f"within {wide:g} arcmin": wide_s, f"within {narrow:g} arcmin": narrow_s}
     figure = plots.survival(
@@ -146,24 +134,18 @@ def compared(source: Source) -> Page:
         " the method."
     )
     picture = Picture("settling", caption, figure, source.counted)
-    return Page(
-        values, {"cases": _cases(source, wide_s, narrow_s, outside)}, {"settling": picture}, claims
-    )
+    table = _cases(source, wide_s, narrow_s, outside)
+    return Page(values, {"cases": table}, {"settling": picture}, claims)
 
 
 def _cases(source: Source, wide_s: NDArray, narrow_s: NDArray, outside: NDArray) -> Table:
     def told(times: NDArray) -> list[str]:
-        settled = percent(shared(np.isfinite(times)))
-        return [settled, format_estimate(analysis.quantile(times), digits=0)]
+        median_s = format_estimate(analysis.quantile(times), digits=0)
+        return [percent(shared(np.isfinite(times))), median_s]
 
     study, (wide, narrow) = source.study, bands_of(source)
     rows = [
-        [
-            name,
-            *told(wide_s[i]),
-            *told(narrow_s[i]),
-            f"{100 - 100 * outside[i]:.0f}",
-        ]
+        [name, *told(wide_s[i]), *told(narrow_s[i]), f"{100 - 100 * outside[i]:.0f}"]
         for i, name in enumerate(NAMES)
     ]
     header = ["", f"within {wide:g}' (%)", "median (s)", f"within {narrow:g}' (%)"]
@@ -192,8 +174,8 @@ def mapped(source: Source) -> Page:
     radii = {turn: float(cycle_radius(study, turn, *_PAPER)) for turn in TURNS}
     values = {
         "map": {
-            "points": str(study.n_variants),
-            "draws": str(study.n_draws),
+            "points": study.n_variants,
+            "draws": study.n_draws,
             "paper": f"{radii['velocity']:.3f}",
             "reflect": f"{radii['reflect']:.2f}",
             "ratios": f"{ratios.min():.1f} to {ratios.max():.1f}",

@@ -37,16 +37,12 @@ def page(sources: Sources) -> Page:
     checked = checks(source)
     draws = checked[TRUE].nees.n
     nees, nis = (analysis.chi2_mean_band(k, draws) for k in (analysis.NEES_FREEDOM, 1))
-    names = {"right": TRUE, "slow": SLOW, "small": SMALL_Q, "large": LARGE_Q, "biased": BIASED}
+    names = {"right": TRUE, "small": SMALL_Q, "large": LARGE_Q, "biased": BIASED}
     values: dict[str, Any] = {
         "draws": f"{draws:,}",
         "band": f"{nees[0]:.2f} to {nees[1]:.2f}",
         "quantile": f"{QUANTILE:.2f}",
-        **{
-            name: {"nees": format_estimate(checked[case].nees, digits=2)}
-            for name, case in names.items()
-            if name != "slow"
-        },
+        **{name: {"nees": format_estimate(checked[c].nees, digits=2)} for name, c in names.items()},
     }
     values["right"]["inside"] = share(checked[TRUE].inside)
     values["biased"]["nis"] = format_estimate(checked[BIASED].nis_u, digits=2)
@@ -87,21 +83,11 @@ def table(
     checked: dict[str, Checked], nees: tuple[float, float], nis: tuple[float, float]
 ) -> Table:
     """All filters against both bands."""
-    rows = [
-        [
-            case,
-            format_estimate(one.nees, digits=2),
-            format_estimate(one.nis_u, digits=2),
-            percent(one.inside),
-        ]
-        for case, one in checked.items()
-    ]
     bands = [f"{low:.2f} to {high:.2f}" for low, high in (nees, nis)]
-    rows.insert(0, ["*expected of a consistent filter*", *bands, "95"])
-    header = [
-        "filter",
-        "mean NEES",
-        "mean NEES of the heading, from its limit",
-        "runs up to the 95 % quantile (%)",
-    ]
+    rows = [["*expected of a consistent filter*", *bands, "95"]]
+    for case, one in checked.items():
+        means = (format_estimate(mean, digits=2) for mean in (one.nees, one.nis_u))
+        rows.append([case, *means, percent(one.inside)])
+    means_of = ["mean NEES", "mean NEES of the heading, from its limit"]
+    header = ["filter", *means_of, "runs up to the 95 % quantile (%)"]
     return Table("Five filters on the same noise", header, rows, "Number [95 % interval].")

@@ -32,13 +32,8 @@ def page(sources: Sources) -> Page:
     """How the filter's covariance and its error go with the number of passes."""
     source = sources["kalman_passes"]
     study = source.study
-    grid = source.grid(
-        ("nees", "phi_u_arcmin", "floor_arcmin", "sigma_u_arcmin"),
-        case="case",
-        turn="turn_covariance",
-        passes="passes",
-    )
-
+    columns = ("nees", "phi_u_arcmin", "floor_arcmin", "sigma_u_arcmin")
+    grid = source.grid(columns, case="case", turn="turn_covariance", passes="passes")
     counts, turns = grid.axes["passes"], grid.axes["turn"]
     last = counts[-1]
     points = {
@@ -49,9 +44,9 @@ def page(sources: Sources) -> Page:
     low, high = analysis.chi2_mean_band(FREEDOM, grid.draws)
     far = [points[LARGE, RESET, n] for n in counts[:3]]
     values = {
-        "passes": str(last),
+        "passes": last,
         "inflation": f"{study.values('turn_inflation')[0] or 10:g}",
-        "draws": str(grid.draws),
+        "draws": grid.draws,
         "carried": {
             "nees": format_estimate(seven.nees),
             "sigma": f"{seven.sigma.value / one.sigma.value:.2f}",

@@ -28,6 +28,7 @@ from .statements import (
 )
 
 BAND_ARCMIN = 10.0
+COLUMNS = ("settle_10_s", "phi_u_mean_arcmin", "floor_arcmin", "sigma_u_arcmin")
 PRINTED_LIMITS = {"e": -1.7189, "n": 1.7189, "u": -27.0248}  # of section 2.4.1, arcmin
 
 
@@ -58,7 +59,7 @@ def page(sources: Sources) -> Page:
         ),
     }
     return Page.joined(
-        Page({"draws": str(free.draws)}, {"conditions": _table(free, runs)}, figures),
+        Page({"draws": free.draws}, {"conditions": _table(free, runs)}, figures),
         _ended(runs, with_resets["1"]),
         _limit(free, runs["1"]),
         _statements(judge_all(readings), readings),
@@ -104,18 +105,11 @@ def _table(source: Source, runs: Mapping[str, pa.Table]) -> Table:
     rows = []
     for name, table in runs.items():
         begun = starts[f"condition {name[0]}"]
-        settle = numbers(table, "settle_10_s")
-        truth, sigma = (numbers(table, c) for c in ("phi_u_mean_arcmin", "sigma_u_arcmin"))
-        means = map(analysis.mean, (truth - numbers(table, "floor_arcmin"), truth, sigma))
-        rows.append(
-            [
-                f"condition {name}",
-                degrees(*(begun[key] for key in keys)),
-                percent(analysis.share(np.isfinite(settle))),
-                format_estimate(analysis.quantile(settle), digits=0),
-                *map(format_estimate, means),
-            ]
-        )
+        settle, truth, limit, sigma = (numbers(table, column) for column in COLUMNS)
+        means = (analysis.mean(values) for values in (truth - limit, truth, sigma))
+        settled, time = analysis.share(np.isfinite(settle)), analysis.quantile(settle)
+        told = [percent(settled), format_estimate(time, digits=0), *map(format_estimate, means)]
+        rows.append([f"condition {name}", degrees(*(begun[key] for key in keys)), *told])
     header = ["", "misalignment", "settled about the limit (%)", "median time (s)"]
     heading = ["heading error from the limit (arcmin)", "from true north (arcmin)"]
     note = (
@@ -136,7 +130,7 @@ def _ended(runs: Mapping[str, pa.Table], first: pa.Table) -> Page:
     truth = analysis.share(np.isfinite(numbers(runs[RESET], "settle_10_truth_s")))
     values = {"limit": f"{limit:.1f} arcmin", "apart": arcmin(apart, 2), "truth": share(truth)}
     claims = {
-        "every draw of condition 5 settles with resets, none without": bool(
+        "every draw of condition 5 settles with resets, none without": (
             settled[RESET].all() and not settled["5"].any()
         ),
         "with resets the heading is as precise as condition 1's": (
@@ -179,10 +173,10 @@ def _statements(judged: Sequence[Judged], source: Source) -> Page:
     larger, steady, ratio = (best.findings[name].number for name in ("S13", "S10", "S14"))
     explained = ("S5", "S8", "S10")  # 4 converges, 5 does not, and P is too small
     values = {
-        "statements": str(len(texts)),
-        "readings": str(len(judged)),
-        "held": str(best.held),
-        "ties": str(sum(one.held == best.held for one in judged) - 1),
+        "statements": len(texts),
+        "readings": len(judged),
+        "held": best.held,
+        "ties": sum(one.held == best.held for one in judged) - 1,
         "larger": format_estimate(larger, digits=3),
         "steady": format_estimate(steady, digits=3),
         "ratio": format_estimate(ratio, digits=2),

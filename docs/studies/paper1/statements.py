@@ -145,10 +145,7 @@ STATEMENTS = {
 
 
 def judge(conditions: Mapping[str, pa.Table]) -> dict[str, Finding]:
-    """Judges every statement of :data:`STATEMENTS` on one reading's runs.
-
-    Args:
-        conditions: the summary of each of :data:`CONDITIONS`, one row a draw, same draws in all.
+    """Judges every statement on the runs of each condition in one reading, the same draws in all.
 
     Raises:
         InputError: a condition or a column is missing, a condition has no runs, or draws differ.
@@ -199,8 +196,7 @@ def judge_all(source: Source) -> list[Judged]:
 def best_of(judged: Sequence[Judged]) -> Judged:
     """The reading under which most statements hold.
 
-    Ties go to the one with more of `CONCLUSIONS`, then with more statements decided by their whole
-    interval, then to the first.
+    Ties go to the one with more of `CONCLUSIONS`, then with fewer that straddle, then to the first.
     """
     return max(
         judged,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
 from sinsjax.alignment.compass import design
-from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.analysis import format_estimate
 from sinsjax.execution.source import Source
 from sinsjax.plots import Line
 from sinsjax.report.base import Picture, Table
@@ -122,7 +122,7 @@ def page(sources: Sources) -> Page:
         "table_1": table(shown, "Table 1, static base: every interpretation"),
     }
     return Page.joined(
-        Page({"draws": str(static[0].source.draws)}, tables),
+        Page({"draws": static[0].source.draws}, tables),
         _limit(static[0]),
         _unsettled([case for case in shown if case.scheme == 1]),
         _turns(named),
@@ -173,12 +173,12 @@ def _unsettled(cases: Sequence[Case]) -> Page:
         "start": f"{start:g} s",
         "moves": f"{min(moves):.3f} to {max(moves):.3f} deg",
         "means": f"{min(centres):.4f} to {max(centres):.4f} deg",
-        "nearest": _deg(near),
-        "readings": str(len(cases)),
-        "left": _deg(left),
+        "nearest": format_estimate(near, "deg", 4),
+        "readings": len(cases),
+        "left": format_estimate(left, "deg", 4),
     }
     claims = {
-        "Scheme 1 has not settled in the window": bool(min(moves) > 0.05),
+        "Scheme 1 has not settled in the window": min(moves) > 0.05,
         "it has not settled in the mean over the draws": abs(left.value)
         > 50 * (left.high - left.low),
         "no reading comes to the printed heading": not near.low <= printed <= near.high,
@@ -200,20 +200,12 @@ def _bases(static: Sequence[Case], swing: Sequence[Case]) -> Page:
 
 
 def _turns(cases: Mapping[str, Case]) -> Page:
-    """What each turn leaves of the heading error from cycle to cycle.
-
-    Args:
-        cases: of one gyro drift, by name.
-    """
+    """What each turn leaves of the heading error from cycle to cycle, with one gyro drift."""
     shown = [cases[name] for name in (V_FLIPPED, BOTH_FLIPPED, REFLECTED)]
     tape_s = shown[0]["tape_s"]
     radii = [float(cycle_radius(c.study, c["turn"], AZIMUTH_SIGMA, tape_s)) for c in shown]
     lines = [
-        Line(
-            TURNS[case["turn"]],
-            *case.heading,
-            plots.colour(number),
-        )
+        Line(TURNS[case["turn"]], *case.heading, plots.colour(number))
         for number, case in enumerate(shown)
     ]
     begins = float(np.mean(shown[0].from_limit(0.0)))
@@ -276,8 +268,8 @@ def _gains(printed_k3: Case) -> Page:
         ),
         "the printed K3 is fifty times that of its formula": round(ratio) == 50,
         "the printed K3 lacks one factor sigma": agrees(LEVEL_K3, level.k3 / LEVEL_SIGMA),
-        "with the printed K3 the levelling loop is unstable": bool(root.real > 0),
-        "every draw with the printed K3 diverges": bool(
+        "with the printed K3 the levelling loop is unstable": root.real > 0,
+        "every draw with the printed K3 diverges": (
             analysis.has_status(printed_k3.rows, "diverged").all()
         ),
     }
@@ -303,7 +295,15 @@ def table(cases: Sequence[Case], title: str, *, folded: bool = True) -> Table:
     for scheme, printed in PRINTED.items():
         numbers = (f"{printed[angle]:.{digits}f}" for angle, digits in _DIGITS.items())
         rows.append([f"Scheme {scheme}, as printed", "", *numbers, ""])
-        rows += [_row(case) for case in cases if case.scheme == scheme]
+        for case in (case for case in cases if case.scheme == scheme):
+            means = (
+                format_estimate(analysis.mean(case.means(angle)), digits=digits)
+                for angle, digits in _DIGITS.items()
+            )
+            name = str(case["case"])
+            if scheme == 2:
+                name = ", ".join(["Scheme 2", TURNS[case["turn"]], *case.name.split(", ")[1:]])
+            rows.append([name, f"{case.drift:g}", *means, f"{case.limit:.4f}"])
     start, end = cases[0].source.study.study.window_s
     header = ["", "gyro drift (deg/h)", *(f"{angle} (deg)" for angle in ANGLES), "its limit (deg)"]
     note = (
@@ -311,19 +311,3 @@ def table(cases: Sequence[Case], title: str, *, folded: bool = True) -> Table:
         " Monte Carlo runs], the last column: where the heading would settle."
     )
     return Table(title, header, rows, note, folded=folded)
-
-
-def _row(case: Case) -> list[str]:
-    means = (
-        format_estimate(analysis.mean(case.means(angle)), digits=digits)
-        for angle, digits in _DIGITS.items()
-    )
-    name = str(case["case"])
-    if case.scheme == 2:
-        _, *more = case.name.split(", ")
-        name = ", ".join(["Scheme 2", TURNS[case["turn"]], *more])
-    return [name, f"{case.drift:g}", *means, f"{case.limit:.4f}"]
-
-
-def _deg(estimate: Estimate) -> str:
-    return format_estimate(estimate, "deg", digits=4)

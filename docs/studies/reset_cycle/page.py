@@ -6,13 +6,13 @@ from numpy.typing import NDArray
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.analysis.grids import Grid, held_out, least_mean, median, shared, soonest
-from sinsjax.analysis.words import apart, degrees, seconds, share
+from sinsjax.analysis.words import apart, degrees, share
 from sinsjax.execution.source import Source
 from sinsjax.plots import Scale
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
 
-from ..common.settling import mean_time, settling_maps
+from ..common.settling import mean_time, median_time, settled, settling_maps
 
 Schedule = tuple[float, ...]
 
@@ -34,14 +34,10 @@ def page(sources: Sources) -> Page:
     """How many resets, when, and what makes the filter fail without."""
     source = sources["reset_cycle_study"]
     grid = layout(source)
-    one, more = (
-        held_out(grid.at(SETTLE, force=MEASURED, schedule=times), soonest).values
-        for times in (schedules(grid, 1, 1), schedules(grid, 2))
-    )
     return Page.joined(
-        Page({"study": {"runs": f"{source.runs:,}", "draws": str(grid.draws)}}),
+        Page({"study": {"runs": f"{source.runs:,}", "draws": grid.draws}}),
         _answer(source, grid),
-        _counts(grid, one, more),
+        _counts(grid),
         _single(source, grid),
         _phase(sources["reset_phase"]),
         _failure(grid),
@@ -63,7 +59,7 @@ def _answer(source: Source, grid: Grid) -> Page:
         "two": {
             "name": named(TWO).removeprefix("two "),
             "mean": mean_time(two, run_s),
-            "slowest": seconds(analysis.quantile(slowest)),
+            "slowest": median_time(slowest),
         },
         "without": {"failed": share(shared(np.isinf(without)))},
         "gravity": {"mean": mean_time(gravity, run_s)},
@@ -74,13 +70,13 @@ def _answer(source: Source, grid: Grid) -> Page:
         },
     }
     claims = {
-        "two resets settle every misalignment with feedback up to 1 s": bool(
+        "two resets settle every misalignment with feedback up to 1 s": (
             np.isfinite(grid.at(SETTLE, force=MEASURED, feedback=SHORT, schedule=TWO)).all()
         ),
-        "with gravity in A(t) every misalignment settles without reset, feedback up to 1 s": bool(
+        "with gravity in A(t) every misalignment settles without reset, feedback up to 1 s": (
             np.isfinite(grid.at(SETTLE, force=GRAVITY, feedback=SHORT, schedule=NONE)).all()
         ),
-        "three late resets settle every misalignment under every reading and feedback": bool(
+        "three late resets settle every misalignment under every reading and feedback": (
             np.isfinite(late).all()
         ),
         "with feedback every second no single time of one reset settles every misalignment": not (
@@ -97,7 +93,7 @@ def _settings(grid: Grid, run_s: float) -> Table:
 
     def row(name: str, force: str, times: tuple[float, ...]) -> list[str]:
         runs = grid.at(SETTLE, schedule=times, **PRINTED | {"force": force})
-        return [name, *(f"{share(shared(np.isfinite(r)))}, {mean_time(r, run_s)}" for r in runs)]
+        return [name, *(f"{settled(r)}, {mean_time(r, run_s)}" for r in runs)]
 
     rows = [
         row("no reset", MEASURED, NONE),
@@ -125,8 +121,12 @@ def _best_one(grid: Grid, feedback: float, run_s: float) -> str:
     return f"{share(shared(settled))}, {mean} ({name})"
 
 
-def _counts(grid: Grid, one: NDArray, more: NDArray) -> Page:
+def _counts(grid: Grid) -> Page:
     """The best single reset against the best of more: settling times (q, ..., yaw, draws)."""
+    one, more = (
+        held_out(grid.at(SETTLE, force=MEASURED, schedule=times), soonest).values
+        for times in (schedules(grid, 1, 1), schedules(grid, 2))
+    )
     pairs = list(zip(*(runs.reshape(-1, runs.shape[-1]) for runs in (more, one)), strict=True))
     saved = [analysis.quantile_difference(*pair) for pair in pairs]
     chance = sum(analysis.chance_apart(*pair) for pair in pairs)
@@ -137,17 +137,15 @@ def _counts(grid: Grid, one: NDArray, more: NDArray) -> Page:
     at = tuple(grid.axes[name].index(POINT[name]) for name in ("q", "feedback", "level", "yaw"))
     here = analysis.quantile_difference(more[at], one[at])
     values = {
-        "contest": {
-            "points": str(sooner.size),
-            "more": str(sooner.sum()),
-            "one": str(by_one),
-            "only": str(only.sum()),
-            "chance": f"{chance:.1f}",
-            "at_small_yaw": str(near),
-            "at_large_yaw": str(large),
-            "of_a_yaw": str(sooner[..., 0].size),
-            "here": apart(here),
-        }
+        "points": sooner.size,
+        "more": sooner.sum(),
+        "one": by_one,
+        "only": only.sum(),
+        "chance": f"{chance:.1f}",
+        "at_small_yaw": near,
+        "at_large_yaw": large,
+        "of_a_yaw": sooner[..., 0].size,
+        "here": apart(here),
     }
     claims = {
         "more than one is often better, and one is often better": (
@@ -156,7 +154,7 @@ def _counts(grid: Grid, one: NDArray, more: NDArray) -> Page:
         "more is better at large heading errors, one at small ones": large > 3 * near,
         "at the paper's point no difference is shown": here.low <= 0 <= here.high,
     }
-    return Page(values, claims=claims)
+    return Page({"contest": values}, claims=claims)
 
 
 def _single(source: Source, grid: Grid) -> Page:
@@ -165,22 +163,33 @@ def _single(source: Source, grid: Grid) -> Page:
     here = grid.at(SETTLE, schedule=times, **POINT)
     enough, points = int(settles.any(axis=-1).sum()), settles[..., 0].size
     values = {
-        "single": {
-            "first": seconds(analysis.quantile(here[0])),
-            "last": seconds(analysis.quantile(here[-1])),
-            "enough": str(enough),
-            "with_first": str(settles[..., 0].sum()),
-            "with_last": str(settles[..., -1].sum()),
-            "points": str(points),
-        }
+        "first": median_time(here[0]),
+        "last": median_time(here[-1]),
+        "enough": enough,
+        "with_first": settles[..., 0].sum(),
+        "with_last": settles[..., -1].sum(),
+        "points": points,
     }
     claims = {
-        "at the paper's point one reset settles whenever it comes, the sooner the better": bool(
+        "at the paper's point one reset settles whenever it comes, the sooner the better": (
             np.isfinite(here).all() and np.argmin(median(here)) == 0
         ),
         "one reset at the right time is nearly always enough": enough > 0.9 * points,
     }
-    return Page(values, figures={"single": _single_figure(source, grid)}, claims=claims)
+    panels = {
+        f"heading error {yaw:g} deg": grid.at(SETTLE, schedule=times, yaw=yaw, **HERE)
+        for yaw in grid.axes["yaw"]
+    }
+    picture = settling_maps(
+        source,
+        "single_reset",
+        panels,
+        "As above, against the time of the only reset.",
+        rows=Scale("initial level error_deg", grid.axes["level"]),
+        columns=Scale("time of the reset_s", [time for (time,) in times]),
+        title="When must a single reset come? Heading within 10' of its limit",
+    )
+    return Page({"single": values}, figures={"single": picture}, claims=claims)
 
 
 def _failure(grid: Grid) -> Page:
@@ -191,7 +200,7 @@ def _failure(grid: Grid) -> Page:
     values = {"failure": {"measured": share(everywhere), "gravity": share(ablated)}}
     claims = {
         "gravity in A(t) prevents most failures": ablated.high < everywhere.low / 2,
-        "with gravity only feedback every 10 s fails": bool(
+        "with gravity only feedback every 10 s fails": (
             not gravity[:, :2].any() and gravity[:, 2].any()
         ),
     }
@@ -214,13 +223,8 @@ def _phase(source: Source) -> Page:
         "often": later(SHORT[-1], before, on),
     }
     best = grid.at(SETTLE, feedback=SLOW, schedule=between)
-    values = {
-        "phase": {
-            "between": mean_time(best, run_s),
-            "settled": share(shared(np.isfinite(best))),
-            **{name: apart(one) for name, one in found.items()},
-        }
-    }
+    told = {name: apart(one) for name, one in found.items()}
+    values = {"phase": {"between": mean_time(best, run_s), "settled": settled(best)} | told}
     claims = {
         "just before or with a feedback is a bad time for a reset": all(
             one.low > 0 for one in found.values()
@@ -248,21 +252,6 @@ def _answer_figure(source: Source, grid: Grid) -> Picture:
         "Feedback every second, Q as printed.",
         rows=Scale("initial level error_deg", grid.axes["level"]),
         columns=Scale("initial heading error_deg", grid.axes["yaw"]),
-    )
-
-
-def _single_figure(source: Source, grid: Grid) -> Picture:
-    """Settling time against the time of the only reset."""
-    times = schedules(grid, 1, 1)
-    runs = grid.at(SETTLE, schedule=times, **HERE)
-    return settling_maps(
-        source,
-        "single_reset",
-        {f"heading error {yaw:g} deg": runs[:, y] for y, yaw in enumerate(grid.axes["yaw"])},
-        "As above, against the time of the only reset.",
-        rows=Scale("initial level error_deg", grid.axes["level"]),
-        columns=Scale("time of the reset_s", [time for (time,) in times]),
-        title="When must a single reset come? Heading within 10' of its limit",
     )
 
 

@@ -1,18 +1,15 @@
 """Numbers of the page on the default sweep: number of resets, time between them, heading error."""
 
-from typing import Any
-
 import numpy as np
 
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.analysis.grids import Choice, Grid, held_out, median, shared, soonest
-from sinsjax.analysis.words import share
+from sinsjax.analysis.grids import Choice, Grid, held_out, median, soonest
 from sinsjax.plots import Scale
 from sinsjax.report.base import Table
 from sinsjax.report.folder import Page, Sources
 
-from ..common.settling import mean_time, settling_maps
+from ..common.settling import mean_time, settled, settling_maps
 
 LIMIT, TRUTH = "settle_10_s", "settle_10_truth_s"
 
@@ -21,12 +18,8 @@ def page(sources: Sources) -> Page:
     """When several resets beat one."""
     source = sources["reset_sweep"]
     run_s = source.study.run_s
-    grid = source.grid(
-        (LIMIT, TRUTH),
-        count="reset_count",
-        cycle="reset_cycle_s",
-        yaw="phi_u0_deg",
-    )
+    axes = {"count": "reset_count", "cycle": "reset_cycle_s", "yaw": "phi_u0_deg"}
+    grid = source.grid((LIMIT, TRUTH), **axes)
     counts, cycles, yaws = grid.axes.values()
     without = grid.at(LIMIT, count=0)[0]
     reset = grid.at(LIMIT, count=list(counts[1:]))
@@ -38,13 +31,13 @@ def page(sources: Sources) -> Page:
     one = single[int(np.argmin(np.minimum(single, run_s).mean(axis=(1, 2))))]
     truth = grid.at(TRUTH, count=list(counts[1:]))
     floor = float(analysis.numbers(source.rows(["floor_arcmin"]), "floor_arcmin")[0])
-    values: dict[str, Any] = {
+    values = {
         "runs": f"{source.runs:,}",
-        "draws": str(grid.draws),
+        "draws": grid.draws,
         "limit": f"{abs(floor):.0f} arcmin",
-        "without": share(shared(np.isfinite(without))),
+        "without": settled(without),
         "best": {
-            "count": str(best[0]),
+            "count": best[0],
             "cycle": f"{best[1]:g} s",
             "mean": mean_time(at_best, run_s),
             "one": mean_time(one, run_s),
@@ -54,21 +47,24 @@ def page(sources: Sources) -> Page:
     gains = [analysis.quantile_difference(more.values, one.values) for one, more in contests]
     claims = {
         "two resets are the best for all": best[0] == 2,
-        "with resets every run settles": bool(np.isfinite(reset).all()),
-        "without, only small heading errors do": bool(
+        "with resets every run settles": np.isfinite(reset).all(),
+        "without, only small heading errors do": (
             np.isfinite(without[:2]).all() and np.isinf(median(without[3:])).all()
         ),
-        "one reset takes longer": bool(
+        "one reset takes longer": (
             np.minimum(one, run_s).mean() > np.minimum(at_best, run_s).mean() + 10
         ),
         "several win at large heading errors": all(gain.high < 0 for gain in gains[5:]),
         "no run with resets stays near true north": not np.isfinite(truth).any(),
     }
-    runs = {yaw: grid.at(LIMIT, count=list(counts[1:]), yaw=yaw) for yaw in yaws if yaw % 30 == 0}
     picture = settling_maps(
         source,
         "settling_time",
-        {f"heading error {yaw:g} deg": here for yaw, here in runs.items()},
+        {
+            f"heading error {yaw:g} deg": reset[:, :, y]
+            for y, yaw in enumerate(yaws)
+            if yaw % 30 == 0
+        },
         "The first reset comes after one time between resets; level errors of 5 deg.",
         rows=Scale("reset_count", counts[1:]),
         columns=Scale("reset_cycle_s", cycles),

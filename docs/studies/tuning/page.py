@@ -7,13 +7,14 @@ import numpy as np
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate
-from sinsjax.analysis.grids import Grid, pooled_mean
+from sinsjax.analysis.grids import pooled_mean
 from sinsjax.analysis.words import seconds
 from sinsjax.execution.source import Source
 from sinsjax.plots.words import value_text
 from sinsjax.report import tuned_figures
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
+from sinsjax.study.study import Study
 from sinsjax.tuning import results
 from sinsjax.tuning.carry_out import COVARIANCE, GRADIENT
 from sinsjax.tuning.results import Tuning
@@ -30,13 +31,13 @@ TUNED, WITHOUT_LAST = "tuned", "tuned, without the last reset"
 PLAIN_S = (10.0, 60.0)
 CONDITION_5 = (5.0, 30.0)  # deg, level and heading error
 SETTLE = "settle_10_s"
-SHIFTED = (
-    "the plain two",
-    "Sobol points",
-    "covariance analysis",
-    "the same over four shifts",
-    "the plain two, put off to the next feedback",
-)
+SHIFTED = {
+    "plain": "the plain two",
+    "sobol": "Sobol points",
+    "covariance": "covariance analysis",
+    "robust": "the same over four shifts",
+    "put_off": "the plain two, put off to the next feedback",
+}
 SHIFTS_S = np.arange(-10, 10) / 20  # of configs/tuned_phase.toml, schedule by schedule
 
 
@@ -44,10 +45,10 @@ def page(sources: Sources) -> Page:
     """What each tuning found, judged on noise that tuned nothing, beside the plain two resets."""
     tunings = {name: results.Tuning.of(sources[study]) for name, study in STUDIES.items()}
     beside = sources["tuned_schedules"]
-    grid, run_s = _beside(beside), beside.study.run_s
+    grid = beside.grid((SETTLE, "nees"), case="case", start=_starts(beside.study))
 
     def time_s(case: str, **start: tuple[float, float]) -> Estimate:
-        return pooled_mean(np.minimum(grid.at(SETTLE, case=case, **start), run_s))
+        return pooled_mean(np.minimum(grid.at(SETTLE, case=case, **start), beside.study.run_s))
 
     plain = {"small": time_s(PLAIN, start=CONDITION_5), "large": time_s(PLAIN)}
     nees = {case: pooled_mean(grid.at("nees", case=case)) for case in grid.axes["case"]}
@@ -87,7 +88,7 @@ def _covariance(tuning: Tuning) -> Page:
         "sobol": seconds(tuning.score("sobol")),
         "apart": seconds(apart, 1),
         "cost": f"{100 * share:.0f} %",
-        "points": str(sum(look.estimated for look in found.looks)),
+        "points": sum(look.estimated for look in found.looks),
     }
     claims = {
         "covariance analysis beats Sobol points": apart.high < 0,
@@ -99,10 +100,9 @@ def _covariance(tuning: Tuning) -> Page:
 def _shifted(source: Source) -> Page:
     """Settling times of four schedules, with all resets shifted within a feedback interval."""
     study = source.study
-    starts = list(zip(study.values("phi_e0_deg"), study.values("phi_u0_deg"), strict=True))
     keys = ("reset_times_s", "q_scale", "reset_at_feedback")
     schedules = list(zip(*map(study.values, keys), strict=True))
-    grid = source.grid((SETTLE,), schedule=schedules, start=starts)
+    grid = source.grid((SETTLE,), schedule=schedules, start=_starts(study))
     runs = np.minimum(grid.at(SETTLE), study.run_s)
     runs = runs.reshape(len(SHIFTED), len(SHIFTS_S), *runs.shape[1:])
     times = [[pooled_mean(one) for one in of] for of in runs]
@@ -113,7 +113,7 @@ def _shifted(source: Source) -> Page:
     figure = plots.along_axis(
         "shift_s",
         list(SHIFTS_S),
-        {"mean settling time (s)": dict(zip(SHIFTED, times, strict=True))},
+        {"mean settling time (s)": dict(zip(SHIFTED.values(), times, strict=True))},
         title="Where resets fall between two feedbacks decides: heading from its limit",
     )
     figure.axes[-1].set_xlabel("shift of all resets (s), with feedback every second")
@@ -121,19 +121,16 @@ def _shifted(source: Source) -> Page:
         "Mean time until the heading stays within 10' of its limit, over eight misalignments;"
         " bars: 95 % intervals. Each schedule as found stands at shift 0."
     )
-    values = {
-        "plain": seconds(over[SHIFTED[0]]),
-        "sobol": seconds(over[SHIFTED[1]]),
-        "robust": seconds(over[SHIFTED[3]]),
+    told = ("plain", "sobol", "robust", "put_off")
+    values = {name: seconds(over[name]) for name in told} | {
         "apart": seconds(apart, 1),
         "plain_range": f"{min(plain):.0f} to {max(plain):.0f} s",
         "robust_range": f"{min(found):.0f} to {max(found):.0f} s",
-        "put_off": seconds(over[SHIFTED[4]]),
     }
     claims = {
         "over all shifts the robust schedule beats Sobol's": apart.high < 0,
         "no shift of it takes a fifth longer than its mean": max(found)
-        < 1.2 * over[SHIFTED[3]].value,
+        < 1.2 * over["robust"].value,
         "the plain two hang on the shift": max(plain) > 1.3 * min(plain),
         "put off they do not": max(put_off) < 1.02 * min(put_off),
     }
@@ -158,11 +155,9 @@ def _seen(tuning: Tuning, source: Source) -> Picture:
     return Picture("small_seen", caption, seen.figure, source.counted)
 
 
-def _beside(source: Source) -> Grid:
-    """Settling times and NEES by schedule and start: level and heading error, deg."""
-    study = source.study
-    starts = zip(study.values("phi_e0_deg"), study.values("phi_u0_deg"), strict=True)
-    return source.grid((SETTLE, "nees"), case="case", start=list(starts))
+def _starts(study: Study) -> list[tuple[float, float]]:
+    """Level and heading error of each variant, deg."""
+    return list(zip(study.values("phi_e0_deg"), study.values("phi_u0_deg"), strict=True))
 
 
 def _told(tuning: Tuning) -> dict[str, str]:
@@ -173,8 +168,8 @@ def _told(tuning: Tuning) -> dict[str, str]:
         "gradient": seconds(tuning.difference(GRADIENT), 1),
         "equal": seconds(tuning.difference(EQUAL), 1),
         "cost": f"{100 * gradient.cost / rival.cost:.0f} %",
-        "tuned_on": str(tuning.tune.tune_draws),
-        "judged_on": str(tuning.runs.shape[2]),
+        "tuned_on": tuning.tune.tune_draws,
+        "judged_on": tuning.runs.shape[2],
     }
 
 
