@@ -76,7 +76,7 @@ class Source:
     def counted(self) -> str:
         """What a figure rests on, for its footer: the study's name and how many runs it has."""
         study = self.study
-        unit = "start times" if study.is_recorded else "draws"
+        unit = "start times" if study.is_recorded else "Monte Carlo runs"
         if study.n_variants == 1:
             return f"{study.name}: {self.runs:,} {unit if self.runs > 1 else unit[:-1]}"
         each = f"{self.runs / study.n_variants:,g} {unit}"

@@ -77,7 +77,7 @@ def report(source: Source) -> Report:
     return Report(
         [f"{variants}, estimated without draws: by {how}."],
         [Chapter(heading, blocks) for heading, blocks in parts.items() if blocks],
-        f"{study.name}: {variants}, no draws",
+        f"{study.name}: {variants}, no Monte Carlo runs",
     )
 
 

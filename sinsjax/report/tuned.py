@@ -43,7 +43,7 @@ def _drawn(tuning: Tuning) -> str:
     """The draws that tuned, in words."""
     if record := tuning.study.record:
         return f"{len(record.start_s[::2])} start times"
-    return f"{tuning.tune.tune_draws} draws"
+    return f"{tuning.tune.tune_draws} Monte Carlo runs"
 
 
 def _headline(tuning: Tuning) -> list[str]:

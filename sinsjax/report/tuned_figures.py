@@ -14,6 +14,12 @@ from sinsjax.tuning.history import Evaluation
 from sinsjax.tuning.results import Tuning, axis
 
 _LOOKS = ("grid", GRADIENT, "baseline", "sobol", "equal cost", "random", COVARIANCE)  # by marker
+_IN_WORDS = {
+    "sobol": "Sobol points",
+    "equal cost": "Sobol points at the gradient's cost",
+    "random": "random points",
+    COVARIANCE: "covariance analysis",
+}
 
 
 def landscape(tuning: Tuning) -> list[Picture]:
@@ -77,7 +83,7 @@ def _spots(tuning: Tuning, number: int, used: list[int]) -> list[Spot]:
     """The best point of each search that has the combination."""
     return [
         Spot(
-            f"best of {name}",
+            f"best of {_IN_WORDS.get(name, name)}",
             np.array(found.best.values)[used],
             found.best.objective,
             _LOOKS.index(name),
@@ -114,7 +120,7 @@ def course(tuning: Tuning) -> Picture:
     for name, found in tuning.found.items():
         cost, best, relaxed = found.course
         ending = (found.cost, found.best.objective) if relaxed else None
-        searches.append(CostCurve(name, cost, best, relaxed, ending))
+        searches.append(CostCurve(_IN_WORDS.get(name, name), cost, best, relaxed, ending))
     caption = said("course", relaxed=any(one.relaxed for one in searches))
     title = "Best so far against what the search had cost"
     return Picture("history", caption, best_by_cost(searches, axis(tuning.study), title))

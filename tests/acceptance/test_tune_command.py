@@ -147,7 +147,8 @@ def test_a_tuning_is_reported_from_its_files(made: Path, tmp_path: Path) -> None
     said = told(made, page=tmp_path / "page.md", html=tmp_path / "page.html")
     page = (tmp_path / "page.md").read_text()
     for text in (said, page):
-        assert "Tuned on 3 draws, judged on 4 others by the root mean square heading error" in text
+        tuned_on = "Tuned on 3 Monte Carlo runs, judged on 4 others"
+        assert f"{tuned_on} by the root mean square heading error" in text
         assert "worst over 2 variants" in text and "at 41.7 % of its cost" in text
         assert "5, 10" in text and "Candidates on the unused draws" in text
     assert "# swing" in page and "figures/swing_descent.png" in page

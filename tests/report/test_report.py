@@ -179,9 +179,9 @@ def test_rows_are_some_columns_by_run(tmp_path):
 @pytest.mark.parametrize(
     ("axes", "draws", "text"),
     [
-        ({"phi_u0_deg": [0.0, 30.0]}, 3, "swing: 2 variants × 3 draws = 6 runs"),
-        ({}, 1200, "swing: 1,200 draws"),
-        ({}, 1, "swing: 1 draw"),
+        ({"phi_u0_deg": [0.0, 30.0]}, 3, "swing: 2 variants × 3 Monte Carlo runs = 6 runs"),
+        ({}, 1200, "swing: 1,200 Monte Carlo runs"),
+        ({}, 1, "swing: 1 Monte Carlo run"),
     ],
 )
 def test_figures_say_what_they_rest_on(tmp_path, axes, draws, text):

@@ -150,7 +150,7 @@ def _seen(tuning: Tuning, source: Source) -> Picture:
     seen.figure.suptitle(title, fontweight="bold")
     caption = (
         f"Condition 5, a grid of reset times, each over {tuning.tune.tune_draws} Monte Carlo runs;"
-        " light is good. Lines: gradient descents. *Equal cost*: a grid at the gradient's cost."
+        " light is good. Lines: gradient descents."
     )
     return Picture("small_seen", caption, seen.figure, source.counted)
 
