@@ -223,6 +223,34 @@ def settle_estimates(band_arcmin: float, *, truth: bool = False) -> tuple[Column
     return tuple(Column(f"{settled}_{k}_s", _F, "s", text) for k, text in meanings.items())
 
 
+def companion(column: Column) -> Column:
+    """A column of the linear error of a run's own noise about the noise-free run of its variant."""
+    name = f"companion_{column.name}"
+    return column._replace(name=name, meaning=f"of the run's companion: {column.meaning}")
+
+
+def controlled(name: str, unit: str, meaning: str) -> tuple[Column, ...]:
+    """Columns of an estimate from draws alone, the same with companions, and the factor saved.
+
+    Args:
+        name: of the statistic, without its unit.
+        unit: the end of the columns' names, which is their unit too where it is one.
+        meaning: of the statistic.
+    """
+    told = "" if unit == "share" else unit
+    ways = {"plain": "from the draws alone", "controlled": "from the draws and their companions"}
+    ends = {"": "", "_low": ", lower end of the 95 % interval", "_high": ", upper end of it"}
+    times = "how many times as many draws the plain estimate needs for the same interval"
+    return (
+        *(
+            Column(f"{way}_{name}{end}_{unit}", _F, told, f"{meaning}, {how}{which}")
+            for way, how in ways.items()
+            for end, which in ends.items()
+        ),
+        Column(f"saved_{name}", _F, "", f"{meaning}: {times}"),
+    )
+
+
 def bands(study_bands: Iterable[float], success_band: float | None = None) -> tuple[float, ...]:
     """A study's settling bands, including its success band, arcmin."""
     decisive = SUCCESS_BAND_ARCMIN if success_band is None else success_band

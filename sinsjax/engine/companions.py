@@ -7,7 +7,7 @@ close to that of the run with the same noise, and its expectation is known: a co
 """
 
 from collections.abc import Iterator
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -18,6 +18,7 @@ from sinsjax.alignment import passes
 from sinsjax.alignment.error_growth import driven
 from sinsjax.alignment.schedules import mix
 from sinsjax.engine import simulate, tile
+from sinsjax.engine.batch import MOST_PROGRAMS, Program
 from sinsjax.engine.covariance import over_bands, record_times
 from sinsjax.engine.lanes import Group, Tiles
 from sinsjax.engine.measurements import Read, look_back
@@ -66,16 +67,56 @@ def of_group(group: Group) -> Iterator[tuple[np.ndarray, np.ndarray, Companions]
     """
     draws, variants = group.sizes
     for first in range(0, variants, VARIANTS):
-        lanes = np.arange(first, first + VARIANTS)
-        tile_ = _tile(group, np.minimum(lanes, variants - 1))
+        some = np.arange(first, min(first + VARIANTS, variants))
         for begin in range(0, draws, DRAWS):
-            taken = np.arange(begin, begin + DRAWS)
-            lane, draw = lanes < variants, taken < draws
-            own = _some(group.draws, np.minimum(taken, draws - 1))
-            made = jax.device_get(_call(group.static, group.environment, tile_, own))
-            # Idle lanes and draws are at the end.
-            phi, outside = (a[..., : sum(lane), : sum(draw)] for a in made)
-            yield lanes[lane], taken[draw], Companions(phi, outside)
+            taken = np.arange(begin, min(begin + DRAWS, draws))
+            yield some, taken, of_block(group, some, taken)
+
+
+def of_block(
+    group: Group, variants: np.ndarray, draws: np.ndarray, records: np.ndarray | None = None
+) -> Companions:
+    """The companions of some variants and draws of a group, in one call.
+
+    Args:
+        group: whose.
+        variants: places in the group, `VARIANTS` at most.
+        draws: places in the group, `DRAWS` at most.
+        records: numbers, from 0, of the records whose misalignment is told; None for all.
+    """
+    call = program(group, records).compiled()
+    made = jax.device_get(call(*_arguments(group, variants, draws, records)))
+    # Idle lanes and draws are at the end.
+    phi, outside = (a[..., : len(variants), : len(draws)] for a in made)
+    return Companions(phi, outside)
+
+
+def program(group: Group, records: np.ndarray | None = None) -> Program:
+    """The program of `of_block`, whichever the block."""
+    none = np.zeros(1, int)
+    leaves, structure = jax.tree.flatten(_arguments(group, none, none, records))
+    shapes = tuple(jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype) for a in leaves)
+    return _trace(group.static, structure, shapes)
+
+
+@lru_cache(maxsize=MOST_PROGRAMS)
+def _trace(static: Static, structure: Any, shapes: tuple) -> Program:
+    def call(
+        environment: Environment, tile_: Tiles, draws: Draw, records: Array | None
+    ) -> Companions:
+        phi, outside = companions(static, environment, tile_, draws)
+        return Companions(phi if records is None else phi[:, records], outside)
+
+    return Program(jax.jit(call).lower(*jax.tree.unflatten(structure, shapes)))
+
+
+def _arguments(
+    group: Group, variants: np.ndarray, draws: np.ndarray, records: np.ndarray | None
+) -> tuple[Environment, Tiles, Draw, np.ndarray | None]:
+    """Of a call, filled up with the last variant and the last draw."""
+    lanes = np.pad(variants, (0, VARIANTS - len(variants)), mode="edge")
+    taken = np.pad(draws, (0, DRAWS - len(draws)), mode="edge")
+    return group.environment, _tile(group, lanes), _some(group.draws, taken), records
 
 
 def _some(draws: Draw, places: np.ndarray) -> Draw:
@@ -90,11 +131,6 @@ def _tile(group: Group, variants: np.ndarray) -> Tiles:
     q = np.broadcast_to(group.q[0], (len(variants), 4)).T
     row = np.zeros(len(variants), np.int32)
     return Tiles(first, row, params._replace(q=type(group.variants.q)(*q)))
-
-
-@partial(jax.jit, static_argnums=0)
-def _call(static: Static, environment: Environment, variants: Tiles, draws: Draw) -> Companions:
-    return companions(static, environment, variants, draws)
 
 
 def companions(

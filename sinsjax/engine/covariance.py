@@ -22,6 +22,9 @@ from sinsjax.engine.realisations import Environment, Static
 from sinsjax.maths.algebra import Triangle, cholesky, triangle_index
 from sinsjax.types import Array, Count, Scalar
 
+MOST_TOGETHER = 256
+"""Sampled errors of a run that go side by side; multiples of them follow one another."""
+
 
 class Spread(NamedTuple):
     """Of the errors of runs about their noise-free run; runs are the last axis of each leaf.
@@ -79,9 +82,31 @@ def spread(static: Static, environment: Environment, rows: Array, floor: Array) 
         rows: (records, fields, lanes): the observation, F, W, and phi by the states.
         floor: (lanes,) what phi_u should settle to, rad.
     """
+    samples, key = static.sampled_errors, jax.random.key(environment.seed)
+    blocks = 1 if samples % MOST_TOGETHER else samples // MOST_TOGETHER
+    if blocks == 1:
+        return _spread(static, environment, rows, floor, key)
+    few = static._replace(sampled_errors=MOST_TOGETHER)
+
+    def of_block(number: Count) -> Spread:
+        return _spread(few, environment, rows, floor, jax.random.fold_in(key, number))
+
+    found = jax.lax.map(of_block, jnp.arange(blocks))
+    phi, sigma, belief = (a[0] for a in found[:3])
+    # The second half of a block has the opposite noise of the first; so has that of all.
+    _, sides, bands, _, lanes = found.outside_until.shape
+    halves = found.outside_until.reshape(blocks, sides, bands, 2, MOST_TOGETHER // 2, lanes)
+    outside = jnp.moveaxis(halves, 0, 3).reshape(sides, bands, samples, lanes)
+    return Spread(phi, sigma, belief, outside)
+
+
+def _spread(
+    static: Static, environment: Environment, rows: Array, floor: Array, key: Array
+) -> Spread:
+    """`spread`, of sampled errors from one key."""
     n, criteria = states_of(rows.shape[1]), environment.criteria
     lanes, samples = len(floor), static.sampled_errors
-    normals = standard_normals(environment.seed, len(rows), n, samples)
+    normals = standard_normals(key, len(rows), n, samples)
     over_lanes = jax.vmap(partial(_over_record, criteria), in_axes=(0, None, None, 0, 0))
 
     def over(carry: _Carry, record: tuple[Scalar, Array, Array]) -> tuple[_Carry, Array]:
@@ -174,7 +199,7 @@ def _variance(row: tuple[Scalar, ...], s: Triangle) -> Scalar:
     return jnp.maximum(sum(terms), 0.0)
 
 
-def standard_normals(seed: Count, records: int, n: int, samples: int) -> Array:
+def standard_normals(key: Array, records: int, n: int, samples: int) -> Array:
     """(records, n, samples) standard normal numbers, half of them the others' opposites."""
-    half = jax.random.normal(jax.random.key(seed), (records, n, samples // 2), float)
+    half = jax.random.normal(key, (records, n, samples // 2), float)
     return jnp.concatenate([half, -half], axis=-1)

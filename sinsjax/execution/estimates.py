@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from sinsjax import columns
 from sinsjax.columns import Column
-from sinsjax.engine.batch import Chunk
+from sinsjax.engine.batch import Calls, Chunk, Plan
 from sinsjax.engine.build import Scenario
-from sinsjax.engine.covariance import Spread, watched, watched_program
+from sinsjax.engine.covariance import MOST_TOGETHER, Spread, watched, watched_program
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.realisations import Static
 from sinsjax.engine.study_limits import limited_variants
@@ -25,11 +25,13 @@ from sinsjax.errors import InputError
 from sinsjax.execution import layouts
 from sinsjax.execution.parts import query
 from sinsjax.execution.tables import nullable, table_of
+from sinsjax.study.study import Study
 from sinsjax.study.success import bands
 from sinsjax.study.times import report_times, spans_s
 from sinsjax.units import ARCMIN
 
 DATASET = "estimates"
+FEW_TILES = 2
 _QUANTILES = {"q10": 0.1, "median": 0.5, "q90": 0.9}
 
 
@@ -41,22 +43,20 @@ class Estimates:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        """Take a study that is estimated by covariance.
+        """Take a study that is estimated by covariance, alone or beside its draws.
 
         Raises:
-            InputError: curves are asked for.
+            InputError: curves are asked for where there are no runs.
         """
         study = scenario.study
-        if scenario.curves:
+        if scenario.curves and study.is_estimated:
             raise InputError(f"{study.name}: a covariance estimate has no runs with curves to keep")
         assert study.study.estimate_samples is not None
         self.layouts: Mapping[str, tuple[Column, ...]] = {DATASET: layouts.estimates(study)}
         self._samples = study.study.estimate_samples
         self._bands = bands(study)
         self._times: list[float | None] = [*report_times(study), None]
-        every_s = study.record_every / study.rate_hz
-        numbers = [round(time_s / every_s) - 1 for time_s in report_times(study)]
-        self._records = np.array([*numbers, study.records - 1])
+        self._records = told_records(study)
         self._end_s = spans_s(study)[:, 0]
         self._limited = limited_variants(study)
         self._by_variant = layouts.of_variants(study, self.layouts[DATASET])
@@ -68,6 +68,16 @@ class Estimates:
     def group(self, group: Group) -> Group:
         """What the engine runs of a part."""
         return watched(group, self._samples, self._records)
+
+    def plan(self, static: Static, draws: int, count: int, tiles: int | None) -> Plan:
+        """See `Output`; the many samples of an expectation would fill the memory."""
+        few = FEW_TILES if self._samples > MOST_TOGETHER else tiles
+        return Plan(static, draws, count, tiles_a_chunk=few)
+
+    def calls(self, group: Group, tiles: int | None) -> Calls:
+        """See `Output`."""
+        few = FEW_TILES if self._samples > MOST_TOGETHER else tiles
+        return Calls(group, tiles_a_chunk=few)
 
     def tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
         """Estimates of a chunk, one row per variant.
@@ -95,6 +105,9 @@ class Estimates:
                 cells = (nullable(np.where(known, value, np.nan)) for value in settled)
                 values |= zip(names, cells, strict=True)
         values |= {"has_limit": pa.array(limited), "floor_arcmin": nullable(floor / ARCMIN)}
+        # Those of companions wait for the draws.
+        for column in self.layouts[DATASET]:
+            values.setdefault(column.name, pa.nulls(len(variant), column.dtype))
         return {DATASET: table_of(self.layouts[DATASET], values)}
 
     def failures(self, tables: Mapping[str, pa.Table]) -> int:
@@ -113,6 +126,13 @@ class Estimates:
             for band in self._bands
         ]
         return [nullable(one) for one in (*angles, *shares)]
+
+
+def told_records(study: Study) -> NDArray:
+    """Numbers, from 0, of the records at the report times and at the end."""
+    every_s = study.record_every / study.rate_hz
+    numbers = [round(time_s / every_s) - 1 for time_s in report_times(study)]
+    return np.array([*numbers, study.records - 1])
 
 
 def _share_within(band: float, mean: NDArray, sigma: NDArray) -> NDArray:

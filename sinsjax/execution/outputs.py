@@ -1,18 +1,28 @@
-"""What the tasks of a study give: tables of its runs, or estimates of its variants."""
+"""What the tasks of a study give: tables of its runs, or estimates of its variants, or both."""
 
 from collections.abc import Mapping
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax.columns import Column
-from sinsjax.engine.batch import Chunk
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.realisations import Static
 from sinsjax.execution.estimates import Estimates
-from sinsjax.execution.tables import Tables
+from sinsjax.execution.runs import PairedRuns, Runs
+
+
+@runtime_checkable
+class Plan(Protocol):
+    """How the runs of a part fall into calls."""
+
+    def __len__(self) -> int: ...
+
+    def runs(self, call: int) -> int:
+        """How many runs a call has."""
+        ...
 
 
 @runtime_checkable
@@ -34,7 +44,15 @@ class Output(Protocol):
         """What the engine runs of a part, from all its runs."""
         ...
 
-    def tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
+    def plan(self, static: Static, draws: int, count: int, tiles: int | None) -> Plan:
+        """How some draws of so many variants are cut, into calls of so many tiles."""
+        ...
+
+    def calls(self, group: Group, tiles: int | None) -> Any:
+        """The calls of such a plan: ``compile()`` and ``chunk(number)``."""
+        ...
+
+    def tables(self, chunk: Any, variant_ids: NDArray) -> dict[str, pa.Table]:
         """Tables by dataset, of a chunk of the variants of a part."""
         ...
 
@@ -43,51 +61,14 @@ class Output(Protocol):
         ...
 
 
-class Runs:
-    """Summary and curves of all runs.
-
-    Attributes:
-        layouts: see `Output`.
-    """
-
-    def __init__(self, scenario: Scenario) -> None:
-        self._made = Tables(scenario.study, has_truth=scenario.has_truth)
-        curves = {"curves": self._made.curve_columns} if scenario.curves else {}
-        self.layouts: Mapping[str, tuple[Column, ...]] = {
-            **curves,
-            "summary": self._made.summary_columns,
-        }
-
-    def program(self, static: Static) -> Static:
-        """As it is."""
-        return static
-
-    def group(self, group: Group) -> Group:
-        """As it is."""
-        return group
-
-    def tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
-        """One row per run, and one per run and record time."""
-        made = {"summary": self._made.summary(chunk, variant_ids)}
-        if "curves" in self.layouts:
-            made["curves"] = self._made.curves(chunk, variant_ids)
-        return made
-
-    def failures(self, tables: Mapping[str, pa.Table]) -> int:
-        """By their status."""
-        return failures(tables["summary"])
-
-
-def failures(summary: pa.Table) -> int:
-    """Number of runs of a summary that diverged or became non-finite."""
-    status = summary["status"].to_pylist()
-    return status.count("diverged") + status.count("nonfinite")
-
-
-def output_of(scenario: Scenario) -> Output:
-    """What a study asks for.
+def outputs_of(scenario: Scenario) -> list[Output]:
+    """What a study asks for: one after another, the last for what the others have made.
 
     Raises:
         InputError: curves are asked for where there are no runs.
     """
-    return Estimates(scenario) if scenario.study.is_estimated else Runs(scenario)
+    if scenario.study.is_estimated:
+        return [Estimates(scenario)]
+    if scenario.study.is_controlled:
+        return [PairedRuns(scenario), Estimates(scenario)]
+    return [Runs(scenario)]

@@ -132,10 +132,10 @@ def run(
 
 
 def estimate(study: Study, *, chunk_runs: int | None = None, tell: Tell | None = None) -> pa.Table:
-    """Estimate the errors of a study's variants in memory, without draws.
+    """Estimate the errors of a study's variants in memory, without draws or with few.
 
     Args:
-        study: checked study with ``estimate = "covariance"``.
+        study: checked study with ``estimate = "covariance"`` or ``"controlled"``.
         chunk_runs: variants per chunk; does not affect the rows.
         tell: called with the progress after every chunk.
 
@@ -146,7 +146,7 @@ def estimate(study: Study, *, chunk_runs: int | None = None, tell: Tell | None =
         InputError: the study asks for draws, or covariance analysis does not hold for it.
         RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
-    if not study.is_estimated:
+    if study.study.estimate == "draws":
         raise InputError(f"{study.name}: [study] estimate: is 'draws' (use sinsjax.run)")
     study, _ = made_ready(study, None)
     return _tables(Job(study, chunk_runs=chunk_runs), tell)["estimates"].sort_by("variant_id")
@@ -162,9 +162,15 @@ def _tables(job: Job, tell: Tell | None) -> dict[str, pa.Table]:
         for piece in in_threads(runner.do, tasks, len(jax.devices())):
             for name, table in piece.tables.items():
                 made.setdefault(name, []).append(table)
-            count.add(piece.task, runner.output.failures(piece.tables))
+            count.add(piece.task, runner.failures(piece.task, piece.tables))
         if _enough(study, lambda names: pa.concat_tables(made["summary"]).select(names), draws):
             break
+    if concluding := runner.concluding_tasks():
+        from sinsjax.execution import controlled  # late, for scipy
+
+        end = controlled.Conclusion(runner, lambda n: pa.concat_tables(made["summary"]).select(n))
+        for piece in in_threads(runner.do, map(end.asked, concluding), len(jax.devices())):
+            made.setdefault("estimates", []).append(end.of(piece).tables["estimates"])
     return {name: pa.concat_tables(tables) for name, tables in made.items()}
 
 
@@ -238,8 +244,8 @@ def _carry_out(
     count: "_ProgressCounter",
     stop: threading.Event,
 ) -> None:
-    study, staged = runner.job.study, runner.tasks()
-    missing = set(held.missing(task for tasks in staged for task in tasks))
+    study, staged, concluding = runner.job.study, runner.tasks(), runner.concluding_tasks()
+    missing = set(held.missing([*(task for tasks in staged for task in tasks), *concluding]))
     count.begin(task for tasks in staged for task in tasks if task not in missing)
     for draws, tasks in zip(runner.stages, staged, strict=True):
         todo = [task for task in tasks if task in missing]
@@ -248,12 +254,26 @@ def _carry_out(
             missing.remove(encoded.task)
             count.add(encoded.task, encoded.failures)
         if not missing.isdisjoint(todo):
-            held.finish("interrupted")
-            done, total = count.progress.done, count.progress.total
-            raise StudyInterrupted(f"{done:,} of {total:,} runs are in {held.directory}")
+            raise _interrupted(held, count)
         if _enough(study, held.summary, draws):
             break
+    if todo := [task for task in concluding if task in missing]:
+        from sinsjax.execution import controlled  # late, for scipy
+
+        end = controlled.Conclusion(runner, held.summary)
+        going, done = takewhile(lambda _: not stop.is_set(), todo), 0
+        for encoded in executor.do(runner, map(end.asked, going)):
+            held.write(runner.encoded(end.of(runner.decoded(encoded))))
+            done += 1
+        if done < len(todo):
+            raise _interrupted(held, count)
     held.finish("complete", draws=draws.stop, runs=draws.stop * study.n_variants)
+
+
+def _interrupted(held: store.Store, count: "_ProgressCounter") -> StudyInterrupted:
+    held.finish("interrupted")
+    done, total = count.progress.done, count.progress.total
+    return StudyInterrupted(f"{done:,} of {total:,} runs are in {held.directory}")
 
 
 def _enough(study: Study, select: Callable[[list[str]], pa.Table], draws: range) -> bool:

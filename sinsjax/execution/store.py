@@ -133,7 +133,7 @@ class Store:
             InputError: the directory cannot be written.
         """
         files = []
-        for dataset, rows in self._runner.rows(encoded.task).items():
+        for dataset, rows in encoded.task.rows:
             content = encoded.files[dataset]
             path = self._path(dataset, encoded.task)
             try:
@@ -154,7 +154,8 @@ class Store:
 
     def summary(self, names: list[str]) -> pa.Table:
         """Some columns of all stored rows of the summary."""
-        paths = [self._path("summary", t) for t in self._planned if t.name in self._chunks]
+        done = (t for t in self._planned if t.name in self._chunks and "summary" in dict(t.rows))
+        paths = [self._path("summary", task) for task in done]
         return pa.concat_tables([pq.ParquetFile(path).read(columns=names) for path in paths])
 
     def finish(self, state: str, **facts: Any) -> None:
@@ -184,7 +185,7 @@ class Store:
         known = self._chunks.get(task.name, {})
         recorded = {entry["file"]: entry for entry in known.get("files", [])}
         files = []
-        for dataset, rows in self._runner.rows(task).items():
+        for dataset, rows in task.rows:
             path = self._path(dataset, task)
             try:
                 content = path.read_bytes()

@@ -8,7 +8,7 @@ import hashlib
 import json
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
 from itertools import product
@@ -21,11 +21,11 @@ import pyarrow.parquet as pq
 
 from sinsjax import columns
 from sinsjax.engine.alike import find_alike
-from sinsjax.engine.batch import Calls, Plan, in_threads, targets
+from sinsjax.engine.batch import Plan, in_threads, targets
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.lanes import LANES, Group
 from sinsjax.execution import stopping
-from sinsjax.execution.outputs import output_of
+from sinsjax.execution.outputs import Output, outputs_of
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.acting import first_alike
 from sinsjax.study.fingerprint import fingerprint
@@ -68,11 +68,12 @@ class Task(NamedTuple):
 
     Attributes:
         name: name of its files, without extension.
-        part: number of the part, see `build`.
+        part: number of the part, see `TaskRunner`.
         draws: first draw of its group and the one after the last.
         call: number of the call in the group's plan.
-        runs: number of runs.
-        records: rows of curves per run.
+        runs: number of runs; 0 where it concludes from those of others.
+        rows: names of the datasets that it writes and their rows, in that order.
+        rounds: of sampled errors that an expectation is made of.
     """
 
     name: str
@@ -80,7 +81,8 @@ class Task(NamedTuple):
     draws: tuple[int, int]
     call: int
     runs: int
-    records: int
+    rows: tuple[tuple[str, int], ...]
+    rounds: int = 1
 
 
 class TaskResult(NamedTuple):
@@ -113,14 +115,23 @@ class EncodedResult(NamedTuple):
     seconds: float
 
 
+class _Part(NamedTuple):
+    """A part of the study, and what becomes of it."""
+
+    output: Output
+    number: int
+
+
 class TaskRunner:
     """Thread-safe runner of a job's tasks.
+
+    Its parts are those of the study (`build`) for each of the study's outputs.
 
     Attributes:
         job: the job.
         identity: hash that identifies the job.
         scenario: the study, ready to run.
-        output: what its chunks become.
+        layouts: columns of all datasets.
     """
 
     def __init__(self, job: Job) -> None:
@@ -132,15 +143,20 @@ class TaskRunner:
         """
         self.job = job
         self.scenario = Scenario(job.study, job.stored, curves=job.curves)
-        self.output = output_of(self.scenario)
-        self._programs = [self.output.program(static) for static in self.scenario.programs]
+        outputs, programs = outputs_of(self.scenario), self.scenario.programs
+        self.layouts = {name: layout for o in outputs for name, layout in o.layouts.items()}
+        self._parts = [_Part(o, n) for o in outputs for n in range(len(programs))]
+        self._concluding = len(programs) if len(outputs) > 1 else 0
+        self._programs = [part.output.program(programs[part.number]) for part in self._parts]
         self._tiles = None if job.chunk_runs is None else -(-job.chunk_runs // LANES)
         self.identity = job.identity
         self._lock = threading.Lock()
         kinds = first_alike(job.study)
         self._alike = [
-            find_alike(static, job.study.n_draws, kinds[ids])
-            for static, ids in zip(self._programs, self.scenario.variant_ids, strict=True)
+            None
+            if self._concluding  # runs of blocks, and few estimates
+            else find_alike(static, job.study.n_draws, kinds[self._ids(number)])
+            for number, static in enumerate(self._programs)
         ]
         self._part = lru_cache(_PARTS_READY)(self._made)
         self._blank = lru_cache(1)(partial(self._made, blank=True))
@@ -159,26 +175,45 @@ class TaskRunner:
 
     def tasks(self) -> list[list[Task]]:
         """The tasks of every stage."""
-        study, scenario, programs = self.job.study, self.scenario, self._programs
-        records = [s.records if scenario.curves else 0 for s in programs]
-        before = [0] * len(programs)
+        study, before = self.job.study, [0] * len(self._parts)
         staged = []
         for stage in self.stages:
-            tasks = []
-            parts = enumerate(zip(programs, scenario.variant_ids, strict=True))
-            for (part, (static, ids)), draws in product(parts, self._blocks(stage)):
-                alike = self._alike[part]
-                count = len(ids) if alike is None else len(alike.computed)
-                plan = Plan(static, len(draws), count, tiles_a_chunk=self._tiles)
-                ends = (draws.start, draws.stop)
-                for call in range(len(plan)):
-                    name = f"part-{part:04d}-{before[part] + call:06d}"
-                    runs = plan.runs(call) if alike is None else alike.runs(plan, call)
-                    tasks.append(Task(name, part, ends, call, runs, records[part]))
-                before[part] += len(plan)
+            tasks: list[Task] = []
+            parts = range(len(self._parts) - self._concluding)
+            for part, draws in product(parts, self._blocks(stage)):
+                new = self._cut(part, draws, before[part])
+                before[part] += len(new)
+                tasks += new
             staged.append(tasks)
         assert sum(t.runs for tasks in staged for t in tasks) == study.n_draws * study.n_variants
         return staged
+
+    def concluding_tasks(self) -> list[Task]:
+        """The tasks that conclude from the runs of all others, see `controlled`."""
+        parts = range(len(self._parts) - self._concluding, len(self._parts))
+        tasks = (task for part in parts for task in self._cut(part, range(1), 0))
+        return [task._replace(runs=0) for task in tasks]
+
+    def _cut(self, part: int, draws: range, before: int) -> list[Task]:
+        """Tasks of some draws of a part, after so many."""
+        output, alike = self._parts[part].output, self._alike[part]
+        count = len(self._ids(part)) if alike is None else len(alike.computed)
+        static, tasks = self._programs[part], []
+        plan = output.plan(static, len(draws), count, self._tiles)
+        for call in range(len(plan)):
+            runs = plan.runs(call)
+            if alike is not None:
+                assert isinstance(plan, Plan)
+                runs = alike.runs(plan, call)
+            records = {name: static.records if name == "curves" else 1 for name in output.layouts}
+            rows = tuple((name, runs * each) for name, each in records.items())
+            name = f"part-{part:04d}-{before + call:06d}"
+            tasks.append(Task(name, part, (draws.start, draws.stop), call, runs, rows))
+        return tasks
+
+    def _ids(self, part: int) -> np.ndarray:
+        """Numbers of a part's variants in the study."""
+        return self.scenario.variant_ids[self._parts[part].number]
 
     def _blocks(self, stage: range) -> list[range]:
         """The draws of a stage in groups that fit in memory with their drawn values."""
@@ -191,24 +226,47 @@ class TaskRunner:
         """Compute the tables of one task."""
         with self._lock:  # otherwise every thread would compile
             calls = self._calls(task.part, range(*task.draws))
-        ids = self.scenario.variant_ids[task.part]
+        ids, output = self._ids(task.part), self._parts[task.part].output
         since = time.perf_counter()
         chunk = calls.chunk(task.call)
         if alike := self._alike[task.part]:
             chunk = alike.spread(chunk)
         seconds = time.perf_counter() - since
-        return TaskResult(task, self.output.tables(chunk, ids), seconds)
+        tables = output.tables(chunk, ids)
+        if task.rounds > 1:
+            from sinsjax.execution import controlled  # late, as all that needs scipy
+
+            more = (calls.chunk(task.call, round_) for round_ in range(1, task.rounds))
+            made = [tables["estimates"], *(output.tables(c, ids)["estimates"] for c in more)]
+            tables = {"estimates": controlled.pooled(self.job.study, made)}
+        return TaskResult(task, tables, seconds)
+
+    def failures(self, task: Task, tables: Mapping[str, pa.Table]) -> int:
+        """Number of runs of a task that diverged or became non-finite."""
+        return self._parts[task.part].output.failures(tables)
+
+    def variants(self, task: Task) -> np.ndarray:
+        """Numbers of the variants of a concluding task."""
+        output, ids = self._parts[task.part].output, self._ids(task.part)
+        plan = output.plan(self._programs[task.part], 1, len(ids), self._tiles)
+        assert isinstance(plan, Plan)
+        return ids[plan.busy(task.call)[1]]
 
     def pack(self, task: Task) -> EncodedResult:
         """Compute the Parquet files of one task: the same bytes on any machine."""
-        result = self.do(task)
-        files = {name: self.parquet(name, table, task) for name, table in result.tables.items()}
-        return EncodedResult(task, files, self.output.failures(result.tables), result.seconds)
+        return self.encoded(self.do(task))
 
-    def rows(self, task: Task) -> dict[str, int]:
-        """Rows of the datasets that a task writes, in the order in which they are written."""
-        names = self.output.layouts
-        return {n: task.runs * (task.records if n == "curves" else 1) for n in names}
+    def encoded(self, result: TaskResult) -> EncodedResult:
+        """The Parquet files of a result."""
+        task, tables = result.task, result.tables
+        files = {name: self.parquet(name, table, task) for name, table in tables.items()}
+        return EncodedResult(task, files, self.failures(task, tables), result.seconds)
+
+    def decoded(self, encoded: EncodedResult) -> TaskResult:
+        """The tables of Parquet files."""
+        files = encoded.files.items()
+        tables = {name: pq.read_table(pa.BufferReader(content)) for name, content in files}
+        return TaskResult(encoded.task, tables, encoded.seconds)
 
     def parquet(self, dataset: str, table: pa.Table, task: Task) -> bytes:
         """A table of a task as a Parquet file: the same rows give the same bytes.
@@ -216,7 +274,7 @@ class TaskRunner:
         Raises:
             ValueError: the table lacks columns of the dataset.
         """
-        schema = columns.schema(self.output.layouts[dataset])
+        schema = columns.schema(self.layouts[dataset])
         marked = table.cast(schema.with_metadata(schema.metadata | self._marks(task)))
         sink = pa.BufferOutputStream()
         # Numbers seldom repeat: a dictionary would make them larger and three times as slow.
@@ -227,7 +285,7 @@ class TaskRunner:
     def _marks(self, task: Task) -> dict[bytes, bytes]:
         """Metadata of a part, without time or host name, which would change its bytes."""
         chunk = {**task._asdict(), "chunk_runs": self.job.chunk_runs}
-        del chunk["records"]
+        del chunk["rows"], chunk["rounds"]
         return {
             b"sinsjax.study": self.identity.encode(),
             b"sinsjax.chunk": json.dumps(chunk).encode(),
@@ -236,19 +294,20 @@ class TaskRunner:
     def _made(self, number: int, draws: range, *, blank: bool = False) -> Group:
         alike = self._alike[number]
         variants = None if alike is None else alike.computed
-        part = self.scenario.part(number, draws, variants=variants, blank=blank)
-        return self.output.group(part.group)
+        output, of_study = self._parts[number]
+        part = self.scenario.part(of_study, draws, variants=variants, blank=blank)
+        return output.group(part.group)
 
-    def _compile(self, part: int, draws: range) -> Calls:
+    def _compile(self, part: int, draws: range) -> Any:
+        output = self._parts[part].output
         if self.scenario.stored is not None:
-            return Calls(self._part(part, draws), tiles_a_chunk=self._tiles)
-        blank = self._blank(part, draws)
-        engine = Calls(blank, tiles_a_chunk=self._tiles)
+            return output.calls(self._part(part, draws), self._tiles)
+        engine = output.calls(self._blank(part, draws), self._tiles)
         with ThreadPoolExecutor(1) as beside:
             compiling = beside.submit(engine.compile)
             made = self._part(part, draws)  # meanwhile, on another core
             compiling.result()
-        return Calls(made, tiles_a_chunk=self._tiles)
+        return output.calls(made, self._tiles)
 
 
 class Executor(NamedTuple):

@@ -9,6 +9,9 @@ from sinsjax.study.in_turn import keys_in_turn
 from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.study import Study
 
+LEAST_CONTROLLED = 4096
+"""Fewest sampled errors of the expectation of companions."""
+
 
 def require_modelled(study: Study) -> None:
     """Refuses what covariance analysis does not hold for.
@@ -31,22 +34,30 @@ def check(study: Study, where: Mapping[str, str]) -> None:
     Raises:
         InputError: ``[section] key: what is wrong (hint)``.
     """
-    if not study.is_estimated:
-        if study.study.estimate_samples is not None:
-            raise InputError("[study] estimate_samples: requires estimate = 'covariance'")
+    samples, estimate = study.study.estimate_samples, study.study.estimate
+    if estimate == "draws":
+        if samples is not None:
+            raise InputError(
+                "[study] estimate_samples: requires estimate = 'covariance' or 'controlled'"
+            )
         return
     told = next(_unmodelled(study, where), None)
     if told is not None:
         raise InputError(f"{told} (use estimate = 'draws')")
-    unread = {
-        "[study] draws": ("draws" in where, "estimate_samples is"),
-        "[study] curves": (study.study.curves, "there are no runs to have any"),
-        "[stop_when]": (study.has("stop_when"), "there are no draws to stop"),
-        "[tune]": (study.has("tune"), "a search by covariance analysis is one of its searches"),
-    }
+    if study.is_controlled and samples is not None and samples < LEAST_CONTROLLED:
+        text = f"must be at least {LEAST_CONTROLLED} with estimate = 'controlled'"
+        raise InputError(f"[study] estimate_samples: {text}, got {samples}")
+    search = "a search by covariance analysis is one of its searches"
+    unread = {"[tune]": (study.has("tune"), search)}
+    if study.is_estimated:
+        unread |= {
+            "[study] draws": ("draws" in where, "estimate_samples is"),
+            "[study] curves": (study.study.curves, "there are no runs to have any"),
+            "[stop_when]": (study.has("stop_when"), "there are no draws to stop"),
+        }
     for place, (given, why) in unread.items():
         if given:
-            raise InputError(f"{place}: is not read beside estimate = 'covariance' ({why})")
+            raise InputError(f"{place}: is not read beside estimate = {estimate!r} ({why})")
 
 
 def _unmodelled(study: Study, where: Mapping[str, str]) -> Iterator[str]:

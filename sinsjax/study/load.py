@@ -42,7 +42,7 @@ __all__ = [
 ]
 
 _DEFAULT_DRAWS = 64
-_SAMPLES = 256
+_SAMPLES = {"covariance": 256, "controlled": 4096}
 _SWEEPS = ("axes", "cases", "drawn")
 _UNREAD = ("report", "statements")
 """Sections of 0.5.0 that nothing reads: files that still have them load for one more version."""
@@ -264,9 +264,12 @@ def _filled(tables: TomlTable, sweep: axes.Sweep, where: Where, name: str) -> To
     sections = {key: dict(tables.get(key, {})) for key in SECTIONS if key not in unused}
     sections["study"].setdefault("name", name)
     if not recorded:
-        estimated = sections["study"].get("estimate") == "covariance"
-        missing = ("estimate_samples", _SAMPLES) if estimated else ("draws", _DEFAULT_DRAWS)
-        sections["study"].setdefault(*missing)
+        estimate = sections["study"].get("estimate", "draws")
+        for kind, samples in _SAMPLES.items():
+            if estimate == kind:
+                sections["study"].setdefault("estimate_samples", samples)
+        if estimate != "covariance":
+            sections["study"].setdefault("draws", _DEFAULT_DRAWS)
         sections["earth"].setdefault("height_m", 0.0)
         for white, density in SECTIONS["sensors"].exclusive:
             if white not in where and density not in where:

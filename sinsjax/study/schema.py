@@ -55,15 +55,16 @@ class StudySection(Section):
         description="draws of noise and of [drawn], with [stop_when] at most; default 64 where the"
         " sensors are simulated",
     )
-    estimate: Literal["draws", "covariance"] = Field(
+    estimate: Literal["draws", "covariance", "controlled"] = Field(
         "draws",
-        description="where statistics come from: draws, each with runs of its own (`summary/`), or"
-        " the covariance of the true error beside one noise-free run of a variant (`estimates/`)",
+        description="where statistics come from: draws, each with runs of its own (`summary/`); the"
+        " covariance of the true error beside one noise-free run of a variant (`estimates/`); or"
+        " draws whose scatter that covariance takes off (both)",
     )
     estimate_samples: Annotated[int, Field(ge=4, le=2**16, multiple_of=2)] | None = Field(
         None,
         description="sampled errors that settling times are estimated from, an even number;"
-        " estimate = 'covariance' only, default 256",
+        " default 256 with estimate = 'covariance' and 4096, the least, with 'controlled'",
     )
     seed: int = Field(1, ge=0, lt=2**63, description="seed of all that is drawn")
     settle_bands_arcmin: Bands = Field(

@@ -133,7 +133,12 @@ class Study(_SectionsOfMethods):
     @property
     def is_estimated(self) -> bool:
         """Whether its results are estimates of variants, and no runs."""
-        return self.study.estimate != "draws"
+        return self.study.estimate == "covariance"
+
+    @property
+    def is_controlled(self) -> bool:
+        """Whether its runs have companions, and estimates of variants that these control."""
+        return self.study.estimate == "controlled"
 
     @property
     def is_recorded(self) -> bool:

@@ -1,0 +1,99 @@
+"""Runs and their companions, a few variants and draws at a time."""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from sinsjax.engine import companions
+from sinsjax.engine.batch import Calls, Chunk
+from sinsjax.engine.companions import DRAWS, VARIANTS, Companions
+from sinsjax.engine.lanes import Group
+
+
+class PairedChunk(NamedTuple):
+    """Results of some runs of a group and of their companions.
+
+    Attributes:
+        runs: those of the runs.
+        companions: `Companions` with leaves (..., runs).
+    """
+
+    runs: Chunk
+    companions: Companions
+
+
+class Blocks:
+    """The runs of a group cut into blocks of `VARIANTS` by `DRAWS`.
+
+    Few variants, since the noise-free run beside their companions is theirs alone, and many draws,
+    which share it.
+    """
+
+    def __init__(self, draws: int, variants: int) -> None:
+        self._draws, self._variants = draws, variants
+        self._across = -(-variants // VARIANTS)
+
+    def __len__(self) -> int:
+        return self._across * -(-self._draws // DRAWS)
+
+    def __getitem__(self, number: int) -> tuple[np.ndarray, np.ndarray]:
+        """Places of a block's draws, and of its variants."""
+        down, across = divmod(number, self._across)
+        draws = np.arange(down * DRAWS, min((down + 1) * DRAWS, self._draws))
+        variants = np.arange(across * VARIANTS, min((across + 1) * VARIANTS, self._variants))
+        return draws, variants
+
+    def runs(self, number: int) -> int:
+        """How many runs a block has."""
+        draws, variants = self[number]
+        return len(draws) * len(variants)
+
+
+class PairedCalls:
+    """The blocks of a group, any of them in any order and from any thread."""
+
+    def __init__(self, group: Group, records: np.ndarray) -> None:
+        """Trace the programs of a group.
+
+        Args:
+            group: what to run.
+            records: numbers, from 0, of the records at which companions are told.
+        """
+        self._group, self._records = group, records
+        self.plan = Blocks(*group.sizes)
+        self._of_companions = companions.program(group, records)
+        self._of_runs = self._calls(*self.plan[0])
+
+    def compile(self) -> None:
+        """Compile what the first block would else compile."""
+        self._of_runs.compile()
+        self._of_companions.compiled()
+
+    def _calls(self, draws: np.ndarray, variants: np.ndarray) -> Calls:
+        """The runs of a block; filled up to the variants of the first, they share its program."""
+        width = min(VARIANTS, self._group.sizes[1])
+        filled = np.pad(variants, (0, width - len(variants)), mode="edge")
+        group = self._group
+        return Calls(
+            group._replace(
+                draws=jax.tree.map(lambda a: a[draws] if np.ndim(a) else a, group.draws),
+                q=group.q[draws],
+                variants=jax.tree.map(lambda a: np.asarray(a)[filled], group.variants),
+            )
+        )
+
+    def chunk(self, number: int) -> PairedChunk:
+        """Run a block of the plan, and the companions of its runs."""
+        draws, variants = self.plan[number]
+        calls = self._calls(draws, variants)
+        found = [calls.chunk(call) for call in range(len(calls.plan))]
+        made: Chunk = jax.tree.map(lambda *leaves: np.concatenate(leaves), *found)
+        order = np.lexsort((made.variant, made.draw))
+        made = jax.tree.map(lambda a: a[order[made.variant[order] < len(variants)]], made)
+        beside = companions.of_block(self._group, variants, draws, self._records)
+        row = np.searchsorted(self._group.draws.draw_id[draws], made.draw)
+        return PairedChunk(
+            made._replace(variant=variants[made.variant]),
+            jax.tree.map(lambda a: a[..., made.variant, row], beside),
+        )

@@ -1,0 +1,206 @@
+"""Statistics of a study's draws, controlled by companions whose expectation is known."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from sinsjax.analysis import Estimate
+from sinsjax.analysis.controlled import (
+    Expectation,
+    controlled_mean,
+    controlled_share,
+    samples_needed,
+)
+from sinsjax.execution import layouts
+from sinsjax.execution.layouts import Statistic
+from sinsjax.execution.tables import nullable
+from sinsjax.execution.tasks import Task, TaskResult, TaskRunner
+from sinsjax.study.study import Study
+from sinsjax.study.times import spans_s
+
+SHARE = 0.05
+"""Of the variance of a controlled mean: that of the companions' expectation stays below."""
+
+MOST_ROUNDS = 16
+"""The most that the sampled errors of an expectation are multiplied by for that."""
+
+
+class Draws(NamedTuple):
+    """The runs of one variant, (draws,) by column of the summary; null as NaN.
+
+    Attributes:
+        rows: by column.
+        end_s: length of the run, s.
+    """
+
+    rows: dict[str, NDArray]
+    end_s: float
+
+    def of(self, one: Statistic, whose: str = "") -> NDArray:
+        """What a statistic is the mean of, (draws,); ``whose`` is "companion_" for companions'."""
+        if one.kind == "settle":
+            return np.nan_to_num(self.rows[f"{whose}{one.column}"], nan=self.end_s)
+        phi = self.rows[f"{whose}phi_u{one.at}_arcmin"]
+        error = phi if one.truth else phi - self.rows["floor_arcmin"]
+        if one.kind == "rms":
+            return error**2
+        within = (np.abs(error) <= one.band_arcmin).astype(float)
+        return np.where(np.isnan(error) & np.isfinite(phi), np.nan, within)
+
+
+class Conclusion:
+    """What concludes a study whose runs have companions."""
+
+    def __init__(self, runner: TaskRunner, summary: Callable[[list[str]], pa.Table]) -> None:
+        """Take the runs of a study.
+
+        Args:
+            runner: of the study.
+            summary: some columns of the summary, all rows in any order.
+        """
+        self._runner, self._study = runner, runner.job.study
+        self._runs = summary(needed(self._study))
+
+    def asked(self, task: Task) -> Task:
+        """A concluding task with as many rounds of sampled errors as its runs need."""
+        return task._replace(rounds=rounds(self._study, self._of(task)))
+
+    def of(self, result: TaskResult) -> TaskResult:
+        """The result of a concluding task, which knows no runs, with their statistics."""
+        table = result.tables["estimates"]
+        made = concluded(self._study, table, self._of(result.task))
+        return result._replace(tables={"estimates": made})
+
+    def _of(self, task: Task) -> pa.Table:
+        """The runs of the variants of a task."""
+        variants = pa.array(self._runner.variants(task))
+        return self._runs.filter(pc.is_in(self._runs["variant_id"], variants))
+
+
+def needed(study: Study) -> list[str]:
+    """Columns of the summary that the statistics are made of."""
+    own = [column.name for column in layouts.of_companions(study)]
+    values = [name.removeprefix("companion_") for name in own]
+    return ["draw_id", "variant_id", "floor_arcmin", *values, *own]
+
+
+def rounds(study: Study, summary: pa.Table, of: Sequence[Statistic] | None = None) -> int:
+    """How many times as many sampled errors the expectations of some variants need.
+
+    Args:
+        study: with companions.
+        summary: the columns `needed` of all their runs, in any order.
+        of: for which settling times; None for all.
+    """
+    settled = [one for one in of or layouts.controlled(study) if one.kind == "settle"]
+    most = max(
+        samples_needed(draws.of(one), draws.of(one, "companion_"), SHARE)
+        for draws in _by_variant(study, summary)
+        for one in settled
+    )
+    assert study.study.estimate_samples is not None
+    return max(1, math.ceil(min(MOST_ROUNDS, most / study.study.estimate_samples)))
+
+
+def before_the_end(study: Study, settled: str, rows: pa.Table) -> Estimate:
+    """The mean of a settling time from the draws of a variant so far.
+
+    Only its interval is worth anything: the expectation of the companions is still to come, with
+    the error that `rounds` leaves it.
+
+    Args:
+        study: with companions.
+        settled: column of the settling time.
+        rows: `draw_id`, `variant_id`, that column and its companion's.
+    """
+    (one,) = (s for s in layouts.controlled(study) if s.kind == "settle" and s.column == settled)
+    (draws,) = _by_variant(study, rows)
+    y, x = draws.of(one), draws.of(one, "companion_")
+    samples = rounds(study, rows, [one]) * (study.study.estimate_samples or 1)
+    error = float(np.std(x, ddof=1)) / math.sqrt(samples)
+    return controlled_mean(y, x, Expectation(float(np.mean(x)), error)).controlled
+
+
+def pooled(study: Study, tables: list[pa.Table]) -> pa.Table:
+    """Estimates from all rounds of sampled errors: means, and quantiles of the first round."""
+    whole = tables[0]
+    for one in layouts.controlled(study):
+        if one.kind == "settle":
+            mean, error = (f"{one.settled}_{what}_s" for what in ("mean", "mean_error"))
+            for name, divisor in ((mean, 1.0), (error, math.sqrt(len(tables)))):
+                values = [t[name].to_numpy(zero_copy_only=False) for t in tables]
+                whole = _with(whole, name, np.mean(values, axis=0) / divisor)
+    return whole
+
+
+def concluded(study: Study, estimates: pa.Table, summary: pa.Table) -> pa.Table:
+    """Estimates of variants, with the statistics of their draws.
+
+    Args:
+        study: with companions.
+        estimates: of some variants, ordered by variant_id, statistics still to come.
+        summary: the columns `needed` of all their runs, in any order.
+    """
+    statistics = layouts.controlled(study)
+    found = [
+        [_statistic(one, draws, estimate) for one in statistics]
+        for draws, estimate in zip(_by_variant(study, summary), estimates.to_pylist(), strict=True)
+    ]
+    for number, one in enumerate(statistics):
+        cells = np.array([row[number] for row in found]).T
+        for column, values in zip(one.columns, cells, strict=True):
+            estimates = _with(estimates, column.name, values)
+    return estimates
+
+
+def _by_variant(study: Study, summary: pa.Table) -> Iterator[Draws]:
+    """The draws of each variant, in the order of the variants."""
+    ends = spans_s(study)[:, 0]
+    summary = summary.sort_by([("variant_id", "ascending"), ("draw_id", "ascending")])
+    columns = {n: summary[n].to_numpy(zero_copy_only=False) for n in summary.column_names}
+    ids = columns.pop("variant_id")
+    bounds = np.flatnonzero(np.diff(ids, prepend=-1))
+    for first, last in zip(bounds, [*bounds[1:], len(ids)], strict=True):
+        yield Draws({n: c[first:last] for n, c in columns.items()}, float(ends[ids[first]]))
+
+
+def _statistic(one: Statistic, draws: Draws, estimate: dict[str, float | None]) -> list[float]:
+    """The cells of a statistic, in the order of its columns."""
+    values, companions = draws.of(one), draws.of(one, "companion_")
+    expected = _expectation(one, estimate)
+    if one.kind == "within":
+        found = controlled_share(values, companions, expected)
+    else:
+        found = controlled_mean(values, companions, expected)
+    ends = np.array([(e.value, e.low, e.high) for e in found]).ravel()
+    if one.kind == "rms":
+        ends = np.sqrt(np.maximum(ends, 0.0))
+    return [*ends.tolist(), found.saved]
+
+
+def _expectation(one: Statistic, estimate: dict[str, float | None]) -> Expectation:
+    """Of the companions: exact for normal errors, sampled for settling times."""
+
+    def told(name: str) -> float:
+        value = estimate[name]
+        return math.nan if value is None else value
+
+    if one.kind == "settle":
+        return Expectation(told(f"{one.settled}_mean_s"), told(f"{one.settled}_mean_error_s"))
+    if one.kind == "within":
+        side = "_truth" if one.truth else ""
+        return Expectation(told(f"within_{one.band_arcmin:g}{side}{one.at}_share"))
+    centre = 0.0 if one.truth else told("floor_arcmin")
+    mean, sigma = told(f"phi_u{one.at}_arcmin"), told(f"true_sigma_u{one.at}_arcmin")
+    return Expectation((mean - centre) ** 2 + sigma**2)
+
+
+def _with(table: pa.Table, name: str, values: NDArray) -> pa.Table:
+    """A table with other values in a column of numbers; NaN is null."""
+    place = table.column_names.index(name)
+    return table.set_column(place, table.schema.field(name), nullable(values))
