@@ -92,8 +92,9 @@ def controlled_mean(values: ArrayLike, companions: ArrayLike, expected: Expectat
 def controlled_share(flags: ArrayLike, companions: ArrayLike, expected: Expectation) -> Controlled:
     """The share of the values that are true, beside that of their companions, which is known.
 
-    The known share and the difference of the two, with the interval of Agresti and Min for paired
-    shares (2005, Statistics in Medicine 24, 729), which has a width even where none differ.
+    The known share and the difference of the two, with the interval of Bonett and Price for paired
+    shares (2012, Journal of Educational and Behavioral Statistics 37, 479), which has a width even
+    where none differ.
 
     Args:
         flags: (n,) bool.
@@ -105,8 +106,8 @@ def controlled_share(flags: ArrayLike, companions: ArrayLike, expected: Expectat
         return NOTHING
     n, more, less = y.size, int(np.sum(y > x)), int(np.sum(y < x))
     plain = proportion(round(float(np.sum(y))), n)
-    # Half a pair is added to each of the four outcomes.
-    apart, differ = (more - less) / (n + 2), (more + less + 1) / (n + 2)
+    # A pair is added to either kind of those that differ.
+    apart, differ = (more - less) / (n + 2), (more + less + 2) / (n + 2)
     variance = (differ - apart**2) / (n + 2) + expected.error**2
     half = float(special.ndtri(1 - TAIL)) * math.sqrt(variance)
     parts = ((more - less) / n, apart - half, apart + half)

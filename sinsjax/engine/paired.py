@@ -44,6 +44,10 @@ class Blocks:
         variants = np.arange(across * VARIANTS, min((across + 1) * VARIANTS, self._variants))
         return draws, variants
 
+    def call_of(self, draw: int, variant: int) -> int:
+        """The number of the block that has a run."""
+        return draw // DRAWS * self._across + variant // VARIANTS
+
     def runs(self, number: int) -> int:
         """How many runs a block has."""
         draws, variants = self[number]

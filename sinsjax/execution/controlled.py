@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -169,7 +169,7 @@ def _by_variant(study: Study, summary: pa.Table) -> Iterator[Draws]:
         yield Draws({n: c[first:last] for n, c in columns.items()}, float(ends[ids[first]]))
 
 
-def _statistic(one: Statistic, draws: Draws, estimate: dict[str, float | None]) -> list[float]:
+def _statistic(one: Statistic, draws: Draws, estimate: dict[str, Any]) -> list[float]:
     """The cells of a statistic, in the order of its columns."""
     values, companions = draws.of(one), draws.of(one, "companion_")
     expected = _expectation(one, estimate)
@@ -183,12 +183,11 @@ def _statistic(one: Statistic, draws: Draws, estimate: dict[str, float | None]) 
     return [*ends.tolist(), found.saved]
 
 
-def _expectation(one: Statistic, estimate: dict[str, float | None]) -> Expectation:
+def _expectation(one: Statistic, estimate: dict[str, Any]) -> Expectation:
     """Of the companions: exact for normal errors, sampled for settling times."""
 
     def told(name: str) -> float:
-        value = estimate[name]
-        return math.nan if value is None else value
+        return math.nan if estimate[name] is None else float(estimate[name])
 
     if one.kind == "settle":
         return Expectation(told(f"{one.settled}_mean_s"), told(f"{one.settled}_mean_error_s"))

@@ -10,13 +10,12 @@ from rich.console import Console
 
 from sinsjax import console as screen
 from sinsjax import plots
-from sinsjax.engine.batch import Calls
 from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import tables as result_tables
 from sinsjax.execution.belongings import RERUN
+from sinsjax.execution.outputs import outputs_of
 from sinsjax.execution.run import load_tape
-from sinsjax.execution.tables import Tables
 from sinsjax.execution.tasks import Job
 from sinsjax.platform.files import replacing, unwritable
 from sinsjax.records.reference import StoredRecord
@@ -47,14 +46,16 @@ def rerun(study: Study, run_id: int, stored_record: StoredRecord | None = None) 
     draw, variant = divmod(run_id, study.n_variants)
     scenario = Scenario(study, stored_record, curves=True)
     number = next(i for i, ids in enumerate(scenario.variant_ids) if variant in ids)
-    group, ids = scenario.part(number, range(draw, draw + 1))
-    place = int(np.flatnonzero(group.draws.draw_id == draw)[0])
+    ids = scenario.variant_ids[number]
+    place = int(np.flatnonzero(ids == variant)[0])
+    output, *_ = outputs_of(scenario)
+    group = output.group(scenario.part(number, range(draw, draw + 1)).group)
     # The smallest possible call: a run's bits do not depend on its lane or call.
-    calls = Calls(group, tiles_a_chunk=1)
-    chunk = calls.chunk(calls.plan.call_of(place, int(np.flatnonzero(ids == variant)[0])))
-    tables = Tables(study, has_truth=scenario.has_truth)
-    made = tables.summary(chunk, ids), tables.curves(chunk, ids)
-    return Rerun(*(table.filter(pa.compute.equal(table["run_id"], run_id)) for table in made))
+    calls = output.calls(group, 1)
+    first = int(np.flatnonzero(group.draws.draw_id == draw)[0])
+    made = output.tables(calls.chunk(calls.plan.call_of(first, place)), ids)
+    asked = (made["summary"], made["curves"])
+    return Rerun(*(table.filter(pa.compute.equal(table["run_id"], run_id)) for table in asked))
 
 
 def _check_number(study: Study, run_id: int, source: str | Path) -> None:

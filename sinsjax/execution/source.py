@@ -51,7 +51,7 @@ class Source:
             InputError: it holds none, or its study cannot be read.
         """
         table = None
-        if is_there(directory, estimates.DATASET):
+        if is_there(directory, estimates.DATASET) and not is_there(directory, "summary"):
             table = estimates.read_estimates(directory)
         else:
             tables.count_runs(directory)

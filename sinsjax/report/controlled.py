@@ -1,0 +1,79 @@
+"""What companions save: expected settling times, from draws alone and with companions."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pyarrow as pa
+
+from sinsjax import analysis, columns
+from sinsjax.analysis import format_estimate
+from sinsjax.analysis.controlled import Controlled, Expectation, controlled_mean
+from sinsjax.execution.estimates import read_estimates
+from sinsjax.execution.source import Source
+from sinsjax.report.base import Table, value_text
+from sinsjax.report.over_axes import is_chosen
+from sinsjax.study.success import success_of, yardsticks
+from sinsjax.study.swept import shown_keys
+from sinsjax.study.times import spans_s
+
+_MOST = 10
+
+
+def tables(source: Source) -> Iterator[Table]:
+    """The settings with the shortest expected settling times, over all that is not chosen."""
+    study = source.study
+    band, keys = success_of(study).band_arcmin, shown_keys(study)
+    chosen = [key for key in keys if is_chosen(key)]
+    given = [key for key in keys if key not in chosen]
+    yard = yardsticks(study)[0]
+    column = columns.settle_column(band, truth=yard.truth).name
+    draws = source.rows([*chosen, "variant_id", "draw_id", column, f"companion_{column}"])
+    mean, error = (c.name for c in columns.settle_estimates(band, truth=yard.truth)[:2])
+    known = read_estimates(source.directory, [mean, error])
+    if known[mean].null_count:
+        return
+    expected = [known[name].to_numpy() for name in (mean, error)]
+    ends = spans_s(study)[:, 0]
+    points = []
+    for point, rows in analysis.groups(draws, chosen):
+        points.append((_pooled(rows, column, expected, ends), point))
+    points.sort(key=lambda one: one[0].controlled.value)
+    cells = [
+        [
+            *(value_text(point[key]) for key in chosen),
+            *(format_estimate(one) for one in found),
+            "unknown" if np.isnan(found.saved) else f"{found.saved:.1f}",
+        ]
+        for found, point in points[:_MOST]
+    ]
+    over = f", mean over {' and '.join(given)}" if given else ""
+    left = len(points) - len(cells)
+    yield Table(
+        f"The soonest {yard.words}{over}, with companions",
+        [
+            *chosen,
+            "mean time (s), draws alone",
+            "with companions",
+            "times as many draws saved",
+        ],
+        cells,
+        "Never counts as the length of the run [95 % interval; with companions the error of their"
+        " expectation is in it]. Medians and quantiles elsewhere are of the draws alone."
+        f"{f' {left} more settings are not shown.' if left else ''}",
+    )
+
+
+def _pooled(
+    rows: pa.Table, column: str, expected: list[np.ndarray], ends: np.ndarray
+) -> Controlled:
+    """The mean over some variants, draw by draw: they share their noise."""
+    rows = rows.sort_by([("draw_id", "ascending"), ("variant_id", "ascending")])
+    ids = np.unique(rows["variant_id"].to_numpy())
+
+    def of(name: str) -> np.ndarray:
+        seconds = rows[name].to_numpy(zero_copy_only=False).reshape(-1, len(ids))
+        return np.where(np.isnan(seconds), ends[ids], seconds).mean(axis=1)
+
+    # The sampled errors of all variants have the same noise: their errors add up.
+    value, error = (float(one[ids].mean()) for one in expected)
+    return controlled_mean(of(column), of(f"companion_{column}"), Expectation(value, error))
