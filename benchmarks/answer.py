@@ -38,9 +38,9 @@ def _draws(group: Group, count: int) -> Draw:
 
 def _companions(group: Group) -> Workload:
     """A call of companions: some variants by many draws."""
-    some = some_variants(group, companions.VARIANTS)
-    draws = _draws(group, companions.DRAWS)
-    some = some._replace(draws=draws, q=np.repeat(group.q[:1], companions.DRAWS, axis=0))
+    width, height = companions.FEW_VARIANTS
+    some, draws = some_variants(group, width), _draws(group, height)
+    some = some._replace(draws=draws, q=np.repeat(group.q[:1], height, axis=0))
 
     def call() -> float:
         since = time.process_time()
@@ -49,7 +49,13 @@ def _companions(group: Group) -> Workload:
 
     compile_s = call()
     steps = some.static.records * some.static.record_every
-    return Workload("companion", companions.VARIANTS * companions.DRAWS, steps, compile_s, call)
+    return Workload(
+        "companion",
+        width * height,
+        steps,
+        compile_s,
+        call,
+    )
 
 
 if __name__ == "__main__":

@@ -251,6 +251,21 @@ def controlled(name: str, unit: str, meaning: str) -> tuple[Column, ...]:
     )
 
 
+def nonlinearity(time_s: float | None = None) -> Column:
+    """The index of nonlinearity of an estimate at one time; None for the end."""
+    at, when = ("", "at the end") if time_s is None else (f"_at_{time_s:g}", f"at {time_s:g} s")
+    meaning = "rms over 8 draws of phi_u beyond first order, in 1 sigma of the misalignment"
+    return Column(f"nonlinearity{at}", _F, "", f"{meaning}, {when}")
+
+
+FILLED = Column(
+    "filled_by_draws",
+    pa.bool_(),
+    "",
+    "whether nonlinearity exceeds 0.5, so that what is told of phi_u is that of draws",
+)
+
+
 def bands(study_bands: Iterable[float], success_band: float | None = None) -> tuple[float, ...]:
     """A study's settling bands, including its success band, arcmin."""
     decisive = SUCCESS_BAND_ARCMIN if success_band is None else success_band

@@ -54,8 +54,20 @@ class Accompanied(NamedTuple):
     errors: tuple[Array, ...]
 
 
-VARIANTS, DRAWS = 8, 64
-"""Of a call: the errors of some states of theirs stay in the first-level cache."""
+class Block(NamedTuple):
+    """How many variants and draws a call of companions has: the rest is idle.
+
+    Their errors, of some states each, stay in the first-level cache.
+    """
+
+    variants: int
+    draws: int
+
+
+FEW_VARIANTS = Block(8, 64)
+"""For many draws, which share the noise-free run of their variant."""
+
+FEW_DRAWS = Block(64, 8)
 
 
 def of_group(group: Group) -> Iterator[tuple[np.ndarray, np.ndarray, Companions]]:
@@ -66,35 +78,41 @@ def of_group(group: Group) -> Iterator[tuple[np.ndarray, np.ndarray, Companions]
         draws).
     """
     draws, variants = group.sizes
-    for first in range(0, variants, VARIANTS):
-        some = np.arange(first, min(first + VARIANTS, variants))
-        for begin in range(0, draws, DRAWS):
-            taken = np.arange(begin, min(begin + DRAWS, draws))
+    width, height = FEW_VARIANTS
+    for first in range(0, variants, width):
+        some = np.arange(first, min(first + width, variants))
+        for begin in range(0, draws, height):
+            taken = np.arange(begin, min(begin + height, draws))
             yield some, taken, of_block(group, some, taken)
 
 
 def of_block(
-    group: Group, variants: np.ndarray, draws: np.ndarray, records: np.ndarray | None = None
+    group: Group,
+    variants: np.ndarray,
+    draws: np.ndarray,
+    records: np.ndarray | None = None,
+    size: Block = FEW_VARIANTS,
 ) -> Companions:
     """The companions of some variants and draws of a group, in one call.
 
     Args:
         group: whose.
-        variants: places in the group, `VARIANTS` at most.
-        draws: places in the group, `DRAWS` at most.
+        variants: places in the group.
+        draws: places in the group.
         records: numbers, from 0, of the records whose misalignment is told; None for all.
+        size: the most variants and draws of a call.
     """
-    call = program(group, records).compiled()
-    made = jax.device_get(call(*_arguments(group, variants, draws, records)))
+    call = program(group, records, size).compiled()
+    made = jax.device_get(call(*_arguments(group, variants, draws, records, size)))
     # Idle lanes and draws are at the end.
     phi, outside = (a[..., : len(variants), : len(draws)] for a in made)
     return Companions(phi, outside)
 
 
-def program(group: Group, records: np.ndarray | None = None) -> Program:
+def program(group: Group, records: np.ndarray | None = None, size: Block = FEW_VARIANTS) -> Program:
     """The program of `of_block`, whichever the block."""
     none = np.zeros(1, int)
-    leaves, structure = jax.tree.flatten(_arguments(group, none, none, records))
+    leaves, structure = jax.tree.flatten(_arguments(group, none, none, records, size))
     shapes = tuple(jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype) for a in leaves)
     return _trace(group.static, structure, shapes)
 
@@ -111,11 +129,15 @@ def _trace(static: Static, structure: Any, shapes: tuple) -> Program:
 
 
 def _arguments(
-    group: Group, variants: np.ndarray, draws: np.ndarray, records: np.ndarray | None
+    group: Group,
+    variants: np.ndarray,
+    draws: np.ndarray,
+    records: np.ndarray | None,
+    size: Block,
 ) -> tuple[Environment, Tiles, Draw, np.ndarray | None]:
     """Of a call, filled up with the last variant and the last draw."""
-    lanes = np.pad(variants, (0, VARIANTS - len(variants)), mode="edge")
-    taken = np.pad(draws, (0, DRAWS - len(draws)), mode="edge")
+    lanes = np.pad(variants, (0, size.variants - len(variants)), mode="edge")
+    taken = np.pad(draws, (0, size.draws - len(draws)), mode="edge")
     return group.environment, _tile(group, lanes), _some(group.draws, taken), records
 
 

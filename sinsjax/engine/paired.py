@@ -7,7 +7,7 @@ import numpy as np
 
 from sinsjax.engine import companions
 from sinsjax.engine.batch import Calls, Chunk
-from sinsjax.engine.companions import DRAWS, VARIANTS, Companions
+from sinsjax.engine.companions import FEW_VARIANTS, Block, Companions
 from sinsjax.engine.lanes import Group
 
 
@@ -24,29 +24,25 @@ class PairedChunk(NamedTuple):
 
 
 class Blocks:
-    """The runs of a group cut into blocks of `VARIANTS` by `DRAWS`.
+    """The runs of a group cut into blocks of some variants by some draws."""
 
-    Few variants, since the noise-free run beside their companions is theirs alone, and many draws,
-    which share it.
-    """
-
-    def __init__(self, draws: int, variants: int) -> None:
-        self._draws, self._variants = draws, variants
-        self._across = -(-variants // VARIANTS)
+    def __init__(self, draws: int, variants: int, size: Block = FEW_VARIANTS) -> None:
+        self._draws, self._variants, self.size = draws, variants, size
+        self._across = -(-variants // size.variants)
 
     def __len__(self) -> int:
-        return self._across * -(-self._draws // DRAWS)
+        return self._across * -(-self._draws // self.size.draws)
 
     def __getitem__(self, number: int) -> tuple[np.ndarray, np.ndarray]:
         """Places of a block's draws, and of its variants."""
         down, across = divmod(number, self._across)
-        draws = np.arange(down * DRAWS, min((down + 1) * DRAWS, self._draws))
-        variants = np.arange(across * VARIANTS, min((across + 1) * VARIANTS, self._variants))
-        return draws, variants
+        (width, height), (end, last) = self.size, (self._variants, self._draws)
+        draws = np.arange(down * height, min((down + 1) * height, last))
+        return draws, np.arange(across * width, min((across + 1) * width, end))
 
     def call_of(self, draw: int, variant: int) -> int:
         """The number of the block that has a run."""
-        return draw // DRAWS * self._across + variant // VARIANTS
+        return draw // self.size.draws * self._across + variant // self.size.variants
 
     def runs(self, number: int) -> int:
         """How many runs a block has."""
@@ -57,16 +53,17 @@ class Blocks:
 class PairedCalls:
     """The blocks of a group, any of them in any order and from any thread."""
 
-    def __init__(self, group: Group, records: np.ndarray) -> None:
+    def __init__(self, group: Group, records: np.ndarray, size: Block = FEW_VARIANTS) -> None:
         """Trace the programs of a group.
 
         Args:
             group: what to run.
             records: numbers, from 0, of the records at which companions are told.
+            size: of a block.
         """
         self._group, self._records = group, records
-        self.plan = Blocks(*group.sizes)
-        self._of_companions = companions.program(group, records)
+        self.plan = Blocks(*group.sizes, size)
+        self._of_companions = companions.program(group, records, size)
         self._of_runs = self._calls(*self.plan[0])
 
     def compile(self) -> None:
@@ -76,7 +73,7 @@ class PairedCalls:
 
     def _calls(self, draws: np.ndarray, variants: np.ndarray) -> Calls:
         """The runs of a block; filled up to the variants of the first, they share its program."""
-        width = min(VARIANTS, self._group.sizes[1])
+        width = min(self.plan.size.variants, self._group.sizes[1])
         filled = np.pad(variants, (0, width - len(variants)), mode="edge")
         group = self._group
         return Calls(
@@ -95,7 +92,7 @@ class PairedCalls:
         made: Chunk = jax.tree.map(lambda *leaves: np.concatenate(leaves), *found)
         order = np.lexsort((made.variant, made.draw))
         made = jax.tree.map(lambda a: a[order[made.variant[order] < len(variants)]], made)
-        beside = companions.of_block(self._group, variants, draws, self._records)
+        beside = companions.of_block(self._group, variants, draws, self._records, self.plan.size)
         row = np.searchsorted(self._group.draws.draw_id[draws], made.draw)
         return PairedChunk(
             made._replace(variant=variants[made.variant]),

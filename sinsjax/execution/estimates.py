@@ -99,7 +99,7 @@ class Estimates:
         until = np.ascontiguousarray(spread.outside_until)  # sums of one order, however cut
         for truth, about in ((False, LIMIT), (True, TRUTH)):
             for number, band in enumerate(self._bands):
-                settled = _settled(until[:, about, number], self._end_s[variant])
+                settled = settled_of(until[:, about, number], self._end_s[variant])
                 known = limited if about == LIMIT else np.ones_like(limited)
                 names = (c.name for c in columns.settle_estimates(band, truth=truth))
                 cells = (nullable(np.where(known, value, np.nan)) for value in settled)
@@ -143,16 +143,16 @@ def _share_within(band: float, mean: NDArray, sigma: NDArray) -> NDArray:
         return ndtr((band - mean) / sigma) - ndtr((-band - mean) / sigma)
 
 
-def _settled(until_s: NDArray, end_s: NDArray) -> tuple[NDArray, ...]:
+def settled_of(until_s: NDArray, end_s: NDArray, *, opposite: bool = True) -> tuple[NDArray, ...]:
     """Mean, its standard error, and quantiles of settling times, in the order of their columns.
 
     Args:
-        until_s: (runs, samples) end of the last interval outside the band, s; the second half of
-            the samples has the opposite noise of the first.
+        until_s: (runs, samples) end of the last interval outside the band, s.
         end_s: (runs,) lengths, s.
+        opposite: whether the second half of the samples has the opposite noise of the first.
     """
-    pairs = np.mean(np.split(until_s, 2, axis=1), axis=0)
-    error = pairs.std(axis=1, ddof=1) / np.sqrt(pairs.shape[1])
+    apart = np.mean(np.split(until_s, 2, axis=1), axis=0) if opposite else until_s
+    error = apart.std(axis=1, ddof=1) / np.sqrt(apart.shape[1])
     settled = np.where(until_s >= end_s[:, None] * (1 - 1e-12), np.inf, until_s)
     quantiles = np.quantile(settled, list(_QUANTILES.values()), axis=1, method="inverted_cdf")
     return (until_s.mean(axis=1), error, *quantiles)

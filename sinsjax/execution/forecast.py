@@ -34,6 +34,9 @@ _BASE, _A_SAMPLE, _A_VARIANT, _A_RUN, _A_RECORD, _A_RESET = 400e6, 160, 600, 2, 
 _ESTIMATE = 4.5
 """Cost of a noise-free run with the covariance of the true error beside it, in plain runs."""
 
+_CHECK = 12.0
+"""Cost of the draws that tell how far it holds, likewise."""
+
 _COMPANION, _EXPECTATION = 1.4, 12.0
 """Cost of a run with its companion, and of a variant's companions' expectation, likewise."""
 
@@ -181,7 +184,7 @@ def _forecast(study: Study, batches: Sequence[Batch], curves: bool) -> Forecast:
     samples = records * study.record_every
     step_s = max(METHODS[name].step_s for name in study.methods)
     if study.is_estimated:
-        step_s *= _ESTIMATE
+        step_s *= _ESTIMATE + _CHECK * study.checks_linearity
     if study.is_controlled:
         step_s *= _COMPANION + _EXPECTATION / study.n_draws
     layout = layouts.estimates(study) if study.is_estimated else layouts.summary(study)

@@ -58,6 +58,8 @@ def estimates(study: Study) -> tuple[Column, ...]:
         ),
         *columns.LIMIT,
         *(c for one in controlled(study) for c in one.columns),
+        *(map(columns.nonlinearity, times) if study.checks_linearity else ()),
+        *((columns.FILLED,) if study.checks_linearity else ()),
     )
 
 

@@ -25,6 +25,7 @@ from sinsjax.engine.batch import Plan, in_threads, targets
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.lanes import LANES, Group
 from sinsjax.execution import stopping
+from sinsjax.execution.linearity import Linearity
 from sinsjax.execution.outputs import Output, outputs_of
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.acting import first_alike
@@ -148,6 +149,7 @@ class TaskRunner:
         self._parts = [_Part(o, n) for o in outputs for n in range(len(programs))]
         self._concluding = len(programs) if len(outputs) > 1 else 0
         self._programs = [part.output.program(programs[part.number]) for part in self._parts]
+        self._linearity = Linearity(self.scenario) if job.study.checks_linearity else None
         self._tiles = None if job.chunk_runs is None else -(-job.chunk_runs // LANES)
         self.identity = job.identity
         self._lock = threading.Lock()
@@ -231,7 +233,6 @@ class TaskRunner:
         chunk = calls.chunk(task.call)
         if alike := self._alike[task.part]:
             chunk = alike.spread(chunk)
-        seconds = time.perf_counter() - since
         tables = output.tables(chunk, ids)
         if task.rounds > 1:
             from sinsjax.execution import controlled  # late, as all that needs scipy
@@ -239,7 +240,10 @@ class TaskRunner:
             more = (calls.chunk(task.call, round_) for round_ in range(1, task.rounds))
             made = [tables["estimates"], *(output.tables(c, ids)["estimates"] for c in more)]
             tables = {"estimates": controlled.pooled(self.job.study, made)}
-        return TaskResult(task, tables, seconds)
+        if self._linearity:
+            number = self._parts[task.part].number
+            tables = {"estimates": self._linearity.checked(number, tables["estimates"])}
+        return TaskResult(task, tables, time.perf_counter() - since)
 
     def failures(self, task: Task, tables: Mapping[str, pa.Table]) -> int:
         """Number of runs of a task that diverged or became non-finite."""

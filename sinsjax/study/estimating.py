@@ -35,6 +35,8 @@ def check(study: Study, where: Mapping[str, str]) -> None:
         InputError: ``[section] key: what is wrong (hint)``.
     """
     samples, estimate = study.study.estimate_samples, study.study.estimate
+    if not study.is_estimated and study.study.check_linearity is not None:
+        raise InputError("[study] check_linearity: requires estimate = 'covariance'")
     if estimate == "draws":
         if samples is not None:
             raise InputError(
@@ -51,7 +53,6 @@ def check(study: Study, where: Mapping[str, str]) -> None:
     unread = {"[tune]": (study.has("tune"), search)}
     if study.is_estimated:
         unread |= {
-            "[study] draws": ("draws" in where, "estimate_samples is"),
             "[study] curves": (study.study.curves, "there are no runs to have any"),
             "[stop_when]": (study.has("stop_when"), "there are no draws to stop"),
         }

@@ -265,11 +265,12 @@ def _filled(tables: TomlTable, sweep: axes.Sweep, where: Where, name: str) -> To
     sections["study"].setdefault("name", name)
     if not recorded:
         estimate = sections["study"].get("estimate", "draws")
+        if estimate == "covariance":
+            sections["study"].setdefault("check_linearity", True)
         for kind, samples in _SAMPLES.items():
             if estimate == kind:
                 sections["study"].setdefault("estimate_samples", samples)
-        if estimate != "covariance":
-            sections["study"].setdefault("draws", _DEFAULT_DRAWS)
+        sections["study"].setdefault("draws", _DEFAULT_DRAWS)
         sections["earth"].setdefault("height_m", 0.0)
         for white, density in SECTIONS["sensors"].exclusive:
             if white not in where and density not in where:

@@ -52,8 +52,9 @@ class StudySection(Section):
     record_interval_s: Seconds = Field(1.0, description="time between recorded values, s")
     draws: Annotated[Count, Field(ge=1)] | None = Field(
         None,
-        description="draws of noise and of [drawn], with [stop_when] at most; default 64 where the"
-        " sensors are simulated",
+        description="draws of noise and of [drawn], with [stop_when] at most, with estimate ="
+        " 'covariance' of variants that it does not hold for; default 64 where the sensors are"
+        " simulated",
     )
     estimate: Literal["draws", "covariance", "controlled"] = Field(
         "draws",
@@ -65,6 +66,12 @@ class StudySection(Section):
         None,
         description="sampled errors that settling times are estimated from, an even number;"
         " default 256 with estimate = 'covariance' and 4096, the least, with 'controlled'",
+    )
+    check_linearity: bool | None = Field(
+        None,
+        description="whether 8 draws tell how far an estimate by covariance holds (`nonlinearity`),"
+        " and `draws` of them stand for it where it does not; estimate = 'covariance' only, default"
+        " true",
     )
     seed: int = Field(1, ge=0, lt=2**63, description="seed of all that is drawn")
     settle_bands_arcmin: Bands = Field(

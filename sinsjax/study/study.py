@@ -136,6 +136,11 @@ class Study(_SectionsOfMethods):
         return self.study.estimate == "covariance"
 
     @property
+    def checks_linearity(self) -> bool:
+        """Whether draws tell how far its estimates hold."""
+        return self.is_estimated and bool(self.study.check_linearity)
+
+    @property
     def is_controlled(self) -> bool:
         """Whether its runs have companions, and estimates of variants that these control."""
         return self.study.estimate == "controlled"
@@ -151,6 +156,8 @@ class Study(_SectionsOfMethods):
 
         1 where one noise-free run stands for all.
         """
+        if self.is_estimated:
+            return 1
         return len(self.record.start_s) if self.record else self.study.draws or 1
 
     @property

@@ -80,7 +80,6 @@ def test_what_the_covariance_does_not_hold_is_refused_with_the_reason(place: str
 
 
 UNREAD: dict[str, tuple[dict[str, Any], str]] = {
-    "[study] draws": ({"study": {"draws": 3}}, "estimate_samples is"),
     "[study] curves": ({"study": {"curves": True}}, "there are no runs to have any"),
     "[stop_when]": (
         {"stop_when": {"statistic": "success_rate", "half_width": 0.1}},
@@ -121,14 +120,17 @@ def test_recorded_data_are_refused() -> None:
 
 
 def test_samples_are_an_even_number_and_for_estimates_alone() -> None:
-    told = "[study] estimate_samples: requires estimate = 'covariance'"
+    told = "[study] estimate_samples: requires estimate = 'covariance' or 'controlled'"
     assert refusal(study={"estimate_samples": 64}) == told
+    told = "[study] check_linearity: requires estimate = 'covariance'"
+    assert refusal(study={"check_linearity": True}) == told
     assert "estimate_samples: must be" in refusal(study=ESTIMATED | {"estimate_samples": 65})
 
 
 def test_defaults_are_written_out_and_read_again() -> None:
     study = small_study(study=ESTIMATED)
-    assert (study.study.estimate_samples, study.study.draws, study.n_draws) == (256, None, 1)
+    assert (study.study.estimate_samples, study.study.draws, study.n_draws) == (256, 64, 1)
+    assert study.checks_linearity
     assert study_from_dict(tables_of(study), study.name) == study
     assert small_study().study.estimate_samples is None
 

@@ -44,7 +44,7 @@ NEW: dict[str, dict[str, Any]] = {
 
 OF_SUCCESS = (
     *("judged_from", "success_band_arcmin", "level_band_arcmin", "dwell_s", "diverged_deg"),
-    *("report_times_s", "estimate_samples"),
+    *("report_times_s", "estimate_samples", "check_linearity"),
 )
 """Keys of [study] that came later still."""
 

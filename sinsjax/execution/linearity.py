@@ -1,0 +1,154 @@
+"""How far covariance analysis holds for a variant, by a few draws; where it does not, many of them.
+
+The index of nonlinearity is the rms over a few draws of what a run has beyond its companion, in
+standard deviations of the true error.
+"""
+
+import threading
+from functools import lru_cache
+from typing import Any
+
+import jax
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from sinsjax import columns
+from sinsjax.engine.batch import Calls, Chunk
+from sinsjax.engine.build import Scenario
+from sinsjax.engine.companions import FEW_DRAWS, FEW_VARIANTS
+from sinsjax.engine.lanes import Group
+from sinsjax.engine.paired import PairedCalls, PairedChunk
+from sinsjax.engine.verdicts import LIMIT, TRUTH
+from sinsjax.execution.estimates import settled_of, told_records
+from sinsjax.execution.tables import nullable
+from sinsjax.study.success import bands
+from sinsjax.study.times import report_times, spans_s
+from sinsjax.units import ARCMIN
+
+CHECKED = FEW_DRAWS.draws
+"""Draws that the index is made of."""
+
+MOST = 0.5
+"""Of the index; beyond it covariance analysis does not hold."""
+
+_PARTS_READY = 2
+
+
+class Linearity:
+    """The index of a study's variants, and the draws of those for which it is large."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        study = scenario.study
+        self._scenario, self._study = scenario, study
+        self._records, self._end_s = told_records(study), spans_s(study)[:, 0]
+        self._ends = [f"_at_{time_s:g}" for time_s in report_times(study)] + [""]
+        self._lock = threading.Lock()
+        self._runs = lru_cache(_PARTS_READY)(self._group)
+
+    def checked(self, number: int, table: pa.Table) -> pa.Table:
+        """Estimates of some variants of a part with their index, those beyond `MOST` from draws.
+
+        Args:
+            number: of the part.
+            table: estimates.
+        """
+        ids = self._scenario.variant_ids[number]
+        places = np.searchsorted(ids, table["variant_id"].to_numpy())
+        with self._lock:  # otherwise every thread would make the part and compile
+            group = self._runs(number)
+            calls = PairedCalls(_few(group, places, CHECKED), self._records, FEW_DRAWS)
+            calls.compile()
+        index = np.concatenate(
+            [
+                self._index(table.take(pa.array(calls.plan[call][1])), calls.chunk(call))
+                for call in range(len(calls.plan))
+            ],
+            axis=1,
+        )
+        for end, values in zip(self._ends, index, strict=True):
+            table = _with(table, f"nonlinearity{end}", nullable(values))
+        beyond = ~(index.max(axis=0) <= MOST) & ~np.isnan(index).all(axis=0)
+        table = _with(table, "filled_by_draws", pa.array(beyond))
+        for first in range(0, int(beyond.sum()), FEW_VARIANTS.variants):
+            rows = np.flatnonzero(beyond)[first : first + FEW_VARIANTS.variants]
+            table = self._filled(table, group, rows, places[rows])
+        return table
+
+    def _group(self, number: int) -> Group:
+        draws = self._study.study.draws or CHECKED
+        return self._scenario.part(number, range(max(draws, CHECKED))).group
+
+    def _index(self, table: pa.Table, chunk: PairedChunk) -> NDArray:
+        """(times, variants) from the runs of a few draws, of the variants of these rows."""
+        variants = table.num_rows
+        out = chunk.runs.outcome
+        at_times = () if out.at_times is None else np.asarray(out.at_times)[..., 0].T
+        phi = np.stack([*at_times, out.last.phi.z])
+        beyond = (phi - chunk.companions.phi[2]) / ARCMIN
+        beyond = beyond.reshape(len(self._ends), -1, variants)
+        names = (f"true_sigma_u{end}_arcmin" for end in self._ends)
+        sigma = np.stack([table[name].to_numpy(zero_copy_only=False) for name in names])
+        with np.errstate(divide="ignore", invalid="ignore"):  # without noise there is none
+            return np.sqrt(np.mean(beyond**2, axis=1)) / sigma
+
+    def _filled(self, table: pa.Table, group: Group, rows: NDArray, places: NDArray) -> pa.Table:
+        """The table with what the draws of some rows give of the heading."""
+        width = FEW_VARIANTS.variants
+        calls = Calls(_few(group, np.pad(places, (0, width - len(places)), mode="edge")))
+        found = [calls.chunk(call) for call in range(len(calls.plan))]
+        made: Chunk = jax.tree.map(lambda *leaves: np.concatenate(leaves), *found)
+        order = np.lexsort((made.draw, made.variant))  # variant by variant
+
+        def of(leaf: Any) -> NDArray:
+            """(variants, draws, ...)."""
+            leaf = np.asarray(leaf)[order]
+            return leaf.reshape(width, -1, *leaf.shape[1:])[: len(rows)]
+
+        out = made.outcome
+        told = {"": (of(out.last.phi.z), of(out.last.sigma.z))}
+        if out.at_times is not None:
+            phi, sigma, _ = np.moveaxis(of(out.at_times), 3, 0)
+            times = zip(np.moveaxis(phi, 2, 0), np.moveaxis(sigma, 2, 0), strict=True)
+            told |= zip(self._ends, times, strict=False)
+        limited = table["has_limit"].to_numpy(zero_copy_only=False)[rows]
+        floor = np.where(limited[:, None], of(out.limit.phi.z), np.nan)
+        values: dict[str, NDArray] = {}
+        for end, (phi, sigma) in told.items():
+            values |= {
+                f"phi_u{end}_arcmin": phi.mean(1) / ARCMIN,
+                f"true_sigma_u{end}_arcmin": phi.std(1, ddof=1) / ARCMIN,
+                f"sigma_u{end}_arcmin": np.sqrt(np.mean(sigma**2, axis=1)) / ARCMIN,
+            }
+            for band in bands(self._study):
+                for side, error in (("", phi - floor), ("_truth", phi)):
+                    inside = np.where(np.isnan(error), np.nan, np.abs(error) <= band * ARCMIN)
+                    values[f"within_{band:g}{side}{end}_share"] = inside.mean(1)
+        until, end_s = of(out.outside_until), self._end_s[table["variant_id"].to_numpy()[rows]]
+        for truth, about in ((False, LIMIT), (True, TRUTH)):
+            for number, band in enumerate(bands(self._study)):
+                names = (c.name for c in columns.settle_estimates(band, truth=truth))
+                settled = settled_of(until[:, :, about, number], end_s, opposite=False)
+                known = np.ones_like(limited) if truth else limited
+                values |= zip(names, (np.where(known, s, np.nan) for s in settled), strict=True)
+        for name, own in values.items():
+            whole = table[name].to_numpy(zero_copy_only=False).copy()
+            whole[rows] = own
+            table = _with(table, name, nullable(whole))
+        return table
+
+
+def _few(group: Group, variants: NDArray, draws: int | None = None) -> Group:
+    """Some variants of a group, and its first draws; None for all."""
+    taken = np.arange(group.sizes[0] if draws is None else draws)
+    return group._replace(
+        draws=jax.tree.map(lambda a: a[taken] if np.ndim(a) else a, group.draws),
+        q=group.q[taken],
+        variants=jax.tree.map(lambda a: np.asarray(a)[variants], group.variants),
+    )
+
+
+def _with(table: pa.Table, name: str, values: pa.Array) -> pa.Table:
+    """A table with other values in a column."""
+    place = table.column_names.index(name)
+    return table.set_column(place, table.schema.field(name), values)

@@ -1,0 +1,92 @@
+"""How far covariance analysis holds, told by a few draws, and draws where it does not."""
+
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from support.stored import told
+from support.studies import STILL, small_study
+
+from sinsjax.execution import run as study_run
+from sinsjax.study.load import Study
+
+pytestmark = pytest.mark.optimised(False)
+
+STARTS = [0.5, 170.0]
+DRAWS = 20
+
+
+def study_of(**settings: Any) -> Study:
+    """Half a minute at rest, from a small error and from nearly the opposite heading."""
+    common = {"duration_s": 30.0, "window_s": [20, 30], "report_times_s": [20.0]}
+    return small_study(
+        study=common | {"settle_bands_arcmin": [60.0]} | settings,
+        motion=STILL,
+        alignment={"feedback_interval_s": 1.0, "phi_e0_deg": 0.1, "phi_n0_deg": 0.1},
+        axes={"phi_u0_deg": STARTS, "reset_times_s": [[], [10.0]]},
+    )
+
+
+@pytest.fixture(scope="module")
+def made() -> pa.Table:
+    return study_run.estimate(study_of(estimate="covariance", draws=DRAWS))
+
+
+@pytest.fixture(scope="module")
+def drawn() -> pa.Table:
+    return study_run.run(study_of(draws=DRAWS)).summary
+
+
+def test_the_index_is_what_runs_have_beyond_their_companions(made: pa.Table) -> None:
+    """In standard deviations of the true error, over the first eight draws."""
+    summary = study_run.run(study_of(estimate="controlled", draws=8)).summary
+    for at in ("_at_20", ""):
+        run, beside = (
+            summary[f"{whose}phi_u{at}_arcmin"].to_numpy().reshape(8, 4)
+            for whose in ("", "companion_")
+        )
+        index = made[f"nonlinearity{at}"].to_numpy()
+        sigma = made[f"true_sigma_u{at}_arcmin"].to_numpy()
+        rms = np.sqrt(np.mean((run - beside) ** 2, axis=0))
+        # The sigma of what draws fill is theirs; the index is of that before.
+        kept = ~made["filled_by_draws"].to_numpy(zero_copy_only=False)
+        np.testing.assert_allclose(index[kept], (rms / sigma)[kept], rtol=1e-6)
+
+
+def test_small_errors_keep_their_estimate_and_large_ones_are_filled(made: pa.Table) -> None:
+    assert made["filled_by_draws"].to_pylist() == [False, False, True, True]
+    index = np.maximum(made["nonlinearity"], made["nonlinearity_at_20"])
+    assert (index[:2] < 0.3).all() and (index[2:] > 0.5).all()
+
+
+def test_what_is_filled_is_that_of_draws(made: pa.Table, drawn: pa.Table) -> None:
+    rows, limited = slice(2, 4), drawn["floor_arcmin"].to_numpy().reshape(DRAWS, 4)
+    for at in ("_at_20", ""):
+        phi = drawn[f"phi_u{at}_arcmin"].to_numpy().reshape(DRAWS, 4)[:, rows]
+        sigma = drawn[f"sigma_u{at}_arcmin"].to_numpy().reshape(DRAWS, 4)[:, rows]
+        expected = {
+            f"phi_u{at}_arcmin": phi.mean(0),
+            f"true_sigma_u{at}_arcmin": phi.std(0, ddof=1),
+            f"sigma_u{at}_arcmin": np.sqrt(np.mean(sigma**2, axis=0)),
+            f"within_60_truth{at}_share": (np.abs(phi) <= 60).mean(0),
+            f"within_60{at}_share": (np.abs(phi - limited[:, rows]) <= 60).mean(0),
+        }
+        for name, values in expected.items():
+            np.testing.assert_allclose(made[name].to_numpy()[rows], values, rtol=1e-9)
+    seconds = drawn["settle_60_truth_s"].fill_null(30.0).to_numpy().reshape(DRAWS, 4)[:, rows]
+    np.testing.assert_allclose(made["settle_60_truth_mean_s"].to_numpy()[rows], seconds.mean(0))
+    error = seconds.std(0, ddof=1) / np.sqrt(DRAWS)
+    np.testing.assert_allclose(made["settle_60_truth_mean_error_s"].to_numpy()[rows], error)
+
+
+def test_without_it_nothing_is_told_of_it() -> None:
+    alone = study_run.estimate(study_of(estimate="covariance", check_linearity=False))
+    assert not [name for name in alone.column_names if "linear" in name or "filled" in name]
+
+
+def test_the_report_marks_what_draws_fill(tmp_path: Any) -> None:
+    study_run.run_into(study_of(estimate="covariance", draws=DRAWS), tmp_path / "out")
+    said = told(tmp_path / "out")
+    assert "index of nonlinearity" in said
+    assert "2 of 4 variants are beyond 0.5" in said
