@@ -10,7 +10,7 @@ from sinsjax.analysis import format_estimate
 from sinsjax.analysis.controlled import Controlled, Expectation, controlled_mean
 from sinsjax.execution.estimates import read_estimates
 from sinsjax.execution.source import Source
-from sinsjax.report.base import Table, value_text
+from sinsjax.report.base import Table, table_of
 from sinsjax.report.over_axes import is_chosen
 from sinsjax.study.success import success_of, yardsticks
 from sinsjax.study.swept import shown_keys
@@ -34,33 +34,30 @@ def tables(source: Source) -> Iterator[Table]:
         return
     expected = [known[name].to_numpy() for name in (mean, error)]
     ends = spans_s(study)[:, 0]
-    points = []
-    for point, rows in analysis.groups(draws, chosen):
-        points.append((_pooled(rows, column, expected, ends), point))
-    points.sort(key=lambda one: one[0].controlled.value)
-    cells = [
-        [
-            *(value_text(point[key]) for key in chosen),
-            *(format_estimate(one) for one in found),
-            "unknown" if np.isnan(found.saved) else f"{found.saved:.1f}",
-        ]
-        for found, point in points[:_MOST]
+    points = [
+        point | {"found": _pooled(rows, column, expected, ends)}
+        for point, rows in analysis.groups(draws, chosen)
     ]
+    points.sort(key=lambda one: one["found"].controlled.value)
     over = f", mean over {' and '.join(given)}" if given else ""
-    left = len(points) - len(cells)
-    yield Table(
+    yield table_of(
         f"The soonest {yard.words}{over}, with companions",
+        chosen,
+        points,
         [
-            *chosen,
-            "mean time (s), draws alone",
-            "with companions",
-            "times as many draws saved",
+            ("mean time (s), draws alone", lambda row: format_estimate(row["found"].plain)),
+            ("with companions", lambda row: format_estimate(row["found"].controlled)),
+            ("times as many draws saved", lambda row: _factor(row["found"].saved)),
         ],
-        cells,
         "Never counts as the length of the run [95 % interval; with companions the error of their"
-        " expectation is in it]. Medians and quantiles elsewhere are of the draws alone."
-        f"{f' {left} more settings are not shown.' if left else ''}",
+        " expectation is in it]. Medians and quantiles elsewhere are of the draws alone.",
+        most=_MOST,
+        left="settings are not shown",
     )
+
+
+def _factor(saved: float) -> str:
+    return "unknown" if np.isnan(saved) else f"{saved:.1f}"
 
 
 def _pooled(

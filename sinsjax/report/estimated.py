@@ -17,6 +17,7 @@ from sinsjax.study.swept import shown_keys
 _MOST_BEST = 10
 _NORMAL = 1.96  # 95 % interval, standard errors
 _YAW, _SIGMA, _OWN = "phi_u_arcmin", "true_sigma_u_arcmin", "sigma_u_arcmin"
+_CHECKED = ("nonlinearity", "filled_by_draws")
 _TIMES = (
     "Mean time: where the heading never stays in the band, the length of the run counts [95 %"
     " interval over the sampled errors]."
@@ -75,10 +76,28 @@ def report(source: Source) -> Report:
     variants = f"{study.n_variants:,} variant{'s' if study.n_variants > 1 else ''}"
     how = "the covariance of the true error beside one noise-free run of each"
     return Report(
-        [f"{variants}, estimated without draws: by {how}."],
+        [f"{variants}, estimated without draws: by {how}.", *_linearity(source)],
         [Chapter(heading, blocks) for heading, blocks in parts.items() if blocks],
         f"{study.name}: {variants}, no Monte Carlo runs",
     )
+
+
+def _linearity(source: Source) -> Iterator[str]:
+    """How far covariance analysis holds, in a sentence."""
+    if source.study.checks_linearity:
+        index, filled = (analysis.numbers(source.rows([name]), name) for name in _CHECKED)
+        beyond = int(np.nansum(filled))
+        largest = f"{np.nanmax(index):.2f}" if np.isfinite(index).any() else "unknown"
+        stand = f"{beyond} of {len(filled)} variants are" if beyond else "none is"
+        yield (
+            "How far it holds is the index of nonlinearity: what 8 draws have beyond first order,"
+            f" rms in standard deviations. At the end it is {largest} at most; at some time told"
+            f" {stand} beyond 0.5{', and draws stand for them' if beyond else ''}."
+        )
+
+
+def _index(row: Row) -> str:
+    return number(row["nonlinearity"], 2) + (", from draws" if row["filled_by_draws"] else "")
 
 
 def _yards(source: Source) -> list[_Names]:
@@ -150,6 +169,9 @@ def _every_variant(source: Source, found: Sequence[_Names]) -> Table:
         ("1 sigma (arcmin)", lambda row: number(row[_SIGMA])),
         ("the filter's own (arcmin)", lambda row: number(row[_OWN])),
     ]
+    if source.study.checks_linearity:
+        cells.append(("index of nonlinearity", _index))
+        needed += _CHECKED
     rows = source.distinct([*keys, *needed, _YAW, _SIGMA, _OWN]).to_pylist()
     note, left = f"{_TIMES} {_SIGMAS}", "variants are in `estimates/`"
     return table_of("Every variant", keys, rows, cells, note, most=MOST_ROWS, left=left)

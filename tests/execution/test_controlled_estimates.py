@@ -149,8 +149,8 @@ def test_what_does_not_go_together_is_refused() -> None:
     assert refusal(study=SETTINGS | few, motion=STILL) == (
         "[study] estimate_samples: must be at least 4096 with estimate = 'controlled', got 512"
     )
-    told_ = refusal(study=SETTINGS, motion=STILL, alignment={"method": "compass"}, axes={})
-    assert "knows no linear part of compass (use estimate = 'draws')" in told_
+    told_ = refusal(study=SETTINGS, motion=STILL, alignment={"method": "inertial"}, axes={})
+    assert "knows no linear part of inertial (use estimate = 'draws')" in told_
 
 
 def test_the_forecast_counts_companions() -> None:
