@@ -1,12 +1,11 @@
 """Statistics of a study's draws, controlled by companions whose expectation is known."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from sinsjax.analysis import Estimate
@@ -19,7 +18,6 @@ from sinsjax.analysis.controlled import (
 from sinsjax.execution import layouts
 from sinsjax.execution.layouts import Statistic
 from sinsjax.execution.tables import nullable
-from sinsjax.execution.tasks import Task, TaskResult, TaskRunner
 from sinsjax.study.study import Study
 from sinsjax.study.times import spans_s
 
@@ -51,35 +49,6 @@ class Draws(NamedTuple):
             return error**2
         within = (np.abs(error) <= one.band_arcmin).astype(float)
         return np.where(np.isnan(error) & np.isfinite(phi), np.nan, within)
-
-
-class Conclusion:
-    """What concludes a study whose runs have companions."""
-
-    def __init__(self, runner: TaskRunner, summary: Callable[[list[str]], pa.Table]) -> None:
-        """Take the runs of a study.
-
-        Args:
-            runner: of the study.
-            summary: some columns of the summary, all rows in any order.
-        """
-        self._runner, self._study = runner, runner.job.study
-        self._runs = summary(needed(self._study))
-
-    def asked(self, task: Task) -> Task:
-        """A concluding task with as many rounds of sampled errors as its runs need."""
-        return task._replace(rounds=rounds(self._study, self._of(task)))
-
-    def of(self, result: TaskResult) -> TaskResult:
-        """The result of a concluding task, which knows no runs, with their statistics."""
-        table = result.tables["estimates"]
-        made = concluded(self._study, table, self._of(result.task))
-        return result._replace(tables={"estimates": made})
-
-    def _of(self, task: Task) -> pa.Table:
-        """The runs of the variants of a task."""
-        variants = pa.array(self._runner.variants(task))
-        return self._runs.filter(pc.is_in(self._runs["variant_id"], variants))
 
 
 def needed(study: Study) -> list[str]:

@@ -166,9 +166,9 @@ def _tables(job: Job, tell: Tell | None) -> dict[str, pa.Table]:
         if _enough(study, lambda names: pa.concat_tables(made["summary"]).select(names), draws):
             break
     if concluding := runner.concluding_tasks():
-        from sinsjax.execution import controlled  # late, for scipy
+        from sinsjax.execution.conclusion import Conclusion  # late, for scipy
 
-        end = controlled.Conclusion(runner, lambda n: pa.concat_tables(made["summary"]).select(n))
+        end = Conclusion(runner, lambda n: pa.concat_tables(made["summary"]).select(n))
         for piece in in_threads(runner.do, map(end.asked, concluding), len(jax.devices())):
             made.setdefault("estimates", []).append(end.of(piece).tables["estimates"])
     return {name: pa.concat_tables(tables) for name, tables in made.items()}
@@ -258,9 +258,9 @@ def _carry_out(
         if _enough(study, held.summary, draws):
             break
     if todo := [task for task in concluding if task in missing]:
-        from sinsjax.execution import controlled  # late, for scipy
+        from sinsjax.execution.conclusion import Conclusion  # late, for scipy
 
-        end = controlled.Conclusion(runner, held.summary)
+        end = Conclusion(runner, held.summary)
         going, done = takewhile(lambda _: not stop.is_set(), todo), 0
         for encoded in executor.do(runner, map(end.asked, going)):
             held.write(runner.encoded(end.of(runner.decoded(encoded))))

@@ -191,7 +191,7 @@ class TaskRunner:
         return staged
 
     def concluding_tasks(self) -> list[Task]:
-        """The tasks that conclude from the runs of all others, see `controlled`."""
+        """The tasks that conclude from the runs of all others, see `conclusion`."""
         parts = range(len(self._parts) - self._concluding, len(self._parts))
         tasks = (task for part in parts for task in self._cut(part, range(1), 0))
         return [task._replace(runs=0) for task in tasks]

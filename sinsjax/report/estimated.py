@@ -55,7 +55,7 @@ class _Names(NamedTuple):
         return [
             (f"mean time to {words} (s)", lambda row: format_estimate(self.settling(row))),
             ("10, 50, 90 % of runs by (s)", self.quantiles),
-            (f"{words} at the end (%)", lambda row: number(row[self.within], 0, 100)),
+            (f"{words} at the end (%)", lambda row: number(row[self.within], 0, 100.0)),
         ]
 
 
