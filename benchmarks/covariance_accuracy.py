@@ -143,7 +143,7 @@ def _estimates(size: Size, seed: int) -> list[Row]:
     ]
     headings = [0.0, 10.0, 20.0, 30.0, 45.0, 60.0, 75.0, 90.0]
     axes = {"reset_times_s": schedules, "phi_u0_deg": headings}
-    estimated = {"estimate": "covariance", "draws": None}
+    estimated = {"estimate": "covariance", "draws": None, "check_linearity": False}
     table = sinsjax.estimate(study_of({"study": estimated, "axes": axes}, size.times_s, seed))
     drawn = study_of({"study": {"draws": size.draws}, "axes": axes}, size.times_s, seed + 1)
     summary = sinsjax.run(drawn).summary

@@ -18,6 +18,7 @@ from sinsjax.analysis.estimates import (
     clean,
     mean,
     proportion,
+    rms,
 )
 
 _HIDDEN = 2
@@ -87,6 +88,29 @@ def controlled_mean(values: ArrayLike, companions: ArrayLike, expected: Expectat
     variance = residual * (1 / y.size + away**2 / spread) + (slope * expected.error) ** 2
     half = -float(special.stdtrit(y.size - 2, TAIL)) * math.sqrt(variance)
     return Controlled(plain, Estimate(value, value - half, value + half, y.size))
+
+
+def controlled_rms(values: ArrayLike, companions: ArrayLike, expected: Expectation) -> Controlled:
+    """The root mean square of values, from the controlled mean of their squares.
+
+    The interval is that of the mean square on a logarithmic scale, as for
+    :func:`sinsjax.analysis.rms`; where that mean is not beyond zero, it is the plain one.
+
+    Args:
+        values: (n,) finite numbers, any unit; otherwise nothing is known.
+        companions: (n,) likewise, of the same draws in the same order.
+        expected: mean of the companions' squares over all draws.
+    """
+    y, x = _pairs(values, companions)
+    square = controlled_mean(y**2, x**2, expected).controlled
+    if math.isnan(square.value):
+        return NOTHING
+    plain = rms(y)
+    if square.value <= 0:
+        return Controlled(plain, plain)
+    value, reach = math.sqrt(square.value), (square.high - square.value) / square.value / 2
+    low, high = (value * math.exp(sign * reach) for sign in (-1, 1))
+    return Controlled(plain, Estimate(value, low, high, y.size))
 
 
 def controlled_share(flags: ArrayLike, companions: ArrayLike, expected: Expectation) -> Controlled:

@@ -12,6 +12,7 @@ from sinsjax.analysis import Estimate
 from sinsjax.analysis.controlled import (
     Expectation,
     controlled_mean,
+    controlled_rms,
     controlled_share,
     samples_needed,
 )
@@ -20,6 +21,9 @@ from sinsjax.execution.layouts import Statistic
 from sinsjax.execution.tables import nullable
 from sinsjax.study.study import Study
 from sinsjax.study.times import spans_s
+
+ESTIMATE = {"settle": controlled_mean, "within": controlled_share, "rms": controlled_rms}
+"""By the kind of a statistic."""
 
 SHARE = 0.05
 """Of the variance of a controlled mean: that of the companions' expectation stays below."""
@@ -46,7 +50,7 @@ class Draws(NamedTuple):
         phi = self.rows[f"{whose}phi_u{one.at}_arcmin"]
         error = phi if one.truth else phi - self.rows["floor_arcmin"]
         if one.kind == "rms":
-            return error**2
+            return error
         within = (np.abs(error) <= one.band_arcmin).astype(float)
         return np.where(np.isnan(error) & np.isfinite(phi), np.nan, within)
 
@@ -69,7 +73,7 @@ def rounds(study: Study, summary: pa.Table, of: Sequence[Statistic] | None = Non
     settled = [one for one in of or layouts.controlled(study) if one.kind == "settle"]
     most = max(
         samples_needed(draws.of(one), draws.of(one, "companion_"), SHARE)
-        for draws in _by_variant(study, summary)
+        for draws in by_variant(study, summary)
         for one in settled
     )
     assert study.study.estimate_samples is not None
@@ -88,7 +92,7 @@ def before_the_end(study: Study, settled: str, rows: pa.Table) -> Estimate:
         rows: `draw_id`, `variant_id`, that column and its companion's.
     """
     (one,) = (s for s in layouts.controlled(study) if s.kind == "settle" and s.column == settled)
-    (draws,) = _by_variant(study, rows)
+    (draws,) = by_variant(study, rows)
     y, x = draws.of(one), draws.of(one, "companion_")
     samples = rounds(study, rows, [one]) * (study.study.estimate_samples or 1)
     error = float(np.std(x, ddof=1)) / math.sqrt(samples)
@@ -118,7 +122,7 @@ def concluded(study: Study, estimates: pa.Table, summary: pa.Table) -> pa.Table:
     statistics = layouts.controlled(study)
     found = [
         [_statistic(one, draws, estimate) for one in statistics]
-        for draws, estimate in zip(_by_variant(study, summary), estimates.to_pylist(), strict=True)
+        for draws, estimate in zip(by_variant(study, summary), estimates.to_pylist(), strict=True)
     ]
     for number, one in enumerate(statistics):
         cells = np.array([row[number] for row in found]).T
@@ -127,7 +131,7 @@ def concluded(study: Study, estimates: pa.Table, summary: pa.Table) -> pa.Table:
     return estimates
 
 
-def _by_variant(study: Study, summary: pa.Table) -> Iterator[Draws]:
+def by_variant(study: Study, summary: pa.Table) -> Iterator[Draws]:
     """The draws of each variant, in the order of the variants."""
     ends = spans_s(study)[:, 0]
     summary = summary.sort_by([("variant_id", "ascending"), ("draw_id", "ascending")])
@@ -142,14 +146,8 @@ def _statistic(one: Statistic, draws: Draws, estimate: dict[str, Any]) -> list[f
     """The cells of a statistic, in the order of its columns."""
     values, companions = draws.of(one), draws.of(one, "companion_")
     expected = _expectation(one, estimate)
-    if one.kind == "within":
-        found = controlled_share(values, companions, expected)
-    else:
-        found = controlled_mean(values, companions, expected)
-    ends = np.array([(e.value, e.low, e.high) for e in found]).ravel()
-    if one.kind == "rms":
-        ends = np.sqrt(np.maximum(ends, 0.0))
-    return [*ends.tolist(), found.saved]
+    found = ESTIMATE[one.kind](values, companions, expected)
+    return [*(end for e in found for end in (e.value, e.low, e.high)), found.saved]
 
 
 def _expectation(one: Statistic, estimate: dict[str, Any]) -> Expectation:
