@@ -16,8 +16,8 @@ from support.studies import small_study
 from sinsjax.engine import build
 from sinsjax.engine.lanes import LANES
 from sinsjax.errors import InputError
-from sinsjax.execution import outputs, tables
 from sinsjax.execution import run as study_run
+from sinsjax.execution import runs, tables
 from sinsjax.execution.tasks import Executor, Job, TaskRunner
 from sinsjax.records import Reference
 from sinsjax.records.reference import StoredRecord
@@ -167,7 +167,7 @@ def test_many_threads_compile_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_failures_are_counted_as_they_are_called() -> None:
     status = ["ok", "diverged", "not_settled", "nonfinite", None, "diverged"]
-    assert outputs.failures(pa.table({"status": status})) == 3
+    assert runs.failures(pa.table({"status": status})) == 3
 
 
 def test_a_study_and_a_record_must_go_together() -> None:
