@@ -17,7 +17,6 @@ from sinsjax.report.attitudes import attitudes
 from sinsjax.report.base import (
     MOST_ROWS,
     Block,
-    Chapter,
     Picture,
     Report,
     Table,
@@ -44,16 +43,11 @@ def report(source: Source) -> Report:
     tables = _tables(source) if has_truth else []
     if source.study.is_recorded or not has_truth:
         tables = [attitudes(source), *tables]
-    best: list[Block] = []
-    figures: list[Block] = list(_curves(source, has_truth))
-    if has_truth:
-        blocks = over_axes(source)
-        best = [block for block in blocks if isinstance(block, Table)]
-        figures += [block for block in blocks if not isinstance(block, Table)]
-        figures += spreads(source)
-    parts = {"What is best": best, "Figures": figures, "Tables": tables}
-    sections = [Chapter(heading, blocks) for heading, blocks in parts.items() if blocks]
-    return Report([_headline(source, has_truth), *_stopped(source)], sections)
+    blocks = [*over_axes(source), *spreads(source)] if has_truth else []
+    best = [block for block in blocks if isinstance(block, Table)]
+    figures = [*_curves(source, has_truth), *(b for b in blocks if not isinstance(b, Table))]
+    parts: dict[str, Sequence[Block]] = {"What is best": best, "Figures": figures, "Tables": tables}
+    return Report.of([_headline(source, has_truth), *_stopped(source)], parts)
 
 
 def statistics(source: Source, keys: Sequence[str], title: str, *, note: str = "") -> Table:
@@ -62,23 +56,16 @@ def statistics(source: Source, keys: Sequence[str], title: str, *, note: str = "
     table = source.distinct([*keys, *NEEDED, *_judged(source)])
     rows = analysis.summarise(table, keys, [one.name for one in shown]).to_pylist()
     cells = [("runs", lambda row: str(row["n"])), *((one.header, one.cell) for one in shown)]
-    return table_of(title, keys, rows, cells, note, most=MOST_ROWS, left="rows are not shown")
+    return table_of(title, keys, rows, cells, note, left="rows are not shown")
 
 
 class _Shown(NamedTuple):
-    """A statistic in a table.
-
-    Attributes:
-        header: of its column.
-        name: of the statistic.
-        text: of an estimate of it.
-        of_limit: whether it counts from the limit.
-    """
+    """A statistic in a table: the header of its column, its name, and how it is told."""
 
     header: str
     name: str
     text: Callable[[Estimate], str]
-    of_limit: bool = False
+    of_limit: bool = False  # whether it counts from the limit
 
     def cell(self, row: Mapping[str, Any]) -> str:
         """What a row of `analysis.summarise` tells of it."""

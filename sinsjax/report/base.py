@@ -55,19 +55,12 @@ def table_of(
     cells: Sequence[tuple[str, Callable[[Any], str]]],
     note: str = "",
     *,
-    most: int | None = None,
+    most: int = MOST_ROWS,
     left: str = "",
 ) -> Table:
-    """A table with a line for each row: its keys, then what is told of it.
+    """A table with a line for each row: its keys, then what each cell with its header tells of it.
 
-    Args:
-        title: of the table.
-        keys: of the rows, a column each.
-        rows: with the keys, and what the cells tell.
-        cells: header of each further column, and its text for a row.
-        note: said below.
-        most: rows that are shown; all if None.
-        left: what is said of the others, after their number.
+    Of more than ``most`` rows the note says how many there are, and in the words of ``left`` where.
     """
     lines = [
         [*(value_text(row[key]) for key in keys), *(tell(row) for _, tell in cells)]
@@ -116,6 +109,14 @@ class Report(NamedTuple):
     headline: Sequence[str]
     sections: Sequence[Chapter]
     rests_on: str = ""
+
+    @classmethod
+    def of(
+        cls, headline: Sequence[str], parts: Mapping[str, Sequence[Block]], rests_on: str = ""
+    ) -> "Report":
+        """A report of those parts, by their headings, that hold something."""
+        sections = [Chapter(heading, blocks) for heading, blocks in parts.items() if blocks]
+        return cls(headline, sections, rests_on)
 
 
 def yardstick(study: Study) -> str:

@@ -9,7 +9,8 @@ from sinsjax import analysis, columns, plots
 from sinsjax.analysis import UNKNOWN, Estimate, format_estimate
 from sinsjax.execution.source import Source
 from sinsjax.plots import Shown
-from sinsjax.report.base import MOST_ROWS, Block, Chapter, Picture, Report, Table, number, table_of
+from sinsjax.report.base import Block, Picture, Report, Table, number, table_of
+from sinsjax.report.markup import said
 from sinsjax.report.over_axes import Maps, differ, is_chosen, lines_of, shown_axes, yard_end
 from sinsjax.study.success import Yardstick, success_of, yardsticks
 from sinsjax.study.swept import shown_keys
@@ -67,7 +68,7 @@ def report(source: Source) -> Report:
     """
     assert source.draws  # of which none is missing, or that is told
     found = _yards(source)
-    parts: dict[str, list[Block]] = {
+    parts: dict[str, Sequence[Block]] = {
         "What is best": [block for one in found[:1] for block in _best(source, one)],
         "Figures": [block for one in found for block in _figures(source, one, found[0])],
         "Tables": [_every_variant(source, found)],
@@ -75,25 +76,17 @@ def report(source: Source) -> Report:
     study = source.study
     variants = f"{study.n_variants:,} variant{'s' if study.n_variants > 1 else ''}"
     how = "the covariance of the true error beside one noise-free run of each"
-    return Report(
-        [f"{variants}, estimated without draws: by {how}.", *_linearity(source)],
-        [Chapter(heading, blocks) for heading, blocks in parts.items() if blocks],
-        f"{study.name}: {variants}, no Monte Carlo runs",
-    )
+    headline = [f"{variants}, estimated without draws: by {how}.", *_linearity(source)]
+    return Report.of(headline, parts, f"{study.name}: {variants}, no Monte Carlo runs")
 
 
 def _linearity(source: Source) -> Iterator[str]:
     """How far covariance analysis holds, in a sentence."""
     if source.study.checks_linearity:
         index, filled = (analysis.numbers(source.rows([name]), name) for name in _CHECKED)
-        beyond = int(np.nansum(filled))
         largest = f"{np.nanmax(index):.2f}" if np.isfinite(index).any() else "unknown"
-        stand = f"{beyond} of {len(filled)} variants are" if beyond else "none is"
-        yield (
-            "How far it holds is the index of nonlinearity: what 8 draws have beyond first order,"
-            f" rms in standard deviations. At the end it is {largest} at most; at some time told"
-            f" {stand} beyond 0.5{', and draws stand for them' if beyond else ''}."
-        )
+        beyond = int(np.nansum(filled))
+        yield said("linearity", largest=largest, beyond=beyond, variants=len(filled))
 
 
 def _index(row: Row) -> str:
@@ -173,8 +166,8 @@ def _every_variant(source: Source, found: Sequence[_Names]) -> Table:
         cells.append(("index of nonlinearity", _index))
         needed += _CHECKED
     rows = source.distinct([*keys, *needed, _YAW, _SIGMA, _OWN]).to_pylist()
-    note, left = f"{_TIMES} {_SIGMAS}", "variants are in `estimates/`"
-    return table_of("Every variant", keys, rows, cells, note, most=MOST_ROWS, left=left)
+    left = "variants are in `estimates/`"
+    return table_of("Every variant", keys, rows, cells, f"{_TIMES} {_SIGMAS}", left=left)
 
 
 def _figures(source: Source, names: _Names, first: _Names) -> Iterator[Picture]:

@@ -9,7 +9,7 @@ from sinsjax.analysis import NO_INTERVAL, Estimate, format_estimate
 from sinsjax.execution.source import Source
 from sinsjax.plots.words import value_text
 from sinsjax.report import tuned_figures
-from sinsjax.report.base import Chapter, Report, Table
+from sinsjax.report.base import Block, Report, Table
 from sinsjax.report.markup import template
 from sinsjax.study.search_space import Variable
 from sinsjax.study.success import yardsticks
@@ -32,11 +32,12 @@ def report(source: Source) -> Report:
     pictures = [*tuned_figures.landscape(tuning), tuned_figures.course(tuning)]
     variants = tuning.runs.shape[1]
     each = f" × {variants} variants" if variants > 1 else ""
-    return Report(
-        _headline(tuning),
-        [Chapter("What was found", [_candidates(tuning)]), Chapter("How it was found", pictures)],
-        f"{tuning.study.name}: {_drawn(tuning)}{each} a point",
-    )
+    parts: dict[str, Sequence[Block]] = {
+        "What was found": [_candidates(tuning)],
+        "How it was found": pictures,
+    }
+    rests_on = f"{tuning.study.name}: {_drawn(tuning)}{each} a point"
+    return Report.of(_headline(tuning), parts, rests_on)
 
 
 def _drawn(tuning: Tuning) -> str:

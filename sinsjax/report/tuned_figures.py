@@ -13,13 +13,16 @@ from sinsjax.tuning.carry_out import COVARIANCE, GRADIENT
 from sinsjax.tuning.history import Evaluation
 from sinsjax.tuning.results import Tuning, axis
 
-_LOOKS = ("grid", GRADIENT, "baseline", "sobol", "equal cost", "random", COVARIANCE)  # by marker
-_IN_WORDS = {
+_SEARCHES = {
+    "grid": "grid",
+    GRADIENT: "gradient",
+    "baseline": "baseline",
     "sobol": "Sobol points",
     "equal cost": "Sobol points at the gradient's cost",
     "random": "random points",
     COVARIANCE: "covariance analysis",
 }
+"""In words, and in the order of their markers."""
 
 
 def landscape(tuning: Tuning) -> list[Picture]:
@@ -54,6 +57,10 @@ def landscape(tuning: Tuning) -> list[Picture]:
     return [Picture("descent", caption, figure)]
 
 
+def _look(name: str) -> int:
+    return list(_SEARCHES).index(name)
+
+
 def _side(variable: Variable) -> Side:
     name, bracket, unit = plots.label(variable.key).partition(" (")
     if variable.entry is not None and variable.key == TIMES:
@@ -82,14 +89,9 @@ def _ways(tuning: Tuning, number: int, used: list[int]) -> list[Way]:
 def _spots(tuning: Tuning, number: int, used: list[int]) -> list[Spot]:
     """The best point of each search that has the combination."""
     return [
-        Spot(
-            f"best of {_IN_WORDS.get(name, name)}",
-            np.array(found.best.values)[used],
-            found.best.objective,
-            _LOOKS.index(name),
-        )
-        for name, found in tuning.found.items()
-        if found.best.candidate == number
+        Spot(f"best of {_SEARCHES[name]}", np.array(best.values)[used], best.objective, _look(name))
+        for name, best in ((name, found.best) for name, found in tuning.found.items())
+        if best.candidate == number
     ]
 
 
@@ -111,7 +113,7 @@ def _baseline_spot(tuning: Tuning, space: SearchSpace, number: int) -> list[Spot
         if not variable.low <= value <= variable.high:
             return []
         values.append(value)
-    return [Spot("baseline", np.array(values), None, _LOOKS.index("baseline"))]
+    return [Spot("baseline", np.array(values), None, _look("baseline"))]
 
 
 def course(tuning: Tuning) -> Picture:
@@ -120,7 +122,7 @@ def course(tuning: Tuning) -> Picture:
     for name, found in tuning.found.items():
         cost, best, relaxed = found.course
         ending = (found.cost, found.best.objective) if relaxed else None
-        searches.append(CostCurve(_IN_WORDS.get(name, name), cost, best, relaxed, ending))
+        searches.append(CostCurve(_SEARCHES[name], cost, best, relaxed, ending))
     caption = said("course", relaxed=any(one.relaxed for one in searches))
     title = "Best so far against what the search had cost"
     return Picture("history", caption, best_by_cost(searches, axis(tuning.study), title))
