@@ -20,7 +20,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.bench.assets import asset
 from sinsjax.bench.cases import TILES, default_group, engine, shortened, without_noise
 from sinsjax.bench.timing import Row, Workload, measure_against
 from sinsjax.engine.batch import compiled, plan
@@ -29,6 +28,7 @@ from sinsjax.engine.lanes import LANES, Group, Tiles, tiles_of
 from sinsjax.engine.pieces import piece
 from sinsjax.engine.simulate import RunParams
 from sinsjax.engine.tile import run_tile
+from sinsjax.platform.assets import asset
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study

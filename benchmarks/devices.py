@@ -8,12 +8,12 @@ from pathlib import Path
 import common
 import jax
 
-from sinsjax.bench.assets import asset
 from sinsjax.bench.cases import default_group, engine, shortened, without_noise
 from sinsjax.bench.timing import Row, Workload, ratios, row, spread, turns
 from sinsjax.engine.build import parts
 from sinsjax.engine.lanes import LANES
 from sinsjax.execution import run
+from sinsjax.platform.assets import asset
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
 

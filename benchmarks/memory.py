@@ -9,12 +9,12 @@ from pathlib import Path
 
 import common
 
-from sinsjax.bench.assets import asset
 from sinsjax.bench.cases import default_group, shortened
 from sinsjax.bench.timing import Row
 from sinsjax.engine.batch import compiled, plan
 from sinsjax.engine.lanes import tiles_of
 from sinsjax.errors import InputError
+from sinsjax.platform.assets import asset
 
 TILE_COUNTS = (2, 8, 32)
 """Tiles a compiled call: what a chunk is made of."""

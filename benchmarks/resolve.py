@@ -5,12 +5,12 @@ import tomllib
 
 import common
 
-from sinsjax.bench.assets import asset
 from sinsjax.bench.timing import Row
 from sinsjax.engine.batch import plan
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.lanes import tiles_of
 from sinsjax.execution.tables import Tables
+from sinsjax.platform.assets import asset
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
 

@@ -14,12 +14,12 @@ from rich.console import Console
 from rich.table import Table
 
 from sinsjax import console as screen
-from sinsjax.bench.assets import asset
 from sinsjax.bench.cases import SHORT
 from sinsjax.bench.limit import compiler, limit_kernel
 from sinsjax.bench.timing import Row, Workload, conditions, measure, use_one_core
 from sinsjax.errors import InputError
 from sinsjax.platform import runtime
+from sinsjax.platform.assets import asset
 
 __all__ = ["SHORT", "Workload", "Row", "asset", "conditions", "measure", "run", "short_set"]
 

@@ -6,10 +6,10 @@ import tempfile
 import time
 from pathlib import Path
 
-from sinsjax.bench.assets import asset
 from sinsjax.bench.timing import Workload
 from sinsjax.errors import InputError
 from sinsjax.platform import machine, xla
+from sinsjax.platform.assets import asset
 
 _FLAGS = "-O3 -ffast-math -Wno-psabi -mprefer-vector-width=512".split()
 _LEVELS = {"AVX512": "x86-64-v4", "AVX2": "x86-64-v3", "SSE4_2": "x86-64-v2"}

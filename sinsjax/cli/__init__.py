@@ -7,12 +7,25 @@ import atexit
 import gc
 import math
 import sys
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from sinsjax.cli import machine, studies
+from sinsjax.cli.helping import Command
+from sinsjax.cli.options import (
+    Changes,
+    Config,
+    Devices,
+    Out,
+    Overwrite,
+    Record,
+    Reference,
+    Resume,
+)
 from sinsjax.cli.study import check_options, configure, loaded, made_ready, run_study
 from sinsjax.console import lasting, plain_console, say
 from sinsjax.errors import InputError, StudyInterrupted
@@ -20,71 +33,88 @@ from sinsjax.messages import one_line
 from sinsjax.platform import runtime
 
 app = typer.Typer(
-    help="Initial alignment of strapdown inertial navigators, thousands of runs at a time.",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     rich_markup_mode=None,  # markup would swallow the name of a section such as [tune]
     pretty_exceptions_enable=False,
 )
-
-Config = Annotated[Path, typer.Argument(help="Study file (TOML).", show_default=False)]
-Out = Annotated[
-    str,  # because an empty path would become "."
-    typer.Option(
-        "--out", "-o", help="Directory for the results.", show_default=False, metavar="<path>"
-    ),
-]
-Overwrite = Annotated[bool, typer.Option(help="Replace existing results in the directory.")]
-Devices = Annotated[
-    int | None,
-    typer.Option(
-        help="Threads that run the compiled program, one per CPU core; default: all cores.", min=1
-    ),
-]
-Resume = Annotated[bool, typer.Option("--resume", help="Continue the results in the directory.")]
+command = partial(app.command, cls=Command)
 
 
-@app.command()
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"sinsjax {runtime.package_version()}")
+        raise typer.Exit
+
+
+@app.callback()
+def _of_all(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", help="Show the version and exit.", callback=_version, is_eager=True
+        ),
+    ] = False,
+) -> None:
+    """Initial alignment of strapdown inertial navigators, thousands of runs at a time."""
+
+
+@command()
 def run(
     config: Config,
     out: Out,
+    changes: Changes = None,
     overwrite: Overwrite = False,
     resume: Resume = False,
     devices: Devices = None,
 ) -> None:
     """Simulate a few runs: curves, figures and a table.
 
-    Example: sinsjax run configs/paper1_resets.toml -o out
+    Example: sinsjax run paper1_resets -o out
     """
-    run_study(config, out, overwrite=overwrite, resume=resume, devices=devices, curves=True)
+    run_study(
+        config,
+        out,
+        changes=changes,
+        overwrite=overwrite,
+        resume=resume,
+        devices=devices,
+        curves=True,
+    )
 
 
-@app.command()
+@command()
 def sweep(
     config: Config,
     out: Out,
+    changes: Changes = None,
     overwrite: Overwrite = False,
     resume: Resume = False,
     devices: Devices = None,
     workers: Annotated[
         int | None,
-        typer.Option(help="Local processes to start, one per core (extra `cluster`).", min=1),
+        typer.Option(
+            help="Local processes to start, one per core (extra `cluster`).", min=1, metavar="N"
+        ),
     ] = None,
     scheduler: Annotated[
         str | None,
-        typer.Option(help="Dask scheduler to use, tcp://host:port (extra `cluster`)."),
+        typer.Option(
+            help="Dask scheduler to use, tcp://host:port (extra `cluster`).", metavar="URL"
+        ),
     ] = None,
     chunk_runs: Annotated[
         int | None,
         typer.Option(
             help="Runs per chunk; does not affect results, and may not change with --resume.",
             min=1,
+            metavar="N",
         ),
     ] = None,
 ) -> None:
     """Simulate all draws and variants of a study to Parquet, with a figure and a table.
 
-    Example: sinsjax sweep configs/reset_sweep.toml -o out
+    Example: sinsjax sweep reset_sweep -o out
     """
     if workers is not None and scheduler is not None:
         raise InputError("--workers: conflicts with --scheduler (give one of them)")
@@ -93,6 +123,7 @@ def sweep(
     run_study(
         config,
         out,
+        changes=changes,
         overwrite=overwrite,
         resume=resume,
         devices=devices,
@@ -102,25 +133,30 @@ def sweep(
     )
 
 
-@app.command()
+@command()
 def align(
-    record: Annotated[Path, typer.Argument(help="Inertial record.", show_default=False)],
+    record: Annotated[
+        Path, typer.Argument(help="Inertial record.", show_default=False, metavar="RECORD")
+    ],
     config: Config,
     out: Out,
     reference: Annotated[
-        Path | None, typer.Option(help="Reference attitude to compare with (CSV or Parquet).")
+        Path | None,
+        typer.Option(help="Reference attitude to compare with (CSV or Parquet).", metavar="FILE"),
     ] = None,
+    changes: Changes = None,
     overwrite: Overwrite = False,
     resume: Resume = False,
     devices: Devices = None,
 ) -> None:
     """Align recorded data: attitude and 1 sigma from every start time of the study.
 
-    Example: sinsjax align drive.imu configs/car_test.toml -o out
+    Example: sinsjax align drive.imu car_test -o out
     """
     run_study(
         config,
         out,
+        changes=changes,
         overwrite=overwrite,
         resume=resume,
         devices=devices,
@@ -129,19 +165,20 @@ def align(
     )
 
 
-@app.command()
+@command()
 def tune(
     config: Config,
     given: Out,
-    record: Annotated[Path | None, typer.Option(help="Record of a recorded study.")] = None,
-    reference: Annotated[Path | None, typer.Option(help="Its reference attitude.")] = None,
+    record: Record = None,
+    reference: Reference = None,
+    changes: Changes = None,
     overwrite: Overwrite = False,
     resume: Resume = False,
     devices: Devices = None,
 ) -> None:
     """Search the variables of a study's [tune] for the best, and evaluate it on other draws.
 
-    Example: sinsjax tune configs/tune_condition5.toml -o out
+    Example: sinsjax tune tune_condition5 -o out
     """
     from sinsjax.execution import forecast, progress
     from sinsjax.execution import resume as resuming
@@ -149,7 +186,7 @@ def tune(
     from sinsjax.tuning import carry_out
 
     out = resuming.named(given)
-    study = loaded(config)
+    study = loaded(config, changes)
     carry_out.require_tune(study)
     if study.is_recorded and record is None:
         raise InputError(f"{config}: [record]: the study needs a record (give it with --record)")
@@ -180,21 +217,25 @@ def tune(
     import_module("sinsjax.report").summarise([out], terminal)
 
 
-@app.command()
+@command()
 def rerun(
-    directory: Annotated[Path, typer.Argument(help="Directory of results.", show_default=False)],
-    run_id: Annotated[int, typer.Option(help="Number of the run.", min=0, show_default=False)],
+    directory: Annotated[
+        Path, typer.Argument(help="Directory of results.", show_default=False, metavar="DIR")
+    ],
+    run_id: Annotated[
+        int, typer.Option(help="Number of the run.", min=0, show_default=False, metavar="N")
+    ],
     given: Annotated[
         str | None,
         typer.Option(
             "--out",
             "-o",
             help="Directory for the run; default: DIRECTORY/reruns/RUN_ID.",
-            metavar="<path>",
+            metavar="DIR",
         ),
     ] = None,
-    record: Annotated[Path | None, typer.Option(help="Record of a recorded study.")] = None,
-    reference: Annotated[Path | None, typer.Option(help="Its reference attitude.")] = None,
+    record: Record = None,
+    reference: Reference = None,
 ) -> None:
     """Repeat a single run with its full curve, and compare its row with the results.
 
@@ -211,20 +252,23 @@ def rerun(
         raise typer.Exit(1)
 
 
-@app.command()
+@command()
 def report(
     directories: Annotated[
-        list[Path], typer.Argument(help="Directories of results.", show_default=False)
+        list[Path],
+        typer.Argument(help="Directories of results.", show_default=False, metavar="DIR"),
     ],
     page: Annotated[
         Path | None,
         typer.Option(
             help="Also write a Markdown page there. For a folder with a template (page.md.j2) and a"
-            " script (page.py), write the page they produce instead: this executes the script."
+            " script (page.py), write the page they produce instead: this executes the script.",
+            metavar="FILE",
         ),
     ] = None,
     html: Annotated[
-        Path | None, typer.Option(help="Also write a self-contained HTML file there.")
+        Path | None,
+        typer.Option(help="Also write a self-contained HTML file there.", metavar="FILE"),
     ] = None,
 ) -> None:
     """Draw the figures and print the tables again from the Parquet files.
@@ -236,14 +280,19 @@ def report(
     reports.summarise(directories, plain_console(), page, html)
 
 
-@app.command()
+@command()
 def gains(
-    level_sigma: Annotated[float, typer.Option(help="Decay rate of levelling, 1/s.")] = 0.02,
-    azimuth_sigma: Annotated[float, typer.Option(help="Decay rate in azimuth, 1/s.")] = 0.01,
-    damping: Annotated[float, typer.Option(help="Damping ratio of both, above 0, below 1.")] = 0.5
-    ** 0.5,
-    gravity: Annotated[float, typer.Option(help="Gravity, m/s^2.")] = 9.8,
-    radius: Annotated[float, typer.Option(help="Earth radius, m.")] = 6378165.0,
+    level_sigma: Annotated[
+        float, typer.Option(help="Decay rate of levelling, 1/s.", metavar="X")
+    ] = 0.02,
+    azimuth_sigma: Annotated[
+        float, typer.Option(help="Decay rate in azimuth, 1/s.", metavar="X")
+    ] = 0.01,
+    damping: Annotated[
+        float, typer.Option(help="Damping ratio of both, above 0, below 1.", metavar="X")
+    ] = 0.5**0.5,
+    gravity: Annotated[float, typer.Option(help="Gravity, m/s^2.", metavar="X")] = 9.8,
+    radius: Annotated[float, typer.Option(help="Earth radius, m.", metavar="X")] = 6378165.0,
 ) -> None:
     """Design the compass loops: gains from decay rates, the resulting roots and settling times.
 
@@ -266,36 +315,8 @@ def gains(
     print_gains(plain_console(), *rates, gravity=gravity, radius=radius)
 
 
-@app.command()
-def info() -> None:
-    """Show versions, devices and the compiler options in effect."""
-    runtime.configure()
-    runtime.require_backend()
-    console = plain_console()
-    known = runtime.info()
-    known["options"] = ", ".join(f"{key} = {value}" for key, value in known["options"].items())
-    share = known["vectorised"]
-    known["vectorised"] = "unknown" if share is None else f"{100 * share:.0f} % of a step"
-    for key, value in known.items():
-        if key != "forgone" or value:
-            say(console, f"{key:>20}  {value}")
-
-
-@app.command()
-def bench(
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object per line.")] = False,
-    limit: Annotated[
-        bool, typer.Option("--limit", help="Also build and run the limit kernel (needs gcc).")
-    ] = False,
-    repeats: Annotated[int, typer.Option(help="Timings per row; shows the median.", min=1)] = 7,
-) -> None:
-    """Time the engine's step on one core, with the short benchmark set.
-
-    Example: sinsjax bench --limit
-    """
-    from sinsjax import bench as benchmarks
-
-    benchmarks.run(plain_console(), as_json=as_json, limit=limit, repeats=repeats)
+for _one in (*machine.COMMANDS, *studies.COMMANDS):
+    command()(_one)
 
 
 def main() -> None:

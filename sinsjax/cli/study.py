@@ -23,6 +23,7 @@ def run_study(
     config: Path,
     given: str,
     *,
+    changes: list[str] | None = None,
     overwrite: bool,
     devices: int | None,
     curves: bool | None,
@@ -36,6 +37,7 @@ def run_study(
     Args:
         config: study file.
         given: directory for the results.
+        changes: of the study, ``section.key=value``.
         overwrite: whether to replace existing results.
         devices: threads that run the compiled program; None for all cores.
         curves: whether to keep curves; None follows the study.
@@ -52,7 +54,7 @@ def run_study(
     from sinsjax.execution import run as study_run
 
     out = resuming.named(given)
-    study = loaded(config)
+    study = loaded(config, changes)
     if study.is_recorded and files is None:
         raise InputError(f"{config}: [record]: the study needs a record (use `sinsjax align`)")
     if files is not None and not study.is_recorded:
@@ -104,14 +106,35 @@ def run_study(
     import_module("sinsjax.report").summarise([out], terminal)
 
 
-def loaded(config: Path) -> Any:
-    """Load a study, with a warning about sections that are no longer used."""
+def loaded(config: Path, changes: list[str] | None = None) -> Any:
+    """Load a study with ``--set`` applied, and warn about sections that are no longer used."""
+    from sinsjax.study.changes import parsed
     from sinsjax.study.load import load_study, unread_sections
 
-    study = load_study(config)
+    study = load_study(config, parsed(changes or ()))
     if line := unread_sections(config):
         say(plain_console(), f"Warning: {line}.")
     return study
+
+
+def foreseen(config: Path, changes: list[str] | None) -> list[str]:
+    """What a study would run, without running it: runs, steps, time, memory and disk."""
+    from sinsjax.execution import forecast
+
+    study = loaded(config, changes)
+    if study.tune:
+        what = f"tunes {', '.join(study.tune.variables)}"
+    else:
+        draws = "start times" if study.is_recorded else "draws"
+        what = f"variants: {study.n_variants:,}, {draws}: {study.n_draws:,}"
+    lines = [f"{config}: valid; {what}."]
+    if not study.study.rate_hz:
+        return [*lines, "The record tells the rate, and so how long this takes."]
+    expected = (forecast.of_tuning if study.tune else forecast.of)(study)
+    steps = expected.length_s * study.rate_hz
+    lines.append(f"{expected.describe(runtime.usable_cores())}.")
+    lines.append(f"Up to {steps:,.0f} steps a run, {steps * expected.runs:,.0f} in all.")
+    return lines
 
 
 def made_ready(study: Any, stored: Any, terminal: Console) -> Any:

@@ -6,7 +6,6 @@ Values stay in the units of the file; `build` turns them into arrays.
 """
 
 import difflib
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,8 @@ from sinsjax.alignment.filters.section import Q_DENSITIES
 from sinsjax.alignment.methods import METHODS, SECTIONS_OF_METHODS, keys_unread
 from sinsjax.errors import InputError
 from sinsjax.messages import explained, index, near, one_line
-from sinsjax.study import axes, search_space, tuned_keys, usual
+from sinsjax.study import axes, files, search_space, tuned_keys, usual
+from sinsjax.study import changes as changing
 from sinsjax.study.checks import Where, check_study
 from sinsjax.study.keys import (
     EARTH_CONSTANTS,
@@ -43,28 +43,43 @@ __all__ = [
 
 _DEFAULT_DRAWS = 64
 _SAMPLES = {"covariance": 256, "controlled": 4096}
+_FILLED = EARTH_CONSTANTS | {
+    "draws": _DEFAULT_DRAWS,
+    "height_m": 0.0,
+    **{white: 0.0 for white, _ in SECTIONS["sensors"].exclusive},
+}
+"""Defaults of keys that depend on other keys, or on whether the study is recorded."""
 _SWEEPS = ("axes", "cases", "drawn")
 _UNREAD = ("report", "statements")
 """Sections of 0.5.0 that nothing reads: files that still have them load for one more version."""
 
 
-def load_study(path: str | Path) -> Study:
+def load_study(path: str | Path, changes: Mapping[str, Any] | None = None) -> Study:
     """Reads and checks a study file.
+
+    Args:
+        path: the file, or the name of a shipped study, see `files.found`.
+        changes: values by ``section.key`` that take the place of the file's, see `changes`.
 
     Raises:
         InputError: the file cannot be read, is no TOML or is no study; one line says why.
     """
+    data = files.read_tables(path)
+    if changes:
+        data = with_changes(data, changes, str(path))
+    return study_from_dict(data, str(files.found(path)))
+
+
+def with_changes(data: TomlTable, changes: Mapping[str, Any], source: str) -> TomlTable:
+    """A study's tables with some values changed.
+
+    Raises:
+        InputError: a change names no key.
+    """
     try:
-        data = tomllib.loads(Path(path).read_text("utf-8-sig"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: is no UTF-8 text") from None
-    except ValueError as error:
-        raise InputError(one_line(f"{path}: is no TOML: {error}")) from None
-    except RecursionError:
-        raise InputError(f"{path}: is nested too deeply") from None
-    return study_from_dict(data, str(path))
+        return changing.changed(data, changes)
+    except InputError as error:
+        raise InputError(one_line(f"{source}: {error}")) from None
 
 
 def unread_sections(path: str | Path) -> str:
@@ -73,7 +88,7 @@ def unread_sections(path: str | Path) -> str:
     Args:
         path: of a file that `load_study` has read.
     """
-    data = tomllib.loads(Path(path).read_text("utf-8-sig"))
+    data = files.read_tables(path)
     found = " and ".join(f"[{name}]" for name in _UNREAD if name in data)
     return found and f"{path}: {found}: no longer read, and refused by the next version (remove it)"
 
@@ -127,6 +142,22 @@ def with_point(study: Study, point: TomlTable) -> Study:
         InputError: that is no study.
     """
     return study_from_dict(search_space.put(tables_of(study), point), study.name)
+
+
+def replaced(study: Study, changes: Mapping[str, Any]) -> Study:
+    """A study with some values changed; defaults that depend on other keys are made anew.
+
+    Args:
+        study: checked study, left as it is.
+        changes: values by ``section.key``, as ``{"alignment.phi_u0_deg": 12.0}``; each takes the
+            place of whatever the study says of the key, an axis included.
+
+    Raises:
+        InputError: that is no study.
+    """
+    filled = _FILLED | {"estimate_samples": _SAMPLES.get(study.study.estimate)}
+    tables = changing.without_defaults(tables_of(study), filled)
+    return study_from_dict(with_changes(tables, changes, study.name), study.name)
 
 
 def one_variant(study: Study, variant: int) -> Study:

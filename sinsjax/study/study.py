@@ -4,9 +4,10 @@ The rules between its keys stand in `checks`.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib import import_module
 from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -109,6 +110,11 @@ class Study(_SectionsOfMethods):
     axes: Dimension
     zips: dict[str, Dimension] = {}
     cases: tuple[TomlTable, ...]
+
+    def replace(self, changes: Mapping[str, Any]) -> "Study":
+        """The study with the values of some ``section.key`` changed, see `load.replaced`."""
+        made: Study = import_module("sinsjax.study.load").replaced(self, changes)
+        return made  # `load` imports this module
 
     @property
     def name(self) -> str:

@@ -1,0 +1,43 @@
+"""Commands about the machine that studies run on."""
+
+from typing import Annotated
+
+import typer
+
+from sinsjax.console import plain_console, say
+from sinsjax.platform import runtime
+
+
+def info() -> None:
+    """Show versions, devices and the compiler options in effect."""
+    runtime.configure()
+    runtime.require_backend()
+    console = plain_console()
+    known = runtime.info()
+    known["options"] = ", ".join(f"{key} = {value}" for key, value in known["options"].items())
+    share = known["vectorised"]
+    known["vectorised"] = "unknown" if share is None else f"{100 * share:.0f} % of a step"
+    for key, value in known.items():
+        if key != "forgone" or value:
+            say(console, f"{key:>20}  {value}")
+
+
+def bench(
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object per line.")] = False,
+    limit: Annotated[
+        bool, typer.Option("--limit", help="Also build and run the limit kernel (needs gcc).")
+    ] = False,
+    repeats: Annotated[
+        int, typer.Option(help="Timings per row; shows the median.", min=1, metavar="N")
+    ] = 7,
+) -> None:
+    """Time the engine's step on one core, with the short benchmark set.
+
+    Example: sinsjax bench --limit
+    """
+    from sinsjax import bench as benchmarks
+
+    benchmarks.run(plain_console(), as_json=as_json, limit=limit, repeats=repeats)
+
+
+COMMANDS = (info, bench)

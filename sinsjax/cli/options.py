@@ -1,0 +1,69 @@
+"""Arguments and options that several commands take, and how a shell completes them."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def _found(given: Path) -> Path:
+    from sinsjax.study import files
+
+    return files.found(given)
+
+
+def study_names(incomplete: str) -> list[str]:
+    """The shipped studies and the study files of this folder that a word may be completed to."""
+    from sinsjax.study import files
+
+    here = (path.name for path in Path().glob("*.toml"))
+    return [name for name in (*here, *files.studies()) if name.startswith(incomplete)]
+
+
+def places(incomplete: str) -> list[str]:
+    """The keys that may be set, as ``section.key=``."""
+    from sinsjax.study.keys import SECTIONS
+
+    known = (f"{name}.{key}=" for name, model in SECTIONS.items() for key in model.model_fields)
+    return [place for place in known if place.startswith(incomplete)]
+
+
+Config = Annotated[
+    Path,
+    typer.Argument(
+        help="Study file (TOML), or the name of a shipped study (sinsjax init --list).",
+        show_default=False,
+        metavar="CONFIG",
+        callback=_found,
+        autocompletion=study_names,
+    ),
+]
+Changes = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        help="Change a key of the study, as in alignment.phi_u0_deg=12; may be repeated.",
+        metavar="SECTION.KEY=VALUE",
+        autocompletion=places,
+    ),
+]
+Out = Annotated[
+    str,  # because an empty path would become "."
+    typer.Option(
+        "--out", "-o", help="Directory for the results.", show_default=False, metavar="DIR"
+    ),
+]
+Overwrite = Annotated[
+    bool, typer.Option("--overwrite", help="Replace existing results in the directory.")
+]
+Devices = Annotated[
+    int | None,
+    typer.Option(
+        help="Threads that run the compiled program, one per CPU core; default: all cores.",
+        min=1,
+        metavar="N",
+    ),
+]
+Resume = Annotated[bool, typer.Option("--resume", help="Continue the results in the directory.")]
+Record = Annotated[Path | None, typer.Option(help="Record of a recorded study.", metavar="FILE")]
+Reference = Annotated[Path | None, typer.Option(help="Its reference attitude.", metavar="FILE")]

@@ -1,0 +1,83 @@
+"""Commands about studies themselves: beginning one, and checking one before it runs."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sinsjax.cli.options import Changes, Config
+from sinsjax.console import plain_console, say
+from sinsjax.errors import InputError
+
+
+def _names(incomplete: str) -> list[str]:
+    from sinsjax.study import files
+
+    known = {**files.templates(), **files.studies()}
+    return [name for name in known if name.startswith(incomplete)]
+
+
+def init(
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            help="Template or shipped study.",
+            show_default=False,
+            metavar="NAME",
+            autocompletion=_names,
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="File to write; default: NAME.toml.", metavar="FILE"),
+    ] = None,
+    list_: Annotated[bool, typer.Option("--list", help="List the names and exit.")] = False,
+) -> None:
+    """Begin a study file: a copy of a template or a shipped study, with its comments.
+
+    Example: sinsjax init sweep -o mine.toml
+    """
+    from sinsjax.study import files
+
+    console = plain_console()
+    if list_:
+        for title, known in (("Templates", files.templates()), ("Studies", files.studies())):
+            say(console, f"{title}:")
+            for each, path in known.items():
+                say(console, f"  {each:<20} {files.purpose(path)}")
+        return
+    if name is None:
+        raise InputError("NAME: required (`sinsjax init --list` shows the names)")
+    text = files.text_of(name)
+    path = out or Path(name).with_suffix(".toml")
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise InputError(
+            f"{path}: exists, and is left as it is (give another with --out)"
+        ) from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+    say(console, f"{path} written; `sinsjax validate {path}` checks it.")
+
+
+def validate(config: Config, changes: Changes = None) -> None:
+    """Check a study without running it: all of its errors, or what it would run.
+
+    Example: sinsjax validate reset_sweep --set study.draws=64
+    """
+    from sinsjax.cli.study import foreseen
+    from sinsjax.study.changes import parsed
+    from sinsjax.study.problems import problems
+
+    wrong = problems(config, parsed(changes or ()))
+    for line in wrong:
+        typer.echo(f"error: {line}", err=True)
+    if wrong:
+        raise typer.Exit(2)
+    for line in foreseen(config, changes):
+        say(plain_console(), line)
+
+
+COMMANDS = (init, validate)

@@ -1,0 +1,111 @@
+"""Changes to a study by key: ``--set`` of the command line, and `Study.replace`.
+
+A key that is changed takes the place of whatever the study says of it: of an axis, a key of the
+cases or a draw of the same name, and of a key that says the same in another way.
+"""
+
+import tomllib
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from sinsjax.alignment.methods import SECTIONS_OF_METHODS
+from sinsjax.errors import InputError
+from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, marked, rivals
+from sinsjax.value_types import Default
+
+_SWEEPS = ("axes", "drawn")
+_EXAMPLE = "as in alignment.phi_u0_deg"
+
+
+def parsed(texts: Iterable[str]) -> TomlTable:
+    """The values by place of ``PLACE=VALUE``, values as TOML writes them; a word needs no quotes.
+
+    Raises:
+        InputError: a text has no place or no value.
+    """
+    changes = {}
+    for text in texts:
+        place, equals, value = (part.strip() for part in text.partition("="))
+        if not (place and equals and value):
+            raise InputError(f"--set {text}: must be SECTION.KEY=VALUE, {_EXAMPLE}=12")
+        try:
+            changes[place] = tomllib.loads(f"value = {value}")["value"]
+        except ValueError:
+            if not value.isidentifier():
+                raise InputError(f"--set {text}: {value} is no TOML value") from None
+            changes[place] = value
+    return changes
+
+
+def changed(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> TomlTable:
+    """A study's tables with some values changed; both arguments are left as they are.
+
+    Args:
+        tables: sections by name.
+        changes: values by place: ``section.key``, ``axes.key``, ``axes.NAME.key``, ``drawn.key`` or
+            deeper, as ``tune.variables.p0_yaw_deg.low``.
+
+    Raises:
+        InputError: a place names no section or no key.
+    """
+    out = {name: copied(table) for name, table in tables.items()}
+    for place, value in changes.items():
+        section, *path = place.split(".")
+        if not path or not all(path):
+            owner = SECTION_OF.get(place)
+            hint = f"{owner}.{place}" if owner else _EXAMPLE
+            raise InputError(f"{place}: must name a section and a key ({hint})")
+        if section == "cases":
+            raise InputError(f"{place}: cases are a list, whose entries cannot be changed by key")
+        key = path[0] if section != "axes" else path[-1]
+        if section in _SWEEPS or (section in SECTIONS and len(path) == 1):
+            _clear(out, {key, *rivals(key)})
+        table = out.setdefault(section, {})
+        for name in path[:-1]:
+            table = table.setdefault(name, {}) if isinstance(table, dict) else None
+        if not isinstance(table, dict):
+            raise InputError(f"{place}: lies below a value that is no table")
+        table[path[-1]] = value
+    return out
+
+
+def without_defaults(tables: Mapping[str, TomlTable], filled: Mapping[str, Any]) -> TomlTable:
+    """The tables of a resolved study without defaults that depend on other keys.
+
+    Args:
+        tables: sections by name.
+        filled: such defaults by key, where neither the field nor its mark tells them.
+    """
+    out = dict(tables)
+    for name in SECTIONS.keys() & tables.keys():
+        fields, own = SECTIONS[name].model_fields, tables[name]
+        defaults = dict(filled)
+        for key in fields.keys() & own.keys():
+            mark = marked(key, Default) if SECTION_OF[key] == name else None
+            if mark:
+                defaults[key] = mark.value
+            elif fields[key].default_factory or name in SECTIONS_OF_METHODS:
+                defaults[key] = fields[key].get_default(
+                    call_default_factory=True, validated_data=own
+                )
+        out[name] = {k: v for k, v in own.items() if k not in defaults or v != defaults[k]}
+    return out
+
+
+def copied(value: Any) -> Any:
+    """A table with its tables, all of them free to be changed."""
+    if isinstance(value, Mapping):
+        return {key: copied(entry) for key, entry in value.items()}
+    return [copied(entry) for entry in value] if isinstance(value, list | tuple) else value
+
+
+def _clear(tables: TomlTable, keys: set[str]) -> None:
+    """Removes keys from the tables that give or vary them, and a zip that is left empty."""
+    axes, cases = (tables.get(name) for name in ("axes", "cases"))
+    axes = axes if isinstance(axes, dict) else {}
+    given = [tables.get(name) for name in (*SECTIONS, *_SWEEPS) if name != "tune"]
+    for table in (*given, *axes.values(), *(cases if isinstance(cases, list) else ())):
+        for key in keys & table.keys() if isinstance(table, dict) else ():
+            del table[key]
+    for name in [name for name, table in axes.items() if table == {}]:
+        del axes[name]

@@ -1,0 +1,96 @@
+"""Study files: the shipped ones by name, templates to begin a study from, and reading them."""
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from sinsjax.errors import InputError
+from sinsjax.messages import near, one_line
+from sinsjax.platform.assets import asset
+
+_FOLDER = "configs"
+TEMPLATES = ("sweep", "record", "tune", "compare")
+"""Kinds of study that have a template."""
+
+
+def studies() -> dict[str, Path]:
+    """The files of the shipped studies by name, in alphabetical order."""
+    return {path.stem: path for path in sorted(asset(_FOLDER).glob("*.toml"))}
+
+
+def templates() -> dict[str, Path]:
+    """The files of the templates by name."""
+    return {name: asset(f"{_FOLDER}/templates/{name}.toml") for name in TEMPLATES}
+
+
+def found(given: str | Path) -> Path:
+    """The file that a study's name stands for; what stands for none is returned as given.
+
+    Args:
+        given: a file, which comes first, with or without ``.toml``; or a shipped study, as
+            ``reset_sweep``, ``reset_sweep.toml`` or ``configs/reset_sweep.toml``.
+    """
+    path = Path(given)
+    with_suffix = path if path.suffix == ".toml" else path.with_name(f"{path.name}.toml")
+    if not path.name or path.is_file():
+        return path
+    if with_suffix.is_file():
+        return with_suffix
+    if path.parent.as_posix() in (".", _FOLDER):
+        return studies().get(with_suffix.stem, path)
+    return path
+
+
+def purpose(path: Path) -> str:
+    """What a study is for: the first sentence of the comment that it begins with."""
+    lines = []
+    for line in path.read_text("utf-8").splitlines():
+        if not line.startswith("# "):
+            break
+        lines.append(line[2:].strip())
+    text = " ".join(lines)
+    ends = [at + 1 for mark in (". ", "? ") if (at := text.find(mark)) > 0]
+    return text[: min(ends, default=len(text))] or path.stem
+
+
+def text_of(name: str) -> str:
+    """The text of a template or shipped study, comments included.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    known = studies() | templates()
+    stem = name.removesuffix(".toml")
+    if stem not in known:
+        raise InputError(
+            f"{name}: no study of this name (`init --list` shows them){near(stem, known)}"
+        )
+    return known[stem].read_text("utf-8")
+
+
+def read_tables(path: str | Path) -> dict[str, Any]:
+    """The tables of a study file, unchecked.
+
+    Args:
+        path: the file, or the name of a shipped study.
+
+    Raises:
+        InputError: the file cannot be read or is no TOML; one line says why.
+    """
+    try:
+        return tomllib.loads(found(path).read_text("utf-8-sig"))
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}{_hint(path)}") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is no UTF-8 text") from None
+    except ValueError as error:
+        raise InputError(one_line(f"{path}: is no TOML: {error}")) from None
+    except RecursionError:
+        raise InputError(f"{path}: is nested too deeply") from None
+
+
+def _hint(given: str | Path) -> str:
+    """The nearest shipped study to a name that stands for no file, if any."""
+    return near(Path(given).stem, studies())
