@@ -41,10 +41,11 @@ app = typer.Typer(
 command = partial(app.command, cls=Command)
 
 
-def _version(wanted: bool) -> None:
+def _version(wanted: bool) -> bool:
     if wanted:
         typer.echo(f"sinsjax {runtime.package_version()}")
         raise typer.Exit
+    return wanted
 
 
 @app.callback()

@@ -57,15 +57,15 @@ def changed(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> TomlTable:
             raise InputError(f"{place}: must name a section and a key ({hint})")
         if section == "cases":
             raise InputError(f"{place}: cases are a list, whose entries cannot be changed by key")
-        key = path[0] if section != "axes" else path[-1]
-        if section in _SWEEPS or (section in SECTIONS and len(path) == 1):
-            _clear(out, {key, *rivals(key)})
         table = out.setdefault(section, {})
         for name in path[:-1]:
             table = table.setdefault(name, {}) if isinstance(table, dict) else None
         if not isinstance(table, dict):
             raise InputError(f"{place}: lies below a value that is no table")
         table[path[-1]] = value
+        key = path[0] if section != "axes" else path[-1]
+        if section in _SWEEPS or (section in SECTIONS and len(path) == 1):
+            _clear(out, key, table if section == "axes" else out[section])
     return out
 
 
@@ -99,13 +99,17 @@ def copied(value: Any) -> Any:
     return [copied(entry) for entry in value] if isinstance(value, list | tuple) else value
 
 
-def _clear(tables: TomlTable, keys: set[str]) -> None:
-    """Removes keys from the tables that give or vary them, and a zip that is left empty."""
+def _clear(tables: TomlTable, key: str, kept: TomlTable) -> None:
+    """Removes a key, and those that say the same, from all tables that give or vary them but one.
+
+    There the key alone stays, in the place that it has. A zip that is left empty goes.
+    """
     axes, cases = (tables.get(name) for name in ("axes", "cases"))
     axes = axes if isinstance(axes, dict) else {}
     given = [tables.get(name) for name in (*SECTIONS, *_SWEEPS) if name != "tune"]
     for table in (*given, *axes.values(), *(cases if isinstance(cases, list) else ())):
-        for key in keys & table.keys() if isinstance(table, dict) else ():
-            del table[key]
+        for other in {key, *rivals(key)} if isinstance(table, dict) else ():
+            if table is not kept or other != key:
+                table.pop(other, None)
     for name in [name for name, table in axes.items() if table == {}]:
         del axes[name]

@@ -111,8 +111,10 @@ def _without(data: TomlTable, place: Place) -> TomlTable:
 def _other(values: Any, entry: int) -> Any:
     """A value for an entry of a list, from another entry but not equal to it; None without one."""
     others = [values[at] for at in range(len(values)) if at != entry]
-    numbers = [value for value in others if type(value) in (int, float) and value > 0]
-    return numbers[0] * (1 + 1e-6 * (entry + 1)) if numbers else next(iter(others), None)
+    numbers = [value for value in others if type(value) in (int, float)]
+    if not numbers:
+        return next(iter(others), None)
+    return min(numbers, key=abs) + 1e-6 * (entry + 1)
 
 
 def _stood_in(data: TomlTable, source: str, place: Place) -> TomlTable:

@@ -1,0 +1,230 @@
+"""The first ten minutes: studies by name, templates, checks before a run, help, a wheel alone."""
+
+import os
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import tomli_w
+
+import sinsjax as package
+from sinsjax import cli
+from sinsjax.cli import options
+from sinsjax.study import files
+
+Command = Callable[..., tuple[int, str, str]]
+ROOT = Path(__file__).parents[2]
+
+WRONG = """
+[study]
+duration_s = "long"
+rate_hz = 100.0
+draws = 0
+seedd = 3
+
+[earth]
+latitude_deg = 200.0
+gravity_m_per_s2 = 980.0
+
+[motion]
+pitch_amplitude_deg = 3.0
+yaw_center_deg = 0.0
+
+[filtr]
+p0_yaw_deg = 1.0
+
+[axes]
+phi_u0_deg = [0, "x", 400]
+
+[[cases]]
+case = "a"
+p0_yaw_deg = -1.0
+
+[[cases]]
+case = "b"
+p0_yaw_deg = 80.0
+"""
+
+
+@pytest.fixture
+def sinsjax(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Command:
+    """Runs a command line in this process, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*words: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["sinsjax", *map(str, words)])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        told = capsys.readouterr()
+        return int(stop.value.code or 0), told.out, told.err
+
+    return call
+
+
+def test_shipped_studies_go_by_name(sinsjax: Command) -> None:
+    path = ROOT / "configs" / "reset_sweep.toml"
+    for name in ("reset_sweep", "reset_sweep.toml", "configs/reset_sweep.toml", path):
+        assert files.found(name).samefile(path)
+    assert package.load_study("reset_sweep").name == "reset_sweep"
+    with pytest.raises(package.InputError, match=r"^reset_sweeps: cannot .*mean reset_sweep\?"):
+        package.load_study("reset_sweeps")
+
+
+def test_a_file_of_the_folder_wins(sinsjax: Command, tmp_path: Path) -> None:
+    (tmp_path / "reset_sweep").mkdir()  # results are no study
+    assert files.found("reset_sweep").samefile(ROOT / "configs" / "reset_sweep.toml")
+    (tmp_path / "reset_sweep.toml").write_text("x = 1\n")
+    assert files.found("reset_sweep").samefile(tmp_path / "reset_sweep.toml")
+
+
+def test_init_copies_with_comments(sinsjax: Command, tmp_path: Path) -> None:
+    code, told, error = sinsjax("init", "reset_sweep")
+    assert (code, error) == (0, "") and "sinsjax validate reset_sweep.toml" in told
+    copy = tmp_path / "reset_sweep.toml"
+    assert copy.read_bytes() == (ROOT / "configs" / "reset_sweep.toml").read_bytes()
+    code, _, error = sinsjax("init", "tune", "--out", copy)
+    assert (code, error.count("\n")) == (2, 1) and "exists" in error
+    code, _, error = sinsjax("init", "reset_swep")
+    assert code == 2 and "did you mean reset_sweep?" in error
+    code, told, _ = sinsjax("init", "--list")
+    assert code == 0 and {*files.templates(), *files.studies()} <= set(told.split())
+
+
+@pytest.mark.parametrize("name", files.TEMPLATES)
+def test_templates_are_valid_and_tell_meaning_and_unit(sinsjax: Command, name: str) -> None:
+    untold = ("name", "earth", "reset_times_s", "case", "method")
+    assert sinsjax("init", name)[0] == 0
+    code, told, error = sinsjax("validate", name)
+    assert (code, error) == (0, "") and f"{name}.toml: valid; " in told
+    for line in Path(f"{name}.toml").read_text().splitlines():
+        key, equals, value = line.partition(" = ")
+        if equals and key.isidentifier() and key not in untold:
+            assert "# " in value, line
+
+
+def test_validate_tells_all_errors(sinsjax: Command, tmp_path: Path) -> None:
+    (tmp_path / "wrong.toml").write_text(WRONG)
+    code, told, error = sinsjax("validate", "wrong")
+    lines = [line.removeprefix("error: wrong.toml: ") for line in error.splitlines()]
+    assert (code, told) == (2, "")
+    assert {line.partition(":")[0] for line in lines} == {
+        "[study] seedd",
+        "[filtr]",
+        "[axes] phi_u0_deg[1]",
+        "[axes] phi_u0_deg[2]",
+        "[cases] p0_yaw_deg[0]",
+        "[study] duration_s",
+        "[study] draws",
+        "[earth] latitude_deg",
+        "[earth] gravity_m_per_s2",
+        "[motion] pitch_period_s",
+    }
+    assert len(lines) == 10
+
+
+def test_validate_tells_what_would_run(sinsjax: Command) -> None:
+    code, told, _ = sinsjax("validate", "reset_sweep", "--set", "alignment.phi_u0_deg=12")
+    assert code == 0 and "variants: 56, draws: 16." in told
+    assert "896 runs of up to 900 s: roughly" in told and "of memory" in told and "on disk" in told
+    assert "Up to 90,000 steps a run, 80,640,000 in all." in told
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("phi_u0_deg", "must be SECTION.KEY=VALUE"),
+        ("phi_u0_deg=1", "(alignment.phi_u0_deg)"),
+        ("alignment.phi_u0_deg=[", "no TOML value"),
+        ("alignment.phi=1", "[alignment] phi: unknown key"),
+        ("study.seed.x=1", "lies below a value"),
+        ("cases.p0_yaw_deg=1", "cases are a list"),
+    ],
+)
+def test_what_cannot_be_set_is_one_line(sinsjax: Command, text: str, reason: str) -> None:
+    code, _, error = sinsjax("validate", "reset_sweep", "--set", text)
+    assert (code, error.count("\n")) == (2, 1) and error.startswith("error: ") and reason in error
+
+
+def test_a_changed_study_is_what_runs(sinsjax: Command, tmp_path: Path) -> None:
+    settings = ("study.duration_s=20", "study.window_s=[10,20]", "study.draws=2")
+    swept = ("axes.reset_count=[0]", "alignment.phi_u0_deg=12", "alignment.method=kalman10")
+    words = [word for text in (*settings, *swept) for word in ("--set", text)]
+    code, _, error = sinsjax("validate", "reset_sweep", *words)
+    assert (code, error) == (0, "")
+    study = package.load_study("reset_sweep", {"alignment.phi_u0_deg": 12, "axes.reset_count": [0]})
+    assert study.alignment.phi_u0_deg == 12 and list(study.axes) == ["reset_count", "reset_cycle_s"]
+
+
+def test_a_study_is_replaced_in_part() -> None:
+    study = package.load_study("reset_sweep")
+    assert study.replace({}) == study
+    longer = study.replace({"study.duration_s": 1200.0, "alignment.phi_u0_deg": 12.0})
+    assert longer.duration_s == 1200.0 and longer.n_variants == 56
+    assert (
+        study.replace({"sensors.gyro_arw_deg_per_sqrt_h": 0.1}).sensors.gyro_noise_deg_per_h is None
+    )
+    with pytest.raises(package.InputError, match=r"\[study\] draws: must be greater"):
+        study.replace({"study.draws": 0})
+
+
+def test_draws_and_zips_are_set_by_their_keys() -> None:
+    changes = {"drawn.phi_u0_deg.uniform": [-5.0, 5.0], "axes.level.phi_e0_deg": [1.0, 2.0]}
+    study = package.load_study("reset_sweep", changes | {"axes.level.phi_n0_deg": [1.0, 2.0]})
+    assert study.drawn_keys == ("phi_u0_deg",)
+    assert study.axis_keys == ("phi_e0_deg", "phi_n0_deg", "reset_count", "reset_cycle_s")
+
+
+def test_defaults_that_depend_on_others_are_made_anew() -> None:
+    template = package.load_study(files.templates()["sweep"])
+    assert template.study.window_s == (200.0, 300.0)
+    assert template.replace({"study.duration_s": 600.0}).study.window_s == (400.0, 600.0)
+    compare = package.load_study(files.templates()["compare"])
+    assert compare.replace({}) == compare
+
+
+def test_help_and_version(sinsjax: Command) -> None:
+    assert sinsjax("--version")[:2] == (0, f"sinsjax {package.__version__}\n")
+    code, told, _ = sinsjax("report", "-h")
+    assert code == 0 and "report [OPTIONS] DIR..." in told
+    for command in ("run", "sweep", "align", "tune", "rerun", "report", "init", "validate"):
+        told = sinsjax(command, "-h")[1]
+        assert not {"<list", "<path>", "{", "--no-overwrite"} & set(told.split()), command
+        assert "<" not in told and "--no-" not in told
+
+
+def test_words_are_completed(sinsjax: Command, tmp_path: Path) -> None:
+    (tmp_path / "reset_mine.toml").write_text(tomli_w.dumps({}))
+    names = options.study_names("reset_")
+    assert names == ["reset_mine.toml", "reset_cycle_study", "reset_phase", "reset_sweep"]
+    assert options.places("alignment.phi_u") == ["alignment.phi_u0_deg="]
+
+
+@pytest.mark.slow
+def test_the_wheel_is_enough(tmp_path: Path) -> None:
+    """Built, unpacked and used in an empty folder: what the README tells to type is found."""
+    build = pytest.importorskip("hatchling.build")
+    here = os.getcwd()
+    try:
+        os.chdir(ROOT)
+        wheel = build.build_wheel(str(tmp_path))
+    finally:
+        os.chdir(here)
+    with zipfile.ZipFile(tmp_path / wheel) as archive:
+        archive.extractall(tmp_path / "site")
+    (tmp_path / "empty").mkdir()
+    for words in (["init", "sweep"], ["validate", "configs/reset_sweep.toml"]):
+        done = subprocess.run(
+            [sys.executable, "-m", "sinsjax", *words],
+            cwd=tmp_path / "empty",
+            env=os.environ | {"PYTHONPATH": str(tmp_path / "site")},
+            capture_output=True,
+            text=True,
+        )
+        assert (done.returncode, done.stderr) == (0, "")
+    assert str(tmp_path / "site" / "sinsjax" / "assets") in done.stdout
+    assert (tmp_path / "empty" / "sweep.toml").is_file()
