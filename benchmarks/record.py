@@ -25,6 +25,7 @@ SCRIPTS = (
     "noise",
     "methods",
     "answer",
+    "cells",
     "devices",
     "scaling",
     "cold_start",

@@ -229,6 +229,9 @@ def companion(column: Column) -> Column:
     return column._replace(name=name, meaning=f"of the run's companion: {column.meaning}")
 
 
+DRAWS = Column("draws", _I, "", "draws that the statistics of the variant rest on")
+
+
 def controlled(name: str, unit: str, meaning: str) -> tuple[Column, ...]:
     """Columns of an estimate from draws alone, the same with companions, and the factor saved.
 

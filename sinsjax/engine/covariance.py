@@ -106,7 +106,8 @@ def _spread(
     """`spread`, of sampled errors from one key."""
     n, criteria = states_of(rows.shape[1]), environment.criteria
     lanes, samples = len(floor), static.sampled_errors
-    normals = standard_normals(key, len(rows), n, samples)
+    half = samples // 2
+    normals = jax.random.normal(key, (len(rows), n, half), float)
     over_lanes = jax.vmap(partial(_over_record, criteria), in_axes=(0, None, None, 0, 0))
 
     def over(carry: _Carry, record: tuple[Scalar, Array, Array]) -> tuple[_Carry, Array]:
@@ -116,7 +117,7 @@ def _spread(
         return carry, jnp.stack(told)  # several arrays XLA would copy with every record
 
     zero = jnp.zeros_like(floor)
-    none = (jnp.zeros((lanes, samples)),) * n
+    none = (jnp.zeros((lanes, half)),) * n
     outside = jnp.zeros((lanes, 2, len(criteria.bands), samples))
     begun = _Carry((zero,) * (n * (n + 1) // 2), none, outside)
     ended, told = jax.lax.scan(over, begun, (record_times(static), rows, normals))
@@ -130,7 +131,10 @@ def _variances(sigmas: np.ndarray) -> tuple[np.float64, ...]:
 
 
 class _Carry(NamedTuple):
-    """Of one run: S, sampled errors by state (samples,), and (2, B, samples) outside until, s."""
+    """Of one run: S, half of the sampled errors by state (samples / 2,), and outside until, s.
+
+    The other half has the opposite noise. ``outside`` is (2, B, samples).
+    """
 
     s: Triangle
     e: tuple[Array, ...]
@@ -156,7 +160,8 @@ def _over_record(
         + sum(root[i][j] * normal[j] for j in range(i + 1))
         for i in range(n)
     )
-    error = row[2] + sum(a * one for a, one in zip(angles[2], e, strict=True))
+    away = sum(a * one for a, one in zip(angles[2], e, strict=True))
+    error = row[2] + jnp.concatenate([away, -away])  # of the opposite noise
     now = jnp.stack([over_bands(criteria, error - floor), over_bands(criteria, error)])
     sigma = (jnp.sqrt(_variance(one, s)) for one in angles)
     outside = mix(now, time, carry.outside)
@@ -197,9 +202,3 @@ def _variance(row: tuple[Scalar, ...], s: Triangle) -> Scalar:
     at = triangle_index(n)
     terms = (row[i] * row[j] * s[at[i, j]] for i in range(n) for j in range(n))
     return jnp.maximum(sum(terms), 0.0)
-
-
-def standard_normals(key: Array, records: int, n: int, samples: int) -> Array:
-    """(records, n, samples) standard normal numbers, half of them the others' opposites."""
-    half = jax.random.normal(key, (records, n, samples // 2), float)
-    return jnp.concatenate([half, -half], axis=-1)

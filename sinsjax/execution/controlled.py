@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from sinsjax import columns
 from sinsjax.analysis import Estimate
 from sinsjax.analysis.controlled import (
     Expectation,
@@ -128,18 +129,19 @@ def concluded(study: Study, estimates: pa.Table, summary: pa.Table) -> pa.Table:
         cells = np.array([row[number] for row in found]).T
         for column, values in zip(one.columns, cells, strict=True):
             estimates = _with(estimates, column.name, values)
-    return estimates
+    draws = summary.num_rows // estimates.num_rows
+    return _with(estimates, columns.DRAWS.name, np.full(estimates.num_rows, draws))
 
 
 def by_variant(study: Study, summary: pa.Table) -> Iterator[Draws]:
     """The draws of each variant, in the order of the variants."""
     ends = spans_s(study)[:, 0]
     summary = summary.sort_by([("variant_id", "ascending"), ("draw_id", "ascending")])
-    columns = {n: summary[n].to_numpy(zero_copy_only=False) for n in summary.column_names}
-    ids = columns.pop("variant_id")
+    rows = {n: summary[n].to_numpy(zero_copy_only=False) for n in summary.column_names}
+    ids = rows.pop("variant_id")
     bounds = np.flatnonzero(np.diff(ids, prepend=-1))
     for first, last in zip(bounds, [*bounds[1:], len(ids)], strict=True):
-        yield Draws({n: c[first:last] for n, c in columns.items()}, float(ends[ids[first]]))
+        yield Draws({n: c[first:last] for n, c in rows.items()}, float(ends[ids[first]]))
 
 
 def _statistic(one: Statistic, draws: Draws, estimate: dict[str, Any]) -> list[float]:
@@ -169,4 +171,5 @@ def _expectation(one: Statistic, estimate: dict[str, Any]) -> Expectation:
 def _with(table: pa.Table, name: str, values: NDArray) -> pa.Table:
     """A table with other values in a column of numbers; NaN is null."""
     place = table.column_names.index(name)
-    return table.set_column(place, table.schema.field(name), nullable(values))
+    field = table.schema.field(name)
+    return table.set_column(place, field, nullable(values).cast(field.type))

@@ -57,6 +57,7 @@ def estimates(study: Study) -> tuple[Column, ...]:
             for c in columns.settle_estimates(band, truth=truth)
         ),
         *columns.LIMIT,
+        *((columns.DRAWS,) if study.is_controlled else ()),
         *(c for one in controlled(study) for c in one.columns),
         *(map(columns.nonlinearity, times) if study.checks_linearity else ()),
         *((columns.FILLED,) if study.checks_linearity else ()),

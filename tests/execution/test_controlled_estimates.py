@@ -100,6 +100,7 @@ def test_few_draws_estimate_what_many_do(stored: Path, many: pa.Table) -> None:
 
 def test_plain_estimates_are_those_of_the_draws_alone(stored: Path) -> None:
     rows, made = read_summary(stored), read_estimates(stored)
+    assert made["draws"].to_pylist() == [DRAWS] * 4
     seconds = rows["settle_10_truth_s"].fill_null(40.0).to_numpy().reshape(DRAWS, 4)
     np.testing.assert_allclose(made["plain_settle_10_truth_mean_s"], seconds.mean(0))
     within = np.abs(rows["phi_u_arcmin"].to_numpy().reshape(DRAWS, 4)) <= 20
