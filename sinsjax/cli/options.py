@@ -20,6 +20,14 @@ def study_names(incomplete: str) -> list[str]:
     return [name for name in (*here, *files.studies()) if name.startswith(incomplete)]
 
 
+def sections_and_keys(incomplete: str) -> list[str]:
+    """The sections and keys that `sinsjax keys` explains."""
+    from sinsjax.study.key_table import TABLES
+
+    known = [*TABLES, *(key for model in TABLES.values() for key in model.model_fields)]
+    return [name for name in known if name.startswith(incomplete)]
+
+
 def places(incomplete: str) -> list[str]:
     """The keys that may be set, as ``section.key=``."""
     from sinsjax.study.keys import SECTIONS

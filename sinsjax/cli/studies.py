@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from sinsjax.cli import options
 from sinsjax.cli.options import Changes, Config
 from sinsjax.console import plain_console, say
 from sinsjax.errors import InputError
@@ -80,4 +81,29 @@ def validate(config: Config, changes: Changes = None) -> None:
         say(plain_console(), line)
 
 
-COMMANDS = (init, validate)
+def keys(
+    wanted: Annotated[
+        str | None,
+        typer.Argument(
+            help="Section or key; all without one.",
+            show_default=False,
+            metavar="SECTION|KEY",
+            autocompletion=options.sections_and_keys,
+        ),
+    ] = None,
+) -> None:
+    """Explain the keys of a study: name, unit, default, meaning, and the methods that read them.
+
+    Example: sinsjax keys reset_cycle_s
+    """
+    from sinsjax.study import key_table
+
+    console = plain_console()
+    for key in key_table.keys(wanted):
+        default = key.default if key.default in ("", "required") else f"default {key.default}"
+        about = filter(None, (key.unit, default, f"methods: {key.read_by}"))
+        say(console, f"[{key.section}] {key.name}: {'; '.join(about)}")
+        say(console, f"    {key.meaning}", wrap=True)
+
+
+COMMANDS = (init, validate, keys)

@@ -33,10 +33,15 @@ def deciding(key: str) -> tuple[str, ...]:
 @cache
 def _of_all(key: str) -> bool:
     """Whether a key acts whatever the method."""
+    return len(readers(key)) == len(METHODS)
+
+
+def readers(key: str) -> tuple[str, ...]:
+    """The methods that a key acts on; all of them where no method claims it."""
     methods = METHODS.values()
-    return not any(key in method.keys for method in methods) or all(
-        key in method.keys and key not in method.silent for method in methods
-    )
+    if not any(key in method.keys for method in methods):
+        return tuple(METHODS)
+    return tuple(m.name for m in methods if key in m.keys and key not in m.silent)
 
 
 def acts(key: str, values: Mapping[str, Any]) -> bool:

@@ -9,6 +9,7 @@ from sinsjax.messages import near, one_line
 from sinsjax.platform.assets import asset
 
 _FOLDER = "configs"
+_SCHEMA = "#:schema"
 TEMPLATES = ("sweep", "record", "tune", "compare")
 """Kinds of study that have a template."""
 
@@ -44,7 +45,7 @@ def found(given: str | Path) -> Path:
 def purpose(path: Path) -> str:
     """What a study is for: the first sentence of the comment that it begins with."""
     lines = []
-    for line in path.read_text("utf-8").splitlines():
+    for line in _body(path).splitlines():
         if not line.startswith("# "):
             break
         lines.append(line[2:].strip())
@@ -54,7 +55,7 @@ def purpose(path: Path) -> str:
 
 
 def text_of(name: str) -> str:
-    """The text of a template or shipped study, comments included.
+    """The text of a template or shipped study, comments included, with the way to the schema.
 
     Raises:
         InputError: there is none of that name.
@@ -65,7 +66,13 @@ def text_of(name: str) -> str:
         raise InputError(
             f"{name}: no study of this name (`init --list` shows them){near(stem, known)}"
         )
-    return known[stem].read_text("utf-8")
+    return f"{_SCHEMA} {asset(f'{_FOLDER}/schema.json').as_uri()}\n{_body(known[stem])}"
+
+
+def _body(path: Path) -> str:
+    """A shipped file without its first line, which tells editors the way to its schema."""
+    first, _, rest = path.read_text("utf-8").partition("\n")
+    return rest if first.startswith(_SCHEMA) else f"{first}\n{rest}"
 
 
 def read_tables(path: str | Path) -> dict[str, Any]:

@@ -14,6 +14,7 @@ import sinsjax as package
 from sinsjax import cli
 from sinsjax.cli import options
 from sinsjax.study import files
+from sinsjax.study.keys import SECTION_OF
 
 Command = Callable[..., tuple[int, str, str]]
 ROOT = Path(__file__).parents[2]
@@ -86,7 +87,10 @@ def test_init_copies_with_comments(sinsjax: Command, tmp_path: Path) -> None:
     code, told, error = sinsjax("init", "reset_sweep")
     assert (code, error) == (0, "") and "sinsjax validate reset_sweep.toml" in told
     copy = tmp_path / "reset_sweep.toml"
-    assert copy.read_bytes() == (ROOT / "configs" / "reset_sweep.toml").read_bytes()
+    schema, _, text = copy.read_text().partition("\n")
+    assert schema == f"#:schema {(ROOT / 'configs' / 'schema.json').as_uri()}"
+    original = (ROOT / "configs" / "reset_sweep.toml").read_text()
+    assert original == f"#:schema ./schema.json\n{text}"
     code, _, error = sinsjax("init", "tune", "--out", copy)
     assert (code, error.count("\n")) == (2, 1) and "exists" in error
     code, _, error = sinsjax("init", "reset_swep")
@@ -187,11 +191,27 @@ def test_defaults_that_depend_on_others_are_made_anew() -> None:
     assert compare.replace({}) == compare
 
 
+def test_keys_are_explained(sinsjax: Command) -> None:
+    code, told, _ = sinsjax("keys", "reset_count")
+    assert code == 0
+    assert told.startswith("[resets] reset_count: default 0; methods: all but optimisation, ")
+    assert "number of resets" in told and told.count("\n") == 2
+    assert sinsjax("keys", "earth")[1].count("[earth]") == 6
+    code, _, error = sinsjax("keys", "reset_cont")
+    assert code == 2 and "did you mean reset_count?" in error
+
+
+def test_every_key_is_explained(sinsjax: Command) -> None:
+    code, told, _ = sinsjax("keys")
+    assert code == 0
+    assert all(f"] {key}: " in told for key in SECTION_OF)
+
+
 def test_help_and_version(sinsjax: Command) -> None:
     assert sinsjax("--version")[:2] == (0, f"sinsjax {package.__version__}\n")
     code, told, _ = sinsjax("report", "-h")
     assert code == 0 and "report [OPTIONS] DIR..." in told
-    for command in ("run", "sweep", "align", "tune", "rerun", "report", "init", "validate"):
+    for command in ("run", "sweep", "align", "tune", "rerun", "report", "init", "validate", "keys"):
         told = sinsjax(command, "-h")[1]
         assert not {"<list", "<path>", "{", "--no-overwrite"} & set(told.split()), command
         assert "<" not in told and "--no-" not in told
@@ -201,6 +221,7 @@ def test_words_are_completed(sinsjax: Command, tmp_path: Path) -> None:
     (tmp_path / "reset_mine.toml").write_text(tomli_w.dumps({}))
     names = options.study_names("reset_")
     assert names == ["reset_mine.toml", "reset_cycle_study", "reset_phase", "reset_sweep"]
+    assert options.sections_and_keys("reset_r") == ["reset_restarts_feedback"]
     assert options.places("alignment.phi_u") == ["alignment.phi_u0_deg="]
 
 

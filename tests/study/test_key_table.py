@@ -1,0 +1,56 @@
+"""The table of keys and the schema for editors: both are what the sections say."""
+
+import json
+import tomllib
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from sinsjax.study import files, json_schema, key_table
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_the_page_of_keys_is_up_to_date():
+    assert (ROOT / "docs" / "keys.md").read_text(encoding="utf-8") == key_table.page()
+
+
+def test_the_schema_is_up_to_date():
+    stored = (ROOT / "configs" / "schema.json").read_text(encoding="utf-8")
+    assert json.loads(stored) == json_schema.schema()
+
+
+@pytest.mark.parametrize(
+    ("key", "unit", "default", "read_by"),
+    [
+        ("phi_u0_deg", "deg", "0", "all but optimisation, inertial"),
+        ("gravity_m_per_s2", "m/s^2", "9.8", "all"),
+        ("feedback_interval_s", "s", "1", None),
+        ("window_s", "s", "the last third of the duration", "all"),
+        ("duration_s", "s", "required", "all"),
+        ("level_sigma_per_s", "1/s", None, "compass"),
+    ],
+)
+def test_what_a_key_is_told_as(key, unit, default, read_by):
+    (told,) = key_table.keys(key)
+    assert told.unit == unit
+    assert default is None or told.default == default
+    assert read_by is None or told.read_by == read_by
+
+
+def test_words_that_a_key_takes_are_told():
+    (told,) = key_table.keys("resets.reset_kind")
+    assert told.meaning.endswith('("full" | "yaw" | "scale")')
+
+
+def test_every_key_has_a_meaning():
+    assert all(key.meaning for key in key_table.keys())
+
+
+def test_the_schema_takes_every_shipped_study_and_no_unknown_key():
+    known = jsonschema.Draft7Validator(json_schema.schema())
+    for path in (*files.studies().values(), *files.templates().values()):
+        assert not list(known.iter_errors(tomllib.loads(path.read_text("utf-8")))), path.name
+    for wrong in ({"alignment": {"phi": 1}}, {"filtr": {}}, {"axes": {"phi_u0_deg": ["x"]}}):
+        assert not known.is_valid(wrong)
