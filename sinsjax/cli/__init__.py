@@ -26,7 +26,7 @@ from sinsjax.cli.options import (
     Reference,
     Resume,
 )
-from sinsjax.cli.study import check_options, configure, loaded, made_ready, run_study
+from sinsjax.cli.study import check_options, configure, loaded, made_ready, named, run_study
 from sinsjax.console import lasting, plain_console, say
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.messages import one_line
@@ -213,7 +213,7 @@ def tune(
             resume=resume,
             watch=lambda name: progress.progress(terminal, f"{study.name}: {name}"),
             stop=stop,
-            source=config,
+            source=named(config, changes),
         )
     import_module("sinsjax.report").summarise([out], terminal)
 

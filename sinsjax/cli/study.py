@@ -101,7 +101,7 @@ def run_study(
             executor=executor,
             tell=tell,
             stop=stop,
-            source=config,
+            source=named(config, changes),
         )
     import_module("sinsjax.report").summarise([out], terminal)
 
@@ -117,9 +117,15 @@ def loaded(config: Path, changes: list[str] | None = None) -> Any:
     return study
 
 
+def named(config: Path, changes: list[str] | None) -> Path | str:
+    """How results name their study: its file, and what ``--set`` changed."""
+    file = config.name if config.is_absolute() else config.as_posix()
+    return f"{file} with {', '.join(changes)}" if changes else config
+
+
 def foreseen(config: Path, changes: list[str] | None) -> list[str]:
     """What a study would run, without running it: runs, steps, time, memory and disk."""
-    from sinsjax.execution import forecast
+    from sinsjax.execution import forecast, preflight
 
     study = loaded(config, changes)
     if study.tune:
@@ -134,7 +140,8 @@ def foreseen(config: Path, changes: list[str] | None) -> list[str]:
     steps = expected.length_s * study.rate_hz
     lines.append(f"{expected.describe(runtime.usable_cores())}.")
     lines.append(f"Up to {steps:,.0f} steps a run, {steps * expected.runs:,.0f} in all.")
-    return lines
+    warnings = [] if study.is_recorded else preflight.warnings_of(study)
+    return [*lines, *(f"Warning: {line}" for line in warnings)]
 
 
 def made_ready(study: Any, stored: Any, terminal: Console) -> Any:

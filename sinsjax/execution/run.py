@@ -186,7 +186,7 @@ def run_into(
     executor: Executor | None = None,
     tell: Tell | None = None,
     stop: threading.Event | None = None,
-    source: Path | None = None,
+    source: Path | str | None = None,
 ) -> None:
     """Run a study into a directory, one Parquet part per chunk.
 
@@ -201,8 +201,8 @@ def run_into(
         executor: runs the tasks; None for all devices of this process.
         tell: called with the progress before the first chunk and after every one.
         stop: event that ends the study after the running chunks.
-        source: the study's file, named in the manifest; an absolute path is shortened to the file
-            name, since it means nothing on another machine.
+        source: the study's file, or words for it, named in the manifest; an absolute path is
+            shortened to the file name, since it means nothing on another machine.
 
     Raises:
         InputError: the record does not fit, or the directory cannot be used; both are checked
@@ -225,7 +225,7 @@ def run_into(
         job = resuming.resumed(directory, job, session["instructions"])
     runner = TaskRunner(job)
     facts = {
-        "config": source and (source.name if source.is_absolute() else source.as_posix()),
+        "config": _told(source) if isinstance(source, Path) else source,
         "record": None if tape is None else Path(tape.record.source).name,
         "warnings": warnings,
         "session": session,
@@ -235,6 +235,10 @@ def run_into(
         _carry_out(runner, held, executor, _ProgressCounter(study, tell), stop or threading.Event())
     finally:
         held.release()
+
+
+def _told(file: Path) -> str:
+    return file.name if file.is_absolute() else file.as_posix()
 
 
 def _carry_out(

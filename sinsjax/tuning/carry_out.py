@@ -45,7 +45,7 @@ def tune(
     resume: bool = False,
     watch: Watch | None = None,
     stop: threading.Event | None = None,
-    source: Path | None = None,
+    source: Path | str | None = None,
 ) -> None:
     """Tune a study into a directory.
 
@@ -60,7 +60,7 @@ def tune(
         resume: whether to keep complete searches of the same tuning run and do only the rest.
         watch: gives the progress callback for the name of a search.
         stop: event that ends the tuning run; complete stages are kept.
-        source: the study's file, named in manifests.
+        source: the study's file, or words for it, named in manifests.
 
     Raises:
         InputError: no [tune] or no reference, a variable without a gradient, a record that does not

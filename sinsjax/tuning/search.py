@@ -50,7 +50,7 @@ class SearchSession(NamedTuple):
     resume: bool
     watch: Callable[[str], AbstractContextManager[Tell | None]]
     stop: threading.Event
-    source: Path | None
+    source: Path | str | None
 
     def run(self, study: Study, name: str) -> Path:
         """Run a study without curves into a subdirectory; gives its path."""

@@ -260,16 +260,16 @@ def test_report_needs_parquet_alone(sinsjax: Command, tmp_path: Path) -> None:
     assert list((out / "figures").glob("*.png"))
 
 
-@pytest.mark.parametrize("folder", ["", "mine/"])
-def test_a_page_names_the_file_that_was_given(
-    sinsjax: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str
+@pytest.mark.parametrize(("folder", "change"), [("", ""), ("mine/", "study.seed=3")])
+def test_a_page_names_the_file_that_was_given_and_what_was_set(
+    sinsjax: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str, change: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / folder).mkdir(exist_ok=True)
     config = write_study(tmp_path / folder, **TWO).relative_to(tmp_path)
-    assert sinsjax("sweep", config, "-o", "out")[0] == 0
+    assert sinsjax("sweep", config, "-o", "out", *(["--set", change] if change else []))[0] == 0
     assert sinsjax("report", "out", "--page", "page.md", "--html", "page.html")[0] == 0
-    named = f"{folder}study.toml; computed by sinsjax "
+    named = f"{folder}study.toml{change and f' with {change}'}; computed by sinsjax "
     assert f"page.md ({named}" in Path("page.md").read_text()
     assert f"<footer>{named}" in Path("page.html").read_text()
 
