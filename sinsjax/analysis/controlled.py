@@ -8,6 +8,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
@@ -179,3 +180,26 @@ def _pairs(values: ArrayLike, companions: ArrayLike) -> tuple[NDArray, NDArray]:
     if y.shape != x.shape:
         raise ValueError(f"as many companions as values are needed: {x.size} for {y.size}")
     return y, x
+
+
+def mean_over_variants(
+    rows: pa.Table, column: str, expected: list[NDArray], ends: NDArray
+) -> Controlled:
+    """Mean settling time over some variants, draw by draw: they share their noise.
+
+    Args:
+        rows: of whole variants, with ``variant_id``, ``draw_id``, the column and its companion.
+        column: of the settling times, s; one that is null counts as the length of the run.
+        expected: mean and standard error of the companions by variant, s.
+        ends: length of the run by variant, s.
+    """
+    rows = rows.sort_by([("draw_id", "ascending"), ("variant_id", "ascending")])
+    ids = np.unique(rows["variant_id"].to_numpy())
+
+    def of(name: str) -> NDArray:
+        seconds = rows[name].to_numpy(zero_copy_only=False).reshape(-1, len(ids))
+        return np.where(np.isnan(seconds), ends[ids], seconds).mean(axis=1)
+
+    # The sampled errors of all variants have the same noise: their errors add up.
+    value, error = (float(one[ids].mean()) for one in expected)
+    return controlled_mean(of(column), of(f"companion_{column}"), Expectation(value, error))

@@ -3,11 +3,10 @@
 from collections.abc import Iterator
 
 import numpy as np
-import pyarrow as pa
 
 from sinsjax import analysis, columns
 from sinsjax.analysis import format_estimate
-from sinsjax.analysis.controlled import Controlled, Expectation, controlled_mean
+from sinsjax.analysis.controlled import mean_over_variants
 from sinsjax.execution.estimates import read_estimates
 from sinsjax.execution.source import Source
 from sinsjax.report.base import Table, table_of
@@ -35,7 +34,7 @@ def tables(source: Source) -> Iterator[Table]:
     expected = [known[name].to_numpy() for name in (mean, error)]
     ends = spans_s(study)[:, 0]
     points = [
-        point | {"found": _pooled(rows, column, expected, ends)}
+        point | {"found": mean_over_variants(rows, column, expected, ends)}
         for point, rows in analysis.groups(draws, chosen)
     ]
     points.sort(key=lambda one: one["found"].controlled.value)
@@ -58,19 +57,3 @@ def tables(source: Source) -> Iterator[Table]:
 
 def _factor(saved: float) -> str:
     return "unknown" if np.isnan(saved) else f"{saved:.1f}"
-
-
-def _pooled(
-    rows: pa.Table, column: str, expected: list[np.ndarray], ends: np.ndarray
-) -> Controlled:
-    """The mean over some variants, draw by draw: they share their noise."""
-    rows = rows.sort_by([("draw_id", "ascending"), ("variant_id", "ascending")])
-    ids = np.unique(rows["variant_id"].to_numpy())
-
-    def of(name: str) -> np.ndarray:
-        seconds = rows[name].to_numpy(zero_copy_only=False).reshape(-1, len(ids))
-        return np.where(np.isnan(seconds), ends[ids], seconds).mean(axis=1)
-
-    # The sampled errors of all variants have the same noise: their errors add up.
-    value, error = (float(one[ids].mean()) for one in expected)
-    return controlled_mean(of(column), of(f"companion_{column}"), Expectation(value, error))

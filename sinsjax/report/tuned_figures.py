@@ -44,7 +44,10 @@ def landscape(tuning: Tuning) -> list[Picture]:
         axis(tuning.study),
     )
     ways = _ways(tuning, number, used)
-    spots = [*_baseline_spot(tuning, space, number), *_spots(tuning, number, used)]
+    spots = _spots(tuning, number, used)
+    case = tuning.judged.cases[tuning.places["baseline"]]
+    if (values := space.located(case, combination)) is not None:
+        spots.insert(0, Spot("baseline", np.array(values), None, _look("baseline")))
     chosen = ", ".join(f"{key} = {value_text(v)}" for key, v in combination.items())
     caption = said(
         "landscape",
@@ -93,27 +96,6 @@ def _spots(tuning: Tuning, number: int, used: list[int]) -> list[Spot]:
         for name, best in ((name, found.best) for name, found in tuning.found.items())
         if best.candidate == number
     ]
-
-
-def _baseline_spot(tuning: Tuning, space: SearchSpace, number: int) -> list[Spot]:
-    """The baseline, where it is a point of the combination and lies in all ranges."""
-    case = tuning.judged.cases[tuning.places["baseline"]]
-    combination = space.combinations[number]
-    if any(case[key] != value for key, value in combination.items() if key in case):
-        return []
-    used = [space.variables[i] for i in space.used(combination)]
-    values = []
-    for variable in used:
-        value = case[variable.key]
-        if variable.entry is not None:
-            entries = [v.entry for v in used if v.key == variable.key]
-            if len(value) != len(entries):
-                return []
-            value = value[entries.index(variable.entry)]
-        if not variable.low <= value <= variable.high:
-            return []
-        values.append(value)
-    return [Spot("baseline", np.array(values), None, _look("baseline"))]
 
 
 def course(tuning: Tuning) -> Picture:

@@ -134,6 +134,27 @@ class SearchSpace:
             for key, value in out.items()
         }
 
+    def located(self, case: TomlTable, combination: TomlTable) -> list[float] | None:
+        """Values of the variables that a combination uses in a case; None if it is no such point.
+
+        It is none with other candidates, another number of entries, or a value out of its range.
+        """
+        if any(case[key] != value for key, value in combination.items() if key in case):
+            return None
+        used = [self.variables[i] for i in self.used(combination)]
+        values = []
+        for variable in used:
+            value = case[variable.key]
+            if variable.entry is not None:
+                entries = [v.entry for v in used if v.key == variable.key]
+                if len(value) != len(entries):
+                    return None
+                value = value[entries.index(variable.entry)]
+            if not variable.low <= value <= variable.high:
+                return None
+            values.append(value)
+        return values
+
     def _whole(self, value: Any, whole: Whole) -> Any:
         """Times as whole numbers of samples or of record intervals; those of a list ascend."""
         if whole.interval == "record":
