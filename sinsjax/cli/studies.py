@@ -50,7 +50,7 @@ def init(
     if name is None:
         raise InputError("NAME: required (`sinsjax init --list` shows the names)")
     text = files.text_of(name)
-    path = out or Path(name).with_suffix(".toml")
+    path = out or Path(f"{Path(name).stem}.toml")
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)

@@ -1,5 +1,6 @@
 """Study files: the shipped ones by name, templates to begin a study from, and reading them."""
 
+import os
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -32,10 +33,10 @@ def found(given: str | Path) -> Path:
             ``reset_sweep``, ``reset_sweep.toml`` or ``configs/reset_sweep.toml``.
     """
     path = Path(given)
-    with_suffix = path if path.suffix == ".toml" else path.with_name(f"{path.name}.toml")
-    if not path.name or path.is_file():
+    if not path.name or os.path.isfile(path):
         return path
-    if with_suffix.is_file():
+    with_suffix = path if path.suffix == ".toml" else path.with_name(f"{path.name}.toml")
+    if os.path.isfile(with_suffix):
         return with_suffix
     if path.parent.as_posix() in (".", _FOLDER):
         return studies().get(with_suffix.stem, path)
@@ -61,7 +62,7 @@ def text_of(name: str) -> str:
         InputError: there is none of that name.
     """
     known = studies() | templates()
-    stem = name.removesuffix(".toml")
+    stem = Path(name).stem
     if stem not in known:
         raise InputError(
             f"{name}: no study of this name (`init --list` shows them){near(stem, known)}"

@@ -22,6 +22,7 @@ _PLACE = re.compile(
 _STAND_INS = (1e5, 100.0, 45.0, 1.0, 1)
 """Values for a required key in error: those of a duration, a rate and a latitude among them."""
 _MOST = 100
+_HUGE = 1e12
 
 
 class Place(NamedTuple):
@@ -102,16 +103,22 @@ def _without(data: TomlTable, place: Place) -> TomlTable:
             else:
                 values[place.entry] = other
             return out
-    for each in table if isinstance(table, list) else [table]:
-        if isinstance(each, dict):
-            each.pop(last, None)
+    rows = [row for row in (table if isinstance(table, list) else [table]) if isinstance(row, dict)]
+    for row in rows:
+        row.pop(last, None)
+    if (
+        place.key
+        and path[0] in ("axes", "cases")
+        and not any(row.keys() - {"case"} for row in rows)
+    ):
+        return _without(out, Place(place.table))  # a zip, or cases, with nothing left to vary
     return out
 
 
 def _other(values: Any, entry: int) -> Any:
     """A value for an entry of a list, from another entry but not equal to it; None without one."""
     others = [values[at] for at in range(len(values)) if at != entry]
-    numbers = [value for value in others if type(value) in (int, float)]
+    numbers = [v for v in others if type(v) in (int, float) and abs(v) < _HUGE]
     if not numbers:
         return next(iter(others), None)
     return min(numbers, key=abs) + 1e-6 * (entry + 1)

@@ -13,7 +13,7 @@ import tomli_w
 import sinsjax as package
 from sinsjax import cli
 from sinsjax.cli import options
-from sinsjax.study import files
+from sinsjax.study import files, problems
 from sinsjax.study.keys import SECTION_OF
 
 Command = Callable[..., tuple[int, str, str]]
@@ -83,6 +83,12 @@ def test_a_file_of_the_folder_wins(sinsjax: Command, tmp_path: Path) -> None:
     assert files.found("reset_sweep").samefile(tmp_path / "reset_sweep.toml")
 
 
+@pytest.mark.parametrize("name", ["", ".", "..", "/", "x" * 300, "a/b"])
+def test_what_is_no_file_is_one_line(sinsjax: Command, name: str) -> None:
+    code, _, error = sinsjax("validate", name)
+    assert (code, error.count("\n")) == (2, 1) and "Traceback" not in error
+
+
 def test_init_copies_with_comments(sinsjax: Command, tmp_path: Path) -> None:
     code, told, error = sinsjax("init", "reset_sweep")
     assert (code, error) == (0, "") and "sinsjax validate reset_sweep.toml" in told
@@ -129,6 +135,16 @@ def test_validate_tells_all_errors(sinsjax: Command, tmp_path: Path) -> None:
         "[motion] pitch_period_s",
     }
     assert len(lines) == 10
+
+
+def test_misshapen_tables_are_told_too(tmp_path: Path) -> None:
+    path = tmp_path / "s.toml"
+    path.write_text(f'axes = 3\ndrawn = [1]\n[study]\nseed = ["x", {10**400}]\n[[cases]]\nx = 1\n')
+    told = problems.problems(path, {})
+    assert {line.removeprefix(f"{path}: ").split(":")[0] for line in told} >= {"[axes]", "[drawn]"}
+    path.write_text(f'[axes]\nreset_count = ["x", {10**400}]\n')
+    told = problems.problems(path, {"study.seed": 1})
+    assert told[0].startswith(f"{path}: [axes] reset_count[0]: must be a whole number")
 
 
 def test_validate_tells_what_would_run(sinsjax: Command) -> None:
