@@ -23,12 +23,23 @@ class PairedChunk(NamedTuple):
     companions: Companions
 
 
-class Blocks:
-    """The runs of a group cut into blocks of some variants by some draws."""
+LEAST_VARIANTS = 32
+"""Of the runs of a block: the more of them a draw has, the less its noise costs each."""
 
-    def __init__(self, draws: int, variants: int, size: Block = FEW_VARIANTS) -> None:
-        self._draws, self._variants, self.size = draws, variants, size
-        self._across = -(-variants // size.variants)
+
+class Blocks:
+    """The runs of a group cut into blocks of some variants by some draws.
+
+    Attributes:
+        size: of a block.
+        of_companions: variants and draws of a call of companions, of which a block takes several.
+    """
+
+    def __init__(self, draws: int, variants: int, of_companions: Block = FEW_VARIANTS) -> None:
+        self.of_companions, width = of_companions, max(LEAST_VARIANTS, of_companions.variants)
+        self._draws, self._variants = draws, variants
+        self.size = Block(min(width, variants), of_companions.draws)
+        self._across = -(-variants // self.size.variants)
 
     def __len__(self) -> int:
         return self._across * -(-self._draws // self.size.draws)
@@ -53,17 +64,19 @@ class Blocks:
 class PairedCalls:
     """The blocks of a group, any of them in any order and from any thread."""
 
-    def __init__(self, group: Group, records: np.ndarray, size: Block = FEW_VARIANTS) -> None:
+    def __init__(
+        self, group: Group, records: np.ndarray, of_companions: Block = FEW_VARIANTS
+    ) -> None:
         """Trace the programs of a group.
 
         Args:
             group: what to run.
             records: numbers, from 0, of the records at which companions are told.
-            size: of a block.
+            of_companions: variants and draws of a call of companions.
         """
         self._group, self._records = group, records
-        self.plan = Blocks(*group.sizes, size)
-        self._of_companions = companions.program(group, records, size)
+        self.plan = Blocks(*group.sizes, of_companions)
+        self._of_companions = companions.program(group, records, of_companions)
         self._of_runs = self._calls(*self.plan[0])
 
     def compile(self) -> None:
@@ -73,8 +86,7 @@ class PairedCalls:
 
     def _calls(self, draws: np.ndarray, variants: np.ndarray) -> Calls:
         """The runs of a block; filled up to the variants of the first, they share its program."""
-        width = min(self.plan.size.variants, self._group.sizes[1])
-        filled = np.pad(variants, (0, width - len(variants)), mode="edge")
+        filled = np.pad(variants, (0, self.plan.size.variants - len(variants)), mode="edge")
         group = self._group
         return Calls(
             group._replace(
@@ -84,6 +96,14 @@ class PairedCalls:
             )
         )
 
+    def _companions(self, draws: np.ndarray, variants: np.ndarray) -> Companions:
+        """Of the runs of a block, leaves (..., variants, draws)."""
+        size = self.plan.of_companions
+        cuts = np.split(variants, range(size.variants, len(variants), size.variants))
+        made = [companions.of_block(self._group, some, draws, self._records, size) for some in cuts]
+        whole: Companions = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-2), *made)
+        return whole
+
     def chunk(self, number: int) -> PairedChunk:
         """Run a block of the plan, and the companions of its runs."""
         draws, variants = self.plan[number]
@@ -92,7 +112,7 @@ class PairedCalls:
         made: Chunk = jax.tree.map(lambda *leaves: np.concatenate(leaves), *found)
         order = np.lexsort((made.variant, made.draw))
         made = jax.tree.map(lambda a: a[order[made.variant[order] < len(variants)]], made)
-        beside = companions.of_block(self._group, variants, draws, self._records, self.plan.size)
+        beside = self._companions(draws, variants)
         row = np.searchsorted(self._group.draws.draw_id[draws], made.draw)
         return PairedChunk(
             made._replace(variant=variants[made.variant]),
