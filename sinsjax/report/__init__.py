@@ -16,10 +16,9 @@ from sinsjax.execution.source import Source
 from sinsjax.messages import shortened
 from sinsjax.report import auto, controlled, estimated, folder, tuned
 from sinsjax.report.base import Chapter, Report, Text, at_the_end
-from sinsjax.report.html import write_html
 from sinsjax.report.markup import template
 from sinsjax.report.names import NO_NAMES
-from sinsjax.report.output import FIGURES, Made, print_report, save_figures, write_page
+from sinsjax.report.output import FIGURES, Made, print_report, save_figures, write_html, write_page
 from sinsjax.tuning import results
 from sinsjax.tuning.carry_out import is_tuning
 

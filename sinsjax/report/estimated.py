@@ -73,11 +73,11 @@ def report(source: Source) -> Report:
         "Figures": [block for one in found for block in _figures(source, one, found[0])],
         "Tables": [_every_variant(source, found)],
     }
-    study = source.study
-    variants = f"{study.n_variants:,} variant{'s' if study.n_variants > 1 else ''}"
+    name, count = source.study.name, source.study.n_variants
+    variants = f"{count:,} variant{'s' if count > 1 else ''}"
     how = "the covariance of the true error beside one noise-free run of each"
     headline = [f"{variants}, estimated without draws: by {how}.", *_linearity(source)]
-    return Report.of(headline, parts, f"{study.name}: {variants}, no Monte Carlo runs")
+    return Report.of(headline, parts, f"{name}: {variants}, no Monte Carlo runs")
 
 
 def _linearity(source: Source) -> Iterator[str]:

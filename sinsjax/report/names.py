@@ -62,9 +62,8 @@ def _has_markup(text: str) -> bool:
 def _texts(content: Any) -> Iterator[str]:
     if isinstance(content, str):
         yield content
-    elif isinstance(content, Mapping):
-        yield from _texts(list(content))
-        yield from _texts(list(content.values()))
-    elif isinstance(content, list | tuple):
+    elif isinstance(content, Mapping | list | tuple):
         for entry in content:
             yield from _texts(entry)
+            if isinstance(content, Mapping):
+                yield from _texts(content[entry])

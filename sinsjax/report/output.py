@@ -1,9 +1,12 @@
-"""Where a report goes: a console, a directory of figures, a page of documentation."""
+"""Where a report goes: a console, a directory of figures, a page in Markdown or in HTML."""
 
+from base64 import b64encode
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from markupsafe import Markup
 from rich import box
 from rich import table as rich_table
 from rich.console import Console
@@ -113,6 +116,26 @@ def write_page(page: Path, title: str, made: Sequence[Made]) -> None:
         file.write(text.encode())
 
 
+def write_html(path: Path, title: str, made: Sequence[Made]) -> None:
+    """Writes an HTML page that needs nothing else: no network, no file beside it, no script.
+
+    Raises:
+        InputError: the page cannot be written.
+    """
+    page = template("report.html.j2").render(
+        title=title,
+        all_names=names_of(made),
+        meanings=meanings(made),
+        made=made,
+        origin=origin(made),
+        inline=_inline,
+        paragraphs=_paragraphs,
+        base64=lambda content: b64encode(content).decode(),
+    )
+    with replacing(path) as file:
+        file.write(page.encode())
+
+
 def names_of(made: Sequence[Made]) -> Names:
     """The names in all that stands on a page."""
     return Names(frozenset().union(*(one.names.texts for one in made)))
@@ -154,3 +177,19 @@ def print_table(block: Table, console: Console, names: Names = NO_NAMES) -> None
         console.width = Measurement.get(console, wide, table).maximum
     console.print(table)
     console.width = width
+
+
+def _inline(text: str, names: Names = NO_NAMES) -> Markup:
+    return Markup(_markdown().renderInline(names.markdown(text)))
+
+
+def _paragraphs(text: str, names: Names = NO_NAMES) -> Markup:
+    return Markup(_markdown().render(names.markdown(text)).rstrip())
+
+
+@lru_cache(maxsize=1)
+def _markdown() -> Any:
+    """What a report says is Markdown without links or images; anything else in it is text."""
+    from markdown_it import MarkdownIt  # late, for reports without such a page
+
+    return MarkdownIt("commonmark", {"html": False}).disable(["link", "image", "autolink"])

@@ -101,9 +101,8 @@ class Maps:
         self, name: str, caption: str, values: Sequence[NDArray], title: str, shown: Shown
     ) -> Picture:
         """The figure of numbers (rows, columns) of each panel that is drawn."""
-        few = f" The first {len(self.drawn)} of {len(self.panels)} panels."
         if len(self.drawn) < len(self.panels):
-            caption += few
+            caption += f" The first {len(self.drawn)} of {len(self.panels)} panels."
         variants = [panel.of("variant_id")[0].astype(int) for panel in self.drawn]
         repeated = [self._first[own] != own for own in variants]
         rows, columns = (plots.Scale(key, points) for key, points in self.axes.items())
@@ -117,9 +116,7 @@ class Maps:
             repeated=repeated,
         )
         if np.any(repeated):
-            caption += (
-                " Cells without a number repeat the one beside them: there a key does not act."
-            )
+            caption += " Cells without a number repeat their neighbour: there a key does not act."
         return Picture(name, caption, figure)
 
 

@@ -13,8 +13,8 @@ from support.studies import small_study
 from sinsjax import columns
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
-from sinsjax.report import base, html
-from sinsjax.report.output import Made
+from sinsjax.report import base
+from sinsjax.report.output import Made, write_html
 
 VOID = {"meta", "img", "br", "hr", "link", "input"}
 PNG = b"\x89PNG\r\n\x1a\n-the picture"
@@ -54,7 +54,7 @@ def made(*blocks, headline=("Found: *much*.",), name="swing"):
 
 def page(tmp_path, *parts, title="Title"):
     path = tmp_path / "page.html"
-    html.write_html(path, title, parts)
+    write_html(path, title, parts)
     return path.read_text(encoding="utf-8")
 
 
@@ -112,7 +112,7 @@ def test_a_folded_table_is_folded(tmp_path):
 def test_a_page_that_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
-        html.write_html(tmp_path / "file" / "page.html", "T", [made()])
+        write_html(tmp_path / "file" / "page.html", "T", [made()])
 
 
 def test_both_pages_of_a_study_say_the_same(tmp_path):

@@ -176,6 +176,6 @@ def _recorded(source: Source) -> Page:
             np.isfinite(grid.at(TRUTH, case="linearisation")).all()
             and own < fixed
             and np.isinf(worst[-1]).all()
-        ),
+        )
     }
     return Page(values, claims=claims)

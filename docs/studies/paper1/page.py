@@ -17,15 +17,7 @@ from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
 
 from ..loops.runs import limits_of
-from .statements import (
-    AS_PRECISE_ARCMIN,
-    CONDITIONS,
-    RESET,
-    STATEMENTS,
-    Judged,
-    best_of,
-    judge_all,
-)
+from .statements import AS_PRECISE_ARCMIN, CONDITIONS, RESET, STATEMENTS, Judged, best_of, judge_all
 
 BAND_ARCMIN = 10.0
 COLUMNS = ("settle_10_s", "phi_u_mean_arcmin", "floor_arcmin", "sigma_u_arcmin")
