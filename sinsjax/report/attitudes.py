@@ -19,8 +19,7 @@ def attitudes(source: Source) -> Table:
     shown = MOST_ROWS // variants * variants or MOST_ROWS  # whole start times, where they fit
     rows = source.rows([*keys, *digits]).slice(0, shown).to_pylist()
     cells = [(name, lambda row, n=name: number(row[n], digits[n])) for name in digits]
-    left = source.runs - len(rows)
-    notes = [f"{left} more runs are in `summary/`."] if left else []
+    notes = [f"{left} more runs are in `summary/`."] if (left := source.runs - len(rows)) else []
     notes += [innovations(source)] if source.study.is_recorded else []
     title = "Attitude at the end, with the filter's own 1 sigma"
     return table_of(title, keys, rows, cells, " ".join(notes))

@@ -9,20 +9,7 @@ from sinsjax.report.base import Picture
 from sinsjax.report.markup import said
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.tuned_keys import TIMES
-from sinsjax.tuning.carry_out import COVARIANCE, GRADIENT
-from sinsjax.tuning.history import Evaluation
-from sinsjax.tuning.results import Tuning, axis
-
-_SEARCHES = {
-    "grid": "grid",
-    GRADIENT: "gradient",
-    "baseline": "baseline",
-    "sobol": "Sobol points",
-    "equal cost": "Sobol points at the gradient's cost",
-    "random": "random points",
-    COVARIANCE: "covariance analysis",
-}
-"""In words, and in the order of their markers."""
+from sinsjax.tuning.results import LOOKS, SEARCHES, Tuning, axis
 
 
 def landscape(tuning: Tuning) -> list[Picture]:
@@ -43,11 +30,11 @@ def landscape(tuning: Tuning) -> list[Picture]:
         (points,) * len(used) if name == "grid" else None,
         axis(tuning.study),
     )
-    ways = _ways(tuning, number, used)
+    ways = [Way(values[:, used], found) for values, found in tuning.descents(number)]
     spots = _spots(tuning, number, used)
     case = tuning.judged.cases[tuning.places["baseline"]]
     if (values := space.located(case, combination)) is not None:
-        spots.insert(0, Spot("baseline", np.array(values), None, _look("baseline")))
+        spots.insert(0, Spot("baseline", np.array(values), None, LOOKS.index("baseline")))
     chosen = ", ".join(f"{key} = {value_text(v)}" for key, v in combination.items())
     caption = said(
         "landscape",
@@ -60,10 +47,6 @@ def landscape(tuning: Tuning) -> list[Picture]:
     return [Picture("descent", caption, figure)]
 
 
-def _look(name: str) -> int:
-    return list(_SEARCHES).index(name)
-
-
 def _side(variable: Variable) -> Side:
     name, bracket, unit = plots.label(variable.key).partition(" (")
     if variable.entry is not None and variable.key == TIMES:
@@ -73,28 +56,13 @@ def _side(variable: Variable) -> Side:
     return Side(f"{name}{bracket}{unit}", variable.low, variable.high, variable.log)
 
 
-def _ways(tuning: Tuning, number: int, used: list[int]) -> list[Way]:
-    """The descents of the combination."""
-    found = tuning.found.get(GRADIENT)
-    descents: dict[int | None, list[Evaluation]] = {}
-    for look in found.relaxed if found else ():
-        if look.candidate == number:
-            descents.setdefault(look.start, []).append(look)
-    return [
-        Way(
-            np.array([look.values for look in looks])[:, used],
-            np.array([look.objective for look in looks]),
-        )
-        for looks in descents.values()
-    ]
-
-
 def _spots(tuning: Tuning, number: int, used: list[int]) -> list[Spot]:
     """The best point of each search that has the combination."""
+    named = ((name, found.best) for name, found in tuning.found.items())
     return [
-        Spot(f"best of {_SEARCHES[name]}", np.array(best.values)[used], best.objective, _look(name))
-        for name, best in ((name, found.best) for name, found in tuning.found.items())
-        if best.candidate == number
+        Spot(f"best of {SEARCHES[n]}", np.array(one.values)[used], one.objective, LOOKS.index(n))
+        for n, one in named
+        if one.candidate == number
     ]
 
 
@@ -104,7 +72,7 @@ def course(tuning: Tuning) -> Picture:
     for name, found in tuning.found.items():
         cost, best, relaxed = found.course
         ending = (found.cost, found.best.objective) if relaxed else None
-        searches.append(CostCurve(_SEARCHES[name], cost, best, relaxed, ending))
+        searches.append(CostCurve(SEARCHES[name], cost, best, relaxed, ending))
     caption = said("course", relaxed=any(one.relaxed for one in searches))
     title = "Best so far against what the search had cost"
     return Picture("history", caption, best_by_cost(searches, axis(tuning.study), title))

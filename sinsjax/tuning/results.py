@@ -19,8 +19,22 @@ from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
 from sinsjax.study.success import as_of_schema_1, yardsticks
 from sinsjax.tuning import history, objective, search
-from sinsjax.tuning.carry_out import EVALUATION, STUDY, require_tune
-from sinsjax.tuning.history import Found
+from sinsjax.tuning.carry_out import COVARIANCE, EVALUATION, GRADIENT, STUDY, require_tune
+from sinsjax.tuning.history import Evaluation, Found
+
+SEARCHES = {
+    "grid": "grid",
+    GRADIENT: "gradient",
+    "baseline": "baseline",
+    "sobol": "Sobol points",
+    "equal cost": "Sobol points at the gradient's cost",
+    "random": "random points",
+    COVARIANCE: "covariance analysis",
+}
+"""In words."""
+
+LOOKS = list(SEARCHES)
+"""In the order of their markers."""
 
 _AT_BOUND = 5e-3
 """A value within this share of its range is on the bound: descents stop short of it."""
@@ -107,6 +121,18 @@ class Tuning:
     def best(self) -> str:
         """The candidate with the best objective on the tuning draws, which is in tuned.toml."""
         return min(self.found, key=lambda name: self.found[name].best.objective)
+
+    def descents(self, number: int) -> list[tuple[NDArray, NDArray]]:
+        """Points, (n, p), and objective of each descent of a combination of candidates."""
+        found = self.found.get(GRADIENT)
+        steps: dict[int | None, list[Evaluation]] = {}
+        for step in found.relaxed if found else ():
+            if step.candidate == number:
+                steps.setdefault(step.start, []).append(step)
+        return [
+            (np.array([one.values for one in some]), np.array([one.objective for one in some]))
+            for some in steps.values()
+        ]
 
     def score(self, name: str) -> Estimate:
         """The objective of a candidate on the unused draws."""
