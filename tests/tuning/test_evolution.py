@@ -124,8 +124,8 @@ def test_a_tuning_by_covariance_is_kept_and_told(tmp_path: Path) -> None:
     ("changes", "line"),
     [
         (
-            {"alignment": {"method": "compass"}},
-            "[alignment] method: covariance analysis knows no linear part of compass",
+            {"axes": {"method": ["kalman5", "inertial"]}},
+            "method: covariance analysis knows no linear part of inertial",
         ),
         ({"passes": {"tape_s": 20.0}}, "[passes]: covariance analysis takes noise as white"),
         (
@@ -146,8 +146,6 @@ def test_what_is_not_modelled_is_refused(
     tmp_path: Path, changes: dict[str, Any], line: str
 ) -> None:
     variables: dict[str, Any] = {"p0_level_deg": {"low": 1.0, "high": 10.0}}
-    if "alignment" in changes:
-        variables = {"level_time_s": {"low": 10.0, "high": 20.0}}
     with pytest.raises(InputError) as caught:
         sinsjax.tune(tuned(changes, variables=variables), tmp_path / "out")
     assert line in str(caught.value) and "\n" not in str(caught.value)
