@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
+from sinsjax.alignment import coloured_growth
 from sinsjax.alignment.base import ErrorStep, Method, Site
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import (
@@ -20,7 +21,11 @@ from sinsjax.maths.algebra import (
     times_plus_identity,
     triangle_index,
 )
+from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.types import Increments, Navigation, Quat, Sample, Scalar
+
+WHITE_ALONE = Disturbances()
+"""Of inputs that are white: no processes."""
 
 
 class IncrementNoise(NamedTuple):
@@ -41,10 +46,12 @@ class ErrorGrowth(NamedTuple):
     Attributes:
         columns: of F, n of n entries.
         noise: W, upper triangle.
+        coloured: by each process that is not white.
     """
 
     columns: tuple[tuple[Scalar, ...], ...]
     noise: Triangle
+    coloured: tuple[coloured_growth.Growth, ...] = ()
 
 
 class Watched(NamedTuple):
@@ -70,36 +77,51 @@ class ErrorParams(NamedTuple):
 
     Attributes:
         inner: the method's own.
-        noise: of the sensors.
+        noise: of the sensors, white.
+        coloured: errors of the increments that are not, see `coloured_growth.increments`.
     """
 
     inner: Any
     noise: IncrementNoise
+    coloured: Disturbances = Disturbances()
 
 
-def no_growth(n: int, zero: Scalar) -> ErrorGrowth:
+def no_growth(n: int, zero: Scalar, coloured: Disturbances = WHITE_ALONE) -> ErrorGrowth:
     """At the beginning of an interval: F = I and W = 0, for n states."""
     columns = tuple(tuple(zero + float(i == j) for i in range(n)) for j in range(n))
-    return ErrorGrowth(columns, (zero,) * (n * (n + 1) // 2))
+    by_process = (coloured_growth.begin(one, n, zero) for one, _ in coloured_growth.each(coloured))
+    return ErrorGrowth(columns, (zero,) * (n * (n + 1) // 2), tuple(by_process))
 
 
-def advance(growth: ErrorGrowth, step: ErrorStep, q: Quat, noise: IncrementNoise) -> ErrorGrowth:
+def advance(
+    growth: ErrorGrowth,
+    step: ErrorStep,
+    q: Quat,
+    noise: IncrementNoise,
+    coloured: Disturbances = WHITE_ALONE,
+) -> ErrorGrowth:
     """The growth a sample later.
 
     Args:
         growth: so far.
         step: of the sample.
         q: attitude, body to n, in which the noise enters.
-        noise: of the sample's increments.
+        noise: of the sample's increments, white.
+        coloured: errors of the increments that are not.
     """
     n = len(growth.columns)
     columns = tuple(times_plus_identity(step.transition, column) for column in growth.columns)
     w = congruence(step.transition, growth.noise, n)
     w = _with_inputs(step.inputs, w, _in_n(q, noise), n)
+    later = []
+    for own, (process, where) in zip(growth.coloured, coloured_growth.each(coloured), strict=True):
+        enters = coloured_growth.entering(step, q, *where)
+        grown, w = coloured_growth.advance(own, process, step, enters, w)
+        later.append(grown)
     for k, m in zip(step.gains, step.measured, strict=True):
         columns = tuple(updated(column, k, m) for column in columns)
         w = _updated(w, k, m)
-    return ErrorGrowth(columns, w)
+    return ErrorGrowth(columns, w, tuple(later))
 
 
 def driven(
@@ -176,7 +198,7 @@ def with_growth(method: Method) -> Method:
     """A method that also tells, at record times, how its error has grown since the last one.
 
     Its params are `ErrorParams`. `Method.per_record` gives the rows of F, then W, then the rows of
-    phi by the states of d.
+    phi by the states of d, then what `coloured_growth.told` has of each process.
 
     Args:
         method: with an `error_step`, read forward once.
@@ -193,19 +215,23 @@ def with_growth(method: Method) -> Method:
     def init(params: ErrorParams, nav: Navigation) -> Watched:
         inner = method.init(params.inner, nav)
         n = len(error_angles(inner)[0])
-        return Watched(inner, no_growth(n, jnp.zeros_like(nav.ve)))
+        return Watched(inner, no_growth(n, jnp.zeros_like(nav.ve), params.coloured))
 
     def step(params: ErrorParams, site: Site, state: Watched, sample: Sample, n: Scalar) -> Watched:
         given = params.inner, site, state.inner, sample, n
-        growth = advance(state.growth, error_step(*given), state.nav.q, params.noise)
+        noise = params.noise, params.coloured
+        growth = advance(state.growth, error_step(*given), state.nav.q, *noise)
         return Watched(method.step(*given), growth)
 
     def per_record(state: Watched) -> tuple[Watched, tuple[Scalar, ...]]:
-        columns, w = state.growth
+        columns, w, coloured = state.growth
         rows = [entry for row in zip(*columns, strict=True) for entry in row]
         angles = [entry for row in error_angles(state.inner) for entry in row]
         anew = no_growth(len(columns), jnp.zeros_like(w[0]))
-        return state._replace(growth=anew), (*rows, *w, *angles)
+        begun = tuple(map(coloured_growth.anew, coloured))
+        more = (number for one in coloured for number in coloured_growth.told(one))
+        growth = anew._replace(coloured=begun)
+        return state._replace(growth=growth), (*rows, *w, *angles, *more)
 
     return Method(
         init,

@@ -13,13 +13,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from sinsjax.alignment import coloured_growth
 from sinsjax.alignment.error_growth import ErrorParams, IncrementNoise
 from sinsjax.alignment.schedules import mix
-from sinsjax.engine import metrics
+from sinsjax.engine import coloured_spread, metrics
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.metrics import FIELDS
 from sinsjax.engine.realisations import Environment, Static
 from sinsjax.maths.algebra import Triangle, cholesky, triangle_index
+from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.types import Array, Count, Scalar
 
 MOST_TOGETHER = 256
@@ -65,10 +67,17 @@ def watched(group: Group, samples: int, records: np.ndarray | None = None) -> Gr
     errors = group.environment.errors
     noise = IncrementNoise(_variances(errors.accel_noise), _variances(errors.gyro_noise))
     like = np.zeros_like(group.variants.ve)
-    params = ErrorParams(group.variants.method, jax.tree.map(lambda a: a + like, noise))
+    dt = group.static.options.dt
+    coloured = coloured_growth.increments(group.environment.disturbances, dt)
+    params = ErrorParams(
+        group.variants.method,
+        jax.tree.map(lambda a: a + like, noise),
+        jax.tree.map(lambda a: np.broadcast_to(a, (len(like), *np.shape(a))), coloured),
+    )
+    undisturbed = group.environment._replace(disturbances=Disturbances())
     return group._replace(
         static=watched_program(group.static, samples),
-        environment=group.environment._replace(spread_at=records),
+        environment=undisturbed._replace(spread_at=records, coloured=coloured),
         variants=group.variants._replace(method=params),
     )
 
@@ -104,11 +113,17 @@ def _spread(
     static: Static, environment: Environment, rows: Array, floor: Array, key: Array
 ) -> Spread:
     """`spread`, of sampled errors from one key."""
-    n, criteria = states_of(rows.shape[1]), environment.criteria
+    sizes = coloured_spread.widths(environment.coloured)
+    n, criteria = states_of(rows.shape[1], sum(sizes)), environment.criteria
     lanes, samples = len(floor), static.sampled_errors
-    half = samples // 2
-    normals = jax.random.normal(key, (len(rows), n, half), float)
-    over_lanes = jax.vmap(partial(_over_record, criteria), in_axes=(0, None, None, 0, 0))
+    half, every = samples // 2, n + sum(sizes)
+    normals = jax.random.normal(key, (len(rows), every, half), float)
+    begun = _begun(static, environment, every, lanes, half, key)
+    one_record = partial(_over_record, criteria)
+    if sizes:
+        over_interval = coloured_spread.inputs(environment.coloured, static.record_every)
+        one_record = partial(_over_coloured_record, criteria, over_interval, sizes, n)
+    over_lanes = jax.vmap(one_record, in_axes=(0, None, None, 0, 0))
 
     def over(carry: _Carry, record: tuple[Scalar, Array, Array]) -> tuple[_Carry, Array]:
         time, row, normal = record
@@ -116,13 +131,26 @@ def _spread(
         carry, told = over_lanes(carry, time, tuple(normal), tuple(row), floor)
         return carry, jnp.stack(told)  # several arrays XLA would copy with every record
 
-    zero = jnp.zeros_like(floor)
-    none = (jnp.zeros((lanes, half)),) * n
-    outside = jnp.zeros((lanes, 2, len(criteria.bands), samples))
-    begun = _Carry((zero,) * (n * (n + 1) // 2), none, outside)
     ended, told = jax.lax.scan(over, begun, (record_times(static), rows, normals))
     phi, sigma, belief = jnp.split(jnp.moveaxis(told, 0, 1), 3)
     return Spread(phi, sigma, belief, jnp.moveaxis(ended.outside, 0, -1))
+
+
+def _begun(
+    static: Static, environment: Environment, every: int, lanes: int, half: int, key: Array
+) -> "_Carry":
+    """Of so many states, before the first record: no error, and processes as they always are."""
+    bands = len(environment.criteria.bands)
+    outside = jnp.zeros((lanes, 2, bands, 2 * half))
+    if not (m := sum(coloured_spread.widths(environment.coloured))):
+        zero, none = jnp.zeros(lanes), jnp.zeros((lanes, half))
+        return _Carry((zero,) * (every * (every + 1) // 2), (none,) * every, outside)
+    root = coloured_spread.inputs(environment.coloured, static.record_every).begin
+    normal = jax.random.normal(jax.random.fold_in(key, 2**31), (m, half), float)
+    s = jnp.zeros((every, every)).at[every - m :, every - m :].set(root @ root.T)
+    e = jnp.zeros((every, half)).at[every - m :].set(root @ normal)
+    s, e = (jnp.broadcast_to(a, (lanes, *a.shape)) for a in (s, e))
+    return _Carry(s, e, outside)
 
 
 def _variances(sigmas: np.ndarray) -> tuple[np.float64, ...]:
@@ -136,8 +164,8 @@ class _Carry(NamedTuple):
     The other half has the opposite noise. ``outside`` is (2, B, samples).
     """
 
-    s: Triangle
-    e: tuple[Array, ...]
+    s: Triangle | Array
+    e: tuple[Array, ...] | Array
     outside: Array
 
 
@@ -168,9 +196,42 @@ def _over_record(
     return _Carry(s, e, outside), (*row[:3], *sigma, *row[3:6])
 
 
-def states_of(fields: int) -> int:
-    """How many states a watched method has that tells so many numbers: n^2 + n (n + 1)/2 + 3 n."""
-    return next(n for n in range(fields) if n * n + n * (n + 1) // 2 + 3 * n == fields - FIELDS)
+def _over_coloured_record(
+    criteria: metrics.Criteria,
+    over: coloured_spread.Inputs,
+    sizes: tuple[int, ...],
+    n: int,
+    carry: _Carry,
+    time: Scalar,
+    normal: tuple[Array, ...],
+    row: tuple[Scalar, ...],
+    floor: Scalar,
+) -> tuple[_Carry, tuple[Scalar, ...]]:
+    """As `_over_record`, with the states of processes beside d."""
+    told = jnp.stack(row[FIELDS:])
+    w, at = n * n, triangle_index(n)
+    angles = w + n * (n + 1) // 2
+    whole = jnp.stack([told[w + at[i, j]] for i in range(n) for j in range(n)]).reshape(n, n)
+    f, w_all = coloured_spread.joined(
+        told[:w].reshape(n, n), whole, told[angles + 3 * n :], over, sizes
+    )
+    rows = told[angles : angles + 3 * n].reshape(3, n)
+    s = f @ carry.s @ f.T + w_all
+    e = f @ carry.e + coloured_spread.factor(w_all) @ jnp.stack(normal)
+    away = rows[2] @ e[:n]
+    error = row[2] + jnp.concatenate([away, -away])  # of the opposite noise
+    now = jnp.stack([over_bands(criteria, error - floor), over_bands(criteria, error)])
+    sigma = jnp.sqrt(jnp.maximum(jnp.einsum("ij,jk,ik->i", rows, s[:n, :n], rows), 0.0))
+    return _Carry(s, e, mix(now, time, carry.outside)), (*row[:3], *sigma, *row[3:6])
+
+
+def states_of(fields: int, coloured: int = 0) -> int:
+    """How many states a watched method has that tells so many numbers of a record.
+
+    n^2 of F, n (n + 1)/2 of W, 3 n of phi, and 2 n of each of the processes' states.
+    """
+    each = (n * n + n * (n + 1) // 2 + (3 + 2 * coloured) * n for n in range(fields))
+    return next(n for n, count in enumerate(each) if count == fields - FIELDS)
 
 
 def record_times(static: Static) -> Array:

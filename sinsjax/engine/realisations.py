@@ -99,6 +99,7 @@ class Environment(NamedTuple):
         disturbances: of base and sensors.
         spread_at: numbers, from 0, of the records at which the spread of runs is told; None for
             all.
+        coloured: errors of the increments that the spread has beside white noise.
     """
 
     site: Site
@@ -114,6 +115,7 @@ class Environment(NamedTuple):
     axes: Array | None = None
     disturbances: Disturbances = Disturbances()
     spread_at: Array | None = None
+    coloured: Disturbances = Disturbances()
 
     @property
     def dtype(self) -> jnp.dtype:

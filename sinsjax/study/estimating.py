@@ -76,8 +76,9 @@ def _unmodelled(study: Study, where: Mapping[str, str]) -> Iterator[str]:
         place = where.get("reset_trigger", "[resets]")
         yield f"{place} reset_trigger: covariance analysis needs resets at given times"
     for key in keys_in_turn(study):
-        place = where.get(key, f"[{SECTION_OF[key]}]")
-        yield f"{place} {key}: covariance analysis takes white noise alone"
+        if key.startswith("vibration") or "quantisation" in key:
+            place = where.get(key, f"[{SECTION_OF[key]}]")
+            yield f"{place} {key}: covariance analysis knows no vibration and no digits"
     for name in study.methods:
         if not METHODS[name].has_error_step:
             place = where.get("method", "[alignment]")

@@ -129,8 +129,8 @@ def test_a_tuning_by_covariance_is_kept_and_told(tmp_path: Path) -> None:
         ),
         ({"passes": {"tape_s": 20.0}}, "[passes]: covariance analysis takes noise as white"),
         (
-            {"motion": {"surge_m_per_s": 0.1}},
-            "[motion] surge_m_per_s: covariance analysis takes white noise alone",
+            {"motion": {"vibration_ug_rms": 10.0}},
+            "[motion] vibration_ug_rms: covariance analysis knows no vibration",
         ),
         (
             {"resets": {"reset_trigger": "nis", "trigger_threshold": 9.0}},
