@@ -49,18 +49,18 @@ def settling_maps(
         columns: to the right.
         title: of the figure, with what the heading is judged from.
     """
+    medians = {panel: median(runs) for panel, runs in panels.items()}
     figure = plots.heat_maps(
-        [(panel, median(runs)) for panel, runs in panels.items()],
+        list(medians.items()),
         title,
         Shown("median settling time (s)", 0.0, source.study.run_s, reverse=True),
         rows=rows,
         columns=columns,
         across=4,
     )
-    caption = (
-        f"Medians over {_how_many(source, panels)}; light is good, hatched: at least half of them"
-        f" never settle. {note}"
-    )
+    never = any(not np.isfinite(cells).all() for cells in medians.values())
+    hatched = ", hatched: at least half of them never settle" if never else ""
+    caption = f"Medians over {_how_many(source, panels)}; light is good{hatched}. {note}"
     return Picture(name, caption, figure, source.counted)
 
 

@@ -106,7 +106,8 @@ def _settings(grid: Grid, run_s: float) -> Table:
         f"Share that settles, and mean settling time with {run_s:g} s for a run that never does;"
         f" all {len(grid.axes['level']) * len(grid.axes['yaw'])} misalignments, [95 % interval over"
         f" the {grid.draws} Monte Carlo runs of each]. One time of the single reset serves all"
-        " misalignments; it is chosen on one half of the runs and judged on the other."
+        " misalignments, told in brackets; it is chosen on one half of the runs and judged on the"
+        " other. Where all settle the interval counts each draw of the noise as one run."
     )
     return Table("All misalignments, Q as printed", header, rows, note)
 
