@@ -133,6 +133,11 @@ class ErrorStep(NamedTuple):
     measured: tuple[int, ...]
 
 
+def updated(d: tuple[Scalar, ...], k: tuple[Scalar, ...], m: int) -> tuple[Scalar, ...]:
+    """(I - k h) d, h the row that measures state m."""
+    return tuple(one - gain * d[m] for one, gain in zip(d, k, strict=True))
+
+
 Change = Callable[[Any, int | None, Scalar, Scalar], Any]
 """(params of one run, entry of a list or None, value of a key, its value before) -> params."""
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sinsjax.alignment.base import ErrorStep
+from sinsjax.alignment.base import ErrorStep, updated
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Minus, Triangle, times_plus_identity
 from sinsjax.strapdown.disturbances import Disturbances
@@ -141,7 +141,7 @@ def _moved(
     out = times_plus_identity(step.transition, d)
     out = tuple(one + h * by for one, h in zip(out, enters, strict=True))
     for k, m in zip(step.gains, step.measured, strict=True):
-        out = tuple(one - gain * out[m] for one, gain in zip(out, k, strict=True))
+        out = updated(out, k, m)
     return out
 
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from sinsjax.alignment import coloured_growth
-from sinsjax.alignment.base import ErrorStep, Method, Site
+from sinsjax.alignment.base import ErrorStep, Method, Site, updated
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import (
     Entries,
@@ -145,11 +145,6 @@ def driven(
     for k, m in zip(step.gains, step.measured, strict=True):
         d = updated(d, k, m)
     return d
-
-
-def updated(d: tuple[Scalar, ...], k: tuple[Scalar, ...], m: int) -> tuple[Scalar, ...]:
-    """(I - k h) d, h the row that measures state m."""
-    return tuple(one - gain * d[m] for one, gain in zip(d, k, strict=True))
 
 
 def _in_n(q: Quat, noise: IncrementNoise) -> dict[tuple[int, int], Scalar]:

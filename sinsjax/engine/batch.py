@@ -260,6 +260,14 @@ class Calls:
         for one in self._programs:
             one.compiled()
 
+    def whole(self) -> Chunk:
+        """All chunks as one, by draw and variant."""
+        found = [self.chunk(number) for number in range(len(self.plan))]
+        made: Chunk = jax.tree.map(lambda *leaves: np.concatenate(leaves), *found)
+        order = np.lexsort((made.variant, made.draw))
+        ordered: Chunk = jax.tree.map(lambda a: a[order], made)
+        return ordered
+
     def chunk(self, number: int, round_: int = 0) -> Chunk:
         """Run one of the plan's calls, on the device of the thread that asks.
 

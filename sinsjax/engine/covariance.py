@@ -118,11 +118,15 @@ def _spread(
     lanes, samples = len(floor), static.sampled_errors
     half, every = samples // 2, n + sum(sizes)
     normals = jax.random.normal(key, (len(rows), every, half), float)
-    begun = _begun(static, environment, every, lanes, half, key)
-    one_record = partial(_over_record, criteria)
+    outside = jnp.zeros((lanes, 2, len(criteria.bands), samples))
     if sizes:
         over_interval = coloured_spread.inputs(environment.coloured, static.record_every)
+        begun = _begun(over_interval, every, half, outside, key)
         one_record = partial(_over_coloured_record, criteria, over_interval, sizes, n)
+    else:
+        zero, none = jnp.zeros_like(floor), jnp.zeros((lanes, half))
+        begun = _Carry((zero,) * (n * (n + 1) // 2), (none,) * n, outside)
+        one_record = partial(_over_record, criteria)
     over_lanes = jax.vmap(one_record, in_axes=(0, None, None, 0, 0))
 
     def over(carry: _Carry, record: tuple[Scalar, Array, Array]) -> tuple[_Carry, Array]:
@@ -137,19 +141,14 @@ def _spread(
 
 
 def _begun(
-    static: Static, environment: Environment, every: int, lanes: int, half: int, key: Array
+    over: coloured_spread.Inputs, every: int, half: int, outside: Array, key: Array
 ) -> "_Carry":
     """Of so many states, before the first record: no error, and processes as they always are."""
-    bands = len(environment.criteria.bands)
-    outside = jnp.zeros((lanes, 2, bands, 2 * half))
-    if not (m := sum(coloured_spread.widths(environment.coloured))):
-        zero, none = jnp.zeros(lanes), jnp.zeros((lanes, half))
-        return _Carry((zero,) * (every * (every + 1) // 2), (none,) * every, outside)
-    root = coloured_spread.inputs(environment.coloured, static.record_every).begin
+    m = len(over.begin)
     normal = jax.random.normal(jax.random.fold_in(key, 2**31), (m, half), float)
-    s = jnp.zeros((every, every)).at[every - m :, every - m :].set(root @ root.T)
-    e = jnp.zeros((every, half)).at[every - m :].set(root @ normal)
-    s, e = (jnp.broadcast_to(a, (lanes, *a.shape)) for a in (s, e))
+    s = jnp.zeros((every, every)).at[every - m :, every - m :].set(over.begin @ over.begin.T)
+    e = jnp.zeros((every, half)).at[every - m :].set(over.begin @ normal)
+    s, e = (jnp.broadcast_to(a, (len(outside), *a.shape)) for a in (s, e))
     return _Carry(s, e, outside)
 
 
@@ -189,8 +188,7 @@ def _over_record(
         for i in range(n)
     )
     away = sum(a * one for a, one in zip(angles[2], e, strict=True))
-    error = row[2] + jnp.concatenate([away, -away])  # of the opposite noise
-    now = jnp.stack([over_bands(criteria, error - floor), over_bands(criteria, error)])
+    now = _outside(criteria, row[2], away, floor)
     sigma = (jnp.sqrt(_variance(one, s)) for one in angles)
     outside = mix(now, time, carry.outside)
     return _Carry(s, e, outside), (*row[:3], *sigma, *row[3:6])
@@ -219,10 +217,22 @@ def _over_coloured_record(
     s = f @ carry.s @ f.T + w_all
     e = f @ carry.e + coloured_spread.factor(w_all) @ jnp.stack(normal)
     away = rows[2] @ e[:n]
-    error = row[2] + jnp.concatenate([away, -away])  # of the opposite noise
-    now = jnp.stack([over_bands(criteria, error - floor), over_bands(criteria, error)])
+    now = _outside(criteria, row[2], away, floor)
     sigma = jnp.sqrt(jnp.maximum(jnp.einsum("ij,jk,ik->i", rows, s[:n, :n], rows), 0.0))
     return _Carry(s, e, mix(now, time, carry.outside)), (*row[:3], *sigma, *row[3:6])
+
+
+def _outside(criteria: metrics.Criteria, mean: Scalar, away: Array, floor: Scalar) -> Array:
+    """(2, B, samples) whether errors about a mean are outside the bands, rad.
+
+    Args:
+        criteria: with the bands.
+        mean: of phi_u.
+        away: (samples / 2,) from it; as many have the opposite noise.
+        floor: what phi_u should settle to.
+    """
+    error = mean + jnp.concatenate([away, -away])
+    return jnp.stack([over_bands(criteria, error - floor), over_bands(criteria, error)])
 
 
 def states_of(fields: int, coloured: int = 0) -> int:

@@ -46,6 +46,14 @@ class Group(NamedTuple):
         """Number of draws and of variants."""
         return len(self.draws.draw_id), len(self.variants.ve)
 
+    def some(self, draws: np.ndarray, variants: np.ndarray) -> "Group":
+        """The group with some draws and some variants only, by their places."""
+        return self._replace(
+            draws=jax.tree.map(lambda a: a[draws] if np.ndim(a) else a, self.draws),
+            q=self.q[draws],
+            variants=jax.tree.map(lambda a: np.asarray(a)[variants], self.variants),
+        )
+
 
 class Lanes(NamedTuple):
     """Which runs the lanes of a call take; leaves (tiles, sets, lanes).

@@ -87,14 +87,7 @@ class PairedCalls:
     def _calls(self, draws: np.ndarray, variants: np.ndarray) -> Calls:
         """The runs of a block; filled up to the variants of the first, they share its program."""
         filled = np.pad(variants, (0, self.plan.size.variants - len(variants)), mode="edge")
-        group = self._group
-        return Calls(
-            group._replace(
-                draws=jax.tree.map(lambda a: a[draws] if np.ndim(a) else a, group.draws),
-                q=group.q[draws],
-                variants=jax.tree.map(lambda a: np.asarray(a)[filled], group.variants),
-            )
-        )
+        return Calls(self._group.some(draws, filled))
 
     def _companions(self, draws: np.ndarray, variants: np.ndarray) -> Companions:
         """Of the runs of a block, leaves (..., variants, draws)."""
@@ -107,11 +100,9 @@ class PairedCalls:
     def chunk(self, number: int) -> PairedChunk:
         """Run a block of the plan, and the companions of its runs."""
         draws, variants = self.plan[number]
-        calls = self._calls(draws, variants)
-        found = [calls.chunk(call) for call in range(len(calls.plan))]
-        made: Chunk = jax.tree.map(lambda *leaves: np.concatenate(leaves), *found)
-        order = np.lexsort((made.variant, made.draw))
-        made = jax.tree.map(lambda a: a[order[made.variant[order] < len(variants)]], made)
+        made = self._calls(draws, variants).whole()
+        asked = made.variant < len(variants)
+        made = jax.tree.map(lambda a: a[asked], made)
         beside = self._companions(draws, variants)
         row = np.searchsorted(self._group.draws.draw_id[draws], made.draw)
         return PairedChunk(

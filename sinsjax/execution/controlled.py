@@ -19,7 +19,7 @@ from sinsjax.analysis.controlled import (
 )
 from sinsjax.execution import layouts
 from sinsjax.execution.layouts import Statistic
-from sinsjax.execution.tables import nullable
+from sinsjax.execution.tables import nullable, with_column
 from sinsjax.study.study import Study
 from sinsjax.study.times import spans_s
 
@@ -108,7 +108,7 @@ def pooled(study: Study, tables: list[pa.Table]) -> pa.Table:
             mean, error = (f"{one.settled}_{what}_s" for what in ("mean", "mean_error"))
             for name, divisor in ((mean, 1.0), (error, math.sqrt(len(tables)))):
                 values = [t[name].to_numpy(zero_copy_only=False) for t in tables]
-                whole = _with(whole, name, np.mean(values, axis=0) / divisor)
+                whole = with_column(whole, name, nullable(np.mean(values, axis=0) / divisor))
     return whole
 
 
@@ -128,9 +128,9 @@ def concluded(study: Study, estimates: pa.Table, summary: pa.Table) -> pa.Table:
     for number, one in enumerate(statistics):
         cells = np.array([row[number] for row in found]).T
         for column, values in zip(one.columns, cells, strict=True):
-            estimates = _with(estimates, column.name, values)
+            estimates = with_column(estimates, column.name, nullable(values))
     draws = summary.num_rows // estimates.num_rows
-    return _with(estimates, columns.DRAWS.name, np.full(estimates.num_rows, draws))
+    return with_column(estimates, columns.DRAWS.name, nullable(np.full(estimates.num_rows, draws)))
 
 
 def by_variant(study: Study, summary: pa.Table) -> Iterator[Draws]:
@@ -166,10 +166,3 @@ def _expectation(one: Statistic, estimate: dict[str, Any]) -> Expectation:
     centre = 0.0 if one.truth else told("floor_arcmin")
     mean, sigma = told(f"phi_u{one.at}_arcmin"), told(f"true_sigma_u{one.at}_arcmin")
     return Expectation((mean - centre) ** 2 + sigma**2)
-
-
-def _with(table: pa.Table, name: str, values: NDArray) -> pa.Table:
-    """A table with other values in a column of numbers; NaN is null."""
-    place = table.column_names.index(name)
-    field = table.schema.field(name)
-    return table.set_column(place, field, nullable(values).cast(field.type))

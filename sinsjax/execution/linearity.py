@@ -8,20 +8,19 @@ import threading
 from functools import lru_cache
 from typing import Any
 
-import jax
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax import columns
-from sinsjax.engine.batch import Calls, Chunk
+from sinsjax.engine.batch import Calls
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.companions import FEW_DRAWS, FEW_VARIANTS
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.paired import PairedCalls, PairedChunk
 from sinsjax.engine.verdicts import LIMIT, TRUTH
 from sinsjax.execution.estimates import settled_of, told_records
-from sinsjax.execution.tables import nullable
+from sinsjax.execution.tables import nullable, with_column
 from sinsjax.study.success import bands
 from sinsjax.study.times import report_times, spans_s
 from sinsjax.units import ARCMIN
@@ -57,7 +56,7 @@ class Linearity:
         places = np.searchsorted(ids, table["variant_id"].to_numpy())
         with self._lock:  # otherwise every thread would make the part and compile
             group = self._runs(number)
-            calls = PairedCalls(_few(group, places, CHECKED), self._records, FEW_DRAWS)
+            calls = PairedCalls(group.some(np.arange(CHECKED), places), self._records, FEW_DRAWS)
             calls.compile()
         index = np.concatenate(
             [
@@ -67,9 +66,9 @@ class Linearity:
             axis=1,
         )
         for end, values in zip(self._ends, index, strict=True):
-            table = _with(table, f"nonlinearity{end}", nullable(values))
+            table = with_column(table, f"nonlinearity{end}", nullable(values))
         beyond = ~(index.max(axis=0) <= MOST) & ~np.isnan(index).all(axis=0)
-        table = _with(table, "filled_by_draws", pa.array(beyond))
+        table = with_column(table, "filled_by_draws", pa.array(beyond))
         for first in range(0, int(beyond.sum()), FEW_VARIANTS.variants):
             rows = np.flatnonzero(beyond)[first : first + FEW_VARIANTS.variants]
             table = self._filled(table, group, rows, places[rows])
@@ -95,15 +94,13 @@ class Linearity:
     def _filled(self, table: pa.Table, group: Group, rows: NDArray, places: NDArray) -> pa.Table:
         """The table with what the draws of some rows give of the heading."""
         width = FEW_VARIANTS.variants
-        calls = Calls(_few(group, np.pad(places, (0, width - len(places)), mode="edge")))
-        found = [calls.chunk(call) for call in range(len(calls.plan))]
-        made: Chunk = jax.tree.map(lambda *leaves: np.concatenate(leaves), *found)
-        order = np.lexsort((made.draw, made.variant))  # variant by variant
+        filled = np.pad(places, (0, width - len(places)), mode="edge")
+        made = Calls(group.some(np.arange(group.sizes[0]), filled)).whole()
 
         def of(leaf: Any) -> NDArray:
             """(variants, draws, ...)."""
-            leaf = np.asarray(leaf)[order]
-            return leaf.reshape(width, -1, *leaf.shape[1:])[: len(rows)]
+            leaf = np.asarray(leaf)
+            return leaf.reshape(-1, width, *leaf.shape[1:]).swapaxes(0, 1)[: len(rows)]
 
         out = made.outcome
         told = {"": (of(out.last.phi.z), of(out.last.sigma.z))}
@@ -134,21 +131,5 @@ class Linearity:
         for name, own in values.items():
             whole = table[name].to_numpy(zero_copy_only=False).copy()
             whole[rows] = own
-            table = _with(table, name, nullable(whole))
+            table = with_column(table, name, nullable(whole))
         return table
-
-
-def _few(group: Group, variants: NDArray, draws: int | None = None) -> Group:
-    """Some variants of a group, and its first draws; None for all."""
-    taken = np.arange(group.sizes[0] if draws is None else draws)
-    return group._replace(
-        draws=jax.tree.map(lambda a: a[taken] if np.ndim(a) else a, group.draws),
-        q=group.q[taken],
-        variants=jax.tree.map(lambda a: np.asarray(a)[variants], group.variants),
-    )
-
-
-def _with(table: pa.Table, name: str, values: pa.Array) -> pa.Table:
-    """A table with other values in a column."""
-    place = table.column_names.index(name)
-    return table.set_column(place, table.schema.field(name), values)

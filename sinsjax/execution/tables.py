@@ -229,6 +229,12 @@ def nullable(values: Any) -> pa.Array:
     return pa.array(flat, mask=~np.isfinite(flat))
 
 
+def with_column(table: pa.Table, name: str, values: pa.Array) -> pa.Table:
+    """A table with other values in a column, of its type."""
+    place, field = table.column_names.index(name), table.schema.field(name)
+    return table.set_column(place, field, values.cast(field.type))
+
+
 def table_of(layout: tuple[Column, ...], values: dict[str, Any]) -> pa.Table:
     """A table of some columns, from their values by name."""
     arrays = [pa.array(values[c.name]).cast(c.dtype) for c in layout]

@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import tomli_w
+from support.commands import Command, command_line
 from support.kept import everything
 from support.studies import BASE, small_study
 
@@ -24,21 +25,11 @@ from sinsjax.records import PSINS_LAYOUT, Layout, read_psins, write_csv, write_p
 
 pytestmark = pytest.mark.optimised(False)
 
-Command = Callable[..., tuple[int, str, str]]
-
 
 @pytest.fixture
 def sinsjax(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
     """Runs a command line in this process; gives exit code, output and error output."""
-
-    def call(*words: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["sinsjax", *map(str, words)])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        told = capsys.readouterr()
-        return int(stop.value.code or 0), told.out, told.err
-
-    return call
+    return command_line(monkeypatch, capsys)
 
 
 def write_study(folder: Path, **changes: Any) -> Path:

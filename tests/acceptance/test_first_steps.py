@@ -4,19 +4,17 @@ import os
 import subprocess
 import sys
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import tomli_w
+from support.commands import Command, command_line
 
 import sinsjax as package
-from sinsjax import cli
 from sinsjax.cli import options
 from sinsjax.study import files, problems
 from sinsjax.study.keys import SECTION_OF
 
-Command = Callable[..., tuple[int, str, str]]
 ROOT = Path(__file__).parents[2]
 
 WRONG = """
@@ -56,15 +54,7 @@ def sinsjax(
 ) -> Command:
     """Runs a command line in this process, in an empty folder."""
     monkeypatch.chdir(tmp_path)
-
-    def call(*words: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["sinsjax", *map(str, words)])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        told = capsys.readouterr()
-        return int(stop.value.code or 0), told.out, told.err
-
-    return call
+    return command_line(monkeypatch, capsys)
 
 
 def test_shipped_studies_go_by_name(sinsjax: Command) -> None:

@@ -3,7 +3,7 @@
 import shutil
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -13,12 +13,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import tomli_w
+from support.commands import Command, command_line
 from support.kept import everything
 from support.stored import told
 from support.studies import BASE, small_study
 
 import sinsjax.tuning
-from sinsjax import cli
 from sinsjax.engine.build import simulated_record
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import resume, tables
@@ -33,8 +33,6 @@ from sinsjax.tuning.history import Evaluation, Found
 from sinsjax.tuning.results import Tuning
 
 pytestmark = pytest.mark.optimised(False)
-
-Command = Callable[..., tuple[int, str, str]]
 
 TUNE: dict[str, Any] = {
     "objective": "final_error",
@@ -68,15 +66,7 @@ def write(path: Path, **changes: Any) -> Path:
 @pytest.fixture
 def sinsjax_(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
     """Runs a command line in this process; gives exit code, output and error output."""
-
-    def call(*words: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["sinsjax", *map(str, words)])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        said = capsys.readouterr()
-        return int(stop.value.code or 0), said.out, said.err
-
-    return call
+    return command_line(monkeypatch, capsys)
 
 
 def descend(study: Study, tape: Any, *, tell: Any) -> Found:

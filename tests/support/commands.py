@@ -1,0 +1,23 @@
+"""Command lines run in the test's own process."""
+
+import sys
+from collections.abc import Callable
+
+import pytest
+
+from sinsjax import cli
+
+Command = Callable[..., tuple[int, str, str]]
+
+
+def command_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    """Runs ``sinsjax`` with some words; gives exit code, output and error output."""
+
+    def call(*words: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["sinsjax", *map(str, words)])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        told = capsys.readouterr()
+        return int(stop.value.code or 0), told.out, told.err
+
+    return call
