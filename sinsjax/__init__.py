@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from sinsjax.errors import InputError
     from sinsjax.execution.estimated_curves import estimated_curves
     from sinsjax.execution.estimates import read_estimates
+    from sinsjax.execution.information import information_bound
     from sinsjax.execution.run import Results, estimate, load_tape, run, run_into
     from sinsjax.execution.tables import read_curves, read_manifest, read_summary
     from sinsjax.platform.runtime import configure, info
@@ -70,6 +71,7 @@ __all__ = [
     "estimate",
     "estimated_curves",
     "info",
+    "information_bound",
     "load_study",
     "load_tape",
     "read_curves",
@@ -93,6 +95,7 @@ _HOMES = {
     "errors": ("InputError",),
     "execution.estimated_curves": ("estimated_curves",),
     "execution.estimates": ("read_estimates",),
+    "execution.information": ("information_bound",),
     "execution.run": ("Results", "estimate", "load_tape", "run", "run_into"),
     "execution.tables": ("read_curves", "read_manifest", "read_summary"),
     "platform.runtime": ("configure", "info"),

@@ -209,6 +209,14 @@ ESTIMATED_CURVES = (
 """Columns of estimates over time, of which `sinsjax.estimated_curves` makes a table."""
 
 
+INFORMATION_BOUND = (
+    ESTIMATED_CURVES[0],
+    CURVES[1],
+    Column("bound_u_arcmin", _F, "arcmin", "least 1 sigma of phi_u of any unbiased estimator"),
+)
+"""Columns of `sinsjax.information_bound`."""
+
+
 def settle_estimates(band_arcmin: float, *, truth: bool = False) -> tuple[Column, ...]:
     """The settling time into one band, estimated from sampled errors."""
     settled = settle_column(band_arcmin, truth=truth).name.removesuffix("_s")

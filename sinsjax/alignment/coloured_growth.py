@@ -31,8 +31,13 @@ ENTERS = Disturbances(
     accel_instability=(VELOCITY, IN_B),
     gyro_walk=(ANGLE, IN_B),
     accel_walk=(VELOCITY, IN_B),
+    shaking=(VELOCITY, IN_B),
+    rocking=(ANGLE, IN_B),
 )
-"""Where the three axes of each process enter; vibration is not modelled."""
+"""Where the three axes of each process enter."""
+
+_MOVES = ("surge", "shaking", "rocking")
+"""Processes that are a velocity or an angle, of which increments hold the change."""
 
 
 class Growth(NamedTuple):
@@ -64,7 +69,7 @@ def increments(disturbances: Disturbances, dt: float) -> Disturbances:
     for name, process in disturbances._asdict().items():
         if process is None:
             continue
-        if name == "surge":  # its velocity counts by what it changes over the sample
+        if name in _MOVES:
             a, c = process.transition, process.output
             change = jnp.asarray(c) @ (jnp.asarray(a) - jnp.eye(len(process.drive)))
             made[name] = process._replace(output=change, direct=jnp.asarray(c) @ process.drive)
