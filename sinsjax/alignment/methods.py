@@ -5,7 +5,11 @@ from collections.abc import Iterable
 from sinsjax.alignment.azimuth.description import EKF_AZIMUTH, UNSCENTED
 from sinsjax.alignment.compass.description import COMPASS
 from sinsjax.alignment.description import Description
-from sinsjax.alignment.inertial_frame.description import INERTIAL, OPTIMISATION
+from sinsjax.alignment.inertial_frame.description import (
+    INERTIAL,
+    OPTIMISATION,
+    OPTIMISATION_POSITION,
+)
 from sinsjax.alignment.invariant.description import INVARIANT
 from sinsjax.alignment.sincos.description import SINCOS
 from sinsjax.alignment.zero_velocity.description import KALMAN5, KALMAN10
@@ -21,6 +25,7 @@ METHODS: dict[str, Description] = {
         INVARIANT,
         UNSCENTED,
         OPTIMISATION,
+        OPTIMISATION_POSITION,
         INERTIAL,
         COMPASS,
     )

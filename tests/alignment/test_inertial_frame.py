@@ -23,14 +23,15 @@ from support.studies import refusal, small_study
 from sinsjax import run as run_study
 from sinsjax.alignment.coarse import COARSE
 from sinsjax.alignment.inertial_frame.eigenvector import of_largest
-from sinsjax.alignment.inertial_frame.method import optimised, reaction_velocity
+from sinsjax.alignment.inertial_frame.least_squares import reaction_velocity
+from sinsjax.alignment.inertial_frame.method import optimised
 from sinsjax.alignment.methods import METHODS
 from sinsjax.strapdown import sensors
 from sinsjax.units import ARCMIN
 
 RATE, SECONDS, LATITUDE = 100, 60, 32 * DEG
 SWING = PAPER1._replace(center=np.array([0.5, -0.3, 2.0]))
-NAMES = ("optimisation", "inertial")
+NAMES = ("optimisation", "optimisation_position", "inertial")
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(-9, 0), st.floats(-3, 12), st.floats(0, 1e-7))
@@ -70,28 +71,63 @@ def record():
     return measured(PAPER, LATITUDE, RATE * SECONDS)
 
 
-def test_optimisation_is_the_least_squares_fit_of_the_velocities():
-    """SciPy's solution of Wahba's problem, by singular values, of sums in plain loops."""
+def velocities(rows):
+    """Alpha and beta (n, 3) after every sample, and C_b^{b0} there, in plain loops."""
     w_ie = np.array(PAPER.rates(LATITUDE, (0.0, 0.0))[0])
-    theta, dvs = compensate(record())
+    theta, dvs = compensate(rows)
     turns, dt = Rotation.from_rotvec(theta), 1 / RATE
-    body, alpha, b = np.eye(3), np.zeros(3), np.zeros((3, 3))
-    beta, up = np.zeros(3), np.array([0.0, 0.0, PAPER.gravity])
+    body, alpha = [np.eye(3)], [np.zeros(3)]
+    beta, up = [np.zeros(3)], np.array([0.0, 0.0, PAPER.gravity])
     for k, (turn, dv) in enumerate(zip(turns.as_matrix(), dvs, strict=True)):
-        alpha = alpha + body @ dv
+        alpha.append(alpha[-1] + body[-1] @ dv)
         # Simpson's rule over the sample.
         times = np.array([k, k + 0.5, k + 1]) * dt
-        beta = beta + dt / 6 * np.array([1, 4, 1]) @ (
-            Rotation.from_rotvec(times[:, None] * w_ie).apply(up)
-        )
-        body = body @ turn
-        b = b + np.outer(beta, alpha)
-        if (k + 1) % (20 * RATE) == 0:
-            left, _, right = np.linalg.svd(b)
-            n0 = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
-            expected = exp(-w_ie * (k + 1) * dt) @ n0 @ body
-            found = attitudes("optimisation", record())[(k + 1) // RATE - 1]
-            assert np.abs(log(expected @ found.T)).max() < 1e-3 * ARCMIN
+        reaction = Rotation.from_rotvec(times[:, None] * w_ie).apply(up)
+        beta.append(beta[-1] + dt / 6 * np.array([1, 4, 1]) @ reaction)
+        body.append(body[-1] @ turn)
+    return np.array(alpha[1:]), np.array(beta[1:]), body[1:]
+
+
+def fitted(b, body, seconds):
+    """SciPy's way to solve Wahba's problem, by singular values, and the attitude then."""
+    w_ie = np.array(PAPER.rates(LATITUDE, (0.0, 0.0))[0])
+    left, _, right = np.linalg.svd(b)
+    n0 = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
+    return exp(-w_ie * seconds) @ n0 @ body
+
+
+@pytest.mark.parametrize("seconds", [20, 40, 60])
+def test_optimisation_is_the_least_squares_fit_of_the_velocities(seconds):
+    n = seconds * RATE
+    alpha, beta, body = velocities(record()[:n])
+    found = attitudes("optimisation", record())[seconds - 1]
+    expected = fitted(beta.T @ alpha, body[-1], seconds)
+    assert np.abs(log(expected @ found.T)).max() < 1e-3 * ARCMIN
+
+
+@pytest.mark.parametrize("seconds", [20, 40, 60])
+def test_optimisation_of_positions_leaves_the_first_velocity_open(seconds):
+    """The residuals of their sums on the time, by least squares, fit best."""
+    n = seconds * RATE
+    alpha, beta, body = velocities(record()[:n])
+    t = np.arange(1.0, n + 1)[:, None] / RATE
+    a, b = (
+        one - t @ np.linalg.lstsq(t, one)[0]
+        for one in (np.cumsum(each, axis=0) / RATE for each in (alpha, beta))
+    )
+    found = attitudes("optimisation_position", record())[seconds - 1]
+    assert np.abs(log(fitted(b.T @ a, body[-1], seconds) @ found.T)).max() < 1e-2 * ARCMIN
+
+
+def test_a_base_that_is_under_way_at_a_steady_velocity_does_not_matter_to_positions():
+    """Of a metre a second, known to the inertial frame as a change of the first sample."""
+    rows = record()
+    moving = rows.copy()
+    moving[0, 3:] += [0.6, -0.8, 0.1]
+    ahead, changed = (attitudes("optimisation_position", one)[-1] for one in (rows, moving))
+    assert np.abs(log(ahead @ changed.T)).max() < 0.02 * ARCMIN
+    lost, wrong = (attitudes("optimisation", one)[-1] for one in (rows, moving))
+    assert np.abs(log(lost @ wrong.T)).max() > 100 * ARCMIN
 
 
 def test_inertial_is_coarse_alignment_as_it_goes():

@@ -12,12 +12,15 @@ def _load(name: str) -> Implementation:
     return Implementation(getattr(method, name), lambda columns, site, ug: ())
 
 
+_NAMES = ("optimisation", "optimisation_position", "inertial")
+
+
 def check_passes(study: CheckedStudy) -> None:
     """Refuse repeated passes, which hold nothing that the first has not told."""
     if not study.has("passes"):
         return
     for point in study.combinations("method", "tape_s"):
-        if point["method"] in ("optimisation", "inertial") and point["tape_s"] is not None:
+        if point["method"] in _NAMES and point["tape_s"] is not None:
             text = f"method {point['method']} takes a record in once: read again it tells no more"
             study.refuse("tape_s", text)
 
@@ -27,7 +30,7 @@ def check_coarse(study: CheckedStudy) -> None:
     if study.is_recorded or not study.has("coarse"):
         return
     for point in study.combinations("method", "coarse_method"):
-        if point["method"] in ("optimisation", "inertial") and point["coarse_method"] != "none":
+        if point["method"] in _NAMES and point["coarse_method"] != "none":
             text = f"method {point['method']} needs no coarse alignment before it (give 'none')"
             study.refuse("coarse_method", text)
 
@@ -49,9 +52,17 @@ OPTIMISATION = _inertial_frame(
     step_s=3e-9,
 )
 
+OPTIMISATION_POSITION = _inertial_frame(
+    name="optimisation_position",
+    summary="the same of integrated positions, from an unknown velocity: for a base that surges",
+    source="`alignment.inertial_frame.least_squares`",
+    load=partial(_load, "optimisation_position"),
+    step_s=4e-9,
+)
+
 INERTIAL = _inertial_frame(
     name="inertial",
-    summary="the same from two weighted means of the specific force, as coarse alignment does",
+    summary="attitude from two weighted means of the specific force, as coarse alignment does",
     source="weighted TRIAD, see alignment.coarse",
     load=partial(_load, "inertial"),
     step_s=5e-9,

@@ -6,9 +6,9 @@ rotation takes one into the other:
 
     C_b^n(t) = C_{n0}^{n(t)} C_{b0}^{n0} C_{b(t)}^{b0},    C_{n0}^{n(t)} = exp(-w_ie t x).
 
-No initial attitude, velocity or belief enters: what a draw's sensors measure decides alone. Two
-ways to find C_{b0}^{n0} stand here: least squares of the integrated velocities, and two of their
-weighted means. The base must not travel; that it sways does not matter.
+No initial attitude, velocity or belief enters: what a draw's sensors measure decides alone. Three
+ways to find C_{b0}^{n0} stand here: least squares of the integrated velocities or positions, and
+two weighted means of the force. The base must not travel; that it sways does not matter.
 """
 
 from typing import Any, NamedTuple
@@ -25,10 +25,19 @@ from sinsjax.alignment.base import (
     no_covariance,
 )
 from sinsjax.alignment.coarse import two_vectors
-from sinsjax.alignment.inertial_frame.eigenvector import of_largest
+from sinsjax.alignment.inertial_frame.least_squares import (
+    VelocityMoments,
+    add_position,
+    add_velocity,
+    earth_rate,
+    no_positions,
+    no_velocities,
+    of_positions,
+    of_velocities,
+)
 from sinsjax.alignment.limits import Biases, Limit, unaided
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import add, cross, dot, scale
+from sinsjax.maths.algebra import add, scale
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
@@ -84,7 +93,7 @@ def _method(options: Options, start: Any, add_sample: Any, to_n0: Any) -> Method
         felt = rotations.rotate(state.frames.body, sample.dv)
         frames = Frames(
             rotations.multiply(state.frames.body, sample.turn),
-            rotations.exp(scale(-n * dt, _earth_rate(site.place))),
+            rotations.exp(scale(-n * dt, earth_rate(site.place))),
         )
         moments = add_sample(state.moments, felt, site.place, n, dt)
         return InertialState(state.nav, frames, moments, n)
@@ -117,75 +126,21 @@ def _limit(params: Any, place: Place, biases: Biases, ending: Ending) -> Limit:
     return unaided(place, biases)
 
 
-def _earth_rate(place: Place) -> Vec3:
-    return Vec3(jnp.zeros_like(place.rate_n), place.rate_n, place.rate_u)
-
-
-class VelocityMoments(NamedTuple):
-    """Of the integrated specific forces alpha in b0 and beta in n0, m/s.
-
-    Attributes:
-        velocity: alpha, up to the last sample.
-        profile: rows of the sum of beta alpha'.
-        weight: half the sum of |alpha|^2 + |beta|^2, no less than the largest eigenvalue.
-    """
-
-    velocity: Vec3
-    profile: tuple[Vec3, Vec3, Vec3]
-    weight: Scalar
-
-
 def optimisation(options: Options) -> Method:
     """The rotation that takes all velocities alpha closest to beta (Davenport's q-method).
 
     Wu et al., Aerosp. Sci. Technol. 15 (2011), and Wu and Pan, IEEE TAES 49 (2013): the
     eigenvector of the largest eigenvalue of a 4 x 4 matrix, found at record times.
     """
-    return _method(options, _no_velocities, _add_velocity, _least_squares)
+    return _method(options, no_velocities, add_velocity, of_velocities)
 
 
-def _no_velocities(zero: Scalar) -> VelocityMoments:
-    none = Vec3(zero, zero, zero)
-    return VelocityMoments(none, (none, none, none), zero)
+def optimisation_position(options: Options) -> Method:
+    """The same of positions, sums of velocities, from an initial velocity that is unknown.
 
-
-def _add_velocity(
-    moments: VelocityMoments, felt: Vec3, place: Place, n: Scalar, dt: Scalar
-) -> VelocityMoments:
-    alpha, beta = add(moments.velocity, felt), reaction_velocity(place, n * dt)
-    rows = zip(moments.profile, beta, strict=True)
-    return VelocityMoments(
-        alpha,
-        tuple(add(row, scale(b, alpha)) for row, b in rows),  # type: ignore[arg-type]
-        moments.weight + 0.5 * (dot(alpha, alpha) + dot(beta, beta)),
-    )
-
-
-def reaction_velocity(place: Place, t: Scalar) -> Vec3:
-    """Integral over t (s) of gravity's reaction in n0, m/s.
-
-    With e = w_ie / W: g [z sin(Wt)/W + (e x z)(1 - cos Wt)/W + e (e.z)(t - sin(Wt)/W)].
+    On a base that surges it is left with a fraction of the error: see `least_squares`.
     """
-    rate = jnp.sqrt(place.rate_n**2 + place.rate_u**2)
-    e = scale(1 / rate, _earth_rate(place))
-    up = Vec3(jnp.zeros_like(e.z), jnp.zeros_like(e.z), jnp.ones_like(e.z))
-    sine, versine = jnp.sin(rate * t) / rate, 2 * jnp.sin(rate * t / 2) ** 2 / rate
-    turned = add(scale(sine, up), scale(versine, cross(e, up)))
-    return scale(place.gravity, add(turned, scale(e.z * (t - sine), e)))
-
-
-def _least_squares(moments: VelocityMoments, count: Scalar) -> Quat:
-    """C_{b0}^{n0} by Davenport: K of B = sum of beta alpha', and its largest eigenvalue."""
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = moments.profile
-    return of_largest(
-        (
-            *(xx + yy + zz, zy - yz, xz - zx, yx - xy),
-            *(xx - yy - zz, xy + yx, xz + zx),
-            *(yy - xx - zz, yz + zy),
-            zz - xx - yy,
-        ),
-        moments.weight,
-    )
+    return _method(options, no_positions, add_position, of_positions)
 
 
 def optimised(samples: Sample, place: Place, dt: Scalar) -> Quat:
@@ -204,13 +159,13 @@ def optimised(samples: Sample, place: Place, dt: Scalar) -> Quat:
     ) -> tuple[tuple[Quat, VelocityMoments], None]:
         (body, moments), (sample, n) = carry, xs
         felt = rotations.rotate(body, sample.dv)
-        moments = _add_velocity(moments, felt, place, n, dt)
+        moments = add_velocity(moments, felt, place, n, dt)
         return (rotations.multiply(body, sample.turn), moments), None
 
-    start = Quat(zero + 1, zero, zero, zero), _no_velocities(zero)
+    start = Quat(zero + 1, zero, zero, zero), no_velocities(zero)
     (body, moments), _ = jax.lax.scan(over, start, (samples, counts))
-    earth = rotations.exp(scale(-counts[-1] * dt, _earth_rate(place)))
-    found = rotations.multiply(_least_squares(moments, counts[-1]), body)
+    earth = rotations.exp(scale(-counts[-1] * dt, earth_rate(place)))
+    found = rotations.multiply(of_velocities(moments, counts[-1]), body)
     return rotations.multiply(earth, found)
 
 
@@ -241,7 +196,7 @@ def _add_force(
 ) -> ForceMoments:
     middle = n - 0.5
     up = Vec3(jnp.zeros_like(place.gravity), jnp.zeros_like(place.gravity), place.gravity * dt)
-    turn = rotations.exp(scale(middle * dt, _earth_rate(place)))
+    turn = rotations.exp(scale(middle * dt, earth_rate(place)))
 
     def added(sums: tuple[Vec3, ...], one: Vec3) -> tuple[Vec3, ...]:
         return tuple(add(total, scale(middle**k, one)) for k, total in enumerate(sums))
