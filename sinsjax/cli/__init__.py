@@ -15,7 +15,7 @@ from typing import Annotated
 import typer
 
 from sinsjax.cli import machine, studies
-from sinsjax.cli.helping import Command
+from sinsjax.cli.helping import Command, UsageError, wrong_usage
 from sinsjax.cli.options import (
     Changes,
     Config,
@@ -329,10 +329,17 @@ def main() -> None:
     atexit.register(gc.freeze)
     with lasting():
         try:
-            app()
+            code = app(standalone_mode=False)  # typer itself would print the usage before an error
+        except UsageError as error:
+            if len(sys.argv) == 1:  # without a command: the help is what it tells
+                error.show()
+            else:
+                print(f"error: {wrong_usage(error)}", file=sys.stderr)
+            raise SystemExit(2) from None
         except InputError as error:
             print(f"error: {one_line(str(error))}", file=sys.stderr)
             raise SystemExit(2) from None
         except StudyInterrupted as interrupted:
             print(f"interrupted: {interrupted} (continue with --resume)", file=sys.stderr)
             raise SystemExit(130) from None
+        raise SystemExit(code)

@@ -1,8 +1,24 @@
-"""Help of commands in words: ``CONFIG`` and ``DIR...``, not ``{CONFIG}`` and ``<list[Path]>``."""
+"""Help of commands in words: ``CONFIG`` and ``DIR...``, not ``{CONFIG}`` and ``<list[Path]>``.
+
+And what is wrong with a command line, in one line.
+"""
 
 from typing import Any
 
+import typer
 from typer.core import TyperArgument, TyperCommand
+
+from sinsjax.messages import one_line
+
+UsageError: Any = typer.BadParameter.__base__
+"""What typer raises for a command line that it cannot read; it has no public name for all kinds."""
+
+
+def wrong_usage(error: Any) -> str:
+    """One line about a `UsageError`: an unknown option, a missing argument, a value of no use."""
+    text = one_line(error.format_message()).rstrip(".")
+    help_ = "" if error.ctx is None else f" (see `{error.ctx.command_path} -h`)"
+    return f"{text[:1].lower()}{text[1:]}{help_}"
 
 
 class Command(TyperCommand):

@@ -127,6 +127,88 @@ def test_validate_tells_all_errors(sinsjax: Command, tmp_path: Path) -> None:
     assert len(lines) == 10
 
 
+LISTS = """
+[study]
+duration_s = 60.0
+rate_hz = 100.0
+settle_bands_arcmin = [-60, 10, "x"]
+
+[earth]
+latitude_deg = 45.0
+
+[motion]
+yaw_center_deg = 10.0
+
+[sensors]
+gyro_bias_deg_per_h = ["a", 0.1, "b"]
+
+[axes]
+method = ["kalman7", "compas"]
+pitch_period_s = [-1.0, -2.0, "x"]
+reset_times_s = [[1.0, -2.0, "x"], ["y"], [3.0]]
+
+[drawn]
+phi_n0_deg.values = ["a", 1.0, "b"]
+
+[[cases]]
+case = "a"
+phi_u0_deg = "x"
+
+[[cases]]
+case = "b"
+phi_u0_deg = "y"
+"""
+
+
+def test_validate_tells_every_error_of_a_list(sinsjax: Command, tmp_path: Path) -> None:
+    (tmp_path / "lists.toml").write_text(LISTS)
+    _, _, error = sinsjax("validate", "lists")
+    lines = [line.removeprefix("error: lists.toml: ") for line in error.splitlines()]
+    assert sorted(line.partition(":")[0] for line in lines) == [
+        "[axes] method[0]",
+        "[axes] method[1]",
+        "[axes] pitch_period_s[0]",
+        "[axes] pitch_period_s[1]",
+        "[axes] pitch_period_s[2]",
+        "[axes] reset_times_s[0][1]",
+        "[axes] reset_times_s[0][2]",
+        "[axes] reset_times_s[1][0]",
+        "[cases] phi_u0_deg[0]",
+        "[cases] phi_u0_deg[1]",
+        "[drawn] phi_n0_deg.values[0]",
+        "[drawn] phi_n0_deg.values[2]",
+        "[sensors] gyro_bias_deg_per_h[0]",
+        "[sensors] gyro_bias_deg_per_h[2]",
+        "[study] settle_bands_arcmin[0]",
+        "[study] settle_bands_arcmin[2]",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["sweep", "reset_sweep", "--bogus"], "no such option: --bogus"),
+        (["sweep", "reset_sweep"], "missing option '--out' / '-o' (see `sinsjax sweep -h`)"),
+        (["swep"], "no such command 'swep'"),
+        (["align"], "missing argument 'RECORD' (see `sinsjax align -h`)"),
+        (["sweep", "reset_sweep", "-o", "x", "--devices", "two"], "invalid value for '--devices'"),
+    ],
+)
+def test_a_wrong_command_line_is_told_in_one_line(
+    sinsjax: Command, words: list[str], line: str
+) -> None:
+    code, told, error = sinsjax(*words)
+    assert (code, told, error.count("\n")) == (2, "", 1)
+    assert error.startswith(f"error: {line}")
+
+
+def test_without_a_command_there_is_help(sinsjax: Command) -> None:
+    code, _, error = sinsjax()
+    assert (
+        code == 2 and error.startswith("Usage: sinsjax [OPTIONS] COMMAND") and "  sweep " in error
+    )
+
+
 def test_misshapen_tables_are_told_too(tmp_path: Path) -> None:
     path = tmp_path / "s.toml"
     path.write_text(f'axes = 3\ndrawn = [1]\n[study]\nseed = ["x", {10**400}]\n[[cases]]\nx = 1\n')
