@@ -11,7 +11,7 @@ from sinsjax.alignment.inertial_frame.description import (
     OPTIMISATION_POSITION,
 )
 from sinsjax.alignment.invariant.description import INVARIANT
-from sinsjax.alignment.sincos.description import SINCOS
+from sinsjax.alignment.sincos.description import SINCOS, SURGE
 from sinsjax.alignment.zero_velocity.description import KALMAN5, KALMAN10
 from sinsjax.value_types import Section
 
@@ -21,6 +21,7 @@ METHODS: dict[str, Description] = {
         KALMAN5,
         KALMAN10,
         SINCOS,
+        SURGE,
         EKF_AZIMUTH,
         INVARIANT,
         UNSCENTED,

@@ -20,7 +20,7 @@ BASES = {
     "third order": STILL | {"surge_m_per_s": 0.1},
     "gauss-markov": STILL | {"surge_m_per_s": 0.1, "surge_model": "gauss_markov"},
 }
-METHODS = ("optimisation_position",)
+METHODS = ("kalman_surge", "optimisation_position")
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +32,7 @@ def ratios():
             study={"duration_s": END_S, "draws": DRAWS, "window_s": [200, END_S]},
             motion=motion,
             sensors={"gyro_bias_deg_per_h": 0.0, "accel_bias_ug": 0.0},
+            filter={"q_reading": "per_sample", "r_reading": "psd"},
             axes={"method": list(METHODS)},
         )
         bound = sinsjax.information_bound(study)["bound_u_arcmin"].to_numpy()

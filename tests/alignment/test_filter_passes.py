@@ -14,20 +14,28 @@ from oracles.in_engine import (
     trail,
 )
 from oracles.naive import DEG, PAPER, Filter, exp, of_quaternion
-from oracles.naive_filters import EXTENDED, INVARIANT, SINCOS, closed_loop
+from oracles.naive_filters import EXTENDED, INVARIANT, SINCOS, closed_loop, surging
 
 from sinsjax.alignment.azimuth.method import AzimuthParams
 from sinsjax.alignment.base import Options
+from sinsjax.alignment.sincos.surge import SurgeParams
 from sinsjax.engine.realisations import Static
 
 RATE, SAMPLES, EVERY, LATITUDE = 100, 600, 50, 32 * DEG
-NAIVE = {"kalman_sincos": SINCOS, "ekf_azimuth": EXTENDED, "invariant": INVARIANT}
+NAIVE = {
+    "kalman_sincos": SINCOS,
+    "kalman_surge": surging(2.0),
+    "ekf_azimuth": EXTENDED,
+    "invariant": INVARIANT,
+}
 
 
 def numbers(name, **changes):
-    heading = [0.5**0.5] * 2 if name == "kalman_sincos" else [80 * DEG]
+    heading = [0.5**0.5] * 2 if name in ("kalman_sincos", "kalman_surge") else [80 * DEG]
     p0 = np.array([0.1, 0.1, 15 * DEG, 15 * DEG, *heading]) ** 2
     q = (np.array([500 * UG] * 2 + [0.1 * DEG_PER_H] * (len(p0) - 2)) / RATE) ** 2
+    if name == "kalman_surge":
+        p0, q = np.r_[p0, 0.04, 0.04, 0.01, 0.01], np.r_[q, 0.0, 0.0, 1e-4, 1e-4]
     return Filter(p0, q, 0.1**2, **changes)
 
 
@@ -45,6 +53,8 @@ def test_three_passes_as_the_naive_loop(name, turn):
     params = filter_params(filt)
     if name == "ekf_azimuth":
         params = params._replace(own=AzimuthParams(np.float64(0.0), np.float64(1.0)))
+    if name == "kalman_surge":
+        params = params._replace(own=SurgeParams(np.float64(0.5)))
     records = 3 * SAMPLES // EVERY
     static = Static(name, Options(1 / RATE), EVERY, records, False, False, repeats=True)
     static = static._replace(rewinds=turn == "rewind")

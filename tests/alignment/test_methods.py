@@ -107,7 +107,10 @@ def run(name, phi, v=(0.0, 0.0), **changes):
     return np.array(left), p, np.hypot(nav.ve, nav.vn)
 
 
-FROM_ANY_HEADING = {"kalman_sincos", "optimisation", "optimisation_position", "inertial"}
+FROM_ANY_HEADING = {
+    *("kalman_sincos", "kalman_surge"),
+    *("optimisation", "optimisation_position", "inertial"),
+}
 """Methods that take the heading of the start for no better than any other."""
 LEAVE_TRUTH = {*FROM_ANY_HEADING, "unscented"}
 """And one whose sigma points lie across the circle, so that their mean is off."""

@@ -30,6 +30,7 @@ class Model(NamedTuple):
         kept: numbers of the states that are not fed back.
         corrected: (x, c) -> attitude with all that is estimated taken out.
         rewound: x -> x that begins the record again.
+        measured: (2, n) what of x is the level velocity of the solution; None: the first two.
     """
 
     signs: np.ndarray
@@ -40,6 +41,7 @@ class Model(NamedTuple):
     kept: tuple[int, ...]
     corrected: Callable
     rewound: Callable = np.zeros_like
+    measured: np.ndarray | None = None
 
 
 class History(NamedTuple):
@@ -57,7 +59,8 @@ def closed_loop(
 ) -> History:
     """Mechanise, predict, update, feed back and reset, sample after sample, over a tape."""
     n = len(filt.p0)
-    x, p, h, v = model.start, np.diag(filt.p0), np.eye(n)[:2], np.array([*v, 0.0])
+    x, p, v = model.start, np.diag(filt.p0), np.array([*v, 0.0])
+    h = np.eye(n)[:2] if model.measured is None else model.measured
     flip, history, rewind = np.diag(model.signs), [], filt.turn == "rewind"
     clock = Clock(filt)
     for k, turn, dv, way, turns in updates(increments, tape, count, rewind=rewind):
@@ -142,6 +145,29 @@ SINCOS = Model(
     _sincos_corrected,
     _sincos_rewound,
 )
+
+
+def surging(time):
+    """`SINCOS` with place and velocity of a surge, east and north, of this correlation time."""
+    one, two, none = np.eye(2), np.zeros((2, 2)), np.zeros((2, 6))
+    own = np.block([[two, one], [-one / time**2, -one / time]])
+
+    def predict(x, p, earth, latitude, dt):
+        a = np.zeros((10, 10))
+        a[:6, :6], a[6:, 6:] = sincos_matrix(earth, latitude), own
+        return linear(a, x, p, dt)
+
+    return Model(
+        np.array([*SINCOS.signs, 1.0, 1.0, -1.0, -1.0]),
+        SINCOS.heading,
+        np.array([*SINCOS.start, *[0.0] * 4]),
+        predict,
+        SINCOS.feed,
+        (4, 5, 6, 7, 8, 9),
+        SINCOS.corrected,
+        lambda x: np.array([*SINCOS.rewound(x), *[0.0] * 4]),
+        np.hstack([one, none, one]),
+    )
 
 
 def azimuth_rates(x, planet, latitude):

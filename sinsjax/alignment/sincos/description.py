@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from sinsjax.alignment.description import Implementation, OwnColumn
 from sinsjax.alignment.filters.description import COLUMNS, OF_BIASES, filter_description
+from sinsjax.alignment.filters.section import FilterSection, ResetsSection, check_resets
+from sinsjax.alignment.sincos.section import SurgeSection, check_no_trigger
+from sinsjax.alignment.triggers.section import check_trigger
 from sinsjax.columns import Column
 from sinsjax.units import DEG_PER_H
 
@@ -19,6 +22,15 @@ def _load() -> Implementation:
     from sinsjax.alignment.sincos.method import STATES, build
 
     return Implementation(build, partial(parameters, STATES), relaxed=relaxed(STATES))
+
+
+def _load_surge() -> Implementation:
+    from sinsjax.alignment.filters.relaxed import relaxed
+    from sinsjax.alignment.sincos.method import STATES
+    from sinsjax.alignment.sincos.parameters import with_surge
+    from sinsjax.alignment.sincos.surge import build
+
+    return Implementation(build, with_surge, relaxed=relaxed(STATES))
 
 
 def _drift(results: Any, rate_hz: float) -> NDArray:
@@ -55,4 +67,17 @@ SINCOS = filter_description(
     silent=(*OF_BIASES, "p0_yaw_deg", "reset_yaw_deg"),
     columns=(*COLUMNS, *NORTH_DRIFT),
     step_s=15e-9,
+)
+
+SURGE = filter_description(
+    name="kalman_surge",
+    summary="the same with states for the velocity of a base that surges",
+    source="`alignment.sincos.surge`",
+    sections={"filter": FilterSection, "resets": ResetsSection, "surge": SurgeSection},
+    load=_load_surge,
+    silent=(*OF_BIASES, "p0_yaw_deg", "reset_yaw_deg"),
+    rules=(check_no_trigger, check_trigger, check_resets),
+    columns=(*COLUMNS, *NORTH_DRIFT),
+    has_error_step=False,
+    step_s=30e-9,
 )

@@ -88,7 +88,7 @@ def filter_of(options: Options) -> Filter:
 
     return Filter(
         dt,
-        _init,
+        begun_anywhere,
         propagate,
         update_by_velocity,
         _feed_back,
@@ -125,18 +125,22 @@ def transition(place: Place, dt: Scalar) -> Entries:
     }
 
 
-def _init(params: FilterParams, nav: Navigation) -> FilterState:
+def begun_anywhere(params: FilterParams, nav: Navigation) -> FilterState:
+    """A filter that has no heading yet; states after the versine begin with zero."""
     state = begin(params, nav)
-    x = (*state.belief.x[:VERSINE], 1.0 + state.belief.x[VERSINE])  # mean zero of cos a
-    return state._replace(belief=state.belief._replace(x=x))
+    return _with_versine(state, 1.0 + state.belief.x[VERSINE])  # mean zero of cos a
 
 
 def _keep_amplitude(begun: FilterState, ended: FilterState) -> FilterState:
     """Sine and cosine stay as at a reset: the solution has their azimuth, they its amplitude."""
     direction = _direction(ended)
     versine = jnp.where(direction.known, 1 - direction.amplitude, begun.belief.x[VERSINE])
-    belief = begun.belief
-    return begun._replace(belief=belief._replace(x=(*belief.x[:VERSINE], versine)))
+    return _with_versine(begun, versine)
+
+
+def _with_versine(state: FilterState, versine: Scalar) -> FilterState:
+    x = (*state.belief.x[:VERSINE], versine, *state.belief.x[VERSINE + 1 :])
+    return state._replace(belief=state.belief._replace(x=x))
 
 
 def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:
@@ -192,7 +196,7 @@ def _covariance(state: FilterState) -> AttitudeCovariance:
 
     A heading is never known less than if it were anywhere.
     """
-    at, p, d = triangle_index(len(STATES)), state.belief.p, _direction(state)
+    at, p, d = triangle_index(len(state.belief.x)), state.belief.p, _direction(state)
 
     def of(i: int, j: int) -> Scalar:
         return p[at[i, j]]
@@ -226,7 +230,7 @@ class NorthDrift(NamedTuple):
 
 def _north_drift(site: Site, state: FilterState) -> NorthDrift:
     """From the amplitude: sqrt(s^2 + C^2) - 1, times w_N."""
-    at, p, d = triangle_index(len(STATES)), state.belief.p, _direction(state)
+    at, p, d = triangle_index(len(state.belief.x)), state.belief.p, _direction(state)
     c, s = d.cosine, d.sine
     variance = s * s * p[at[SINE, SINE]] - 2 * s * c * p[at[SINE, VERSINE]]
     variance = variance + c * c * p[at[VERSINE, VERSINE]]
