@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from sinsjax.execution.run import Results, estimate, load_tape, run, run_into
     from sinsjax.execution.tables import read_curves, read_manifest, read_summary
     from sinsjax.platform.runtime import configure, info
-    from sinsjax.records import read_record, read_reference
+    from sinsjax.records import read_record, read_reference, record_from_arrays
     from sinsjax.study.load import Study, load_study, study_from_dict
     from sinsjax.tuning.carry_out import tune
     from sinsjax.tuning.history import read_history
@@ -81,6 +81,7 @@ __all__ = [
     "read_record",
     "read_reference",
     "read_summary",
+    "record_from_arrays",
     "run",
     "run_into",
     "simulated_record",
@@ -99,7 +100,7 @@ _HOMES = {
     "execution.run": ("Results", "estimate", "load_tape", "run", "run_into"),
     "execution.tables": ("read_curves", "read_manifest", "read_summary"),
     "platform.runtime": ("configure", "info"),
-    "records": ("read_record", "read_reference"),
+    "records": ("read_record", "read_reference", "record_from_arrays"),
     "study.load": ("Study", "load_study", "study_from_dict"),
     "tuning.carry_out": ("tune",),
     "tuning.history": ("read_history",),

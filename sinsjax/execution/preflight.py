@@ -67,7 +67,7 @@ def _of_record(study: Study, stored: StoredRecord) -> Iterator[str]:
     )
     for begin, end in _used(study, record):
         where = f"{record.source}: {begin / record.rate_hz:g} to {end / record.rate_hz:g} s"
-        for finding in findings(record, (begin, end), layout_of(study), expected):
+        for finding in findings(record, (begin, end), record.layout or layout_of(study), expected):
             if finding.hard and not section.trust:
                 hint = "[record] trust = true aligns it anyway"
                 raise InputError(f"{where}: {finding.text} ({hint})")

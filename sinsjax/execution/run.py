@@ -66,12 +66,12 @@ def load_tape(
     """
     if study.record is None:
         raise InputError(f"{study.name}: has no [record] section")
+    if study.record.format == "arrays":
+        text = f"[record] format: 'arrays' are given to sinsjax.run, not read from {record}"
+        raise InputError(f"{study.name}: {text} (see sinsjax.record_from_arrays)")
     layout = layout_of(study)
     read = read_record(record, layout)
-    if reference is None:
-        return StoredRecord(read, None)
-    judge = read_reference(reference, layout)
-    return StoredRecord(read, judge._replace(time_s=judge.time_s - read.t0_s))
+    return StoredRecord.of(read, None if reference is None else read_reference(reference, layout))
 
 
 def at_rate(study: Study, tape: StoredRecord | None) -> Study:

@@ -1,4 +1,4 @@
-"""Reading and writing recorded inertial data: PSINS text, CSV and Parquet.
+"""Reading and writing recorded inertial data: PSINS text, CSV, Parquet, and arrays in memory.
 
 Every reader returns a `Record`: increments over each sample in SI units and right-front-up axes.
 Every user mistake raises `InputError` with one line that names the file and the row, column or key.
@@ -6,6 +6,7 @@ Every user mistake raises `InputError` with one line that names the file and the
 
 from pathlib import Path
 
+from sinsjax.records.arrays import record_from_arrays
 from sinsjax.records.layout import (
     ACCEL_UNITS,
     GYRO_UNITS,
@@ -33,6 +34,7 @@ __all__ = [
     "read_parquet",
     "read_psins",
     "read_record",
+    "record_from_arrays",
     "read_reference",
     "require_span",
     "write_csv",

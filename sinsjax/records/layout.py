@@ -29,6 +29,10 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0}
 """Factors to s, by unit name; ISO dates are read as seconds since 1970."""
 
 _FORMATS = ("psins", "csv", "parquet")
+
+NAMED_AXES = {"rfu": "xyz", "frd": "yx-z", "flu": "-yxz"}
+"""Orders of axes by the letters of where x, y and z point: right, front, left, up or down."""
+
 # Clocks deviate this far from their nominal rate; a larger difference is a mistake in the rate.
 _RATE_TOLERANCE = 1e-4
 
@@ -57,6 +61,8 @@ class Record(NamedTuple):
         source: the file's name, for messages.
         flaws: missing samples, which are nan in dtheta and dv.
         filled: number of missing samples that were interpolated.
+        layout: how arrays held it, for messages about their units and axes; None of a file, whose
+            layout the study has.
     """
 
     dtheta: FloatArray
@@ -70,6 +76,7 @@ class Record(NamedTuple):
     source: str = "record"
     flaws: tuple[Flaw, ...] = ()
     filled: int = 0
+    layout: "Layout | None" = None
 
 
 class Layout(NamedTuple):
@@ -84,7 +91,7 @@ class Layout(NamedTuple):
         gyro_unit: a key of `GYRO_UNITS` for the quantity.
         accel_unit: a key of `ACCEL_UNITS` for the quantity.
         axes_order: the record's axes that point right, front and up: "y-xz" means that right is +y
-            of the record, front is -x and up is +z.
+            of the record, front is -x and up is +z; or a name of `NAMED_AXES`.
         rate_hz: sample rate, Hz; None takes it from the header or the time column.
         time_unit: unit of the time column: "s", "ms", "us", "ns", or "iso" for dates with time.
         max_gap_s: longest time between two good samples across which missing ones are
@@ -190,7 +197,7 @@ def axes(order: str) -> tuple[list[int], FloatArray]:
     """Parse an axes order: for body right, front and up the record's axis and its sign.
 
     Args:
-        order: a signed permutation of xyz, such as "y-xz".
+        order: a signed permutation of xyz, such as "y-xz", or a name of `NAMED_AXES`.
 
     Returns:
         The three indices into the record's axes, and the three signs (3,).
@@ -198,10 +205,14 @@ def axes(order: str) -> tuple[list[int], FloatArray]:
     Raises:
         ValueError: not a signed permutation of xyz, or left-handed.
     """
+    order = NAMED_AXES.get(order, order)
     terms = re.findall(r"([+-]?)([xyz])", order)
     names = [name for _, name in terms]
     if "".join(sign + name for sign, name in terms) != order or sorted(names) != list("xyz"):
-        raise ValueError(f"{order!r} is not a signed permutation of xyz, such as 'y-xz'")
+        known = ", ".join(map(repr, NAMED_AXES))
+        raise ValueError(
+            f"{order!r} is not a signed permutation of xyz, such as 'y-xz', or {known}"
+        )
     index = ["xyz".index(name) for name in names]
     signs = np.array([-1.0 if sign == "-" else 1.0 for sign, _ in terms])
     matrix = signs[:, None] * np.eye(3)[index]

@@ -138,7 +138,8 @@ def _vertical(means: _Means, layout: Layout) -> Iterator[Finding]:
     size = float(np.linalg.norm(means.force)) or 1.0  # zero in a record that is trusted anyway
     tilt = math.acos(max(-1.0, min(1.0, means.force[2] / size)))
     if tilt > 90 * DEG:
-        hint = " ('yx-z' for front-right-down)" if layout.axes_order == "xyz" else ""
+        right_up = layout.axes_order in ("xyz", "rfu")
+        hint = " ('frd' for front-right-down)" if right_up else ""
         yield Finding(
             True,
             f"the specific force points down, {tilt / DEG:.3g} deg from the up axis: are"

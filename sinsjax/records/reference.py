@@ -7,7 +7,7 @@ import numpy as np
 
 from sinsjax.errors import InputError
 from sinsjax.records.layout import TIME_UNITS, FloatArray, Layout, Record
-from sinsjax.records.tables import open_csv, open_parquet
+from sinsjax.records.tables import ColumnTable, open_csv, open_parquet
 
 _SIGMAS = ("sigma_e_deg", "sigma_n_deg", "sigma_u_deg")
 
@@ -47,6 +47,11 @@ def read_reference(path: str | Path, layout: Layout | None = None) -> Reference:
             names the column and the row.
     """
     table = open_parquet(path) if Path(path).suffix.lower() == ".parquet" else open_csv(path)
+    return reference_of(path, table, layout)
+
+
+def reference_of(path: str | Path, table: ColumnTable, layout: Layout | None = None) -> Reference:
+    """The reference that an opened table holds, see `read_reference`."""
     yaws = [name for name in ("yaw_deg", "yaw_ccw_deg", "heading_deg") if name in table.names]
     if len(yaws) > 1:
         raise InputError(f"{path}: has both {yaws[0]} and {yaws[1]} (keep one)")
@@ -82,3 +87,10 @@ class StoredRecord(NamedTuple):
 
     record: Record
     reference: Reference | None
+
+    @classmethod
+    def of(cls, record: Record, reference: Reference | None) -> "StoredRecord":
+        """A record, and a reference on the record's clock."""
+        if reference is not None:
+            reference = reference._replace(time_s=reference.time_s - record.t0_s)
+        return cls(record, reference)

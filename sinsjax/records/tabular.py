@@ -48,16 +48,17 @@ def read_csv(path: str | Path, layout: Layout) -> Record:
             row (line of the file, from 1).
     """
     check_layout(layout, str(path))
-    return _record(path, layout, open_csv(path))
+    return record_of(path, layout, open_csv(path))
 
 
 def read_parquet(path: str | Path, layout: Layout) -> Record:
     """Read a record from a Parquet file; as `read_csv`, with rows of the table from 1."""
     check_layout(layout, str(path))
-    return _record(path, layout, open_parquet(path))
+    return record_of(path, layout, open_parquet(path))
 
 
-def _record(path: str | Path, layout: Layout, table: ColumnTable) -> Record:
+def record_of(path: str | Path, layout: Layout, table: ColumnTable) -> Record:
+    """The record that an opened table holds, see `read_csv`; the layout is valid."""
     names = [*layout.gyro_columns, *layout.accel_columns]
     dates: list[str] = []
     if layout.time_column:

@@ -73,7 +73,9 @@ def _refuse(key: str, where: Where, text: str) -> NoReturn:
 def _check_required(study: Study, where: Where) -> None:
     """Refuses a key that is missing, or given for nothing, because of another key's value."""
     simulated = not study.is_recorded
-    untimed = study.record and study.record.format != "psins" and not study.record.time_column
+    untimed = (
+        study.record and study.record.format in ("csv", "parquet") and not study.record.time_column
+    )
     if "rate_hz" not in where and (simulated or untimed):
         description = SECTIONS["study"].model_fields["rate_hz"].description
         why = "[record] has no time_column to tell it" if untimed else description

@@ -29,7 +29,9 @@ def _axes_order(order: str) -> str:
 class RecordSection(Section):
     """[record]: how to read an IMU record, and where in it the draws start."""
 
-    format: Literal["psins", "csv", "parquet"] = Field(description="file format")
+    format: Literal["psins", "csv", "parquet", "arrays"] = Field(
+        description="file format; 'arrays' for a record that Python passes"
+    )
     from_s: SecondsOrZero | None = Field(
         None, description="where the part that is used begins, s from the record's beginning"
     )
@@ -51,7 +53,9 @@ class RecordSection(Section):
         None, description="unit of the accelerometer columns (csv, parquet)"
     )
     axes_order: Annotated[str, AfterValidator(_axes_order)] = Field(
-        "xyz", description="the record's axes that point right, front and up, such as 'y-xz'"
+        "xyz",
+        description="the record's axes that point right, front and up, such as 'y-xz', or where its"
+        " x, y and z point: 'rfu', 'frd', 'flu'",
     )
     time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = Field(
         None, description="unit of the time stamps, 'iso' for dates with time; default 's'"
@@ -77,10 +81,17 @@ class RecordSection(Section):
     def _columns_fit_format(self) -> "RecordSection":
         self._check_times()
         needed = ("quantity", "gyro_columns", "accel_columns", "gyro_unit", "accel_unit")
-        if self.format == "psins":
-            for key in (*needed, "time_column", "max_gap_s"):
-                if getattr(self, key) is not None:
-                    raise invalid("does not apply to format 'psins', which fixes it", key=key)
+        if self.format in ("psins", "arrays"):
+            told = [
+                key
+                for key in (*needed, "time_column", "max_gap_s")
+                if getattr(self, key) is not None
+            ]
+            if self.format == "arrays" and self.axes_order != "xyz":
+                told.append("axes_order")
+            why = "which fixes it" if self.format == "psins" else "which come with it"
+            for key in told:
+                raise invalid(f"does not apply to format '{self.format}', {why}", key=key)
             return self
         for key in needed:
             if getattr(self, key) is None:

@@ -1,0 +1,248 @@
+"""Records from arrays: units, axes, dates, gaps, references, and a line for every mistake."""
+
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from support.studies import STILL, small_study, small_tables
+
+import sinsjax
+from sinsjax.errors import InputError
+from sinsjax.records.layout import from_body
+from sinsjax.records.reference import Reference, StoredRecord
+from sinsjax.study.load import study_from_dict
+
+RATE, T = 100.0, 50
+TIME = np.arange(1, T + 1) / RATE
+RNG = np.random.default_rng(0)
+GYRO = RNG.normal(scale=1e-3, size=(T, 3))  # rad/s, right-front-up
+ACCEL = RNG.normal(scale=0.1, size=(T, 3)) + [0, 0, 9.8]  # m/s^2
+G = 9.80665
+GYROS = {
+    "rad_per_s": 1.0,
+    "deg_per_s": 180 / np.pi,
+    "deg_per_h": 3600 * 180 / np.pi,
+    "rad": 1 / RATE,
+    "deg": 180 / np.pi / RATE,
+    "arcsec": 3600 * 180 / np.pi / RATE,
+}
+ACCELS = {
+    "m_per_s2": 1.0,
+    "g": 1 / G,
+    "mg": 1e3 / G,
+    "ug": 1e6 / G,
+    "m_per_s": 1 / RATE,
+    "g_s": 1 / G / RATE,
+    "ug_s": 1e6 / G / RATE,
+}
+PAIRS = [("deg_per_s", "g"), ("deg_per_h", "mg"), ("rad_per_s", "ug"), ("rad", "m_per_s")]
+PAIRS += [("deg", "g_s"), ("arcsec", "ug_s")]
+REFERENCE = {
+    "time_s": [0.0, 10.0],
+    "pitch_deg": [1.0, 1.0],
+    "roll_deg": [2.0, 2.0],
+    "heading_deg": [30.0, 30.0],
+}
+
+
+def made(time: Any = TIME, gyro: Any = GYRO, accel: Any = ACCEL, **more: Any) -> Any:
+    return sinsjax.record_from_arrays(time, gyro, accel, **more)
+
+
+def refused(*given: Any, **more: Any) -> str:
+    with pytest.raises(InputError) as caught:
+        made(*given, **more)
+    line = str(caught.value)
+    assert line.isprintable()
+    return line
+
+
+@pytest.mark.parametrize(("gyro_unit", "accel_unit"), PAIRS)
+@pytest.mark.parametrize(("axes", "order"), [("rfu", "xyz"), ("frd", "yx-z"), ("flu", "-yxz")])
+def test_units_and_axes(gyro_unit: str, accel_unit: str, axes: str, order: str) -> None:
+    gyro, accel = (from_body(values, order) for values in (GYRO, ACCEL))
+    factors = GYROS[gyro_unit], ACCELS[accel_unit]
+    units = {"gyro_unit": gyro_unit, "accel_unit": accel_unit, "axes": axes}
+    before = gyro.copy()
+    record = made(TIME, gyro * factors[0], accel * factors[1], **units).record
+    assert record.rate_hz == RATE and record.t0_s == 0.0
+    np.testing.assert_allclose(record.dtheta, GYRO / RATE, rtol=1e-12)
+    np.testing.assert_allclose(record.dv, ACCEL / RATE, rtol=1e-12)
+    assert (gyro == before).all()
+
+
+def test_named_axes_point_where_they_say() -> None:
+    """Of a box with x front, y right, z down; and of one with x front, y left, z up."""
+    front, right, up = 1.0, 2.0, 3.0
+    for axes, sensed in (("frd", [front, right, -up]), ("flu", [front, -right, up])):
+        record = made(accel=np.tile(sensed, (T, 1)), axes=axes).record
+        np.testing.assert_allclose(record.dv[0] * RATE, [right, front, up])
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+def test_units_of_time(unit: str) -> None:
+    factor = {"s": 1, "ms": 1e3, "us": 1e6, "ns": 1e9}[unit]
+    record = made((TIME + 5) * factor, time_unit=unit).record
+    assert record.rate_hz == RATE and record.t0_s == pytest.approx(5.0)
+
+
+def test_dates() -> None:
+    dates = np.datetime64("2024-05-01T12:00:00", "ns") + np.arange(1, T + 1) * np.timedelta64(
+        10_000_000, "ns"
+    )
+    record = made(dates).record
+    assert record.rate_hz == pytest.approx(RATE) and record.t0_s == pytest.approx(1714564800.0)
+
+
+def test_rate_without_times() -> None:
+    assert made(None, rate_hz=200.0).record.rate_hz == 200.0
+    assert "rate_hz: required" in refused(None)
+
+
+def test_gaps_are_interpolated_or_flaws() -> None:
+    gyro = GYRO.copy()
+    gyro[10] = np.nan
+    record = made(gyro=gyro, max_gap_s=0.02).record
+    assert record.filled == 1 and np.isfinite(record.dtheta).all()
+    (flaw,) = made(gyro=gyro).record.flaws
+    assert flaw.text == "arrays: row 10: column 'gyro[:, 0]': empty or not finite"
+    masked = np.ma.masked_invalid(gyro)
+    assert made(gyro=masked).record.flaws[0].begin == 10
+    late = np.delete(TIME, slice(20, 23))
+    rest = (np.delete(values, slice(20, 23), axis=0) for values in (GYRO, ACCEL))
+    assert made(late, *rest, max_gap_s=0.05).record.filled == 3
+
+
+def test_tables_of_every_library() -> None:
+    plain = made(reference=REFERENCE)
+    tables = {"pa": pa.table(REFERENCE)}
+    for name in ("pandas", "polars"):
+        try:
+            library = __import__(name)
+        except ImportError:
+            continue
+        frame = library.DataFrame(
+            {f"{c}{k}": v for c, own in (("g", GYRO), ("a", ACCEL)) for k, v in enumerate(own.T)}
+            | {"t": TIME}
+        )
+        found = made(frame["t"], frame[["g0", "g1", "g2"]], frame[["a0", "a1", "a2"]])
+        assert (found.record.dtheta == plain.record.dtheta).all()
+        assert (found.record.dv == plain.record.dv).all()
+        tables[name] = library.DataFrame(REFERENCE)
+    for table in tables.values():
+        found = made(reference=table).reference
+        assert (found.attitude_deg == plain.reference.attitude_deg).all()
+    assert plain.reference.attitude_deg[0].tolist() == [1.0, 2.0, -30.0]
+
+
+def test_a_reference_is_on_the_clock_of_the_record() -> None:
+    own = Reference(np.array([100.0, 110.0]), np.zeros((2, 3)), None)
+    assert made(TIME + 100, reference=own).reference.time_s.tolist() == [0.0, 10.0]
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"gyro": GYRO[:, :2]}, "arrays: gyro: must have the shape (T, 3), not (50, 2)"),
+        ({"accel": ACCEL[:-1]}, "arrays: accel: has 49 rows, gyro 50"),
+        ({"time": TIME[:-2]}, "arrays: time: has 48 rows, gyro 50"),
+        ({"time": GYRO}, "arrays: time: must have the shape (T,), not (50, 3)"),
+        ({"gyro": [[1, 2, 3], [1, "x", 3]]}, "arrays: gyro: row 1: [1, 'x', 3] is no number"),
+        ({"time": None, "rate_hz": 1.0, "gyro": np.empty((0, 3))}, "arrays: gyro: has no rows"),
+        ({"gyro": GYRO * 1e35}, "arrays: row 0: column 'gyro[:, 0]': out of range (beyond 1e+30)"),
+        ({"time": TIME[::-1]}, "column 'time': row 1: time runs backward, from 0.5 to 0.49 s"),
+        ({"rate_hz": 50.0}, "arrays: column 'time' gives 100 Hz, but rate_hz is 50"),
+        ({"gyro_unit": "dps"}, "gyro_unit: 'dps' is not one of rad, deg, arcsec, rad_per_s"),
+        (
+            {"gyro_unit": "rad"},
+            "accel_unit: 'm_per_s2' is of rates, gyro_unit 'rad' of increments: both arrays",
+        ),
+        ({"axes": "ned"}, "arrays: axes: 'ned' is not a signed permutation of xyz"),
+        ({"axes": "yxz"}, "arrays: axes: 'yxz' is left-handed"),
+        ({"time_unit": "iso"}, "time_unit: 'iso' is of files"),
+        ({"time_unit": "h"}, "arrays: time_unit: 'h' is not one of"),
+        ({"reference": {"time_s": [0, 1]}}, "arrays: reference: no column 'pitch_deg'"),
+        (
+            {"reference": REFERENCE | {"pitch_deg": [1, 99]}},
+            "arrays: reference: row 1: pitch_deg is beyond 90",
+        ),
+        ({"reference": REFERENCE | {"roll_deg": [1]}}, "its columns must have one number for each"),
+    ],
+)
+def test_a_mistake_is_one_line(change: dict[str, Any], says: str) -> None:
+    assert says in refused(**change)
+
+
+@pytest.fixture(scope="module")
+def drive() -> tuple[Any, Any]:
+    """What the sensors of a base at rest put out for a minute, and its truth."""
+    study = small_study(
+        study={"duration_s": 60.0, "window_s": [30, 60]},
+        motion=STILL,
+        sensors={"gyro_bias_deg_per_h": 0.01, "accel_bias_ug": 50.0},
+    )
+    return study, sinsjax.simulated_record(study)
+
+
+RECORDED = {
+    "study": {"duration_s": 20.0, "window_s": [10, 20], "draws": None, "rate_hz": None},
+    "motion": None,
+    "sensors": None,
+    "alignment": {"phi_e0_deg": 0.5, "phi_n0_deg": 0.5, "phi_u0_deg": 5.0},
+    "coarse": {"coarse_method": "analytic", "coarse_duration_s": 20.0},
+    "record": {"format": "arrays", "start_s": [0.0, 10.0]},
+}
+
+
+def recorded(**changes: Any) -> Any:
+    tables = small_tables(**RECORDED)
+    tables["study"] = {k: v for k, v in tables["study"].items() if v is not None}
+    tables = {name: table for name, table in tables.items() if table is not None}
+    for name, change in changes.items():
+        tables[name] = tables[name] | change
+    return study_from_dict(tables)
+
+
+def test_a_study_runs_on_arrays(drive: tuple[Any, Any]) -> None:
+    record = drive[1]
+    time = 100 + np.arange(1, len(record.dv) + 1) / record.rate_hz
+    gyro, accel = (from_body(v * record.rate_hz, "yx-z") for v in (record.dtheta, record.dv))
+    gyro = np.degrees(gyro)
+    level = np.zeros(61)
+    reference = {
+        "time_s": np.arange(100.0, 161.0),
+        "pitch_deg": level,
+        "roll_deg": level,
+        "yaw_deg": level + 10.0,
+    }
+    tape = sinsjax.record_from_arrays(
+        time, gyro, accel, gyro_unit="deg_per_s", axes="frd", reference=reference
+    )
+    rows = sinsjax.run(recorded(), tape).summary.to_pylist()
+    assert [row["start_s"] for row in rows] == [0.0, 10.0]
+    plain = sinsjax.run(recorded(), StoredRecord(record, None)).summary.to_pylist()
+    for row, other in zip(rows, plain, strict=True):
+        assert row["yaw_deg"] == pytest.approx(other["yaw_deg"], abs=1e-6)
+        assert row["phi_u_arcmin"] == pytest.approx(60 * (10 - row["yaw_deg"]), rel=0.01)
+        assert abs(row["pitch_deg"]) < 0.1
+
+
+def test_wrong_units_of_arrays_are_told(drive: tuple[Any, Any]) -> None:
+    record = drive[1]
+    time = np.arange(1, len(record.dv) + 1) / record.rate_hz
+    rates = record.dtheta * record.rate_hz, record.dv * record.rate_hz
+    tape = sinsjax.record_from_arrays(time, *rates, accel_unit="g")
+    with pytest.raises(InputError, match=r"9.81 times gravity: are these m/s\^2\?"):
+        sinsjax.run(recorded(), tape)
+
+
+def test_keys_of_files_do_not_apply_to_arrays() -> None:
+    for key, value in (("gyro_unit", "rad"), ("axes_order", "frd"), ("time_column", "t")):
+        with pytest.raises(InputError, match=f"{key}: does not apply to format 'arrays'"):
+            recorded(record={key: value})
+
+
+def test_arrays_are_read_from_no_file() -> None:
+    with pytest.raises(InputError, match="'arrays' are given to sinsjax.run, not read from x.csv"):
+        sinsjax.load_tape(recorded(), "x.csv")
