@@ -30,7 +30,7 @@ class RecordSection(Section):
     """[record]: how to read an IMU record, and where in it the draws start."""
 
     format: Literal["psins", "csv", "parquet", "arrays"] = Field(
-        description="file format; 'arrays' for a record that Python passes"
+        description="file format, or 'arrays' from Python"
     )
     from_s: SecondsOrZero | None = Field(
         None, description="where the part that is used begins, s from the record's beginning"

@@ -1513,7 +1513,10 @@ def test_an_amplitude_needs_its_period():
         ({"record": {"axes_order": "yxz"}}, "[record] axes_order: 'yxz' is left-handed"),
         ({"record": {"axes_order": "xy-z"}}, "[record] axes_order: 'xy-z' is left-handed"),
         ({"record": {"axes_order": 3}}, "[record] axes_order: must be text, not 3"),
-        ({"record": {"format": "mat"}}, "[record] format: must be 'psins', 'csv' or 'parquet'"),
+        (
+            {"record": {"format": "mat"}},
+            "[record] format: must be 'psins', 'csv', 'parquet' or 'arrays'",
+        ),
         (
             {"coarse": {"coarse_duration_s": 0}},
             "[coarse] coarse_duration_s: must be greater than 0",
@@ -1542,7 +1545,7 @@ def test_record_keys_by_format():
                 assert refusal(RECORDED, record=table) == expected
     data = merged(RECORDED, record={"start_s": 0})
     del data["record"]["format"]
-    assert refusal(data) == "[record] format: required (file format)"
+    assert refusal(data) == "[record] format: required (file format, or 'arrays' from Python)"
 
 
 @pytest.mark.parametrize(
