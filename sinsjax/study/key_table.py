@@ -24,7 +24,6 @@ TABLES: dict[str, type[Section]] = {
 }
 """Every table of a study file that has keys of its own."""
 
-_FEW = 3
 _TOLD = re.compile(r"[;,] default:? (?P<default>[^;()]+)$")
 
 
@@ -51,7 +50,7 @@ class Key(NamedTuple):
     def read_by(self) -> str:
         """The methods that read it, in words."""
         others = [name for name in METHODS if name not in self.methods]
-        if len(others) <= _FEW:
+        if len(others) < len(self.methods):
             return f"all but {', '.join(others)}" if others else "all"
         return ", ".join(self.methods)
 

@@ -8,8 +8,9 @@ and over minutes it takes itself back. Four more states tell it apart, on either
 
 of a place s that wanders within bounds, of correlation time T and rms velocity sigma: w has density
 2 sigma^2/T, s begins with variance (sigma T)^2. The measured V is that of the solution, whose error
-is dV alone. Only dV and the tilt are fed back. Where T and sigma are those of the base the heading
-comes within a few percent of the information bound (`information`), of white noise alone too.
+is dV alone. Only dV and the tilt are fed back. With T and sigma of the base, Q that of the sensors
+and R small, the heading comes within a few percent of the information bound, see `information`, and
+P is true.
 """
 
 from functools import partial
