@@ -79,5 +79,5 @@ SURGE = filter_description(
     rules=(check_no_trigger, check_trigger, check_resets),
     columns=(*COLUMNS, *NORTH_DRIFT),
     has_error_step=False,
-    step_s=30e-9,
+    step_s=25e-9,
 )
