@@ -32,11 +32,20 @@ def init(
         Path | None,
         typer.Option("--out", "-o", help="File to write; default: NAME.toml.", metavar="FILE"),
     ] = None,
+    from_: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            help="With `init record`: a record, which the study is to describe (CSV, Parquet, PSINS"
+            " text).",
+            metavar="LOG",
+        ),
+    ] = None,
     list_: Annotated[bool, typer.Option("--list", help="List the names and exit.")] = False,
 ) -> None:
     """Begin a study file: a copy of a template or a shipped study, with its comments.
 
-    Example: sinsjax init sweep -o mine.toml
+    Example: sinsjax init sweep -o mine.toml; sinsjax init record --from log.csv
     """
     from sinsjax.study import files
 
@@ -49,8 +58,15 @@ def init(
         return
     if name is None:
         raise InputError("NAME: required (`sinsjax init --list` shows the names)")
-    text = files.text_of(name)
-    path = out or Path(f"{Path(name).stem}.toml")
+    if from_ is not None and name != "record":
+        raise InputError(f"--from: goes with `init record`, not with `init {name}`")
+    path = out or Path(f"{(from_ or Path(name)).stem}.toml")
+    if from_ is None:
+        text = files.text_of(name)
+    else:
+        from sinsjax.study.from_record import study_of
+
+        text = study_of(from_, path)
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
@@ -61,6 +77,10 @@ def init(
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
     say(console, f"{path} written; `sinsjax validate {path}` checks it.")
+    if from_ is not None:
+        doubts = text.count(files.DOUBT)
+        say(console, f"What {from_} cannot tell: {doubts} lines of {path} begin with # DOUBT.")
+        say(console, f"`sinsjax align {from_} {path} -o out` runs it.")
 
 
 def validate(config: Config, changes: Changes = None) -> None:

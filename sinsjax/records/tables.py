@@ -36,11 +36,13 @@ class ColumnTable(NamedTuple):
             Missing values are nan with ``blanks`` and otherwise rejected; ``dates`` names columns
             of dates with time, which become seconds. A table can be read once.
         row: the row to name in a message about sample k.
+        schema: kinds of the columns, of a Parquet file alone.
     """
 
     names: list[str]
     read: Callable[..., list[FloatArray]]
     row: Callable[[int], int]
+    schema: pa.Schema | None = None
 
 
 def column_index(path: str | Path, names: list[str], wanted: Sequence[str]) -> list[int]:
@@ -60,7 +62,12 @@ def _listed(names: list[str]) -> str:
     return f"the file has {shown}{', ...' if len(names) > 12 else ''}"
 
 
-_COMMENTS = (b"#", b"%")
+COMMENTS = (b"#", b"%")
+"""What a line of comment begins with."""
+
+DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab"}
+"""What may separate the columns of a text, and what it is called."""
+
 _BLANKS = ["", "nan", "NaN", "NAN"]
 _BATCH_ROWS = 2**17
 
@@ -87,14 +94,14 @@ class _Text(NamedTuple):
         try:
             return next(csv.reader([line], delimiter=self.delimiter, strict=True))
         except csv.Error:
-            kind = "comma" if self.delimiter == "," else "semicolon"
+            kind = DELIMITERS[self.delimiter]
             raise InputError(
                 f"{self.path}: row {self.rows[k]}: not {kind}-separated text"
             ) from None
 
 
 def open_csv(path: str | Path) -> ColumnTable:
-    """Open comma- or semicolon-separated text.
+    """Open comma-, semicolon- or tab-separated text.
 
     The first line that is not blank names the columns and determines the delimiter. Lines that
     begin with # or % are comments.
@@ -107,7 +114,7 @@ def open_csv(path: str | Path) -> ColumnTable:
     else:
         raise InputError(f"{path}: the file has only blank lines")
     title, row = batch.lines[head], batch.first + head
-    delimiter = ";" if title.count(b";") > title.count(b",") else ","
+    delimiter = delimiter_of(title)
     names = [n.strip() for n in _Text(path, delimiter, [title], [row], batch.ends).cells(0)]
     todo = chain([Lines(row + 1, batch.lines[head + 1 :], batch.ends)], batches)
     rows: list[NDArray[np.int64]] = []
@@ -135,12 +142,17 @@ def open_csv(path: str | Path) -> ColumnTable:
     return ColumnTable(names, read, lambda k: int(rows[0][k]))
 
 
+def delimiter_of(title: bytes) -> str:
+    """What separates the columns of a text whose first line of data this is."""
+    return max(DELIMITERS, key=lambda mark: title.count(mark.encode()))
+
+
 def _names_columns(line: bytes) -> bool:
     return bool(line.strip()) and _has_data(line)
 
 
 def _has_data(line: bytes) -> bool:
-    return not line.lstrip().startswith(_COMMENTS)
+    return not line.lstrip().startswith(COMMENTS)
 
 
 def _samples(path: str | Path, delimiter: str, batch: Lines) -> _Text:
@@ -275,7 +287,7 @@ def open_parquet(path: str | Path) -> ColumnTable:
         except (pa.ArrowException, OSError):
             raise InputError(f"{path}: damaged: its columns cannot be read") from None
 
-    return ColumnTable(schema.names, read, lambda k: k + 1)
+    return ColumnTable(schema.names, read, lambda k: k + 1, schema)
 
 
 def _numbers(

@@ -30,7 +30,7 @@ from sinsjax.records.tables import MISSING, ColumnTable, open_csv, open_parquet
 
 
 def read_csv(path: str | Path, layout: Layout) -> Record:
-    """Read a record from comma- or semicolon-separated text whose first line names the columns.
+    """Read a record from comma-, semicolon- or tab-separated text whose first line names columns.
 
     Rates are multiplied by the sampling interval. Time stamps are the ends of the samples and may
     be a few milliseconds late. A missing sample, through a gap or an empty cell, is interpolated as

@@ -11,6 +11,9 @@ from sinsjax.platform.assets import asset
 
 _FOLDER = "configs"
 _SCHEMA = "#:schema"
+DOUBT = "# DOUBT: "
+"""Begins a line about what could not be known where a study was written for a record."""
+
 TEMPLATES = ("sweep", "record", "tune", "compare")
 """Kinds of study that have a template."""
 
@@ -67,7 +70,12 @@ def text_of(name: str) -> str:
         raise InputError(
             f"{name}: no study of this name (`init --list` shows them){near(stem, known)}"
         )
-    return f"{_SCHEMA} {asset(f'{_FOLDER}/schema.json').as_uri()}\n{_body(known[stem])}"
+    return f"{schema_line()}\n{_body(known[stem])}"
+
+
+def schema_line() -> str:
+    """The first line of a study, which tells editors the way to the schema of its keys."""
+    return f"{_SCHEMA} {asset(f'{_FOLDER}/schema.json').as_uri()}"
 
 
 def _body(path: Path) -> str:

@@ -16,7 +16,7 @@ from sinsjax.engine import build
 from sinsjax.errors import InputError
 from sinsjax.execution import run, tables
 from sinsjax.execution.preflight import warnings_of
-from sinsjax.records import Layout, Record, Reference, plausible, write_csv
+from sinsjax.records import Layout, Record, Reference, means, write_csv
 from sinsjax.records.plausible import Finding, StationaryValues, findings
 from sinsjax.records.reference import StoredRecord
 from sinsjax.records.turning import attitudes
@@ -138,7 +138,7 @@ def test_a_long_span_is_judged_as_a_short_one(base: str, monkeypatch: pytest.Mon
     biased = some.dtheta + np.array([700.0, 0, 0]) * DEG_PER_H / 100
     cases = [some, *(some._replace(dtheta=dtheta) for dtheta in (turned, biased))]
     whole = [found(case) for case in cases]
-    monkeypatch.setattr(plausible, "_MOST", 8000)
+    monkeypatch.setattr(means, "_MOST", 8000)
     together = [found(case) for case in cases]
     assert [[f.hard for f in one] for one in whole] == [[f.hard for f in one] for one in together]
     assert [[f.text[:24] for f in one] for one in whole] == [

@@ -1,0 +1,140 @@
+"""The beginning of a file of named columns: its kind, names, comments, what its columns hold."""
+
+import csv
+from pathlib import Path
+from typing import NamedTuple
+
+import pyarrow as pa
+
+from sinsjax.errors import InputError
+from sinsjax.messages import shortened
+from sinsjax.records.files import line_batches, number
+from sinsjax.records.stamps import from_iso
+from sinsjax.records.tables import (
+    COMMENTS,
+    DELIMITERS,
+    ColumnTable,
+    delimiter_of,
+    open_csv,
+    open_parquet,
+)
+
+_LOOKED_AT = 2**16  # bytes
+
+
+class Head(NamedTuple):
+    """The beginning of a file.
+
+    Attributes:
+        format: "csv" or "parquet".
+        names: of its columns.
+        numbers: names of those that hold numbers.
+        dates: names of those that hold dates with time.
+        comments: lines of comment before the names.
+        told: what kind of file it is, in words.
+    """
+
+    format: str
+    names: list[str]
+    numbers: set[str]
+    dates: set[str]
+    comments: list[str]
+    told: str
+
+    def open(self, path: Path) -> ColumnTable:
+        """The file with its columns."""
+        return open_parquet(path) if self.format == "parquet" else open_csv(path)
+
+
+def head_of(path: Path) -> Head:
+    """The beginning of a CSV or Parquet file.
+
+    Raises:
+        InputError: it cannot be read, or its columns have no names.
+    """
+    try:
+        with path.open("rb") as file:
+            mark = file.read(4)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    return _of_parquet(path) if mark == b"PAR1" else _of_csv(path)
+
+
+def _of_parquet(path: Path) -> Head:
+    schema = open_parquet(path).schema
+    assert schema is not None
+    kinds = {field.name: field.type for field in schema}
+    return Head(
+        format="parquet",
+        names=list(kinds),
+        numbers={
+            name
+            for name, kind in kinds.items()
+            if pa.types.is_floating(kind) or pa.types.is_integer(kind)
+        },
+        dates={name for name, kind in kinds.items() if pa.types.is_timestamp(kind)},
+        comments=[],
+        told=f"Parquet, {len(kinds)} columns",
+    )
+
+
+def _of_csv(path: Path) -> Head:
+    lines = next(line_batches(path, _LOOKED_AT)).lines
+    data = [k for k, line in enumerate(lines) if line.strip() and not _is_comment(line)]
+    comments = [line.decode(errors="replace") for line in lines[: data[0] if data else None]]
+    if not data:
+        raise InputError(f"{path}: has no line that names its columns")
+    row, delimiter = data[0] + 1, delimiter_of(lines[data[0]])
+    names, *rest = [_cells(lines[k], delimiter) for k in data[:2]]
+    where = f"{path}: row {row}"
+    if len(names) < 6:
+        words = "comma, semicolon or tab"
+        raise InputError(f"{where}: {len(names)} columns between its {words}s: an IMU has six")
+    if all(map(_is_number, names)):
+        named = any(len(_cells(line.encode(), delimiter)) == len(names) for line in comments)
+        hint = (
+            "its names stand in a comment: take the sign away that begins it"
+            if named
+            else "begin the file with a line such as time_s,gyro_x,gyro_y,gyro_z,accel_x,..."
+        )
+        raise InputError(f"{where}: numbers where the names of the columns belong ({hint})")
+    first = rest[0] if rest and len(rest[0]) == len(names) else [""] * len(names)
+    after = f", after {row - 1} lines of comment" if row > 1 else ""
+    return Head(
+        format="csv",
+        names=names,
+        numbers={name for name, cell in zip(names, first, strict=True) if _is_number(cell)},
+        dates={name for name, cell in zip(names, first, strict=True) if _is_date(cell)},
+        comments=comments,
+        told=f"{DELIMITERS[delimiter]}-separated text, its {len(names)} names in row {row}{after}",
+    )
+
+
+def _is_comment(line: bytes) -> bool:
+    return line.lstrip().startswith(COMMENTS)
+
+
+def _cells(line: bytes, delimiter: str) -> list[str]:
+    text = line.decode(errors="replace")
+    return [cell.strip() for cell in next(csv.reader([text], delimiter=delimiter), [])]
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        number(cell)
+    except ValueError:
+        return cell.lower() in ("nan", "inf", "-inf")
+    return True
+
+
+def _is_date(cell: str) -> bool:
+    try:
+        from_iso(cell)
+    except ValueError:
+        return False
+    return not _is_number(cell)
+
+
+def listed(names: list[str]) -> str:
+    """Names of columns for a message, as many as a line holds."""
+    return shortened(", ".join(names), 120)

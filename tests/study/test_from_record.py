@@ -1,0 +1,345 @@
+"""`sinsjax init record --from`: logs of several conventions become studies that run."""
+
+import re
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from support.commands import Command, command_line
+from support.studies import small_study
+
+import sinsjax as package
+from sinsjax.errors import InputError
+from sinsjax.records.layout import NAMED_AXES, Record, from_body
+from sinsjax.records.psins import write_psins
+from sinsjax.study.from_record import study_of
+
+pytestmark = pytest.mark.optimised(False)
+
+RATE = 100.0
+DEG = np.pi / 180
+G = 9.80665
+GYRO = {"rad_per_s": 1.0, "deg_per_s": DEG, "deg_per_h": DEG / 3600}
+ACCEL = {"m_per_s2": 1.0, "g": G, "mg": G / 1e3}
+NAMES = ("t", "gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
+
+
+@pytest.fixture
+def sinsjax(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> Command:
+    monkeypatch.chdir(tmp_path)
+    return command_line(monkeypatch, capsys)
+
+
+@pytest.fixture(scope="module")
+def rates() -> tuple[np.ndarray, np.ndarray]:
+    """Rates (rad/s) and specific forces (m/s^2), right-front-up, of 100 s on a base that sways."""
+    study = small_study(
+        study={"duration_s": 100.0, "window_s": [50, 100]},
+        earth={"latitude_deg": 45.0},
+        motion={"pitch_amplitude_deg": 0.3, "roll_amplitude_deg": 0.2, "yaw_amplitude_deg": 0.2},
+        sensors={"gyro_bias_deg_per_h": 0.01, "accel_bias_ug": 50.0},
+    )
+    record = package.simulated_record(study)
+    return record.dtheta * RATE, record.dv * RATE
+
+
+def columns(
+    rates: tuple[np.ndarray, np.ndarray], axes: str, gyro: float, accel: float, step: float
+) -> np.ndarray:
+    """(T, 7) time, gyros, accelerometers in some axes and units; a sample's step in its unit."""
+    order = NAMED_AXES.get(axes, axes)
+    own = [from_body(rates[0], order) / gyro, from_body(rates[1], order) / accel]
+    return np.column_stack([step * np.arange(1, len(own[0]) + 1), *own])
+
+
+def write(
+    path: Path,
+    table: np.ndarray,
+    names: tuple[str, ...] = NAMES,
+    *,
+    mark: str = ",",
+    before: str = "",
+    time: str = "%.12g",
+) -> Path:
+    formats = [time, *["%.12g"] * (table.shape[1] - 1)]
+    np.savetxt(path, table, formats, mark, header=before + mark.join(names), comments="")
+    return path
+
+
+def described(path: Path) -> tuple[dict[str, Any], list[str]]:
+    """The study of a file, and its doubts."""
+    text = study_of(path, Path("its.toml"))
+    doubts = re.findall(r"^# DOUBT: (.*(?:\n#   .*)*)", text, re.MULTILINE)
+    return tomllib.loads(text), [" ".join(doubt.replace("\n#  ", "").split()) for doubt in doubts]
+
+
+def runs(sinsjax: Command, path: Path) -> dict[str, Any]:
+    """The row of the study that is written for a file: it validates and runs."""
+    code, told, error = sinsjax("init", "record", "--from", path.name, "-o", "its.toml")
+    assert (code, error) == (0, ""), error
+    assert re.search(r"cannot tell: \d+ lines of its.toml begin with # DOUBT", told)
+    code, told, error = sinsjax("validate", "its.toml")
+    assert (code, error) == (0, ""), error
+    code, told, error = sinsjax("align", path.name, "its.toml", "-o", "out")
+    assert (code, error) == (0, ""), error
+    (row,) = package.read_summary("out").to_pylist()
+    return row
+
+
+def brackets(gyro: str, accel: str) -> tuple[str, ...]:
+    units = {"t": "us", "gyro": gyro, "accel": accel}
+    return tuple(f"{name} [{units[name.partition('_')[0]]}]" for name in NAMES)
+
+
+LOGS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
+    "FLU in g and deg/s, us, header with units": (
+        lambda path, rates: write(
+            path, columns(rates, "flu", DEG, G, 1e4), brackets("deg/s", "g"), time="%d"
+        ),
+        {"axes_order": "flu", "gyro_unit": "deg_per_s", "accel_unit": "g", "time_unit": "us"},
+    ),
+    "FRD in rad/s, semicolons, comments": (
+        lambda path, rates: write(
+            path,
+            columns(rates, "frd", 1.0, 1.0, 0.01),
+            mark=";",
+            before="# logger 3\n# axes: front-right-down\n",
+        ),
+        {"axes_order": "frd", "gyro_unit": "rad_per_s", "time_unit": "s"},
+    ),
+    "RFU increments, ms, tabs": (
+        lambda path, rates: write(
+            path,
+            columns(rates, "rfu", RATE, RATE, 10.0),
+            ("stamp", *(f"dtheta_{a}_rfu" for a in "xyz"), *(f"dv_{a}_rfu" for a in "xyz")),
+            mark="\t",
+        ),
+        {"axes_order": "rfu", "quantity": "increments", "gyro_unit": "rad", "time_unit": "ms"},
+    ),
+    "increments in arcsec and ug s, ns": (
+        lambda path, rates: write(
+            path,
+            columns(rates, "rfu", DEG / 3600 * RATE, G * 1e-6 * RATE, 1e7),
+            ("TimeStamp", "DeltaAngleX", "DeltaAngleY", "DeltaAngleZ", "DVX", "DVY", "DVZ"),
+            time="%d",
+        ),
+        {
+            "axes_order": "flu",
+            "quantity": "increments",
+            "gyro_unit": "arcsec",
+            "accel_unit": "ug_s",
+            "time_unit": "ns",
+        },
+    ),
+    "named by ways, in deg/h and mg": (
+        lambda path, rates: write(
+            path,
+            columns(rates, "frd", DEG / 3600, G / 1e3, 0.01),
+            ("time", *(f"{s}_{w}" for s in ("omega", "force") for w in ("front", "right", "down"))),
+        ),
+        {"axes_order": "frd", "gyro_unit": "deg_per_h", "accel_unit": "mg"},
+    ),
+    "no time": (
+        lambda path, rates: write(
+            path,
+            columns(rates, "rfu", 1.0, 1.0, 1.0),
+            ("sample", "wx", "wy", "wz", "fx", "fy", "fz"),
+            time="%d",
+        ),
+        {"gyro_unit": "rad_per_s", "accel_unit": "m_per_s2"},
+    ),
+    "x up": (
+        lambda path, rates: write(path, columns(rates, "zyx".replace("y", "-y"), 1, 1, 0.01)),
+        {"axes_order": "yzx"},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_a_log_becomes_a_study_that_runs(
+    name: str, rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
+) -> None:
+    make, expected = LOGS[name]
+    path = make(tmp_path / "log.csv", rates)
+    study, doubts = described(path)
+    found = {key: study["record"].get(key) for key in expected}
+    assert found == expected
+    assert study["study"]["rate_hz"] == RATE
+    assert study["earth"]["latitude_deg"] == pytest.approx(45.0, abs=0.3)
+    told = " ".join(doubts)
+    assert "put the true one here" in told and "give your own" in told
+    assert ("Hz is made up" in told) == (name == "no time")
+    row = runs(sinsjax, path)
+    assert abs(row["roll_deg"]) < 1 and abs(row["pitch_deg"]) < 1
+    # Of a box whose front is not told the yaw is off by right angles, as the doubt says.
+    off = (row["yaw_deg"] - 10 + 45) % 90 - 45
+    assert abs(off) < 1.5
+    if study["record"]["axes_order"] in ("frd", "rfu") or name.startswith("FLU"):
+        assert abs(row["yaw_deg"] - 10) < 1.5
+
+
+def test_reasons_and_doubts_stand_beside_their_keys(
+    rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    path = write(tmp_path / "log.csv", columns(rates, "flu", DEG, G, 0.01), NAMES)
+    lines = study_of(path, Path("its.toml")).splitlines()
+    at = {line.partition(" =")[0]: number for number, line in enumerate(lines) if " = " in line}
+    assert "sinsjax align log.csv its.toml" in "".join(lines[:6])
+    unit = lines[at["gyro_unit"]]
+    assert unit.startswith('gyro_unit = "deg_per_s"')
+    assert unit.endswith("# the mean rate is 1 times Earth rate in deg/s")
+    assert "times gravity in g" in lines[at["accel_unit"]]
+    assert lines[at["axes_order"] - 1].startswith("# DOUBT: x may point front ('flu') or y ('rfu')")
+    assert "steps of 0.01 s: 100 Hz" in lines[at["time_unit"]]
+    assert all(len(line) <= 100 for line in lines)
+
+
+def test_gaps_are_interpolated_if_short(
+    rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
+) -> None:
+    table = columns(rates, "rfu", 1.0, 1.0, 0.01)
+    table[3000, 2] = np.nan
+    gone = [*range(500, 503), *range(2000, 2100)]
+    path = write(tmp_path / "log.csv", np.delete(table, gone, axis=0))
+    study, doubts = described(path)
+    assert study["record"]["max_gap_s"] == 0.04
+    assert study["record"]["start_s"] == [21.0]
+    assert any("a gap at 100 Hz, from 20.0 to 21.01 s" in doubt for doubt in doubts)
+    assert any(doubt.startswith("if the base moves in them") for doubt in doubts)
+    assert abs((runs(sinsjax, path)["yaw_deg"] - 10 + 45) % 90 - 45) < 4
+
+
+def test_parquet_with_dates(
+    rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
+) -> None:
+    table = columns(rates, "frd", DEG, G, 10_000_000)
+    dates = np.datetime64("2024-05-01", "ns") + table[:, 0].astype("timedelta64[ns]")
+    names = ("stamp", *(f"imu_frd_{name}" for name in NAMES[1:]))
+    path = tmp_path / "log.parquet"
+    pq.write_table(pa.table(dict(zip(names, [dates, *table[:, 1:].T], strict=True))), path)
+    study, _ = described(path)
+    assert study["record"]["time_unit"] == "iso" and study["record"]["axes_order"] == "frd"
+    assert abs(runs(sinsjax, path)["yaw_deg"] - 10) < 1.5
+
+
+def test_psins_text(rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path) -> None:
+    record = Record(rates[0] / RATE, rates[1] / RATE, RATE)
+    record = record._replace(latitude_deg=45.0, height_m=10.0, gravity_m_per_s2=9.8)
+    path = tmp_path / "log.imu"
+    write_psins(record, path, gyro_scale_arcsec=1e-4, accel_scale_ug_s=1e-2)
+    study, _ = described(path)
+    assert study["record"] == {"format": "psins", "axes_order": "xyz", "start_s": [0.0]}
+    assert study["earth"] == {"earth": "wgs84"}
+    assert abs(runs(sinsjax, path)["yaw_deg"] - 10) < 1.5
+
+
+def test_dates_in_text_and_odd_rates(
+    rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
+) -> None:
+    table = columns(rates, "rfu", 1.0, 1.0, 1 / 102.4)
+    table[:, 1:] *= [*[1.024] * 3, 1, 1, 1]
+    path = write(tmp_path / "log.csv", table)
+    study, _ = described(path)
+    assert study["study"]["rate_hz"] == 102.4
+    assert study["study"]["record_interval_s"] == 102 / 102.4
+    runs(sinsjax, path)
+    dates = np.datetime64("2024-05-01", "us") + (table[:, 0] * 1e6).astype("timedelta64[us]")
+    rows = (
+        ",".join([str(d), *map(repr, row[1:].tolist())])
+        for d, row in zip(dates, table, strict=True)
+    )
+    path.write_text("\n".join([",".join(NAMES), *rows]))
+    assert described(path)[0]["record"]["time_unit"] == "iso"
+
+
+@pytest.mark.parametrize(
+    ("make", "doubt"),
+    [
+        (lambda t: (t * [1, 400, 400, 400, 1, 1, 1], NAMES), "no unit gives Earth rate"),
+        (
+            lambda t: (t, tuple(f"{n} [deg/s]" if "gyro" in n else n for n in NAMES)),
+            "the names tell this unit; in rad/s it would be 1",
+        ),
+        (
+            lambda t: (t, tuple(f"{n}_g" if "acc" in n else n for n in NAMES)),
+            "the names tell g, 9.8 times gravity",
+        ),
+        (
+            lambda t: (t, ("time_ms", *NAMES[1:])),
+            "the name tells ms, in which there would be 1e+05",
+        ),
+        (
+            lambda t: (t * [1, 1, 1, 1, 1e3, 1e3, 1e3], NAMES),
+            "gravity alone tells that these are increments",
+        ),
+        (lambda t: (t * [1, 1, 1, 1, -1, -1, -1], NAMES), "southern hemisphere, or gyros and"),
+        (
+            lambda t: (t, ("t", *(f"frd_{n}" for n in NAMES[1:]))),
+            "the names tell 'frd', but z reads +1.00 g",
+        ),
+        (
+            lambda t: (np.hstack([t, t[:, 1:4]]), (*NAMES, *(f"raw_{n}" for n in NAMES[1:4]))),
+            "or raw_gyro_x, raw_gyro_y, raw_gyro_z?",
+        ),
+    ],
+)
+def test_what_cannot_be_known_is_a_doubt(
+    make: Any, doubt: str, rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    path = write(tmp_path / "log.csv", *make(columns(rates, "rfu", 1.0, 1.0, 0.01)))
+    assert doubt in " ".join(described(path)[1])
+
+
+@pytest.mark.parametrize(
+    ("make", "line"),
+    [
+        (
+            lambda t: (t * [1, 1, 1, 1, 1671, 1671, 1671], NAMES),
+            "gravity in no unit: are these counts?",
+        ),
+        (lambda t: (t - [0, 0, 0, 0, 0, 0, 9.8], NAMES), "no unit: has gravity been removed?"),
+        (
+            lambda t: (t, tuple("abcdefg")),
+            "no columns of gyros among a, b, c, d, e, f, g: name them",
+        ),
+        (lambda t: (t, ("1", "2", "3", "4", "5", "6", "7")), "row 1: numbers where the names"),
+        (lambda t: (t[:500], NAMES), "has 4 s without a gap, and an alignment needs 10"),
+        (lambda t: (t[:, :5], NAMES[:5]), "row 1: 5 columns between its"),
+    ],
+)
+def test_what_is_no_record_is_refused_in_one_line(
+    make: Any,
+    line: str,
+    rates: tuple[np.ndarray, np.ndarray],
+    sinsjax: Command,
+    tmp_path: Path,
+) -> None:
+    write(tmp_path / "log.csv", *make(columns(rates, "rfu", 1.0, 1.0, 0.01)))
+    code, told, error = sinsjax("init", "record", "--from", "log.csv")
+    assert (code, told, error.count("\n")) == (2, "", 1)
+    assert error.startswith("error: log.csv: ") and line in error
+    assert not Path("log.toml").exists()
+
+
+def test_names_in_a_comment_are_pointed_at(
+    rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    table = columns(rates, "rfu", 1.0, 1.0, 0.01)
+    path = tmp_path / "log.csv"
+    np.savetxt(path, table, delimiter=",", header=",".join(NAMES))
+    with pytest.raises(InputError, match="its names stand in a comment: take the sign away"):
+        study_of(path, Path("x.toml"))
+
+
+def test_from_goes_with_record_alone(sinsjax: Command) -> None:
+    code, _, error = sinsjax("init", "sweep", "--from", "log.csv")
+    assert code == 2 and error.startswith("error: --from: goes with `init record`")
+    code, _, error = sinsjax("init", "record", "--from", "log.csv")
+    assert error == "error: log.csv: cannot be read: No such file or directory\n"
