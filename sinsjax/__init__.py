@@ -49,6 +49,7 @@ xla.apply_options()
 if TYPE_CHECKING:
     from sinsjax.analysis import summarise
     from sinsjax.engine.build import simulated_record
+    from sinsjax.engine.one_run import one_run
     from sinsjax.errors import InputError
     from sinsjax.execution.estimated_curves import estimated_curves
     from sinsjax.execution.estimates import read_estimates
@@ -74,6 +75,7 @@ __all__ = [
     "information_bound",
     "load_study",
     "load_tape",
+    "one_run",
     "read_curves",
     "read_estimates",
     "read_history",
@@ -93,6 +95,7 @@ __all__ = [
 _HOMES = {
     "analysis": ("summarise",),
     "engine.build": ("simulated_record",),
+    "engine.one_run": ("one_run",),
     "errors": ("InputError",),
     "execution.estimated_curves": ("estimated_curves",),
     "execution.estimates": ("read_estimates",),

@@ -1,0 +1,212 @@
+"""One run of a study as a function of its numbers, for those who map and differentiate themselves.
+
+run = sinsjax.one_run(study)
+outcome = run(run.params, run.draw(0))
+outcomes = jax.vmap(run, in_axes=(None, 0))(run.params, run.draws)
+"""
+
+import warnings
+from functools import cached_property, partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sinsjax.alignment.methods import METHODS
+from sinsjax.alignment.schedules import Feedback, Pieces, Resets
+from sinsjax.engine import batch
+from sinsjax.engine.build import Scenario
+from sinsjax.engine.lanes import Group
+from sinsjax.engine.metrics import Outcome
+from sinsjax.engine.realisations import Draw
+from sinsjax.engine.simulate import RunParams, simulate
+from sinsjax.errors import InputError
+from sinsjax.records.reference import StoredRecord
+from sinsjax.study.load import with_rate
+from sinsjax.study.study import Study
+from sinsjax.types import Array, Quat
+
+
+class Realisation(NamedTuple):
+    """What a run has from its draw.
+
+    Attributes:
+        draw: noise, and whatever else a study draws or a start time decides.
+        q: attitude before the initial misalignment is added: true, or coarsely aligned.
+    """
+
+    draw: Draw
+    q: Quat
+
+
+class OneRun:
+    """One run of a study: ``run(params, draw) -> Outcome``, a pure function.
+
+    With plain arrays it gives what the engine gives for that run, to the last bit, by a program
+    that is compiled once. Under `jax.jit`, `jax.vmap`, `jax.grad` and the like it is the same
+    function to rounding (1e-9), traced into theirs.
+
+    The final errors and sigmas of an outcome can be differentiated by all numbers that do not count
+    samples; a gradient by one that does (reset times, feedback intervals) would be zero, and a
+    warning says so. Settling times are times of records, whose gradient is zero without
+    ``sharpness``.
+
+    Attributes:
+        params: numbers of the variant, leaves (...): what to change, map over or differentiate by.
+            ``params.method`` are those of the method, in SI units: for a filter ``r`` is the
+            variance of the measured velocity, m^2/s^2.
+    """
+
+    def __init__(self, group: Group, params: RunParams) -> None:
+        """Take a variant of a group.
+
+        Args:
+            group: what the engine runs, with one variant.
+            params: of that variant, leaves (...).
+        """
+        self._group, self.params = group, params
+
+    def __call__(self, params: RunParams, draw: Realisation) -> Outcome:
+        """The outcome of one run, SI units, angles in rad, leaves (...).
+
+        Args:
+            params: as `params`, or changed.
+            draw: from `draw` or `draws`.
+        """
+        given: tuple[RunParams, Realisation] = jax.tree.map(_as_double, (params, draw))
+        params, draw = given
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(given)):
+            params = params._replace(q=draw.q, method=_guarded(params.method))
+            static, environment = self._group.static, self._group.environment
+            return simulate(static, environment, draw.draw, params)[0]
+        return self._by_engine(params, draw)
+
+    def draw(self, number: int) -> Realisation:
+        """One of the draws, by its number; of a recorded study, that of a start time."""
+        count = len(self._group.draws.draw_id)
+        if not 0 <= number < count:
+            raise InputError(f"draw {number}: the study has {count} draws, from 0")
+        one: Realisation = jax.tree.map(lambda a: a[number], self.draws)
+        return one
+
+    @cached_property
+    def draws(self) -> Realisation:
+        """All draws of the study, leaves (draws, ...), to be mapped over."""
+        count = len(self._group.draws.draw_id)
+        all_: Draw = jax.tree.map(
+            lambda a: a if np.ndim(a) else np.full(count, a), self._group.draws
+        )
+        return Realisation(all_, Quat(*np.asarray(self._group.q).T))
+
+    def _by_engine(self, params: RunParams, draw: Realisation) -> Outcome:
+        """The run in the smallest call of the engine: its bits hang on no other run."""
+        first = partial(jax.tree.map, lambda a: np.asarray(a)[None])
+        group = self._group._replace(
+            draws=first(draw.draw), q=np.stack(draw.q)[None], variants=first(params)
+        )
+        chunk = batch.Calls(group, tiles_a_chunk=1).chunk(0)
+        outcome: Outcome = jax.tree.map(lambda a: a[0], chunk.outcome)
+        return outcome
+
+
+def one_run(
+    study: Study,
+    tape: StoredRecord | None = None,
+    *,
+    variant_id: int = 0,
+    window_s: float | None = None,
+    sharpness: float | None = None,
+) -> OneRun:
+    """One run of a study as a function of its numbers, see `OneRun`.
+
+    Args:
+        study: checked study.
+        tape: the record of a recorded study.
+        variant_id: which variant of the study.
+        window_s: None for resets at their times; else each is spread over a smooth window of this
+            half width, some tens of samples or more, so that outcomes have a gradient by the times.
+        sharpness: None for bands with a hard edge; else how sharp they are, 8 or so, so that
+            settling times have a gradient.
+
+    Raises:
+        InputError: the study has no such variant, the record does not fit, or resets that cannot be
+            spread.
+        RuntimeError: double precision is off (`configure` turns it on).
+    """
+    if tape is not None and study.is_recorded:
+        study = with_rate(study, tape.record.rate_hz)
+    if not 0 <= variant_id < study.n_variants:
+        raise InputError(f"{study.name}: has no variant {variant_id}, of {study.n_variants}")
+    scenario = Scenario(study, tape, curves=False)
+    number, place = next(
+        (number, int(np.flatnonzero(ids == variant_id)[0]))
+        for number, ids in enumerate(scenario.variant_ids)
+        if variant_id in ids
+    )
+    group = scenario.part(number, variants=np.asarray([place])).group
+    params: RunParams = jax.tree.map(lambda a: np.asarray(a)[0], group.variants)
+    if window_s is not None:
+        params = params._replace(method=_softened(study, group, params.method, window_s))
+    if sharpness is not None:
+        soft = group.environment.criteria._replace(sharpness=np.float64(sharpness))
+        group = group._replace(environment=group.environment._replace(criteria=soft))
+    return OneRun(group, params)
+
+
+def _softened(study: Study, group: Group, method: Any, window_s: float) -> Any:
+    """The numbers of a method with its resets spread over windows."""
+    relaxed = METHODS[group.static.method].implementation.relaxed
+    if relaxed is None or relaxed.soften is None:
+        raise InputError(f"{study.name}: window_s: {group.static.method!r} has no resets to spread")
+    if what := relaxed.refused(study):
+        raise InputError(f"{study.name}: window_s: {what} cannot be spread over windows")
+    if not window_s * study.rate_hz >= 1:
+        raise InputError(f"{study.name}: window_s: must be a sample or more, not {window_s:g}")
+    soft = relaxed.soften(method, None, np.float64(window_s * study.rate_hz))
+    return jax.tree.map(np.asarray, soft)
+
+
+def _as_double(leaf: Any) -> Any:
+    """Numbers as arrays; those of Python in double precision, and what counts as it is."""
+    return leaf if isinstance(leaf, jax.core.Tracer) else np.asarray(leaf)
+
+
+_COUNTS: dict[type, tuple[str, str]] = {
+    Resets: (
+        "samples",
+        "hard reset times is zero, whatever a change of them would do"
+        " (one_run(study, window_s=...) spreads each reset over a smooth window)",
+    ),
+    Feedback: ("every", "feedback intervals is zero, whatever a change of them would do"),
+    Pieces: ("samples", "times at which gains change is zero, whatever a change of them would do"),
+}
+"""Numbers of schedules that count samples, and what is said of the gradient by them."""
+
+
+def _guarded(method: Any) -> Any:
+    """The numbers of a method; those that count samples warn who differentiates by them."""
+
+    def guard(part: Any) -> Any:
+        if type(part) not in _COUNTS:
+            return part
+        field, text = _COUNTS[type(part)]
+        return part._replace(**{field: _without_slope(text, getattr(part, field))})
+
+    return jax.tree.map(guard, method, is_leaf=lambda part: type(part) in _COUNTS)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _without_slope(text: str, counts: Array) -> Array:
+    """Counts of samples as they are; a warning if they are differentiated by."""
+    return jnp.asarray(counts)
+
+
+def _tell(text: str, primals: tuple[Array], tangents: tuple[Any]) -> tuple[Array, Array]:
+    (counts,), (slope,) = primals, tangents
+    if counts.size and not isinstance(slope, jax.custom_derivatives.SymbolicZero):
+        warnings.warn(f"sinsjax.one_run: the gradient by {text}", stacklevel=2)
+    return jnp.asarray(counts), jnp.zeros_like(counts)
+
+
+_without_slope.defjvp(_tell, symbolic_zeros=True)

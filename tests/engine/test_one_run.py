@@ -1,0 +1,159 @@
+"""One run as a function: the engine's bits, mapped, differentiated, and honest about zeros."""
+
+import warnings
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from support.studies import small_study, small_tables
+
+import sinsjax
+from sinsjax.errors import InputError
+from sinsjax.study.load import study_from_dict
+from sinsjax.units import ARCMIN, DEG
+
+LENGTH: dict[str, Any] = {"duration_s": 10.0, "window_s": [2, 10], "draws": 3}
+RESETS = {"reset_times_s": [3.0, 6.0]}
+AXES = {"phi_u0_deg": [10.0, 30.0]}
+
+
+def rows_of(study: Any, variant_id: int, tape: Any = None) -> list[dict[str, Any]]:
+    table = sinsjax.run(study, tape).summary.to_pylist()
+    return [row for row in table if row["variant_id"] == variant_id]
+
+
+@pytest.fixture(scope="module")
+def study() -> Any:
+    return small_study(study=LENGTH, resets=RESETS, axes=AXES)
+
+
+@pytest.fixture(scope="module")
+def run(study: Any) -> Any:
+    return sinsjax.one_run(study, variant_id=1)
+
+
+def changed(run: Any, **numbers: Any) -> Any:
+    return run.params._replace(method=run.params.method._replace(**numbers))
+
+
+def by_times(run: Any, samples: Any) -> Any:
+    resets = run.params.method.resets._replace(samples=samples)
+    return run(changed(run, resets=resets), run.draw(0)).last.phi.z
+
+
+CASES: dict[str, dict[str, Any]] = {
+    "filter": {"resets": RESETS, "axes": AXES},
+    "compass": {"alignment": {"method": "compass"}},
+    "drawn": {
+        "motion": {"pitch_period_s": None},
+        "drawn": {"pitch_period_s": {"uniform": [4.0, 8.0]}, "phi_n0_deg": {"uniform": [-5, 5]}},
+        "alignment": {"phi_n0_deg": None},
+    },
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_it_has_the_bits_of_the_engine(name: str) -> None:
+    study = small_study(study=LENGTH, **CASES[name])
+    variant_id = study.n_variants - 1
+    run = sinsjax.one_run(study, variant_id=variant_id)
+    mapped = jax.jit(jax.vmap(run, in_axes=(None, 0)))(run.params, run.draws)
+    for number, row in enumerate(rows_of(study, variant_id)):
+        outcome = run(run.params, run.draw(number))
+        found = [angle / ARCMIN for angle in outcome.last.phi]
+        assert found == [row[f"phi_{axis}_arcmin"] for axis in "enu"]
+        together = [angle[number] / ARCMIN for angle in mapped.last.phi]
+        np.testing.assert_allclose(together, found, rtol=1e-9)
+
+
+def test_a_record_is_run_from_its_start_times(study: Any) -> None:
+    tape = sinsjax.simulated_record(small_study(study=LENGTH | {"duration_s": 30.0}))
+    time = np.arange(1, len(tape.dv) + 1) / tape.rate_hz
+    stored = sinsjax.record_from_arrays(
+        time, tape.dtheta, tape.dv, gyro_unit="rad", accel_unit="m_per_s"
+    )
+    tables = small_tables(study={"duration_s": 10.0, "rate_hz": None, "draws": None})
+    tables = {name: tables[name] for name in ("study", "earth", "alignment")}
+    tables["study"] = {"duration_s": 10.0}
+    tables["record"] = {"format": "arrays", "start_s": [0.0, 5.0]}
+    tables["coarse"] = {"coarse_method": "inertial", "coarse_duration_s": 10.0}
+    recorded = study_from_dict(tables)
+    run = sinsjax.one_run(recorded, stored)
+    for number, row in enumerate(rows_of(recorded, 0, stored)):
+        assert float(run(run.params, run.draw(number)).last.yaw / DEG) == row["yaw_deg"]
+
+
+def test_the_gradient_by_r_is_the_slope(run: Any) -> None:
+    def error(r: Any) -> Any:
+        return run(changed(run, r=r), run.draw(0)).last.phi.z
+
+    r = float(run.params.method.r)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        slope = jax.grad(error)(r)
+    step = 1e-4 * r
+    apart = (error(np.asarray(r + step)) - error(np.asarray(r - step))) / (2 * step)
+    assert float(slope) == pytest.approx(float(apart), rel=1e-4)
+
+
+def test_a_hard_reset_time_tells_that_its_gradient_is_zero(run: Any) -> None:
+    samples = run.params.method.resets.samples
+    text = r"gradient by hard reset times is zero.* \(one_run\(study, window_s=...\) spreads"
+    with pytest.warns(UserWarning, match=text):
+        slope = jax.eval_shape(jax.grad(partial(by_times, run)), samples)
+    assert slope.shape == samples.shape
+    with pytest.warns(UserWarning, match="gradient by feedback intervals is zero"):
+        every = run.params.method.feedback.every
+        feedback = run.params.method.feedback
+
+        def by_interval(every: Any) -> Any:
+            changed_ = changed(run, feedback=feedback._replace(every=every))
+            return run(changed_, run.draw(0)).last.phi.z
+
+        jax.eval_shape(jax.grad(by_interval), every)  # when it is traced, not when it has run
+
+
+def test_windows_have_a_gradient_by_reset_times(study: Any, run: Any) -> None:
+    soft = sinsjax.one_run(study, variant_id=1, window_s=0.5)
+    samples = soft.params.method.resets.samples
+    slope = jax.grad(partial(by_times, soft))(samples)
+    assert np.isfinite(slope).all() and slope.all()
+    hard = float(by_times(run, run.params.method.resets.samples))
+    assert float(by_times(soft, samples)) == pytest.approx(hard, rel=0.2)
+
+
+def test_settling_times_have_a_gradient_where_bands_are_soft(study: Any) -> None:
+    def settling(run: Any, r: Any) -> Any:
+        return run(changed(run, r=r), run.draw(0)).outside_until.sum()
+
+    r = float(sinsjax.one_run(study).params.method.r)
+    slopes = [
+        float(jax.jvp(partial(settling, one), (r,), (r,))[1])
+        for one in (sinsjax.one_run(study), sinsjax.one_run(study, sharpness=8.0))
+    ]
+    assert slopes[0] == 0 and slopes[1] != 0
+
+
+def test_what_cannot_be_had_is_one_line(study: Any, run: Any) -> None:
+    for call, text in (
+        (lambda: sinsjax.one_run(study, variant_id=2), "study: has no variant 2, of 2"),
+        (lambda: run.draw(3), "draw 3: the study has 3 draws, from 0"),
+        (lambda: sinsjax.one_run(study, window_s=0.0), "window_s: must be a sample or more"),
+        (
+            lambda: sinsjax.one_run(
+                small_study(study=LENGTH, alignment={"method": "compass"}), window_s=1.0
+            ),
+            "window_s: 'compass' has no resets to spread",
+        ),
+        (
+            lambda: sinsjax.one_run(
+                small_study(study=LENGTH, resets=RESETS | {"reset_at_feedback": True}),
+                window_s=1.0,
+            ),
+            r"window_s: \[resets\] reset_at_feedback cannot be spread over windows",
+        ),
+    ):
+        with pytest.raises(InputError, match=text):
+            call()
