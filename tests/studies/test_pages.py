@@ -47,6 +47,16 @@ PAGES = {
     "kalman_passes": ("kalman_passes",),
     "paper1": ("paper1_conditions", "paper1_resets", "paper1_readings"),
     "reset_cycle": ("reset_cycle_study", "reset_phase"),
+    "which_alignment": (
+        "which_alignment",
+        "which_alignment_tuned",
+        "which_alignment_latitude",
+        "which_alignment_why",
+        "which_alignment_stored",
+        "which_alignment_turning",
+        "which_alignment_car",
+        "which_alignment_psins",
+    ),
 }
 """The studies of each page."""
 
