@@ -56,6 +56,8 @@ PAGES = {
         "which_alignment_turning",
         "which_alignment_car",
         "which_alignment_psins",
+        "which_alignment_surge",
+        "which_surge",
     ),
 }
 """The studies of each page."""

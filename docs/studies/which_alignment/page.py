@@ -7,18 +7,22 @@ from sinsjax.analysis import Estimate
 from sinsjax.report.base import Picture
 from sinsjax.report.folder import Page, Sources
 
-from . import evidence, why
+from . import better, evidence, why
 from .field import TIMES_S, Cell, Field, Start, angle, reach
 from .figure import reached
 
 GRADE = 0.01
 """Gyro bias (deg/h) of the grade that the answer is told for."""
 
+STUDIES = ("which_alignment", "which_alignment_tuned", "which_alignment_surge")
+"""Published settings, tuned ones, and what came of the search for something better."""
+
 FIGURE = (
+    "kalman_sincos, Q of a sample",
+    "kalman_surge",
     "inertial",
     "optimisation",
     "kalman_sincos",
-    "kalman_sincos, tuned",
     "kalman10",
     "kalman5, gravity",
     "kalman5, two resets",
@@ -33,14 +37,14 @@ def known(field: Field) -> Mapping[str, tuple[Start, ...]]:
     return {"heading to 30 deg, level to 5 deg": fair, "nothing": field.starts}
 
 
-INERTIAL, OPTIMISATION, SINCOS, BIASES = "inertial", "optimisation", "kalman_sincos", "kalman10"
+INERTIAL, OPTIMISATION, SINCOS, SAMPLE = "inertial", "optimisation", "kalman_sincos", "kalman_sincos, Q of a sample"
 RESETS = ("kalman5, one reset", "kalman5, two resets", "kalman5, three resets")
 
 
 def page(sources: Sources) -> Page:
     """What to use, by what is known, what moves and the time there is; and why."""
-    study, tuned = sources["which_alignment"], sources["which_alignment_tuned"]
-    field = Field(study, tuned)
+    studies = [sources[name] for name in STUDIES]
+    field = Field(*studies)
     classes = known(field)
     tables = {
         "decision": evidence.decisions(field, classes, GRADE, folded=False),
@@ -48,7 +52,7 @@ def page(sources: Sources) -> Page:
         "starts": evidence.by_start(field, "sway", GRADE, 300),
         "settled": evidence.settled(field, field.starts, "sway", GRADE),
         "latitudes": evidence.by_latitude(sources["which_alignment_latitude"]),
-        "settings": evidence.settings([study, tuned]),
+        "settings": evidence.settings(studies),
     }
     for grade in field.grades:
         if grade != GRADE:
@@ -68,7 +72,7 @@ def page(sources: Sources) -> Page:
         ),
     )
     values: dict[str, Any] = {
-        "runs": f"{study.runs + tuned.runs:,}",
+        "runs": f"{sum(one.runs for one in studies):,}",
         "arms": len(field.arms),
         "draws": field.draws,
         **_told(field),
@@ -85,23 +89,19 @@ def _told(field: Field) -> dict[str, Any]:
     def error(arm: str, base: str, time_s: int, starts: tuple[Start, ...] = field.starts) -> str:
         return angle(reach(field.errors(arm, Cell(starts, field.bases[base], GRADE, time_s))))
 
-    arms = {
-        "inertial": INERTIAL,
-        "sincos": SINCOS,
-        "tuned": f"{SINCOS}, tuned",
-        "optimisation": OPTIMISATION,
-        "biases": BIASES,
-        "three": RESETS[-1],
-        "two": RESETS[1],
-        "plain": "kalman5",
-        "gravity": "kalman5, gravity",
+    told = {
+        "inertial": (INERTIAL, ("sway", "surge")),
+        "optimisation": (OPTIMISATION, ("sway", "surge")),
+        "sincos": (SINCOS, ("surge",)),
+        "sample": (SAMPLE, ("sway", "surge", "all")),
+        "three": (RESETS[-1], ("sway", "surge")),
+        "two": (RESETS[1], ("sway",)),
+        "plain": ("kalman5", ("sway",)),
     }
+    bases = {"sway": "sway", "surge": "sway and surge", "all": "all of these"}
     return {
-        name: {
-            "sway": error(arm, "sway", 300),
-            "surge": error(arm, "sway and surge", 300),
-        }
-        for name, arm in arms.items()
+        name: {base: error(arm, bases[base], 300) for base in on}
+        for name, (arm, on) in told.items()
     }
 
 
@@ -114,6 +114,7 @@ def _experiments(sources: Sources) -> Page:
         why.turning(sources["which_alignment_turning"]),
         why.car(sources["which_alignment_car"]),
         why.psins(sources["which_alignment_psins"]),
+        better.bounded(sources["which_surge"]),
     )
 
 
