@@ -28,7 +28,7 @@ def decisions(
         rows.append([words, moves, *cells])
     header = ["what is known", "what moves", *(f"{t} s" for t in TIMES_S)]
     note = (
-        "Heading error from true north that 95 % of the runs stay below [its 95 % interval]. Of"
+        "Heading error from true north that 90 % of the runs stay below [its 95 % interval]. Of"
         f" {field.draws} draws every other one chose the method and the rest tell its error; two"
         " methods stand where the difference between them may be none."
     )
@@ -44,7 +44,7 @@ def by_base(field: Field, starts: tuple[Start, ...], grade: float, time_s: int) 
             errors = field.errors(arm, Cell(starts, base, grade, time_s))
             cells.append(f"{angle(reach(errors, MIDDLE))}; {angle(reach(errors))}")
         rows.append([arm, *cells])
-    note = "Heading error from true north that half and 95 % of the runs stay below."
+    note = "Heading error from true north that half and 90 % of the runs stay below."
     title = f"Every method after {time_s} s, gyro bias {grade:g} deg/h, all initial misalignments"
     return Table(title, ["method", *field.bases], rows, note, folded=True)
 
@@ -56,7 +56,7 @@ def by_start(field: Field, base: str, grade: float, time_s: int) -> Table:
         cells = [Cell((start,), field.bases[base], grade, time_s) for start in field.starts]
         rows.append([arm, *(angle(reach(field.errors(arm, cell))) for cell in cells)])
     header = ["method", *(degrees(*start) for start in field.starts)]
-    note = "Heading error from true north that 95 % of the runs stay below [95 % interval]."
+    note = "Heading error from true north that 90 % of the runs stay below [95 % interval]."
     title = f"Every method after {time_s} s on {base}, gyro bias {grade:g} deg/h"
     return Table(title, header, rows, note, folded=True)
 
@@ -109,7 +109,7 @@ def by_latitude(source: Source) -> Table:
         f"{words}, {latitude:g} deg"
         for words, latitude in product(("sway", "all"), grid.axes["latitude"])
     ]
-    note = "Heading error after 300 s that 95 % of the runs stay below, from two misalignments."
+    note = "Heading error after 300 s that 90 % of the runs stay below, from two misalignments."
     return Table("From the equator to 75 deg of latitude", ["method", *header], rows, note, True)
 
 

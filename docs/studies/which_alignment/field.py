@@ -12,8 +12,11 @@ from sinsjax.analysis.formats import format_estimate
 from sinsjax.execution.source import Source
 
 TIMES_S = (30, 60, 120, 300, 600)
-MOST = 0.95
-"""What share of the runs an error is told for."""
+MOST = 0.9
+"""What share of the runs an error is told for: half of the draws bound no larger one."""
+
+USELESS = 600.0
+"""Heading error that is no alignment, arcmin."""
 
 Start = tuple[float, float, float]
 """Initial misalignment about east, north and up, deg."""
@@ -66,7 +69,9 @@ class Choice(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Both with their intervals."""
+        """Both with their intervals; none where even the best is no alignment."""
+        if self.errors[0].value > USELESS:
+            return f"none ({angle(self.errors[0])})"
         pairs = zip(self.arms, self.errors, strict=True)
         return "; or ".join(f"{arm}: {angle(error)}" for arm, error in pairs)
 

@@ -1,4 +1,4 @@
-"""The page's first figure: what 95 % of the runs stay below, over the time there is."""
+"""The page's first figure: what 90 % of the runs stay below, over the time there is."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ def reached(
     field: Field, arms: Sequence[str], starts: tuple[Start, ...], grade: float, title: str
 ) -> Figure:
     """A panel for each base, a line with its interval for each arm."""
-    figure = Figure(figsize=(9.6, 6.4))
+    figure = Figure(figsize=(9.6, 6.6))
     figure.suptitle(title)
     grid = figure.subplots(2, 3, sharex=True, sharey=True)
     for axes, (name, base) in zip(grid.flat, field.bases.items(), strict=True):
@@ -37,8 +37,7 @@ def reached(
         axes.yaxis.set_minor_locator(NullLocator())
     for axes in grid[-1]:
         axes.set_xlabel("time from the first sample (s)")
-    for axes in grid[:, 0]:
-        axes.set_ylabel("heading error of 95 %")
+    figure.supylabel("heading error that 90 % of the runs stay below")
     legend_outside(figure, grid[-1, -1])
     return figure
 

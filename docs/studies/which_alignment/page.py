@@ -1,6 +1,7 @@
 """Numbers of the page on which alignment to use."""
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 from sinsjax.analysis import Estimate
@@ -11,21 +12,24 @@ from . import better, evidence, why
 from .field import TIMES_S, Cell, Field, Start, angle, reach
 from .figure import reached
 
+DEGREE = 60.0  # arcmin
 GRADE = 0.01
 """Gyro bias (deg/h) of the grade that the answer is told for."""
 
 STUDIES = ("which_alignment", "which_alignment_tuned", "which_alignment_surge")
 """Published settings, tuned ones, and what came of the search for something better."""
 
+INERTIAL, OPTIMISATION = "inertial", "optimisation"
+SINCOS, SAMPLE = "kalman_sincos", "kalman_sincos, Q of a sample"
+RESETS = ("kalman5, one reset", "kalman5, two resets", "kalman5, three resets")
+
 FIGURE = (
-    "kalman_sincos, Q of a sample",
+    INERTIAL,
+    SAMPLE,
     "kalman_surge",
-    "inertial",
-    "optimisation",
-    "kalman_sincos",
-    "kalman10",
-    "kalman5, gravity",
-    "kalman5, two resets",
+    OPTIMISATION,
+    SINCOS,
+    "kalman5, triggered resets, tuned",
     "kalman5, three resets",
     "kalman5",
 )
@@ -35,10 +39,6 @@ def known(field: Field) -> Mapping[str, tuple[Start, ...]]:
     """Initial misalignments by what is known of the attitude."""
     fair = tuple(one for one in field.starts if max(one) <= 30)
     return {"heading to 30 deg, level to 5 deg": fair, "nothing": field.starts}
-
-
-INERTIAL, OPTIMISATION, SINCOS, SAMPLE = "inertial", "optimisation", "kalman_sincos", "kalman_sincos, Q of a sample"
-RESETS = ("kalman5, one reset", "kalman5, two resets", "kalman5, three resets")
 
 
 def page(sources: Sources) -> Page:
@@ -60,7 +60,7 @@ def page(sources: Sources) -> Page:
             tables[name] = evidence.decisions(field, classes, grade, folded=True)
     picture = Picture(
         "reached",
-        f"What 95 % of the runs stay below, from eight misalignments up to (20, 20, 120) and"
+        f"What 90 % of the runs stay below, from eight misalignments up to (20, 20, 120) and"
         f" (0, 0, 170) deg, all headings, gyro bias {GRADE:g} deg/h; shading: 95 % interval,"
         f" {field.draws} draws.",
         reached(
@@ -90,19 +90,37 @@ def _told(field: Field) -> dict[str, Any]:
         return angle(reach(field.errors(arm, Cell(starts, field.bases[base], GRADE, time_s))))
 
     told = {
-        "inertial": (INERTIAL, ("sway", "surge")),
-        "optimisation": (OPTIMISATION, ("sway", "surge")),
-        "sincos": (SINCOS, ("surge",)),
-        "sample": (SAMPLE, ("sway", "surge", "all")),
+        "inertial": (INERTIAL, ("sway", "all")),
+        "sincos": (SINCOS, ("all",)),
+        "sample": (SAMPLE, ("sway", "all")),
         "three": (RESETS[-1], ("sway", "surge")),
         "two": (RESETS[1], ("sway",)),
         "plain": ("kalman5", ("sway",)),
+        "trigger": ("kalman5, triggered resets, tuned", ("sway", "surge")),
     }
     bases = {"sway": "sway", "surge": "sway and surge", "all": "all of these"}
+    alone, entries = _entries(field)
     return {
-        name: {base: error(arm, bases[base], 300) for base in on}
-        for name, (arm, on) in told.items()
+        "entries": {"alone": alone, "all": entries},
+        **{
+            name: {base: error(arm, bases[base], 300) for base in on}
+            for name, (arm, on) in told.items()
+        },
     }
+
+
+@lru_cache(maxsize=1)
+def _entries(field: Field) -> tuple[int, int]:
+    """Entries within 1 deg: those of filters with resets alone, and all."""
+    choices = [
+        field.best(Cell(starts, base, grade, t))
+        for starts in known(field).values()
+        for base in field.bases.values()
+        for grade in field.grades
+        for t in TIMES_S
+    ]
+    within = [choice for choice in choices if choice.errors[0].value < DEGREE]
+    return sum(all("reset" in arm for arm in one.arms) for one in within), len(within)
 
 
 def _experiments(sources: Sources) -> Page:
@@ -124,27 +142,25 @@ def _claims(field: Field) -> dict[str, bool]:
     def most(arm: str, base: str) -> Estimate:
         return reach(field.errors(arm, Cell(field.starts, field.bases[base], GRADE, 300)))
 
-    sway = {arm: most(arm, "sway") for arm in field.at(GRADE)}
-    surge = {arm: most(arm, "sway and surge") for arm in field.at(GRADE)}
-    published = [arm for arm in surge if not arm.endswith("tuned")]
-    choices = [
-        field.best(Cell(starts, base, grade, t)).arms[0]
-        for starts in known(field).values()
-        for base in field.bases.values()
-        for grade in field.grades
-        for t in TIMES_S
-    ]
+    on = {base: {arm: most(arm, base) for arm in field.at(GRADE)} for base in field.bases}
+    sway, surge = on["sway"], on["sway and surge"]
+    alone, entries = _entries(field)
     return {
-        "on a swaying base the methods without a start are as good as any": all(
-            sway[arm].low <= min(one.high for one in sway.values())
-            for arm in (INERTIAL, OPTIMISATION)
+        "inertial is within two fifths of the best everywhere": all(
+            arms[INERTIAL].value < 1.4 * min(one.value for one in arms.values())
+            for arms in on.values()
         ),
-        "under surge inertial is the best of those with published settings": (
-            min(published, key=lambda arm: surge[arm].value) == INERTIAL
+        "so is the filter with Q of a sample": all(
+            arms[SAMPLE].value < 1.4 * min(one.value for one in arms.values())
+            for arms in on.values()
         ),
         "resets repair the plain filter on a swaying base": all(
             10 * sway[arm].high < sway["kalman5"].low for arm in RESETS[1:]
         ),
-        "under surge resets fail": surge[RESETS[-1]].low > 60 * 5,
-        "no choice is a filter with resets": not any("reset" in arm for arm in choices),
+        "under surge resets fail, tuned and triggered as well": all(
+            one.low > 5 * 60
+            for arm, one in surge.items()
+            if "reset" in arm and "gravity" not in arm
+        ),
+        "a filter with resets is hardly ever chosen alone": 0 < alone <= entries / 50,
     }
