@@ -240,8 +240,6 @@ def car(source: Source) -> Page:
 PSINS = {
     "inertial": ("aligni0", "26.3", "26.3"),
     "optimisation": ("alignWahba", "26.2", "26.2"),
-    "kalman10": ("alignvn, 12 states", "28.7", "28.9"),
-    "kalman10, three resets": ("alignvn, P reset by hand", "26.6", "26.1"),
     "ekf_azimuth": ("alignvn_ekf", "26.1", "26.1"),
 }
 """What published functions gave: mean heading error from 800 to 900 s, still and swinging, arcmin.
@@ -265,7 +263,8 @@ def psins(source: Source) -> Page:
     header = ["here", "still", "swinging", "PSINS", "still (arcmin)", "swinging (arcmin)"]
     note = (
         "Mean heading error (estimate less truth) from 800 to 900 s of paper 1's conditions from"
-        f" (5, 5, 30) deg; here [95 % interval over {grid.draws} draws], there one draw."
+        f" (5, 5, 30) deg; here [95 % interval over {grid.draws} draws], there one draw. Its"
+        " alignvn feeds back and primes its bias states otherwise, and is not the same filter."
     )
     table = Table("Beside published functions of PSINS", header, rows, note, folded=True)
     return Page({}, {"psins": table})
