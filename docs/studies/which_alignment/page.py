@@ -58,6 +58,7 @@ def page(sources: Sources) -> Page:
         if grade != GRADE:
             name = f"grade_{grade:g}".replace(".", "_")
             tables[name] = evidence.decisions(field, classes, grade, folded=True)
+    runs = f"{sum(one.runs for one in studies):,}"
     picture = Picture(
         "reached",
         f"What 90 % of the runs stay below, from eight misalignments up to (20, 20, 120) and"
@@ -70,9 +71,10 @@ def page(sources: Sources) -> Page:
             GRADE,
             "Heading error from true north, nothing known of the attitude",
         ),
+        f"{', '.join(STUDIES)}: {runs} runs",
     )
     values: dict[str, Any] = {
-        "runs": f"{sum(one.runs for one in studies):,}",
+        "runs": runs,
         "arms": len(field.arms),
         "draws": field.draws,
         **_told(field),
@@ -128,7 +130,6 @@ def _experiments(sources: Sources) -> Page:
     resets = why.resets(sources["which_alignment_why"])
     return Page.joined(
         resets,
-        why.passes(sources["which_alignment_stored"]),
         why.turning(sources["which_alignment_turning"]),
         why.car(sources["which_alignment_car"]),
         why.psins(sources["which_alignment_psins"]),

@@ -12,7 +12,7 @@ from sinsjax.execution.source import Source
 from sinsjax.report.base import Table
 from sinsjax.report.folder import Page
 
-from .field import MOST, Base, Start, angle, bases_of, reach, starts_of
+from .field import Base, Start, angle, bases_of, reach, starts_of
 
 HALF = 0.5
 
@@ -119,35 +119,6 @@ def resets(source: Source) -> Page:
         },
     }
     return Page({"why": values}, {"resets": table}, claims=claims)
-
-
-def passes(source: Source) -> Page:
-    """A stored record gone over again."""
-    run = Experiment(source, "phi_u_arcmin", base=bases_of(source))
-    bases: dict[str, Base] = {base.words: base for base in run.grid.axes["base"]}
-
-    def ends(case: str, base: str) -> Estimate:
-        return run.reach("phi_u_arcmin", MOST, case=case, base=bases[base])
-
-    rows = [[case, *(angle(ends(case, base)) for base in bases)] for case in run.grid.axes["case"]]
-    note = (
-        "Heading error from true north that 90 % of the runs end below, from three misalignments:"
-        f" {', '.join(degrees(*start) for start in run.grid.axes['start'])}."
-    )
-    title = "A stored record, gone over again"
-    table = Table(title, ["record and method", *bases], rows, note, folded=True)
-    rewound = [ends(f"100 s: kalman5, {n} passes, rewound, P reset", "sway") for n in (2, 3, 4)]
-    once, sincos = (ends(f"100 s: {name}, 1 pass", "sway") for name in ("kalman5", "kalman_sincos"))
-    claims = {
-        "passes repair the plain filter": rewound[-1].high < once.low,
-        "after them it is near the filter that needs none": rewound[-1].low < 2 * sincos.high,
-    }
-    values = {
-        "once": angle(once),
-        "sincos": angle(sincos),
-        **{name: angle(one) for name, one in zip(("two", "three", "four"), rewound, strict=True)},
-    }
-    return Page({"stored": values}, {"stored": table}, claims=claims)
 
 
 LONG_S = (60, 120, 300, 600, 1200, 1800)
