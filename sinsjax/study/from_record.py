@@ -150,7 +150,7 @@ def _times(path: Path, record: Record) -> tuple[_Times, Note]:
     parts = list(zip(ends[::2], ends[1::2], strict=True))
     begin, end = max(parts, key=lambda part: part[1] - part[0])
     start_s = math.ceil(begin / rate)
-    intervals = math.floor(((end / rate) - start_s) / interval_s - 1e-6)
+    intervals = math.floor(((end / rate) - start_s) / interval_s + 1e-6)
     if intervals * interval_s < _SHORTEST_S:
         raise InputError(
             f"{path}: has {intervals * interval_s:.3g} s without a gap, and an alignment needs"

@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.studies import small_study
@@ -49,6 +50,27 @@ def test_examples_of_reading_run(
         steps = 2 * 2 * 600  # of two candidates on two draws
         assert re.match(rf"grid \d\.\d+ {steps}\n", told)
         assert "'case': 'baseline" in told and "'n': 3" in told
+
+
+@pytest.mark.parametrize("library", ["pandas", "polars", "duckdb", "xarray"])
+def test_results_go_to_each_library_in_a_line(
+    library: str, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (lines,) = re.findall(r"```py\n(.*?)```", RESULTS, re.DOTALL)
+    begin, *rest = lines.splitlines()
+    line = next(line for line in rest if re.search(rf"{library}\.|to_{library}\(\)$", line))
+    if library == "xarray":
+        pytest.importorskip("pandas")
+    names: dict[str, Any] = {"sinsjax": sinsjax, library: pytest.importorskip(library)}
+    monkeypatch.chdir(out)
+    exec(f"{begin}\n{line}", names)
+    found = {
+        "pandas": lambda: len(names["frame"]),
+        "polars": lambda: len(names["frame"]),
+        "duckdb": lambda: names["table"].aggregate("sum(runs)").fetchall()[0][0],
+        "xarray": lambda: names["grid"]["phi_u_arcmin"].size,
+    }
+    assert found[library]() == 9  # three draws of three variants
 
 
 def test_links_of_every_page_lead_somewhere() -> None:

@@ -310,7 +310,7 @@ def test_what_cannot_be_known_is_a_doubt(
             "no columns of gyros among a, b, c, d, e, f, g: name them",
         ),
         (lambda t: (t, ("1", "2", "3", "4", "5", "6", "7")), "row 1: numbers where the names"),
-        (lambda t: (t[:500], NAMES), "has 4 s without a gap, and an alignment needs 10"),
+        (lambda t: (t[:500], NAMES), "has 5 s without a gap, and an alignment needs 10"),
         (lambda t: (t[:, :5], NAMES[:5]), "row 1: 5 columns between its"),
     ],
 )
