@@ -19,7 +19,7 @@ from sinsjax.records.tables import (
     open_parquet,
 )
 
-_LOOKED_AT = 2**16  # bytes
+_BYTES, _ROWS = 2**16, 20  # that are looked at
 
 
 class Head(NamedTuple):
@@ -29,6 +29,7 @@ class Head(NamedTuple):
         format: "csv" or "parquet".
         names: of its columns.
         numbers: names of those that hold numbers.
+        odd: what else the first rows hold in place of numbers, by name: row and cell.
         dates: names of those that hold dates with time.
         comments: lines of comment before the names.
         told: what kind of file it is, in words.
@@ -37,6 +38,7 @@ class Head(NamedTuple):
     format: str
     names: list[str]
     numbers: set[str]
+    odd: dict[str, tuple[int, str]]
     dates: set[str]
     comments: list[str]
     told: str
@@ -72,6 +74,7 @@ def _of_parquet(path: Path) -> Head:
             for name, kind in kinds.items()
             if pa.types.is_floating(kind) or pa.types.is_integer(kind)
         },
+        odd={},
         dates={name for name, kind in kinds.items() if pa.types.is_timestamp(kind)},
         comments=[],
         told=f"Parquet, {len(kinds)} columns",
@@ -79,17 +82,17 @@ def _of_parquet(path: Path) -> Head:
 
 
 def _of_csv(path: Path) -> Head:
-    lines = next(line_batches(path, _LOOKED_AT)).lines
+    lines = next(line_batches(path, _BYTES)).lines
     data = [k for k, line in enumerate(lines) if line.strip() and not _is_comment(line)]
     comments = [line.decode(errors="replace") for line in lines[: data[0] if data else None]]
     if not data:
         raise InputError(f"{path}: has no line that names its columns")
     row, delimiter = data[0] + 1, delimiter_of(lines[data[0]])
-    names, *rest = [_cells(lines[k], delimiter) for k in data[:2]]
+    names, *rest = [_cells(lines[k], delimiter) for k in data[: _ROWS + 1]]
     where = f"{path}: row {row}"
     if len(names) < 6:
-        words = "comma, semicolon or tab"
-        raise InputError(f"{where}: {len(names)} columns between its {words}s: an IMU has six")
+        text = f"{len(names)} columns between commas, semicolons or tabs: an IMU has six"
+        raise InputError(f"{where}: {text} (blanks do not separate columns)")
     if all(map(_is_number, names)):
         named = any(len(_cells(line.encode(), delimiter)) == len(names) for line in comments)
         hint = (
@@ -98,13 +101,18 @@ def _of_csv(path: Path) -> Head:
             else "begin the file with a line such as time_s,gyro_x,gyro_y,gyro_z,accel_x,..."
         )
         raise InputError(f"{where}: numbers where the names of the columns belong ({hint})")
-    first = rest[0] if rest and len(rest[0]) == len(names) else [""] * len(names)
+    odd: dict[str, tuple[int, str]] = {}
+    for k, row_cells in zip(data[1:], rest, strict=False):
+        for name, cell in zip(names, row_cells, strict=False):
+            if cell and not _is_number(cell):
+                odd.setdefault(name, (k + 1, cell))
     after = f", after {row - 1} lines of comment" if row > 1 else ""
     return Head(
         format="csv",
         names=names,
-        numbers={name for name, cell in zip(names, first, strict=True) if _is_number(cell)},
-        dates={name for name, cell in zip(names, first, strict=True) if _is_date(cell)},
+        numbers=set(names) - odd.keys(),
+        odd=odd,
+        dates={name for name, (_, cell) in odd.items() if _is_date(cell)},
         comments=comments,
         told=f"{DELIMITERS[delimiter]}-separated text, its {len(names)} names in row {row}{after}",
     )

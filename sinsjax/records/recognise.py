@@ -4,6 +4,7 @@ What the file tells is a reason; what it cannot tell is a doubt. Neither is sett
 """
 
 import math
+import re
 from collections.abc import Mapping
 from itertools import permutations
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sinsjax.errors import InputError
+from sinsjax.messages import shortened
 from sinsjax.records.head import Head, listed
 from sinsjax.records.layout import (
     ACCEL_UNITS,
@@ -37,6 +39,14 @@ _NEAR_GRAVITY = 0.1  # relative: accelerometers are better
 _NEAR_EARTH_RATE = 0.5, 2.0  # ratios: gyros that can find north are better
 _REFUSED = 9.5  # times gravity, or a part of it: no study runs on such a record
 _UNKNOWN_HZ = 100.0
+_BESIDE = {
+    "m_per_s2": "rad_per_s",
+    "g": "deg_per_s",
+    "mg": "deg_per_s",
+    "m_per_s": "rad",
+    "g_s": "deg",
+}
+"""Units of gyros that go with those of accelerometers where nothing else tells them."""
 
 
 class Note(NamedTuple):
@@ -123,6 +133,14 @@ def recognise(path: Path, head: Head) -> Recognised:
 def _sensor(path: Path, head: Head, kind: str) -> tuple[Triad, Note]:
     """The columns of the gyros or accelerometers, by their names."""
     found = triads([name for name in head.names if name in head.numbers], kind)
+    if not found and (named := triads(head.names, kind)):
+        name = next(name for name in named[0].names if name in head.odd)
+        row, cell = head.odd[name]
+        hint = "decimal commas are not read: write points"
+        if not re.fullmatch(r"[+-]?\d*,\d+", cell):
+            hint = "if it is a row of units, begin it with #"
+        text = f"row {row}: column {name!r}: {shortened(cell, 24)!r} is no number"
+        raise InputError(f"{path}: {text} ({hint})")
     if not found:
         what = "gyros" if kind == "gyro" else "accelerometers"
         raise InputError(
@@ -239,9 +257,10 @@ def _gyro_unit(
     # Gyros in a wrong unit do not follow the vertical of a base that sways.
     far = {unit: abs(math.log(max(ratio[unit], 1e-12))) for unit in ratio}
     best = min(ratio, key=lambda unit: (means[unit].kept < 0.99, far[unit]))
-    unit = gyro.unit if gyro.unit in ratio else best
-    told = f"the mean rate is {ratio[unit]:.3g} times Earth rate in {UNIT_NAMES[unit]}"
+    beside = _BESIDE.get(accel_unit, best)
     low, high = _NEAR_EARTH_RATE
+    unit = gyro.unit if gyro.unit in ratio else best if low < ratio[best] < high else beside
+    told = f"the mean rate is {ratio[unit]:.3g} times Earth rate in {UNIT_NAMES[unit]}"
     if low < ratio[unit] < high:
         return unit, means[unit], Note(told)
     by_name = unit == gyro.unit
@@ -250,7 +269,9 @@ def _gyro_unit(
     elif by_name:
         doubt = "biases or motion hide Earth rate, so that only the names tell the unit"
     else:
-        doubt = "no unit gives Earth rate, and this one comes nearest: see the data sheet"
+        others = [f"{one:.3g} in {UNIT_NAMES[name]}" for name, one in ratio.items() if name != unit]
+        doubt = f"no unit gives Earth rate ({', '.join(others)}): this one goes with that of the"
+        doubt += " accelerometers; see the data sheet"
     return unit, means[unit], Note(told, doubt)
 
 

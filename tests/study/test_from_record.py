@@ -311,7 +311,7 @@ def test_what_cannot_be_known_is_a_doubt(
         ),
         (lambda t: (t, ("1", "2", "3", "4", "5", "6", "7")), "row 1: numbers where the names"),
         (lambda t: (t[:500], NAMES), "has 5 s without a gap, and an alignment needs 10"),
-        (lambda t: (t[:, :5], NAMES[:5]), "row 1: 5 columns between its"),
+        (lambda t: (t[:, :5], NAMES[:5]), "row 1: 5 columns between commas"),
     ],
 )
 def test_what_is_no_record_is_refused_in_one_line(
@@ -336,6 +336,24 @@ def test_names_in_a_comment_are_pointed_at(
     np.savetxt(path, table, delimiter=",", header=",".join(NAMES))
     with pytest.raises(InputError, match="its names stand in a comment: take the sign away"):
         study_of(path, Path("x.toml"))
+
+
+def test_the_first_rows_may_lack_samples_but_hold_no_words(
+    rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    path = write(tmp_path / "log.csv", columns(rates, "rfu", 1.0, 1.0, 0.01))
+    header, first, *rest = path.read_text().splitlines()
+    cells = first.split(",")
+    path.write_text("\n".join([header, ",".join([cells[0], "", "", "", *cells[4:]]), *rest]))
+    assert described(path)[0]["record"]["gyro_unit"] == "rad_per_s"
+    for row, hint in (
+        ("s,rad/s,rad/s,rad/s,g,g,g", "'rad/s' is no number (if it is a row of units"),
+        ('0,"0,1","0,1","0,1","1,2",3,4', "'0,1' is no number (decimal commas"),
+    ):
+        path.write_text("\n".join([header, row, first, *rest]))
+        with pytest.raises(InputError) as caught:
+            study_of(path, Path("x.toml"))
+        assert str(caught.value).startswith(f"{path}: row 2: column 'gyro_x': {hint}")
 
 
 def test_from_goes_with_record_alone(sinsjax: Command) -> None:
