@@ -101,6 +101,7 @@ def rows(study: Study, draw: int = 0):
     return np.concatenate([record.dtheta, record.dv], axis=1)
 
 
+@pytest.mark.optimised(False)
 def test_what_disturbs_leaves_the_rest_of_the_noise_alone():
     """What surge adds is the same whatever else there is, and so is what the rest adds."""
     surge = {key: ALL["motion"][key] for key in ("surge_m_per_s", "lever_arm_m")}
@@ -166,6 +167,7 @@ UG = micro_g(9.8)
 
 
 @pytest.mark.slow
+@pytest.mark.optimised(False)
 @pytest.mark.parametrize(
     ("keys", "gyro", "accel"),
     [
@@ -236,6 +238,7 @@ def test_allan_variances_are_the_closed_forms(keys, gyro, accel):
 
 
 @pytest.mark.slow
+@pytest.mark.optimised(False)
 def test_surge_of_twice_the_rate_gives_the_same_errors():
     """Heading errors of 128 draws at 100 and at 200 Hz: their means and spreads agree."""
     settings = {"duration_s": 120.0, "draws": 128, "window_s": [60, 120]}

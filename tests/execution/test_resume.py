@@ -16,6 +16,8 @@ from sinsjax.execution.tables import read_manifest
 from sinsjax.platform import runtime, xla
 from sinsjax.study.load import study_to_toml
 
+pytestmark = pytest.mark.optimised(False)
+
 ZIP = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 1.0, 2.0]}
 
 
