@@ -97,6 +97,7 @@ def page(sources: Sources) -> Page:
         "once": f"{once.rms:.1f} arcmin",
         "reflected": f"{reflected.rms:.1f} arcmin",
         "reversed": f"{reversed_.rms:.1f}",
+        "delay": f"{source.study.values('turn_smoothing_s')[cases.index(reflected)]:g} s",
         "filter": {"once": f"{single.rms:.2f} arcmin", "many": f"{many.rms:.2f} arcmin"},
         "sigma": {"once": f"{sigma:.1f}", "many": f"{sigma_many:.1f} arcmin"},
         "long": {"compass": f"{longest.rms:.2f} arcmin", "filter": f"{filtered.rms:.2f} arcmin"},
@@ -113,6 +114,7 @@ def page(sources: Sources) -> Page:
             filtered.rms < single.rms / 3 and abs(many.rms / single.rms - 1) < 0.1
         ),
         "compass and filter err together": min(together) > 0.5,
+        "the filter with the most data is within what the reference can tell": filtered.rms < 0.5,
         "the filter takes each pass for new data": sigma_many < sigma / 2,
         "the reflecting turn is best on the shortest record only": all(
             (case.rms < stored["velocity", data_s].rms) == (data_s == short)

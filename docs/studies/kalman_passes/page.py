@@ -45,6 +45,7 @@ def page(sources: Sources) -> Page:
     far = [points[LARGE, RESET, n] for n in counts[:3]]
     values = {
         "passes": last,
+        "far": f"mean NEES {format_estimate(far[0].nees)}",
         "inflation": f"{study.values('turn_inflation')[0] or 10:g}",
         "draws": grid.draws,
         "carried": {
@@ -75,6 +76,7 @@ def page(sources: Sources) -> Page:
         "carried, the error stays": abs(seven.error.value / one.error.value - 1) < 0.05,
         "carried, NEES is far above its band": seven.nees.low > 2 * high,
         "inflated or reset, NEES lies about its band": all(meets(p.nees) for p in settled),
+        "from the large misalignment one pass is far above the band": far[0].nees.low > 2 * high,
         "a second pass takes most of a large error, a third nothing": (
             far[1].error.high < far[0].error.low / 3
             and abs(far[2].error.value / far[1].error.value - 1) < 0.05

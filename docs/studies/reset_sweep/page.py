@@ -100,7 +100,8 @@ def _best(grid: Grid, contests: list[tuple[Choice, Choice]], gains: list[Estimat
     header = ["initial heading error", "no reset (s)", "best one", "median (s)", "best of more"]
     note = (
         f"Median [95 % interval over {grid.draws} Monte Carlo runs]; each half of the runs chose"
-        " for the other, two schedules where they differ."
+        " for the other. Where they differ both schedules are given, and either may be set. The"
+        " difference is that of the medians, negative where several resets settle sooner."
     )
     title = "What to set if the heading error is known, and what to expect"
-    return Table(title, [*header, "median (s)", "more less one (s)"], rows, note)
+    return Table(title, [*header, "median (s)", "difference (s)"], rows, note)

@@ -150,7 +150,8 @@ def _seen(tuning: Tuning, source: Source) -> Picture:
     seen.figure.suptitle(title, fontweight="bold")
     caption = (
         f"Condition 5, a grid of reset times, each over {tuning.tune.tune_draws} Monte Carlo runs;"
-        " light is good. Lines: gradient descents."
+        " light is good. Lines: gradient descents. The times in the table are of other runs,"
+        f" {tuning.runs.shape[2]} a setting."
     )
     return Picture("small_seen", caption, seen.figure, source.counted)
 
