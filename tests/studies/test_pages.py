@@ -52,6 +52,7 @@ PAGES = {
         "which_alignment_tuned",
         "which_alignment_latitude",
         "which_alignment_why",
+        "which_alignment_stored",
         "which_alignment_turning",
         "which_alignment_car",
         "which_alignment_psins",

@@ -11,6 +11,7 @@ from sinsjax.analysis.words import degrees, percent
 from sinsjax.execution.source import Source
 from sinsjax.plots.words import value_text
 from sinsjax.report.base import Table
+from sinsjax.study import acting
 
 from .field import TIMES_S, Cell, Field, Start, angle, reach
 
@@ -115,31 +116,22 @@ def by_latitude(source: Source) -> Table:
 
 
 def settings(sources: Sequence[Source]) -> Table:
-    """What each arm sets, where it differs from the first."""
+    """What each arm sets: keys that its method reads, of one value in all of its runs."""
     rows = []
     for source in sources:
-        keys = [key for key in source.study.axis_keys if key not in _CONDITIONS]
-        values = {key: source.study.values(key) for key in keys}
-        cases = list(values.pop("case"))
+        keys = [key for key in source.study.axis_keys if key != "case"]
+        texts = {key: np.asarray(list(map(_text, source.study.values(key)))) for key in keys}
+        read = {key: ~acting.silent(source.study, key) for key in keys}
+        cases = np.asarray(source.study.values("case"))
         for arm in dict.fromkeys(cases):
-            at = cases.index(arm)
-            told = {key: _text(one[at]) for key, one in values.items()}
-            rows.append([arm, "; ".join(f"`{k} = {v}`" for k, v in told.items())])
+            of = cases == arm
+            told = [
+                f"`{key} = {text[of][0]}`"
+                for key, text in texts.items()
+                if read[key][of].all() and len(set(text[of])) == 1
+            ]
+            rows.append([arm, "; ".join(told)])
     return Table("What each method sets", ["method", "keys"], rows, folded=True)
-
-
-_CONDITIONS = {
-    "phi_e0_deg",
-    "phi_n0_deg",
-    "phi_u0_deg",
-    "pitch_amplitude_deg",
-    "roll_amplitude_deg",
-    "yaw_amplitude_deg",
-    "lever_arm_m",
-    "surge_m_per_s",
-    "vibration_ug_rms",
-    "vibration_deg_per_h_rms",
-}
 
 
 def _text(value: object) -> str:

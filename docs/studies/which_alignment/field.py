@@ -12,6 +12,9 @@ from sinsjax.analysis.formats import format_estimate
 from sinsjax.execution.source import Source
 
 TIMES_S = (30, 60, 120, 300, 600)
+STORED_S = 100
+"""Of the stored record that the prose tells of."""
+
 MOST = 0.9
 """What share of the runs an error is told for: half of the draws bound no larger one."""
 
@@ -80,7 +83,7 @@ class Field:
     """All arms of one or more studies over the same conditions, on the same draws."""
 
     def __init__(self, *sources: Source) -> None:
-        columns = [f"phi_u_at_{t}_arcmin" for t in TIMES_S]
+        columns = [f"phi_u_at_{t}_arcmin" for t in (*TIMES_S, STORED_S)]
         columns += [f"nees_at_{t}" for t in TIMES_S] + ["floor_arcmin", "settle_10_s"]
         self.grids = [one.grid(columns, **_axes(one)) for one in sources]
         first = self.grids[0].axes

@@ -8,7 +8,7 @@ from sinsjax.analysis import Estimate
 from sinsjax.report.base import Picture
 from sinsjax.report.folder import Page, Sources
 
-from . import better, evidence, why
+from . import better, cost, evidence, why
 from .field import TIMES_S, Cell, Field, Start, angle, reach
 from .figure import reached
 
@@ -21,6 +21,7 @@ STUDIES = ("which_alignment", "which_alignment_tuned", "which_alignment_surge")
 
 INERTIAL, OPTIMISATION = "inertial", "optimisation"
 SINCOS, SAMPLE = "kalman_sincos", "kalman_sincos, Q of a sample"
+WIDE, BOTH = "kalman5, wide prior", "kalman5, wide prior, two resets"
 RESETS = ("kalman5, one reset", "kalman5, two resets", "kalman5, three resets")
 
 FIGURE = (
@@ -53,6 +54,7 @@ def page(sources: Sources) -> Page:
         "settled": evidence.settled(field, field.starts, "sway", GRADE),
         "latitudes": evidence.by_latitude(sources["which_alignment_latitude"]),
         "settings": evidence.settings(studies),
+        "cost": cost.table(field, field.starts, "sway", GRADE),
     }
     for grade in field.grades:
         if grade != GRADE:
@@ -81,7 +83,7 @@ def page(sources: Sources) -> Page:
     }
     return Page.joined(
         Page(values, tables, {"reached": picture}, _claims(field)),
-        _experiments(sources),
+        _experiments(sources, field),
     )
 
 
@@ -98,11 +100,21 @@ def _told(field: Field) -> dict[str, Any]:
         "three": (RESETS[-1], ("sway", "surge")),
         "two": (RESETS[1], ("sway",)),
         "plain": ("kalman5", ("sway",)),
+        "wide": (WIDE, ("sway",)),
+        "both": (BOTH, ("sway", "lever", "surge")),
         "trigger": ("kalman5, triggered resets, tuned", ("sway", "surge")),
     }
-    bases = {"sway": "sway", "surge": "sway and surge", "all": "all of these"}
+    bases = {
+        "sway": "sway",
+        "lever": "sway with a lever arm",
+        "surge": "sway and surge",
+        "all": "all of these",
+    }
     alone, entries = _entries(field)
+    costs = cost.costs(field)
+    arms = {"inertial": INERTIAL, "sincos": SAMPLE, "plain": "kalman5", "biases": "kalman10"}
     return {
+        "costs": {name: f"{costs[arm].operations:.0f}" for name, arm in arms.items()},
         "entries": {"alone": alone, "all": entries},
         **{
             name: {base: error(arm, bases[base], 300) for base in on}
@@ -125,11 +137,12 @@ def _entries(field: Field) -> tuple[int, int]:
     return sum(all("reset" in arm for arm in one.arms) for one in within), len(within)
 
 
-def _experiments(sources: Sources) -> Page:
+def _experiments(sources: Sources, field: Field) -> Page:
     """What was run to answer one question each."""
     resets = why.resets(sources["which_alignment_why"])
     return Page.joined(
         resets,
+        why.passes(sources["which_alignment_stored"], field, GRADE),
         why.turning(sources["which_alignment_turning"]),
         why.car(sources["which_alignment_car"]),
         why.psins(sources["which_alignment_psins"]),
@@ -157,6 +170,18 @@ def _claims(field: Field) -> dict[str, bool]:
         ),
         "resets repair the plain filter on a swaying base": all(
             10 * sway[arm].high < sway["kalman5"].low for arm in RESETS[1:]
+        ),
+        "two resets and a wide prior are as good as the best on a swaying base": (
+            sway[BOTH].value < 1.2 * min(one.value for one in sway.values())
+        ),
+        "neither alone is, and nothing that moves more is borne": all(
+            one.low > 60
+            for one in (
+                sway[WIDE],
+                sway[RESETS[1]],
+                surge[BOTH],
+                on["sway with a lever arm"][BOTH],
+            )
         ),
         "under surge resets fail, tuned and triggered as well": all(
             one.low > 5 * 60
