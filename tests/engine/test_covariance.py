@@ -123,7 +123,7 @@ def test_sampled_errors_settle_as_companions_do(made: Any) -> None:
 def test_the_noise_free_run_is_that_of_a_study_without_noise() -> None:
     group = group_of(study_of("kalman5"))
     plain = group_of(study_of("kalman5", sensors=SMALL | QUIET))
-    spread, outcome = spread_of(group, samples=2)
+    spread, outcome = spread_of(group)
     np.testing.assert_allclose(spread.phi, runs_of(plain)[:, 0], rtol=0, atol=1e-9 * ARCMIN)
     first = next(iter(batch.chunks(plain))).outcome
     np.testing.assert_array_equal(outcome.outside_until, first.outside_until[:2])

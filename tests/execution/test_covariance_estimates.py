@@ -131,11 +131,11 @@ def test_columns_say_unit_and_meaning() -> None:
 
 def test_a_variant_without_a_limit_is_estimated_about_the_truth_alone() -> None:
     """A sway of 10 s has no limit in runs of a minute."""
-    study = study_of(motion={}, axes={"reset_times_s": [[10.0]]})
-    (row,) = study_run.estimate(study).to_pylist()
-    assert not row["has_limit"] and row["floor_arcmin"] is None
-    assert row["within_10_share"] is row["settle_10_mean_s"] is None
-    assert row["within_10_truth_share"] is not None and row["settle_10_truth_mean_s"] is not None
+    for row in study_run.estimate(study_of(motion={})).to_pylist():
+        assert not row["has_limit"] and row["floor_arcmin"] is None
+        assert row["within_10_share"] is row["settle_10_mean_s"] is None
+        assert row["within_10_truth_share"] is not None
+        assert row["settle_10_truth_mean_s"] is not None
 
 
 def test_without_noise_the_estimate_is_the_run() -> None:

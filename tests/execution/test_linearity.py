@@ -13,15 +13,18 @@ from sinsjax.study.load import Study
 
 pytestmark = pytest.mark.optimised(False)
 
-STARTS = [0.5, 170.0]
+STARTS, RUN_S = [0.5, 170.0], 40.0
 DRAWS = 20
 
 
 def study_of(**settings: Any) -> Study:
-    """Half a minute at rest, from a small error and from nearly the opposite heading."""
-    common = {"duration_s": 30.0, "window_s": [20, 30], "report_times_s": [20.0]}
+    """40 s at rest, from a small error and from nearly the opposite heading.
+
+    Of the shape of the controlled estimates' study, whose programs it shares.
+    """
+    common = {"duration_s": RUN_S, "window_s": [20, RUN_S], "report_times_s": [20.0]}
     return small_study(
-        study=common | {"settle_bands_arcmin": [60.0]} | settings,
+        study=common | {"settle_bands_arcmin": [60.0, 10.0]} | settings,
         motion=STILL,
         alignment={"feedback_interval_s": 1.0, "phi_e0_deg": 0.1, "phi_n0_deg": 0.1},
         axes={"phi_u0_deg": STARTS, "reset_times_s": [[], [10.0]]},
@@ -74,7 +77,7 @@ def test_what_is_filled_is_that_of_draws(made: pa.Table, drawn: pa.Table) -> Non
         }
         for name, values in expected.items():
             np.testing.assert_allclose(made[name].to_numpy()[rows], values, rtol=1e-9)
-    seconds = drawn["settle_60_truth_s"].fill_null(30.0).to_numpy().reshape(DRAWS, 4)[:, rows]
+    seconds = drawn["settle_60_truth_s"].fill_null(RUN_S).to_numpy().reshape(DRAWS, 4)[:, rows]
     np.testing.assert_allclose(made["settle_60_truth_mean_s"].to_numpy()[rows], seconds.mean(0))
     error = seconds.std(0, ddof=1) / np.sqrt(DRAWS)
     np.testing.assert_allclose(made["settle_60_truth_mean_error_s"].to_numpy()[rows], error)
