@@ -1,12 +1,16 @@
-"""Execute every notebook, in its own folder and on a copy in memory, two at a time.
+"""Execute every notebook, in its own folder and on a copy, two at a time.
 
-Fails if a notebook raises or is stored with outputs.
+    .ci/notebooks.py [OUT]
+
+The executed copies go to the folder OUT, if one is given. Fails if a notebook raises or is stored
+with outputs.
 """
 
 import sys
 import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import nbformat
@@ -18,13 +22,13 @@ TIMEOUT_S = 300
 AT_A_TIME = 2
 
 
-def execute(path: Path) -> tuple[str, float]:
+def execute(path: Path, out: Path | None) -> tuple[str, float]:
     """Run one notebook; what is wrong with it, or an empty string, and the seconds it took."""
     started = time.monotonic()
-    return _wrong(path), time.monotonic() - started
+    return _wrong(path, out), time.monotonic() - started
 
 
-def _wrong(path: Path) -> str:
+def _wrong(path: Path, out: Path | None) -> str:
     notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]
@@ -43,15 +47,21 @@ def _wrong(path: Path) -> str:
             client.execute()
         except CellExecutionError as error:
             return str(error)
+    if out is not None:
+        nbformat.write(notebook, out / path.name)
     return ""
 
 
 def main() -> int:
     """Run them all; 1 if one fails."""
+    out = Path(sys.argv[1]) if len(sys.argv) > 1 else None
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
     paths = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
     failed = False
     with ProcessPoolExecutor(AT_A_TIME) as pool:
-        for path, (wrong, seconds) in zip(paths, pool.map(execute, paths), strict=True):
+        told = pool.map(partial(execute, out=out), paths)
+        for path, (wrong, seconds) in zip(paths, told, strict=True):
             failed = failed or bool(wrong)
             print(f"{path.name}: {wrong or f'{seconds:.0f} s'}", flush=True)
     return int(failed)

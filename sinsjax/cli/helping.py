@@ -30,18 +30,22 @@ class Command(TyperCommand):
             piece.replace("{", "").replace("}", "") for piece in super().collect_usage_pieces(ctx)
         ]
 
-    def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the arguments, then the options, each with its help."""
-        rows: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+    def help_records(self, ctx: Any) -> dict[str, list[tuple[str, str]]]:
+        """Each argument and each option with its help, by the title that they stand under."""
+        records: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
         for param in self.get_params(ctx):
             if (record := param.get_help_record(ctx)) is None:
                 continue
             if isinstance(param, TyperArgument):
                 many = "..." if param.nargs != 1 else ""
-                rows["Arguments"].append((f"{param.display_name_raw}{many}", record[1]))
+                records["Arguments"].append((f"{param.display_name_raw}{many}", record[1]))
             else:
-                rows["Options"].append(record)
-        for title, records in rows.items():
+                records["Options"].append(record)
+        return records
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the arguments, then the options, each with its help."""
+        for title, records in self.help_records(ctx).items():
             if records:
                 with formatter.section(title):
                     formatter.write_dl(records)

@@ -1,0 +1,102 @@
+"""Hooks of mkdocs: the site also shows what pages link to outside ``docs/``.
+
+Links are written for the repository, where files stand as they are. On the site a file of
+``docs/`` has its path within ``docs/``, any other its path in the repository: Markdown and
+notebooks as pages, anything else as a page that shows its text.
+"""
+
+import os
+import posixpath
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+from nbconvert import MarkdownExporter
+
+ROOT = Path(__file__).parents[2]
+NOTEBOOKS = Path(os.environ.get("SINSJAX_NOTEBOOKS", ROOT / "notebooks"))
+"""The notebooks as `.ci/notebooks.py` executed them; else as they are stored, without outputs."""
+
+PAGES = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "benchmarks/README.md")
+"""Pages outside ``docs/`` that need no link to be on the site."""
+
+LANGUAGES = {".c": "c", ".json": "json", ".py": "python", ".toml": "toml"}
+
+_LINK = re.compile(r"\]\((?P<target>[^\s():#]+)(?P<anchor>#[^\s()]*)?\)")
+_COMMENT = re.compile(r"\A<!--.*?-->\s*", re.DOTALL)
+
+
+def on_files(files: Files, config: MkDocsConfig) -> None:
+    """Add the pages outside ``docs/``, the notebooks, and what any of them links to."""
+    waiting = [*PAGES, *(f"notebooks/{path.name}" for path in NOTEBOOKS.glob("*.ipynb"))]
+    for page in list(files.documentation_pages()):
+        waiting.extend(_pointed(f"docs/{page.src_uri}", page.content_string))
+    while waiting:
+        name = waiting.pop()
+        if name.startswith("docs/") or files.get_file_from_path(site_path(name)) is not None:
+            continue
+        for added in _files(name, config):
+            files.append(added)
+            if added.is_documentation_page():
+                waiting.extend(_pointed(name, added.content_string))
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Lead links to where the site has what they point to."""
+    own = page.file.src_uri
+    name = f"docs/{own}" if (ROOT / "docs" / own).is_file() else own
+
+    def led(link: re.Match[str]) -> str:
+        if (pointed := _resolved(name, link["target"])) is None:
+            return link[0]
+        target = posixpath.relpath(site_path(pointed), posixpath.dirname(own) or ".")
+        return f"]({target}{link['anchor'] or ''})"
+
+    # A comment before the heading would hide the page's title. GitHub reads the Markdown within
+    # <details> by itself.
+    markdown = _COMMENT.sub("", markdown).replace("<details>", '<details markdown="1">')
+    return _LINK.sub(led, markdown)
+
+
+def site_path(name: str) -> str:
+    """The path on the site, before rendering, of a file of the repository."""
+    if name.startswith("docs/"):
+        return name.removeprefix("docs/")
+    stem, ending = posixpath.splitext(name)
+    if ending == ".ipynb":
+        return f"{stem}.md"
+    return name if ending in (".md", ".png") else f"{name}.md"
+
+
+def _resolved(name: str, target: str) -> str | None:
+    """The file of the repository that a link in one of its files points to, if there is one."""
+    path = posixpath.normpath(posixpath.join(posixpath.dirname(name), target))
+    return path if (ROOT / path).is_file() else None
+
+
+def _pointed(name: str, text: str) -> Iterator[str]:
+    """The files of the repository that a text links to."""
+    for link in _LINK.finditer(text):
+        if path := _resolved(name, link["target"]):
+            yield path
+
+
+def _files(name: str, config: MkDocsConfig) -> Iterator[File]:
+    """What stands on the site for a file outside ``docs/``; a notebook has its figures too."""
+    own, path = site_path(name), ROOT / name
+    if name.endswith(".ipynb"):
+        figures = {"unique_key": f"{path.stem}_files", "output_files_dir": f"{path.stem}_files"}
+        text, made = MarkdownExporter().from_filename(NOTEBOOKS / path.name, resources=figures)
+        yield File.generated(config, own, content=text)
+        for figure, content in made["outputs"].items():
+            uri = posixpath.join(posixpath.dirname(name), figure)
+            yield File.generated(config, uri, content=content)
+    elif own == name:
+        yield File(own, str(ROOT), config.site_dir, config.use_directory_urls)
+    else:
+        text = path.read_text(encoding="utf-8")
+        fence = f"``````{LANGUAGES.get(path.suffix, '')}"
+        yield File.generated(config, own, content=f"# {name}\n\n{fence}\n{text}\n``````\n")

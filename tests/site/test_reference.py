@@ -1,0 +1,40 @@
+"""Pages of reference that are written for readers say what the package says."""
+
+import ast
+import re
+from pathlib import Path
+
+import sinsjax
+from sinsjax.cli import page
+
+DOCS = Path(__file__).parents[2] / "docs"
+PACKAGE = Path(sinsjax.__file__).parent
+
+
+def test_the_page_of_commands_is_up_to_date() -> None:
+    assert (DOCS / "commands.md").read_text(encoding="utf-8") == page.page()
+
+
+def test_the_messages_told_are_messages_of_the_package() -> None:
+    """What stands between the gaps of a message stands in this order in one text of the source."""
+    told = re.findall(r"^\| `(.+?)`", (DOCS / "messages.md").read_text(encoding="utf-8"), re.M)
+    assert len(told) > 40
+    texts = [text for path in PACKAGE.rglob("*.py") for text in _texts(path)]
+    for message in told:
+        pieces = [piece.strip() for piece in message.split("...")]
+        wanted = re.compile(".*".join(re.escape(piece) for piece in pieces if piece), re.DOTALL)
+        assert any(wanted.search(text) for text in texts), message
+
+
+def _texts(path: Path) -> list[str]:
+    """The strings of a module; what an f-string puts in is a gap."""
+    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    return [text for node in nodes if (text := _text(node))]
+
+
+def _text(node: ast.AST) -> str:
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return node.value
+    if isinstance(node, ast.JoinedStr):
+        return "".join(map(_text, node.values))
+    return "\0" if isinstance(node, ast.FormattedValue) else ""

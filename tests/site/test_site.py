@@ -1,0 +1,140 @@
+"""The documentation site: links and anchors, no foreign files, what a reader would search for."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import unquote, urlsplit
+
+import pytest
+
+import sinsjax
+
+ROOT = Path(__file__).parents[2]
+BUILT = "SINSJAX_SITE"
+
+
+class Shown(NamedTuple):
+    """What a page has: anchors, and where its links and its files are."""
+
+    anchors: set[str]
+    links: set[str]
+    files: set[str]
+
+
+class _Reader(HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.shown = Shown(set(), set(), set())
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        for name, value in attrs:
+            if name == "id" and value:
+                self.shown.anchors.add(value)
+            elif name == "href" and value and tag == "a":
+                self.shown.links.add(value)
+            elif name in ("href", "src") and value:
+                self.shown.files.add(value)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the site: what CI has built, else built here."""
+    if built := os.environ.get(BUILT):
+        return Path(built)
+    if not all(map(find_spec, ("material", "mkdocs", "mkdocstrings", "nbconvert"))):
+        pytest.skip(f'no site: set {BUILT} to its folder, or pip install ".[docs]"')
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", str(folder)]
+    told = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert told.returncode == 0, told.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def pages(site: Path) -> dict[Path, Shown]:
+    """Every page by its path."""
+    read = {}
+    for path in site.rglob("*.html"):
+        reader = _Reader()
+        reader.feed(path.read_text(encoding="utf-8"))
+        read[path.resolve()] = reader.shown
+    return read
+
+
+@pytest.fixture(scope="module")
+def index(site: Path) -> dict[str, Any]:
+    return json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))
+
+
+def test_every_link_leads_to_a_page_and_an_anchor(site: Path, pages: dict[Path, Shown]) -> None:
+    followed = 0
+    for path, page in pages.items():
+        for link in page.links | page.files:
+            parts = urlsplit(link)
+            if parts.scheme or parts.netloc:
+                continue
+            base = site if parts.path.startswith("/") else path.parent
+            target = (base / unquote(parts.path).lstrip("/")).resolve() if parts.path else path
+            if target.is_dir():
+                target /= "index.html"
+            assert target.is_file(), f"{path.relative_to(site)}: {link}"
+            if parts.fragment and target in pages:
+                anchors = pages[target].anchors
+                assert unquote(parts.fragment) in anchors, f"{path.relative_to(site)}: {link}"
+            followed += 1
+    assert len(pages) > 25 and followed > 1000
+
+
+def test_nothing_is_loaded_from_elsewhere(site: Path, pages: dict[Path, Shown]) -> None:
+    for path, page in pages.items():
+        assert not [file for file in page.files if urlsplit(file).netloc], path
+    for style in site.rglob("*.css"):
+        assert not re.search(r"url\(['\"]?(https?:)?//", style.read_text(encoding="utf-8")), style
+
+
+def test_sources_of_the_studies_are_not_on_the_site(site: Path) -> None:
+    assert not {path.suffix for path in site.rglob("*")} & {".j2", ".py", ".pyc"}
+
+
+def test_the_page_of_python_has_all_that_is_public(site: Path, pages: dict[Path, Shown]) -> None:
+    anchors = pages[(site / "python.html").resolve()].anchors
+    described = {re.sub(r"^sinsjax\.", "", a) for a in anchors if re.match(r"sinsjax\.\w+$", a)}
+    assert described == set(sinsjax.__all__)
+
+
+@pytest.mark.parametrize(
+    ("words", "page"),
+    [
+        ("covariance reset", "reset_cycle.html"),
+        ("R", "keys.html"),
+        ("heading_deg", "own_record.html"),
+        ("heading", "keys.html"),
+        ("PSINS", "own_record.html"),
+        ("misalignment", "index.html"),
+        ("NEES", "consistency.html"),
+        ("one_run", "python.html"),
+        ("duckdb", "results.html"),
+        ("resume", "results.html"),
+        ("scheduler", "cluster.html"),
+        ("gyro bias", "which_alignment.html"),
+    ],
+)
+def test_the_search_finds(words: str, page: str, index: dict[str, Any]) -> None:
+    """A page is found that has all the words, as the index cuts them, under one heading."""
+    separator = re.compile(index["config"]["separator"])
+
+    def cut(text: str) -> set[str]:
+        return {word.lower() for word in separator.split(text) if word}
+
+    found = set()
+    for entry in index["docs"]:
+        known = cut(re.sub(r"<[^>]+>", " ", f"{entry['title']} {entry['text']}"))
+        if cut(words) <= known:
+            found.add(entry["location"].partition("#")[0])
+    assert page in found, sorted(found)
