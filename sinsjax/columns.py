@@ -172,12 +172,15 @@ def report_columns(time_s: float) -> tuple[Column, Column, Column]:
     )
 
 
-def estimated(bands_arcmin: Iterable[float], time_s: float | None = None) -> tuple[Column, ...]:
+def estimated(
+    bands_arcmin: Iterable[float], time_s: float | None = None, *, own_limits: bool = False
+) -> tuple[Column, ...]:
     """Columns of an estimate at one time: mean and spread of the misalignment, shares in bands.
 
     Args:
         bands_arcmin: of the heading.
         time_s: from the first sample of data; None for the end.
+        own_limits: whether draws have limits of their own.
     """
     at, when = ("", "at the end") if time_s is None else (f"_at_{time_s:g}", f"at {time_s:g} s")
     shares = (
@@ -195,8 +198,16 @@ def estimated(bands_arcmin: Iterable[float], time_s: float | None = None) -> tup
         *_phi("phi", f"mean misalignment of the corrected attitude {when}", at),
         *_phi("true_sigma", f"1 sigma of the misalignment about its mean {when}", at),
         *_phi("sigma", f"the filter's own 1 sigma of the misalignment {when}", at),
+        *([from_limit(time_s)] * own_limits),
         *shares,
     )
+
+
+def from_limit(time_s: float | None = None) -> Column:
+    """The spread about limits that differ from draw to draw, at one time; None for the end."""
+    at, when = ("", "at the end") if time_s is None else (f"_at_{time_s:g}", f"at {time_s:g} s")
+    meaning = f"1 sigma of phi_u - floor about its mean {when}, the floor that of the draw's biases"
+    return Column(f"true_sigma_u_from_limit{at}_arcmin", _F, "arcmin", meaning)
 
 
 ESTIMATED_CURVES = (

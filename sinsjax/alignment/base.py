@@ -125,17 +125,40 @@ class ErrorStep(NamedTuple):
             m/s, then angle, rad.
         gains: k of each measurement, in the order they are taken, n entries each.
         measured: numbers of the measured states.
+        axes: what takes b to the axes in which errors of the increments enter, where those are not
+            n of the navigation solution.
     """
 
     transition: Entries
     inputs: Entries
     gains: tuple[tuple[Scalar, ...], ...]
     measured: tuple[int, ...]
+    axes: Quat | None = None
+
+    def entering(self, q: Quat) -> Quat:
+        """What takes b to these axes; ``q`` is the attitude of the navigation solution."""
+        return q if self.axes is None else self.axes
 
 
 def updated(d: tuple[Scalar, ...], k: tuple[Scalar, ...], m: int) -> tuple[Scalar, ...]:
     """(I - k h) d, h the row that measures state m."""
     return tuple(one - gain * d[m] for one, gain in zip(d, k, strict=True))
+
+
+class StartChange(NamedTuple):
+    """What is added to the error of a solution before its first sample, to first order.
+
+    Attributes:
+        attitude: error C_true C_hat^T that it is added to.
+        phi: misalignment about the computed axes, rad.
+        ve: velocity east, m/s.
+        vn: velocity north, m/s.
+    """
+
+    attitude: Quat
+    phi: Vec3
+    ve: Scalar
+    vn: Scalar
 
 
 Change = Callable[[Any, int | None, Scalar, Scalar], Any]
@@ -199,6 +222,8 @@ class Method(NamedTuple):
             None of a method whose step tells no linear part.
         error_angles: state -> phi of the corrected attitude by the states of d, (3, n) rows in n;
             None with ``error_step``.
+        start_error: (state that begins, `StartChange`) -> d of a start that is off by so much more;
+            None with ``error_step``.
         per_record: state at a record time -> state that begins the next interval, and what is
             told of this one beside the observation; None of a method that tells no more.
         common_covariance: whether the covariance depends on params and n alone, so that runs that
@@ -222,4 +247,5 @@ class Method(NamedTuple):
     begin_after: Callable[[Any, Scalar], Any] | None = None
     error_step: Callable[[Any, Site, Any, Sample, Scalar], ErrorStep] | None = None
     error_angles: Callable[[Any], tuple[tuple[Scalar, ...], ...]] | None = None
+    start_error: Callable[[Any, StartChange], tuple[Scalar, ...]] | None = None
     per_record: Callable[[Any], tuple[Any, tuple[Scalar, ...]]] | None = None

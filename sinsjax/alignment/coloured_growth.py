@@ -8,16 +8,17 @@ what has driven x since.
 
 from collections.abc import Iterator
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from sinsjax.alignment.base import ErrorStep, updated
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Minus, Triangle, times_plus_identity
 from sinsjax.strapdown.disturbances import Disturbances
-from sinsjax.strapdown.processes import Process
+from sinsjax.strapdown.processes import Process, constant
 from sinsjax.types import Array, Quat, Scalar
 
 VELOCITY, ANGLE = 0, 3
@@ -25,7 +26,25 @@ VELOCITY, ANGLE = 0, 3
 
 IN_N, IN_B = "n", "b"
 
-ENTERS = Disturbances(
+
+class Coloured(NamedTuple):
+    """Inputs that are not white, or something of each; None for what there is not.
+
+    The last two are what draws have of a constant bias beyond its mean, the others `Disturbances`.
+    """
+
+    surge: Any = None
+    gyro_instability: Any = None
+    accel_instability: Any = None
+    gyro_walk: Any = None
+    accel_walk: Any = None
+    shaking: Any = None
+    rocking: Any = None
+    gyro_bias: Any = None
+    accel_bias: Any = None
+
+
+ENTERS = Coloured(
     surge=(VELOCITY, IN_N),
     gyro_instability=(ANGLE, IN_B),
     accel_instability=(VELOCITY, IN_B),
@@ -33,6 +52,8 @@ ENTERS = Disturbances(
     accel_walk=(VELOCITY, IN_B),
     shaking=(VELOCITY, IN_B),
     rocking=(ANGLE, IN_B),
+    gyro_bias=(ANGLE, IN_B),
+    accel_bias=(VELOCITY, IN_B),
 )
 """Where the three axes of each process enter."""
 
@@ -58,15 +79,25 @@ class Growth(NamedTuple):
     cross: tuple[Array, ...]
 
 
-def increments(disturbances: Disturbances, dt: float) -> Disturbances:
+def increments(
+    disturbances: Disturbances,
+    dt: float,
+    gyro_bias: np.ndarray | None = None,
+    accel_bias: np.ndarray | None = None,
+) -> Coloured:
     """Processes whose y is the error of a sample's increments, rad and m/s.
 
     Args:
         disturbances: the processes of a base and its sensors.
         dt: sample time, s.
+        gyro_bias: (3,) standard deviation of what draws have for themselves, rad/s; None where
+            they have nothing.
+        accel_bias: (3,) likewise, m/s^2.
     """
+    drawn = {"gyro_bias": gyro_bias, "accel_bias": accel_bias}
+    constants = {name: constant(own) for name, own in drawn.items() if own is not None}
     made = {}
-    for name, process in disturbances._asdict().items():
+    for name, process in (disturbances._asdict() | constants).items():
         if process is None:
             continue
         if name in _MOVES:
@@ -75,12 +106,12 @@ def increments(disturbances: Disturbances, dt: float) -> Disturbances:
             made[name] = process._replace(output=change, direct=jnp.asarray(c) @ process.drive)
         else:
             made[name] = process._replace(scale=process.scale * dt)
-    return Disturbances(**made)
+    return Coloured(**made)
 
 
-def each(disturbances: Disturbances) -> Iterator[tuple[Process, tuple[int, str]]]:
+def each(coloured: Coloured) -> Iterator[tuple[Process, tuple[int, str]]]:
     """The processes there are, and where they enter."""
-    for process, enters in zip(disturbances, ENTERS, strict=True):
+    for process, enters in zip(coloured, ENTERS, strict=True):
         if process is not None:
             yield process, enters
 
@@ -150,12 +181,13 @@ def _moved(
     return out
 
 
-def entering(step: ErrorStep, q: Quat, first: int, axes: str) -> tuple[Array, ...]:
+def entering(step: ErrorStep, q: Quat, n: int, first: int, axes: str) -> tuple[Array, ...]:
     """What d gains by a unit error of an increment on each axis, n arrays (3,).
 
     Args:
         step: of the sample.
         q: attitude, body to n.
+        n: how many states d has.
         first: `VELOCITY` or `ANGLE`.
         axes: `IN_N` or `IN_B`, whose axes they are.
     """
@@ -163,7 +195,6 @@ def entering(step: ErrorStep, q: Quat, first: int, axes: str) -> tuple[Array, ..
         rows = [jnp.stack(row) for row in rotations.matrix(q)]
     else:
         rows = list(jnp.eye(3))
-    n = len(step.gains[0])
     out: list[Array] = [jnp.zeros(3)] * n
     for (i, axis), by in step.inputs.items():
         if first <= axis < first + 3:

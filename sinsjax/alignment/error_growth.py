@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from sinsjax.alignment import coloured_growth
 from sinsjax.alignment.base import ErrorStep, Method, Site, updated
+from sinsjax.alignment.coloured_growth import Coloured
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import (
     Entries,
@@ -21,10 +22,9 @@ from sinsjax.maths.algebra import (
     times_plus_identity,
     triangle_index,
 )
-from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.types import Increments, Navigation, Quat, Sample, Scalar
 
-WHITE_ALONE = Disturbances()
+WHITE_ALONE = Coloured()
 """Of inputs that are white: no processes."""
 
 
@@ -83,10 +83,10 @@ class ErrorParams(NamedTuple):
 
     inner: Any
     noise: IncrementNoise
-    coloured: Disturbances = Disturbances()
+    coloured: Coloured = Coloured()
 
 
-def no_growth(n: int, zero: Scalar, coloured: Disturbances = WHITE_ALONE) -> ErrorGrowth:
+def no_growth(n: int, zero: Scalar, coloured: Coloured = WHITE_ALONE) -> ErrorGrowth:
     """At the beginning of an interval: F = I and W = 0, for n states."""
     columns = tuple(tuple(zero + float(i == j) for i in range(n)) for j in range(n))
     by_process = (coloured_growth.begin(one, n, zero) for one, _ in coloured_growth.each(coloured))
@@ -98,24 +98,24 @@ def advance(
     step: ErrorStep,
     q: Quat,
     noise: IncrementNoise,
-    coloured: Disturbances = WHITE_ALONE,
+    coloured: Coloured = WHITE_ALONE,
 ) -> ErrorGrowth:
     """The growth a sample later.
 
     Args:
         growth: so far.
         step: of the sample.
-        q: attitude, body to n, in which the noise enters.
+        q: attitude of the navigation solution, body to n.
         noise: of the sample's increments, white.
         coloured: errors of the increments that are not.
     """
-    n = len(growth.columns)
+    n, q = len(growth.columns), step.entering(q)
     columns = tuple(times_plus_identity(step.transition, column) for column in growth.columns)
     w = congruence(step.transition, growth.noise, n)
     w = _with_inputs(step.inputs, w, _in_n(q, noise), n)
     later = []
     for own, (process, where) in zip(growth.coloured, coloured_growth.each(coloured), strict=True):
-        enters = coloured_growth.entering(step, q, *where)
+        enters = coloured_growth.entering(step, q, n, *where)
         grown, w = coloured_growth.advance(own, process, step, enters, w)
         later.append(grown)
     for k, m in zip(step.gains, step.measured, strict=True):
@@ -131,11 +131,11 @@ def driven(
 
     Args:
         step: of the sample.
-        q: attitude, body to n, in which the error of the increments enters.
+        q: attitude of the navigation solution, body to n.
         excess: error of the increments in b, rad and m/s.
         d: error so far.
     """
-    rows = rotations.matrix(q)
+    rows = rotations.matrix(step.entering(q))
     in_n = [dot(row, excess.dv) for row in rows] + [dot(row, excess.dtheta) for row in rows]
     out = list(times_plus_identity(step.transition, d))
     for (i, axis), by in step.inputs.items():
@@ -198,8 +198,12 @@ def with_growth(method: Method) -> Method:
     Args:
         method: with an `error_step`, read forward once.
     """
-    error_step, error_angles = method.error_step, method.error_angles
-    assert error_step is not None and error_angles is not None
+    error_step, error_angles, start_error = (
+        method.error_step,
+        method.error_angles,
+        method.start_error,
+    )
+    assert error_step is not None and error_angles is not None and start_error is not None
     close, next_event, called, results = (
         method.close,
         method.next_event,
@@ -243,4 +247,5 @@ def with_growth(method: Method) -> Method:
         and (lambda params, state, n: next_event(params.inner, state.inner, n)),
         called=called and (lambda state, n: called(state.inner, n)),
         per_record=per_record,
+        start_error=lambda state, change: start_error(state.inner, change),
     )

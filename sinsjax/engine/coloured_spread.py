@@ -13,7 +13,7 @@ import numpy as np
 from jax.scipy.linalg import block_diag
 
 from sinsjax.alignment import coloured_growth
-from sinsjax.strapdown.disturbances import Disturbances
+from sinsjax.alignment.coloured_growth import Coloured
 from sinsjax.strapdown.processes import Process
 from sinsjax.types import Array
 
@@ -35,12 +35,12 @@ class Inputs(NamedTuple):
     begin: Array
 
 
-def widths(coloured: Disturbances) -> tuple[int, ...]:
+def widths(coloured: Coloured) -> tuple[int, ...]:
     """States of each process on its three axes."""
     return tuple(3 * one.output.shape[-1] for one, _ in coloured_growth.each(coloured))
 
 
-def inputs(coloured: Disturbances, samples: int) -> Inputs:
+def inputs(coloured: Coloured, samples: int) -> Inputs:
     """What processes do over an interval of so many samples."""
     each = [_over(process, samples) for process, _ in coloured_growth.each(coloured)]
     return Inputs(*(block_diag(*matrices) for matrices in zip(*each, strict=True)))

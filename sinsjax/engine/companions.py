@@ -24,6 +24,7 @@ from sinsjax.engine.lanes import Group, Tiles
 from sinsjax.engine.measurements import Read, look_back
 from sinsjax.engine.pieces import measurer, piece
 from sinsjax.engine.realisations import Draw, Environment, Static, method_of
+from sinsjax.engine.sensitivity import limits_beyond, sensitivity, starts_beyond
 from sinsjax.engine.simulate import Run
 from sinsjax.engine.stepping import event_by_event, sample_by_sample
 from sinsjax.strapdown.disturbances import Disturbances
@@ -148,7 +149,9 @@ def _some(draws: Draw, places: np.ndarray) -> Draw:
 
 def _tile(group: Group, variants: np.ndarray) -> Tiles:
     """Some variants in the lanes of a tile of one draw, the group's first."""
-    first = jax.tree.map(lambda a: a[:1] if np.ndim(a) else np.full(1, a), group.draws)
+    drawn = group.environment.drawn
+    first = group.draws if drawn is None else drawn.mean(group.draws)
+    first = jax.tree.map(lambda a: a[:1] if np.ndim(a) else np.full(1, a), first)
     params = jax.tree.map(lambda a: np.asarray(a)[variants], group.variants)
     q = np.broadcast_to(group.q[0], (len(variants), 4)).T
     row = np.zeros(len(variants), np.int32)
@@ -168,7 +171,6 @@ def companions(
     """
     quiet = static._replace(noisy=False)
     setup = tile.set_up(quiet, environment, variants)
-    draws = draws._replace(made=setup.draws.made)
     runs = jax.vmap(partial(simulate.begin, quiet, environment), in_axes=(setup.site_axis, 0))(
         setup.site, setup.params
     )
@@ -176,6 +178,11 @@ def companions(
     assert method.error_angles is not None
     none = jnp.zeros((setup.row.size, count))
     errors = (none,) * len(jax.vmap(method.error_angles)(runs.state)[0])
+    floor = setup.limit.phi.z[:, None]
+    drawn = sensitivity(quiet, environment, variants.params, setup.site, setup.site_axis)
+    if drawn is not None and environment.drawn is not None:
+        errors = tuple(jnp.moveaxis(drawn.start @ starts_beyond(environment.drawn, draws), 1, 0))
+        floor = floor + limits_beyond(drawn, environment.drawn, draws)
     reads = (
         tile.nothing_read(quiet, _undisturbed(environment), setup.draws),
         tile.nothing_read(static, environment, draws),
@@ -183,7 +190,7 @@ def companions(
     over = partial(_over_record, (quiet, static), environment, setup, draws)
     begun = runs._replace(state=Accompanied(runs.state, errors)), reads
     _, phi = jax.lax.scan(over, begun, jnp.arange(static.records))
-    return _judged(static, environment, phi, setup.limit.phi.z)
+    return _judged(static, environment, phi, floor)
 
 
 def _over_record(
@@ -284,12 +291,12 @@ def _undisturbed(environment: Environment) -> Environment:
 
 
 def _judged(static: Static, environment: Environment, phi: Array, floor: Array) -> Companions:
-    """Settling of misalignments (records, 3, lanes, draws)."""
+    """Settling of misalignments (records, 3, lanes, draws) from limits (lanes, draws or 1)."""
     criteria = environment.criteria
 
     def over(outside: Array, record: tuple[Scalar, Array]) -> tuple[Array, None]:
         time, error = record
-        now = [over_bands(criteria, error - floor[:, None]), over_bands(criteria, error)]
+        now = [over_bands(criteria, error - floor), over_bands(criteria, error)]
         return mix(jnp.stack(now), time, outside), None
 
     outside = jnp.zeros((2, len(criteria.bands), *phi.shape[2:]))

@@ -20,6 +20,7 @@ from sinsjax.engine import coloured_spread, metrics
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.metrics import FIELDS
 from sinsjax.engine.realisations import Environment, Static
+from sinsjax.engine.sensitivity import Sensitivity, limit_by_states
 from sinsjax.maths.algebra import Triangle, cholesky, triangle_index
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.types import Array, Count, Scalar
@@ -36,19 +37,23 @@ class Spread(NamedTuple):
         sigma: (3, records) standard deviation of the misalignment about it, rad.
         belief: (3, records) that which the method itself tells, rad.
         outside_until: (2, B, samples) as `Metrics.outside_until`, of sampled errors.
+        from_limit: (records,) standard deviation of phi_u from the limit of its run, rad; None
+            where runs have the same limit.
     """
 
     phi: Array
     sigma: Array
     belief: Array
     outside_until: Array
+    from_limit: Array | None = None
 
     def at(self, records: Array | None) -> "Spread":
         """The same at some records alone, None for all, of leaves (3, records, ...)."""
         if records is None:
             return self
         phi, sigma, belief = (a[:, records] for a in self[:3])
-        return Spread(phi, sigma, belief, self.outside_until)
+        from_limit = None if self.from_limit is None else self.from_limit[records]
+        return Spread(phi, sigma, belief, self.outside_until, from_limit)
 
 
 def watched_program(static: Static, samples: int) -> Static:
@@ -60,7 +65,7 @@ def watched(group: Group, samples: int, records: np.ndarray | None = None) -> Gr
     """The noise-free group of one draw whose runs tell the spread of those with noise.
 
     Args:
-        group: of one draw.
+        group: of one draw, whose own starts and biases give way to the means.
         samples: sampled errors of a run, an even number; the same numbers for all runs.
         records: numbers, from 0, of the records at which the spread is told; None for all.
     """
@@ -68,7 +73,9 @@ def watched(group: Group, samples: int, records: np.ndarray | None = None) -> Gr
     noise = IncrementNoise(_variances(errors.accel_noise), _variances(errors.gyro_noise))
     like = np.zeros_like(group.variants.ve)
     dt = group.static.options.dt
-    coloured = coloured_growth.increments(group.environment.disturbances, dt)
+    drawn, draws = group.environment.drawn, group.draws
+    own = () if drawn is None else (drawn.gyro_bias_sigma, drawn.accel_bias_sigma)
+    coloured = coloured_growth.increments(group.environment.disturbances, dt, *own)
     params = ErrorParams(
         group.variants.method,
         jax.tree.map(lambda a: a + like, noise),
@@ -78,11 +85,18 @@ def watched(group: Group, samples: int, records: np.ndarray | None = None) -> Gr
     return group._replace(
         static=watched_program(group.static, samples),
         environment=undisturbed._replace(spread_at=records, coloured=coloured),
+        draws=draws if drawn is None else drawn.mean(draws),
         variants=group.variants._replace(method=params),
     )
 
 
-def spread(static: Static, environment: Environment, rows: Array, floor: Array) -> Spread:
+def spread(
+    static: Static,
+    environment: Environment,
+    rows: Array,
+    floor: Array,
+    drawn: Sensitivity | None = None,
+) -> Spread:
     """Mean, covariance and sampled errors from what a watched method tells record by record.
 
     Args:
@@ -90,15 +104,16 @@ def spread(static: Static, environment: Environment, rows: Array, floor: Array) 
         environment: shared by all.
         rows: (records, fields, lanes): the observation, F, W, and phi by the states.
         floor: (lanes,) what phi_u should settle to, rad.
+        drawn: to what is drawn normally; None where nothing is.
     """
     samples, key = static.sampled_errors, jax.random.key(environment.seed)
     blocks = 1 if samples % MOST_TOGETHER else samples // MOST_TOGETHER
     if blocks == 1:
-        return _spread(static, environment, rows, floor, key)
+        return _spread(static, environment, rows, floor, drawn, key)
     few = static._replace(sampled_errors=MOST_TOGETHER)
 
     def of_block(number: Count) -> Spread:
-        return _spread(few, environment, rows, floor, jax.random.fold_in(key, number))
+        return _spread(few, environment, rows, floor, drawn, jax.random.fold_in(key, number))
 
     found = jax.lax.map(of_block, jnp.arange(blocks))
     phi, sigma, belief = (a[0] for a in found[:3])
@@ -106,11 +121,17 @@ def spread(static: Static, environment: Environment, rows: Array, floor: Array) 
     _, sides, bands, _, lanes = found.outside_until.shape
     halves = found.outside_until.reshape(blocks, sides, bands, 2, MOST_TOGETHER // 2, lanes)
     outside = jnp.moveaxis(halves, 0, 3).reshape(sides, bands, samples, lanes)
-    return Spread(phi, sigma, belief, outside)
+    from_limit = None if found.from_limit is None else found.from_limit[0]
+    return Spread(phi, sigma, belief, outside, from_limit)
 
 
 def _spread(
-    static: Static, environment: Environment, rows: Array, floor: Array, key: Array
+    static: Static,
+    environment: Environment,
+    rows: Array,
+    floor: Array,
+    drawn: Sensitivity | None,
+    key: Array,
 ) -> Spread:
     """`spread`, of sampled errors from one key."""
     sizes = coloured_spread.widths(environment.coloured)
@@ -119,37 +140,57 @@ def _spread(
     half, every = samples // 2, n + sum(sizes)
     normals = jax.random.normal(key, (len(rows), every, half), float)
     outside = jnp.zeros((lanes, 2, len(criteria.bands), samples))
+    start, moved = jnp.zeros((lanes, n, 0)), None
+    if drawn is not None:
+        assert environment.drawn is not None
+        start = drawn.start * jnp.asarray(environment.drawn.begins_sigma)[None, None]
+        moved = limit_by_states(drawn, environment.drawn, sum(sizes))
     if sizes:
         over_interval = coloured_spread.inputs(environment.coloured, static.record_every)
-        begun = _begun(over_interval, every, half, outside, key)
+        begun = _Carry(*_begun(over_interval.begin, start, half, key), outside)
         one_record = partial(_over_coloured_record, criteria, over_interval, sizes, n)
     else:
-        zero, none = jnp.zeros_like(floor), jnp.zeros((lanes, half))
-        begun = _Carry((zero,) * (n * (n + 1) // 2), (none,) * n, outside)
+        s, e = _begun(jnp.zeros((0, 0)), start, half, key)
+        triangle = tuple(s[:, i, j] for i in range(n) for j in range(i, n))
+        begun = _Carry(triangle, tuple(jnp.moveaxis(e, 1, 0)), outside)
         one_record = partial(_over_record, criteria)
-    over_lanes = jax.vmap(one_record, in_axes=(0, None, None, 0, 0))
+    over_lanes = jax.vmap(one_record, in_axes=(0, None, None, 0, 0, 0))
 
     def over(carry: _Carry, record: tuple[Scalar, Array, Array]) -> tuple[_Carry, Array]:
         time, row, normal = record
         # Numbers of all lanes side by side: as matrices of each lane they would be gathered.
-        carry, told = over_lanes(carry, time, tuple(normal), tuple(row), floor)
+        carry, told = over_lanes(carry, time, tuple(normal), tuple(row), floor, moved)
         return carry, jnp.stack(told)  # several arrays XLA would copy with every record
 
     ended, told = jax.lax.scan(over, begun, (record_times(static), rows, normals))
-    phi, sigma, belief = jnp.split(jnp.moveaxis(told, 0, 1), 3)
-    return Spread(phi, sigma, belief, jnp.moveaxis(ended.outside, 0, -1))
+    told = jnp.moveaxis(told, 0, 1)
+    phi, sigma, belief = jnp.split(told[:9], 3)
+    from_limit = told[9] if len(told) > 9 else None
+    return Spread(phi, sigma, belief, jnp.moveaxis(ended.outside, 0, -1), from_limit)
 
 
-def _begun(
-    over: coloured_spread.Inputs, every: int, half: int, outside: Array, key: Array
-) -> "_Carry":
-    """Of so many states, before the first record: no error, and processes as they always are."""
-    m = len(over.begin)
-    normal = jax.random.normal(jax.random.fold_in(key, 2**31), (m, half), float)
-    s = jnp.zeros((every, every)).at[every - m :, every - m :].set(over.begin @ over.begin.T)
-    e = jnp.zeros((every, half)).at[every - m :].set(over.begin @ normal)
-    s, e = (jnp.broadcast_to(a, (len(outside), *a.shape)) for a in (s, e))
-    return _Carry(s, e, outside)
+def _begun(processes: Array, start: Array, half: int, key: Array) -> tuple[Array, Array]:
+    """S and e before the first record: what draws begin with, and processes as they always are.
+
+    Args:
+        processes: (m, m) factor of their covariance.
+        start: (lanes, n, k) that of d.
+        half: how many errors are sampled.
+        key: of the numbers of all records.
+
+    Returns:
+        (lanes, n + m, n + m) and (lanes, n + m, half).
+    """
+    lanes, n, k = start.shape
+    every = n + len(processes)
+    numbers = jax.random.normal(jax.random.fold_in(key, 2**31), (len(processes), half), float)
+    s, e = jnp.zeros((lanes, every, every)), jnp.zeros((lanes, every, half))
+    s = s.at[:, n:, n:].set((processes @ processes.T)[None])
+    e = e.at[:, n:].set((processes @ numbers)[None])
+    if k:
+        own = jax.random.normal(jax.random.fold_in(key, 2**31 + 1), (k, half), float)
+        s, e = s.at[:, :n, :n].set(start @ jnp.swapaxes(start, 1, 2)), e.at[:, :n].set(start @ own)
+    return s, e
 
 
 def _variances(sigmas: np.ndarray) -> tuple[np.float64, ...]:
@@ -175,6 +216,7 @@ def _over_record(
     normal: tuple[Array, ...],
     row: tuple[Scalar, ...],
     floor: Scalar,
+    moved: None,
 ) -> tuple[_Carry, tuple[Scalar, ...]]:
     """One run's errors a record interval later: misalignment, its sigma, the method's own sigma."""
     n, told = len(normal), row[FIELDS:]
@@ -188,7 +230,7 @@ def _over_record(
         for i in range(n)
     )
     away = sum(a * one for a, one in zip(angles[2], e, strict=True))
-    now = _outside(criteria, row[2], away, floor)
+    now = _outside(criteria, row[2], away, away, floor)
     sigma = (jnp.sqrt(_variance(one, s)) for one in angles)
     outside = mix(now, time, carry.outside)
     return _Carry(s, e, outside), (*row[:3], *sigma, *row[3:6])
@@ -204,35 +246,49 @@ def _over_coloured_record(
     normal: tuple[Array, ...],
     row: tuple[Scalar, ...],
     floor: Scalar,
+    moved: Array | None,
 ) -> tuple[_Carry, tuple[Scalar, ...]]:
-    """As `_over_record`, with the states of processes beside d."""
-    told = jnp.stack(row[FIELDS:])
+    """As `_over_record`, with the states of processes beside d, which move the limit by so much."""
+    fields = jnp.stack(row[FIELDS:])
     w, at = n * n, triangle_index(n)
     angles = w + n * (n + 1) // 2
-    whole = jnp.stack([told[w + at[i, j]] for i in range(n) for j in range(n)]).reshape(n, n)
+    whole = jnp.stack([fields[w + at[i, j]] for i in range(n) for j in range(n)]).reshape(n, n)
     f, w_all = coloured_spread.joined(
-        told[:w].reshape(n, n), whole, told[angles + 3 * n :], over, sizes
+        fields[:w].reshape(n, n), whole, fields[angles + 3 * n :], over, sizes
     )
-    rows = told[angles : angles + 3 * n].reshape(3, n)
+    rows = fields[angles : angles + 3 * n].reshape(3, n)
     s = f @ carry.s @ f.T + w_all
     e = f @ carry.e + coloured_spread.factor(w_all) @ jnp.stack(normal)
-    away = rows[2] @ e[:n]
-    now = _outside(criteria, row[2], away, floor)
+    from_truth = from_limit = rows[2] @ e[:n]
     sigma = jnp.sqrt(jnp.maximum(jnp.einsum("ij,jk,ik->i", rows, s[:n, :n], rows), 0.0))
-    return _Carry(s, e, mix(now, time, carry.outside)), (*row[:3], *sigma, *row[3:6])
+    if moved is not None:
+        beyond = jnp.concatenate([rows[2], -moved])
+        from_limit = beyond @ e
+        sigma = jnp.append(sigma, jnp.sqrt(jnp.maximum(beyond @ s @ beyond, 0.0)))
+    now = _outside(criteria, row[2], from_limit, from_truth, floor)
+    told = (*row[:3], *sigma[:3], *row[3:6], *sigma[3:])
+    return _Carry(s, e, mix(now, time, carry.outside)), told
 
 
-def _outside(criteria: metrics.Criteria, mean: Scalar, away: Array, floor: Scalar) -> Array:
+def _outside(
+    criteria: metrics.Criteria,
+    mean: Scalar,
+    from_limit: Array,
+    from_truth: Array,
+    floor: Scalar,
+) -> Array:
     """(2, B, samples) whether errors about a mean are outside the bands, rad.
 
     Args:
         criteria: with the bands.
         mean: of phi_u.
-        away: (samples / 2,) from it; as many have the opposite noise.
-        floor: what phi_u should settle to.
+        from_limit: (samples / 2,) what they have beyond it of their limit; as many have the
+            opposite noise.
+        from_truth: likewise, of the truth.
+        floor: what phi_u should settle to, of the mean.
     """
-    error = mean + jnp.concatenate([away, -away])
-    return jnp.stack([over_bands(criteria, error - floor), over_bands(criteria, error)])
+    limit, truth = (mean + jnp.concatenate([a, -a]) for a in (from_limit, from_truth))
+    return jnp.stack([over_bands(criteria, limit - floor), over_bands(criteria, truth)])
 
 
 def states_of(fields: int, coloured: int = 0) -> int:

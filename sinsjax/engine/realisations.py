@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sinsjax.alignment.base import Method, Options, Site
+from sinsjax.alignment.coloured_growth import Coloured
 from sinsjax.alignment.error_growth import with_growth
 from sinsjax.alignment.limits import Biases, mean_biases
 from sinsjax.alignment.methods import METHODS
@@ -100,6 +101,7 @@ class Environment(NamedTuple):
         spread_at: numbers, from 0, of the records at which the spread of runs is told; None for
             all.
         coloured: errors of the increments that the spread has beside white noise.
+        drawn: what draws have for themselves, where all of it is drawn normally; else None.
     """
 
     site: Site
@@ -115,7 +117,8 @@ class Environment(NamedTuple):
     axes: Array | None = None
     disturbances: Disturbances = Disturbances()
     spread_at: Array | None = None
-    coloured: Disturbances = Disturbances()
+    coloured: Coloured = Coloured()
+    drawn: "DrawnNormally | None" = None
 
     @property
     def dtype(self) -> jnp.dtype:
@@ -188,6 +191,33 @@ class Draw(NamedTuple):
     latitude: Scalar | None = None
     disturbances: Disturbances | None = None
     made: Derived = Derived()
+
+
+class DrawnNormally(NamedTuple):
+    """The normal distributions of what draws have for themselves: means and standard deviations.
+
+    Attributes:
+        begins: means of what they begin with; None for what is the run's.
+        errors: of sensors with the mean biases; None where no bias is drawn.
+        begins_sigma: (5,) of phi about e, n, u, rad, and of the velocity east and north, m/s.
+        gyro_bias_sigma: (3,) rad/s; None where it is not drawn.
+        accel_bias_sigma: (3,) m/s^2; likewise.
+    """
+
+    begins: InitialErrors
+    errors: sensors.SensorErrors | None
+    begins_sigma: Array
+    gyro_bias_sigma: Array | None
+    accel_bias_sigma: Array | None
+
+    def mean(self, draws: Draw) -> Draw:
+        """The first of some draws with the means for its own, leaves (1, ...)."""
+        return Draw(
+            draws.draw_id[:1],
+            draws.start,
+            draws.row[:1],
+            *jax.tree.map(lambda a: np.asarray(a)[None], (self.begins, self.errors)),
+        )
 
 
 def derived(static: Static, environment: Environment, draw: Draw) -> Derived:

@@ -34,6 +34,7 @@ from sinsjax.engine.realisations import (
     method_of,
     site_of,
 )
+from sinsjax.engine.sensitivity import sensitivity
 from sinsjax.engine.simulate import Run, RunParams
 from sinsjax.engine.stages import StageFunctions, over_stages
 from sinsjax.engine.stepping import event_by_event, sample_by_sample
@@ -129,7 +130,8 @@ def run_tile(
     if rows is None:
         return outcome, None
     if static.sampled_errors:
-        told = spread(static, environment, rows, outcome.limit.phi.z)
+        drawn = sensitivity(static, environment, tile.params, setup.site, setup.site_axis)
+        told = spread(static, environment, rows, outcome.limit.phi.z, drawn)
         return outcome, told.at(environment.spread_at)
     return outcome, metrics.from_rows(rows)
 

@@ -17,7 +17,13 @@ from sinsjax.alignment.coarse import COARSE
 from sinsjax.alignment.inertial_frame.method import optimised
 from sinsjax.alignment.limits import NO_BIASES, mean_biases
 from sinsjax.engine.metrics import Criteria
-from sinsjax.engine.realisations import Draw, Environment, InitialErrors, aligned_record
+from sinsjax.engine.realisations import (
+    Draw,
+    DrawnNormally,
+    Environment,
+    InitialErrors,
+    aligned_record,
+)
 from sinsjax.engine.simulator import (
     OF_DISTURBANCES,
     disturbances_of,
@@ -32,6 +38,7 @@ from sinsjax.records.reference import StoredRecord
 from sinsjax.strapdown import base_motion, earth, sensors
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.study import sampling
+from sinsjax.study.distributions import BIASES, NUMBERS_DRAWN, is_normal
 from sinsjax.study.keys import COARSE_KEYS, EARTH_CONSTANTS
 from sinsjax.study.schema import EarthSection, MotionSection, SensorsSection
 from sinsjax.study.study import Span, Study
@@ -156,6 +163,7 @@ def simulated(
         motion=motion if study.drawn_keys or increments is None else None,
         axes=axes,
         disturbances=disturbances,
+        drawn=_drawn_normally(study, variants.ids, ug),
     )
     ids = np.arange(draws.start, draws.stop)
     nominal = errors, motion, disturbances
@@ -196,6 +204,35 @@ def _own(
     if any(key in study.drawn_keys for key in OF_DISTURBANCES):
         own["disturbances"] = disturbances
     return own
+
+
+def _drawn_normally(study: Study, ids: np.ndarray, ug: float) -> DrawnNormally | None:
+    """Means and standard deviations where all that draws have for themselves has such."""
+    laws = {} if study.drawn is None else study.drawn.laws
+    if not laws or any(not is_normal(key, law) for key, law in laws.items()):
+        return None
+    moments = np.array([law.normal for law in laws.values()]).T
+    means, sigmas = (
+        {
+            k: np.full((1, NUMBERS_DRAWN[k]) if k in BIASES else 1, a)
+            for k, a in zip(laws, row, strict=True)
+        }
+        for row in moments
+    )
+    errors, spread = (_base_and_sensors(Variants(study, ids, a), ug)[0] for a in (means, sigmas))
+    begins, sigma = (jax.tree.map(lambda a: a[0], _begins(a)) for a in (means, sigmas))
+    gyro, accel = (key in laws for key in BIASES)
+    biases = [
+        np.reshape(np.broadcast_to(a, (1, 3)), 3) for a in (errors.gyro_bias, errors.accel_bias)
+    ]
+    mean = errors._replace(gyro_bias=biases[0], accel_bias=biases[1])
+    return DrawnNormally(
+        begins,
+        mean if gyro or accel else None,
+        np.array([a or 0.0 for a in (*sigma.phi, *sigma[1:])]),
+        np.reshape(spread.gyro_bias, 3) if gyro else None,
+        np.reshape(spread.accel_bias, 3) if accel else None,
+    )
 
 
 def _base_and_sensors(

@@ -165,4 +165,6 @@ def _expectation(one: Statistic, estimate: dict[str, Any]) -> Expectation:
         return Expectation(told(f"within_{one.band_arcmin:g}{side}{one.at}_share"))
     centre = 0.0 if one.truth else told("floor_arcmin")
     mean, sigma = told(f"phi_u{one.at}_arcmin"), told(f"true_sigma_u{one.at}_arcmin")
+    if not one.truth and (name := f"true_sigma_u_from_limit{one.at}_arcmin") in estimate:
+        sigma = told(name)
     return Expectation((mean - centre) ** 2 + sigma**2)

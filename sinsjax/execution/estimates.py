@@ -94,8 +94,11 @@ class Estimates:
         values |= {name: column.take(variant) for name, column in self._by_variant.items()}
         for place, time_s in enumerate(self._times):
             phi, sigma, belief = (np.asarray(a)[:, :, place] for a in spread[:3])
-            names = (c.name for c in columns.estimated(self._bands, time_s))
-            values |= zip(names, self._at(phi, sigma, belief, floor), strict=True)
+            own = None if spread.from_limit is None else np.asarray(spread.from_limit)[:, place]
+            names = (
+                c.name for c in columns.estimated(self._bands, time_s, own_limits=own is not None)
+            )
+            values |= zip(names, self._at(phi, sigma, belief, floor, own), strict=True)
         until = np.ascontiguousarray(spread.outside_until)  # sums of one order, however cut
         for truth, about in ((False, LIMIT), (True, TRUTH)):
             for number, band in enumerate(self._bands):
@@ -114,15 +117,26 @@ class Estimates:
         """Number of variants whose noise-free run became non-finite."""
         return tables[DATASET]["phi_u_arcmin"].null_count
 
-    def _at(self, phi: NDArray, sigma: NDArray, belief: NDArray, floor: NDArray) -> list[pa.Array]:
+    def _at(
+        self,
+        phi: NDArray,
+        sigma: NDArray,
+        belief: NDArray,
+        floor: NDArray,
+        from_limit: NDArray | None,
+    ) -> list[pa.Array]:
         """Columns of one time from misalignment, 1 sigma and belief (runs, 3), and floor (runs,).
 
-        All of them rad, in the order of `columns.estimated`.
+        All of them rad, in the order of `columns.estimated`; ``from_limit`` as of `Spread`.
         """
-        angles = np.concatenate([phi, sigma, belief], axis=1).T / ARCMIN
+        angles = [*(np.concatenate([phi, sigma, belief], axis=1).T / ARCMIN)]
+        about_limit = sigma[:, 2]
+        if from_limit is not None:
+            about_limit = np.where(np.isnan(floor), np.nan, from_limit)
+            angles.append(about_limit / ARCMIN)
         shares = [
-            _share_within(band * ARCMIN, phi[:, 2] - centre, sigma[:, 2])
-            for centre in (floor, np.zeros_like(floor))
+            _share_within(band * ARCMIN, phi[:, 2] - centre, spread)
+            for centre, spread in ((floor, about_limit), (np.zeros_like(floor), sigma[:, 2]))
             for band in self._bands
         ]
         return [nullable(one) for one in (*angles, *shares)]

@@ -9,7 +9,7 @@ from sinsjax import columns
 from sinsjax.alignment.description import OwnColumn
 from sinsjax.alignment.methods import METHODS
 from sinsjax.columns import Column
-from sinsjax.study.distributions import NUMBERS_DRAWN
+from sinsjax.study.distributions import BIASES, NUMBERS_DRAWN
 from sinsjax.study.keys import meaning
 from sinsjax.study.resolved import Coded, same
 from sinsjax.study.study import Study
@@ -42,6 +42,11 @@ def of_companions(study: Study) -> tuple[Column, ...]:
     return tuple(map(columns.companion, (*at_times, at_the_end, *_settling(study))))
 
 
+def draws_limits(study: Study) -> bool:
+    """Whether draws have biases of their own, and limits with them."""
+    return any(key in study.drawn_keys for key in BIASES)
+
+
 def estimates(study: Study) -> tuple[Column, ...]:
     """Columns of the estimates."""
     of_runs = ("run_id", "draw_id", "start_s")
@@ -49,7 +54,11 @@ def estimates(study: Study) -> tuple[Column, ...]:
     return (
         *(column for column in columns.IDENTITY if column.name not in of_runs),
         *_of_keys(study),
-        *(c for time_s in times for c in columns.estimated(bands(study), time_s)),
+        *(
+            c
+            for time_s in times
+            for c in columns.estimated(bands(study), time_s, own_limits=draws_limits(study))
+        ),
         *(
             c
             for truth in (False, True)

@@ -54,6 +54,16 @@ class Process(NamedTuple):
     scale: Array
 
 
+def constant(rms: Numbers) -> Process:
+    """A number that stays as it begins, normal with mean zero.
+
+    Args:
+        rms: (..., 3) standard deviation of each axis.
+    """
+    one = np.ones(np.shape(rms)[:-1])
+    return _first_order(one, 0.0 * one, 0.0 * one, one, rms)
+
+
 def gauss_markov(rms: Numbers, time: Numbers, dt: float) -> Process:
     """First-order Gauss-Markov process at sample times.
 

@@ -13,6 +13,9 @@ from sinsjax.value_types import IncreasingPair, Name, Normal, Positive, Section
 INITIAL_KEYS = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg", "ve0_m_per_s", "vn0_m_per_s")
 """The keys of [alignment] that may be drawn; in a recorded study no others may."""
 
+BIASES = ("gyro_bias_deg_per_h", "accel_bias_ug")
+"""The keys of the constant sensor biases."""
+
 
 def _length(annotation: Any) -> int:
     """The longest list that a type takes, 1 if it takes none; 0 of what is no number."""
@@ -50,6 +53,11 @@ class Distribution(Section):
     grid: ListEntries | None = Field(
         None, description="one point a draw of the product of all grids, the last key fastest"
     )
+
+
+def is_normal(key: str, law: Distribution) -> bool:
+    """Whether a key adds normal numbers to what runs begin with, or to constant biases."""
+    return law.normal is not None and key in (*INITIAL_KEYS, *BIASES)
 
 
 class DrawnSection(Section):

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 from sinsjax.alignment.methods import METHODS
 from sinsjax.alignment.triggers.section import any_trigger
 from sinsjax.errors import InputError
+from sinsjax.study.distributions import BIASES, INITIAL_KEYS, is_normal
 from sinsjax.study.in_turn import keys_in_turn
 from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.study import Study
@@ -70,8 +71,11 @@ def _unmodelled(study: Study, where: Mapping[str, str]) -> Iterator[str]:
         yield "[passes]: covariance analysis takes noise as white, passes take it in again"
     if study.coarse_stages:
         yield "[coarse]: covariance analysis begins with the method's own P0"
-    for key in study.drawn_keys:
-        yield f"[drawn] {key}: covariance analysis takes its value as given (sweep it instead)"
+    for key, law in study.drawn.laws.items() if study.drawn else ():
+        if key not in (*INITIAL_KEYS, *BIASES):
+            yield f"[drawn] {key}: covariance analysis takes its value as given (sweep it instead)"
+        elif not is_normal(key, law):
+            yield f"[drawn] {key}: covariance analysis takes what is drawn as normal"
     if any_trigger(study):
         place = where.get("reset_trigger", "[resets]")
         yield f"{place} reset_trigger: covariance analysis needs resets at given times"

@@ -28,16 +28,16 @@ WHY: dict[str, tuple[dict[str, Any], str]] = {
         COLOURED,
     ),
     "[alignment] method": (
-        {"alignment": {"method": "optimisation"}},
-        "knows no linear part of optimisation",
+        {"alignment": {"method": "inertial"}},
+        "knows no linear part of inertial",
     ),
     "[axes] method": (
         {"axes": {"method": ["kalman5", "inertial"]}},
         "knows no linear part of inertial",
     ),
     "[cases] method": (
-        {"cases": [{"method": "compass"}, {"method": "optimisation"}]},
-        "knows no linear part of optimisation",
+        {"cases": [{"method": "compass"}, {"method": "inertial"}]},
+        "knows no linear part of inertial",
     ),
     "[resets] reset_trigger": (
         {"resets": {"reset_trigger": "nis", "trigger_threshold": 5.0}},
@@ -48,9 +48,13 @@ WHY: dict[str, tuple[dict[str, Any], str]] = {
         "begins with the method's own P0",
     ),
     "[passes]": ({"passes": {"tape_s": 2.0}}, "takes noise as white, passes take it in again"),
-    "[drawn] vn0_m_per_s": (
-        {"drawn": {"vn0_m_per_s": {"normal": [0, 1]}}},
+    "[drawn] gyro_scale_ppm": (
+        {"drawn": {"gyro_scale_ppm": {"normal": [0, 1]}}},
         "takes its value as given (sweep it instead)",
+    ),
+    "[drawn] vn0_m_per_s": (
+        {"drawn": {"vn0_m_per_s": {"uniform": [-1, 1]}}},
+        "takes what is drawn as normal",
     ),
 }
 
@@ -110,6 +114,12 @@ def test_samples_are_an_even_number_and_for_estimates_alone() -> None:
     told = "[study] check_linearity: requires estimate = 'covariance'"
     assert refusal(study={"check_linearity": True}) == told
     assert "estimate_samples: must be" in refusal(study=ESTIMATED | {"estimate_samples": 65})
+
+
+@pytest.mark.parametrize("estimate", ["covariance", "controlled"])
+def test_starts_and_biases_may_be_drawn_normally(estimate: str) -> None:
+    laws = {"vn0_m_per_s": {"normal": [0, 1]}, "accel_bias_ug": {"normal": [0, 100]}}
+    small_study(study={"estimate": estimate}, sensors={"accel_bias_ug": None}, drawn=laws)
 
 
 def test_defaults_are_written_out_and_read_again() -> None:

@@ -21,7 +21,7 @@ from sinsjax.alignment.azimuth.model import (
     VN,
     derivative,
 )
-from sinsjax.alignment.base import AttitudeCovariance, Method, Options, Site
+from sinsjax.alignment.base import AttitudeCovariance, Method, Options, Site, StartChange
 from sinsjax.alignment.filters.stages import (
     Filter,
     FilterParams,
@@ -33,7 +33,7 @@ from sinsjax.alignment.filters.stages import (
     unaided,
     update_by_velocity,
 )
-from sinsjax.alignment.filters.tilt import turned, turned_covariance
+from sinsjax.alignment.filters.tilt import changed, of_attitude, turned, turned_covariance
 from sinsjax.alignment.kalman import Belief
 from sinsjax.alignment.schedules import reset_covariance
 from sinsjax.alignment.triggers.watched import method_of
@@ -101,6 +101,7 @@ def filter_of(predict: Prediction, options: Options) -> Filter:
         _covariance,
         unaided,
         _inputs,
+        _start_error,
     )
 
 
@@ -115,6 +116,12 @@ def _rotation(state: FilterState, phi: Vec3) -> Quat:
 def _inputs(state: FilterState) -> Entries:
     turned_by = {(i, 3 + k): Minus(1.0) for k, i in enumerate((TILT_E, TILT_N, AZIMUTH))}
     return {(VE, 0): 1.0, (VN, 1): 1.0, **turned_by}
+
+
+def _start_error(state: FilterState, change: StartChange) -> tuple[Scalar, ...]:
+    tilt_e, tilt_n, sine, cosine = changed(change)
+    _, _, s, c = of_attitude(change.attitude)
+    return (change.ve, change.vn, tilt_e, tilt_n, c * sine - s * cosine)
 
 
 def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:

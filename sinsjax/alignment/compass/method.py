@@ -19,6 +19,7 @@ from sinsjax.alignment.base import (
     Method,
     Options,
     Site,
+    StartChange,
     no_covariance,
 )
 from sinsjax.alignment.compass.design import AzimuthGains, LevelGains, at_pace
@@ -172,6 +173,7 @@ def build(options: Options) -> Method:
         rewind=rewind,
         error_step=error_step,
         error_angles=_error_angles,
+        start_error=_start_error,
     )
 
 
@@ -311,6 +313,11 @@ def _error_angles(state: LoopState) -> tuple[tuple[Scalar, ...], ...]:
     zero = jnp.zeros_like(state.rate_u)
     states = range(RATE_U + 1)
     return tuple(tuple(zero + float(i == angle) for i in states) for angle in (PHI_E, PHI_N, PHI_U))
+
+
+def _start_error(state: LoopState, change: StartChange) -> tuple[Scalar, ...]:
+    zero = jnp.zeros_like(state.rate_u)
+    return (change.ve, change.vn, *change.phi, zero, zero, zero)
 
 
 def _normalise(state: LoopState) -> LoopState:

@@ -2,11 +2,13 @@
 
 from typing import Any
 
-from sinsjax.alignment.base import AttitudeCovariance
+import jax.numpy as jnp
+
+from sinsjax.alignment.base import AttitudeCovariance, StartChange
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries, Minus, triangle_index
 from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN
-from sinsjax.types import Quat, Vec3
+from sinsjax.types import Quat, Scalar, Vec3
 
 _ANGLES = (PHI_E, PHI_N, PHI_U)
 
@@ -20,6 +22,13 @@ def inputs(state: Any) -> Entries:
     """`Filter.inputs`: velocities by velocity increments, phi against the angles."""
     turned = {(i, 3 + k): Minus(1.0) for k, i in enumerate(_ANGLES)}
     return {(VE, 0): 1.0, (VN, 1): 1.0, **turned}
+
+
+def start_error(state: Any, change: StartChange) -> tuple[Scalar, ...]:
+    """`Filter.start_error`: as it is; biases are estimated from zero all the same."""
+    others = state.belief.x[PHI_U + 1 :]
+    zeros = (jnp.zeros_like(change.ve),) * len(others)
+    return (change.ve, change.vn, *change.phi, *zeros)
 
 
 def corrected(state: Any) -> Quat:

@@ -23,6 +23,7 @@ from sinsjax.alignment.base import (
     Method,
     Options,
     Site,
+    StartChange,
 )
 from sinsjax.alignment.kalman import Belief, Innovation
 from sinsjax.alignment.limits import Biases, Limit
@@ -119,6 +120,7 @@ class Filter(NamedTuple):
         covariance: state -> of that attitude.
         limit: see `Method.limit`.
         inputs: state -> `ErrorStep.inputs`.
+        start_error: see `Method.start_error`.
         own_results: (site, state) -> `FilterResults.own`; None of a filter without.
         common_covariance: see `Method.common_covariance`.
         keep: (state that begins a record again, state at its end) -> the first with what is no
@@ -140,6 +142,7 @@ class Filter(NamedTuple):
     covariance: Callable[[Any], AttitudeCovariance]
     limit: Callable[[Any, Place, Biases, Ending], Limit]
     inputs: Callable[[Any], Entries]
+    start_error: Callable[[Any, StartChange], tuple[Scalar, ...]]
     own_results: Callable[[Site, Any], Any] | None = None
     common_covariance: bool = False
     keep: Callable[[Any, Any], Any] | None = None
@@ -164,6 +167,7 @@ def closed_loop(filter_: Filter) -> Method:
         gyro_bias=filter_.gyro_bias,
         error_step=partial(_error_step, filter_),
         error_angles=partial(_error_angles, filter_),
+        start_error=filter_.start_error,
         begin_after=_begin_after,
     )
 

@@ -3,10 +3,12 @@
 e is the shortest rotation of the true vertical, seen in n' as (-t_N, t_E, u_z), to z.
 """
 
+import jax
 import jax.numpy as jnp
 
-from sinsjax.alignment.base import AttitudeCovariance
+from sinsjax.alignment.base import AttitudeCovariance, StartChange
 from sinsjax.maths import rotations
+from sinsjax.maths.algebra import scale
 from sinsjax.types import Quat, Scalar
 
 
@@ -33,6 +35,22 @@ def about_vertical(sine: Scalar, cosine: Scalar) -> Quat:
 def turned(tilt_e: Scalar, tilt_n: Scalar, sine: Scalar, cosine: Scalar) -> Quat:
     """Rz(a) e."""
     return rotations.multiply(about_vertical(sine, cosine), shortest_turn(tilt_e, tilt_n))
+
+
+def of_attitude(q: Quat) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    """Tilt east and north, rad, and sine and cosine of the azimuth of Rz(a) e."""
+    vertical = rotations.matrix(q)[2]
+    tilt_e, tilt_n = vertical.y, -vertical.x
+    about = rotations.multiply(q, rotations.conjugate(shortest_turn(tilt_e, tilt_n)))
+    return tilt_e, tilt_n, 2 * about.w * about.z, about.w * about.w - about.z * about.z
+
+
+def changed(change: StartChange) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    """What the numbers of `of_attitude` change by."""
+    q, half = change.attitude, scale(0.5, change.phi)
+    rate = rotations.multiply(q, Quat(jnp.zeros_like(half.x), *half))
+    _, changes = jax.jvp(of_attitude, (q,), (rate,))
+    return changes
 
 
 def turned_covariance(

@@ -83,6 +83,7 @@ def filter_of(options: Options) -> Filter:
         misalignment.covariance,
         unaided,
         misalignment.inputs,
+        misalignment.start_error,
         common_covariance=options.position == "fixed",
     )
 

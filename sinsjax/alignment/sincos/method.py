@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from sinsjax.alignment import kalman
-from sinsjax.alignment.base import AttitudeCovariance, Method, Options, Site
+from sinsjax.alignment.base import AttitudeCovariance, Method, Options, Site, StartChange
 from sinsjax.alignment.filters.stages import (
     Filter,
     FilterParams,
@@ -33,7 +33,7 @@ from sinsjax.alignment.filters.stages import (
     unaided,
     update_by_velocity,
 )
-from sinsjax.alignment.filters.tilt import shortest_turn, turned, turned_covariance
+from sinsjax.alignment.filters.tilt import changed, shortest_turn, turned, turned_covariance
 from sinsjax.alignment.schedules import reset_covariance
 from sinsjax.alignment.triggers.watched import method_of
 from sinsjax.maths import rotations
@@ -101,6 +101,7 @@ def filter_of(options: Options) -> Filter:
         _covariance,
         unaided,
         _inputs,
+        start_error,
         own_results=_north_drift,
         common_covariance=options.position == "fixed",
         keep=_keep_amplitude,
@@ -178,6 +179,13 @@ def _inputs(state: FilterState) -> Entries:
         **{(VE, 0): 1.0, (VN, 1): 1.0, (TILT_E, 3): Minus(1.0), (TILT_N, 4): Minus(1.0)},
         **{(SINE, 5): Minus(d.cosine), (VERSINE, 5): Minus(d.sine)},
     }
+
+
+def start_error(state: FilterState, change: StartChange) -> tuple[Scalar, ...]:
+    """`Filter.start_error`: of the true sine and versine, that of a heading which is not known."""
+    tilt_e, tilt_n, sine, cosine = changed(change)
+    zeros = (jnp.zeros_like(change.ve),) * len(state.belief.x[VERSINE + 1 :])
+    return (change.ve, change.vn, tilt_e, tilt_n, sine, -cosine, *zeros)
 
 
 def _misalignment(state: FilterState) -> Vec3:

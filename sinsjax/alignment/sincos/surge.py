@@ -56,7 +56,7 @@ def build(options: Options) -> Method:
     """The method; `Options.specific_force` is always that of a base at rest."""
     method = method_of(filter_of(options), options)
     # What is told of a step takes the first two states for what is measured.
-    return method._replace(error_step=None, error_angles=None)
+    return method._replace(error_step=None, error_angles=None, start_error=None)
 
 
 def filter_of(options: Options) -> Filter:

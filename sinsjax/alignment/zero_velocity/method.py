@@ -79,6 +79,7 @@ def filter_of(model: ErrorModel, options: Options) -> Filter:
         misalignment.covariance,
         unaided,
         misalignment.inputs,
+        misalignment.start_error,
         common_covariance=assumed_at_rest
         and options.position == "fixed"
         and not model.uses_attitude,
