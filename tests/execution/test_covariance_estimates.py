@@ -164,8 +164,8 @@ def test_curves_are_those_of_estimates_at_their_times(pair: tuple[pa.Table, pa.T
         for kind, axis in itertools.product(("phi", "true_sigma", "sigma"), "enu"):
             own = pair[0][f"{kind}_{axis}{at}_arcmin"]
             np.testing.assert_allclose(rows[f"{kind}_{axis}_arcmin"], own, rtol=1e-9, atol=1e-12)
-    with pytest.raises(InputError, match="optimisation"):
-        estimated_curves(small_study(alignment={"method": "optimisation"}))
+    with pytest.raises(InputError, match="inertial"):
+        estimated_curves(small_study(alignment={"method": "inertial"}))
 
 
 # --- as a dataset -------------------------------------------------------------------------------

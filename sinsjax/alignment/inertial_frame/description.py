@@ -49,6 +49,7 @@ OPTIMISATION = _inertial_frame(
     summary="attitude that takes all integrated velocities closest to gravity's in inertial space",
     source="Wu et al. (2011), Wu and Pan (2013)",
     load=partial(_load, "optimisation"),
+    has_error_step=True,
     step_s=3e-9,
 )
 

@@ -11,6 +11,7 @@ ways to find C_{b0}^{n0} stand here: least squares of the integrated velocities 
 two weighted means of the force. The base must not travel; that it sways does not matter.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -25,6 +26,7 @@ from sinsjax.alignment.base import (
     no_covariance,
 )
 from sinsjax.alignment.coarse import two_vectors
+from sinsjax.alignment.inertial_frame import linear_error
 from sinsjax.alignment.inertial_frame.least_squares import (
     VelocityMoments,
     add_position,
@@ -132,7 +134,11 @@ def optimisation(options: Options) -> Method:
     Wu et al., Aerosp. Sci. Technol. 15 (2011), and Wu and Pan, IEEE TAES 49 (2013): the
     eigenvector of the largest eigenvalue of a 4 x 4 matrix, found at record times.
     """
-    return _method(options, no_velocities, add_velocity, of_velocities)
+    return _method(options, no_velocities, add_velocity, of_velocities)._replace(
+        error_step=partial(linear_error.error_step, options.dt),
+        error_angles=linear_error.error_angles,
+        start_error=linear_error.start_error,
+    )
 
 
 def optimisation_position(options: Options) -> Method:
