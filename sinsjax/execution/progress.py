@@ -22,9 +22,9 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)  # batch systems send the second
 
 @contextmanager
 def progress(console: Console, name: str) -> Iterator[Tell]:
-    """A progress bar on a terminal; otherwise a plain line every 10 % of the runs, or every 10 s.
+    """A progress bar on a terminal; otherwise a plain line every 10 % of a stage, or every 10 s.
 
-    Both show the completed runs, runs per second, the time left and the failures so far.
+    Both show what is completed, how many per second, the time left and the failures so far.
     """
     if not console.is_terminal:
         yield _plainly(console, name, _Pace())
@@ -33,35 +33,41 @@ def progress(console: Console, name: str) -> Iterator[Tell]:
         TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn("runs{task.fields[pace]}"),
+        TextColumn("{task.fields[counted]}{task.fields[pace]}"),
         console=console,
     )
     with bar:
-        shown = bar.add_task(f"{name} (compiling)", total=None, pace="")
+        shown = bar.add_task(f"{name} (compiling)", total=None, counted="runs", pace="")
         pace = _Pace()
 
         def tell(now: RunProgress) -> None:
             text = pace.text(now)
-            called = name if text else f"{name} (compiling)"
-            bar.update(shown, description=called, completed=now.done, total=now.total, pace=text)
+            bar.update(
+                shown,
+                description=name if text else f"{name} (compiling)",
+                completed=now.done,
+                total=now.total,
+                counted=now.counted,
+                pace=text,
+            )
 
         yield tell
 
 
 def _plainly(console: Console, name: str, pace: "_Pace") -> Tell:
-    shown, last = -1, time.monotonic()
+    shown, last = ("", -1), time.monotonic()
 
     def tell(now: RunProgress) -> None:
         nonlocal shown, last
         text = pace.text(now)
-        tenth, clock = now.done * 10 // now.total, time.monotonic()
+        tenth, clock = (now.counted, now.done * 10 // now.total), time.monotonic()
         began = now.done == now.before
         due = now.before > 0 if began else tenth != shown or clock >= last + _PLAIN_EVERY_S
         if not due:
             return
         shown, last = tenth, clock
         pace_text = " already there" if began else text
-        screen.say(console, f"{name}: {now.done:,} of {now.total:,} runs{pace_text}")
+        screen.say(console, f"{name}: {now.done:,} of {now.total:,} {now.counted}{pace_text}")
 
     return tell
 
@@ -70,19 +76,22 @@ class _Pace:
     """Runs per second since the first chunk finished; the time before is mostly compilation."""
 
     def __init__(self) -> None:
+        self._counted = ""
         self._first: tuple[float, int] | None = None
 
     def text(self, now: RunProgress) -> str:
         """The pace as text; empty before the first chunk."""
         if now.done == now.before:
             return ""
+        if now.counted != self._counted:
+            self._counted, self._first = now.counted, None
         clock = time.monotonic()
         since, done = self._first = self._first or (clock, now.done)
         if now.done == done:
             return f", {now.failures:,} failed"
         rate = (now.done - done) / max(clock - since, 1e-3)
         left = _clock((now.total - now.done) / rate)
-        return f", {rate:,.0f} runs/s, {left} left, {now.failures:,} failed"
+        return f", {rate:,.0f} {now.counted}/s, {left} left, {now.failures:,} failed"
 
 
 def _clock(seconds: float) -> str:

@@ -37,20 +37,24 @@ class Results(NamedTuple):
 
 
 class RunProgress(NamedTuple):
-    """Progress of a study.
+    """Progress of a study, or of one of its stages.
 
     Attributes:
         done: completed runs.
         total: number of runs; with [stop_when], at most.
         failures: runs of this session that diverged or became non-finite.
         before: runs completed before this session.
+        counted: what is counted, if not runs; another word than before begins another stage.
     """
 
     done: int
     total: int
     failures: int
     before: int
+    counted: str = "runs"
 
+
+_ESTIMATES = "estimates"
 
 Tell = Callable[[RunProgress], None]
 """Progress callback, called before the first chunk and after every one."""
@@ -169,8 +173,10 @@ def _tables(job: Job, tell: Tell | None) -> dict[str, pa.Table]:
         from sinsjax.execution.conclusion import Conclusion  # late, for scipy
 
         end = Conclusion(runner, lambda n: pa.concat_tables(made["summary"]).select(n))
+        count.conclude([])
         for piece in in_threads(runner.do, map(end.asked, concluding), len(jax.devices())):
             made.setdefault("estimates", []).append(end.of(piece).tables["estimates"])
+            count.add(piece.task, runner.failures(piece.task, piece.tables))
     return {name: pa.concat_tables(tables) for name, tables in made.items()}
 
 
@@ -265,19 +271,21 @@ def _carry_out(
         from sinsjax.execution.conclusion import Conclusion  # late, for scipy
 
         end = Conclusion(runner, held.summary)
-        going, done = takewhile(lambda _: not stop.is_set(), todo), 0
+        going = takewhile(lambda _: not stop.is_set(), todo)
+        count.conclude(task for task in concluding if task not in missing)
         for encoded in executor.do(runner, map(end.asked, going)):
             held.write(runner.encoded(end.of(runner.decoded(encoded))))
-            done += 1
-        if done < len(todo):
+            count.add(encoded.task, encoded.failures)
+        if count.progress.done < count.progress.total:
             raise _interrupted(held, count)
     held.finish("complete", draws=draws.stop, runs=draws.stop * study.n_variants)
 
 
 def _interrupted(held: store.Store, count: "_ProgressCounter") -> StudyInterrupted:
     held.finish("interrupted")
-    done, total = count.progress.done, count.progress.total
-    return StudyInterrupted(f"{done:,} of {total:,} runs are in {held.directory}")
+    now = count.progress
+    text = f"{now.done:,} of {now.total:,} {now.counted} are in {held.directory}"
+    return StudyInterrupted(text)
 
 
 def _enough(study: Study, select: Callable[[list[str]], pa.Table], draws: range) -> bool:
@@ -290,15 +298,27 @@ class _ProgressCounter:
     """Track progress."""
 
     def __init__(self, study: Study, tell: Tell | None) -> None:
-        self.progress = RunProgress(0, study.n_draws * study.n_variants, 0, 0)
+        counted = _ESTIMATES if study.is_estimated else "runs"
+        self.progress = RunProgress(0, study.n_draws * study.n_variants, 0, 0, counted)
+        self._variants = study.n_variants
         self._tell = tell or (lambda progress: None)
 
     def begin(self, there: Iterable[Task]) -> None:
-        before = sum(task.runs for task in there)
+        before = sum(map(_size, there))
         self.progress = self.progress._replace(done=before, before=before)
         self._tell(self.progress)
 
+    def conclude(self, there: Iterable[Task]) -> None:
+        """Begin the stage of concluding tasks."""
+        self.progress = RunProgress(0, self._variants, 0, 0, _ESTIMATES)
+        self.begin(there)
+
     def add(self, task: Task, failures: int) -> None:
-        done, failed = self.progress.done + task.runs, self.progress.failures + failures
+        done, failed = self.progress.done + _size(task), self.progress.failures + failures
         self.progress = self.progress._replace(done=done, failures=failed)
         self._tell(self.progress)
+
+
+def _size(task: Task) -> int:
+    """Runs of a task, or the estimates of one that concludes."""
+    return task.runs or dict(task.rows)[_ESTIMATES]

@@ -110,7 +110,7 @@ class _Evolution:
             number = len(self._looks)
             look = Evaluation(number, candidate, found, score, int(self._cost), estimated=True)
             self._looks.append(look)
-        self._tell(RunProgress(len(self._looks), self._total, 0, 0))
+        self._tell(RunProgress(len(self._looks), self._total, 0, 0, "points"))
 
     def _estimated(self, points: Sequence[TomlTable]) -> tuple[list[float], float]:
         """The objective of points by covariance analysis, and the steps that one costs."""
@@ -139,7 +139,7 @@ class _Evolution:
                     step=len(self._looks), objective=score, cost=int(self._cost), estimated=False
                 )
             )
-        self._tell(RunProgress(len(self._looks), self._total, 0, 0))
+        self._tell(RunProgress(len(self._looks), self._total, 0, 0, "points"))
 
     def _derived(self, points: Sequence[TomlTable]) -> tuple[Study, NDArray]:
         """The study of points with all shifts, equal ones once, and (points, shifts) its cases."""

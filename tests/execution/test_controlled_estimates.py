@@ -116,13 +116,19 @@ def test_what_is_missing_is_made_again_and_nothing_else(stored: Path, tmp_path: 
     before = times(tmp_path)
     estimates = next(name for name in before if name.startswith("estimates"))
     summary = next(name for name in before if name.startswith("summary"))
+    said: list[study_run.RunProgress] = []
     for lost in (estimates, summary):
         (tmp_path / lost).unlink()
         (tmp_path / "manifest.json").unlink(missing_ok=True)
-        study_run.run_into(study_of(), tmp_path, resume=True)
+        study_run.run_into(study_of(), tmp_path, resume=True, tell=said.append)
         assert_complete(tmp_path, stored)
         kept = set(before) - {estimates, summary}
         assert {name: times(tmp_path)[name] for name in kept} == {n: before[n] for n in kept}
+    runs = 4 * DRAWS
+    assert said[:3] == [
+        study_run.RunProgress(runs, runs, 0, runs),
+        *(study_run.RunProgress(done, 4, 0, 0, "estimates") for done in (0, 4)),
+    ]
 
 
 def test_a_run_is_repeated_with_its_companion(stored: Path, tmp_path: Path) -> None:

@@ -78,6 +78,22 @@ def test_what_was_there_before_is_told_and_does_not_make_the_pace(clock: Clock) 
     ]
 
 
+def test_a_stage_that_counts_other_things_has_a_pace_of_its_own(clock: Clock) -> None:
+    screen, file = plain()
+    with progress.progress(screen, "swing") as tell:
+        tell(RunProgress(500, 500, 0, 0))
+        tell(RunProgress(0, 20, 0, 0, "estimates"))
+        for done in (10, 15, 20):
+            clock.now += 1.0
+            tell(RunProgress(done, 20, 0, 0, "estimates"))
+    assert file.getvalue().splitlines() == [
+        "swing: 500 of 500 runs, 0 failed",
+        "swing: 10 of 20 estimates, 0 failed",
+        "swing: 15 of 20 estimates, 5 estimates/s, 0:01 left, 0 failed",
+        "swing: 20 of 20 estimates, 5 estimates/s, 0:00 left, 0 failed",
+    ]
+
+
 def test_what_is_complete_already_says_so(clock: Clock) -> None:
     screen, file = plain()
     with progress.progress(screen, "swing") as tell:
