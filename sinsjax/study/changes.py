@@ -102,7 +102,8 @@ def copied(value: Any) -> Any:
 def _clear(tables: TomlTable, key: str, kept: TomlTable) -> None:
     """Removes a key, and those that say the same, from all tables that give or vary them but one.
 
-    There the key alone stays, in the place that it has. A zip that is left empty goes.
+    There the key alone stays, in the place that it has. A zip that is left empty goes, and so does
+    a [drawn] that is left with nothing to draw.
     """
     axes, cases = (tables.get(name) for name in ("axes", "cases"))
     axes = axes if isinstance(axes, dict) else {}
@@ -113,3 +114,6 @@ def _clear(tables: TomlTable, key: str, kept: TomlTable) -> None:
                 table.pop(other, None)
     for name in [name for name, table in axes.items() if table == {}]:
         del axes[name]
+    drawn = tables.get("drawn")
+    if isinstance(drawn, dict) and drawn is not kept and drawn.keys() <= {"sampling"}:
+        del tables["drawn"]

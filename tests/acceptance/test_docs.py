@@ -8,7 +8,9 @@ import pytest
 from support.studies import small_study
 
 import sinsjax
+from sinsjax import columns
 from sinsjax.execution import run
+from sinsjax.study.keys import SECTION_OF
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -74,6 +76,19 @@ def test_results_go_to_each_library_in_a_line(
 
 
 def test_links_of_every_page_lead_somewhere() -> None:
-    for page in (ROOT / "docs").glob("*.md"):
+    for page in (ROOT / "docs").rglob("*.md"):
         for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8")):
             assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_what_stands_beside_psins_is_a_study(tmp_path: Path) -> None:
+    """Its worked example is valid, and every key that its table names is one."""
+    text = (ROOT / "docs" / "comparison.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    (tmp_path / "methods_compare.toml").write_text(example, encoding="utf-8")
+    assert sinsjax.load_study(tmp_path / "methods_compare.toml").n_variants == 4
+    table = text.split("| PSINS | sinsjax | note |")[1].split("\n\n")[0]
+    cells = [row.split(" | ")[1] for row in table.splitlines()[2:]]
+    named = {name for cell in cells for name in re.findall(r"`(\w+_\w+|method|format)\b", cell)}
+    told = {column.name for column in columns.OBSERVED} | SECTION_OF.keys() | {"rate_hz"}
+    assert len(named) > 25 and named <= told | {"duration_s", "format"}

@@ -271,6 +271,12 @@ def test_draws_and_zips_are_set_by_their_keys() -> None:
     assert study.axis_keys == ("phi_e0_deg", "phi_n0_deg", "reset_count", "reset_cycle_s")
 
 
+def test_nothing_is_drawn_once_every_drawn_key_is_set() -> None:
+    drawn = package.load_study("reset_sweep", {"drawn.gyro_bias_deg_per_h.normal": [0.0, 0.1]})
+    assert drawn.drawn_keys == ("gyro_bias_deg_per_h",)
+    assert not drawn.replace({"sensors.gyro_bias_deg_per_h": 0.0}).drawn_keys
+
+
 def test_defaults_that_depend_on_others_are_made_anew() -> None:
     template = package.load_study(files.templates()["sweep"])
     assert template.study.window_s == (200.0, 300.0)

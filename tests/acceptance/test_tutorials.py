@@ -10,6 +10,7 @@ import pytest
 from support.commands import Command, command_line
 
 import sinsjax
+from sinsjax.plots import png
 from sinsjax.records.layout import to_body
 
 pytestmark = pytest.mark.optimised(False)
@@ -31,19 +32,79 @@ def blocks(page: str) -> list[tuple[str, str]]:
     return re.findall(r"^```(\w*)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
 
 
-def typed(page: str, command: Command, capsys: pytest.CaptureFixture[str]) -> list[str]:
-    """What the blocks of a page print, as a reader would type them."""
+def typed(
+    page: str,
+    command: Command,
+    capsys: pytest.CaptureFixture[str],
+    *,
+    progress: bool = False,
+    shorter: dict[str, str] | None = None,
+    saved: str = "",
+) -> list[str]:
+    """What the blocks of a page print, as a reader would type them.
+
+    Args:
+        page: file below docs/.
+        command: runs a command line.
+        capsys: what it prints.
+        progress: whether commands tell their progress on the error output.
+        shorter: words added to the command lines that contain a key, to save time.
+        saved: file in which the page has its reader save a study.
+    """
     told: list[str] = []
     names: dict[str, object] = {}
     for language, text in blocks(page):
+        if language == "toml" and saved:
+            Path(saved).write_text(text, encoding="utf-8")
         if language == "python":
             exec(compile(text, page, "exec"), names)
             told.append(capsys.readouterr().out)
         for line in text.splitlines() if not language else ():
-            code, out, error = command(*shlex.split(line)[1:])
-            assert (code, error) == (0, ""), line
+            more = [words for part, words in (shorter or {}).items() if part in line]
+            code, out, error = command(*shlex.split(" ".join([line, *more]))[1:])
+            assert code == 0 and "error" not in error and (progress or not error), line
             told.append(out)
     return told
+
+
+def test_start(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
+    """The first study with 2 of its 16 draws and 2 of its 8 cycles; the other is as it comes."""
+    few = {"sweep reset_sweep": "--set study.draws=2 --set axes.reset_cycle_s=[10,50]"}
+    told = typed("start.md", command, capsys, progress=True, shorter=few)
+    first, gravity, mine, worse = told[0], told[2], told[6], told[7]
+    assert "224 runs: 112 variants, 2 draws." in first
+    assert "Of these 224 within 10' of what its gyro bias allows and 0" in gravity
+    assert "north at the end: 78 [" in mine and "north at the end: 16 [" in worse
+    near = [int(re.findall(r"Of these (\d+) within", text)[0]) for text in (mine, worse)]
+    assert abs(near[0] - near[1]) < 5
+    assert "identical" in told[8]
+    assert Path("out/figures/settling_time.png").exists()
+
+
+def test_own_imu(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
+    told = typed("own_imu.md", command, capsys, progress=True, saved="imu.toml")
+    assert told[0] == "6.8\n" and "imu.toml: valid" in told[1]
+    within = [float(line.split()[-1]) for line in told[3].splitlines()]
+    assert np.abs(np.subtract(within, [42, 24, 18])).max() < 1.5
+    assert told[4].splitlines() == ["[22.5, 12.8, 7.7]", "[21.0, 11.5, 6.9]"]
+    errors = np.subtract(*(_numbers("out", name) for name in ("phi_u_arcmin", "floor_arcmin")))
+    assert abs(np.std(errors) - 9.1) < 0.3
+
+
+def _numbers(folder: str, name: str) -> np.ndarray:
+    return sinsjax.read_summary(folder, [name])[name].to_numpy()
+
+
+def test_reading_results(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
+    for library in ("duckdb", "polars"):
+        pytest.importorskip(library)
+    told = typed("reading_results.md", command, capsys, progress=True)
+    assert "settle_10_s  s  end of the last record interval" in told[2]
+    assert re.search(r"0 │ +30.0 │ +16 │ +0.0 │ +inf │", told[3])
+    more, error = map(float, told[4].split())
+    assert abs(more - 6.3) < 0.2 and abs(error - 1.1) < 0.1
+    assert [row["n"] for row in ast.literal_eval(told[5])] == [48] * 4
+    assert re.search(r"0 +┆ 10.0 +┆ 17\d\d\.\d+ +┆ 3\d\d\.", told[7])
 
 
 def test_own_record(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
@@ -65,6 +126,21 @@ def test_one_run(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
     assert len(told) == 4 and all(told)
     assert 0 < float(told[1]) < 0.5
     assert float(told[2]) != 0 and "0." not in re.findall(r"[\d.e+-]+", told[3])
+
+
+def test_each_concept_has_one_figure_that_is_drawn_by_the_script() -> None:
+    names: dict[str, object] = {"__name__": "concepts"}
+    exec((ROOT / "docs" / "figures" / "concepts.py").read_text(encoding="utf-8"), names)
+    drawn = names["FIGURES"]
+    assert isinstance(drawn, dict)
+    pages = {page.stem: page for page in (ROOT / "docs" / "concepts").glob("*.md")}
+    assert pages.keys() == drawn.keys()
+    for name, page in pages.items():
+        (shown,) = re.findall(r"!\[.+\]\((.*?)\)", page.read_text(encoding="utf-8"))
+        assert shown == f"../figures/concept_{name}.png"
+        assert (page.parent / shown).stat().st_size < 100_000
+    for name in ("frames_and_signs", "misalignment"):  # the others take runs
+        assert png(drawn[name]()).startswith(b"\x89PNG")
 
 
 def test_the_figure_of_the_axes_shows_what_is_read() -> None:
