@@ -14,6 +14,8 @@ from sinsjax.errors import InputError
 from sinsjax.study.load import study_from_dict
 from sinsjax.units import ARCMIN, DEG
 
+pytestmark = pytest.mark.optimised(False)
+
 LENGTH: dict[str, Any] = {"duration_s": 10.0, "window_s": [2, 10], "draws": 3}
 RESETS = {"reset_times_s": [3.0, 6.0]}
 AXES = {"phi_u0_deg": [10.0, 30.0]}
@@ -54,7 +56,10 @@ CASES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+OPTIMISED = [pytest.param("filter", marks=pytest.mark.optimised(True)), "compass", "drawn"]
+
+
+@pytest.mark.parametrize("name", OPTIMISED)
 def test_it_has_the_bits_of_the_engine(name: str) -> None:
     study = small_study(study=LENGTH, **CASES[name])
     variant_id = study.n_variants - 1

@@ -59,6 +59,7 @@ def test_keeping_curves_changes_no_row() -> None:
     assert_alone_as_among_others(study, curves=False, runs=[7, 299])
 
 
+@pytest.mark.optimised(False)
 def test_a_run_whose_resets_heed_feedback() -> None:
     """Of the schedule and of a trigger; the clock of some runs in a tile starts anew."""
     study = small_study(
@@ -107,12 +108,14 @@ def tape() -> StoredRecord:
     return StoredRecord(build.simulated_record(small_study()), reference)
 
 
+@pytest.mark.optimised(False)
 @pytest.mark.parametrize("judged", [True, False])
 def test_a_run_of_a_record(tape: StoredRecord, judged: bool) -> None:
     given = tape if judged else tape._replace(reference=None)
     assert_alone_as_among_others(recorded_study(), given, curves=True, runs=[0, 6, 11])
 
 
+@pytest.mark.optimised(False)
 def test_a_run_of_a_record_with_drawn_errors(tape: StoredRecord) -> None:
     study = recorded_study(
         alignment={"phi_e0_deg": 1.0},
