@@ -15,6 +15,8 @@ def command_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
 
     def call(*words: object) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["sinsjax", *map(str, words)])
+        # Under `python -m pytest`, help would name that module.
+        monkeypatch.setattr(sys.modules["__main__"], "__package__", None)
         with pytest.raises(SystemExit) as stop:
             cli.main()
         told = capsys.readouterr()
