@@ -23,7 +23,7 @@ NOTEBOOKS = Path(os.environ.get("SINSJAX_NOTEBOOKS", ROOT / "notebooks"))
 PAGES = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "benchmarks/README.md")
 """Pages outside ``docs/`` that need no link to be on the site."""
 
-LANGUAGES = {".c": "c", ".json": "json", ".py": "python", ".toml": "toml"}
+LANGUAGES = {".c": "c", ".cff": "yaml", ".json": "json", ".py": "python", ".toml": "toml"}
 
 _LINK = re.compile(r"\]\((?P<target>[^\s():#]+)(?P<anchor>#[^\s()]*)?\)")
 _COMMENT = re.compile(r"\A<!--.*?-->\s*", re.DOTALL)
