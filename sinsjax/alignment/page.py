@@ -58,10 +58,10 @@ def _keys(method: Description) -> list[str]:
     own = {name: list(section.model_fields) for name, section in method.sections.items()}
     own = {"alignment, passes": sorted(method.reads)} | own
     relaxed = method.implementation.relaxed
-    lines = [
-        f"- [{name}]: {', '.join(f'`{key}`' for key in keys if key not in method.silent)}."
-        for name, keys in own.items()
-    ]
+    lines = []
+    for name, its_keys in own.items():
+        read = ", ".join(f"`{key}`" for key in its_keys if key not in method.silent)
+        lines.append(f"- `[{name}]`: {read or 'none'}.")
     if method.columns:
         told = (f"`{own.column.name}` ({own.column.meaning})" for own in method.columns)
         lines.append(f"- Own columns: {', '.join(told)}.")
