@@ -238,6 +238,7 @@ def car(source: Source) -> Page:
             "trigger": "kalman5, triggered resets",
             "sincos": "kalman_sincos",
             "optimisation": "optimisation",
+            "position": "optimisation_position",
         }.items()
     }
     return Page({"car": values}, {"car": table})
