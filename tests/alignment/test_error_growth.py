@@ -20,7 +20,7 @@ from sinsjax.maths.algebra import Minus, numbers_of, triangle_index
 from sinsjax.types import Increments, Navigation, Quat, Sample, Vec3
 
 FILTERS = ("kalman5", "kalman10", "kalman_sincos", "ekf_azimuth", "invariant", "unscented")
-WITH_LINEAR_PART = (*FILTERS, "compass")
+WITH_LINEAR_PART = (*FILTERS, "compass", "optimisation")
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -95,7 +95,7 @@ def test_gains_are_those_of_the_update(seed: int, n: int) -> None:
     np.testing.assert_allclose(kalman.update(belief, (0, 1), tuple(z), r).x, x, rtol=1e-12)
 
 
-def test_every_filter_and_the_compass_tell_their_linear_part() -> None:
+def test_all_that_tell_their_linear_part_are_known_here() -> None:
     """By name, so that a further method is thought of."""
     for name in METHODS:
         built = method_of(_program(name)[0])
