@@ -1,10 +1,14 @@
-"""Alignment methods by name: this is where a method is registered. Free of JAX."""
+"""Alignment methods by name: this is where a method is registered. Free of JAX.
+
+Those of other packages register themselves, see `from_outside`.
+"""
 
 from collections.abc import Iterable
 
 from sinsjax.alignment.azimuth.description import EKF_AZIMUTH, UNSCENTED
 from sinsjax.alignment.compass.description import COMPASS
 from sinsjax.alignment.description import Description
+from sinsjax.alignment.from_outside import with_those_from_outside
 from sinsjax.alignment.inertial_frame.description import (
     INERTIAL,
     OPTIMISATION,
@@ -15,9 +19,8 @@ from sinsjax.alignment.sincos.description import SINCOS, SURGE
 from sinsjax.alignment.zero_velocity.description import KALMAN5, KALMAN10
 from sinsjax.value_types import Section
 
-METHODS: dict[str, Description] = {
-    method.name: method
-    for method in (
+METHODS: dict[str, Description] = with_those_from_outside(
+    (
         KALMAN5,
         KALMAN10,
         SINCOS,
@@ -30,7 +33,7 @@ METHODS: dict[str, Description] = {
         INERTIAL,
         COMPASS,
     )
-}
+)
 """Every method; a study names one, the engine drives it through `base.Method`."""
 
 SECTIONS_OF_METHODS: dict[str, type[Section]] = {

@@ -97,10 +97,18 @@ def usable_cores() -> int:
     return os.cpu_count() or 1
 
 
+@functools.cache
+def method_entry_points() -> tuple[importlib.metadata.EntryPoint, ...]:
+    """Where other installed packages say that they bring alignment methods, none loaded."""
+    found = importlib.metadata.entry_points(group="sinsjax.methods")
+    return tuple(sorted(found, key=lambda point: point.name))
+
+
 def versions() -> dict[str, str]:
-    """The versions of Python and of the packages in `DECISIVE`."""
+    """The versions of Python, of the packages in `DECISIVE` and of those that bring methods."""
     packages = {name: _version(name) for name in DECISIVE if name != "sinsjax"}
-    return {"sinsjax": package_version(), "python": platform.python_version(), **packages}
+    bring = {point.dist.name: point.dist.version for point in method_entry_points() if point.dist}
+    return {"sinsjax": package_version(), "python": platform.python_version(), **packages, **bring}
 
 
 def session() -> dict[str, Any]:

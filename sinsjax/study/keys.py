@@ -5,6 +5,7 @@ from typing import Any
 
 from sinsjax.alignment.methods import SECTIONS_OF_METHODS
 from sinsjax.alignment.sections import AlignmentSection, CoarseSection, PassesSection
+from sinsjax.errors import InputError
 from sinsjax.study.distributions import StopWhenSection
 from sinsjax.study.ranges import TuneSection
 from sinsjax.study.recorded import RecordSection
@@ -16,19 +17,39 @@ from sinsjax.study.schema import (
 )
 from sinsjax.value_types import Marks, Section, mark
 
-SECTIONS: dict[str, type[Section]] = {
+_BEFORE: dict[str, type[Section]] = {
     "study": StudySection,
     "earth": EarthSection,
     "motion": MotionSection,
     "sensors": SensorsSection,
     "alignment": AlignmentSection,
-    **SECTIONS_OF_METHODS,
+}
+_AFTER: dict[str, type[Section]] = {
     "passes": PassesSection,
     "record": RecordSection,
     "coarse": CoarseSection,
     "stop_when": StopWhenSection,
     "tune": TuneSection,
 }
+
+
+def _of_all() -> dict[str, type[Section]]:
+    """Those of every study about those of methods, which another package may have brought.
+
+    Raises:
+        InputError: a method has a section, or a key, that every study has.
+    """
+    common = _BEFORE | _AFTER
+    taken = {key: name for name, section in common.items() for key in section.model_fields}
+    for name, section in SECTIONS_OF_METHODS.items():
+        if name in common:
+            raise InputError(f"[{name}] of a method: that is a section of every study")
+        for key in section.model_fields.keys() & taken.keys():
+            raise InputError(f"[{name}] {key} of a method: that is a key of [{taken[key]}]")
+    return _BEFORE | SECTIONS_OF_METHODS | _AFTER
+
+
+SECTIONS = _of_all()
 """Every section of leaf keys by its name in the file."""
 
 TUNABLE = ("alignment", *SECTIONS_OF_METHODS, "passes")

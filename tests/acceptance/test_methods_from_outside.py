@@ -1,0 +1,104 @@
+"""A method of another package, found by its entry point."""
+
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import sinsjax as package
+
+EXAMPLE = Path(__file__).parents[1] / "example_method"
+STUDY = """
+[study]
+name = "averages"
+duration_s = 60.0
+rate_hz = 50.0
+draws = 4
+[earth]
+latitude_deg = 45.0
+[motion]
+yaw_center_deg = 20.0
+[sensors]
+gyro_bias_deg_per_h = 0.01
+[alignment]
+phi_u0_deg = 30.0
+[averaged]
+averaging_time_s = 1000.0
+[axes]
+method = ["averaged", "inertial"]
+"""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the example is installed."""
+    build = pytest.importorskip("hatchling.build")
+    folder = tmp_path_factory.mktemp("site")
+    source = shutil.copytree(EXAMPLE, tmp_path_factory.mktemp("source") / "example")
+    here = os.getcwd()
+    try:
+        os.chdir(source)
+        wheel = build.build_wheel(str(folder))
+    finally:
+        os.chdir(here)
+    with zipfile.ZipFile(folder / wheel) as archive:
+        archive.extractall(folder)
+    return folder
+
+
+def sinsjax(*words: str, site: Path, cwd: Path) -> subprocess.CompletedProcess[str]:
+    paths = [str(site), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return subprocess.run(
+        [sys.executable, "-m", "sinsjax", *words],
+        cwd=cwd,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
+        capture_output=True,
+        text=True,
+    )
+
+
+def test_it_is_a_method_like_any_other(site: Path, tmp_path: Path) -> None:
+    """Its section is read and explained, its runs stand beside others', its version is kept."""
+    (tmp_path / "averages.toml").write_text(STUDY)
+    told = sinsjax("keys", "averaged", site=site, cwd=tmp_path)
+    assert (told.returncode, told.stderr) == (0, "")
+    assert "averaging_time_s" in told.stdout and "time constant of the average" in told.stdout
+    swept = sinsjax("sweep", "averages.toml", "-o", "out", site=site, cwd=tmp_path)
+    assert swept.returncode == 0, swept.stderr
+    assert package.read_manifest(tmp_path / "out")["versions"]["averaged-alignment"] == "1.0"
+    runs = package.read_summary(tmp_path / "out").to_pylist()
+    errors = {row["method"]: row["phi_u_arcmin"] - row["floor_arcmin"] for row in runs}
+    assert set(errors) == {"averaged", "inertial"} and max(map(abs, errors.values())) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (("description:AVERAGED", "nowhere:AVERAGED"), "cannot be loaded (ModuleNotFoundError: "),
+        (("AVERAGED", "AveragedSection"), "description:AveragedSection is a ModelMetaclass, no "),
+        (('name="averaged"', 'name="inertial"'), "there is already a method 'inertial'"),
+        (('{"averaged": Av', '{"filter": Av'), "section [filter] is that of another method"),
+        (("averaging_time_s", "level_time_s"), "key level_time_s is one of section [compass]"),
+        (("averaging_time_s", "duration_s"), "[averaged] duration_s of a method: that is a key of"),
+        (('{"averaged": Av', '{"study": Av'), "[study] of a method: that is a section of every"),
+    ],
+)
+def test_what_clashes_or_is_broken_is_one_line(
+    site: Path, tmp_path: Path, change: tuple[str, str], line: str
+) -> None:
+    changed = shutil.copytree(site, tmp_path / "site")
+    for path in (
+        changed / "averaged_alignment" / "description.py",
+        changed / "averaged_alignment-1.0.dist-info" / "entry_points.txt",
+    ):
+        text = path.read_text()
+        if path.suffix == ".txt" or not change[0].startswith(("desc", "AV")):
+            path.write_text(text.replace(*change))
+    told = sinsjax("keys", "alignment", site=changed, cwd=tmp_path)
+    assert told.returncode == 2 and told.stderr.count("\n") == 1
+    assert told.stderr.startswith("error: ") and line in told.stderr
+    assert "Traceback" not in told.stderr
