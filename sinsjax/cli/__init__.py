@@ -20,11 +20,13 @@ from sinsjax.cli.options import (
     Changes,
     Config,
     Devices,
+    Draws,
     Out,
     Overwrite,
     Record,
     Reference,
     Resume,
+    with_draws,
 )
 from sinsjax.cli.study import check_options, configure, loaded, made_ready, named, run_study
 from sinsjax.console import lasting, plain_console, say
@@ -89,6 +91,7 @@ def sweep(
     config: Config,
     out: Out,
     changes: Changes = None,
+    draws: Draws = None,
     overwrite: Overwrite = False,
     resume: Resume = False,
     devices: Devices = None,
@@ -124,7 +127,7 @@ def sweep(
     run_study(
         config,
         out,
-        changes=changes,
+        changes=with_draws(changes, draws),
         overwrite=overwrite,
         resume=resume,
         devices=devices,

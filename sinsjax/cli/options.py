@@ -28,6 +28,11 @@ def sections_and_keys(incomplete: str) -> list[str]:
     return [name for name in known if name.startswith(incomplete)]
 
 
+def with_draws(changes: list[str] | None, draws: int | None) -> list[str] | None:
+    """Changes of a study, with its number of draws where that is given."""
+    return changes if draws is None else [*(changes or ()), f"study.draws={draws}"]
+
+
 def places(incomplete: str) -> list[str]:
     """The keys that may be set, as ``section.key=``."""
     from sinsjax.study.keys import SECTIONS
@@ -53,6 +58,14 @@ Changes = Annotated[
         help="Change a key of the study, as in alignment.phi_u0_deg=12; may be repeated.",
         metavar="SECTION.KEY=VALUE",
         autocompletion=places,
+    ),
+]
+Draws = Annotated[
+    int | None,
+    typer.Option(
+        help="Draws, in place of the study's; with --resume more than before extend the results.",
+        min=1,
+        metavar="N",
     ),
 ]
 Out = Annotated[

@@ -68,7 +68,7 @@ class _SubmittedTasks:
 
     def __init__(self, client: Any, job: Job) -> None:
         self._client, self._sent = client, pickle.dumps(job)
-        self._key = f"sinsjax-{job.identity}-{job.curves}-{job.chunk_runs}"
+        self._key = f"sinsjax-{job.identity}-{job.curves}-{job.chunk_runs}-{job.study.n_draws}"
         self._under_way: dict[str, tuple[Task, Any, str | None]] = {}
         self._waiting: dict[str, list[Task]] = {}
         self._sendings = 0

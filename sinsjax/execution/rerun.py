@@ -12,6 +12,7 @@ from sinsjax import console as screen
 from sinsjax import plots
 from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
+from sinsjax.execution import resume
 from sinsjax.execution import tables as result_tables
 from sinsjax.execution.belongings import RERUN
 from sinsjax.execution.outputs import outputs_of
@@ -96,8 +97,10 @@ def rerun_into(
     if study.is_recorded and files[0] is None:
         raise InputError(f"{directory}: its study needs a record (give it with --record)")
     stored_record = None if files[0] is None else load_tape(study, files[0], files[1])
+    known = resume.manifest(directory)
+    extended_at = () if known is None else known.extended_at
     identity = result_tables.read_manifest(directory).get("identity")
-    if identity not in (None, Job(study, stored_record).identity):
+    if identity not in (None, Job(study, stored_record, extended_at=extended_at).identity):
         raise InputError(f"{directory}: the results are of another record or reference")
     _check_number(study, run_id, directory)
     stored = result_tables.read_summary(directory, run_ids=[run_id])

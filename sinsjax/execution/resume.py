@@ -17,7 +17,7 @@ from sinsjax.execution.tasks import Job
 from sinsjax.messages import one_line, shortened
 from sinsjax.platform import runtime, xla
 from sinsjax.platform.files import unwritable
-from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.fingerprint import fingerprint, with_draws
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
 
@@ -88,6 +88,7 @@ class Manifest(_Checked):
         identity: of the job, see `Job.identity`.
         curves: whether curves are kept; None follows the study.
         chunk_runs: runs per chunk, as given to the job.
+        extended_at: numbers of draws before each extension, as in the job.
         sessions: processes that wrote results.
         chunks: all chunks of the study.
     """
@@ -95,6 +96,7 @@ class Manifest(_Checked):
     identity: str
     curves: bool | None
     chunk_runs: Annotated[int, Field(ge=1)] | None
+    extended_at: tuple[Annotated[int, Field(ge=1)], ...] = ()
     sessions: list[RunSession] = []
     chunks: list[Done] = []
 
@@ -110,6 +112,8 @@ def manifest(directory: Path) -> Manifest | None:
 def resumed(directory: Path, job: Job, instructions: str | None = None) -> Job:
     """The job with the runs per chunk and the choice of curves that its results began with.
 
+    Its draws may be more than there were: it is then marked as extended.
+
     Args:
         directory: results directory.
         job: the job as requested now.
@@ -120,9 +124,12 @@ def resumed(directory: Path, job: Job, instructions: str | None = None) -> Job:
             record, version or instruction set.
     """
     kept = _kept_study(directory)
-    if kept is not None and fingerprint(kept) != fingerprint(job.study):
+    extended = kept is not None and _is_extended(kept, job.study)
+    if kept is not None and not extended and fingerprint(kept) != fingerprint(job.study):
         text = "; ".join(differences(kept, job.study)) or "written by another version"
         raise InputError(f"{directory}: holds results of another study: {text}")
+    if kept is not None and extended:
+        _check_extension(directory, kept, job.study)
     known = manifest(directory) or _from_parts(directory)
     if known is None:
         if (directory / MANIFEST).exists():
@@ -132,13 +139,43 @@ def resumed(directory: Path, job: Job, instructions: str | None = None) -> Job:
             )
         return job
     _check_chunks(directory, known)
-    job = job._replace(curves=known.curves, chunk_runs=known.chunk_runs)
+    before = {*known.extended_at, *([kept.n_draws] if kept is not None and extended else [])}
+    extended_at = tuple(sorted(draws for draws in before if draws <= job.study.n_draws))
+    job = job._replace(curves=known.curves, chunk_runs=known.chunk_runs, extended_at=extended_at)
     _check_versions(directory, known)
     _check_instructions(directory, known, instructions or xla.instructions())
     if known.identity != job.identity:
         what = "study" if kept is None else "record or reference"
         raise InputError(f"{directory}: holds results of another {what}")
     return job
+
+
+def _is_extended(kept: Study, study: Study) -> bool:
+    """Whether a study is a simulated one with more draws and nothing else changed."""
+    draws = study.study.draws
+    if kept.study.draws is None or draws is None or draws <= kept.study.draws:
+        return False
+    return fingerprint(with_draws(kept, draws)) == fingerprint(study)
+
+
+def _check_extension(directory: Path, kept: Study, study: Study) -> None:
+    """Reject more draws where those that are there would mean something else.
+
+    Estimates conclude from all draws at once. A list with an entry for every draw would begin
+    again, which nobody meant who wrote it.
+    """
+    if kept.is_estimated or kept.is_controlled:
+        raise InputError(
+            f"{directory}: [study] draws: {kept.study.draws} there, {study.study.draws} here:"
+            " estimates of all draws cannot be extended (give another directory)"
+        )
+    laws = kept.drawn.laws if kept.drawn else {}
+    for key, law in laws.items():
+        if law.values and len(law.values) == kept.n_draws > 1:
+            raise InputError(
+                f"{directory}: [drawn] {key}.values: ends with the {kept.n_draws} draws that are"
+                " there (give another directory to begin it again)"
+            )
 
 
 def _check_versions(directory: Path, known: Manifest) -> None:
@@ -189,8 +226,9 @@ def _check_chunks(directory: Path, known: Manifest) -> None:
 
 
 def _from_parts(directory: Path) -> Manifest | None:
-    """A manifest from the first readable part; None if there is none."""
-    return next(_readable_parts(directory), None)
+    """A manifest from the readable part with most extensions; None if there is none."""
+    parts = _readable_parts(directory)
+    return max(parts, key=lambda part: len(part.extended_at), default=None)
 
 
 def _readable_parts(directory: Path) -> Iterator[Manifest]:
@@ -200,7 +238,12 @@ def _readable_parts(directory: Path) -> Iterator[Manifest]:
         try:
             marks = pq.read_schema(path).metadata or {}
             chunk, identity = json.loads(marks[b"sinsjax.chunk"]), marks[b"sinsjax.study"].decode()
-            yield Manifest(identity=identity, curves=curves, chunk_runs=chunk["chunk_runs"])
+            yield Manifest(
+                identity=identity,
+                curves=curves,
+                chunk_runs=chunk["chunk_runs"],
+                extended_at=chunk.get("extended_at", ()),
+            )
         except (OSError, ValueError, RecursionError, pa.ArrowException, KeyError, TypeError):
             continue
 

@@ -289,7 +289,7 @@ def _interrupted(held: store.Store, count: "_ProgressCounter") -> StudyInterrupt
 
 
 def _enough(study: Study, select: Callable[[list[str]], pa.Table], draws: range) -> bool:
-    if study.stop_when is None:
+    if study.stop_when is None or draws.stop not in stopping.interim_draws(study):
         return False
     return stopping.analyse_interim(study, select(stopping.columns(study)), draws.stop).enough
 

@@ -91,7 +91,10 @@ class Store:
         else:
             # First, so that the files of a killed run are recognised as results.
             self._write_manifest("running")
-        _write(self.directory / "study.toml", study_to_toml(job.study).encode())
+            self._write_study()
+
+    def _write_study(self) -> None:
+        _write(self.directory / "study.toml", study_to_toml(self._runner.job.study).encode())
 
     def _resumed(self) -> Job:
         instructions = self._session.get("instructions")
@@ -124,6 +127,7 @@ class Store:
         there = (p for name in DATASETS for p in self.directory.glob(f"{name}/*.parquet"))
         _remove(p for p in there if belongings.is_part(p) and p.stem not in self._chunks)
         self._write_manifest("running")
+        self._write_study()  # last: an extension that is not yet in the manifest can be asked again
         return missing
 
     def write(self, encoded: EncodedResult) -> None:
@@ -231,6 +235,7 @@ class Store:
             "runs_done": sum(chunk["runs"] for chunk in self._chunks.values()),
             "curves": self._runner.scenario.curves,
             "chunk_runs": job.chunk_runs,
+            **({"extended_at": job.extended_at} if job.extended_at else {}),
             **self._facts,
             "started_unix_s": sessions[0]["started_unix_s"],
             "wall_s": round(sum(session["wall_s"] for session in sessions), 3),

@@ -29,7 +29,7 @@ from sinsjax.execution.linearity import Linearity
 from sinsjax.execution.outputs import Output, outputs_of
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.acting import first_alike
-from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.fingerprint import fingerprint, with_draws
 from sinsjax.study.study import Study
 
 _DRAWS_READY = 2**16  # about 30 MB if everything is drawn
@@ -44,17 +44,28 @@ class Job(NamedTuple):
         stored: the record of a recorded study.
         curves: whether to keep curves; None follows the study.
         chunk_runs: runs per chunk, rounded to two or more whole tiles; None for the default.
+        extended_at: numbers of draws that its results had before each extension, ascending.
     """
 
     study: Study
     stored: StoredRecord | None = None
     curves: bool | None = None
     chunk_runs: int | None = None
+    extended_at: tuple[int, ...] = ()
+
+    @property
+    def first_draws(self) -> int:
+        """Number of draws that its results began with."""
+        return min((*self.extended_at, self.study.n_draws))
 
     @property
     def identity(self) -> str:
-        """Hash of everything that determines the rows: the study and its record, as hex digits."""
-        whole = hashlib.sha256(fingerprint(self.study).encode())
+        """Hash of everything that determines the rows: the study and its record, as hex digits.
+
+        It stays the same when the study is extended.
+        """
+        study = with_draws(self.study, self.first_draws) if self.extended_at else self.study
+        whole = hashlib.sha256(fingerprint(study).encode())
         if self.stored is not None:
             record, reference = self.stored
             arrays = [record.dtheta, record.dv, np.asarray([record.rate_hz])]
@@ -157,7 +168,7 @@ class TaskRunner:
         self._alike = [
             None
             if self._concluding  # runs of blocks, and few estimates
-            else find_alike(static, job.study.n_draws, kinds[self._ids(number)])
+            else find_alike(static, job.first_draws, kinds[self._ids(number)])
             for number, static in enumerate(self._programs)
         ]
         self._part = lru_cache(_PARTS_READY)(self._made)
@@ -171,8 +182,8 @@ class TaskRunner:
 
     @property
     def stages(self) -> list[range]:
-        """Ranges of draws run one after another, with an interim analysis after each."""
-        ends = stopping.interim_draws(self.job.study)
+        """Ranges of draws, to each interim analysis and extension; one changes no other's tasks."""
+        ends = sorted({*stopping.interim_draws(self.job.study), *self.job.extended_at})
         return [range(a, b) for a, b in zip([0, *ends], ends, strict=False)]
 
     def tasks(self) -> list[list[Task]]:
@@ -290,6 +301,8 @@ class TaskRunner:
         """Metadata of a part, without time or host name, which would change its bytes."""
         chunk = {**task._asdict(), "chunk_runs": self.job.chunk_runs}
         del chunk["rows"], chunk["rounds"]
+        if before := [end for end in self.job.extended_at if end <= task.draws[0]]:
+            chunk["extended_at"] = before
         return {
             b"sinsjax.study": self.identity.encode(),
             b"sinsjax.chunk": json.dumps(chunk).encode(),

@@ -63,6 +63,11 @@ def fingerprint(study: Study) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
+def with_draws(study: Study, draws: int) -> Study:
+    """A simulated study with another number of draws and nothing else changed, not checked."""
+    return study.model_copy(update={"study": study.study.model_copy(update={"draws": draws})})
+
+
 def _told(section: str, key: str, value: Any) -> bool:
     if key in _KEYS_OF_0_6:
         return bool(value != SECTIONS[section].model_fields[key].default)

@@ -2,6 +2,7 @@
 
 import hashlib
 import random
+import shutil
 import signal
 import subprocess
 import tempfile
@@ -294,3 +295,38 @@ def test_a_full_or_a_write_protected_disk_costs_nothing_that_is_complete(
         assert_complete(sweeps.out, whole)
     finally:
         sweeps.close()
+
+
+MORE = 200
+
+
+@pytest.mark.parametrize(
+    ("point", "began"),
+    [
+        (("half", "*/manifest.json", 1), False),
+        (("after", "*/manifest.json", 1), False),
+        (("after", "*/study.toml", 1), False),
+        (("half", "summary/*", 1), True),
+        (("after", "summary/*", 1), True),
+    ],
+)
+def test_an_extension_that_is_killed_costs_nothing_that_was_there(
+    sweeps: Sweeps, whole: Path, point: tuple[str, str, int], began: bool
+) -> None:
+    """No part of the results is replaced, so there are never fewer than before."""
+    out, before = sweeps.out, parts(whole)
+    shutil.copytree(whole, out)
+    there = times(out)
+    process = sweeps.ready(point, "--draws", str(MORE)).go()
+    assert exit_code(process) == -signal.SIGKILL, process.said()
+    assert {name: times(out)[name] for name in there} == there
+    rows = tables.read_summary(out)
+    assert rows["draw_id"].to_numpy().max() >= STUDY.n_draws - 1
+    assert (rows.num_rows > CHUNKS * CHUNK_RUNS) <= began
+    code, _, error = sweeps.sweep("--draws", str(MORE))
+    assert (code, error) == (0, "")
+    assert {name: content for name, content in parts(out).items() if name in before} == before
+    rows = tables.read_summary(out)
+    assert rows["run_id"].to_pylist() == list(range(MORE * STUDY.n_variants))
+    code, _, error = sweeps.sweep()
+    assert code == 2 and f"[study] draws: {MORE} there, {STUDY.n_draws} here" in error

@@ -1,0 +1,131 @@
+"""More draws for results that are there: the rows are those of a sweep that had them at once."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.kept import study_of, times
+from support.studies import small_study
+
+from sinsjax.errors import InputError
+from sinsjax.execution import resume, run, tables
+from sinsjax.study.study import Study
+
+pytestmark = pytest.mark.optimised(False)
+
+SHORT = {"duration_s": 2.0, "window_s": [0, 2]}
+AXES = {"p0_yaw_deg": [10.0, 40.0, 60.0]}
+
+
+def of(draws: int, **tables: Any) -> Study:
+    tables = {"axes": AXES} | tables
+    return small_study(**{**tables, "study": SHORT | tables.get("study", {}) | {"draws": draws}})
+
+
+def assert_extended(
+    first: Study, second: Study, folder: Path, chunk_runs: int | None = None
+) -> Path:
+    """A directory of the second study, made of the first one's; no part of that is made again."""
+    out = folder / "out"
+    run.run_into(first, out, chunk_runs=chunk_runs)
+    before = times(out)
+    run.run_into(second, out, resume=True)
+    after = times(out)
+    parts = {name for name in before if name.endswith(".parquet")}
+    assert parts and {name: after[name] for name in parts} == {n: before[n] for n in parts}
+    at_once = run.run(second, chunk_runs=chunk_runs)
+    assert tables.read_summary(out).equals(at_once.summary.cast(tables.read_summary(out).schema))
+    return out
+
+
+@pytest.mark.parametrize("chunk_runs", [None, 128])
+def test_rows_equal_those_of_a_sweep_with_all_draws(tmp_path: Path, chunk_runs: int | None) -> None:
+    out = assert_extended(of(150), of(170), tmp_path, chunk_runs)
+    told = tables.read_manifest(out)
+    assert (told["state"], told["draws"], told["extended_at"]) == ("complete", 170, [150])
+    before = times(out)
+    run.run_into(of(170), out, resume=True)  # and gone on with as any other
+    assert {n: t for n, t in times(out).items() if "part" in n} == {
+        n: t for n, t in before.items() if "part" in n
+    }
+    run.run_into(of(200), out, resume=True)
+    assert tables.read_manifest(out)["extended_at"] == [150, 170]
+    assert tables.read_summary(out).equals(
+        run.run(of(200)).summary.cast(tables.read_summary(out).schema)
+    )
+
+
+def test_points_of_a_design_go_on(tmp_path: Path) -> None:
+    """Sobol's, and a list and a grid that had begun again before."""
+    assert_extended(study_of("drawn", 100), study_of("drawn", 140), tmp_path)
+
+
+@pytest.mark.parametrize("half_width", [0.001, 0.9])
+def test_a_study_stops_where_it_would_have_with_all_draws(
+    tmp_path: Path, half_width: float
+) -> None:
+    """No interim analysis takes place where the first study ended."""
+    rule = {"statistic": "success_rate", "half_width": half_width}
+    tables_ = {"stop_when": rule}
+    out = tmp_path / "out"
+    run.run_into(of(80, **tables_), out)
+    run.run_into(of(140, **tables_), out, resume=True)
+    at_once = run.run(of(140, **tables_)).summary
+    assert at_once.num_rows == 3 * (140 if half_width < 0.5 else 64)
+    assert tables.read_summary(out).equals(at_once.cast(tables.read_summary(out).schema))
+
+
+def test_variants_that_have_the_same_runs_stay_so(tmp_path: Path) -> None:
+    """Which are computed is settled once: with more draws it might be otherwise."""
+    axes = {"method": ["compass", "kalman5"], "q_accel_ug": [1.0 * i for i in range(1, 40)]}
+    assert_extended(of(20, axes=axes), of(300, axes=axes), tmp_path)
+
+
+def test_parts_tell_what_the_manifest_told(tmp_path: Path) -> None:
+    out = assert_extended(of(80), of(100), tmp_path)
+    told = tables.read_manifest(out)
+    (out / "manifest.json").unlink()
+    before = {n: t for n, t in times(out).items() if "part" in n}
+    run.run_into(of(100), out, resume=True)
+    again = tables.read_manifest(out)
+    assert (again["identity"], again["extended_at"]) == (told["identity"], [80])
+    assert tables.read_summary(out).num_rows == 300
+    assert before.keys() == {n for n in times(out) if "part" in n}
+
+
+def test_a_directory_of_before_extensions_is_extended(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run.run_into(of(80), out)
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert "extended_at" not in manifest
+    run.run_into(of(90), out, resume=True)
+    assert resume.manifest(out).identity == manifest["identity"]
+
+
+@pytest.mark.parametrize(
+    ("there", "here", "told"),
+    [
+        (of(80), of(79), "[study] draws: 80 there, 79 here"),
+        (
+            of(80),
+            of(90, filter={"p0_level_deg": 14.0}),
+            "[filter] p0_level_deg: 15.0 there, 14.0 here; [study] draws: 80 there, 90 here",
+        ),
+        (
+            of(3, alignment={"phi_u0_deg": None}, drawn={"phi_u0_deg": {"values": [1, 2, 3]}}),
+            of(4, alignment={"phi_u0_deg": None}, drawn={"phi_u0_deg": {"values": [1, 2, 3]}}),
+            "[drawn] phi_u0_deg.values: ends with the 3 draws that are there",
+        ),
+    ],
+)
+def test_what_cannot_be_extended_is_refused(
+    there: Study, here: Study, told: str, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    run.run_into(there, out)
+    before = times(out)
+    with pytest.raises(InputError) as caught:
+        run.run_into(here, out, resume=True)
+    assert told in str(caught.value) and "\n" not in str(caught.value)
+    assert times(out) == before
