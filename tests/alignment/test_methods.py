@@ -11,8 +11,7 @@ from oracles.in_engine import (
     PAPER1,
     loops,
     navigation,
-    paper_filter,
-    params,
+    paper_params,
     site,
     step_and_close,
     swing_increments,
@@ -52,7 +51,7 @@ def numbers(name, **changes):
         return loops(COMPASS, REVERSALS["reflect"])
     if name in FILTERS:
         model = MODELS.get(name, MODELS["kalman5"])
-        given = params(paper_filter(len(model.states), **changes))
+        given = paper_params(model.states, **changes)
         # As angles: by the vector, a share and the rest of a tilt make it to third order only.
         own = AzimuthParams(np.float64(1.0), np.float64(1.0))
         return given._replace(own=own) if name == "ekf_azimuth" else given

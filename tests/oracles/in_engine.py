@@ -1,6 +1,6 @@
 """The naive module's descriptions in the engine's words."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from typing import Any
 
@@ -92,7 +92,16 @@ _MODEL_OF = {len(model.states): model for model in MODELS.values()}
 
 def paper_filter(n: int, **changes) -> Filter:
     """[P1]'s filter of n = 5 or 10 states, Q per step."""
-    p0, q = (np.array([of[name] for name in STATES[:n]]) ** 2 for of in (PAPER_P0, PAPER_Q))
+    return _paper_filter(STATES[:n], changes)
+
+
+def paper_params(states: Sequence[str], **changes) -> FilterParams:
+    """Numbers of [P1]'s filter with the states of a model of the engine, in its order."""
+    return filter_params(_paper_filter(states, changes))
+
+
+def _paper_filter(states: Sequence[str], changes: dict[str, Any]) -> Filter:
+    p0, q = (np.array([of[name] for name in states]) ** 2 for of in (PAPER_P0, PAPER_Q))
     return Filter(p0, q, 0.1**2)._replace(**changes)
 
 
