@@ -95,7 +95,7 @@ def controlled_rms(values: ArrayLike, companions: ArrayLike, expected: Expectati
     """The root mean square of values, from the controlled mean of their squares.
 
     The interval is that of the mean square on a logarithmic scale, as for
-    :func:`sinsjax.analysis.rms`; where that mean is not beyond zero, it is the plain one.
+    `sinsjax.analysis.rms`; where that mean is not beyond zero, it is the plain one.
 
     Args:
         values: (n,) finite numbers, any unit; otherwise nothing is known.

@@ -20,7 +20,7 @@ def difference(a: ArrayLike, b: ArrayLike, cluster: ArrayLike | None = None) -> 
     Args:
         a: shape (n,), any unit.
         b: shape (n,), the same draws in the same order.
-        cluster: shape (n,), cluster of each pair, as for :func:`sinsjax.analysis.mean`.
+        cluster: shape (n,), cluster of each pair, as for `sinsjax.analysis.mean`.
 
     Raises:
         ValueError: shapes differ, or no pairs.
@@ -58,7 +58,7 @@ def chance_apart(a: ArrayLike, b: ArrayLike, swaps: int = 16) -> float:
 def quantile_difference(a: ArrayLike, b: ArrayLike, q: float = 0.5) -> Estimate:
     """The quantile of a minus that of b, with a bootstrap interval over the pairs.
 
-    NaN counts as infinite as in :func:`sinsjax.analysis.quantile`. Infinite minus finite is
+    NaN counts as infinite as in `sinsjax.analysis.quantile`. Infinite minus finite is
     infinite. Infinite minus infinite is NaN as a value and 0 as an end of the interval, since two
     runs that never settle do not differ. Whole pairs are resampled, which preserves their common
     noise.

@@ -1,7 +1,7 @@
 """Statistics of some runs, each with its 95 % interval.
 
 Nothing is omitted silently: a run that never settled counts as an infinite settling time, and an
-:class:`Estimate` states the number of values used. The intervals:
+`Estimate` states the number of values used. The intervals:
 
 * shares: Wilson's score interval; means: Student's t;
 * quantiles: two of the values, from the binomial distribution of the number below the quantile;

@@ -34,7 +34,7 @@ def format_difference(
     Examples: ``12.3 [11.9, 12.8] s``, ``one side never settles``, ``neither settles``.
 
     Args:
-        estimate: from :func:`sinsjax.analysis.quantile_difference`; NaN with n > 0 means that
+        estimate: from `sinsjax.analysis.quantile_difference`; NaN with n > 0 means that
             neither settles.
         unit: unit, written after the interval.
         digits: decimals.

@@ -87,7 +87,7 @@ def summarise(table: pa.Table, by: Sequence[str], names: Sequence[str] | None = 
 
     Args:
         table: the summary, one row per run.
-        by: key columns as for :func:`groups`.
+        by: key columns, of any type, lists included; without columns there is one group.
         names: statistics and counts to compute, in this order; None for all. The columns of other
             statistics may then be missing.
 
@@ -131,7 +131,7 @@ def compare(table: pa.Table, by: Sequence[str], baseline: Mapping[str, Any]) -> 
 
     Args:
         table: the summary, one row per run.
-        by: key columns as for :func:`groups`; one run per draw in each group.
+        by: key columns as for `groups`; one run per draw in each group.
         baseline: key values of the group to compare with.
 
     Returns:
@@ -170,7 +170,7 @@ def _plain(value: Any) -> Any:
 def _differences(
     rows: pa.Table, base: pa.Table, columns: Sequence[str], *, known: bool
 ) -> dict[str, Any]:
-    """One group's cells of :func:`compare`."""
+    """One group's cells of `compare`."""
     mine, others = by_draw(rows, base)
     single = are_single(rows)  # otherwise on one record, where no difference has an interval
 
@@ -278,7 +278,7 @@ def _known_quantile(values: NDArray, cluster: NDArray | None, q: float) -> Estim
 
 
 def _row(rows: pa.Table, statistics: Mapping[str, _Statistic]) -> dict[str, Any]:
-    """One group's cells of :func:`summarise`."""
+    """One group's cells of `summarise`."""
     truth, single, limited = has_truth(rows), are_single(rows), with_limit(rows)
     row = {
         "n": rows.num_rows,
