@@ -94,3 +94,11 @@ def test_info_names_what_is_installed():
     assert info["avx512"] in (info["instructions"] == "AVX512", None)
     assert runtime.versions().items() <= info.items()
     json.dumps(info)
+
+
+def test_importing_the_package_loads_nothing_that_takes_long() -> None:
+    """Not even JAX, whose options it sets; each name is imported when it is first used."""
+    code = "import sys, sinsjax; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    heavy = {"jax", "jaxlib", "matplotlib", "numpy", "optax", "pyarrow", "pydantic", "scipy"}
+    assert "sinsjax" in done.stdout.split() and not heavy & set(done.stdout.split())
