@@ -1,7 +1,7 @@
 """A directory of results as reports and pages read it."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,7 @@ class Source:
         schema: version of the results' columns.
         warnings: what was doubtful before the study ran, a line each.
         version: of the package that computed them.
+        whole_draws: of an unfinished study, the draws that all variants have; no others are read.
     """
 
     directory: Path
@@ -42,13 +43,19 @@ class Source:
     schema: str = columns.SCHEMA_VERSION
     warnings: tuple[str, ...] = ()
     version: str = "unknown"
+    whole_draws: np.ndarray | None = None
 
     @classmethod
-    def read(cls, directory: Path) -> "Source":
+    def read(cls, directory: Path, *, unfinished: bool = False) -> "Source":
         """Opens a directory of results.
 
+        Args:
+            directory: where they are.
+            unfinished: whether the draws that are whole stand for a study that is not finished; a
+                warning then says how many there are.
+
         Raises:
-            InputError: it holds none, or its study cannot be read.
+            InputError: it holds none, or its study cannot be read, or no draw is whole yet.
         """
         table = None
         if is_there(directory, estimates.DATASET) and not is_there(directory, "summary"):
@@ -65,11 +72,37 @@ class Source:
         warnings = tuple(map(str, told if isinstance(told, list) else ()))
         versions = manifest.get("versions")
         version = str((versions if isinstance(versions, dict) else {}).get("sinsjax", "unknown"))
-        return cls(directory, study, str(name), table, schema, warnings, version)
+        source = cls(directory, study, str(name), table, schema, warnings, version)
+        is_going_on = unfinished and manifest.get("state") in ("running", "interrupted")
+        return source._of_what_is_there() if is_going_on else source
+
+    def _of_what_is_there(self) -> "Source":
+        """The same of the draws that are whole: variants are compared on the same draws."""
+        study, runs = self.study, self.runs
+        whole, shown = None, ""
+        if self.table is None:
+            draws = analysis.numbers(tables.read_summary(self.directory, ["draw_id"]), "draw_id")
+            number, count = np.unique(draws.astype(int), return_counts=True)
+            whole = number[count == study.n_variants]
+            shown = f"; shown are the {len(whole):,} draws that every variant has"
+        most = study.n_draws * study.n_variants
+        if runs >= most:
+            return self
+        kind = "runs" if self.table is None else "variants"
+        there = f"unfinished: {runs:,} of {most:,} {kind} are there ({100 * runs / most:.2g} %)"
+        if whole is not None and not len(whole):
+            raise InputError(
+                f"{self.directory}: {there}, and no draw that every variant has (continue with"
+                " `sinsjax sweep --resume`)"
+            )
+        told = f"{there}{shown}; `sinsjax sweep --resume` adds the others."
+        return replace(self, whole_draws=whole, warnings=(told, *self.warnings))
 
     @cached_property
     def runs(self) -> int:
         """Number of rows: of runs, or of variants where these are estimated."""
+        if self.whole_draws is not None:
+            return len(self.whole_draws) * self.study.n_variants
         return tables.count_runs(self.directory) if self.table is None else self.table.num_rows
 
     @property
@@ -84,12 +117,14 @@ class Source:
 
     @property
     def draws(self) -> int:
-        """Draws of every variant: fewer than the study's where it may stop before.
+        """Draws of every variant: fewer than the study's where it stopped or is unfinished.
 
         Raises:
             InputError: runs are missing.
         """
         study = self.study
+        if self.whole_draws is not None:
+            return len(self.whole_draws)
         draws = study.n_draws
         if study.stop_when and self.runs:
             draws = int(analysis.numbers(self.rows(["draw_id"]), "draw_id").max()) + 1
@@ -103,7 +138,16 @@ class Source:
     @cached_property
     def summary(self) -> pa.Table:
         """All columns, one row a run, by run_id; kept. A large study has no room for it."""
-        return tables.read_summary(self.directory) if self.table is None else self.table
+        return self._whole(None) if self.table is None else self.table
+
+    def _whole(self, names: list[str] | None) -> pa.Table:
+        """Columns of the runs that are read; None for all columns."""
+        if self.whole_draws is None:
+            return tables.read_summary(self.directory, names)
+        more = None if names is None else [*names, *({"draw_id"} - {*names})]
+        rows = tables.read_summary(self.directory, more)
+        rows = rows.filter(pc.is_in(rows["draw_id"], pa.array(self.whole_draws)))
+        return rows if names is None else rows.select(names)
 
     def rows(self, names: Iterable[str]) -> pa.Table:
         """Some columns, one row a run, by run_id; read anew each time.
@@ -116,7 +160,7 @@ class Source:
         """
         wanted = list(dict.fromkeys(names))
         if self.table is None:
-            return tables.read_summary(self.directory, wanted)
+            return self._whole(wanted)
         if missing := [name for name in wanted if name not in self.table.column_names]:
             raise InputError(f"{self.directory}: summary: column {missing[0]} is missing")
         return self.table.select(wanted)
@@ -175,5 +219,7 @@ class Source:
         return (self.directory / "curves").is_dir()
 
     def curves(self, run_ids: Iterable[int] | None = None) -> pa.Table:
-        """Curves of some runs, or of all; empty where none were stored."""
+        """Curves of some runs, or of all that are read; empty where none were stored."""
+        if run_ids is None and self.whole_draws is not None:
+            run_ids = self.rows(["run_id"])["run_id"].to_pylist()
         return tables.read_curves(self.directory, None if run_ids is None else sorted(run_ids))

@@ -54,14 +54,14 @@ def _summarise(
     directories: Sequence[Path], console: Console, page: Path | None, html: Path | None
 ) -> None:
     if page is not None and page.is_dir():
-        written, figures = folder.write(page, [_read(directory) for directory in directories])
+        written, figures = folder.write(page, [_read(own) for own in directories])
         screen.say(console, f"{written} and {figures} figures beside it", wrap=True)
         if html is None:
             return
         page = None
     made = []
     for directory in directories:
-        source = _read(directory)
+        source = _read(directory, unfinished=True)
         if is_tuning(directory):
             told = tuned.report(source)
         else:
@@ -86,8 +86,10 @@ def _summarise(
         write_html(html, ", ".join(names), made)
 
 
-def _read(directory: Path) -> Source:
-    return results.read(directory) if is_tuning(directory) else Source.read(directory)
+def _read(directory: Path, *, unfinished: bool = False) -> Source:
+    if is_tuning(directory):
+        return results.read(directory)
+    return Source.read(directory, unfinished=unfinished)
 
 
 def _tell(report: Report, source: Source, console: Console) -> Made:

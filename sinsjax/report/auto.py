@@ -138,7 +138,7 @@ def _headline(source: Source, has_truth: bool) -> str:
 def _stopped(source: Source) -> list[str]:
     """Why drawing ended where it did, for a study that decides it by itself."""
     study = source.study
-    if study.stop_when is None:
+    if not study.stop_when or source.whole_draws is not None:
         return []
     found = stopping.analyse_interim(study, source.rows(stopping.columns(study)), source.draws)
     return [said("stopped", rule=study.stop_when, found=found)]

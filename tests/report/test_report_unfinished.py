@@ -1,0 +1,72 @@
+"""The report of a study that was interrupted: of the draws that are whole, and it says so."""
+
+import io
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+from support.studies import small_study
+
+from sinsjax import report
+from sinsjax.errors import InputError, StudyInterrupted
+from sinsjax.execution import run
+from sinsjax.execution.run import RunProgress
+from sinsjax.execution.source import Source
+
+pytestmark = pytest.mark.optimised(False)
+
+SHORT = {"draws": 300, "duration_s": 2.0, "window_s": [0, 2]}
+
+
+def interrupted(out: Path, **tables: Any) -> Path:
+    """Results of a study that was told to stop while its first chunk ran."""
+    stop = threading.Event()
+
+    def tell(progress: RunProgress) -> None:
+        if progress.done:
+            stop.set()
+
+    with pytest.raises(StudyInterrupted):
+        run.run_into(small_study(study=SHORT, **tables), out, chunk_runs=128, tell=tell, stop=stop)
+    return out
+
+
+def told(out: Path, page: Path | None = None) -> list[str]:
+    console = Console(file=io.StringIO(), width=2000)
+    report.summarise([out], console, page)
+    return console.file.getvalue().splitlines()
+
+
+def test_the_first_line_says_what_share_of_the_runs_it_sees(tmp_path: Path) -> None:
+    out = interrupted(tmp_path / "out", axes={"p0_yaw_deg": [10.0, 40.0, 60.0]})
+    page = tmp_path / "page.md"
+    lines = [line for line in told(out, page) if line]
+    source = Source.read(out, unfinished=True)
+    whole = source.draws
+    there = Source.read(out).runs
+    assert 0 < whole < 300 and whole == there // 3
+    assert source.rows(["draw_id"])["draw_id"].to_numpy().tolist() == [
+        draw for draw in range(whole) for _ in range(3)
+    ]
+    share = f"unfinished: {there} of 900 runs are there ({100 * there / 900:.2g} %)"
+    assert lines[1].startswith(f"Warning: {share}; shown are the {whole} draws")
+    assert lines[2].startswith(f"{3 * whole} runs: 3 variants, {whole} draws.")
+    assert f"- Warning: {share}" in page.read_text()
+    with pytest.raises(InputError, match="are the results complete"):  # a page with its own words
+        _ = Source.read(out).draws
+
+
+def test_without_a_whole_draw_there_is_nothing_to_compare(tmp_path: Path) -> None:
+    out = interrupted(tmp_path / "out", axes={"specific_force": ["measured", "gravity"]})
+    with pytest.raises(InputError, match=r"unfinished: .* and no draw that every variant has") as e:
+        told(out)
+    assert "\n" not in str(e.value)
+
+
+def test_a_finished_study_says_nothing_of_it(tmp_path: Path) -> None:
+    study = small_study(study=SHORT | {"draws": 4})
+    run.run_into(study, tmp_path / "out")
+    assert not any("unfinished" in line for line in told(tmp_path / "out"))
+    assert Source.read(tmp_path / "out", unfinished=True).whole_draws is None
