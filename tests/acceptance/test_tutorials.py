@@ -68,12 +68,12 @@ def typed(
 
 
 def test_start(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
-    """The first study with 2 of its 16 draws and 2 of its 8 cycles; the other is as it comes."""
-    few = {"sweep reset_sweep": "--set study.draws=2 --set axes.reset_cycle_s=[10,50]"}
-    told = typed("start.md", command, capsys, progress=True, shorter=few)
+    """The first study with a few of its points; the other is as it comes."""
+    few = "--set study.draws=2 --set axes.reset_cycle_s=[10,50] --set axes.phi_u0_deg=[0,90]"
+    told = typed("start.md", command, capsys, progress=True, shorter={"sweep reset_sweep": few})
     first, gravity, mine, worse = told[0], told[2], told[6], told[7]
-    assert "224 runs: 112 variants, 2 draws." in first
-    assert "Of these 224 within 10' of what its gyro bias allows and 0" in gravity
+    assert "56 runs: 28 variants, 2 draws." in first
+    assert "Of these 56 within 10' of what its gyro bias allows and 0" in gravity
     assert "north at the end: 78 [" in mine and "north at the end: 16 [" in worse
     near = [int(re.findall(r"Of these (\d+) within", text)[0]) for text in (mine, worse)]
     assert abs(near[0] - near[1]) < 5
