@@ -1,7 +1,7 @@
 """Figures of statistics over the draws: along one swept key, and whole distributions."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from sinsjax.analysis import Estimate
 from sinsjax.plots.style import GREY, colour, legend_outside, styled
-from sinsjax.plots.words import label
+from sinsjax.plots.words import label, value_text
 
 _MARKS = "os^Dv*P"
 _DODGE = 0.008  # share of the axis by which the marks of two lines are offset to remain visible
 _MOST_STEPS = 1000
 _APART = 0.06  # share of the axis needed between marks
+_WIDE = 12  # letters of a word that has no room beside others
 _LINE = 0.055  # height of a line of text, as a share of the axes
 
 
@@ -36,7 +37,7 @@ class Expected(NamedTuple):
 @styled
 def along_axis(
     key: str,
-    values: Sequence[float],
+    values: Sequence[Any],
     panels: Mapping[str, Mapping[str, Sequence[Estimate]]],
     *,
     title: str,
@@ -47,7 +48,7 @@ def along_axis(
 
     Args:
         key: leaf key, with the unit in its name.
-        values: values of the key.
+        values: values of the key; lists stand side by side, as words.
         panels: quantity, with its unit, to line label to one estimate per value; infinite ones are
             marked at the upper edge as *never*.
         title: title of the figure.
@@ -57,7 +58,8 @@ def along_axis(
     figure = Figure(figsize=(9.2, 1.2 + 2.5 * len(panels)))
     figure.suptitle(title)
     grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-    x = np.asarray(values, dtype=float)
+    words = [value_text(value) for value in values if isinstance(value, list | tuple)]
+    x = np.arange(len(values)) if words else np.asarray(values, dtype=float)
     for axes, (name, lines) in zip(grid, panels.items(), strict=True):
         if expected:
             axes.axhspan(*expected.band, color=GREY, alpha=0.25, linewidth=0)
@@ -73,7 +75,7 @@ def along_axis(
             spread = np.nan_to_num([value - low, high - value], posinf=0.0, neginf=0.0)
             style = {"color": colour(i), "label": line, "capsize": 2.5, "markersize": 5}
             beside = x + _DODGE * np.ptp(x) * (i - (len(lines) - 1) / 2)
-            mark = f"{_MARKS[i % len(_MARKS)]}-"
+            mark = _MARKS[i % len(_MARKS)] + ("" if words else "-")  # lists have no distance
             axes.errorbar(beside, value, yerr=np.maximum(spread, 0.0), fmt=mark, **style)
             never = beside[np.isposinf([e.value for e in estimates])]
             if never.size:
@@ -83,7 +85,10 @@ def along_axis(
         axes.set_title(name, loc="left", size="medium")
         if not any(np.isfinite(e.value) for estimates in lines.values() for e in estimates):
             axes.set_yticks([])
-    if np.diff(np.sort(x)).min(initial=np.inf) > _APART * np.ptp(x):
+    if words:
+        turned = {"rotation": 20, "ha": "right"} if max(map(len, words)) > _WIDE else {}
+        grid[-1].set_xticks(x, words, **turned)
+    elif np.diff(np.sort(x)).min(initial=np.inf) > _APART * np.ptp(x):
         grid[-1].set_xticks(x, [f"{value:g}" for value in x])
     grid[-1].set_xlabel(label(key))
     if any(np.isposinf(e.value) for p in panels.values() for line in p.values() for e in line):

@@ -11,6 +11,7 @@ from sinsjax.analysis import Estimate, format_difference, format_estimate
 from sinsjax.analysis.summaries import NEEDED, estimate_of
 from sinsjax.analysis.words import percent
 from sinsjax.execution import stopping
+from sinsjax.execution.groupings import BINS, binned
 from sinsjax.execution.source import Source
 from sinsjax.plots.words import name_of
 from sinsjax.report.attitudes import attitudes
@@ -151,12 +152,23 @@ def _tables(source: Source) -> list[Block]:
     note = f"{intervals(source)} Window: {start:g} to {end:g} s; *never*: did not settle."
     if study.n_variants <= MOST_ROWS:
         tables: list[Block] = [statistics(source, keys, "Every variant", note=note)]
+        tables += _over_drawn(source, keys)
         compared = study.n_variants > 1 and source.draws > 1
         return [*tables, against_first(source)] if compared else tables
     different = len(np.unique(first_alike(study)))
     differ = "" if different == study.n_variants else f", of which {different} differ"
     each = f"{study.n_variants} variants{differ}: each table takes one key and pools the others."
-    return [Text(each), *(statistics(source, [key], f"By {key}", note=note) for key in keys)]
+    by_key = (statistics(source, [key], f"By {key}", note=note) for key in keys)
+    return [Text(each), *by_key, *_over_drawn(source, keys)]
+
+
+def _over_drawn(source: Source, keys: Sequence[str]) -> Iterator[Table]:
+    """The statistics of bins of each drawn number, of every variant if these are few."""
+    for key, (own, medians) in binned(source).items():
+        few = len(medians) * source.study.n_variants <= MOST_ROWS
+        note = "" if few or not keys else " All variants together."
+        note = f"{key}: {BINS} {intervals(source)}{note}"
+        yield statistics(own, [key, *(keys if few else ())], f"Over {key}, drawn", note=note)
 
 
 def _curves(source: Source, has_truth: bool) -> Iterator[Block]:

@@ -8,7 +8,7 @@ from sinsjax.analysis.controlled import mean_over_variants
 from sinsjax.execution.estimates import read_estimates
 from sinsjax.execution.source import Source
 from sinsjax.report.base import Table, number, table_of
-from sinsjax.report.over_axes import is_chosen
+from sinsjax.study.keys import is_chosen
 from sinsjax.study.success import success_of, yardsticks
 from sinsjax.study.swept import shown_keys
 from sinsjax.study.times import spans_s

@@ -7,13 +7,15 @@ import numpy as np
 
 from sinsjax import analysis, columns, plots
 from sinsjax.analysis import UNKNOWN, Estimate, format_estimate
+from sinsjax.execution.groupings import lines_of
 from sinsjax.execution.source import Source
 from sinsjax.plots import Shown
 from sinsjax.report.base import Block, Picture, Report, Table, number, table_of
 from sinsjax.report.markup import said
-from sinsjax.report.over_axes import Maps, differ, is_chosen, lines_of, shown_axes, yard_end
+from sinsjax.report.over_axes import Maps, differ, yard_end
+from sinsjax.study.keys import is_chosen
 from sinsjax.study.success import Yardstick, success_of, yardsticks
-from sinsjax.study.swept import shown_keys
+from sinsjax.study.swept import shown_axes, shown_keys
 
 _MOST_BEST = 10
 _NORMAL = 1.96  # 95 % interval, standard errors

@@ -8,50 +8,39 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
-from sinsjax.alignment.methods import SECTIONS_OF_METHODS
 from sinsjax.analysis import format_estimate
 from sinsjax.analysis.summaries import NEEDED, estimate_of
 from sinsjax.analysis.words import percent
+from sinsjax.execution.groupings import BINS, binned, lines_of
 from sinsjax.execution.source import Source
 from sinsjax.plots import Shown
 from sinsjax.plots.words import name_of, value_text
 from sinsjax.report.base import Block, Picture, Table, intervals
 from sinsjax.study.acting import first_alike
-from sinsjax.study.keys import SECTION_OF
-from sinsjax.study.study import Study
+from sinsjax.study.keys import is_chosen
 from sinsjax.study.success import Yardstick
-from sinsjax.study.swept import shown_keys, swept
+from sinsjax.study.swept import shown_axes, shown_keys
 
 MOST_PANELS = 12
-MOST_LINES = 7
 
 
 def over_axes(source: Source) -> list[Block]:
     """What the swept numbers decide.
 
     With two numeric axes or more, heat maps over the first two as the study writes them, a panel
-    for each point of all other keys; with one, curves with intervals; with none, nothing.
+    for each point of all other keys; with one, or one whose values are lists, curves with
+    intervals; with none, nothing. Then curves over each drawn number.
     """
     shown, others = shown_axes(source.study)
+    found: list[Block]
     if len(shown) == 2:
-        return [block for yard in source.yardsticks for block in _heat_maps(source, yard)]
-    return [_along_axis(source, *axis, others) for axis in shown.items()]
-
-
-def shown_axes(study: Study) -> tuple[dict[str, tuple[float, ...]], list[str]]:
-    """The first two swept numbers with their values, and all other swept keys."""
-    numeric = {
-        keys[0]: tuple(map(float, values))
-        for keys, values in swept(study).items()
-        if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
-    }
-    shown = dict(list(numeric.items())[:2])
-    return shown, [key for key in shown_keys(study) if key not in shown]
-
-
-def is_chosen(key: str) -> bool:
-    """Whether a user chooses the values of a key, so that one can be best."""
-    return SECTION_OF.get(key) in SECTIONS_OF_METHODS
+        found = [block for yard in source.yardsticks for block in _heat_maps(source, yard)]
+    else:
+        found = [_along_axis(source, *axis, others) for axis in shown.items()]
+    for key, (own, medians) in binned(source).items():
+        drawn = _along_axis(own, key, medians, shown_keys(source.study))
+        found.append(drawn._replace(name=f"over_{key}", caption=f"{drawn.caption} {key}: {BINS}"))
+    return found
 
 
 def yard_end(yard: Yardstick, first: Yardstick) -> str:
@@ -125,14 +114,6 @@ def differ(values: Sequence[NDArray]) -> bool:
     return len(np.unique(values)) > 1
 
 
-def lines_of(table: pa.Table, others: Sequence[str]) -> tuple[dict[str, pa.Table], str]:
-    """The rows of each line along an axis by its name, and what is said of those left out."""
-    groups = list(analysis.groups(table, others))
-    left = len(groups) - MOST_LINES
-    said = f" {left} more lines are not drawn." if left > 0 else ""
-    return {name_of(point): rows for point, rows in groups[:MOST_LINES]}, said
-
-
 def _heat_maps(source: Source, yard: Yardstick) -> Iterator[Block]:
     """The maps from one yardstick."""
     maps = Maps(source, (yard.settle, yard.ok, "draw_id", "start_s"))
@@ -204,9 +185,7 @@ def _best(yard: Yardstick, maps: Maps) -> Table:
     return Table(title, header, rows, "Equals: the first in the study's order.")
 
 
-def _along_axis(
-    source: Source, axis: str, values: Sequence[float], others: Sequence[str]
-) -> Picture:
+def _along_axis(source: Source, axis: str, values: Sequence[Any], others: Sequence[str]) -> Picture:
     yards = source.yardsticks
     shown = {y.rate: f"share of runs that are ok, {y.words}" for y in yards}
     shown |= {f"{y.settle}_median": f"median time (s) to {y.words}" for y in yards}

@@ -99,3 +99,8 @@ def rivals(key: str) -> set[str]:
     """The keys that say in another way what a key says."""
     pairs = SECTIONS[SECTION_OF[key]].exclusive if key in SECTION_OF else ()
     return {other for pair in pairs if key in pair for other in pair} - {key}
+
+
+def is_chosen(key: str) -> bool:
+    """Whether a user chooses the values of a key, so that one can be best."""
+    return SECTION_OF.get(key) in SECTIONS_OF_METHODS

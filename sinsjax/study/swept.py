@@ -37,3 +37,19 @@ def only(study: Study, key: str) -> Any:
     if rest:
         raise InputError(f"{study.name}: one {key} is needed, not a sweep of it")
     return first[key]
+
+
+def shown_axes(study: Study) -> tuple[dict[str, tuple[Any, ...]], list[str]]:
+    """The axes of a study's figures with their values, and all other swept keys.
+
+    They are the first two swept numbers; without any the first key whose values are lists, such as
+    reset times.
+    """
+    numeric, listed = {}, {}
+    for (key, *more), values in swept(study).items():
+        if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
+            numeric[key] = tuple(map(float, values))
+        elif not more and all(isinstance(v, tuple) for v in values):
+            listed[key] = values
+    shown = dict([*numeric.items()][:2] or [*listed.items()][:1])
+    return shown, [key for key in shown_keys(study) if key not in shown]

@@ -1,0 +1,68 @@
+"""Runs grouped for tables and figures: the lines along an axis, and bins of a drawn key."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from sinsjax import analysis
+from sinsjax.analysis.summaries import NEEDED
+from sinsjax.execution.source import Source
+from sinsjax.plots.words import name_of
+from sinsjax.study.distributions import NUMBERS_DRAWN
+from sinsjax.study.success import yardsticks
+from sinsjax.study.swept import shown_keys
+
+MOST_LINES = 7
+BINS = "the median of each bin, of about as many draws."
+_MOST_BINS = 8
+_LEAST_DRAWS = 10  # a bin: an interval of fewer says little
+_DIGITS = 3  # significant ones of a bin's name
+
+
+def lines_of(table: pa.Table, others: Sequence[str]) -> tuple[dict[str, pa.Table], str]:
+    """The rows of each line along an axis by its name, and what is said of those left out."""
+    groups = list(analysis.groups(table, others))
+    left = len(groups) - MOST_LINES
+    said = f" {left} more lines are not drawn." if left > 0 else ""
+    return {name_of(point): rows for point, rows in groups[:MOST_LINES]}, said
+
+
+def binned(source: Source) -> dict[str, tuple[Source, tuple[float, ...]]]:
+    """For each drawn number of a study, its runs in bins of about as many draws.
+
+    Returns:
+        By key: the runs with the median of their bin as the value of the key, draws in that order
+        and only the columns that statistics need; and these medians, ascending. No key of which
+        there are too few draws for two bins.
+    """
+    study = source.study
+    count = min(_MOST_BINS, source.draws // _LEAST_DRAWS)
+    drawn = [key for key in study.drawn_keys if NUMBERS_DRAWN[key] == 1]
+    judged = [name for yard in yardsticks(study) for name in (yard.ok, yard.settle)]
+    found = {}
+    for key in drawn if count > 1 else ():
+        table = source.rows([key, "run_id", "variant_id", *shown_keys(study), *NEEDED, *judged])
+        medians = bin_medians(analysis.numbers(table, key), count)
+        place = table.column_names.index(key)
+        table = table.set_column(place, key, pa.array(medians))
+        table = table.sort_by([(key, "ascending"), ("run_id", "ascending")])
+        found[key] = replace(source, table=table), tuple(map(float, np.unique(medians)))
+    return {key: one for key, one in found.items() if len(one[1]) > 1}
+
+
+def bin_medians(values: NDArray, count: int) -> NDArray:
+    """For each of some values the median of its bin; few distinct values are bins of their own.
+
+    Args:
+        values: (n,) finite ones.
+        count: number of bins, of about as many values each.
+    """
+    if len(np.unique(values)) <= count:
+        return values
+    edges = np.quantile(values, np.arange(1, count) / count)
+    number = np.searchsorted(edges, values, side="right")
+    medians = np.array([np.median(values[number == n]) for n in range(count)])
+    return np.array([float(f"{median:.{_DIGITS}g}") for median in medians])[number]

@@ -1,0 +1,104 @@
+"""Tables and figures over what a study draws, in bins, and along an axis whose values are lists."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.studies import small_study
+
+from sinsjax import analysis
+from sinsjax.analysis.summaries import estimate_of
+from sinsjax.execution import run
+from sinsjax.execution.groupings import bin_medians, binned
+from sinsjax.execution.source import Source
+from sinsjax.report import auto, over_axes
+from sinsjax.report.base import Table
+from sinsjax.study.swept import shown_axes
+
+pytestmark = pytest.mark.optimised(False)
+
+SHORT = {"draws": 60, "duration_s": 2.0, "window_s": [0, 2]}
+DRAWN = {
+    "phi_u0_deg": {"uniform": [-10, 10]},
+    "yaw_center_deg": {"values": [0, 90, 180]},
+    "accel_bias_ug": {"normal": [0, 100]},
+}
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> Source:
+    study = small_study(
+        study=SHORT,
+        alignment={"phi_u0_deg": None},
+        motion={"yaw_center_deg": None},
+        sensors={"accel_bias_ug": None},
+        drawn=DRAWN,
+        axes={"p0_yaw_deg": [10.0, 40.0]},
+    )
+    out = tmp_path_factory.mktemp("drawn") / "out"
+    run.run_into(study, out)
+    return Source.read(out)
+
+
+def test_bins_hold_about_as_many_and_few_values_are_bins_of_their_own() -> None:
+    values = np.random.default_rng(0).normal(size=1001)
+    medians = bin_medians(values, 8)
+    found, sizes = np.unique(medians, return_counts=True)
+    assert len(found) == 8 and sizes.min() >= 125 and sizes.max() <= 126
+    order = np.argsort(values)
+    assert (np.diff(medians[order]) >= 0).all()
+    for median in found:
+        assert median == pytest.approx(np.median(values[medians == median]), rel=1e-2)
+    few = np.array([3.0, 1.0, 3.0, 2.0])
+    assert bin_medians(few, 3).tolist() == few.tolist()
+
+
+def test_every_drawn_number_has_bins_and_its_statistics_are_of_their_runs(drawn: Source) -> None:
+    found = binned(drawn)
+    assert found.keys() == {"phi_u0_deg", "yaw_center_deg"}  # a vector has no order
+    assert found["yaw_center_deg"][1] == (0.0, 90.0, 180.0)
+    own, medians = found["phi_u0_deg"]
+    assert len(medians) == 6  # ten draws each
+    rows = drawn.rows(["phi_u0_deg", "phi_u_mean_arcmin", "draw_id"])
+    values = analysis.numbers(rows, "phi_u0_deg")
+    bins = bin_medians(values, 6)
+    window = analysis.numbers(rows, "phi_u_mean_arcmin")
+    table = analysis.summarise(own.table, ["phi_u0_deg"], ["phi_u_mean_arcmin_mean"]).to_pylist()
+    assert [row["phi_u0_deg"] for row in table] == list(medians)
+    for row in table:
+        mine = bins == row["phi_u0_deg"]
+        assert row["n"] == mine.sum() == 20
+        estimate = estimate_of(row, "phi_u_mean_arcmin_mean")
+        assert estimate.value == pytest.approx(window[mine].mean())
+        assert estimate.low < estimate.value < estimate.high
+
+
+def test_the_report_has_a_figure_and_a_table_over_each(drawn: Source) -> None:
+    figures = {block.name: block for block in over_axes.over_axes(drawn)}
+    assert figures.keys() == {"along_axis", "over_phi_u0_deg", "over_yaw_center_deg"}
+    over = figures["over_yaw_center_deg"]
+    assert "yaw_center_deg: the median of each bin" in over.caption
+    (line, _) = over.figure.axes[0].containers
+    assert np.allclose(line.lines[0].get_xdata(), [0.0, 90.0, 180.0], atol=2.0)
+    *_, tables = auto.report(drawn).sections
+    titled = {block.title: block for block in tables.blocks if isinstance(block, Table)}
+    table = titled["Over phi_u0_deg, drawn"]
+    assert table.header[:3] == ["phi_u0_deg", "p0_yaw_deg", "runs"] and len(table.rows) == 12
+    assert [row[2] for row in table.rows] == ["10"] * 12
+
+
+def test_lists_are_an_axis_side_by_side(tmp_path: Path) -> None:
+    times = [[], [0.5], [0.5, 1.0]]
+    study = small_study(study=SHORT | {"draws": 4}, axes={"reset_times_s": times})
+    assert shown_axes(study) == ({"reset_times_s": ((), (0.5,), (0.5, 1.0))}, [])
+    run.run_into(study, tmp_path / "out")
+    (figure,) = over_axes.over_axes(Source.read(tmp_path / "out"))
+    axes = figure.figure.axes[-1]
+    assert [text.get_text() for text in axes.get_xticklabels()] == ["none", "0.5", "0.5, 1"]
+    assert axes.get_xlabel() == "resets at (s)"
+
+
+def test_a_number_goes_before_a_list() -> None:
+    axes = {"reset_times_s": [[], [0.5]], "p0_yaw_deg": [1.0, 2.0]}
+    shown, others = shown_axes(small_study(study=SHORT, axes=axes))
+    assert (shown, others) == ({"p0_yaw_deg": (1.0, 2.0)}, ["reset_times_s"])
