@@ -138,7 +138,7 @@ def test_a_tuning_by_covariance_is_kept_and_told(tmp_path: Path) -> None:
         ),
         (
             {"drawn": {"ve0_m_per_s": {"uniform": [0.0, 3.0]}}},
-            "[drawn] ve0_m_per_s: covariance analysis takes its value as given",
+            "[drawn] ve0_m_per_s: covariance analysis takes what is drawn as normal",
         ),
     ],
 )
