@@ -129,6 +129,8 @@ class Description:
         last_called: (`Method.results` of runs) -> sample of the last reset that a run itself called
             for, 0 for none; None where none can.
         step_s: time of a sample of one run on one core, s, roughly; see `docs/performance.md`.
+        estimate_runs: plain runs that one without noise takes as long as, with the covariance of
+            its error and 64 sampled errors, roughly.
     """
 
     name: str
@@ -146,6 +148,7 @@ class Description:
     columns: tuple[OwnColumn, ...] = ()
     last_called: Callable[[Any], NDArray | None] = lambda results: None
     step_s: float = 20e-9
+    estimate_runs: float = 3.0
 
     @cached_property
     def keys(self) -> frozenset[str]:

@@ -31,11 +31,8 @@ _PACKED = 0.8
 _BASE, _A_SAMPLE, _A_VARIANT, _A_RUN, _A_RECORD, _A_RESET = 400e6, 160, 600, 2, 500, 60
 """Measured memory, bytes: of a process with JAX, and of each of these."""
 
-_ESTIMATE = 4.5
-"""Cost of a noise-free run with the covariance of the true error beside it, in plain runs."""
-
 _CHECK = 12.0
-"""Cost of the draws that tell how far it holds, likewise."""
+"""Cost of the draws that tell how far covariance analysis holds for a variant, in plain runs."""
 
 _COMPANION, _EXPECTATION = 1.4, 12.0
 """Cost of a run with its companion, and of a variant's companions' expectation, likewise."""
@@ -182,9 +179,11 @@ def require_room(
 def _forecast(study: Study, batches: Sequence[Batch], curves: bool) -> Forecast:
     records = max(span.records for span in study.distinct_spans)
     samples = records * study.record_every
-    step_s = max(METHODS[name].step_s for name in study.methods)
+    methods = [METHODS[name] for name in study.methods]
+    step_s = max(method.step_s for method in methods)
     if study.is_estimated:
-        step_s *= _ESTIMATE + _CHECK * study.checks_linearity
+        checks = _CHECK * study.checks_linearity
+        step_s = max(method.step_s * (method.estimate_runs + checks) for method in methods)
     if study.is_controlled:
         step_s *= _COMPANION + _EXPECTATION / study.n_draws
     layout = layouts.estimates(study) if study.is_estimated else layouts.summary(study)

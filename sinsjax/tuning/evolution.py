@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sinsjax.alignment.methods import METHODS
 from sinsjax.engine import batch, covariance
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.verdicts import LIMIT, TRUTH
@@ -29,9 +30,6 @@ from sinsjax.tuning.history import Evaluation, Found
 from sinsjax.units import ARCMIN
 
 NAME = "covariance"
-
-PLAIN_RUNS = 3.5
-"""What a run with its covariance and sampled errors costs, in plain ones; see docs/performance."""
 
 
 def evolve(study: Study, *, tell: Tell | None = None) -> Found:
@@ -115,9 +113,9 @@ class _Evolution:
     def _estimated(self, points: Sequence[TomlTable]) -> tuple[list[float], float]:
         """The objective of points by covariance analysis, and the steps that one costs."""
         derived, cases = self._derived(points)
-        return self._scores(derived, cases, estimated_values(derived, self._tune)), PLAIN_RUNS * (
-            search.cost(derived) / derived.n_draws / len(points)
-        )
+        scores = self._scores(derived, cases, estimated_values(derived, self._tune))
+        runs = max(METHODS[name].estimate_runs for name in derived.methods)
+        return scores, runs * search.cost(derived) / derived.n_draws / len(points)
 
     def _judge(self) -> None:
         """Run the best on the tuning draws, with the shifts that they were estimated with."""

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from support.studies import small_study
 
+from sinsjax.alignment.methods import METHODS
 from sinsjax.errors import InputError
 from sinsjax.execution import forecast, run
 from sinsjax.platform import machine
@@ -174,3 +175,12 @@ def test_a_recorded_study_without_a_rate_is_asked_about_at_that_of_its_record():
     study = study_from_dict(data)
     assert not study.study.rate_hz
     assert forecast.of(run.with_rate(study, 100.0)).runs == 2
+
+
+@pytest.mark.parametrize("name", ["kalman5", "compass"])
+def test_an_estimate_takes_as_many_plain_runs_as_its_method_tells(name: str) -> None:
+    plain = small_study(alignment={"method": name})
+    settings = {"estimate": "covariance", "draws": None, "check_linearity": False}
+    estimated = small_study(study=settings, alignment={"method": name})
+    expected = forecast.of(plain).run_s * METHODS[name].estimate_runs
+    assert forecast.of(estimated).run_s == pytest.approx(expected)

@@ -23,4 +23,5 @@ COMPASS = Description(
     has_error_step=True,
     rules=(check_pieces,),
     step_s=5e-9,
+    estimate_runs=7.5,
 )

@@ -51,6 +51,7 @@ OPTIMISATION = _inertial_frame(
     load=partial(_load, "optimisation"),
     has_error_step=True,
     step_s=3e-9,
+    estimate_runs=12.0,
 )
 
 OPTIMISATION_POSITION = _inertial_frame(

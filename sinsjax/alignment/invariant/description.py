@@ -20,4 +20,5 @@ INVARIANT = filter_description(
     source="Barrau and Bonnabel (2017)",
     load=_load,
     step_s=15e-9,
+    estimate_runs=6.5,
 )

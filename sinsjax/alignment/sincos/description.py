@@ -67,6 +67,7 @@ SINCOS = filter_description(
     silent=(*OF_BIASES, "p0_yaw_deg", "reset_yaw_deg"),
     columns=(*COLUMNS, *NORTH_DRIFT),
     step_s=15e-9,
+    estimate_runs=5.0,
 )
 
 SURGE = filter_description(
