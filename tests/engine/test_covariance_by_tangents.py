@@ -28,7 +28,6 @@ STUDIES: dict[str, dict[str, Any]] = {
         "compass": {"level_time_s": 25.0, "azimuth_sigma_per_s": 0.05},
         "cases": [{"azimuth_damping": 0.7}, {"azimuth_damping": 0.9}],
     },
-    "optimisation": {},
 }
 SMALL = {
     **{"gyro_bias_deg_per_h": 0.0, "accel_bias_ug": 0.0},
