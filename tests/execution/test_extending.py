@@ -5,11 +5,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 from support.kept import study_of, times
 from support.studies import small_study
 
 from sinsjax.errors import InputError
-from sinsjax.execution import resume, run, tables
+from sinsjax.execution import rerun, resume, run, tables
 from sinsjax.study.study import Study
 
 pytestmark = pytest.mark.optimised(False)
@@ -54,6 +55,13 @@ def test_rows_equal_those_of_a_sweep_with_all_draws(tmp_path: Path, chunk_runs: 
     assert tables.read_summary(out).equals(
         run.run(of(200)).summary.cast(tables.read_summary(out).schema)
     )
+
+
+def test_a_run_of_extended_results_is_repeated(tmp_path: Path) -> None:
+    """One of before and one of after; the manifest names the study that it began as."""
+    out = assert_extended(of(40), of(50), tmp_path)
+    for run_id in (0, 149):
+        assert rerun.rerun_into(out, run_id, Console(quiet=True))
 
 
 def test_points_of_a_design_go_on(tmp_path: Path) -> None:
