@@ -72,6 +72,7 @@ def made_up():
         covariance=lambda state: state.belief.p,
         limit=lambda params, place, biases, ending: unaided(place, biases),
         inputs=lambda state: {},
+        start_error=lambda state, change: (change.ve, change.vn),
     )
 
 
