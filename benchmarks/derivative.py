@@ -33,7 +33,7 @@ from sinsjax.study.load import study_from_dict
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.tuning import search
-from sinsjax.tuning.descent import TANGENT_STEPS, Slope, Softness, sensitivities
+from sinsjax.tuning.slopes import TANGENT_STEPS, Slope, Softness, sensitivities
 from sinsjax.types import Array
 from sinsjax.units import ARCMIN
 

@@ -175,16 +175,19 @@ class Relaxed(NamedTuple):
         changes: what a key of the study does to the numbers; those missing have no gradient.
         follows: keys that another one stands for where it is left out.
         times: the key of times that are spread; None where the method has none.
+        moves: those of ``changes`` that move resets, too.
         soften: (params, times in samples or None, half width in samples) -> params, resets spread
             over smooth windows, at these times if given; None of a method that has none.
-        refused: what has no gradient in a study, ``[section] key``; None if nothing.
+        refused: (study, whether resets are spread) -> what has no gradient, ``[section] key``; None
+            if nothing.
     """
 
     changes: Mapping[str, Change]
     follows: Mapping[str, str] = {}
     times: str | None = None
+    moves: tuple[str, ...] = ()
     soften: Callable[[Any, Array | None, Scalar], Any] | None = None
-    refused: Callable[[StudyView], str | None] = lambda study: None
+    refused: Callable[[StudyView, bool], str | None] = lambda study, spread: None
 
 
 class Method(NamedTuple):

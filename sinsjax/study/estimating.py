@@ -25,6 +25,11 @@ def require_modelled(study: Study) -> None:
         raise InputError(f"{study.name}: {told}")
 
 
+def is_modelled(study: Study) -> bool:
+    """Whether covariance analysis holds for a study."""
+    return next(_unmodelled(study, {}), None) is None
+
+
 def check(study: Study, where: Mapping[str, str]) -> None:
     """Refuses what does not go with the way in which a study's results are estimated.
 

@@ -85,14 +85,21 @@ class TuneSection(Section):
     random_points: Some = Field(256, description="points of a random search")
     descent_screen: Some = Field(
         16,
-        description="points looked at first, on `descent_draws` draws; the best are begun at",
+        description="points looked at first, on `descent_draws` draws or by covariance analysis;"
+        " the best are begun at",
     )
     descent_starts: Some = Field(4, description="descents side by side")
     descent_steps: Some = Field(16, description="steps of a descent")
-    descent_draws: Some = Field(4, description="draws a step and descent, in turn")
+    descent_draws: Some = Field(
+        4,
+        description="draws a step and descent, in turn; none where all variables leave resets where"
+        " they are and covariance analysis holds, which then stands for draws",
+    )
     descent_rate: Positive = Field(0.1, description="rate of Adam, all ranges being one long")
     relaxed_window_s: tuple[Seconds, Seconds] = Field(
-        (4.0, 1.0), description="half width of relaxed resets at the first and last step, s"
+        (4.0, 1.0),
+        description="half width of relaxed resets at the first and last step, s; only where a"
+        " variable moves resets",
     )
     relaxed_sharpness: tuple[Positive, Positive] = Field(
         (6.0, 16.0), description="sharpness of the band's relaxed edge at the first and last step"
@@ -108,7 +115,9 @@ class TuneSection(Section):
         0.2, description="standard deviation of the first generation, all ranges being one long"
     )
     evolution_samples: Annotated[Count, Field(ge=2, multiple_of=2)] = Field(
-        64, description="errors sampled for a point and variant by 'covariance'"
+        64,
+        description="errors sampled for a point and variant by covariance analysis, in 'covariance'"
+        " and 'gradient'",
     )
     evolution_finalists: Some = Field(3, description="best points run on the tuning draws")
     feedback_phases: Some = Field(

@@ -12,22 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.alignment.methods import METHODS
-from sinsjax.engine import batch, covariance
-from sinsjax.engine.build import Scenario
-from sinsjax.engine.verdicts import LIMIT, TRUTH
 from sinsjax.execution import run as study_run
 from sinsjax.execution.run import RunProgress, Tell
 from sinsjax.study.keys import TomlTable
-from sinsjax.study.ranges import TuneSection
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
-from sinsjax.study.success import bands, success_of
-from sinsjax.study.times import spans_s
 from sinsjax.study.tuned_keys import TIMES
-from sinsjax.tuning import objective, search
+from sinsjax.tuning import estimates, objective, search
 from sinsjax.tuning.history import Evaluation, Found
-from sinsjax.units import ARCMIN
 
 NAME = "covariance"
 
@@ -113,9 +105,8 @@ class _Evolution:
     def _estimated(self, points: Sequence[TomlTable]) -> tuple[list[float], float]:
         """The objective of points by covariance analysis, and the steps that one costs."""
         derived, cases = self._derived(points)
-        scores = self._scores(derived, cases, estimated_values(derived, self._tune))
-        runs = max(METHODS[name].estimate_runs for name in derived.methods)
-        return scores, runs * search.cost(derived) / derived.n_draws / len(points)
+        scores = self._scores(derived, cases, estimates.values(derived, self._tune))
+        return scores, estimates.steps(derived) / len(points)
 
     def _judge(self) -> None:
         """Run the best on the tuning draws, with the shifts that they were estimated with."""
@@ -172,29 +163,3 @@ def shifted(study: Study, point: TomlTable, share: float) -> TomlTable:
     interval = point.get("feedback_interval_s", max(of_study))
     rate = study.study.rate_hz
     return point | {TIMES: tuple(round((t + share * interval) * rate) / rate for t in times)}
-
-
-def estimated_values(study: Study, tune: TuneSection) -> NDArray:
-    """`objective.values` of sampled errors, (variants, samples), from one run of each variant."""
-    scenario = Scenario(study, curves=True)
-    kind = TRUTH if success_of(study).from_truth else LIMIT
-    at = int(np.argmin(np.abs(np.asarray(bands(study)) - tune.objective_band_arcmin)))
-    out = np.empty((study.n_variants, tune.evolution_samples))
-    end = spans_s(study)[:, 0]
-    for number, ids in enumerate(scenario.variant_ids):
-        group = covariance.watched(scenario.part(number, range(1)).group, tune.evolution_samples)
-        for chunk in batch.chunks(group, devices=2):
-            out[ids[chunk.variant]] = _of_chunk(tune, chunk, kind, at, end[ids[chunk.variant]])
-    return out
-
-
-def _of_chunk(tune: TuneSection, chunk: batch.Chunk, kind: int, band: int, end: NDArray) -> NDArray:
-    assert isinstance(chunk.curves, covariance.Spread)
-    settled: NDArray = chunk.curves.outside_until[:, kind, band]
-    if tune.objective == "final_error":
-        mean = chunk.curves.phi[:, 2, -1] - (chunk.outcome.limit.phi.z if kind == LIMIT else 0.0)
-        rms = np.hypot(mean, chunk.curves.sigma[:, 2, -1]) / ARCMIN
-        return np.repeat(rms[:, None], settled.shape[1], axis=1)
-    if tune.objective == "failure_rate":
-        return (settled >= end[:, None]).astype(float)
-    return settled

@@ -28,11 +28,11 @@ class Evaluation(NamedTuple):
         step: number of the evaluation, or of the step of a descent, from 0.
         candidate: number of the combination of candidates.
         values: one per variable, in the units of the file; NaN for unused variables.
-        objective: over the tuning draws; relaxed where a window is given.
+        objective: over the tuning draws; relaxed where a sharpness is given.
         cost: steps of the search so far, in steps of a plain run, tangents included.
         start: number of the descent; None for other searches.
-        window_s: half width of the relaxed resets, s; None if not relaxed.
-        sharpness: sharpness of the band's relaxed edge; None if not relaxed.
+        window_s: half width of the relaxed resets, s; None if none is relaxed.
+        sharpness: sharpness of the band's relaxed edge; None if the objective is not relaxed.
         estimated: whether by covariance analysis rather than by draws.
     """
 
@@ -61,7 +61,7 @@ class Found(NamedTuple):
     @property
     def best(self) -> Evaluation:
         """The best evaluation by draws that is not relaxed; the first of equals."""
-        hard = (look for look in self.looks if look.window_s is None and not look.estimated)
+        hard = (look for look in self.looks if look.sharpness is None and not look.estimated)
         return min(hard, key=lambda look: look.objective)
 
     @property
@@ -72,7 +72,7 @@ class Found(NamedTuple):
     @property
     def relaxed(self) -> list[Evaluation]:
         """The relaxed evaluations, those of descents."""
-        return [look for look in self.looks if look.window_s is not None]
+        return [look for look in self.looks if look.sharpness is not None]
 
     @property
     def course(self) -> tuple[NDArray, NDArray, bool]:
@@ -104,13 +104,13 @@ def columns_of(space: SearchSpace) -> tuple[Column, ...]:
         Column("step", _I, "", "number of the evaluation, or of the step of a descent"),
         Column("start", _I, "", "number of the descent"),
         Column("candidate", _I, "", "number of the combination of candidates"),
-        Column("objective", _F, "", "over the tuning draws; relaxed where a window is given"),
+        Column("objective", _F, "", "over the tuning draws; relaxed where a sharpness is given"),
         *(
             Column(v.name, _F, split_unit(v.key)[1], f"{meaning(v.key)}; null if not used")
             for v in space.variables
         ),
         Column("cost", _I, "", "steps so far, in steps of a plain run, tangents included"),
-        Column("window_s", _F, "s", "half width of relaxed resets; null if not relaxed"),
+        Column("window_s", _F, "s", "half width of relaxed resets; null if none is relaxed"),
         Column("sharpness", _F, "", "sharpness of the band's relaxed edge; null if not relaxed"),
         Column("estimated", pa.bool_(), "", "objective by covariance analysis, not by draws"),
     )

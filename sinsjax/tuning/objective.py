@@ -7,10 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
+from jax.scipy.special import ndtr
 from numpy.typing import NDArray
 from scipy import special
 
 from sinsjax import analysis, columns
+from sinsjax.engine.covariance import Spread
 from sinsjax.engine.metrics import Criteria, Outcome, outside
 from sinsjax.engine.verdicts import LIMIT, TRUTH
 from sinsjax.study.ranges import TuneSection
@@ -96,16 +98,50 @@ def relaxed_values(
         truth: whether heading errors are about the truth rather than the limit.
 
     Returns:
-        (runs,): settling times into a band with a soft edge, s; final heading errors about the
+        (runs, 1): settling times into a band with a soft edge, s; final heading errors about the
         limit or the truth, arcmin; or the degree, 0 to 1, to which the end is outside the band.
     """
     error = outcome.last.phi.z - (0.0 if truth else outcome.limit.phi.z)
     if tune.objective == "final_error":
-        return error / ARCMIN
-    band = jnp.argmin(jnp.abs(criteria.bands - tune.objective_band_arcmin * ARCMIN))
+        return error[:, None] / ARCMIN
+    band = _band(tune, criteria)
     if tune.objective == "failure_rate":
-        return jax.vmap(partial(outside, criteria))(error)[:, band]
-    return outcome.outside_until[:, TRUTH if truth else LIMIT, band]
+        return jax.vmap(partial(outside, criteria))(error)[:, band, None]
+    return outcome.outside_until[:, TRUTH if truth else LIMIT, band, None]
+
+
+def relaxed_estimates(
+    tune: TuneSection, criteria: Criteria, outcome: Outcome, told: Spread, *, truth: bool
+) -> Array:
+    """As `relaxed_values`, of one noise-free run of each variant and the spread about it.
+
+    Args:
+        tune: the objective.
+        criteria: of the study, with a sharpness.
+        outcome: leaves (runs, ...).
+        told: of the runs, (runs,) being the last axis of each leaf.
+        truth: whether heading errors are about the truth rather than the limit.
+
+    Returns:
+        (runs, samples): settling times of sampled errors, s. Else (runs, 1): rms of the final
+        heading error, arcmin, or the probability that it is outside the band.
+    """
+    if tune.objective in ("settle_mean", "settle_quantile"):
+        return jnp.moveaxis(
+            told.outside_until[TRUTH if truth else LIMIT, _band(tune, criteria)], 0, 1
+        )
+    mean = told.phi[2, -1] - (0.0 if truth else outcome.limit.phi.z)
+    sigma = told.sigma[2, -1] if truth or told.from_limit is None else told.from_limit[-1]
+    if tune.objective == "final_error":
+        return jnp.sqrt(mean**2 + sigma**2)[:, None] / ARCMIN
+    ends = tune.objective_band_arcmin * ARCMIN
+    inside = ndtr((ends - mean) / sigma) - ndtr((-ends - mean) / sigma)
+    return 1.0 - inside[:, None]
+
+
+def _band(tune: TuneSection, criteria: Criteria) -> Array:
+    """Number of the objective's band."""
+    return jnp.argmin(jnp.abs(criteria.bands - tune.objective_band_arcmin * ARCMIN))
 
 
 def relaxed_score(tune: TuneSection, values: NDArray) -> tuple[Array, Array]:

@@ -1,7 +1,7 @@
 """Differentiable dependence of a method's parameters on the tuning variables.
 
 Each variable changes its method's parameters by the ratio of its value to that at a base point, see
-`alignment.base.Relaxed`. Resets become smooth windows.
+`alignment.base.Relaxed`. Where a variable moves resets, these become smooth windows.
 """
 
 from typing import Any, NoReturn
@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from sinsjax.alignment.base import Relaxed
 from sinsjax.alignment.methods import METHODS
 from sinsjax.errors import InputError
+from sinsjax.study.estimating import is_modelled
 from sinsjax.study.keys import SECTION_OF, TomlTable
 from sinsjax.study.load import with_point
 from sinsjax.study.search_space import SearchSpace
@@ -20,7 +21,14 @@ from sinsjax.types import Array, Scalar
 
 
 class Relaxation:
-    """Conversion of a method's parameters from a base point to any other, with resets relaxed."""
+    """Conversion of a method's parameters from a base point to any other, with resets relaxed.
+
+    Attributes:
+        point: the base point.
+        moves_resets: whether a variable moves resets, all of which are then smooth windows.
+        by_covariance: whether covariance analysis can stand for runs with noise: none of that, and
+            it holds for the study.
+    """
 
     def __init__(self, study: Study, space: SearchSpace, combination: TomlTable) -> None:
         """Check that all variables have a gradient.
@@ -41,8 +49,13 @@ class Relaxation:
         for variable in self._variables.values():
             if all(variable.key not in (r.times, *r.changes) for r in relaxed):
                 _refuse(study, f"[tune.variables] {variable.key}")
+        keys = {variable.key for variable in self._variables.values()}
+        self.moves_resets = any(
+            one.soften and not keys.isdisjoint({one.times, *one.moves}) for one in relaxed
+        )
+        self.by_covariance = not self.moves_resets and is_modelled(based)
         for one in relaxed:
-            if what := one.refused(based):
+            if what := one.refused(based, self.moves_resets):
                 _refuse(study, what)
         self._left_out = {
             twin
@@ -75,7 +88,7 @@ class Relaxation:
             for key in (variable.key, relaxed.follows.get(variable.key)):
                 if key in relaxed.changes and (key == variable.key or key in self._left_out):
                     params = relaxed.changes[key](params, variable.entry, value, base)
-        if relaxed.soften is None:
+        if relaxed.soften is None or not self.moves_resets:
             return params
         samples = None
         if times:

@@ -23,7 +23,7 @@ from sinsjax.records import Reference
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.fingerprint import fingerprint
 from sinsjax.study.load import study_from_dict, study_to_toml
-from sinsjax.tuning.descent import Slope, Softness
+from sinsjax.tuning.slopes import Slope, Softness
 from sinsjax.types import Quat
 from sinsjax.units import ARCMIN
 

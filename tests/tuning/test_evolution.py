@@ -12,7 +12,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.study.load import Study
 from sinsjax.study.search_space import SearchSpace
-from sinsjax.tuning import evolution, history, objective, search
+from sinsjax.tuning import estimates, evolution, history, objective, search
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -47,7 +47,7 @@ def test_what_is_estimated_is_what_draws_give(kind: str) -> None:
     points = {str(number): {"reset_times_s": of} for number, of in enumerate(times)}
     derived = search.derive(study, points, name="derived")
     drawn = search.run_values(study, derived, run.run(derived, curves=False).summary)[:, 0]
-    estimated = evolution.estimated_values(derived, study.tune)
+    estimated = estimates.values(derived, study.tune)
     assert estimated.shape[0] == len(points) == drawn.shape[0]
     for one, other in zip(estimated, drawn, strict=True):
         got = objective.score(study.tune, one[None])

@@ -108,15 +108,19 @@ def _soften(params: FilterParams, times: Array | None, width: Scalar) -> FilterP
     return params._replace(resets=Windows(samples, width, resets.covariance_reset))
 
 
-def _refused(study: StudyView) -> str | None:
+def _refused(study: StudyView, spread: bool) -> str | None:
     if not study.has("resets"):
+        return None
+    if any_trigger(study):
+        return "[resets] reset_trigger"
+    if not spread:
         return None
     if any(point["reset_kind"] == "scale" for point in study.combinations("reset_kind")):
         return "[resets] reset_kind = 'scale'"
     for key in ("reset_at_feedback", "reset_restarts_feedback"):
         if any(point[key] for point in study.combinations(key)):
             return f"[resets] {key}"
-    return "[resets] reset_trigger" if any_trigger(study) else None
+    return None
 
 
 def relaxed(states: Sequence[str]) -> Relaxed:
@@ -125,4 +129,5 @@ def relaxed(states: Sequence[str]) -> Relaxed:
     # What P is reset to is what it is at the start; the first reset comes after a cycle.
     follows = {key: key.replace("p0_", "reset_") for key in changes if key.startswith("p0_")}
     follows["reset_cycle_s"] = "reset_first_s"
-    return Relaxed(changes, follows, "reset_times_s", _soften, _refused)
+    moves = ("reset_first_s", "reset_cycle_s")
+    return Relaxed(changes, follows, "reset_times_s", moves, _soften, _refused)
