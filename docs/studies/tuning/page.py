@@ -19,10 +19,16 @@ from sinsjax.tuning import results
 from sinsjax.tuning.carry_out import COVARIANCE, GRADIENT
 from sinsjax.tuning.results import Tuning
 
-STUDIES = {"small": "tune_condition5", "large": "tune_large", "compass": "tune_compass"}
+STUDIES = {
+    "small": "tune_condition5",
+    "large": "tune_large",
+    "belief": "tune_filter",
+    "compass": "tune_compass",
+}
 QUESTIONS = {
     "small": "paper 1's condition 5",
     "large": "eight large misalignments",
+    "belief": "the same, P0, Q and R of the plain two",
     "compass": "compass gains",
 }
 EQUAL, BASELINE = "equal cost", "baseline"
@@ -76,7 +82,37 @@ def page(sources: Sources) -> Page:
     }
     seen = _seen(tunings["small"], sources[STUDIES["small"]])
     page = Page(values, {"expected": _expected(tunings, plain)}, {"seen": seen}, claims)
-    return Page.joined(page, _covariance(tunings["large"]), _shifted(sources["tuned_phase"]))
+    belief = _filter(tunings, sources[STUDIES["belief"]])
+    covariance, shifted = _covariance(tunings["large"]), _shifted(sources["tuned_phase"])
+    return Page.joined(page, belief, covariance, shifted)
+
+
+def _filter(tunings: Mapping[str, Tuning], source: Source) -> Page:
+    """P0, Q and R, whose gradient goes through covariance analysis, beside the searches."""
+    tuning, times = tunings["belief"], tunings["large"]
+    labels = [case["case"] for case in source.study.cases]
+    grid = source.grid(("nees",), case="case", start=_starts(source.study))
+    nees = {
+        name: pooled_mean(grid.at("nees", case=labels[tuning.places[candidate]]))
+        for name, candidate in (("tuned", tuning.best), ("given", BASELINE))
+    }
+    apart = {name: tuning.difference(name) for name in (GRADIENT, COVARIANCE)}
+    share = tuning.found[COVARIANCE].cost / tuning.found["sobol"].cost
+    values = {
+        "covariance": seconds(apart[COVARIANCE], 1),
+        "covariance_cost": f"{100 * share:.0f} %",
+        "nees": f"{nees['tuned'].value:.0f}",
+        "nees_given": f"{nees['given'].value:.0f}",
+    }
+    best = tuning.score(tuning.best)
+    claims = {
+        "a tuned filter needs no tuned times": best.high < times.score(times.best).low,
+        "by smooth variables all searches find the same": all(
+            one.low < 5.0 and one.high > -5.0 and abs(one.value) < 5.0 for one in apart.values()
+        ),
+        "a tuned filter believes too much": nees["tuned"].low > 3 * nees["given"].high,
+    }
+    return Page({"search": values}, claims=claims)
 
 
 def _covariance(tuning: Tuning) -> Page:
