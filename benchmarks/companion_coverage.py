@@ -4,10 +4,14 @@ The draws of a study, run with their companions, are the population: samples of 
 them many times, and it is counted how often the interval holds the mean of all. The expectation of
 the companions is their mean over the population. Statistics that are the same for 95 % of the draws
 or more are left out: few draws tell nothing of the rest.
+
+Then how far the mean settling time over eight misalignments and that of its companions go together
+from draw to draw, of each schedule of `configs/tuned_schedules.toml`.
 """
 
 import argparse
 import math
+import tomllib
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -20,15 +24,20 @@ import sinsjax
 from sinsjax.analysis.controlled import Expectation
 from sinsjax.bench.timing import Row, conditions
 from sinsjax.execution import controlled, layouts
+from sinsjax.platform.assets import asset
+from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
 
-SIZES, REPETITIONS, DRAWS = (16, 64), 2000, 1024
+SIZES, REPETITIONS, DRAWS, CORRELATED = (16, 64), 2000, 1024, 256
 SCHEDULES = [[50.0, 100.0, 150.0], [10.0, 60.0], [12.15, 63.44, 63.72]]
 TIMES_S = (60, 150, 300, 900)
 STARTS = [(5.0, 5.0), (5.0, 30.0), (10.0, 60.0), (20.0, 120.0)]
 """Level and heading errors, deg."""
 
 MOST_ALIKE = 0.95
+
+
+SETTLED = ("settle_10_s", "companion_settle_10_s")
 
 
 class Coverage(NamedTuple):
@@ -101,16 +110,43 @@ def rows_of(found: list[Coverage]) -> Iterator[Row]:
             }
 
 
+def correlations(draws: int) -> Iterator[Row]:
+    """Correlation of the mean settling time over misalignments with its companions', by schedule.
+
+    Args:
+        draws: of each schedule and misalignment.
+    """
+    tables = tomllib.loads(asset("configs/tuned_schedules.toml").read_text("utf-8"))
+    tables["study"] |= {"estimate": "controlled", "draws": draws}
+    study = study_from_dict(tables, "correlations")
+    table, run_s = sinsjax.run(study).summary, study.run_s
+    case = np.array(table["case"].to_pylist())
+    for name in dict.fromkeys(case):
+        own = table.filter(case == name)
+        # By draw, as runs are; one that never settles counts as long as it takes.
+        both = [own[column].to_numpy().reshape(draws, -1) for column in SETTLED]
+        y, x = (np.where(np.isnan(one), run_s, one).mean(axis=1) for one in both)
+        picks = np.random.default_rng(1).integers(0, draws, (2000, draws))
+        ends = np.quantile([np.corrcoef(y[p], x[p])[0, 1] for p in picks], [0.025, 0.975])
+        found = [np.corrcoef(y, x)[0, 1], *ends]
+        numbers = zip(("correlation", "low", "high"), found, strict=True)
+        yield {"schedule": str(name), "draws": draws} | {
+            key: round(float(r), 3) for key, r in numbers
+        }
+
+
 def main() -> None:
     """Measure and print; no timing, so it is no set of the history."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--json", action="store_true", help="one JSON object a line")
     parser.add_argument("--draws", type=int, default=DRAWS, help="of the population")
+    parser.add_argument("--correlated", type=int, default=CORRELATED, help="draws of a schedule")
     parser.add_argument("--repetitions", type=int, default=REPETITIONS, help="of each statistic")
     flags = parser.parse_args()
     sinsjax.configure()
     found = list(covered(study_of(flags.draws), flags.draws, flags.repetitions))
     common.show(list(rows_of(found)), conditions(), as_json=flags.json)
+    common.show(list(correlations(flags.correlated)), conditions(), as_json=flags.json)
 
 
 if __name__ == "__main__":
