@@ -49,7 +49,6 @@ def of_variant(table: pa.Table, variant: int, name: str) -> np.ndarray:
     return table.filter(runs)[name].to_numpy().reshape(3, -1)
 
 
-@pytest.mark.optimised(True)
 def test_until_the_hand_over_the_attitude_is_the_coarse_methods() -> None:
     """To the bit that of a run of this method alone, which goes on where this one stops."""
     curves = results().curves

@@ -1,6 +1,7 @@
 """The spread of runs whose starts and biases are drawn, against derivatives and against draws."""
 
 import itertools
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -86,8 +87,9 @@ TABLES: dict[str, Any] = {
 }
 
 
-def of_draws(**changes: Any) -> pa.Table:
-    given = {"draws": DRAWS, "settle_bands_arcmin": [60.0]} | changes
+@cache
+def of_draws() -> pa.Table:
+    given = {"draws": DRAWS, "settle_bands_arcmin": [60.0]}
     return study_run.run(drawn_study(given, {}, normal(WIDE), **TABLES)).summary
 
 

@@ -45,7 +45,12 @@ def assert_alone_as_among_others(
             assert last[name].to_pylist() == again.row[name].to_pylist()
 
 
-@pytest.mark.parametrize("name", STUDIES)
+def as_shipped(name: str) -> Any:
+    """A study, optimised where it has programs that others have not."""
+    return pytest.param(name, marks=pytest.mark.optimised(name in ("passes", "shared covariance")))
+
+
+@pytest.mark.parametrize("name", [*map(as_shipped, STUDIES)])
 def test_a_run_alone_is_the_run_among_others(name: str) -> None:
     study = study_of(name)
     runs = study.n_draws * study.n_variants

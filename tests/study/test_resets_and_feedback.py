@@ -16,6 +16,8 @@ from sinsjax.study.acting import first_alike
 from sinsjax.study.fingerprint import fingerprint
 from sinsjax.study.load import study_to_toml
 
+pytestmark = pytest.mark.optimised(False)
+
 AT, RESTARTS = "reset_at_feedback", "reset_restarts_feedback"
 NIS = {"reset_trigger": "nis", "trigger_threshold": 3e-4, "trigger_refractory_s": 0.3}
 KEYS = {AT: [False, True, False, True], RESTARTS: [False, False, True, True]}
@@ -56,7 +58,9 @@ def test_a_reset_that_waits_for_feedback_does_not_tell_its_phase() -> None:
     assert written[0] != written[1] != written[2]
 
 
-@pytest.mark.parametrize("method", ["kalman5", "kalman_sincos"])
+@pytest.mark.parametrize(
+    "method", [pytest.param("kalman5", marks=pytest.mark.optimised(True)), "kalman_sincos"]
+)
 def test_either_leaves_the_runs_beside_it_alone(method: str) -> None:
     """With a covariance for each run, and with one for all draws."""
     tables = {"alignment": {"method": method, "feedback_interval_s": 0.6}}
