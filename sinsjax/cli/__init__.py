@@ -184,7 +184,7 @@ def tune(
 
     Example: sinsjax tune tune_condition5 -o out
     """
-    from sinsjax.execution import forecast, progress
+    from sinsjax.execution import forecast, locking, progress
     from sinsjax.execution import resume as resuming
     from sinsjax.execution import run as study_run
     from sinsjax.tuning import carry_out
@@ -198,6 +198,7 @@ def tune(
         if file is not None and not study.is_recorded:
             raise InputError(f"{config}: has no [record] section to read {file} with")
     check_options(overwrite=overwrite, resume=resume, devices=devices)
+    locking.check_unlocked(out)
     carry_out.check_free(out, overwrite=overwrite or resume)
     configure(devices)
     stored = None if record is None else study_run.load_tape(study, record, reference)

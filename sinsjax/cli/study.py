@@ -1,7 +1,7 @@
 """Running a study from the command line: checks, forecast, progress and report."""
 
 import threading
-from contextlib import nullcontext, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -49,7 +49,7 @@ def run_study(
     Raises:
         InputError: the study cannot be run with these options.
     """
-    from sinsjax.execution import forecast, progress
+    from sinsjax.execution import forecast, locking, progress
     from sinsjax.execution import resume as resuming
     from sinsjax.execution import run as study_run
 
@@ -60,6 +60,7 @@ def run_study(
     if files is not None and not study.is_recorded:
         raise InputError(f"{config}: has no [record] section to read {files[0]} with")
     check_options(overwrite=overwrite, resume=resume, devices=devices)
+    locking.check_unlocked(out)
     resuming.check_free(out, overwrite=overwrite or resume)
     if study.is_estimated:
         curves = None  # there are no runs to have any
@@ -79,7 +80,9 @@ def run_study(
     expected = forecast.of(study, curves=curves)
     forecast.require_room(study, expected, out, overwrite=overwrite, resume=resume)
     cores = devices or cluster[0] or runtime.usable_cores()
-    say(terminal, f"{expected.describe(1 if cluster[1] else cores)}.")
+    done = forecast.runs_done(out) if resume else 0
+    if cluster[1] is None:
+        say(terminal, f"{expected.describe(cores, done)}.")
     study = made_ready(study, stored, terminal)
     if left := study.dropped_s:
         say(terminal, f"The last {left:g} s do not fill a record interval and are not run.")
@@ -87,9 +90,12 @@ def run_study(
         say(terminal, f"Runs that end by {study.study.window_s[0]:g} s have no window statistics.")
     with (
         _executor(*cluster) as executor,
-        progress.progress(terminal, study.name) as tell,
         progress.interruptible(terminal) as stop,
+        ExitStack() as showing,
     ):
+        if cluster[1] is not None:  # only now it is known how many there are
+            say(terminal, f"{expected.describe(executor.facts['threads'], done, threads=True)}.")
+        tell = showing.enter_context(progress.progress(terminal, study.name))
         study_run.run_into(
             study,
             out,

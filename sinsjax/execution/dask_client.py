@@ -6,6 +6,7 @@ import logging
 import multiprocessing
 import os
 import signal
+import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -29,14 +30,14 @@ _CONFIG = {
 def connected(address: str) -> Iterator[Any]:
     """A client of an existing scheduler."""
     dask, distributed = _dask()
-    with dask.config.set(_CONFIG):
+    with dask.config.set(_CONFIG), _log_off(dask):
         since = time.monotonic()
         try:
             _require_scheduler(address)
             left = max(1.0, since + CONNECT_S - time.monotonic())
             client = distributed.Client(address, timeout=left, set_as_default=False)
         except Exception as error:  # any other service may answer at this address
-            text = f"{address}: no Dask scheduler answers there ({first_line(error)})"
+            text = f"{address}: no Dask scheduler answers there ({_reason(error)})"
             raise InputError(text) from error
         with client:
             yield client
@@ -45,8 +46,19 @@ def connected(address: str) -> Iterator[Any]:
 def _require_scheduler(address: str) -> None:
     """Check that a scheduler answers; a client would wait forever for any other service."""
     from distributed import Security, rpc
+    from distributed.comm import addressing
 
     wait_s = 0.8 * CONNECT_S  # leaving the rest to the client
+
+    def resolve() -> None:
+        """Dask would try again and again, and then only tell how long."""
+        scheme, place = addressing.parse_address(address)
+        if scheme in ("tcp", "tls"):
+            host, _ = addressing.parse_host_port(place, 0)
+            try:
+                socket.getaddrinfo(host, None)
+            except socket.gaierror as error:
+                raise ValueError(f"host {host}: {error.strerror}") from None
 
     async def ask() -> str:
         arguments = Security().get_connection_args("client")
@@ -57,6 +69,7 @@ def _require_scheduler(address: str) -> None:
 
     def within_time() -> None:
         try:
+            resolve()
             answers.append(asyncio.run(asyncio.wait_for(ask(), wait_s)))
         except TimeoutError as error:
             answers.append(TimeoutError(first_line(error) or f"no answer in {wait_s:g} s"))
@@ -74,6 +87,48 @@ def _require_scheduler(address: str) -> None:
         raise ValueError(f"found a Dask {kind.lower()}")
 
 
+def _reason(error: BaseException) -> str:
+    """An error's first line, and what the system said where that was the cause."""
+    text, cause = first_line(error), error
+    while cause.__cause__ is not None:
+        cause = cause.__cause__
+    said = cause.strerror if isinstance(cause, OSError) else None
+    return f"{text}: {said}" if said and said not in text else text
+
+
+@contextmanager
+def _log_off(dask: Any) -> Iterator[None]:
+    """Silence the handler that Dask gives its loggers when nobody else configures them.
+
+    What it would print, with a traceback, is told in one line. Handlers of the user's, and a log
+    that the user has configured for Dask, stay as they are.
+    """
+    config = dask.config.config
+    if {"logging", "logging-file-config"} & {*config, *config.get("distributed", {})}:
+        yield
+        return
+    form = dask.config.get("distributed.admin.log-format")
+    loggers = map(logging.getLogger, ("distributed", "distributed.client"))
+    default = [
+        handler
+        for handler in dict.fromkeys(h for logger in loggers for h in logger.handlers)
+        if type(handler) is logging.StreamHandler
+        and handler.formatter is not None
+        and handler.formatter._fmt == form
+    ]
+    for handler in default:
+        handler.addFilter(_nothing)
+    try:
+        yield
+    finally:
+        for handler in default:
+            handler.removeFilter(_nothing)
+
+
+def _nothing(record: logging.LogRecord) -> bool:
+    return False
+
+
 @contextmanager
 def local(workers: int) -> Iterator[Any]:
     """A client of a scheduler in this process, with child processes as workers."""
@@ -83,6 +138,7 @@ def local(workers: int) -> Iterator[Any]:
         raise InputError(f"--workers: {workers} exceeds the {cores} available cores")
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(_CONFIG))
+        stack.enter_context(_log_off(dask))
         stack.enter_context(_environment(_for_workers()))
         with _signals_blocked(), _collector_off():
             cluster = stack.enter_context(

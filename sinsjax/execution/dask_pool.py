@@ -54,7 +54,12 @@ def executor(*, workers: int | None = None, scheduler: str | None = None) -> Ite
         else:
             client = stack.enter_context(dask_client.connected(scheduler))
         pool = DaskPool(client, scheduler or "--workers")
-        facts = {"workers": pool.ready(), "scheduler": scheduler or "local"}
+        there = pool.ready()
+        facts = {
+            "workers": len(there),
+            "threads": sum(there.values()),
+            "scheduler": scheduler or "local",
+        }
         yield Executor(pool.do, facts | pool.facts())
 
 
@@ -124,11 +129,13 @@ class DaskPool:
         self._machine: WorkerMachine | None = None
         self._instructions = ("", "")  # of all workers, and the first worker that reported it
         self._warned = self._waiting = False
+        self._known: set[str] = set()  # workers at the last look
+        self._any = False  # whether there was ever one
 
-    def ready(self) -> int:
-        """Wait for workers and check their versions and instruction sets; gives their number."""
+    def ready(self) -> dict[str, int]:
+        """Wait for workers and check their versions and instruction sets; gives their threads."""
         since = time.monotonic()
-        while not (there := self._threads()):
+        while not (there := self._look()):
             self._alone(since)
             time.sleep(_LOOK_S / 10)
         # By package name, which works with any version of sinsjax on the workers, or none.
@@ -139,7 +146,7 @@ class DaskPool:
         sets = self._ask("run", function=xla.instructions, on_error="ignore")
         for worker, instructions in sorted(sets.items()):
             self._check_instructions(worker, instructions)
-        return len(there)
+        return there
 
     def facts(self) -> dict[str, Any]:
         """Manifest entries of the workers, which compute the rows instead of this process."""
@@ -152,7 +159,7 @@ class DaskPool:
         left = iter(tasks)
         try:
             while True:
-                room = AHEAD * max(1, sum(self._threads().values())) - len(submitted)
+                room = AHEAD * max(1, sum(self._look().values())) - len(submitted)
                 for task in islice(left, max(0, room)):
                     submitted.send(task)
                 if not submitted:
@@ -177,7 +184,7 @@ class DaskPool:
             try:
                 return finished.get(timeout=_LOOK_S)
             except queue.Empty:
-                if self._threads():
+                if self._look():
                     seen, self._waiting = time.monotonic(), False
                 else:
                     self._alone(seen)
@@ -189,7 +196,7 @@ class DaskPool:
             try:
                 return future.result()
             except (CancelledError, OSError) as lost:
-                raise self._gone() from lost
+                raise self._gone(lost) from lost
         error = future.exception()
         if isinstance(error, InputError):
             text = str(error)
@@ -228,7 +235,20 @@ class DaskPool:
             raise InputError(f"{self._name}: no worker for {_PATIENCE_S / 60:g} min")
         if waited_s > dask_client.CONNECT_S and not self._waiting:
             self._waiting = True
-            _warn(f"{self._name}: no workers yet (waiting up to {_PATIENCE_S / 60:g} min)")
+            what = "all workers have left" if self._any else "no workers yet"
+            how = f"; start one: dask worker {self._name}" if "://" in self._name else ""
+            _warn(f"{self._name}: {what} (waiting up to {_PATIENCE_S / 60:g} min{how})")
+
+    def _look(self) -> dict[str, int]:
+        """Number of threads of each worker; says which have left since the last look."""
+        there = self._threads()
+        gone = sorted(self._known - there.keys())
+        self._known = set(there)
+        self._any = self._any or bool(there)
+        if gone:
+            which = f"{gone[0]} and {len(gone) - 1} more" if len(gone) > 1 else gone[0]
+            _warn(f"{which}: worker lost, its tasks run again ({len(there)} left)")
+        return there
 
     def _threads(self) -> dict[str, int]:
         """Number of threads of each worker."""
@@ -238,10 +258,13 @@ class DaskPool:
         try:
             return getattr(self._client, what)(**arguments)
         except Exception as error:  # Dask raises many different ones
-            raise self._gone() from error
+            raise self._gone(error) from error
 
-    def _gone(self) -> InputError:
-        return InputError(f"{self._name}: lost the scheduler (continue with --resume)")
+    def _gone(self, error: BaseException) -> InputError:
+        # A cancelled task is named first, which says nothing of the scheduler.
+        why = first_line(error).rpartition(" reason: ")[2].rstrip(".") or type(error).__name__
+        kept = "results so far are kept: continue with --resume"
+        return InputError(f"{self._name}: lost the scheduler: {why} ({kept})")
 
 
 def _check_versions(worker: str, theirs: dict[str, Any], ours: dict[str, Any]) -> None:

@@ -86,16 +86,25 @@ class Forecast(NamedTuple):
         """Total number of runs."""
         return sum(batch.runs for batch in self.batches)
 
-    def describe(self, cores: int) -> str:
-        """One line for a user, with the time on a number of cores."""
+    def describe(self, cores: int, done: int = 0, *, threads: bool = False) -> str:
+        """One line for a user, with the time that is left.
+
+        Args:
+            cores: number of cores that share the runs.
+            done: number of runs whose results are there.
+            threads: whether the cores are threads of workers, of whatever kind.
+        """
         kind = "noise-free run" if self.noise_free else "run"
         runs = f"{self.runs:,} {kind}{'s' if self.runs != 1 else ''} of up to {self.length_s:g} s"
-        takes = _time(self.runs * self.run_s / cores)
+        left = max(0, self.runs - done)
+        if done:
+            runs += f", {left:,} left"
+        takes = _time(left * self.run_s / cores)
         most = "At most " if self.at_most else ""
-        on = f"{cores} core{'s' if cores != 1 else ''}"
+        on = f"{cores} {'worker thread' if threads else 'core'}{'s' if cores != 1 else ''}"
         return (
             f"{most}{runs}: roughly {takes} on {on}, {_size(self.memory)} of memory,"
-            f" {_size(self.runs * self.run_bytes)} on disk"
+            f" {_size(left * self.run_bytes)}{' more' if done else ''} on disk"
         )
 
 
@@ -158,7 +167,7 @@ def require_room(
     """
     need = 0.0
     for batch in forecast.batches:
-        done = _done(directory / batch.name) if resume else 0
+        done = runs_done(directory / batch.name) if resume else 0
         need += max(0, batch.sure - done) * forecast.run_bytes
     free = machine.free_bytes(directory)
     if overwrite:
@@ -224,7 +233,7 @@ def _row_bytes(study: Study, columns: Iterable[Column]) -> float:
     return 8 * _PACKED * numbers
 
 
-def _done(directory: Path) -> int:
+def runs_done(directory: Path) -> int:
     """Number of runs with stored results."""
     try:
         done: Any = read_manifest(directory).get("runs_done")

@@ -5,7 +5,6 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
-import filelock
 import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -21,27 +20,7 @@ from sinsjax.study.fingerprint import fingerprint, with_draws
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
 
-LOCK = ".lock"
 _NAMES = (*DATASETS, "figures", "study.toml", MANIFEST)
-
-
-def locked(directory: Path) -> filelock.FileLock:
-    """Lock a directory, created if missing, against other writers.
-
-    The operating system releases the lock when the process ends.
-
-    Raises:
-        InputError: another process is writing there, or the directory is not writable.
-    """
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        lock = filelock.FileLock(directory / LOCK)
-        lock.acquire(blocking=False)
-    except filelock.Timeout:
-        raise InputError(f"{directory}: another process is writing there") from None
-    except OSError as error:
-        raise InputError(unwritable(directory, error)) from error
-    return lock
 
 
 class _Checked(BaseModel):
@@ -127,6 +106,8 @@ def resumed(directory: Path, job: Job, instructions: str | None = None) -> Job:
     extended = kept is not None and _is_extended(kept, job.study)
     if kept is not None and not extended and fingerprint(kept) != fingerprint(job.study):
         text = "; ".join(differences(kept, job.study)) or "written by another version"
+        if _is_extended(job.study, kept):
+            text += f" (there can be more, not fewer: go on with --draws {kept.n_draws})"
         raise InputError(f"{directory}: holds results of another study: {text}")
     if kept is not None and extended:
         _check_extension(directory, kept, job.study)
@@ -139,6 +120,11 @@ def resumed(directory: Path, job: Job, instructions: str | None = None) -> Job:
             )
         return job
     _check_chunks(directory, known)
+    if job.chunk_runs not in (None, known.chunk_runs):
+        raise InputError(
+            f"{directory}: chunk_runs: {job.chunk_runs} asked for, but its results were begun with"
+            f" {known.chunk_runs or 'the default'} (--resume keeps that: leave --chunk-runs out)"
+        )
     before = {*known.extended_at, *([kept.n_draws] if kept is not None and extended else [])}
     extended_at = tuple(sorted(draws for draws in before if draws <= job.study.n_draws))
     job = job._replace(curves=known.curves, chunk_runs=known.chunk_runs, extended_at=extended_at)
@@ -151,7 +137,7 @@ def resumed(directory: Path, job: Job, instructions: str | None = None) -> Job:
 
 
 def _is_extended(kept: Study, study: Study) -> bool:
-    """Whether a study is a simulated one with more draws and nothing else changed."""
+    """Whether a study is a simulated one, ``kept``, with more draws and nothing else changed."""
     draws = study.study.draws
     if kept.study.draws is None or draws is None or draws <= kept.study.draws:
         return False

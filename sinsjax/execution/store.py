@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 
 from sinsjax import columns
 from sinsjax.errors import InputError
-from sinsjax.execution import belongings
+from sinsjax.execution import belongings, locking
 from sinsjax.execution import resume as resuming
 from sinsjax.execution.belongings import DATASETS
 from sinsjax.execution.parts import MANIFEST
@@ -69,7 +69,7 @@ class Store:
         self._planned: list[Task] = []
         self._next_manifest = 0.0
         resuming.check_free(directory, overwrite=overwrite or resume)
-        self._lock = resuming.locked(directory)
+        self._lock = locking.locked(directory)
         try:
             self._begin(resume=resume, overwrite=overwrite)
         except BaseException:

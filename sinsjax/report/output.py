@@ -1,9 +1,11 @@
 """Where a report goes: a console, a directory of figures, a page in Markdown or in HTML."""
 
+import os
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
+from textwrap import fill
 from typing import Any, NamedTuple
 
 from markupsafe import Markup
@@ -24,6 +26,8 @@ from sinsjax.report.names import NO_NAMES, Names
 
 FIGURES = "figures"
 """Directory of the figures, in that of the results or of a page."""
+
+_LEAST_HEADER = 8  # characters of a column's name on a line, where its cells are shorter
 
 
 class Made(NamedTuple):
@@ -158,7 +162,8 @@ def markdown(block: Block, prefix: str = "", names: Names = NO_NAMES) -> str:
 
 
 def print_table(block: Table, console: Console, names: Names = NO_NAMES) -> None:
-    """Prints one table."""
+    """Prints one table; into a file or a pipe each row on a line, unless COLUMNS has a width."""
+    free = not console.is_terminal and not os.environ.get("COLUMNS")
     table = rich_table.Table(
         title=RichText(block.title, style="bold"),
         caption=RichText(names.plain(block.note)) if block.note else None,
@@ -167,12 +172,13 @@ def print_table(block: Table, console: Console, names: Names = NO_NAMES) -> None
         box=box.SIMPLE_HEAD,
         pad_edge=False,
     )
-    for name in block.header:
-        table.add_column(RichText(name))
+    for name, *cells in zip(block.header, *block.rows, strict=True):
+        least = max(_LEAST_HEADER, *map(len, cells), *map(len, name.split()))
+        table.add_column(RichText(fill(name, least) if free else name))
     for row in block.rows:
         table.add_row(*map(RichText, row))
     width = console.width
-    if not console.is_terminal:  # a file or a pipe has no width to fit in
+    if free:
         wide = console.options.update(max_width=10_000)
         console.width = Measurement.get(console, wide, table).maximum
     console.print(table)

@@ -11,7 +11,7 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from sinsjax.errors import InputError, StudyInterrupted
-from sinsjax.execution import belongings, forecast
+from sinsjax.execution import belongings, forecast, locking
 from sinsjax.execution import resume as resuming
 from sinsjax.execution.parts import MANIFEST
 from sinsjax.execution.run import RunProgress, Tell
@@ -94,7 +94,7 @@ def tune(
         stop or threading.Event(),
         source,
     )
-    lock = resuming.locked(directory)
+    lock = locking.locked(directory)
     try:
         # Again, since the directory may have changed before it was locked.
         check_free(directory, overwrite=overwrite or resume)

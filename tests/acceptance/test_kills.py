@@ -2,6 +2,7 @@
 
 import hashlib
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -205,7 +206,10 @@ def test_a_second_process_is_refused_until_the_first_dies(sweeps: Sweeps, whole:
     for second in seconds:
         code, _, error = sweeps.ended(second.go())
         assert code == 2
-        assert error == f"error: {sweeps.out}: another process is writing there\n"
+        told = (
+            rf"error: {sweeps.out}: another process is writing there: pid \d+ on \S+ \(wait .*\)\n"
+        )
+        assert re.fullmatch(told, error)
     assert times(sweeps.out) == before
     first.send(signal.SIGKILL)
     assert exit_code(first) == -signal.SIGKILL

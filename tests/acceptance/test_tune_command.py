@@ -21,7 +21,7 @@ from support.studies import BASE, small_study
 import sinsjax.tuning
 from sinsjax.engine.build import simulated_record
 from sinsjax.errors import InputError, StudyInterrupted
-from sinsjax.execution import resume, tables
+from sinsjax.execution import locking, tables
 from sinsjax.execution.run import RunProgress
 from sinsjax.plots import descents
 from sinsjax.records import write_psins
@@ -291,10 +291,12 @@ def test_what_a_killed_tuning_left_is_cleared_away(
 def test_two_tunings_do_not_write_into_one_directory(made: Path, tmp_path: Path, how: str) -> None:
     """Not even between two searches, where no results are written."""
     out = shutil.copytree(made, tmp_path / "out")
+    held = locking.locked(out)
     before = everything(out)
-    held = resume.locked(out)
     try:
-        with pytest.raises(InputError, match=r"out: another process is writing there$"):
+        with pytest.raises(
+            InputError, match=r"out: another process is writing there: pid \d+ on .+"
+        ):
             carry_out.tune(load_study(out / "study.toml"), out, **{how: True})
     finally:
         held.release()

@@ -114,7 +114,12 @@ def test_a_directory_of_before_extensions_is_extended(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("there", "here", "told"),
     [
-        (of(80), of(79), "[study] draws: 80 there, 79 here"),
+        (
+            of(80),
+            of(79),
+            "[study] draws: 80 there, 79 here"
+            " (there can be more, not fewer: go on with --draws 80)",
+        ),
         (
             of(80),
             of(90, filter={"p0_level_deg": 14.0}),

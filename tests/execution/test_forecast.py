@@ -157,6 +157,18 @@ def test_what_is_told(draws: int, cores: int, text: str):
     assert forecast.of(small_study(study={"draws": draws})).describe(cores).startswith(text)
 
 
+def test_what_is_left_is_told():
+    """Time and room of what is missing, on whatever computes it."""
+    expected = forecast.of(small_study(study={"draws": 10**8}))
+    line = expected.describe(1, 10**8 - 10**6)
+    assert line.startswith(
+        "100,000,000 runs of up to 6 s, 1,000,000 left: roughly 12 s on 1 core, "
+    )
+    assert line.endswith(" more on disk")
+    line = expected.describe(20, threads=True)
+    assert line.startswith("100,000,000 runs of up to 6 s: roughly 60 s on 20 worker threads, ")
+
+
 def test_compass_runs_take_less_than_filters():
     filters, loops = small_study(), small_study(alignment={"method": "compass"})
     assert forecast.of(loops).run_s < forecast.of(filters).run_s

@@ -235,15 +235,22 @@ def test_parts_know_their_chunks_where_no_manifest_does(whole: Path, out: Path, 
     (out / "summary" / f"{chunk(0)}.parquet").write_bytes(b"no part")
     if name == "study.toml too":
         (out / "study.toml").unlink()
-    options = {"chunk_runs": {"chunk_runs": 1024}.get(name)}
+    options = {"chunk_runs": {"chunk_runs": CHUNK_RUNS}.get(name)}
     assert sweep(out, resume=True, **options) == [chunk(0)]
     assert_complete(out, whole)
 
 
 def test_a_directory_keeps_its_chunks_and_curves(whole: Path, out: Path) -> None:
     shutil.rmtree(out / "curves")
-    made = sweep(out, resume=True, chunk_runs=1024, curves=False)
+    made = sweep(out, resume=True, chunk_runs=None, curves=False)
     assert len(made) == CHUNKS
+    assert_complete(out, whole)
+    assert sweep(out, resume=True, chunk_runs=CHUNK_RUNS) == []
+    with pytest.raises(InputError) as told:
+        sweep(out, resume=True, chunk_runs=1024)
+    assert f"out: chunk_runs: 1024 asked for, but its results were begun with {CHUNK_RUNS} " in str(
+        told.value
+    )
     assert_complete(out, whole)
 
 
@@ -540,6 +547,7 @@ def test_what_a_killed_process_left_half_done_goes(whole: Path, out: Path) -> No
 def assert_complete_but(out: Path, whole: Path, mine: list[str]) -> None:
     assert {path.name for path in out.rglob(".*") if path.is_file()} == {
         ".lock",
+        ".writer",
         ".notes.tmp",
         ".manifest.json",
     }
