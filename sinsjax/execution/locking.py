@@ -41,9 +41,9 @@ def check_unlocked(directory: Path) -> None:
     Asked before all else: what is there changes, and anything said of it would mislead.
 
     Raises:
-        InputError: names that process, or the lock cannot be read.
+        InputError: names that process, or the lock cannot be taken.
     """
-    if (directory / LOCK).is_file():
+    if os.path.isfile(directory / LOCK):  # whatever cannot be looked at is told by other checks
         _acquired(directory).release()
 
 

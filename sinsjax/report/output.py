@@ -5,7 +5,6 @@ from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from textwrap import fill
 from typing import Any, NamedTuple
 
 from markupsafe import Markup
@@ -26,8 +25,6 @@ from sinsjax.report.names import NO_NAMES, Names
 
 FIGURES = "figures"
 """Directory of the figures, in that of the results or of a page."""
-
-_LEAST_HEADER = 8  # characters of a column's name on a line, where its cells are shorter
 
 
 class Made(NamedTuple):
@@ -172,9 +169,8 @@ def print_table(block: Table, console: Console, names: Names = NO_NAMES) -> None
         box=box.SIMPLE_HEAD,
         pad_edge=False,
     )
-    for name, *cells in zip(block.header, *block.rows, strict=True):
-        least = max(_LEAST_HEADER, *map(len, cells), *map(len, name.split()))
-        table.add_column(RichText(fill(name, least) if free else name))
+    for name in block.header:
+        table.add_column(RichText(name))
     for row in block.rows:
         table.add_row(*map(RichText, row))
     width = console.width

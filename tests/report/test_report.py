@@ -55,10 +55,13 @@ def test_the_table_holds_the_statistics(tmp_path):
     assert f"Of these {list(ok).count('ok')} within" in text
 
 
-def test_lines_are_whole_where_the_console_is_no_terminal(tmp_path):
+def test_lines_are_whole_where_the_console_is_no_terminal(tmp_path, monkeypatch):
     study = small_study(axes={"phi_u0_deg": [0.0, 30.0]})
     lines = told(store(tmp_path, study, summary_of(study))).splitlines()
     assert any("phi_u0_deg" in line and "from its limit" in line for line in lines)
+    monkeypatch.setenv("COLUMNS", "70")  # unless a width is asked for
+    table = told(tmp_path).partition("Every variant")[2].partition("Number [")[0]
+    assert table and max(map(len, table.splitlines())) == 70
 
 
 def test_many_variants_are_pooled_and_their_intervals_count_draws(tmp_path):
