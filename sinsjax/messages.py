@@ -72,4 +72,6 @@ def explained(error: ErrorDetails) -> str:
         return rule(error)
     given = error["input"]
     value = repr(list(given) if isinstance(given, tuple) else given)
-    return f"{rule(error)}, not {shortened(value, 60)}"
+    words = error["ctx"]["expected"].split("'")[1::2] if error["type"] == "literal_error" else ()
+    hint = near(given, words) if isinstance(given, str) else ""
+    return f"{rule(error)}, not {shortened(value, 60)}{hint}"

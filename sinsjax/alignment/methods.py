@@ -19,7 +19,7 @@ from sinsjax.alignment.sincos.description import SINCOS, SURGE
 from sinsjax.alignment.zero_velocity.description import KALMAN5, KALMAN10
 from sinsjax.value_types import Section
 
-METHODS: dict[str, Description] = with_those_from_outside(
+_BROUGHT = with_those_from_outside(
     (
         KALMAN5,
         KALMAN10,
@@ -34,12 +34,25 @@ METHODS: dict[str, Description] = with_those_from_outside(
         COMPASS,
     )
 )
+
+METHODS: dict[str, Description] = _BROUGHT.methods
 """Every method; a study names one, the engine drives it through `base.Method`."""
+
+PACKAGES: dict[str, tuple[str, str]] = _BROUGHT.packages
+"""Package and version of each method that another package brings."""
+
+BROKEN: dict[str, str] = _BROUGHT.broken
+"""Why a method that another package brings cannot be used, in a line, by its name."""
 
 SECTIONS_OF_METHODS: dict[str, type[Section]] = {
     name: section for method in METHODS.values() for name, section in method.sections.items()
 }
 """The sections of a study that methods bring with them, by name."""
+
+
+def packages_of(names: Iterable[str]) -> dict[str, str]:
+    """The packages that bring some methods, and their versions."""
+    return dict(PACKAGES[name] for name in names if name in PACKAGES)
 
 
 def keys_unread(names: Iterable[str]) -> set[str]:

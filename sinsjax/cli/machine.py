@@ -17,9 +17,19 @@ def info() -> None:
     known["options"] = ", ".join(f"{key} = {value}" for key, value in known["options"].items())
     share = known["vectorised"]
     known["vectorised"] = "unknown" if share is None else f"{100 * share:.0f} % of a step"
-    for key, value in known.items():
+    for key, value in (known | _methods_from_outside()).items():
         if key != "forgone" or value:
             say(console, f"{key:>20}  {value}")
+
+
+def _methods_from_outside() -> dict[str, str]:
+    """Methods that other packages bring, and why some cannot be used."""
+    from sinsjax.alignment.methods import PACKAGES
+    from sinsjax.study.keys import BROKEN
+
+    brought = (f"{name} ({' '.join(PACKAGES[name])})" for name in PACKAGES if name not in BROKEN)
+    told = {"methods from outside": ", ".join(brought), "not usable": "; ".join(BROKEN.values())}
+    return {key: value for key, value in told.items() if value}
 
 
 def bench(

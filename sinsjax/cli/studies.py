@@ -105,20 +105,24 @@ def keys(
     wanted: Annotated[
         str | None,
         typer.Argument(
-            help="Section or key; all without one.",
+            help="Section, key or method; all keys without one.",
             show_default=False,
-            metavar="SECTION|KEY",
+            metavar="SECTION|KEY|METHOD",
             autocompletion=options.sections_and_keys,
         ),
     ] = None,
 ) -> None:
     """Explain the keys of a study: name, unit, default, meaning, and the methods that read them.
 
+    A method is explained by its source, the package that brings it, and the keys of its own.
+
     Example: sinsjax keys reset_cycle_s
     """
     from sinsjax.study import key_table
 
     console = plain_console()
+    for line in key_table.about_method(wanted):
+        say(console, line, wrap=True)
     for key in key_table.keys(wanted):
         default = key.default if key.default in ("", "required") else f"default {key.default}"
         about = filter(None, (key.unit, default, f"methods: {key.read_by}"))

@@ -131,6 +131,7 @@ def named(config: Path, changes: list[str] | None) -> Path | str:
 
 def foreseen(config: Path, changes: list[str] | None) -> list[str]:
     """What a study would run, without running it: runs, steps, time, memory and disk."""
+    from sinsjax.alignment.methods import PACKAGES
     from sinsjax.execution import forecast, preflight
 
     study = loaded(config, changes)
@@ -147,6 +148,9 @@ def foreseen(config: Path, changes: list[str] | None) -> list[str]:
     lines.append(f"{expected.describe(runtime.usable_cores())}.")
     lines.append(f"Up to {steps:,.0f} steps a run, {steps * expected.runs:,.0f} in all.")
     warnings = [] if study.is_recorded else preflight.warnings_of(study)
+    if not study.is_recorded and not PACKAGES.keys().isdisjoint(study.methods):
+        runtime.configure()
+        preflight.check_methods(study)
     return [*lines, *(f"Warning: {line}" for line in warnings)]
 
 

@@ -159,7 +159,7 @@ def _softened(study: Study, group: Group, method: Any, window_s: float) -> Any:
     relaxed = METHODS[group.static.method].implementation.relaxed
     if relaxed is None or relaxed.soften is None:
         raise InputError(f"{study.name}: window_s: {group.static.method!r} has no resets to spread")
-    if what := relaxed.refused(study):
+    if what := relaxed.refused(study, True):
         raise InputError(f"{study.name}: window_s: {what} cannot be spread over windows")
     if not window_s * study.rate_hz >= 1:
         raise InputError(f"{study.name}: window_s: must be a sample or more, not {window_s:g}")

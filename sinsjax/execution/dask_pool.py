@@ -15,9 +15,18 @@ from contextlib import ExitStack, contextmanager
 from itertools import islice
 from typing import Any
 
+from sinsjax.alignment.methods import packages_of
 from sinsjax.errors import InputError
 from sinsjax.execution import dask_client
-from sinsjax.execution.dask_worker import Wanting, WorkerAnswer, WorkerMachine, answer, versions
+from sinsjax.execution.dask_worker import (
+    SentJob,
+    Wanting,
+    WorkerAnswer,
+    WorkerMachine,
+    answer,
+    check_versions,
+    versions,
+)
 from sinsjax.execution.tasks import EncodedResult, Executor, Job, Task, TaskRunner
 from sinsjax.messages import first_line
 from sinsjax.platform import runtime, xla
@@ -72,7 +81,8 @@ class _SubmittedTasks:
     """
 
     def __init__(self, client: Any, job: Job) -> None:
-        self._client, self._sent = client, pickle.dumps(job)
+        self._client = client
+        self._sent = SentJob(packages_of(job.study.methods), pickle.dumps(job))
         self._key = f"sinsjax-{job.identity}-{job.curves}-{job.chunk_runs}-{job.study.n_draws}"
         self._under_way: dict[str, tuple[Task, Any, str | None]] = {}
         self._waiting: dict[str, list[Task]] = {}
@@ -142,7 +152,7 @@ class DaskPool:
         found = self._ask("get_versions", packages=list(runtime.DECISIVE))
         ours = found["client"]["packages"]
         for worker, about in found["workers"].items():
-            _check_versions(worker, about["packages"], ours)
+            check_versions(worker, about["packages"], ours, runtime.DECISIVE)
         sets = self._ask("run", function=xla.instructions, on_error="ignore")
         for worker, instructions in sorted(sets.items()):
             self._check_instructions(worker, instructions)
@@ -208,7 +218,7 @@ class DaskPool:
 
     def check(self, answer: WorkerAnswer) -> None:
         """Reject rows of other versions or instruction sets; warn once if machines differ."""
-        _check_versions(answer.worker, answer.versions, versions())
+        check_versions(answer.worker, answer.versions, versions(), runtime.DECISIVE)
         self._check_instructions(answer.worker, answer.machine.instructions)
         self._machine = self._machine or answer.machine
         if answer.machine != self._machine and not self._warned:
@@ -265,15 +275,6 @@ class DaskPool:
         why = first_line(error).rpartition(" reason: ")[2].rstrip(".") or type(error).__name__
         kept = "results so far are kept: continue with --resume"
         return InputError(f"{self._name}: lost the scheduler: {why} ({kept})")
-
-
-def _check_versions(worker: str, theirs: dict[str, Any], ours: dict[str, Any]) -> None:
-    for name in runtime.DECISIVE:
-        if theirs.get(name) != ours.get(name):
-            raise InputError(
-                f"{worker}: the worker has {name} {theirs.get(name) or '(none)'}, this process"
-                f" {ours.get(name)}: rows could differ (install the same version)"
-            )
 
 
 def _described(about: WorkerMachine) -> str:

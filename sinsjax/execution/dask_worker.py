@@ -8,9 +8,11 @@ import logging
 import os
 import pickle
 import threading
+from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import Any, NamedTuple
 
+from sinsjax.errors import InputError
 from sinsjax.execution.tasks import EncodedResult, Job, Task, TaskRunner
 from sinsjax.platform import affinity, runtime, xla
 
@@ -65,12 +67,24 @@ def dask_setup(worker: Any) -> None:
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
 
 
-def answer(key: str, sent: bytes | None, task: Task) -> WorkerAnswer | Wanting:
+class SentJob(NamedTuple):
+    """A job on its way to a worker.
+
+    Attributes:
+        packages: what its methods need, and in which version.
+        pickled: the `Job`.
+    """
+
+    packages: dict[str, str]
+    pickled: bytes
+
+
+def answer(key: str, sent: SentJob | None, task: Task) -> WorkerAnswer | Wanting:
     """Run a task; called on a Dask worker.
 
     Args:
         key: identifies the job.
-        sent: pickled `Job`; None if the worker may already have it.
+        sent: the job; None if the worker may already have it.
         task: one of the job's tasks.
 
     Raises:
@@ -79,6 +93,9 @@ def answer(key: str, sent: bytes | None, task: Task) -> WorkerAnswer | Wanting:
     from distributed import get_worker
 
     worker = get_worker()
+    if sent is not None:  # before it is unpickled, which would need them
+        theirs = {name: runtime.version_or_none(name) for name in sent.packages}
+        check_versions(worker.address, theirs, sent.packages, sent.packages)
     runner = _runner(key, sent, worker.state.nthreads)
     if runner is None:
         return Wanting(worker.address)
@@ -89,7 +106,7 @@ _held: dict[str, TaskRunner] = {}
 _building = threading.Lock()
 
 
-def _runner(key: str, sent: bytes | None, threads: int) -> TaskRunner | None:
+def _runner(key: str, sent: SentJob | None, threads: int) -> TaskRunner | None:
     """The task runner of a job, created once per worker and kept until the next job."""
     with _building:
         if key not in _held:
@@ -99,9 +116,21 @@ def _runner(key: str, sent: bytes | None, threads: int) -> TaskRunner | None:
                 affinity.keep_to_one_core()
             runtime.configure(devices=1)
             _held.clear()
-            job: Job = pickle.loads(sent)
+            job: Job = pickle.loads(sent.pickled)
             _held[key] = TaskRunner(job)
         return _held[key]
+
+
+def check_versions(
+    worker: str, theirs: Mapping[str, Any], ours: Mapping[str, Any], names: Iterable[str]
+) -> None:
+    """Refuse a worker with other versions of some packages."""
+    for name in names:
+        if theirs.get(name) != ours.get(name):
+            raise InputError(
+                f"{worker}: the worker has {name} {theirs.get(name) or '(none)'}, this process"
+                f" {ours.get(name)}: rows could differ (install the same version on every worker)"
+            )
 
 
 def versions() -> dict[str, str]:

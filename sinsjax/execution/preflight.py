@@ -4,9 +4,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from sinsjax.alignment.methods import PACKAGES
+from sinsjax.engine import batch
+from sinsjax.engine.build import parts
+from sinsjax.engine.lanes import shown, tiles_of
 from sinsjax.engine.study_limits import hidden_north
 from sinsjax.engine.truth import site_of, starts_of
 from sinsjax.errors import InputError
+from sinsjax.messages import one_line
 from sinsjax.records import Layout, Record, require_span
 from sinsjax.records.plausible import StationaryValues, findings
 from sinsjax.records.reference import StoredRecord
@@ -37,6 +42,35 @@ def warnings_of(study: Study, stored: StoredRecord | None = None) -> list[str]:
         told = [*_fast_sways(study), *_rough_surges(study)]
         return [*told, *([str(hidden)] if hidden else [])]
     return list(_of_record(study, stored))
+
+
+def check_methods(study: Study, stored: StoredRecord | None = None) -> None:
+    """Trace what methods of other packages compute, as a run would.
+
+    Args:
+        study: checked study, at the rate of its record.
+        stored: the record of a recorded study.
+
+    Raises:
+        InputError: one of them cannot be run; names its package.
+    """
+    if PACKAGES.keys().isdisjoint(study.methods):
+        return
+    for part in parts(study, stored):
+        static, environment = part.group.static, part.group.environment
+        if static.method not in PACKAGES:
+            continue
+        tiles = tiles_of(part.group, batch.plan(part.group)[0])
+        try:
+            batch.program(
+                static, environment, tiles, shown(part.group)
+            )  # a sweep takes it from there
+        except InputError:
+            raise
+        except Exception as error:  # what JAX says of another's function
+            of = " ".join(PACKAGES[static.method])
+            what = f"{type(error).__name__}: {one_line(str(error).strip(), 600)}"
+            raise InputError(f"method {static.method!r} of {of}: does not trace: {what}") from error
 
 
 def layout_of(study: Study) -> Layout:

@@ -15,12 +15,12 @@ from sinsjax.errors import InputError
 from sinsjax.execution import resume
 from sinsjax.execution import tables as result_tables
 from sinsjax.execution.belongings import RERUN
+from sinsjax.execution.kept_study import kept_study
 from sinsjax.execution.outputs import outputs_of
 from sinsjax.execution.run import load_tape
 from sinsjax.execution.tasks import Job
 from sinsjax.platform.files import replacing, unwritable
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
 
 
@@ -91,7 +91,7 @@ def rerun_into(
         InputError: there are no results or no such run, the record is a different one, or the
             files cannot be written.
     """
-    study = load_study(directory / "study.toml")
+    study = kept_study(directory)
     if files[0] is None and files[1] is not None:
         raise InputError("--reference: requires --record")
     if study.is_recorded and files[0] is None:

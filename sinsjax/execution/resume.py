@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from sinsjax.alignment.methods import packages_of
 from sinsjax.errors import InputError
 from sinsjax.execution.belongings import DATASETS, WHOLE
 from sinsjax.execution.parts import MANIFEST, find, read_manifest
@@ -128,7 +129,7 @@ def resumed(directory: Path, job: Job, instructions: str | None = None) -> Job:
     before = {*known.extended_at, *([kept.n_draws] if kept is not None and extended else [])}
     extended_at = tuple(sorted(draws for draws in before if draws <= job.study.n_draws))
     job = job._replace(curves=known.curves, chunk_runs=known.chunk_runs, extended_at=extended_at)
-    _check_versions(directory, known)
+    _check_versions(directory, known, packages_of(job.study.methods))
     _check_instructions(directory, known, instructions or xla.instructions())
     if known.identity != job.identity:
         what = "study" if kept is None else "record or reference"
@@ -164,11 +165,11 @@ def _check_extension(directory: Path, kept: Study, study: Study) -> None:
             )
 
 
-def _check_versions(directory: Path, known: Manifest) -> None:
-    """Reject rows of other versions: last bits and chunks may differ."""
+def _check_versions(directory: Path, known: Manifest, packages: Iterable[str]) -> None:
+    """Reject rows of other versions, be they of packages that bring methods: bits may differ."""
     here = runtime.versions()
     for session in known.sessions:
-        for name in runtime.DECISIVE:
+        for name in (*runtime.DECISIVE, *packages):
             there = shortened(one_line(session.versions.get(name, here[name])))
             if there != here[name]:
                 raise InputError(

@@ -15,7 +15,7 @@ from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import forecast, layouts, stopping, store
 from sinsjax.execution import resume as resuming
 from sinsjax.execution import tasks as study_tasks
-from sinsjax.execution.preflight import layout_of, warnings_of
+from sinsjax.execution.preflight import check_methods, layout_of, warnings_of
 from sinsjax.execution.tasks import Executor, Job, Task, TaskRunner
 from sinsjax.platform import runtime
 from sinsjax.records import read_record, read_reference
@@ -98,6 +98,7 @@ def made_ready(study: Study, tape: StoredRecord | None) -> tuple[Study, list[str
     study = at_rate(study, tape)
     if study.is_recorded != (tape is not None):  # rejected when it is run
         return study, []
+    check_methods(study, tape)
     return study, warnings_of(study, tape)
 
 

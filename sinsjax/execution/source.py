@@ -14,9 +14,9 @@ from sinsjax import analysis, columns
 from sinsjax.analysis.grids import Grid
 from sinsjax.errors import InputError
 from sinsjax.execution import estimates, tables
+from sinsjax.execution.kept_study import kept_study
 from sinsjax.execution.parts import is_there
 from sinsjax.study.acting import first_alike, silent
-from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
 from sinsjax.study.success import Yardstick, as_of_schema_1, yardsticks
 
@@ -62,7 +62,7 @@ class Source:
             table = estimates.read_estimates(directory)
         else:
             tables.count_runs(directory)
-        study = load_study(directory / "study.toml")
+        study = kept_study(directory)
         manifest = tables.read_manifest(directory)
         schema = str(manifest.get("schema"))
         if schema == "1":

@@ -184,6 +184,14 @@ def _version(package: str) -> str:
     return importlib.metadata.version(package)
 
 
+def version_or_none(package: str) -> str | None:
+    """The version of an installed package; None if it is not installed."""
+    try:
+        return _version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
 def _default_devices() -> int:
     import jax
 

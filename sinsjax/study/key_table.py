@@ -6,7 +6,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from sinsjax.alignment.methods import METHODS
+from sinsjax.alignment.methods import BROKEN, METHODS, PACKAGES
 from sinsjax.errors import InputError
 from sinsjax.messages import near
 from sinsjax.study.acting import readers
@@ -59,17 +59,39 @@ def keys(wanted: str | None = None) -> list[Key]:
     """The keys of a study, of one section, or those of one name.
 
     Args:
-        wanted: section, key, or ``section.key``; None for all.
+        wanted: section, key, ``section.key``, or a method for its own; None for all.
 
     Raises:
         InputError: there is none of that name.
     """
     every = [_key(name, *item) for name, m in TABLES.items() for item in m.model_fields.items()]
+    if wanted in METHODS:
+        own = METHODS[wanted].sections
+        return [key for key in every if key.section in own and wanted in key.methods]
+    if wanted in BROKEN:
+        raise InputError(BROKEN[wanted])
     names = {text for key in every for text in (key.section, key.name, f"{key.section}.{key.name}")}
     if wanted is not None and wanted not in names:
-        raise InputError(f"{wanted}: no section or key of a study{near(wanted, sorted(names))}")
+        hint = near(wanted, sorted({*names, *METHODS}))
+        raise InputError(f"{wanted}: no section, key or method of a study{hint}")
     return [
         key for key in every if wanted in (None, key.section, key.name, f"{key.section}.{key.name}")
+    ]
+
+
+def about_method(wanted: str | None) -> list[str]:
+    """What a method is, in lines; none where no method has that name."""
+    if wanted not in METHODS or wanted in BROKEN:
+        return []
+    method = METHODS[wanted]
+    package, version = PACKAGES.get(wanted, ("", ""))
+    sections = ", ".join(f"[{name}]" for name in method.sections) or "none"
+    reads = ", ".join(method.reads) or "nothing"
+    return [
+        f"{wanted}: {method.summary}",
+        f"    source: {method.source}",
+        *([f"    package: {package} {version}"] if package else []),
+        f"    sections of its own: {sections}; of [alignment] and [passes] it reads {reads}",
     ]
 
 

@@ -3,9 +3,8 @@
 from functools import cache
 from typing import Any
 
-from sinsjax.alignment.methods import SECTIONS_OF_METHODS
+from sinsjax.alignment.methods import BROKEN, METHODS, PACKAGES, SECTIONS_OF_METHODS
 from sinsjax.alignment.sections import AlignmentSection, CoarseSection, PassesSection
-from sinsjax.errors import InputError
 from sinsjax.study.distributions import StopWhenSection
 from sinsjax.study.ranges import TuneSection
 from sinsjax.study.recorded import RecordSection
@@ -34,18 +33,24 @@ _AFTER: dict[str, type[Section]] = {
 
 
 def _of_all() -> dict[str, type[Section]]:
-    """Those of every study about those of methods, which another package may have brought.
+    """Those of every study about those of methods.
 
-    Raises:
-        InputError: a method has a section, or a key, that every study has.
+    A method of another package with a section, or a key, that every study has cannot be used.
     """
     common = _BEFORE | _AFTER
     taken = {key: name for name, section in common.items() for key in section.model_fields}
-    for name, section in SECTIONS_OF_METHODS.items():
-        if name in common:
-            raise InputError(f"[{name}] of a method: that is a section of every study")
-        for key in section.model_fields.keys() & taken.keys():
-            raise InputError(f"[{name}] {key} of a method: that is a key of [{taken[key]}]")
+    for name, section in list(SECTIONS_OF_METHODS.items()):
+        keys = sorted(section.model_fields.keys() & taken.keys())
+        if name not in common and not keys:
+            continue
+        del SECTIONS_OF_METHODS[name]
+        why = f"[{name}] is a section of every study"
+        if name not in common:
+            why = f"[{name}] {keys[0]} is a key of [{taken[keys[0]]}]"
+        for method in [one.name for one in METHODS.values() if name in one.sections]:
+            package = " ".join(PACKAGES.pop(method, ("another package",)))
+            BROKEN[method] = f"method {method!r} of {package}: {why}"
+            del METHODS[method]
     return _BEFORE | SECTIONS_OF_METHODS | _AFTER
 
 

@@ -30,6 +30,7 @@ from sinsjax.study.keys import (
     rivals,
 )
 from sinsjax.study.study import Study
+from sinsjax.study.usable import check_usable
 from sinsjax.value_types import Default
 
 __all__ = [
@@ -186,6 +187,7 @@ def with_rate(study: Study, rate_hz: float) -> Study:
 
 def _checked(data: TomlTable, name: str) -> Study:
     """The study that tables make, but for what is between [tune] and the rest of it."""
+    check_usable(data)
     tables = _tables(_with_tuples(data))
     sweep = axes.read(tables)
     where = {key: f"[{name}]" for name in SECTIONS for key in tables.get(name, ())}

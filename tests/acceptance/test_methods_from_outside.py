@@ -67,6 +67,7 @@ def test_it_is_a_method_like_any_other(site: Path, tmp_path: Path) -> None:
     told = sinsjax("keys", "averaged", site=site, cwd=tmp_path)
     assert (told.returncode, told.stderr) == (0, "")
     assert "averaging_time_s" in told.stdout and "time constant of the average" in told.stdout
+    assert "package: averaged-alignment 1.0" in told.stdout
     swept = sinsjax("sweep", "averages.toml", "-o", "out", site=site, cwd=tmp_path)
     assert swept.returncode == 0, swept.stderr
     assert package.read_manifest(tmp_path / "out")["versions"]["averaged-alignment"] == "1.0"
@@ -83,8 +84,8 @@ def test_it_is_a_method_like_any_other(site: Path, tmp_path: Path) -> None:
         (('name="averaged"', 'name="inertial"'), "there is already a method 'inertial'"),
         (('{"averaged": Av', '{"filter": Av'), "section [filter] is that of another method"),
         (("averaging_time_s", "level_time_s"), "key level_time_s is one of section [compass]"),
-        (("averaging_time_s", "duration_s"), "[averaged] duration_s of a method: that is a key of"),
-        (('{"averaged": Av', '{"study": Av'), "[study] of a method: that is a section of every"),
+        (("averaging_time_s", "duration_s"), "[averaged] duration_s is a key of [study]"),
+        (('{"averaged": Av', '{"study": Av'), "[study] is a section of every study"),
     ],
 )
 def test_what_clashes_or_is_broken_is_one_line(
@@ -98,7 +99,39 @@ def test_what_clashes_or_is_broken_is_one_line(
         text = path.read_text()
         if path.suffix == ".txt" or not change[0].startswith(("desc", "AV")):
             path.write_text(text.replace(*change))
-    told = sinsjax("keys", "alignment", site=changed, cwd=tmp_path)
+    told = sinsjax("keys", "averaged", site=changed, cwd=tmp_path)
     assert told.returncode == 2 and told.stderr.count("\n") == 1
     assert told.stderr.startswith("error: ") and line in told.stderr
-    assert "Traceback" not in told.stderr
+    assert "averaged-alignment 1.0" in told.stderr
+
+
+def test_what_is_broken_concerns_its_own_studies_alone(site: Path, tmp_path: Path) -> None:
+    changed = shutil.copytree(site, tmp_path / "site")
+    described = changed / "averaged_alignment" / "description.py"
+    described.write_text(described.read_text().replace("averaging_time_s", "duration_s"))
+    (tmp_path / "averages.toml").write_text(STUDY)
+    told = sinsjax("validate", "reset_sweep", site=changed, cwd=tmp_path)
+    assert (told.returncode, told.stderr) == (0, "")
+    told = sinsjax("validate", "averages.toml", site=changed, cwd=tmp_path)
+    why = "method 'averaged' of averaged-alignment 1.0: [averaged] duration_s is a key of [study]"
+    line = f"averages.toml: [alignment] method: 'averaged' cannot be used: {why}"
+    assert (told.returncode, told.stderr) == (2, f"error: {line}\n")
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        (("none = jnp", "none = state.nothing  # jnp"), "step: AttributeError: 'State' object"),
+        (("sample.dv),", "sample.dv)[:1],"), "does not trace: TypeError: "),
+    ],
+)
+def test_a_method_that_cannot_be_run_is_told_by_validate(
+    site: Path, tmp_path: Path, change: tuple[str, str], what: str
+) -> None:
+    changed = shutil.copytree(site, tmp_path / "site")
+    method = changed / "averaged_alignment" / "method.py"
+    method.write_text(method.read_text().replace(*change))
+    (tmp_path / "averages.toml").write_text(STUDY)
+    told = sinsjax("validate", "averages.toml", site=changed, cwd=tmp_path)
+    assert told.returncode == 2 and told.stderr.count("\n") == 1
+    assert told.stderr.startswith(f"error: method 'averaged' of averaged-alignment 1.0: {what}")

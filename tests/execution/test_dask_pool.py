@@ -29,6 +29,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import dask_client, dask_pool, dask_worker, run
 from sinsjax.execution import tables as result_tables
 from sinsjax.execution import tasks as study_tasks
+from sinsjax.execution.dask_worker import SentJob
 from sinsjax.platform import compile_cache, runtime, xla
 from sinsjax.study.load import Study, study_from_dict
 
@@ -409,7 +410,7 @@ class Far:
     status = "running"
 
     def __init__(self, workers: list[str]) -> None:
-        self.workers, self.sent = workers, dict[str, list[tuple[str, bytes]]]()
+        self.workers, self.sent = workers, dict[str, list[tuple[str, SentJob]]]()
         self.dying: list[str] = []
         self._turns = 0
         self._later: list[Callable[[], None]] = []
@@ -420,7 +421,7 @@ class Far:
         return dict.fromkeys(self.workers, 2)
 
     def submit(
-        self, function: object, job: str, sent: bytes | None, task: study_tasks.Task, **how: Any
+        self, function: object, job: str, sent: SentJob | None, task: study_tasks.Task, **how: Any
     ) -> SimpleNamespace:
         self._turns += 1
         name = self.workers[self._turns % len(self.workers)]
@@ -461,7 +462,7 @@ def test_the_record_goes_to_every_worker_once(
             far.workers.append("tcp://c:1")
     assert sorted(done) == tasks
     assert [len(sent) for sent in far.sent.values()] == [1, 1, 1]
-    assert pickle.loads(far.sent["tcp://c:1"][0][1]) == runner.job
+    assert pickle.loads(far.sent["tcp://c:1"][0][1].pickled) == runner.job
     far.sent.clear()
     # One goes while the job is on its way there, which costs another a second sending.
     far.workers, far.dying = ["tcp://a:1", "tcp://b:1"], ["tcp://b:1"]
@@ -501,6 +502,17 @@ def test_every_answer_is_checked_and_unlike_machines_are_told_once(
     late = dask_worker.versions() | {"jaxlib": "0.1"}
     with pytest.raises(InputError, match="^tcp://far:1: the worker has jaxlib 0.1, this process"):
         pool.check(answer(versions=late))
+
+
+def test_a_worker_without_the_package_of_a_method_is_told_before_it_gets_the_job(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    worker = SimpleNamespace(address="tcp://far:1", state=SimpleNamespace(nthreads=2))
+    monkeypatch.setattr("distributed.get_worker", lambda: worker)
+    sent = SentJob({"brings-a-method": "1.0"}, b"no pickle")
+    what = r"^tcp://far:1: the worker has brings-a-method \(none\), this process 1\.0: .* on every"
+    with pytest.raises(InputError, match=what):
+        dask_worker.answer("key", sent, study_tasks.Task("part-0000-000000", 0, (0, 1), 0, 1, 0))
 
 
 Sweep = Callable[..., subprocess.Popen]

@@ -10,8 +10,11 @@ from typing import Any
 import pytest
 from support.studies import small_study
 
+from sinsjax.alignment import methods
 from sinsjax.errors import InputError
 from sinsjax.execution import resume, run, tasks
+from sinsjax.execution.kept_study import kept_study
+from sinsjax.execution.source import Source
 from sinsjax.execution.tables import read_manifest
 from sinsjax.platform import runtime, xla
 from sinsjax.study.load import study_to_toml
@@ -65,6 +68,29 @@ def test_rows_of_other_versions_are_not_added(
     with pytest.raises(InputError, match=f"out: was computed with {name} .*, but here is 0.0"):
         run.run_into(study, out, resume=True)
     assert (out / "manifest.json").read_bytes() == before
+
+
+@pytest.mark.optimised(False)
+def test_rows_of_another_version_of_a_package_with_a_method_are_not_added(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only where the study has that method; one that is not there is named where they are read."""
+    study, out = small_study(), tmp_path / "out"
+    here = runtime.versions()
+    monkeypatch.setattr(runtime, "versions", lambda: here | {"bringing": "1.0"})
+    run.run_into(study, out)
+    monkeypatch.setattr(runtime, "versions", lambda: here | {"bringing": "1.1"})
+    run.run_into(study, out, resume=True)
+    monkeypatch.setitem(methods.PACKAGES, "kalman5", ("bringing", "1.1"))
+    with pytest.raises(InputError, match=r"computed with bringing 1\.0, but here is 1\.1 \("):
+        run.run_into(study, out, resume=True)
+    assert kept_study(out) == study
+    text = (out / "study.toml").read_text()
+    (out / "study.toml").write_text(text.replace("kalman5", "brought"))
+    with pytest.raises(InputError) as caught:
+        Source.read(out)
+    line = f"{out}: was computed with bringing 1.1, not installed here, which may be why: "
+    assert str(caught.value).startswith(line) and "not 'brought'" in str(caught.value)
 
 
 def test_rows_of_another_instruction_set_are_not_added(tmp_path: Path) -> None:
