@@ -1,6 +1,7 @@
 """A method of another package, found by its entry point."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -12,25 +13,8 @@ import pytest
 import sinsjax as package
 
 EXAMPLE = Path(__file__).parents[1] / "example_method"
-STUDY = """
-[study]
-name = "averages"
-duration_s = 60.0
-rate_hz = 50.0
-draws = 4
-[earth]
-latitude_deg = 45.0
-[motion]
-yaw_center_deg = 20.0
-[sensors]
-gyro_bias_deg_per_h = 0.01
-[alignment]
-phi_u0_deg = 30.0
-[averaged]
-averaging_time_s = 1000.0
-[axes]
-method = ["averaged", "inertial"]
-"""
+PAGE = (EXAMPLE.parents[1] / "docs" / "own_method.md").read_text("utf-8")
+STUDY = re.findall(r"^```toml\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)[-1]
 
 
 @pytest.fixture(scope="module")
