@@ -245,8 +245,8 @@ def _expected(tunings: Mapping[str, Tuning], plain: Mapping[str, Estimate]) -> T
             found["plain two"] = f"`reset_times_s = {_shown(PLAIN_S)}`", plain[name]
         rows += [[QUESTIONS[name], how, keys, seconds(s)] for how, (keys, s) in found.items()]
     note = (
-        "First two questions: mean time until the heading stays within 10 arcmin of its limit;"
-        " compass: time by which 90 % are within 3 arcmin, where 600 s, the whole run, is never."
+        "Mean time until the heading stays within 10 arcmin of its limit; compass gains: the time"
+        " by which 90 % are within 3 arcmin, where 600 s, the whole run, is never."
         " [95 % interval over runs that tuned nothing.]"
     )
     return Table("What to set, and what to expect", ["", "", "settings", "time"], rows, note)
