@@ -7,6 +7,8 @@ import shutil
 import tempfile
 
 os.environ["MPLBACKEND"] = "Agg"
+# Tables in a pipe are as wide as that says, and pytest-xdist's workers have it.
+os.environ.pop("COLUMNS", None)
 # Products of small matrices: more threads of OpenBLAS only wait, each at the cost of a core.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # What one process compiles, xdist's others and those that tests start take from it; the folder

@@ -104,7 +104,7 @@ def made(faked: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) ->
 
 def test_what_a_tuning_leaves(made: Path) -> None:
     names = {"study.toml", "tuned.toml", "history.parquet", "grid", "equal_cost", "evaluation"}
-    assert {path.name for path in made.iterdir()} == names | {".lock"}
+    assert {path.name for path in made.iterdir()} == names | {".lock", ".writer"}
     study = load_study(made / "study.toml")
     assert study == load_study(made.parent / "swing.toml")
     grid, gradient, equal = history.read(made, SearchSpace.of(study))

@@ -90,10 +90,12 @@ def page(sources: Sources) -> Page:
 def _filter(tunings: Mapping[str, Tuning], source: Source) -> Page:
     """P0, Q and R, whose gradient goes through covariance analysis, beside the searches."""
     tuning, times = tunings["belief"], tunings["large"]
-    labels = [case["case"] for case in source.study.cases]
-    grid = source.grid(("nees",), case="case", start=_starts(source.study))
+    # By candidate, misalignment and draw: the cases of the judging are its outermost dimension.
+    every = analysis.numbers(source.rows(["nees"]), "nees")
+    by_variant = every.reshape(-1, source.study.n_variants).T
+    by_case = by_variant.reshape(-1, tuning.study.n_variants, by_variant.shape[1])
     nees = {
-        name: pooled_mean(grid.at("nees", case=labels[tuning.places[candidate]]))
+        name: pooled_mean(by_case[tuning.places[candidate]])
         for name, candidate in (("tuned", tuning.best), ("given", BASELINE))
     }
     apart = {name: tuning.difference(name) for name in (GRADIENT, COVARIANCE)}
