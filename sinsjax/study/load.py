@@ -234,7 +234,8 @@ def _tables(data: TomlTable) -> TomlTable:
         if name in SECTION_OF and name not in SECTIONS:
             raise InputError(f"{name}: belongs in [{SECTION_OF[name]}]")
         if name not in names:
-            raise InputError(f"[{name}]: unknown section{near(name, names, '[{}]')}")
+            hint = near(name, names, "[{}]") or " (of a method whose package is not installed?)"
+            raise InputError(f"[{name}]: unknown section{hint}")
         if name == "cases":
             continue
         if not isinstance(table, Mapping):

@@ -129,7 +129,9 @@ def _with_other_entry(data: TomlTable, source: str, place: Place, error: str) ->
     if not isinstance(beside, list):
         return None
     rule, _, _ = error.rpartition(", not ")
-    for value in (*_others(beside, int(place.below[-1])), *_CHOICE.findall(rule)):
+    values = [*_others(beside, int(place.below[-1])), *_CHOICE.findall(rule)]
+    # A repeated entry may be an error of its own.
+    for value in sorted(values, key=lambda value: value in beside):
         out = copied(data)
         _reached(out, path)[last] = value
         found = _first(out, source)

@@ -143,7 +143,7 @@ yaw_center_deg = 10.0
 gyro_bias_deg_per_h = ["a", 0.1, "b"]
 
 [axes]
-method = ["kalman7", "compas"]
+method = ["kalman7", "kalman5", "compas"]
 pitch_period_s = [-1.0, -2.0, "x"]
 reset_times_s = [[1.0, -2.0, "x"], ["y"], [3.0]]
 
@@ -166,7 +166,7 @@ def test_validate_tells_every_error_of_a_list(sinsjax: Command, tmp_path: Path) 
     lines = [line.removeprefix("error: lists.toml: ") for line in error.splitlines()]
     assert sorted(line.partition(":")[0] for line in lines) == [
         "[axes] method[0]",
-        "[axes] method[1]",
+        "[axes] method[2]",
         "[axes] pitch_period_s[0]",
         "[axes] pitch_period_s[1]",
         "[axes] pitch_period_s[2]",

@@ -31,19 +31,26 @@ def assert_same_bits(one: object, other: object) -> None:
         np.testing.assert_array_equal(a, b)
 
 
-@pytest.fixture(scope="module", params=["measured", "gravity"])
-def six_variants(request: pytest.FixtureRequest) -> lane_layout.Group:
+def six_variants_of(force: str) -> lane_layout.Group:
     """Six variants a draw: tiles hold eleven or twelve draws, and the last one is padded.
 
     With gravity in A(t) they share their covariance: eight draws a tile, eight tiles a set.
     """
     study = small_study(
         study={"draws": 50, "curves": True},
-        alignment={"specific_force": request.param},
+        alignment={"specific_force": force},
         axes={"phi_u0_deg": [0.0, 10.0, 30.0], "reset_times_s": [[], [1.37, 4.0]]},
     )
     (part,) = build.parts(study)
     return part.group
+
+
+FORCES = ["measured", "gravity"]
+
+
+@pytest.fixture(scope="module", params=FORCES)
+def six_variants(request: pytest.FixtureRequest) -> lane_layout.Group:
+    return six_variants_of(request.param)
 
 
 @pytest.fixture(scope="module")
@@ -60,10 +67,14 @@ def test_results_have_the_same_bits_for_any_chunk_and_device_count(
     assert_same_bits(got, reference)
 
 
+@pytest.mark.optimised(False)
+@pytest.mark.parametrize("force", FORCES)
 def test_a_program_a_device_puts_each_threads_work_on_its_own(
-    six_variants: lane_layout.Group, reference: tuple, monkeypatch: pytest.MonkeyPatch
+    force: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As on accelerators: the two virtual devices of the tests have a program each."""
+    group = six_variants_of(force)
+    reference = all_runs(group, devices=1, tiles_a_chunk=2)
     devices = jax.local_devices()
     assert len(devices) == 2
     monkeypatch.setattr(batch, "targets", lambda: devices)
@@ -82,10 +93,10 @@ def test_a_program_a_device_puts_each_threads_work_on_its_own(
             return out
 
     monkeypatch.setattr(batch, "program", lambda *given: Watched(program(*given), given[-1]))
-    got = all_runs(six_variants, devices=2, tiles_a_chunk=2)
+    got = all_runs(group, devices=2, tiles_a_chunk=2)
     assert_same_bits(got, reference)
     assert used and all(home == on for home, on in used)
-    calls, both = batch.Calls(six_variants, tiles_a_chunk=2), threading.Barrier(2, timeout=60)
+    calls, both = batch.Calls(group, tiles_a_chunk=2), threading.Barrier(2, timeout=60)
 
     def together(number: int) -> batch.Chunk:
         both.wait()

@@ -570,7 +570,7 @@ def test_ctrl_c_lets_the_workers_finish_and_resume_goes_on(
     chunks = result_tables.read_manifest(out)["chunks"]
     assert sum(chunk["state"] == "done" for chunk in chunks) == len(there)
 
-    process = sweep(out, "--workers", "2", "--resume")
+    process = sweep(out, "--workers", "1", "--resume")
     told, errors = process.communicate(timeout=300)
     assert (process.returncode, errors) == (0, "")
     lines = [line for line in told.splitlines() if "runs/s" in line]

@@ -569,7 +569,10 @@ def test_fingerprint_changes_with_what_is_zipped_drawn_or_stopped():
     ("tables", "line"),
     [
         ({"sensor": {}}, "[sensor]: unknown section (did you mean [sensors]?)"),
-        ({"zzz": {}}, "[zzz]: unknown section"),
+        (
+            {"zzz": {}},
+            "[zzz]: unknown section (of a method whose package is not installed?)",
+        ),
         ({"duration_s": 1.0}, "duration_s: belongs in [study]"),
         ({"sensors": 3}, "[sensors]: must be a table of keys"),
         ({"axes": [1]}, "[axes]: must be a table of keys"),
