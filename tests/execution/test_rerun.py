@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
-from support.kept import STUDIES, everything, study_of
+from support.kept import EACH_STUDY, everything, study_of
 from support.studies import small_study
 
 from sinsjax.engine import build
@@ -45,12 +45,7 @@ def assert_alone_as_among_others(
             assert last[name].to_pylist() == again.row[name].to_pylist()
 
 
-def as_shipped(name: str) -> Any:
-    """A study, optimised where it has programs that others have not."""
-    return pytest.param(name, marks=pytest.mark.optimised(name in ("passes", "shared covariance")))
-
-
-@pytest.mark.parametrize("name", [*map(as_shipped, STUDIES)])
+@pytest.mark.parametrize("name", EACH_STUDY)
 def test_a_run_alone_is_the_run_among_others(name: str) -> None:
     study = study_of(name)
     runs = study.n_draws * study.n_variants

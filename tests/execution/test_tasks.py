@@ -10,7 +10,7 @@ import pyarrow as pa
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.kept import STUDIES, parts, study_of
+from support.kept import EACH_STUDY, parts, study_of
 from support.studies import small_study
 
 from sinsjax.engine import build
@@ -24,7 +24,7 @@ from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import study_from_dict
 
 
-@pytest.fixture(scope="module", params=STUDIES)
+@pytest.fixture(scope="module", params=EACH_STUDY)
 def name(request: pytest.FixtureRequest) -> str:
     return request.param
 
