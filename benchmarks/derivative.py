@@ -81,7 +81,9 @@ def loops_of(group: Group, tiles: Tiles) -> tuple[int, ...]:
     return (1, every // size, size) if size > 1 else (1, every)
 
 
-def operations(program: jax.stages.Compiled, loops: tuple[int, ...] = ()) -> int:
+def operations(
+    program: jax.stages.Compiled, loops: tuple[int, ...] = (), *, without: int | None = None
+) -> int:
     """Arithmetic operations on one element that a compiled program carries out.
 
     XLA's own ``cost_analysis`` counts the body of a loop once, however often it runs, so that what
@@ -93,6 +95,7 @@ def operations(program: jax.stages.Compiled, loops: tuple[int, ...] = ()) -> int
     Args:
         program: compiled.
         loops: trip counts of the loops that do not tell theirs, the outermost first.
+        without: trip count of loops whose bodies are left out; None counts all.
     """
     lines: dict[str, list[str]] = {}
     body: list[str] = []
@@ -112,6 +115,8 @@ def operations(program: jax.stages.Compiled, loops: tuple[int, ...] = ()) -> int
             if found and found[2] in _ARITHMETIC:
                 total += int(np.prod([int(n) for n in found[1].split(",") if n], dtype=np.int64))
             trips = _TRIPS.search(line)
+            if trips and int(trips[1]) == without:
+                continue
             for how, several, one in _CALLED.findall(line):
                 told = trips is not None or how != "body"
                 times = int(trips[1]) if how == "body" and trips else 1 if told else loops[depth]

@@ -28,8 +28,8 @@ OTHERS = tuple(name for name in METHODS if name not in ("kalman5", "compass"))
 QUICK = ("kalman10", "kalman_sincos", "optimisation")
 """The methods beside `kalman5` and `compass`; those of a quick run."""
 
-COUNTED = (2, 4)
-"""Records of the programs whose difference tells the arithmetic of a step."""
+SHORT = 7
+"""Records of a quick run: as many passes no other loop of a program makes."""
 
 
 def rows(quick: bool, repeats: int) -> list[Row]:
@@ -49,7 +49,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
         "compass_tape": compass_group(RECORD_S),
     }
     if quick:
-        groups = {name: shortened(group, 2) for name, group in groups.items()}
+        groups = {name: shortened(group, SHORT) for name, group in groups.items()}
     silent = {name: without_noise(group) for name, group in groups.items()}
     alone = {name: group for name, group in silent.items() if group.sizes[1] == 1}
     alone = {"kalman_alone": some_variants(silent["kalman"], 1), **alone}
@@ -69,16 +69,14 @@ def rows(quick: bool, repeats: int) -> list[Row]:
 def arithmetic(group: Group) -> float:
     """Operations of a step and run that the compiled program carries out, see `operations`.
 
-    What is done once a run drops out; what is done once a record is spread over its steps.
+    What is done once a run is left out; what is done once a record is spread over its steps.
     """
     arguments = group.environment, tiles_of(group, plan(group, tiles_a_chunk=TILES)[0])
-    loops = loops_of(group, arguments[1])
-    few, many = (
-        operations(compiled(shortened(group, records).static, *arguments), loops)
-        for records in COUNTED
-    )
-    steps = (COUNTED[1] - COUNTED[0]) * group.static.record_every
-    return (many - few) / (steps * arguments[1].params.q.w.size)
+    program, loops = compiled(group.static, *arguments), loops_of(group, arguments[1])
+    records = group.static.records
+    over_records = operations(program, loops) - operations(program, loops, without=records)
+    steps = records * group.static.record_every
+    return over_records / (steps * arguments[1].params.q.w.size)
 
 
 if __name__ == "__main__":
