@@ -244,7 +244,8 @@ def rows(quick: bool, repeats: int) -> list[Row]:
             "limit": round(1.2 * max(1 + 2 * p, ratio), 2),
             "temp_bytes": temporary(program),
         }
-    for key, length in (("half", records // 2), ("double", 2 * records)):
+    lengths = {"half": records // 2, "double": 2 * records}
+    for key, length in [*lengths.items()][quick:]:
         program, *_ = program_of(shortened(silent, length), max(counts))
         others[-1][f"temp_bytes_{key}"] = temporary(program)
     return [first, *others, *tuning(float(records), repeats)]

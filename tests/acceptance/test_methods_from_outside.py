@@ -45,6 +45,7 @@ def sinsjax(*words: str, site: Path, cwd: Path) -> subprocess.CompletedProcess[s
     )
 
 
+@pytest.mark.optimised(False)
 def test_it_is_a_method_like_any_other(site: Path, tmp_path: Path) -> None:
     """Its section is read and explained, its runs stand beside others', its version is kept."""
     (tmp_path / "averages.toml").write_text(STUDY)

@@ -248,6 +248,7 @@ def test_without_noise_only_the_noise_is_gone(small_group):
     )
 
 
+@pytest.mark.optimised(False)
 @pytest.mark.parametrize("devices", [1, 2])
 def test_the_engine_is_timed_on_whole_tiles(small_group, devices):
     case = cases.engine("x", cases.shortened(small_group, 2), tiles=4, lanes=16, devices=devices)

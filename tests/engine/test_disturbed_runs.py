@@ -115,6 +115,7 @@ def test_what_disturbs_leaves_the_rest_of_the_noise_alone():
     assert not np.allclose(other, alone[0] - none, rtol=0, atol=1e-5)
 
 
+@pytest.mark.optimised(False)
 def test_a_record_hangs_on_neither_its_length_nor_on_passes():
     whole = rows(disturbed())
     np.testing.assert_array_equal(rows(disturbed(passes=PASSES)), whole[:200])

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
-from support.kept import EACH_STUDY, everything, study_of
+from support.kept import STUDIES, everything, study_of
 from support.studies import small_study
 
 from sinsjax.engine import build
@@ -45,7 +45,8 @@ def assert_alone_as_among_others(
             assert last[name].to_pylist() == again.row[name].to_pylist()
 
 
-@pytest.mark.parametrize("name", EACH_STUDY)
+@pytest.mark.optimised(False)
+@pytest.mark.parametrize("name", STUDIES)
 def test_a_run_alone_is_the_run_among_others(name: str) -> None:
     study = study_of(name)
     runs = study.n_draws * study.n_variants
@@ -207,6 +208,7 @@ def test_a_run_that_is_not_there_yet_is_one_clear_line(out: Path, tmp_path: Path
         rerun_into(tmp_path / "out", 384)
 
 
+@pytest.mark.optimised(False)
 def test_a_recorded_run_needs_its_record(tmp_path: Path, tape: StoredRecord) -> None:
     path, other = tmp_path / "swing.imu", tmp_path / "other.imu"
     write_psins(tape.record, path)

@@ -70,7 +70,6 @@ def test_rows_of_other_versions_are_not_added(
     assert (out / "manifest.json").read_bytes() == before
 
 
-@pytest.mark.optimised(False)
 def test_rows_of_another_version_of_a_package_with_a_method_are_not_added(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

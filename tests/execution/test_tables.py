@@ -225,6 +225,7 @@ def test_drawn_keys_are_columns() -> None:
     assert len(set(names)) == len(names)
 
 
+@pytest.mark.optimised(False)
 def test_single_precision_is_refused_before_earlier_results_go(tmp_path: Path) -> None:
     study = small_study()
     run.run_into(study, tmp_path / "out")

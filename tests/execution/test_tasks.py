@@ -10,7 +10,7 @@ import pyarrow as pa
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.kept import EACH_STUDY, parts, study_of
+from support.kept import STUDIES, parts, study_of
 from support.studies import small_study
 
 from sinsjax.engine import build
@@ -23,8 +23,11 @@ from sinsjax.records import Reference
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import study_from_dict
 
+# What is compiled as shipped has its bits compared in tests of the engine and of repeated passes.
+pytestmark = pytest.mark.optimised(False)
 
-@pytest.fixture(scope="module", params=EACH_STUDY)
+
+@pytest.fixture(scope="module", params=STUDIES)
 def name(request: pytest.FixtureRequest) -> str:
     return request.param
 

@@ -204,6 +204,7 @@ def recorded(**changes: Any) -> Any:
     return study_from_dict(tables)
 
 
+@pytest.mark.optimised(False)
 def test_a_study_runs_on_arrays(drive: tuple[Any, Any]) -> None:
     record = drive[1]
     time = 100 + np.arange(1, len(record.dv) + 1) / record.rate_hz

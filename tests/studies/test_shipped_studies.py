@@ -54,7 +54,8 @@ def test_resets_rescue_condition_5_and_gravity_needs_none() -> None:
     """
     data = tomllib.loads((CONFIGS / "paper1_resets.toml").read_text())
     del data["cases"]
-    data["study"] |= {"draws": 4, "curves": False}
+    # Half as long as in the paper: 300 s of steady filtering after the last reset.
+    data["study"] |= {"draws": 4, "curves": False, "duration_s": 450.0, "window_s": [300, 450]}
     data["alignment"] |= {"phi_e0_deg": 5.0, "phi_n0_deg": 5.0, "phi_u0_deg": 30.0}
     data["axes"] = {
         "specific_force": ["measured", "gravity"],

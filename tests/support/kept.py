@@ -6,8 +6,6 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from sinsjax.engine.batch import in_threads
 from sinsjax.execution.belongings import DATASETS
 from sinsjax.execution.tasks import EncodedResult, Executor, Task, TaskRunner
@@ -67,15 +65,6 @@ STUDIES: dict[str, dict[str, Any]] = {
         "resets": {"reset_cycle_s": 1.0},
     },
 }
-
-
-EACH_STUDY = [
-    pytest.param(name, marks=pytest.mark.optimised(name == "passes")) for name in STUDIES
-]
-"""Their names, to parametrise tests of bits with.
-
-Of the other three, what is compiled as shipped has its bits compared in tests of the engine.
-"""
 
 
 def study_of(name: str, draws: int | None = None) -> Study:
