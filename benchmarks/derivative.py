@@ -225,8 +225,9 @@ def rows(quick: bool, repeats: int) -> list[Row]:
         ``derivative_plain``, then ``derivative_pN`` with ``ratio`` (of the times, in turns),
         ``operations_ratio``, ``limit`` (what ``ratio`` may be) and ``temp_bytes``; that of the
         most parameters also with ``temp_bytes_half`` and ``temp_bytes_double``, of runs of half
-        and twice the length: forward mode stores no step. Then ``tune_plain`` and
-        ``tune_gradient_p2``, with ``counted``, the plain runs that the cost of a tuning counts.
+        and twice the length (a quick run has only the latter): forward mode stores no step. Then
+        ``tune_plain`` and ``tune_gradient_p2``, with ``counted``, the plain runs that the cost of a
+        tuning counts.
     """
     records = QUICK if quick else RECORDS
     silent = without_noise(default_group())

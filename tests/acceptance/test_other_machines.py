@@ -16,8 +16,6 @@ from sinsjax.platform import xla
 from sinsjax.study.load import study_to_toml
 
 TOLERANCE_ARCMIN, TOLERANCE_DEG = 1e-6, 1e-8
-
-
 METHODS = ["kalman5", "compass"]
 
 

@@ -2,8 +2,9 @@
 
 As shipped, but for tests marked ``optimised(False)``: those of what is read, written, told and
 chosen, and of numbers to a tolerance. They take programs that are compiled in a half to a fifth of
-the time, and run four times as long. What is held against the bits of other programs, oracles or
-seconds is compiled as users have it.
+the time, and run four times as long. What is held against oracles or seconds is compiled as
+users have it, and so is what tests of the engine and of repeated passes hold against the bits of
+other programs: whole studies that are cut, killed or resumed need not show it again.
 """
 
 import os
