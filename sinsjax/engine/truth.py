@@ -4,7 +4,6 @@ Everything that runs of a part share is made here, in SI units, from the study's
 """
 
 from collections.abc import Mapping
-from functools import partial
 from typing import Any
 
 import jax
@@ -44,7 +43,7 @@ from sinsjax.study.schema import EarthSection, MotionSection, SensorsSection
 from sinsjax.study.study import Span, Study
 from sinsjax.study.times import samples_before, stored_times
 from sinsjax.study.variants import Variants
-from sinsjax.types import Array, Scalar
+from sinsjax.types import Array
 from sinsjax.units import DEG, DEG_PER_H
 from sinsjax.value_types import Section
 
@@ -86,35 +85,44 @@ def site_of(study: Study, variants: Variants, stored: StoredRecord | None) -> tu
     return jax.tree.map(np.float64, site), ug
 
 
-@partial(jax.jit, static_argnames=("samples", "axes"))
+_TIMES = 256
+"""True attitudes that are made at a time."""
+
+_rows = jax.jit(base_motion.block, static_argnames="with_axes")
+
+
+@jax.jit
+def _attitudes(motion: base_motion.Motion, times: Array) -> Array:
+    return jax.vmap(lambda t: jnp.stack(base_motion.attitude(motion, t)))(times)
+
+
 def _truth(
     motion: base_motion.Motion,
     place: earth.Place,
-    times: Array,
-    rate: Scalar,
+    times: np.ndarray,
+    rate: float,
     *,
     samples: int,
     axes: bool,
-) -> tuple[Array, Array]:
-    """Ideal increments (samples, 6), or with axes (samples, 15); true attitudes (n, 4) at times."""
-    rows = base_motion.increments_and_axes if axes else base_motion.increments
-    return (
-        rows(motion, place, rate, samples),
-        jax.vmap(lambda t: jnp.stack(base_motion.attitude(motion, t)))(times),
-    )
+) -> tuple[np.ndarray, np.ndarray]:
+    """Ideal increments (samples, 6), or with axes (samples, 15); true attitudes (n, 4) at times.
+
+    Block by block: one program serves studies of any length.
+    """
+    rows, attitudes = _blank(samples, len(times), axes=axes)
+    for first in range(0, samples, base_motion.BLOCK):
+        some = rows[first : first + base_motion.BLOCK]
+        some[:] = _rows(motion, place, rate, float(first), with_axes=axes)[: len(some)]
+    for first in range(0, len(times), _TIMES):
+        some = attitudes[first : first + _TIMES]
+        padded = np.resize(times[first : first + _TIMES], _TIMES)
+        some[:] = _attitudes(motion, padded)[: len(some)]
+    return rows, attitudes
 
 
-def _blank(
-    motion: base_motion.Motion,
-    place: earth.Place,
-    times: Array,
-    rate: Scalar,
-    *,
-    samples: int,
-    axes: bool,
-) -> tuple[Array, Array]:
+def _blank(samples: int, times: int, *, axes: bool) -> tuple[np.ndarray, np.ndarray]:
     """Zeros of the shapes of `_truth`."""
-    return np.zeros((samples, 15 if axes else 6)), np.zeros((len(times), 4))
+    return np.zeros((samples, 15 if axes else 6)), np.zeros((times, 4))
 
 
 def simulated(
@@ -129,7 +137,7 @@ def simulated(
     """Environment, draws and their true starting attitudes of a simulated part.
 
     A key that is drawn has a nominal value in the environment: zero, or its default. A blank one
-    has zeros for the truth, which takes XLA a while: shapes are all that a program is compiled for.
+    has zeros for the truth: shapes are all that a program is compiled for.
     """
     site, ug = site_of(study, variants, None)
     errors, motion, disturbances = _base_and_sensors(variants, ug)
@@ -142,13 +150,15 @@ def simulated(
         # Of one length for all parts, so that they share a program.
         samples = max(s.read for s in study.distinct_spans) * study.record_every
         kept = samples if samples <= MOST_STORED_SAMPLES else 0
-        make = _blank if blank else _truth
         surges = disturbances.surge is not None
-        truth = make(motion, site.place, times, study.rate_hz, samples=kept, axes=surges)
+        if blank:
+            rows, attitudes = _blank(kept, len(times), axes=surges)
+        else:
+            rows, attitudes = _truth(
+                motion, site.place, times, study.rate_hz, samples=kept, axes=surges
+            )
         if kept:
-            increments = np.asarray(truth[0][:, :6])
-            axes = np.asarray(truth[0][:, 6:]) if surges else None
-        attitudes = np.asarray(truth[1])
+            increments, axes = rows[:, :6], rows[:, 6:] if surges else None
     n = len(draws)
     environment = Environment(
         site=site,

@@ -25,6 +25,9 @@ _WEIGHTS = 0.5 * _WEIGHTS
 
 _BATCH = 1000
 
+BLOCK = 4 * _BATCH
+"""Rows of `block`."""
+
 
 class Sway(NamedTuple):
     """One Euler angle over time: center + amplitude sin(2 pi t / period + phase).
@@ -296,25 +299,40 @@ def _sum(a: tuple[Scalar, Scalar], b: tuple[Scalar, Scalar]) -> tuple[Scalar, Sc
 
 def increments(motion: Motion, place: Place, rate_hz: Scalar, samples: int) -> Array:
     """Ideal sensor increments of samples 0 to ``samples`` - 1, (samples, 6), see `sensed`."""
-    return _rows(motion, place, rate_hz, samples, with_axes=False)
+    return _rows(motion, place, rate_hz, _numbers(samples), with_axes=False)[:samples]
 
 
 def increments_and_axes(motion: Motion, place: Place, rate_hz: Scalar, samples: int) -> Array:
     """Increments of samples 0 to ``samples`` - 1, and the axes meanwhile, (samples, 15)."""
-    return _rows(motion, place, rate_hz, samples, with_axes=True)
+    return _rows(motion, place, rate_hz, _numbers(samples), with_axes=True)[:samples]
 
 
-def _rows(motion: Motion, place: Place, rate_hz: Scalar, samples: int, *, with_axes: bool) -> Array:
-    """Rows of samples, computed in two or more batches of equal size.
+def block(
+    motion: Motion, place: Place, rate_hz: Scalar, first: Scalar, *, with_axes: bool
+) -> Array:
+    """Increments of `BLOCK` samples from number ``first``, and the axes if asked for.
+
+    The same bits as those of a whole record, whose length does not decide the program.
+    """
+    return _rows(motion, place, rate_hz, first + _numbers(BLOCK), with_axes=with_axes)
+
+
+def _numbers(samples: int) -> Array:
+    """Numbers of samples from 0, filled up to two or more batches.
 
     A shorter last batch, or a single one whose loop the compiler removes, would give other bits.
     """
+    return jnp.arange(max(2, -(-samples // _BATCH)) * _BATCH, dtype=float)
+
+
+def _rows(
+    motion: Motion, place: Place, rate_hz: Scalar, numbers: Array, *, with_axes: bool
+) -> Array:
+    """Rows of the samples of some numbers, computed in batches of equal size."""
     ahead = nodes(motion, rate_hz)
-    batches = max(2, -(-samples // _BATCH))
-    numbers = jnp.arange(batches * _BATCH, dtype=float)
 
     def row(k: Scalar) -> Array:
         made = sensed(motion, ahead, place, rate_hz, k)
         return jnp.stack(jax.tree.leaves(made if with_axes else made.increments))
 
-    return jax.lax.map(row, numbers, batch_size=_BATCH)[:samples]
+    return jax.lax.map(row, numbers, batch_size=_BATCH)
