@@ -31,6 +31,7 @@ from support import compilation  # noqa: E402  (imports what is to be checked)
 from sinsjax.platform import runtime  # noqa: E402
 
 runtime.configure(devices=2, x64=True)
+compilation.install()
 jax.config.update("jax_legacy_prng_key", "error")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
