@@ -8,21 +8,21 @@ A package says in its ``pyproject.toml`` where its `Description` stands:
 What is wrong with one concerns the studies that use it, and no others.
 """
 
-import functools
-import traceback
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
 from importlib.metadata import EntryPoint
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_type_hints
 
-from sinsjax.alignment.description import Description, Implementation
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from sinsjax.alignment.description import Description
+from sinsjax.alignment.guarding import guarded, of_package, what
 from sinsjax.errors import InputError
-from sinsjax.messages import first_line
+from sinsjax.messages import explained, one_line
 from sinsjax.platform import runtime
+from sinsjax.value_types import ActsWhere
 
-_NOT_THEIRS = (str(Path(__file__).parents[1]), "/jax/", "/pydantic/", "/importlib/", "<")
-"""In the paths of code that calls a package's own, or is called by it."""
+_CONFIG = ConfigDict(strict=True, arbitrary_types_allowed=True)
 
 
 class Brought(NamedTuple):
@@ -32,7 +32,8 @@ class Brought(NamedTuple):
         methods: by name, those of this package and those of others after them.
         packages: of a method from outside, its package and that one's version, by name.
         broken: why a method cannot be used, in a line, by name or, where it has none, by that of
-            its entry point.
+            its entry point. Under the name of a method of this package, which is used all the same,
+            why that of another is not.
     """
 
     methods: dict[str, Description]
@@ -43,25 +44,43 @@ class Brought(NamedTuple):
 def with_those_from_outside(built_in: Iterable[Description]) -> Brought:
     """Every method that can be used, and what is wrong with others."""
     methods = {method.name: method for method in built_in}
-    brought = Brought(methods, {}, {})
+    brought, named = Brought(methods, {}, {}), defaultdict(list)
     for point in runtime.method_entry_points():
+        named[point.name].append(point)
+    for name, points in named.items():
         try:
-            method = _loaded(point)
-            if method.name in methods:
-                raise InputError(f"{_named(point)}: there is already a method {method.name!r}")
-            if method.name != point.name:
-                raise InputError(
-                    f"{_named(point)}: its method is called {method.name!r} (give both one name)"
-                )
-            for name, section in method.sections.items():
-                _check_section(point, name, section.model_fields, methods)
+            method = _the_only(points, methods)
         except InputError as error:
-            brought.broken[point.name] = str(error)
+            brought.broken[name] = str(error)
             continue
-        methods[method.name] = _guarded(method, point)
-        if point.dist is not None:
-            brought.packages[method.name] = point.dist.name, point.dist.version
+        methods[name] = guarded(method, points[0])
+        if (package := points[0].dist) is not None:
+            brought.packages[name] = package.name, package.version
     return brought
+
+
+def _the_only(points: list[EntryPoint], methods: Mapping[str, Description]) -> Description:
+    """The method of entry points of one name, of which there may be one."""
+    point, *others = points
+    if point.name in methods:
+        clashes = (f"{_named(one)}: there is already a method {one.name!r}" for one in points)
+        raise InputError("; ".join(clashes))
+    if others:
+        packages = " and".join(map(of_package, points))
+        raise InputError(
+            f"entry point {point.name!r} in {point.group}{packages}: each brings a method of this"
+            " name (uninstall all but one)"
+        )
+    method = _loaded(point)
+    if method.name in methods:
+        raise InputError(f"{_named(point)}: there is already a method {method.name!r}")
+    if method.name != point.name:
+        raise InputError(
+            f"{_named(point)}: its method is called {method.name!r} (give both one name)"
+        )
+    for name, section in method.sections.items():
+        _check_section(point, name, section.model_fields, methods)
+    return method
 
 
 def _check_section(
@@ -84,75 +103,31 @@ def _check_section(
 def _loaded(point: EntryPoint) -> Description:
     try:
         method = point.load()
-    except Exception as error:  # whatever another's module raises
-        raise InputError(f"{_named(point)}: cannot be loaded ({_what(error)})") from error
+    except (Exception, SystemExit) as error:  # whatever another's module raises
+        raise InputError(f"{_named(point)}: cannot be loaded ({what(error, point)})") from error
     if not isinstance(method, Description):
-        what = f"{point.value} is a {type(method).__name__}"
-        raise InputError(f"{_named(point)}: {what}, no sinsjax.alignment.description.Description")
+        found = f"{point.value} is a {type(method).__name__}"
+        raise InputError(f"{_named(point)}: {found}, no sinsjax.alignment.description.Description")
+    for field, kind in get_type_hints(Description).items():
+        _check_type(point, field, getattr(method, field), kind)
+    for name, section in method.sections.items():
+        _check_type(point, f"[{name}] exclusive", section.exclusive, tuple[tuple[str, str], ...])
+        _check_type(point, f"[{name}] conditions", section.conditions, tuple[ActsWhere, ...])
+    if not 0 < method.step_s < 1:
+        raise InputError(f"{_named(point)}: step_s: must be above 0 and below 1 s")
     return method
 
 
+def _check_type(point: EntryPoint, field: str, value: object, kind: Any) -> None:
+    """Refuse what a description should not say: every study is read by it."""
+    try:
+        TypeAdapter(kind, config=_CONFIG).validate_python(value)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = field + "".join(f"[{part!r}]" for part in first["loc"])
+        text = explained(first).replace("must be a list", "must be a tuple")  # that of a study file
+        raise InputError(one_line(f"{_named(point)}: {place}: {text}")) from None
+
+
 def _named(point: EntryPoint) -> str:
-    of = f" of {point.dist.name} {point.dist.version}" if point.dist else ""
-    return f"entry point {point.name!r} in {point.group}{of}"
-
-
-# What a package's own code raises or gives
-
-
-def _guarded(method: Description, point: EntryPoint) -> Description:
-    """A method whose failures are told in one line, which names the package and the place."""
-    of = f" of {point.dist.name} {point.dist.version}" if point.dist else ""
-
-    def guard(name: str, function: Callable[..., Any], kind: type | None = None) -> Any:
-        @functools.wraps(function)
-        def call(*given: Any, **named: Any) -> Any:
-            try:
-                found = function(*given, **named)
-            except InputError:
-                raise
-            except Exception as error:  # whatever another's module raises
-                what = f"method {method.name!r}{of}: {name}: {_what(error)}"
-                raise InputError(what) from error
-            if kind is not None and not isinstance(found, kind):
-                got = f"gave a {type(found).__name__}, not a {kind.__module__}.{kind.__name__}"
-                raise InputError(f"method {method.name!r}{of}: {name}: {got}")
-            return found
-
-        return call
-
-    def load() -> Implementation:
-        from sinsjax.alignment.base import Method
-        from sinsjax.alignment.limits import Limit
-
-        made = guard("load", method.load, Implementation)()
-        build = guard("build", made.build, Method)
-
-        def built(options: Any) -> Any:
-            found = build(options)
-            kinds = {"limit": Limit}
-            return found._replace(
-                **{
-                    field: guard(field, value, kinds.get(field))
-                    for field, value in found._asdict().items()
-                    if callable(value)
-                }
-            )
-
-        parameters = guard("parameters", made.parameters)
-        return made._replace(build=built, parameters=parameters, check=guard("check", made.check))
-
-    return replace(
-        method,
-        load=load,
-        rules=tuple(guard("rules", rule) for rule in method.rules),
-        last_called=guard("last_called", method.last_called),
-    )
-
-
-def _what(error: Exception) -> str:
-    """An error in one line, with the last place in the package's own code."""
-    what = f"{type(error).__name__}: {first_line(error)}"
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [f for f in frames if not any(one in f.filename for one in _NOT_THEIRS)]
-    return f"{what}, in {own[-1].filename}:{own[-1].lineno}" if own else what
+    return f"entry point {point.name!r} in {point.group}{of_package(point)}"

@@ -42,7 +42,10 @@ PACKAGES: dict[str, tuple[str, str]] = _BROUGHT.packages
 """Package and version of each method that another package brings."""
 
 BROKEN: dict[str, str] = _BROUGHT.broken
-"""Why a method that another package brings cannot be used, in a line, by its name."""
+"""Why a method that another package brings cannot be used, in a line, by its name.
+
+Where `METHODS` has one of that name, it is another one, which can.
+"""
 
 SECTIONS_OF_METHODS: dict[str, type[Section]] = {
     name: section for method in METHODS.values() for name, section in method.sections.items()

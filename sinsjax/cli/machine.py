@@ -27,7 +27,7 @@ def _methods_from_outside() -> dict[str, str]:
     from sinsjax.alignment.methods import PACKAGES
     from sinsjax.study.keys import BROKEN
 
-    brought = (f"{name} ({' '.join(PACKAGES[name])})" for name in PACKAGES if name not in BROKEN)
+    brought = (f"{name} ({' '.join(PACKAGES[name])})" for name in PACKAGES)
     told = {"methods from outside": ", ".join(brought), "not usable": "; ".join(BROKEN.values())}
     return {key: value for key, value in told.items() if value}
 

@@ -81,7 +81,7 @@ def keys(wanted: str | None = None) -> list[Key]:
 
 def about_method(wanted: str | None) -> list[str]:
     """What a method is, in lines; none where no method has that name."""
-    if wanted not in METHODS or wanted in BROKEN:
+    if wanted not in METHODS:
         return []
     method = METHODS[wanted]
     package, version = PACKAGES.get(wanted, ("", ""))

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from sinsjax.alignment.methods import BROKEN
+from sinsjax.alignment.methods import BROKEN, METHODS
 from sinsjax.errors import InputError
 
 
@@ -16,7 +16,7 @@ def check_usable(data: Any) -> None:
     Raises:
         InputError: says why.
     """
-    for name in sorted({*_methods(data)} & BROKEN.keys()):
+    for name in sorted({*_methods(data)} & (BROKEN.keys() - METHODS.keys())):
         raise InputError(f"[alignment] method: {name!r} cannot be used: {BROKEN[name]}")
 
 

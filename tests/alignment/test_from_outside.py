@@ -1,31 +1,53 @@
 """What another package's code raises or gives is told in one line, with its place."""
 
 from importlib.metadata import EntryPoint
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
 import pytest
+from pydantic import BaseModel
 
 from sinsjax.alignment import from_outside
 from sinsjax.alignment.base import Method
 from sinsjax.alignment.description import Description, Implementation
 from sinsjax.errors import InputError
 from sinsjax.platform import runtime
+from sinsjax.study import usable
+from sinsjax.types import Quat
+from sinsjax.value_types import Section
 
 METHOD = Method(*[lambda *given: None] * 7)
 
 
+class Point(EntryPoint):
+    """That of a method which is made up."""
+
+    def load(self) -> Any:
+        return vars(self)["made"]()
+
+
+def point(made: Any, name: str = "made", package: str | None = None) -> Point:
+    """Names what a function gives."""
+    one = Point(name, "made.description:MADE", "sinsjax.methods")
+    dist = None if package is None else SimpleNamespace(name=package, version="1.0")
+    vars(one).update(made=made, dist=dist)
+    return one
+
+
+def described(**changes: Any) -> Description:
+    given = {"name": "made", "summary": "", "source": "", "sections": {}, "reads": ()}
+    return Description(**given | {"load": lambda: implementation()} | changes)
+
+
+def brought(monkeypatch: pytest.MonkeyPatch, *points: Point, built_in: Any = ()) -> Any:
+    monkeypatch.setattr(runtime, "method_entry_points", lambda: points)
+    return from_outside.with_those_from_outside(built_in)
+
+
 def of_package(monkeypatch: pytest.MonkeyPatch, name: str = "made", **changes: Any) -> Any:
     """What comes of a package with one method."""
-    given = {"name": "made", "summary": "", "source": "", "sections": {}, "reads": ()}
-    made = Description(**given | {"load": lambda: implementation()} | changes)
-
-    class Point(EntryPoint):
-        def load(self) -> Any:
-            return made
-
-    point = Point(name, "made.description:MADE", "sinsjax.methods")
-    monkeypatch.setattr(runtime, "method_entry_points", lambda: (point,))
-    return from_outside.with_those_from_outside([])
+    return brought(monkeypatch, point(lambda: described(**changes), name))
 
 
 def implementation(**changes: Any) -> Implementation:
@@ -42,9 +64,9 @@ def refuses(*given: Any) -> Any:
 
 
 def test_what_works_is_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
-    brought = of_package(monkeypatch)
-    assert brought.broken == {} and list(brought.methods) == ["made"]
-    built = brought.methods["made"](None)
+    found = of_package(monkeypatch)
+    assert found.broken == {} and list(found.methods) == ["made"]
+    built = found.methods["made"](None)
     assert built.init(None, None) is None and built.close is None
 
 
@@ -61,7 +83,7 @@ HERE = f"in {__file__}:{fails.__code__.co_firstlineno + 1}"
         ("parameters", {"load": lambda: implementation(parameters=fails)}, "parameters: KeyError"),
         ("check", {"load": lambda: implementation(check=fails)}, "check: KeyError"),
         ("rule", {"rules": (fails,)}, "rules: KeyError"),
-        ("limit", {}, "limit: gave a NoneType, not a sinsjax.alignment.limits.Limit"),
+        ("limit", {}, "limit: gave a NoneType, not a sinsjax.alignment.limits.Limit, in "),
     ],
 )
 def test_what_fails_is_told(
@@ -90,6 +112,189 @@ def test_what_it_refuses_itself_is_its_own_line(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_an_entry_point_has_the_name_of_its_method(monkeypatch: pytest.MonkeyPatch) -> None:
-    brought = of_package(monkeypatch, name="other")
-    assert brought.methods == {}
-    assert brought.broken["other"].endswith("its method is called 'made' (give both one name)")
+    found = of_package(monkeypatch, name="other")
+    assert found.methods == {}
+    assert found.broken["other"].endswith("its method is called 'made' (give both one name)")
+
+
+class Plain(BaseModel):
+    lag_s: float = 1.0
+
+
+class Unpaired(Section):
+    exclusive: ClassVar[Any] = ("lag_s", "delay_s")
+
+
+class Unconditional(Section):
+    conditions: ClassVar[Any] = (("lag_s",),)
+
+
+@pytest.mark.parametrize(
+    ("changes", "what"),
+    [
+        ({"sections": {"lagged": dict}}, "sections['lagged']: must be a subclass of Section, not"),
+        ({"sections": {"lagged": Plain}}, "sections['lagged']: must be a subclass of Section, not"),
+        ({"sections": ("lagged",)}, "sections: must be a valid dictionary, not ['lagged']"),
+        ({"sections": {"lagged": Unpaired}}, "[lagged] exclusive[0]: must be a tuple, not 'lag_s'"),
+        ({"sections": {"lagged": Unconditional}}, "[lagged] conditions[0]"),
+        ({"reads": "phi_u0_deg"}, "reads: must be a tuple, not 'phi_u0_deg'"),
+        ({"silent": (1,)}, "silent[0]: must be text, not 1"),
+        ({"step_s": "fast"}, "step_s: must be a number, not 'fast'"),
+        ({"step_s": 0.0}, "step_s: must be above 0"),
+        ({"load": None}, "load: must be callable, not None"),
+        ({"rules": (None,)}, "rules[0]: must be callable, not None"),
+    ],
+)
+def test_a_description_of_other_types_is_refused(
+    monkeypatch: pytest.MonkeyPatch, changes: dict[str, Any], what: str
+) -> None:
+    made = described()
+    for field, value in changes.items():  # which the types of this test run do not let be given
+        object.__setattr__(made, field, value)
+    found = brought(monkeypatch, point(lambda: made))
+    assert found.methods == {} and "\n" not in found.broken["made"]
+    assert found.broken["made"].startswith(f"entry point 'made' in sinsjax.methods: {what}")
+
+
+def test_a_module_that_exits_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = brought(monkeypatch, point(exits))
+    where = f"in {__file__}:{exits.__code__.co_firstlineno + 1}"
+    assert found.broken["made"].endswith(f"cannot be loaded (SystemExit: 3, {where})")
+
+
+def exits() -> Any:
+    raise SystemExit(3)
+
+
+def test_a_method_of_this_package_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever others bring under its name, even if that cannot be loaded."""
+    own = described()
+    others = point(described, package="one"), point(exits, package="other")
+    found = brought(monkeypatch, *others, built_in=[own])
+    assert found.methods == {"made": own} and found.packages == {}
+    told = (
+        f"entry point 'made' in sinsjax.methods of {name} 1.0: there is already a method 'made'"
+        for name in ("one", "other")
+    )
+    assert found.broken == {"made": "; ".join(told)}
+    monkeypatch.setattr(usable, "BROKEN", found.broken)
+    monkeypatch.setattr(usable, "METHODS", found.methods)
+    usable.check_usable({"alignment": {"method": "made"}})
+
+
+def test_two_packages_with_one_name_are_both_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    others = point(described, package="one"), point(described, package="other")
+    found = brought(monkeypatch, *others, built_in=[described(name="own")])
+    assert list(found.methods) == ["own"]
+    told = "of one 1.0 and of other 1.0: each brings a method of this name (uninstall all but one)"
+    assert found.broken == {"made": f"entry point 'made' in sinsjax.methods {told}"}
+
+
+class Two(NamedTuple):
+    x: Any
+    y: Any
+
+
+ONE = np.float64(1)
+
+
+def no_field(state: Any) -> Any:
+    return state._replace(nav=1)
+
+
+@pytest.mark.parametrize(
+    ("name", "function", "given", "what"),
+    [
+        ("attitude", lambda s: (1.0,) * 4, (1,), "gave a tuple, not a sinsjax.types.Quat"),
+        (
+            "attitude",
+            lambda s: Quat((1.0, 2.0), 0.0, 0.0, 0.0),
+            (1,),
+            "gave attitude.w[0], not attitude.w",
+        ),
+        (
+            "attitude",
+            lambda s: Quat(np.ones(3), 0.0, 0.0, 0.0),
+            (1,),
+            "gave attitude.w of shape (3,), not ()",
+        ),
+        (
+            "covariance",
+            lambda s: (0.0,) * 6,
+            (1,),
+            "gave a tuple, not a sinsjax.alignment.base.AttitudeCovariance",
+        ),
+        (
+            "normalise",
+            lambda s: (s.x, s.y),
+            (Two(ONE, ONE),),
+            "gave state[0], not state.x, unlike the state that it was given",
+        ),
+        (
+            "step",
+            lambda p, site, s, sample, n: Two(s.x, np.int32(1)),
+            (1, 1, Two(ONE, ONE), 1, 1),
+            "gave state.y of type int32, not float64, unlike the state that it was given",
+        ),
+        (
+            "turn",
+            lambda p, site, s: Two(s.x, (s.y, s.y)),
+            (1, 1, Two(ONE, ONE)),
+            "gave state.y[0], not state.y, unlike the state that it was given",
+        ),
+        (
+            "close",
+            lambda p, s, n: [s[0]],
+            (1, [ONE, ONE], 1),
+            "gave no state[1], unlike the state that it was given",
+        ),
+        (
+            "close",
+            lambda p, s, n: [s[0], s[1], n],
+            (1, (ONE, ONE), 1),
+            "gave state[2] too, unlike the state that it was given",
+        ),
+        (
+            "begin_after",
+            lambda s, n: [*s],
+            ((ONE, ONE), 1),
+            "gave state in other containers (a list for a tuple, say), unlike the state that it was"
+            " given",
+        ),
+        ("normalise", no_field, (Two(1, 1),), "ValueError: Got unexpected field names: ['nav']"),
+    ],
+)
+def test_what_a_function_gives_is_what_it_should(
+    monkeypatch: pytest.MonkeyPatch, name: str, function: Any, given: Any, what: str
+) -> None:
+    made = METHOD._replace(**{name: function})
+    load = implementation(build=lambda options: made)
+    method = of_package(monkeypatch, load=lambda: load).methods["made"]
+    with pytest.raises(InputError) as caught:
+        getattr(method(None), name)(*given)
+    line = function.__code__.co_firstlineno + (function is no_field)
+    assert str(caught.value) == f"method 'made': {name}: {what}, in {__file__}:{line}"
+
+
+def test_what_works_for_a_loop_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plain number of a state becomes what the first step makes of it."""
+    made = METHOD._replace(normalise=lambda state: Two(ONE, state.y))
+    load = implementation(build=lambda options: made)
+    method = of_package(monkeypatch, load=lambda: load).methods["made"]
+    assert method(None).normalise(Two(0, ONE)) == Two(ONE, ONE)
+
+
+@pytest.mark.parametrize("leaf", [np.ones(7), np.ones(1), 1.0, np.ones((3, 2))])
+def test_a_number_has_a_value_a_variant(monkeypatch: pytest.MonkeyPatch, leaf: Any) -> None:
+    columns = SimpleNamespace(count=2)
+
+    def parameters(leaf: Any) -> Any:
+        load = implementation(parameters=lambda *given: Two(np.ones((2, 3)), leaf))
+        method = of_package(monkeypatch, load=lambda: load).methods["made"]
+        return method.implementation.parameters(columns, None, 1.0)
+
+    assert parameters(np.ones(2)).y.shape == (2,) and parameters(None).y is None
+    with pytest.raises(InputError) as caught:
+        parameters(leaf)
+    text = f"gave numbers.y of shape {np.shape(leaf)}, not (2, ...): one a variant, in {__file__}:"
+    assert str(caught.value).startswith(f"method 'made': parameters: {text}")

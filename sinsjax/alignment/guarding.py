@@ -1,0 +1,207 @@
+"""A method of another package, guarded: what its code raises, or gives amiss, is one line.
+
+Free of JAX until the method is loaded.
+"""
+
+import functools
+import inspect
+import sysconfig
+import traceback
+from collections.abc import Callable
+from dataclasses import replace
+from importlib.metadata import EntryPoint
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from sinsjax.alignment.description import Description, Implementation
+from sinsjax.errors import InputError
+from sinsjax.messages import first_line
+
+_NOT_THEIRS = (
+    *(f"{folder}/" for folder in (Path(__file__).parents[1], sysconfig.get_path("stdlib"))),
+    *("/site-packages/", "/dist-packages/", "/jax/", "/pydantic/", "<"),
+)
+"""In the paths of code that calls a package's own, or is called by it."""
+
+_STATES = {"step": 2, "turn": 2, "normalise": 0, "close": 1, "begin_after": 0, "rewind": 2}
+"""Functions of a `Method` that give the state which they are given, and its place among these."""
+
+
+def guarded(method: Description, point: EntryPoint) -> Description:
+    """A method whose failures are told in one line, which names the package and the place."""
+    guard = functools.partial(_guard, f"method {method.name!r}{of_package(point)}", point)
+
+    def load() -> Implementation:
+        from sinsjax.alignment.base import AttitudeCovariance, Method
+        from sinsjax.alignment.limits import Limit
+        from sinsjax.types import Quat, Vec3
+
+        made = guard("load", method.load, _of_type(Implementation))()
+        build = guard("build", made.build, _of_type(Method))
+        given = {
+            "attitude": _as("attitude", Quat(*(0.0,) * 4)),
+            "covariance": _as("covariance", AttitudeCovariance(*(0.0,) * 6)),
+            "limit": _as("limit", Limit(Vec3(*(0.0,) * 3), 0.0, 0.0)),
+        }
+        given |= {name: _as_given(place) for name, place in _STATES.items()}
+
+        def built(options: Any) -> Any:
+            found = build(options)
+            return found._replace(
+                **{
+                    field: guard(field, value, given.get(field))
+                    for field, value in found._asdict().items()
+                    if callable(value)
+                }
+            )
+
+        return made._replace(
+            build=built,
+            parameters=guard("parameters", made.parameters, _one_each),
+            check=guard("check", made.check),
+        )
+
+    columns = (
+        own._replace(value=guard("columns", own.value), where=guard("columns", own.where))
+        for own in method.columns
+    )
+    return replace(
+        method,
+        load=load,
+        rules=tuple(guard("rules", rule) for rule in method.rules),
+        columns=tuple(columns),
+        last_called=guard("last_called", method.last_called),
+    )
+
+
+def of_package(point: EntryPoint) -> str:
+    """The package of an entry point and its version, after a word; empty where it has none."""
+    return f" of {point.dist.name} {point.dist.version}" if point.dist else ""
+
+
+def what(error: BaseException, point: EntryPoint) -> str:
+    """An error in one line, with the last place in the package's own code."""
+    line = f"{type(error).__name__}: {first_line(error)}"
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [f for f in frames if f.filename.startswith(_folders(point))]
+    own = own or [f for f in frames if not any(one in f.filename for one in _NOT_THEIRS)]
+    return f"{line}, in {own[-1].filename}:{own[-1].lineno}" if own else line
+
+
+def _folders(point: EntryPoint) -> tuple[str, ...]:
+    """Where the code of a package lies; nothing is imported to find out."""
+    try:
+        found = find_spec(point.module.partition(".")[0])
+    except (ImportError, ValueError):
+        found = None
+    if found is None:
+        return ()
+    folders = found.submodule_search_locations
+    return tuple(f"{folder}/" for folder in folders) if folders else (str(found.origin),)
+
+
+Check = Callable[[Any, tuple[Any, ...]], str | None]
+"""(what a function gave, its arguments) -> what is wrong with it, in words; None if nothing is."""
+
+
+def _guard(
+    whose: str,
+    point: EntryPoint,
+    name: str,
+    function: Callable[..., Any],
+    check: Check | None = None,
+) -> Any:
+    """A function that raises `InputError` where it fails, or where what it gives is wrong."""
+
+    @functools.wraps(function)
+    def call(*given: Any, **named: Any) -> Any:
+        try:
+            found = function(*given, **named)
+            wrong = check and check(found, given)
+        except InputError:
+            raise
+        except (Exception, SystemExit) as error:  # whatever another's module raises
+            raise InputError(f"{whose}: {name}: {what(error, point)}") from error
+        if wrong:
+            raise InputError(f"{whose}: {name}: {wrong}{_defined(function)}")
+        return found
+
+    return call
+
+
+def _defined(function: Callable[..., Any]) -> str:
+    """Where a function begins; empty of one that is not written in Python."""
+    code = getattr(inspect.unwrap(function), "__code__", None)
+    return f", in {code.co_filename}:{code.co_firstlineno}" if code else ""
+
+
+# What functions should give
+
+
+def _of_type(kind: type) -> Check:
+    def check(found: Any, given: tuple[Any, ...]) -> str | None:
+        if isinstance(found, kind):
+            return None
+        return f"gave a {type(found).__name__}, not a {kind.__module__}.{kind.__name__}"
+
+    return check
+
+
+def _as(name: str, like: Any) -> Check:
+    """Of the type of another value, with numbers in the same places."""
+    of_type = _of_type(type(like))
+    return lambda found, given: of_type(found, given) or _unlike(name, found, like)
+
+
+def _as_given(place: int) -> Check:
+    """The state that it was given: a loop over samples takes no other."""
+
+    def check(found: Any, given: tuple[Any, ...]) -> str | None:
+        wrong = _unlike("state", found, given[place])
+        return wrong and f"{wrong}, unlike the state that it was given"
+
+    return check
+
+
+def _one_each(found: Any, given: tuple[Any, ...]) -> str | None:
+    """A number, or an array, a variant in each leaf."""
+    import jax
+    import numpy as np
+
+    count = given[0].count
+    for path, leaf in jax.tree_util.tree_leaves_with_path(found):
+        if np.shape(leaf)[:1] != (count,):
+            return (
+                f"gave {_place('numbers', path)} of shape {np.shape(leaf)}, not ({count}, ...): one"
+                " a variant"
+            )
+    return None
+
+
+def _unlike(name: str, found: Any, like: Any) -> str | None:
+    """How numbers differ in place, shape or type from those that they should be like."""
+    import jax
+
+    have, want = (jax.tree_util.tree_leaves_with_path(tree) for tree in (found, like))
+    for (path, leaf), (wanted, model) in zip(have, want, strict=False):
+        if path != wanted:
+            return f"gave {_place(name, path)}, not {_place(name, wanted)}"
+        one, other = jax.typeof(leaf), jax.typeof(model)
+        if one.shape != other.shape:
+            return f"gave {_place(name, path)} of shape {one.shape}, not {other.shape}"
+        if one.dtype != other.dtype and not other.weak_type:
+            return f"gave {_place(name, path)} of type {one.dtype}, not {other.dtype}"
+    if len(have) > len(want):
+        return f"gave {_place(name, have[len(want)][0])} too"
+    if len(have) < len(want):
+        return f"gave no {_place(name, want[len(have)][0])}"
+    if jax.tree.structure(found) != jax.tree.structure(like):
+        return f"gave {name} in other containers (a list for a tuple, say)"
+    return None
+
+
+def _place(name: str, path: Any) -> str:
+    import jax
+
+    return name + jax.tree_util.keystr(path)
