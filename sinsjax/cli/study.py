@@ -143,6 +143,10 @@ def foreseen(config: Path, changes: list[str] | None) -> list[str]:
     lines = [f"{config}: valid; {what}."]
     if not study.study.rate_hz:
         return [*lines, "The record tells the rate, and so how long this takes."]
+    if study.tune:
+        from sinsjax.tuning.carry_out import check_searches
+
+        check_searches(study)
     expected = (forecast.of_tuning if study.tune else forecast.of)(study)
     steps = expected.length_s * study.rate_hz
     lines.append(f"{expected.describe(runtime.usable_cores())}.")

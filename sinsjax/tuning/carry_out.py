@@ -69,7 +69,7 @@ def tune(
         RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
     directory = resuming.named(directory)
-    settings = require_tune(study)
+    require_tune(study)
     if tape is not None and study.is_recorded:
         study = with_rate(study, tape.record.rate_hz)
     if tape is not None and tape.reference is None:
@@ -80,11 +80,7 @@ def tune(
     if study.study.rate_hz:
         expected = forecast.of_tuning(study)
         forecast.require_room(study, expected, directory, overwrite=overwrite, resume=resume)
-    if GRADIENT in settings.searches:
-        for combination in space.combinations:
-            Relaxation(study, space, combination)  # rejects variables without gradient before runs
-    if COVARIANCE in settings.searches:
-        require_modelled(study)
+    check_searches(study)
     session = SearchSession(
         directory,
         tape,
@@ -101,6 +97,23 @@ def tune(
         _carry_out(study, space, session)
     finally:
         lock.release()
+
+
+def check_searches(study: Study) -> None:
+    """Refuse searches that do not go with the variables or the study, before anything runs.
+
+    Args:
+        study: study with [tune], at the rate of its record.
+
+    Raises:
+        InputError: a variable without a gradient, or what covariance analysis does not hold for.
+    """
+    searches, space = require_tune(study).searches, SearchSpace.of(study)
+    if GRADIENT in searches:
+        for combination in space.combinations:
+            Relaxation(study, space, combination)
+    if COVARIANCE in searches:
+        require_modelled(study)
 
 
 def _carry_out(study: Study, space: SearchSpace, session: SearchSession) -> None:

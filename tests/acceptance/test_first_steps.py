@@ -219,6 +219,21 @@ def test_misshapen_tables_are_told_too(tmp_path: Path) -> None:
     assert told[0].startswith(f"{path}: [axes] reset_count[0]: must be a whole number")
 
 
+def test_validate_tells_a_search_that_tune_refuses(sinsjax: Command, tmp_path: Path) -> None:
+    """The searches of a study that names none have a gradient among them."""
+    (tmp_path / "tuned.toml").write_text(
+        "[study]\nduration_s = 30.0\nrate_hz = 10.0\n[earth]\nlatitude_deg = 40.0\n"
+        "[motion]\nyaw_center_deg = 0.0\n"
+        "[tune.variables]\nfeedback_interval_s = { low = 1.0, high = 5.0 }\n"
+    )
+    code, told, error = sinsjax("validate", "tuned")
+    what = "feedback_interval_s: has no gradient (use 'sobol' instead of 'gradient')"
+    assert (code, told, error) == (2, "", f"error: tuned: [tune.variables] {what}\n")
+    assert sinsjax("tune", "tuned", "-o", "out")[::2] == (code, error)
+    words = ("--set", 'tune.searches=["grid"]')
+    assert sinsjax("validate", "tuned", *words)[::2] == (0, "")
+
+
 def test_validate_tells_what_would_run(sinsjax: Command) -> None:
     code, told, _ = sinsjax("validate", "reset_sweep", "--set", "alignment.phi_u0_deg=12")
     assert code == 0 and "variants: 56, draws: 16." in told
