@@ -127,7 +127,8 @@ def keys(
         default = key.default if key.default in ("", "required") else f"default {key.default}"
         about = filter(None, (key.unit, default, f"methods: {key.read_by}"))
         say(console, f"[{key.section}] {key.name}: {'; '.join(about)}")
-        say(console, f"    {key.meaning}", wrap=True)
+        if key.meaning:
+            say(console, f"    {key.meaning}", wrap=True)
 
 
 COMMANDS = (init, validate, keys)

@@ -86,12 +86,13 @@ def about_method(wanted: str | None) -> list[str]:
     method = METHODS[wanted]
     package, version = PACKAGES.get(wanted, ("", ""))
     sections = ", ".join(f"[{name}]" for name in method.sections) or "none"
-    reads = ", ".join(method.reads) or "nothing"
+    reads = ", ".join(key for key in method.reads if key not in method.silent) or "nothing"
     return [
         f"{wanted}: {method.summary}",
         f"    source: {method.source}",
         *([f"    package: {package} {version}"] if package else []),
         f"    sections of its own: {sections}; of [alignment] and [passes] it reads {reads}",
+        *([f"    takes without effect: {', '.join(method.silent)}"] if method.silent else []),
     ]
 
 

@@ -12,7 +12,7 @@ from support.commands import Command, command_line
 
 import sinsjax as package
 from sinsjax.cli import options
-from sinsjax.study import files, problems
+from sinsjax.study import files, key_table, problems
 from sinsjax.study.keys import SECTION_OF
 
 ROOT = Path(__file__).parents[2]
@@ -217,6 +217,15 @@ def test_misshapen_tables_are_told_too(tmp_path: Path) -> None:
     path.write_text(f'[axes]\nreset_count = ["x", {10**400}]\n')
     told = problems.problems(path, {"study.seed": 1})
     assert told[0].startswith(f"{path}: [axes] reset_count[0]: must be a whole number")
+
+
+def test_a_key_without_a_meaning_is_a_line(
+    sinsjax: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = key_table.Key("lagged", "lag_s", "s", "1", "", ("lagged",))
+    monkeypatch.setattr(key_table, "keys", lambda wanted: [made])
+    told = "[lagged] lag_s: s; default 1; methods: lagged\n"
+    assert sinsjax("keys", "lag_s") == (0, told, "")
 
 
 def test_validate_tells_a_search_that_tune_refuses(sinsjax: Command, tmp_path: Path) -> None:

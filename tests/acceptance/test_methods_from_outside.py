@@ -53,6 +53,8 @@ def test_it_is_a_method_like_any_other(site: Path, tmp_path: Path) -> None:
     assert (told.returncode, told.stderr) == (0, "")
     assert "averaging_time_s" in told.stdout and "time constant of the average" in told.stdout
     assert "package: averaged-alignment 1.0" in told.stdout
+    (silent,) = (line for line in told.stdout.splitlines() if "without effect" in line)
+    assert "phi_u0_deg" in silent
     swept = sinsjax("sweep", "averages.toml", "-o", "out", site=site, cwd=tmp_path)
     assert swept.returncode == 0, swept.stderr
     assert package.read_manifest(tmp_path / "out")["versions"]["averaged-alignment"] == "1.0"

@@ -39,6 +39,14 @@ def test_what_a_key_is_told_as(key, unit, default, read_by):
     assert read_by is None or told.read_by == read_by
 
 
+def test_keys_that_a_method_takes_without_effect_are_not_told_as_read():
+    _, _, reads, silent = key_table.about_method("inertial")
+    assert reads.endswith("it reads nothing")
+    assert silent.startswith("    takes without effect: phi_e0_deg, phi_n0_deg, phi_u0_deg, ")
+    _, _, reads = key_table.about_method("compass")
+    assert "it reads phi_e0_deg, " in reads
+
+
 def test_words_that_a_key_takes_are_told():
     (told,) = key_table.keys("resets.reset_kind")
     assert told.meaning.endswith('("full" | "yaw" | "scale")')
