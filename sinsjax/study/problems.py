@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from sinsjax.errors import InputError
+from sinsjax.messages import one_line
 from sinsjax.study.changes import copied
 from sinsjax.study.files import found, read_tables
 from sinsjax.study.keys import SECTIONS, TomlTable
 from sinsjax.study.load import study_from_dict, with_changes
+from sinsjax.study.usable import check_usable
 
 _PLACE = re.compile(
     r"\[(?P<table>[^\]]+)\](?: (?P<key>[^\s:.\[]+)(?P<below>[^\s:]*))?|(?P<top>[^\s:]+):"
@@ -66,6 +68,11 @@ def problems(path: Path, changes: Mapping[str, Any]) -> list[str]:
 
 
 def _errors(data: TomlTable, source: str) -> Iterator[str]:
+    try:
+        check_usable(data)
+    except InputError as unusable:  # its sections and keys are unknown, and no errors
+        yield one_line(f"{source}: {unusable}")
+        return
     seen: Counter[Place] = Counter()
     stood_in: set[Place] = set()  # keys with entries that are not the study's own
     for _ in range(_MOST):
