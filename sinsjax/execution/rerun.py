@@ -10,6 +10,7 @@ from rich.console import Console
 
 from sinsjax import console as screen
 from sinsjax import plots
+from sinsjax.alignment.methods import packages_of
 from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import resume
@@ -19,9 +20,13 @@ from sinsjax.execution.kept_study import kept_study
 from sinsjax.execution.outputs import outputs_of
 from sinsjax.execution.run import load_tape
 from sinsjax.execution.tasks import Job
+from sinsjax.messages import one_line
 from sinsjax.platform.files import replacing, unwritable
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.study import Study
+
+_ROUNDING = 1e-6
+"""More than a difference in last bits grows to, of angles in deg or arcmin."""
 
 
 class Rerun(NamedTuple):
@@ -118,7 +123,7 @@ def rerun_into(
     for line in [
         *_printed(made.row),
         "",
-        _verdict(stored, made.row, differ),
+        _verdict(stored, made.row, differ, _why(directory, stored, made.row)),
         f"Row, curve and figure: {target}",
     ]:
         screen.say(console, line)
@@ -166,14 +171,46 @@ def _differing(stored: pa.Table, again: pa.Table) -> list[str]:
     return [name for name in dict.fromkeys((*one, *other)) if one.get(name) != other.get(name)]
 
 
-def _verdict(stored: pa.Table, again: pa.Table, differ: list[str]) -> str:
+def _why(directory: Path, stored: pa.Table, again: pa.Table) -> str:
+    """What the difference of two rows may be due to.
+
+    Args:
+        directory: results directory of the stored row.
+        stored: row.
+        again: the same run's row made here.
+    """
+    packages = packages_of(again["method"].to_pylist())
+    versions = result_tables.read_manifest(directory).get("versions")
+    told = versions if isinstance(versions, dict) else {}
+    for name, here in packages.items():
+        there = one_line(str(told.get(name, here)))
+        if there != here:
+            return f"The stored row was computed with {name} {there}, but here is {here}."
+        if _beyond_last_bits(stored, again):
+            return f"These are not last bits: the code of {name} {here} may have changed."
+    return (
+        "Last bits depend on jaxlib, its flags and the processor; `manifest.json` has those of the"
+        " stored row."
+    )
+
+
+def _beyond_last_bits(stored: pa.Table, again: pa.Table) -> bool:
+    """Whether an angle differs by more than rounding; a time may jump by a record interval."""
+    (one,), (other,) = stored.to_pylist(), again.to_pylist()
+    angles = [name for name in one if name.endswith(("_arcmin", "_deg"))]
+    pairs = [(one[name], other.get(name)) for name in angles]
+    return any(
+        abs(a - b) > _ROUNDING * max(1.0, abs(a), abs(b))
+        for a, b in pairs
+        if isinstance(a, float) and isinstance(b, float)
+    )
+
+
+def _verdict(stored: pa.Table, again: pa.Table, differ: list[str], why: str) -> str:
     """A sentence on whether two rows are identical, or where they differ."""
     (one,), (other,) = stored.to_pylist(), again.to_pylist()
     if not differ:
         return f"The row is identical to the stored one in all {len(one)} columns."
     shown = [f"{name} {one.get(name)} there, {other.get(name)} here" for name in differ[:3]]
-    return (
-        f"{len(differ)} of {len(one)} columns differ from the stored row: {', '.join(shown)}. Last"
-        " bits depend on jaxlib, its flags and the processor; `manifest.json` has those of the"
-        " stored row."
-    )
+    there = f"{len(differ)} of {len(one)} columns differ from the stored row"
+    return f"{there}: {', '.join(shown)}. {why}"

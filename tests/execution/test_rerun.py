@@ -2,6 +2,9 @@
 
 import hashlib
 import io
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +16,7 @@ from rich.console import Console
 from support.kept import STUDIES, everything, study_of
 from support.studies import small_study
 
+from sinsjax.alignment import methods
 from sinsjax.engine import build
 from sinsjax.errors import InputError
 from sinsjax.execution import rerun, tables
@@ -167,23 +171,48 @@ def test_a_run_of_a_directory_is_told_and_kept(out: Path, tmp_path: Path) -> Non
     assert (out / "reruns" / "78" / "curve.parquet").exists()
 
 
-def test_a_row_that_differs_is_told_with_what_differs(out: Path, tmp_path: Path) -> None:
+@contextmanager
+def turned(out: Path, by: float) -> Iterator[int]:
+    """The stored headings of the first rows are others; gives the number of columns."""
     (part, *_) = sorted(out.glob("summary/*.parquet"))
     content, manifest = part.read_bytes(), (out / "manifest.json").read_text()
     table = pq.read_table(part)
     column = table.column_names.index("yaw_deg")
-    yaw = pa.compute.add(table["yaw_deg"], 1e-13)
+    yaw = pa.compute.add(table["yaw_deg"], by)
     pq.write_table(table.set_column(column, table.schema.field(column), yaw), part)
     was, now = (hashlib.sha256(given).hexdigest() for given in (content, part.read_bytes()))
     (out / "manifest.json").write_text(manifest.replace(was, now))
     try:
-        told = rerun_into(out, 0, out=tmp_path / "one")
+        yield table.num_columns
     finally:
         part.write_bytes(content)
         (out / "manifest.json").write_text(manifest)
-    columns = table.num_columns
+
+
+def test_a_row_that_differs_is_told_with_what_differs(out: Path, tmp_path: Path) -> None:
+    with turned(out, 1e-13) as columns:
+        told = rerun_into(out, 0, out=tmp_path / "one")
     assert f"1 of {columns} columns differ from the stored row: yaw_deg " in told
-    assert "identical" not in told
+    assert "identical" not in told and " here. Last bits depend on jaxlib, " in told
+
+
+def test_what_a_package_has_changed_is_told(
+    out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its version, or its code where the difference is too large for last bits."""
+    monkeypatch.setitem(methods.PACKAGES, "kalman5", ("bringing", "1.1"))
+    with turned(out, 1e-13):
+        assert "Last bits depend" in rerun_into(out, 0, out=tmp_path / "bits")
+    with turned(out, 0.1):
+        told = rerun_into(out, 0, out=tmp_path / "code")
+        why = "These are not last bits: the code of bringing 1.1 may have changed."
+        assert f" here. {why}\n" in told
+        manifest = json.loads((out / "manifest.json").read_text())
+        manifest["versions"]["bringing"] = "1.0"
+        (out / "manifest.json").write_text(json.dumps(manifest))
+        told = rerun_into(out, 0, out=tmp_path / "version")
+    why = "The stored row was computed with bringing 1.0, but here is 1.1."
+    assert f" here. {why}\n" in told
 
 
 def test_what_cannot_be_done_again_is_one_clear_line(
