@@ -116,7 +116,7 @@ class Description:
         sections: its sections of a study file, by name; methods may share one.
         reads: keys of [alignment] and [passes] that act on it, but for those that act on all.
         load: makes its `Implementation`, importing JAX.
-        silent: keys of its sections that it takes, and that do not act on it.
+        silent: keys of its sections, and of ``reads``, that it takes and that do not act on it.
         has_covariance: whether it has a covariance P.
         has_limit: whether constant sensor biases leave its heading a limit that is known.
         gyro_bias_keys: pairs of keys, the sigma of gyro bias states and that of heading beside

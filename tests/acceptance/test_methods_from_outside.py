@@ -6,8 +6,12 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
 import sinsjax as package
@@ -61,6 +65,28 @@ def test_it_is_a_method_like_any_other(site: Path, tmp_path: Path) -> None:
     runs = package.read_summary(tmp_path / "out").to_pylist()
     errors = {row["method"]: row["phi_u_arcmin"] - row["floor_arcmin"] for row in runs}
     assert set(errors) == {"averaged", "inertial"} and max(map(abs, errors.values())) < 0.5
+
+
+def test_its_key_is_tuned_by_gradient(
+    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Numbers follow the key as they are made from it, and the searches of [tune] take it."""
+    monkeypatch.syspath_prepend(site)
+    method, relaxed = (
+        import_module(f"averaged_alignment.{name}") for name in ("method", "relaxed")
+    )
+
+    def kept(time_s: float) -> Any:
+        columns = SimpleNamespace(column=lambda key: np.array([time_s]), rate_hz=50.0)
+        return method.numbers(columns, None, 1.0)
+
+    changed = relaxed.RELAXED.changes["averaging_time_s"](kept(10.0), None, 40.0, 10.0)
+    np.testing.assert_allclose(changed.kept, kept(40.0).kept, rtol=1e-12)
+    (ranges,) = re.findall(r"`(averaging_time_s = \{.+\})`", PAGE)
+    study = STUDY.replace("averaging_time_s = 1000.0", "").replace(', "inertial"]', "]")
+    (tmp_path / "tuned.toml").write_text(f"{study}[tune.variables]\n{ranges}\n")
+    told = sinsjax("validate", "tuned.toml", site=site, cwd=tmp_path)
+    assert (told.returncode, told.stderr) == (0, "") and "tunes averaging_time_s" in told.stdout
 
 
 @pytest.mark.parametrize(

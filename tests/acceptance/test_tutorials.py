@@ -133,7 +133,8 @@ def test_own_method() -> None:
     They run the study at its end, too.
     """
     folder = ROOT / "tests" / "example_method"
-    files = ("pyproject.toml", "averaged_alignment/description.py", "averaged_alignment/method.py")
+    modules = (f"averaged_alignment/{name}.py" for name in ("description", "method", "relaxed"))
+    files = ("pyproject.toml", *modules)
     shown = [text for language, text in blocks("own_method.md") if language in ("toml", "python")]
     assert shown[:-1] == [(folder / name).read_text("utf-8") for name in files]
     assert {path.name for path in folder.rglob("*.*")} == {Path(name).name for name in files} | {

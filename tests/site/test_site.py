@@ -1,5 +1,6 @@
 """The documentation site: links and anchors, no foreign files, what a reader would search for."""
 
+import ast
 import json
 import os
 import re
@@ -108,6 +109,20 @@ def test_the_page_of_python_has_all_that_is_public(site: Path, pages: dict[Path,
     assert described == set(sinsjax.__all__)
 
 
+def test_the_page_of_extending_has_all_that_the_example_imports(
+    site: Path, pages: dict[Path, Shown]
+) -> None:
+    anchors = pages[(site / "extending.html").resolve()].anchors
+    missing = set()
+    for path in (ROOT / "tests" / "example_method").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and str(node.module).startswith("sinsjax"):
+                missing |= {f"{node.module}.{alias.name}" for alias in node.names}
+    described = {name for name in missing for a in anchors if f"{a}.".startswith(f"{name}.")}
+    assert missing - described == {"sinsjax.types.Scalar"}  # told in words
+    assert described > {"sinsjax.alignment.base.Relaxed", "sinsjax.maths.rotations"}
+
+
 @pytest.mark.parametrize(
     ("words", "page"),
     [
@@ -119,6 +134,7 @@ def test_the_page_of_python_has_all_that_is_public(site: Path, pages: dict[Path,
         ("misalignment", "index.html"),
         ("NEES", "consistency.html"),
         ("one_run", "python.html"),
+        ("AttitudeCovariance", "extending.html"),
         ("duckdb", "results.html"),
         ("resume", "results.html"),
         ("scheduler", "cluster.html"),

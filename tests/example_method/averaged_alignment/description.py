@@ -16,8 +16,9 @@ class AveragedSection(Section):
 
 def _load() -> Implementation:
     from averaged_alignment.method import averaged, numbers
+    from averaged_alignment.relaxed import RELAXED
 
-    return Implementation(averaged, numbers)
+    return Implementation(averaged, numbers, relaxed=RELAXED)
 
 
 AVERAGED = Description(
