@@ -9,12 +9,15 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pyarrow as pa
 
 from sinsjax.alignment.methods import METHODS
 from sinsjax.columns import Column
 from sinsjax.engine.batch import CHUNK_RECORDS
+from sinsjax.engine.build import PROGRAM_KEYS
 from sinsjax.engine.lanes import LANES, STACKED_TILES
+from sinsjax.engine.simulator import AMPLITUDES, DISTORTIONS, NOISES, OF_DISTURBANCES
 from sinsjax.engine.truth import MOST_STORED_SAMPLES
 from sinsjax.errors import InputError
 from sinsjax.execution import layouts, stopping
@@ -30,6 +33,12 @@ _PACKED = 0.8
 
 _BASE, _A_SAMPLE, _A_VARIANT, _A_RUN, _A_RECORD, _A_RESET = 400e6, 160, 600, 2, 500, 60
 """Measured memory, bytes: of a process with JAX, and of each of these."""
+
+_START_S, _COMPILE_S = 3.0, 6.0
+"""Measured time on a core of two: to import, read and report, and to compile a program (5 to 8)."""
+
+_SWITCHES = {*NOISES, *DISTORTIONS, *AMPLITUDES, *OF_DISTURBANCES}
+"""Keys without which a program does less, where they are zero."""
 
 _CHECK = 12.0
 """Cost of the draws that tell how far covariance analysis holds for a variant, in plain runs."""
@@ -71,6 +80,7 @@ class Forecast(NamedTuple):
         at_most: whether the study may stop early.
         length_s: length of the longest run, s.
         noise_free: whether runs are without noise, one a variant.
+        programs: number of programs to compile, unless they are in the compile cache.
     """
 
     batches: tuple[Batch, ...]
@@ -80,6 +90,7 @@ class Forecast(NamedTuple):
     at_most: bool
     length_s: float
     noise_free: bool = False
+    programs: int = 1
 
     @property
     def runs(self) -> int:
@@ -102,8 +113,11 @@ class Forecast(NamedTuple):
         takes = _time(left * self.run_s / cores)
         most = "At most " if self.at_most else ""
         on = f"{cores} {'worker thread' if threads else 'core'}{'s' if cores != 1 else ''}"
+        programs = f"{self.programs:,} program{'s' if self.programs != 1 else ''}"
+        first = f"{_time(_START_S + self.programs * _COMPILE_S)} the first time"
         return (
-            f"{most}{runs}: roughly {takes} on {on}, {_size(self.memory)} of memory,"
+            f"{most}{runs}: roughly {takes} on {on}, and {_time(_START_S)} to start ({first},"
+            f" which compiles {programs}), {_size(self.memory)} of memory,"
             f" {_size(left * self.run_bytes)}{' more' if done else ''} on disk"
         )
 
@@ -147,7 +161,9 @@ def of_tuning(study: Study) -> Forecast:
     ]
     found = (len(wanted) + 1 + (len(kept) < len(tune.searches))) * variants
     batches.append(Batch("evaluation", found * judging, found * judging, found))
-    return _forecast(study, batches, False)
+    forecast = _forecast(study, batches, False)
+    # A descent has programs of its own.
+    return forecast._replace(programs=forecast.programs * (1 + ("gradient" in tune.searches)))
 
 
 def require_room(
@@ -218,8 +234,29 @@ def _forecast(study: Study, batches: Sequence[Batch], curves: bool) -> Forecast:
     steps = samples + max(again, default=0.0) * study.rate_hz
     at_most = study.stop_when is not None
     return Forecast(
-        tuple(batches), run_bytes, steps * step_s, memory, at_most, length_s, study.is_estimated
+        tuple(batches),
+        run_bytes,
+        steps * step_s,
+        memory,
+        at_most,
+        length_s,
+        study.is_estimated,
+        _programs(study),
     )
+
+
+def _programs(study: Study) -> int:
+    """Number of programs, by what is swept of the keys that decide them, or do so by being zero."""
+    kinds = {(span.records, span.rewinds) for span in study.distinct_spans}
+    count = len(kinds) * (2 if study.is_controlled else 1)
+    for dimension in study.dimensions:
+        columns = [
+            values if key in PROGRAM_KEYS else map(np.any, values)
+            for key, values in dimension.items()
+            if key in PROGRAM_KEYS or key in _SWITCHES
+        ]
+        count *= len(set(zip(*columns, strict=True))) or 1
+    return count
 
 
 def _row_bytes(study: Study, columns: Iterable[Column]) -> float:

@@ -10,6 +10,7 @@ import pytest
 from support.studies import small_study
 
 from sinsjax.alignment.methods import METHODS
+from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import forecast, run
 from sinsjax.platform import machine
@@ -155,6 +156,34 @@ def test_a_tuning_is_asked_about_as_a_whole(disk: Any, tmp_path: Path):
 )
 def test_what_is_told(draws: int, cores: int, text: str):
     assert forecast.of(small_study(study={"draws": draws})).describe(cores).startswith(text)
+
+
+@pytest.mark.parametrize(
+    ("tables", "programs"),
+    [
+        ({}, 1),
+        ({"axes": {"phi_u0_deg": [1, 2, 3]}}, 1),
+        ({"axes": {"method": ["kalman5", "kalman10"], "phi_u0_deg": [1, 2, 3]}}, 2),
+        (
+            {
+                "cases": [
+                    {"method": m, "phi_u0_deg": n} for m in ("kalman5", "kalman10") for n in (1, 2)
+                ]
+            },
+            2,
+        ),
+        ({"axes": {"specific_force": ["measured", "gravity"]}}, 2),
+        ({"axes": {"gyro_scale_ppm": [0, 10, 20]}}, 2),
+    ],
+)
+def test_programs_are_counted_as_the_engine_makes_them(tables: Any, programs: int):
+    study = small_study(**tables)
+    assert forecast.of(study).programs == programs == len(set(Scenario(study).programs))
+    line = forecast.of(study).describe(2)
+    seconds = 3 + 6 * programs
+    several = "s" if programs > 1 else ""
+    told = f", and 3 s to start ({seconds} s the first time, which compiles {programs} program"
+    assert f"{told}{several}), " in line
 
 
 def test_what_is_left_is_told():
