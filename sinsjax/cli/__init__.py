@@ -1,7 +1,4 @@
-"""The command line: thin commands over the package; `study` runs a study.
-
-A user's mistake prints one line, without a traceback, and exits with code 2.
-"""
+"""The command line: thin commands. A user's mistake is one line, and exit code 2."""
 
 import atexit
 import gc
@@ -15,7 +12,7 @@ from typing import Annotated
 import typer
 
 from sinsjax.cli import machine, studies
-from sinsjax.cli.helping import Command, UsageError, wrong_usage
+from sinsjax.cli.helping import Command, UsageError, command_to_resume, wrong_usage
 from sinsjax.cli.options import (
     Changes,
     Config,
@@ -344,6 +341,8 @@ def main() -> None:
             print(f"error: {one_line(str(error))}", file=sys.stderr)
             raise SystemExit(2) from None
         except StudyInterrupted as interrupted:
-            print(f"interrupted: {interrupted} (continue with --resume)", file=sys.stderr)
+            print(f"interrupted: {interrupted} (continue: {command_to_resume()})", file=sys.stderr)
             raise SystemExit(130) from None
+        if code == 130:  # Ctrl-C outside of a study's chunks, which typer turns into this code
+            print("interrupted: what is stored is kept", file=sys.stderr)
         raise SystemExit(code)

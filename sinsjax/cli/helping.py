@@ -1,8 +1,10 @@
 """Help of commands in words: ``CONFIG`` and ``DIR...``, not ``{CONFIG}`` and ``<list[Path]>``.
 
-And what is wrong with a command line, in one line.
+And what is wrong with a command line, in one line; and which one goes on with a study.
 """
 
+import shlex
+import sys
 from typing import Any
 
 import typer
@@ -49,3 +51,9 @@ class Command(TyperCommand):
             if records:
                 with formatter.section(title):
                     formatter.write_dl(records)
+
+
+def command_to_resume() -> str:
+    """The command line that continues what this one began."""
+    words = [word for word in sys.argv[1:] if word not in ("--overwrite", "--resume")]
+    return shlex.join(["sinsjax", *words, "--resume"])

@@ -59,7 +59,7 @@ def run_study(
         raise InputError(f"{config}: [record]: the study needs a record (use `sinsjax align`)")
     if files is not None and not study.is_recorded:
         raise InputError(f"{config}: has no [record] section to read {files[0]} with")
-    check_options(overwrite=overwrite, resume=resume, devices=devices)
+    check_options(overwrite=overwrite, resume=resume, devices=devices, workers=cluster[0])
     locking.check_unlocked(out)
     resuming.check_free(out, overwrite=overwrite or resume)
     if study.is_estimated:
@@ -77,6 +77,8 @@ def run_study(
     configure(devices)
     stored = None if files is None else study_run.load_tape(study, *files)
     study = study_run.at_rate(study, stored)
+    if resume:
+        resuming.check_same_study(out, study)  # before anything is told of another study
     expected = forecast.of(study, curves=curves)
     forecast.require_room(study, expected, out, overwrite=overwrite, resume=resume)
     cores = devices or cluster[0] or runtime.usable_cores()
@@ -168,12 +170,16 @@ def made_ready(study: Any, stored: Any, terminal: Console) -> Any:
     return study
 
 
-def check_options(*, overwrite: bool, resume: bool, devices: int | None) -> None:
-    """Reject conflicting options, and more devices than cores."""
+def check_options(
+    *, overwrite: bool, resume: bool, devices: int | None, workers: int | None = None
+) -> None:
+    """Reject conflicting options, and more devices or workers than cores."""
     if overwrite and resume:
         raise InputError("--resume: conflicts with --overwrite (give one of them)")
-    if devices is not None and devices > (cores := runtime.usable_cores()):
-        raise InputError(f"--devices: {devices} exceeds the {cores} available cores")
+    cores = runtime.usable_cores()
+    for option, count in (("--devices", devices), ("--workers", workers)):
+        if count is not None and count > cores:
+            raise InputError(f"{option}: {count} exceeds the {cores} available cores")
 
 
 def configure(devices: int | None) -> None:

@@ -135,7 +135,7 @@ def local(workers: int) -> Iterator[Any]:
     dask, distributed = _dask()
     cores = runtime.usable_cores()
     if workers > cores:
-        raise InputError(f"--workers: {workers} exceeds the {cores} available cores")
+        raise InputError(f"workers: {workers} exceeds the {cores} available cores")
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(_CONFIG))
         stack.enter_context(_log_off(dask))

@@ -105,13 +105,7 @@ def resumed(directory: Path, job: Job, instructions: str | None = None) -> Job:
     """
     kept = _kept_study(directory)
     extended = kept is not None and _is_extended(kept, job.study)
-    if kept is not None and not extended and fingerprint(kept) != fingerprint(job.study):
-        text = "; ".join(differences(kept, job.study)) or "written by another version"
-        if _is_extended(job.study, kept):
-            text += f" (there can be more, not fewer: go on with --draws {kept.n_draws})"
-        raise InputError(f"{directory}: holds results of another study: {text}")
-    if kept is not None and extended:
-        _check_extension(directory, kept, job.study)
+    check_same_study(directory, job.study)
     known = manifest(directory) or _from_parts(directory)
     if known is None:
         if (directory / MANIFEST).exists():
@@ -135,6 +129,24 @@ def resumed(directory: Path, job: Job, instructions: str | None = None) -> Job:
         what = "study" if kept is None else "record or reference"
         raise InputError(f"{directory}: holds results of another {what}")
     return job
+
+
+def check_same_study(directory: Path, study: Study) -> None:
+    """Reject results of another study than this one with as many draws, or with fewer.
+
+    Raises:
+        InputError: names the keys that differ, or why these results cannot be extended.
+    """
+    kept = _kept_study(directory)
+    if kept is None:
+        return
+    if _is_extended(kept, study):
+        _check_extension(directory, kept, study)
+    elif fingerprint(kept) != fingerprint(study):
+        text = "; ".join(differences(kept, study)) or "written by another version"
+        if _is_extended(study, kept):
+            text += f" (there can be more, not fewer: go on with --draws {kept.n_draws})"
+        raise InputError(f"{directory}: holds results of another study: {text}")
 
 
 def _is_extended(kept: Study, study: Study) -> bool:
@@ -287,7 +299,7 @@ def check_free(directory: Path, *, overwrite: bool) -> None:
     if not overwrite:
         raise InputError(
             f"{directory}: already holds results (give --resume to continue them, or --overwrite"
-            " to replace them)"
+            " to replace them; in Python resume=True or overwrite=True)"
         )
 
 

@@ -160,7 +160,7 @@ def check_free(directory: Path, *, overwrite: bool) -> None:
     if taken and not overwrite:
         raise InputError(
             f"{directory}: already holds a tuning run (give --resume to continue it, or --overwrite"
-            " to replace it)"
+            " to replace it; in Python resume=True or overwrite=True)"
         )
 
 

@@ -232,7 +232,8 @@ def test_a_person_or_a_scheduler_may_stop_it(sweeps: Sweeps, whole: Path) -> Non
         assert code == 130
         assert "Stopping after the running chunks" in " ".join(told.split())
         done = f"{count(out) * CHUNK_RUNS:,} of {CHUNKS * CHUNK_RUNS:,} runs are in {out}"
-        assert error == f"interrupted: {done} (continue with --resume)\n"
+        again = f"sinsjax sweep {sweeps.study} -o {out} --chunk-runs {CHUNK_RUNS} --resume"
+        assert error == f"interrupted: {done} (continue: {again})\n"
         state = manifest(out)
         assert state["state"] == "interrupted"
         assert state["runs_done"] == count(out) * CHUNK_RUNS

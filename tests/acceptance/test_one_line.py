@@ -11,16 +11,17 @@ from typing import Any
 import pyarrow as pa
 import pytest
 import tomli_w
+from support.commands import command_line
 from support.stored import store
 from support.studies import BASE, small_study
 
 from sinsjax import cli, console
-from sinsjax.errors import InputError
+from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import resume, run
 from sinsjax.messages import one_line
 from sinsjax.platform import runtime
 from sinsjax.study.keys import SECTIONS
-from sinsjax.study.load import load_study, study_from_dict
+from sinsjax.study.load import load_study, study_from_dict, study_to_toml
 
 Command = Callable[..., tuple[int, str]]
 
@@ -214,3 +215,47 @@ def test_a_platform_that_is_not_there_is_one_line() -> None:
     assert done.returncode == 2 and done.stderr.count("\n") == 1
     assert done.stderr.startswith("error: JAX_PLATFORMS=foo: JAX does not start: ")
     runtime.require_backend()
+
+
+# --- interrupted, and continued -----------------------------------------------------------------
+
+
+def test_an_interrupted_sweep_names_the_command_that_continues_it(
+    sinsjax: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def interrupted(*_: Any, **__: Any) -> None:
+        raise StudyInterrupted("1 of 3 runs are in out")
+
+    config = tmp_path / "my study.toml"
+    config.write_text(tomli_w.dumps(BASE))
+    monkeypatch.setattr(run, "run_into", interrupted)
+    words = ["sweep", config, "-o", tmp_path / "out", "--draws", 48]
+    again = f"sinsjax sweep '{config}' -o {tmp_path / 'out'} --draws 48 --resume"
+    for more in ("--overwrite", "--resume"):
+        told = f"interrupted: 1 of 3 runs are in out (continue: {again})\n"
+        assert sinsjax(*words, more) == (130, told)
+
+
+def test_ctrl_c_outside_of_the_runs_is_one_line(
+    sinsjax: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def interrupted(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("sinsjax.study.load.load_study", interrupted)
+    told = "interrupted: what is stored is kept\n"
+    assert sinsjax("sweep", "reset_sweep", "-o", tmp_path / "out") == (130, told)
+
+
+def test_nothing_is_forecast_of_a_study_that_cannot_be_continued(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    command, out = command_line(monkeypatch, capsys), tmp_path / "out"
+    config = tmp_path / "study.toml"
+    config.write_text(tomli_w.dumps(BASE))
+    out.mkdir()
+    (out / "study.toml").write_text(study_to_toml(small_study(study={"draws": 48})))
+    (out / "manifest.json").write_text('{"fingerprint": ""}')
+    code, told, error = command("sweep", config, "-o", out, "--resume")
+    assert (code, told) == (2, "")
+    assert error.endswith("(there can be more, not fewer: go on with --draws 48)\n")

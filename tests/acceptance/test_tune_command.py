@@ -235,7 +235,7 @@ def test_a_directory_with_a_tuning_is_not_overwritten_unasked(
     assert code == 2
     assert error == (
         f"error: {made}: already holds a tuning run (give --resume to continue it, or --overwrite"
-        " to replace it)\n"
+        " to replace it; in Python resume=True or overwrite=True)\n"
     )
     code, _, error = sinsjax_("sweep", config, "-o", made, "--overwrite")
     assert code == 2 and "is not a result" in error

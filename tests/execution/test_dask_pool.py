@@ -389,7 +389,7 @@ def test_a_worker_is_no_scheduler(begin: Begin, scheduler: str) -> None:
 
 def test_more_workers_than_cores_are_refused() -> None:
     with (
-        pytest.raises(InputError, match="--workers: 4096 exceeds the"),
+        pytest.raises(InputError, match="^workers: 4096 exceeds the"),
         dask_pool.executor(workers=4096),
     ):
         pass
@@ -492,7 +492,7 @@ def test_every_answer_is_checked_and_unlike_machines_are_told_once(
     pool.check(answer(machine=other))
     pool.check(answer(machine=other))
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("tcp://far:1: computes with Abacus")
+    assert line.startswith("Warning: tcp://far:1: computes with Abacus")
     assert pool.facts() == {"instructions": xla.instructions()}
     smaller = answer(worker="tcp://old:1", machine=other._replace(instructions="SSE4_2"))
     with pytest.raises(

@@ -47,14 +47,14 @@ def test_workers_that_leave_are_told_once(
 
     assert said("tcp://a:1", "tcp://b:1", "tcp://c:1") == ""
     assert said("tcp://a:1", "tcp://b:1") == (
-        "tcp://c:1: worker lost, its tasks run again (2 left)\n"
+        "Warning: tcp://c:1: worker lost, its tasks run again (2 left)\n"
     )
     assert said("tcp://a:1", "tcp://b:1", "tcp://d:1") == ""
     lost, waiting = said().splitlines()
-    assert lost == "tcp://a:1 and 2 more: worker lost, its tasks run again (0 left)"
+    assert lost == "Warning: tcp://a:1 and 2 more: worker lost, its tasks run again (0 left)"
     assert waiting == (
-        "tcp://head:8786: all workers have left (waiting up to 10 min; start one: dask worker"
-        " tcp://head:8786)"
+        "Warning: tcp://head:8786: all workers have left (waiting up to 10 min; start one: dask"
+        " worker tcp://head:8786)"
     )
     assert said() == ""
 
@@ -66,7 +66,9 @@ def test_a_scheduler_that_nobody_has_joined_waits_for_its_first_worker(
     pool = dask_pool.DaskPool(Seen(), "tcp://head:8786")
     assert pool._look() == {}
     pool._alone(time.monotonic() - 1.0)
-    assert capsys.readouterr().err.startswith("tcp://head:8786: no workers yet (waiting up to")
+    assert capsys.readouterr().err.startswith(
+        "Warning: tcp://head:8786: no workers yet (waiting up to"
+    )
 
 
 def test_a_scheduler_that_is_lost_is_told_with_the_reason() -> None:
