@@ -16,6 +16,9 @@ from sinsjax import console as screen
 from sinsjax.execution.run import RunProgress, Tell
 
 _PLAIN_EVERY_S = 10.0
+_MEASURED_S = 1.0
+"""Least time after the first chunk to tell a rate from: threads end their first chunks together."""
+
 _STOPPING = "Stopping after the running chunks (repeat to abandon them)."
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)  # batch systems send the second
 
@@ -87,9 +90,9 @@ class _Pace:
             self._counted, self._first = now.counted, None
         clock = time.monotonic()
         since, done = self._first = self._first or (clock, now.done)
-        if now.done == done:
+        if clock < since + _MEASURED_S or now.done == done:
             return f", {now.failures:,} failed"
-        rate = (now.done - done) / max(clock - since, 1e-3)
+        rate = (now.done - done) / (clock - since)
         left = _clock((now.total - now.done) / rate)
         return f", {rate:,.0f} {now.counted}/s, {left} left, {now.failures:,} failed"
 

@@ -64,6 +64,20 @@ def test_plain_lines_come_every_ten_seconds_where_a_tenth_takes_longer(clock: Cl
     assert lines[-1] == "swing: 51 of 1,000,000 runs, 1 runs/s, 277:45:49 left, 0 failed"
 
 
+def test_a_pace_is_told_once_it_is_measured(clock: Clock) -> None:
+    """The threads end their first chunks at almost the same time."""
+    screen, file = plain()
+    with progress.progress(screen, "swing") as tell:
+        for later, done in ((5.0, 448), (0.001, 896), (1.2, 1792)):
+            clock.now += later
+            tell(RunProgress(done, 7168, 0, 0))
+    assert file.getvalue().splitlines() == [
+        "swing: 448 of 7,168 runs, 0 failed",
+        "swing: 896 of 7,168 runs, 0 failed",
+        "swing: 1,792 of 7,168 runs, 1,119 runs/s, 0:05 left, 0 failed",
+    ]
+
+
 def test_what_was_there_before_is_told_and_does_not_make_the_pace(clock: Clock) -> None:
     screen, file = plain()
     with progress.progress(screen, "swing") as tell:
