@@ -78,7 +78,7 @@ def test_a_scheduler_that_is_lost_is_told_with_the_reason() -> None:
         dask_pool.DaskPool(client, "tcp://head:8786")._look()
     assert str(told.value) == (
         "tcp://head:8786: lost the scheduler: Timed out (results so far are kept: continue with"
-        " --resume)"
+        " --resume, in Python resume=True)"
     )
 
 
