@@ -78,7 +78,7 @@ def test_start(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
     near = [int(re.findall(r"Of these (\d+) within", text)[0]) for text in (mine, worse)]
     assert abs(near[0] - near[1]) < 5
     assert "identical" in told[8]
-    assert Path("out/figures/settling_time.png").exists()
+    assert Path("first/figures/settling_time.png").exists()
 
 
 def test_own_imu(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
@@ -87,7 +87,7 @@ def test_own_imu(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
     within = [float(line.split()[-1]) for line in told[3].splitlines()]
     assert np.abs(np.subtract(within, [42, 24, 18])).max() < 1.5
     assert told[4].splitlines() == ["[22.5, 12.8, 7.7]", "[21.0, 11.5, 6.9]"]
-    errors = np.subtract(*(_numbers("out", name) for name in ("phi_u_arcmin", "floor_arcmin")))
+    errors = np.subtract(*(_numbers("imu", name) for name in ("phi_u_arcmin", "floor_arcmin")))
     assert abs(np.std(errors) - 9.1) < 0.3
 
 
@@ -125,6 +125,15 @@ def test_one_run(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
     """Each block prints what the page shows below it."""
     shown = [text for language, text in blocks("one_run.md") if language == "text"]
     assert typed("one_run.md", command, capsys) == shown and len(shown) == 4
+
+
+def test_pages_share_a_folder_without_sharing_results() -> None:
+    """Who follows the README and these pages in one folder meets no results of another page."""
+    taken: list[str] = []
+    for page in ("../README.md", "start.md", "own_imu.md", "reading_results.md"):
+        text = "".join(text for _, text in blocks(page))
+        taken += re.findall(r" -o (\S+)", text) + re.findall(r'run_into\(study, "(\w+)"', text)
+    assert len(taken) > 8 and len(taken) == len(set(taken))
 
 
 def test_own_method() -> None:
