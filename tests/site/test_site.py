@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from collections import Counter
 from html.parser import HTMLParser
 from importlib.util import find_spec
 from pathlib import Path
@@ -129,6 +130,7 @@ def test_the_page_of_extending_has_all_that_the_example_imports(
         ("covariance reset", "reset_cycle.html"),
         ("R", "keys.html"),
         ("heading_deg", "own_record.html"),
+        ("averaging_time_s", "own_method.html"),
         ("heading", "keys.html"),
         ("PSINS", "own_record.html"),
         ("misalignment", "index.html"),
@@ -154,3 +156,22 @@ def test_the_search_finds(words: str, page: str, index: dict[str, Any]) -> None:
         if cut(words) <= known:
             found.add(entry["location"].partition("#")[0])
     assert page in found, sorted(found)
+
+
+@pytest.mark.parametrize(
+    ("name", "page"),
+    [
+        ("averaging_time_s", "own_method.html"),
+        ("reset_cycle_s", "methods.html"),
+        ("read_history", "python.html"),
+    ],
+)
+def test_a_name_in_code_is_one_word(name: str, page: str, index: dict[str, Any]) -> None:
+    """Cut at its underscores it would find all pages with averages, times and seconds."""
+    separator = re.compile(index["config"]["separator"])
+    found = Counter[str]()
+    for entry in index["docs"]:
+        words = separator.split(re.sub(r"<[^>]+>", " ", f"{entry['title']} {entry['text']}"))
+        if count := words.count(name):
+            found[entry["location"].partition("#")[0]] += count
+    assert 0 < len(found) < 10 and found[page] == max(found.values()), found
