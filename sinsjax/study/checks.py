@@ -129,10 +129,16 @@ def _check_intervals(study: Study, where: Where) -> None:
 
 
 def _check_methods(study: Study, where: Where) -> None:
-    """Refuses keys that no method of the study reads."""
+    """Refuses keys that no method of the study reads, those of a whole section at once."""
     methods = sorted(study.methods)
-    for key in sorted(keys_unread(methods) & where.keys()):
-        _refuse(key, where, f"does not apply to method {' or '.join(methods)}")
+    text = f"does not apply to method {' or '.join(methods)}"
+    unread = keys_unread(methods)
+    for key in sorted(unread & where.keys()):
+        section = f"[{SECTION_OF[key]}]"
+        here = [other for other, place in where.items() if place == section]
+        if where[key] == section and len(here) > 1 and unread.issuperset(here):
+            raise InputError(f"{section}: {text} (drop it: {', '.join(here)})")
+        _refuse(key, where, text)
 
 
 def _check_passes(study: Study, where: Where) -> None:

@@ -1201,6 +1201,12 @@ def test_a_key_that_no_method_reads(tables: dict[str, Any], key: str, method: st
     built(merged(SIMULATED, **tables), axes={"method": ["kalman5", "compass"]})
 
 
+def test_a_section_that_no_method_reads_is_one_line():
+    tables = {"alignment": {"method": "inertial"}, "filter": {"p0_yaw_deg": 9.0, "p0_level_deg": 9}}
+    text = "does not apply to method inertial (drop it: p0_yaw_deg, p0_level_deg)"
+    assert refusal(**tables) == f"[filter]: {text}"
+
+
 def test_sections_and_defaults_are_those_of_the_methods():
     filters, loops, both = built(), built(COMPASS), built(axes={"method": ["kalman5", "compass"]})
     assert filters.compass is None and filters.filter and filters.resets
