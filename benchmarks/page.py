@@ -296,9 +296,11 @@ def write(page: Path, machines: Sequence[Machine], notes: str) -> None:
     for section in sections(machines, notes):
         lines.append(f"## {section.heading}")
         for block in section.blocks:
-            lines.append(markdown(block, PREFIX))
+            text = markdown(block, PREFIX)
             if isinstance(block, Picture):
+                text = text.replace("![]", f"![{block.caption.replace('`', '')}]", 1)
                 images[f"{PREFIX}{block.name}"] = png(block.figure)
+            lines.append(text)
     save_figures(images, page.parent / FIGURES)
     with replacing(page) as file:
         file.write(("\n\n".join(lines) + "\n").encode())

@@ -674,7 +674,7 @@ def test_the_page_says_what_the_rows_say(tmp_path):
     assert "keep 91 % of the compiled call's throughput" in text
     assert "| 0.0.9 | AMD EPYC 9999 64-Core Processor (AVX-512) | 18.5 | 1.85 |" in text
     assert text.rstrip().endswith("float32: the reason.")
-    pictures = re.findall(r"\((figures/\w[\w-]*\.png)\)", text)
+    pictures = re.findall(r"!\[.+\]\((figures/\w[\w-]*\.png)\)", text)
     assert len(pictures) == 3
     for name in pictures:
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
