@@ -51,10 +51,12 @@ def init(
 
     console = plain_console()
     if list_:
-        for title, known in (("Templates", files.templates()), ("Studies", files.studies())):
+        shown = (("Templates", files.templates()), ("Studies", files.studies()))
+        width = max(len(name) for _, known in shown for name in known)
+        for title, known in shown:
             say(console, f"{title}:")
             for each, path in known.items():
-                say(console, f"  {each:<20} {files.purpose(path)}")
+                say(console, f"  {each:<{width}} {files.purpose(path)}")
         return
     if name is None:
         raise InputError("NAME: required (`sinsjax init --list` shows the names)")

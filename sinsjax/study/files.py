@@ -1,6 +1,7 @@
 """Study files: the shipped ones by name, templates to begin a study from, and reading them."""
 
 import os
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,8 @@ _FOLDER = "configs"
 _SCHEMA = "#:schema"
 DOUBT = "# DOUBT: "
 """Begins a line about what could not be known where a study was written for a record."""
+
+_STUDY, _PAGE = re.compile(r"\bconfigs/(\w+)\.toml"), re.compile(r"\bdocs/(\w+)\.md")
 
 TEMPLATES = ("sweep", "record", "tune", "compare")
 """Kinds of study that have a template."""
@@ -47,7 +50,10 @@ def found(given: str | Path) -> Path:
 
 
 def purpose(path: Path) -> str:
-    """What a study is for: the first sentence of the comment that it begins with."""
+    """What a study is for: the first sentence of the comment that it begins with.
+
+    Studies and pages are named without their folders, which a wheel does not have.
+    """
     lines = []
     for line in _body(path).splitlines():
         if not line.startswith("# "):
@@ -55,7 +61,8 @@ def purpose(path: Path) -> str:
         lines.append(line[2:].strip())
     text = " ".join(lines)
     ends = [at + 1 for mark in (". ", "? ") if (at := text.find(mark)) > 0]
-    return text[: min(ends, default=len(text))] or path.stem
+    sentence = text[: min(ends, default=len(text))] or path.stem
+    return _PAGE.sub(r"the page \1", _STUDY.sub(r"\1", sentence))
 
 
 def text_of(name: str) -> str:

@@ -92,6 +92,7 @@ def test_init_copies_with_comments(sinsjax: Command, tmp_path: Path) -> None:
     code, _, error = sinsjax("init", "reset_swep")
     assert code == 2 and "did you mean reset_sweep?" in error
     code, told, _ = sinsjax("init", "--list")
+    assert "docs/" not in told and "configs/" not in told  # a wheel has no such folders
     assert code == 0 and {*files.templates(), *files.studies()} <= set(told.split())
 
 
