@@ -170,7 +170,7 @@ def print_table(block: Table, console: Console, names: Names = NO_NAMES) -> None
         pad_edge=False,
     )
     for name in block.header:
-        table.add_column(RichText(name))
+        table.add_column(RichText(name), overflow="fold")  # a cut name would be another key's too
     for row in block.rows:
         table.add_row(*map(RichText, row))
     width = console.width

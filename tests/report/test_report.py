@@ -62,6 +62,8 @@ def test_lines_are_whole_where_the_console_is_no_terminal(tmp_path, monkeypatch)
     monkeypatch.setenv("COLUMNS", "70")  # unless a width is asked for
     table = told(tmp_path).partition("Every variant")[2].partition("Number [")[0]
     assert table and max(map(len, table.splitlines())) == 70
+    monkeypatch.setenv("COLUMNS", "30")  # too little for whole words: nothing is cut off
+    assert "\N{HORIZONTAL ELLIPSIS}" not in told(tmp_path)
 
 
 def test_many_variants_are_pooled_and_their_intervals_count_draws(tmp_path):
