@@ -20,11 +20,12 @@ from sinsjax.plots.errors import over_time
 from sinsjax.plots.grids import Contours, Scale, Shown, Verdicts, heat_maps, spread, verdict_matrix
 from sinsjax.plots.spreads import Expected, along_axis
 from sinsjax.plots.stored_records import survival
-from sinsjax.plots.style import COLOURS, colour, png
+from sinsjax.plots.style import COLOURS, STYLE, colour, png
 from sinsjax.plots.words import label, setting
 
 __all__ = [
     "COLOURS",
+    "STYLE",
     "BeliefPanel",
     "Contours",
     "Course",

@@ -92,3 +92,12 @@ def test_what_stands_beside_psins_is_a_study(tmp_path: Path) -> None:
     named = {name for cell in cells for name in re.findall(r"`(\w+_\w+|method|format)\b", cell)}
     told = {column.name for column in columns.OBSERVED} | SECTION_OF.keys() | {"rate_hz"}
     assert len(named) > 25 and named <= told | {"duration_s", "format"}
+
+
+def test_notebooks_need_no_checkout() -> None:
+    """Neither its folder of studies nor a module that `sinsjax.plots` keeps to itself."""
+    notebooks = sorted((ROOT / "notebooks").glob("*.ipynb"))
+    assert len(notebooks) > 5
+    for path in notebooks:
+        text = path.read_text(encoding="utf-8")
+        assert "../configs" not in text and "plots.style" not in text, path.name
