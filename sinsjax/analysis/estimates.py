@@ -251,7 +251,7 @@ def _root(value: float, squares: Clustered) -> tuple[float, float]:
     Student's t with 5 degrees of freedom.
     """
     n = squares.n
-    if value == 0.0:
+    if value == 0.0 and n > 1:
         return value, value
     if n < _LEAST:
         return math.nan, math.nan

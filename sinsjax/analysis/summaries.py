@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 
 from sinsjax.analysis.clusters import COLUMNS, are_single, clusters_of
 from sinsjax.analysis.differences import difference, proportion_difference, quantile_difference
-from sinsjax.analysis.estimates import UNKNOWN, Estimate, chi2_mean_band, mean, quantile, share, std
+from sinsjax.analysis.estimates import (
+    UNKNOWN,
+    Estimate,
+    chi2_mean_band,
+    mean,
+    quantile,
+    rms,
+    share,
+    std,
+)
 from sinsjax.analysis.tables import (
     by_draw,
     groups,
@@ -27,7 +36,7 @@ from sinsjax.errors import InputError
 NEES_FREEDOM = 3
 """Degrees of freedom of ``nees``: three angles."""
 
-_YAW, _FLOOR = "phi_u_mean_arcmin", "floor_arcmin"
+_YAW, _FLOOR, _AT = "phi_u_mean_arcmin", "floor_arcmin", "phi_u_at_"
 NEEDED = ("draw_id", "start_s", "status", "phi_u_arcmin", "has_limit", _YAW, _FLOOR)
 """Columns that `summarise` needs besides keys and those that its statistics are of."""
 
@@ -72,8 +81,12 @@ def summarise(table: pa.Table, by: Sequence[str], names: Sequence[str] | None = 
       interval, all about the limit; about the truth the same of ``settle_B_truth_s``; all but the
       count also for ``settle_B_data_s`` and ``settle_B_truth_data_s``, with repeated passes over a
       stored record;
-    * ``phi_u_mean_arcmin_mean`` and ``phi_u_mean_arcmin_std``: the window means over the runs, the
-      second null if they ended in more than one status: then ``phi_u_mean_arcmin_q10``,
+    * the heading error from the truth, arcmin, for ``phi_u_arcmin`` at the end and every column
+      ``phi_u_at_T_arcmin``: ``phi_u_arcmin_rms`` of the finite values, and
+      ``phi_u_arcmin_abs_q90``, the value that |phi_u| of 90 % of the runs does not exceed (a run
+      without a number counts as infinite);
+    * ``phi_u_mean_arcmin_mean`` and ``phi_u_mean_arcmin_std``: the signed window means over the
+      runs, the second null if they ended in more than one status: then ``phi_u_mean_arcmin_q10``,
       ``..._median`` and ``..._q90`` give the spread of the finite values;
       ``phi_u_from_floor_arcmin_mean``: window mean minus floor; ``phi_u_std_arcmin_mean``: the
       standard deviation inside a run's window;
@@ -81,8 +94,8 @@ def summarise(table: pa.Table, by: Sequence[str], names: Sequence[str] | None = 
       last two with the chi-square band of the mean in ``X_chi2_low`` and ``X_chi2_high``, which
       holds only for a consistent filter.
 
-    Statistics about the limit use only runs that have one, all but ``no_limit`` of them. A mean or
-    standard deviation omits non-finite values; ``X_n`` is the number of runs used. Null means
+    Statistics about the limit use only runs that have one, all but ``no_limit`` of them. A mean,
+    standard deviation or rms omits non-finite values; ``X_n`` is the number of runs used. Null is
     unknown, as all but ``n`` and ``nonfinite`` are without truth or reference.
 
     Args:
@@ -219,6 +232,9 @@ def _offered(columns: Sequence[str]) -> dict[str, _Statistic]:
         offered[f"{name}_median"] = _of(quantile, name, **about)
         offered[f"{name}_q90"] = _of(partial(quantile, q=0.9), name, **about)
         offered[f"{name}_mean"] = _of(mean, name, suffixes=_MEAN, **about)
+    for name in (name for name in columns if name == "phi_u_arcmin" or name.startswith(_AT)):
+        offered[f"{name}_rms"] = _of(rms, name, suffixes=_MEAN)
+        offered[f"{name}_abs_q90"] = _of(_abs_q90, name)
     return offered | {
         "phi_u_mean_arcmin_mean": _of(mean, _YAW, suffixes=_MEAN),
         "phi_u_mean_arcmin_std": _Statistic((_YAW,), _one_status_std, suffixes=_MEAN),
@@ -268,6 +284,12 @@ def _missing(values: NDArray, cluster: NDArray | None) -> Estimate:
 
 def _known_median(values: NDArray, cluster: NDArray | None) -> Estimate:
     return quantile(values, cluster=cluster) if np.isfinite(values).any() else UNKNOWN
+
+
+def _abs_q90(values: NDArray, cluster: NDArray | None) -> Estimate:
+    if not np.isfinite(values).any():
+        return UNKNOWN
+    return quantile(np.abs(values), 0.9, cluster)
 
 
 def _known_quantile(values: NDArray, cluster: NDArray | None, q: float) -> Estimate:

@@ -138,6 +138,32 @@ def test_summarise_one_row_a_group():
     assert second["success_rate"] == 1.0
 
 
+def test_heading_errors_are_of_magnitudes_at_the_end_and_at_report_times():
+    """Against NumPy; pooled variants of a draw count once, and headings do not cancel."""
+    draw = np.repeat(np.arange(40), 2)
+    error = 60.0 * np.random.default_rng(3).normal(size=80)
+    early = np.where(np.arange(80) == 7, math.nan, 10 * error)
+    table = summary(
+        80, draw_id=draw, phi_u_arcmin=np.r_[error[::2], -error[::2]], phi_u_at_60_arcmin=early
+    )
+    (row,) = analysis.summarise(table, []).to_pylist()
+    assert row["phi_u_arcmin_rms"] == pytest.approx(np.sqrt(np.mean(error[::2] ** 2)))
+    assert row["phi_u_at_60_arcmin_rms"] == pytest.approx(np.sqrt(np.nanmean(early**2)))
+    assert (row["phi_u_arcmin_rms_n"], row["phi_u_at_60_arcmin_rms_n"]) == (80, 79)
+    ranked = np.sort(np.abs(np.nan_to_num(early, nan=NEVER)))
+    assert row["phi_u_at_60_arcmin_abs_q90"] == ranked[71] and ranked[-1] == NEVER
+    for name in ("phi_u_arcmin", "phi_u_at_60_arcmin"):
+        values = table[name].to_numpy()
+        known = np.isfinite(values)
+        for end, estimate in (
+            ("rms", analysis.rms(values[known], draw[known])),
+            ("abs_q90", analysis.quantile(np.abs(values), 0.9, draw)),
+        ):
+            ends = [row[f"{name}_{end}_low"], row[f"{name}_{end}_high"]]
+            assert ends == pytest.approx(list(estimate[1:3])), (name, end)
+            assert ends[0] < row[f"{name}_{end}"] < ends[1]
+
+
 def test_summarise_a_single_run_and_every_band():
     table = analysis.summarise(summary(1, settle_3_s=[None], settle_60_s=[20.0]), [])
     (row,) = table.to_pylist()
@@ -170,6 +196,7 @@ def test_summarise_all_nonfinite_is_not_without_truth():
     assert row["settle_10_s_median"] == NEVER
     assert row["phi_u_mean_arcmin_mean"] is None and row["never_settled_10"] == 12
     assert row["nees_mean_chi2_low"] is row["nees_mean"] is None
+    assert row["phi_u_arcmin_rms"] is row["phi_u_arcmin_abs_q90"] is None
 
 
 def test_summarise_of_chosen_statistics_needs_their_columns_alone():
