@@ -2,8 +2,8 @@
 
 `clusters` determines which runs are dependent. `estimates` computes statistics of some runs,
 `differences` those between runs on the same noise, and `summaries` tables of them from a whole
-summary, with the help of `tables`; `grids` lays runs out over the axes of a study. `formats` and
-`words` print estimates.
+summary, with the help of `tables`; `headings` has those of the heading error, time by time. `grids`
+lays runs out over the axes of a study. `formats` and `words` print estimates.
 """
 
 from sinsjax.analysis.clusters import NO_INTERVAL, are_single, clusters_of
@@ -26,6 +26,7 @@ from sinsjax.analysis.estimates import (
     std,
 )
 from sinsjax.analysis.formats import format_difference, format_estimate
+from sinsjax.analysis.headings import heading_errors
 from sinsjax.analysis.summaries import NEES_FREEDOM, compare, summarise
 from sinsjax.analysis.tables import groups, has_status, has_truth, numbers, paired
 
@@ -46,6 +47,7 @@ __all__ = [
     "groups",
     "has_status",
     "has_truth",
+    "heading_errors",
     "mean",
     "numbers",
     "paired",

@@ -16,6 +16,12 @@ def arcmin(angle: Estimate, digits: int = 1) -> str:
     return format_estimate(angle, "arcmin", digits)
 
 
+def heading(error_arcmin: Estimate) -> str:
+    """A heading error without its unit, to a tenth where it is below 100 arcmin."""
+    text = format_estimate(error_arcmin, digits=0 if error_arcmin.value >= 100 else 1)
+    return text.replace("never", "no number")
+
+
 def share(of_runs: Estimate) -> str:
     """A share with its interval, such as ``45 [43, 47] %``."""
     return f"{percent(of_runs)} %"

@@ -12,8 +12,8 @@ from sinsjax.analysis.summaries import NEEDED
 from sinsjax.execution.source import Source
 from sinsjax.plots.words import name_of
 from sinsjax.study.distributions import NUMBERS_DRAWN
-from sinsjax.study.success import yardsticks
-from sinsjax.study.swept import shown_keys
+from sinsjax.study.success import judged_columns
+from sinsjax.study.swept import shown_keys, swept
 
 MOST_LINES = 7
 BINS = "the median of each bin, of about as many draws."
@@ -30,6 +30,19 @@ def lines_of(table: pa.Table, others: Sequence[str]) -> tuple[dict[str, pa.Table
     return {name_of(point): rows for point, rows in groups[:MOST_LINES]}, said
 
 
+def keys_of_lines(source: Source) -> tuple[Sequence[str], str]:
+    """The keys that tell few lines apart, and what is to be said of them.
+
+    All of them where there are few variants, else the first that has few values, or none.
+    """
+    if source.study.n_variants <= MOST_LINES:
+        return shown_keys(source.study), ""
+    for own, values in swept(source.study).items():
+        if len(values) <= MOST_LINES:
+            return own, f" All runs of the same {' and '.join(own)} make one line."
+    return (), " All runs together."
+
+
 def binned(source: Source) -> dict[str, tuple[Source, tuple[float, ...]]]:
     """For each drawn number of a study, its runs in bins of about as many draws.
 
@@ -41,10 +54,11 @@ def binned(source: Source) -> dict[str, tuple[Source, tuple[float, ...]]]:
     study = source.study
     count = min(_MOST_BINS, source.draws // _LEAST_DRAWS)
     drawn = [key for key in study.drawn_keys if NUMBERS_DRAWN[key] == 1]
-    judged = [name for yard in yardsticks(study) for name in (yard.ok, yard.settle)]
     found = {}
     for key in drawn if count > 1 else ():
-        table = source.rows([key, "run_id", "variant_id", *shown_keys(study), *NEEDED, *judged])
+        table = source.rows(
+            [key, "run_id", "variant_id", *shown_keys(study), *NEEDED, *judged_columns(study)]
+        )
         medians = bin_medians(analysis.numbers(table, key), count)
         place = table.column_names.index(key)
         table = table.set_column(place, key, pa.array(medians))

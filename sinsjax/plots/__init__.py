@@ -18,7 +18,7 @@ from sinsjax.plots.curves import (
 )
 from sinsjax.plots.errors import over_time
 from sinsjax.plots.grids import Contours, Scale, Shown, Verdicts, heat_maps, spread, verdict_matrix
-from sinsjax.plots.spreads import Expected, along_axis
+from sinsjax.plots.spreads import Expected, along_axis, tells
 from sinsjax.plots.stored_records import survival
 from sinsjax.plots.style import COLOURS, STYLE, colour, png
 from sinsjax.plots.words import label, setting
@@ -51,6 +51,7 @@ __all__ = [
     "spread",
     "squares",
     "survival",
+    "tells",
     "verdict_matrix",
     "yaw_errors",
 ]

@@ -97,6 +97,11 @@ def along_axis(
     return figure
 
 
+def tells(panel: Mapping[str, Sequence[Estimate]]) -> bool:
+    """Whether a panel of `along_axis` has anything but *never*, unknown and zeros."""
+    return any(e.value and np.isfinite(e.value) for line in panel.values() for e in line)
+
+
 def steps(values: NDArray) -> tuple[NDArray, NDArray]:
     """The cumulative distribution of some values as points of a step function.
 

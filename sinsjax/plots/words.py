@@ -9,7 +9,7 @@ WORDS = {
     "phi_e0": "initial level error about east",
     "phi_n0": "initial level error about north",
     "phi_u0": "initial heading error",
-    "yaw_center": "heading",
+    "yaw_center": "yaw, counter-clockwise",
     "start": "start in the record",
     "reset_count": "number of resets",
     "reset_first": "first reset at",

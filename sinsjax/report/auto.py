@@ -9,32 +9,26 @@ import numpy as np
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_difference, format_estimate
 from sinsjax.analysis.summaries import NEEDED, estimate_of
-from sinsjax.analysis.words import percent
+from sinsjax.analysis.words import heading, percent
+from sinsjax.columns import report_columns
 from sinsjax.execution import stopping
 from sinsjax.execution.groupings import BINS, binned
 from sinsjax.execution.source import Source
 from sinsjax.plots.words import name_of
 from sinsjax.report.attitudes import attitudes
-from sinsjax.report.base import (
-    MOST_ROWS,
-    Block,
-    Picture,
-    Report,
-    Table,
-    Text,
-    intervals,
-    table_of,
-)
+from sinsjax.report.base import MOST_ROWS, Block, Picture, Report, Table, Text, intervals, table_of
 from sinsjax.report.markup import said
 from sinsjax.report.over_axes import over_axes
 from sinsjax.report.spreads import spreads
 from sinsjax.study.acting import first_alike
-from sinsjax.study.success import yardsticks
+from sinsjax.study.success import LIMITED, judged_columns, yardsticks
 from sinsjax.study.swept import shown_keys
 
 _MOST_LINES = 6
 _MOST_DRAWS = 256  # in a line's band
 _MOST_MOMENTS = 8
+_END = "phi_u_arcmin"
+_RARE = 0.1  # of the runs that are ok: so many may be at the edge of both bands
 
 
 def report(source: Source) -> Report:
@@ -48,13 +42,13 @@ def report(source: Source) -> Report:
     best = [block for block in blocks if isinstance(block, Table)]
     figures = [*_curves(source, has_truth), *(b for b in blocks if not isinstance(b, Table))]
     parts: dict[str, Sequence[Block]] = {"What is best": best, "Figures": figures, "Tables": tables}
-    return Report.of([_headline(source, has_truth), *_stopped(source)], parts)
+    return Report.of([*_headline(source, has_truth), *_stopped(source)], parts)
 
 
 def statistics(source: Source, keys: Sequence[str], title: str, *, note: str = "") -> Table:
     """The statistics of each group of runs, told apart by some keys, as a table."""
     shown = _shown(source)
-    table = source.distinct([*keys, *NEEDED, *_judged(source)])
+    table = source.distinct([*keys, *NEEDED, *judged_columns(source.study)])
     rows = analysis.summarise(table, keys, [one.name for one in shown]).to_pylist()
     cells = [("runs", lambda row: str(row["n"])), *((one.header, one.cell) for one in shown)]
     return table_of(title, keys, rows, cells, note, left="rows are not shown")
@@ -88,20 +82,33 @@ def _shown(source: Source) -> list[_Shown]:
             _Shown(f"time to {y.words}, median (s)", f"{y.settle}_median", seconds, not y.truth)
             for y in yards
         ),
-        _Shown("phi_u, window mean (arcmin)", "phi_u_mean_arcmin_mean", arcmin),
-        _Shown("... from its limit (arcmin)", "phi_u_from_floor_arcmin_mean", arcmin, True),
+        _Shown("heading error at the end, rms (arcmin)", f"{_END}_rms", heading),
+        _Shown("signed mean from its limit (arcmin)", "phi_u_from_floor_arcmin_mean", arcmin, True),
     ]
 
 
-def _judged(source: Source) -> list[str]:
-    """The columns that tell successes and when they settled."""
-    return [name for yard in yardsticks(source.study) for name in (yard.ok, yard.settle)]
+def heading_errors(source: Source, keys: Sequence[str], title: str) -> Table:
+    """How far from the truth the headings are, at each report time and at the end."""
+    times_s = source.study.study.report_times_s or ()
+    times = {report_columns(time)[0].name: f"{time:g} s" for time in times_s} | {_END: "the end"}
+    table = source.distinct([*keys, *NEEDED, *times])
+    cells = [
+        ("runs", lambda row: str(row["n"])),
+        ("at", lambda row: row["at"]),
+        ("rms", lambda row: heading(row["rms"])),
+        ("90 % of the runs below", lambda row: heading(row["q90"])),
+    ]
+    rows = list(analysis.heading_errors(table, keys, times))
+    unbounded = any(np.isnan(row["q90"].high) for row in rows) and not source.study.is_recorded
+    note = f"{intervals(source)}{' *unknown*: too few draws to bound it.' if unbounded else ''}"
+    most, left = MOST_ROWS * len(times), "rows are not shown"
+    return table_of(title, keys, rows, cells, note, most=most, left=left)
 
 
 def against_first(source: Source) -> Table:
     """How each variant differs from the first one, draw by draw."""
     keys, yards = shown_keys(source.study), source.yardsticks
-    table = source.distinct([*keys, *NEEDED, *_judged(source)])
+    table = source.distinct([*keys, *NEEDED, *judged_columns(source.study)])
     first = {key: table[key][0].as_py() for key in keys}
     times = partial(format_difference, digits=0, sides=("it", "the first"))
     shown = [
@@ -110,7 +117,9 @@ def against_first(source: Source) -> Table:
             _Shown(f"time to {y.words}, median (s)", f"{y.settle}_median_difference", times)
             for y in yards
         ),
-        _Shown("phi_u error (arcmin)", "phi_u_error_arcmin_difference", format_estimate),
+        _Shown(
+            "distance from its limit (arcmin)", "phi_u_error_arcmin_difference", format_estimate
+        ),
     ]
     shared = "from the same start times" if source.study.is_recorded else "on the same noise"
     return table_of(
@@ -118,22 +127,26 @@ def against_first(source: Source) -> Table:
         keys,
         analysis.compare(table, keys, first).to_pylist(),
         [(one.header, one.cell) for one in shown],
-        f"{intervals(source, 'pairs of runs of a draw', 'Difference')} phi_u error: how far its"
-        " window mean lies from its limit.",
+        f"{intervals(source, 'pairs of runs of a draw', 'Difference')} Distance: of the mean"
+        " of phi_u over the window.",
     )
 
 
-def _headline(source: Source, has_truth: bool) -> str:
+def _headline(source: Source, has_truth: bool) -> list[str]:
+    """How many runs are ok, and whether some of these are near north without having converged."""
     study = source.study
     draws = "start times" if study.is_recorded else "draws"
     text = f"{source.runs:,} runs: {study.n_variants} variants, {source.draws} {draws}."
     if not has_truth:
-        return f"{text} Without truth or reference, attitude and its 1 sigma is what is known."
-    flags = source.rows([yard.ok for yard in source.yardsticks])
-    counted = (
-        f"{flags[yard.ok].to_pylist().count(True):,} {yard.words}" for yard in source.yardsticks
-    )
-    return f"{text} Of these {' and '.join(counted)} are ok."
+        return [f"{text} Without truth or reference, attitude and its 1 sigma is what is known."]
+    counted, doubts = [], []
+    for yard in source.yardsticks:
+        column = partial(analysis.numbers, source.rows([yard.ok, *LIMITED]))
+        ok, off = int((column(yard.ok) > 0).sum()), int(yard.off_limit(column).sum())
+        counted.append(f"{ok:,} {yard.words}")
+        if off > _RARE * ok:
+            doubts.append(said("off_limit", off=off, ok=ok, yard=yard))
+    return [f"{text} Of these {' and '.join(counted)} are ok.", *doubts]
 
 
 def _stopped(source: Source) -> list[str]:
@@ -145,21 +158,23 @@ def _stopped(source: Source) -> list[str]:
     return [said("stopped", rule=study.stop_when, found=found)]
 
 
-def _tables(source: Source) -> list[Block]:
+def _tables(source: Source) -> Sequence[Block]:
     study = source.study
     start, end = study.study.window_s
     keys = shown_keys(study)
-    note = f"{intervals(source)} Window: {start:g} to {end:g} s; *never*: did not settle."
+    title = f"Heading error from {'the reference' if study.is_recorded else 'true north'}, arcmin"
+    note = f"{intervals(source)} *never*: did not settle. Signed mean: over {start:g} to {end:g} s."
     if study.n_variants <= MOST_ROWS:
-        tables: list[Block] = [statistics(source, keys, "Every variant", note=note)]
-        tables += _over_drawn(source, keys)
+        every = statistics(source, keys, "Every variant", note=note)
+        tables = [heading_errors(source, keys, title), every, *_over_drawn(source, keys)]
         compared = study.n_variants > 1 and source.draws > 1
         return [*tables, against_first(source)] if compared else tables
     different = len(np.unique(first_alike(study)))
     differ = "" if different == study.n_variants else f", of which {different} differ"
     each = f"{study.n_variants} variants{differ}: each table takes one key and pools the others."
+    headings = (heading_errors(source, [key], f"{title}, by {key}") for key in keys)
     by_key = (statistics(source, [key], f"By {key}", note=note) for key in keys)
-    return [Text(each), *by_key, *_over_drawn(source, keys)]
+    return [Text(each), *headings, *by_key, *_over_drawn(source, keys)]
 
 
 def _over_drawn(source: Source, keys: Sequence[str]) -> Iterator[Table]:

@@ -12,7 +12,7 @@ from sinsjax.execution.source import Source
 from sinsjax.plots import Shown
 from sinsjax.report.base import Block, Picture, Report, Table, number, table_of
 from sinsjax.report.markup import said
-from sinsjax.report.over_axes import Maps, differ, yard_end
+from sinsjax.report.over_axes import Maps, differ
 from sinsjax.study.keys import is_chosen
 from sinsjax.study.success import Yardstick, success_of, yardsticks
 from sinsjax.study.swept import shown_axes, shown_keys
@@ -176,7 +176,7 @@ def _figures(source: Source, names: _Names, first: _Names) -> Iterator[Picture]:
     """Over the first two axes of numbers heat maps, along a single one curves."""
     axes, others = shown_axes(source.study)
     if len(axes) == 2:
-        yield from _heat_maps(source, names, yard_end(names.yard, first.yard))
+        yield from _heat_maps(source, names, names.yard.end(first.yard))
     elif axes and names is first:
         yield _along_axis(source, names, *axes.popitem(), others)
 

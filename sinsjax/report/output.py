@@ -56,7 +56,8 @@ def print_report(made: Made, console: Console) -> None:
     """Prints what was found and every table that is not folded, and names the figures."""
     source, report, images, names = made
     screen.say(console, f"\n{source.study.name}", style="bold")
-    for line in (*report.headline, yardstick(source.study)):
+    lines = (yardstick(source.study), *report.headline)
+    for line in sorted(lines, key=lambda line: not line.startswith("Warning: ")):
         screen.say(console, names.plain(line), wrap=True)
     for section in report.sections:
         for block in section.blocks:

@@ -16,12 +16,14 @@ from sinsjax.execution.source import Source
 from sinsjax.plots import Shown
 from sinsjax.plots.words import name_of, value_text
 from sinsjax.report.base import Block, Picture, Table, intervals
+from sinsjax.report.markup import said
 from sinsjax.study.acting import first_alike
 from sinsjax.study.keys import is_chosen
-from sinsjax.study.success import Yardstick
+from sinsjax.study.success import LIMITED, Yardstick, judged_columns
 from sinsjax.study.swept import shown_axes, shown_keys
 
 MOST_PANELS = 12
+_NOT_CONVERGED = "not converged"
 
 
 def over_axes(source: Source) -> list[Block]:
@@ -41,11 +43,6 @@ def over_axes(source: Source) -> list[Block]:
         drawn = _along_axis(own, key, medians, shown_keys(source.study))
         found.append(drawn._replace(name=f"over_{key}", caption=f"{drawn.caption} {key}: {BINS}"))
     return found
-
-
-def yard_end(yard: Yardstick, first: Yardstick) -> str:
-    """The end of a figure's name: that from the yardstick that a study is judged from has none."""
-    return "" if yard == first else "_truth" if yard.truth else "_limit"
 
 
 class Panel(NamedTuple):
@@ -116,10 +113,10 @@ def differ(values: Sequence[NDArray]) -> bool:
 
 def _heat_maps(source: Source, yard: Yardstick) -> Iterator[Block]:
     """The maps from one yardstick."""
-    maps = Maps(source, (yard.settle, yard.ok, "draw_id", "start_s"))
+    maps = Maps(source, (yard.settle, yard.ok, *LIMITED, "draw_id", "start_s"))
     if all(map(is_chosen, maps.axes)):
         yield _best(yard, maps)
-    end = yard_end(yard, source.yardsticks[0])
+    end = yard.end(source.yardsticks[0])
     medians = [_median(panel, yard) for panel in maps.drawn]
     yield maps.draw(
         f"settling_time{end}",
@@ -158,7 +155,13 @@ def _highest(values: Sequence[NDArray]) -> float:
 def _best(yard: Yardstick, maps: Maps) -> Table:
     """At each point of the other keys, where most runs settle, and among those the fastest."""
     rows, axes = [], maps.axes
+
+    def rate(ok: NDArray, off: NDArray, cluster: NDArray) -> str:
+        mark = f", {_NOT_CONVERGED}" if off.sum() > ok.sum() / 2 else ""
+        return f"{percent(analysis.share(ok, cluster))}{mark}"
+
     for panel in maps.panels[: 2 * MOST_PANELS]:
+        off = yard.off_limit(panel.of)
         ok, settle_s = panel.of(yard.ok) > 0, _settle(panel, yard)
         cluster = np.asarray(analysis.clusters_of(panel.rows)).reshape(ok.shape)[:, 0, 0]
         order = np.lexsort((_median(panel, yard).ravel(), -ok.mean(axis=0).ravel()))
@@ -168,9 +171,9 @@ def _best(yard: Yardstick, maps: Maps) -> Table:
             [
                 *map(value_text, panel.point.values()),
                 *(value_text(v[at]) for v, at in zip(axes.values(), (row, column), strict=True)),
-                percent(analysis.share(ok[:, row, column], cluster)),
+                rate(ok[:, row, column], off[:, row, column], cluster),
                 format_estimate(time, digits=0),
-                percent(analysis.share(ok[:, 0, 0], cluster)),
+                rate(ok[:, 0, 0], off[:, 0, 0], cluster),
             ]
         )
     first = ", ".join(f"{key} {value_text(values[0])}" for key, values in axes.items())
@@ -182,17 +185,19 @@ def _best(yard: Yardstick, maps: Maps) -> Table:
         f"at {first} (%)",
     ]
     title = f"Where most runs are ok, {yard.words}, and settle first, over {' and '.join(axes)}"
-    return Table(title, header, rows, "Equals: the first in the study's order.")
+    note = "Equals: the first in the study's order."
+    if any(_NOT_CONVERGED in cell for row in rows for cell in row):
+        note += f" *{_NOT_CONVERGED}*: {said('not_converged', yard=yard)}"
+    return Table(title, header, rows, note)
 
 
 def _along_axis(source: Source, axis: str, values: Sequence[Any], others: Sequence[str]) -> Picture:
-    yards = source.yardsticks
-    shown = {y.rate: f"share of runs that are ok, {y.words}" for y in yards}
-    shown |= {f"{y.settle}_median": f"median time (s) to {y.words}" for y in yards}
-    last = "phi_u_from_floor_arcmin_mean"
-    shown[last] = "phi_u from its limit (arcmin)"
-    judged = (name for yard in yards for name in (yard.ok, yard.settle))
-    lines, left = lines_of(source.rows((*others, axis, *judged, *NEEDED)), others)
+    shown = {y.rate: f"share of runs that are ok, {y.words}" for y in source.yardsticks}
+    shown |= {f"{y.settle}_median": f"median time (s) to {y.words}" for y in source.yardsticks}
+    shown["phi_u_arcmin_rms"] = "heading error at the end, rms (arcmin)"
+    shown["phi_u_from_floor_arcmin_mean"] = "signed mean of phi_u from its limit (arcmin)"
+    needed = (*others, axis, *judged_columns(source.study), *NEEDED)
+    lines, left = lines_of(source.rows(needed), others)
     found = {
         name: analysis.summarise(rows, [axis], list(shown)).to_pylist()
         for name, rows in lines.items()
@@ -201,12 +206,12 @@ def _along_axis(source: Source, axis: str, values: Sequence[Any], others: Sequen
         words: {name: [estimate_of(row, statistic) for row in rows] for name, rows in found.items()}
         for statistic, words in shown.items()
     }
-    if not any(np.isfinite(e.value) for line in panels[shown[last]].values() for e in line):
-        del panels[shown[last]]
+    told = {words: panel for words, panel in panels.items() if plots.tells(panel)}
+    if empty := "; ".join(words for words in panels if words not in told):
+        left += f" Empty, and left out: {empty}."
     return Picture(
         "along_axis",
-        "How many runs are ok, when their heading has entered the band for good, and how far the"
-        f" mean heading error at the end lies from its limit. {intervals(source, what='Estimate')}"
-        f"{left}",
-        plots.along_axis(axis, values, panels, title=f"What {axis} decides"),
+        "How many runs are ok, when their heading has entered the band for good, and how large the"
+        f" heading error is. {intervals(source, what='Estimate')}{left}",
+        plots.along_axis(axis, values, told, title=f"What {axis} decides"),
     )

@@ -5,15 +5,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from sinsjax import analysis, plots
+from sinsjax.execution.groupings import keys_of_lines
 from sinsjax.execution.source import Source
 from sinsjax.plots.beliefs import SHARES, BeliefPanel
 from sinsjax.plots.words import name_of
 from sinsjax.report.base import Picture, Text
 from sinsjax.report.markup import said
-from sinsjax.study.swept import shown_keys, swept
 from sinsjax.units import ARCMIN, MICRO
-
-_MOST_LINES = 7
 
 
 def spreads(source: Source) -> Iterator[Picture | Text]:
@@ -21,7 +19,7 @@ def spreads(source: Source) -> Iterator[Picture | Text]:
 
     A line a variant; of many variants, a line a value of the first key that has few.
     """
-    keys, note = _lines(source)
+    keys, note = keys_of_lines(source)
     needed = (*keys, "nees", *SHARES.values(), "draw_id", "start_s")
     groups = analysis.groups(source.rows(needed), keys)
     beliefs = [BeliefPanel.of(name_of(key), rows) for key, rows in groups]
@@ -48,17 +46,6 @@ def _biases_unknown(source: Source) -> Iterator[Text]:
     tilt = accel * MICRO / ARCMIN
     told = {"gyro": gyro, "accel": accel, "tilt": tilt, "east": east, "north": north}
     yield Text(said("biases_unknown", nees=analysis.NEES_FREEDOM, **told))
-
-
-def _lines(source: Source) -> tuple[Sequence[str], str]:
-    """The keys that tell lines apart, and what is to be said of them."""
-    keys = shown_keys(source.study)
-    if source.study.n_variants <= _MOST_LINES:
-        return keys, ""
-    for own, values in swept(source.study).items():
-        if len(values) <= _MOST_LINES:
-            return own, f" All runs of the same {' and '.join(own)} make one line."
-    return (), " All runs together."
 
 
 def consistency(beliefs: Sequence[BeliefPanel], note: str = "") -> Picture:

@@ -5,6 +5,7 @@ error that the run's own constant sensor biases leave. Does the vehicle know its
 judged from the truth: true north, or the reference of a record.
 """
 
+from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -64,6 +65,10 @@ def bands(study: Study) -> tuple[float, ...]:
     return columns.bands(study.study.settle_bands_arcmin, study.study.success_band_arcmin)
 
 
+LIMITED = ("phi_u_arcmin", "floor_arcmin")
+"""Columns that tell how far from its limit a run ends."""
+
+
 class Yardstick(NamedTuple):
     """What a success is counted from, with its columns of the summary.
 
@@ -72,17 +77,33 @@ class Yardstick(NamedTuple):
         words: what a success is: ``within 10' of true north``.
         settle: column of the time at which a run entered the band for good.
         ok: column of the successes.
+        band_arcmin: half-width of the band.
     """
 
     truth: bool
     words: str
     settle: str
     ok: str
+    band_arcmin: float
 
     @property
     def rate(self) -> str:
         """The share of successes, as a statistic of the summary."""
         return f"success_{'truth' if self.truth else 'limit'}_rate"
+
+    def end(self, first: "Yardstick") -> str:
+        """The end of a figure's name: none of what a study is judged from, which is the first."""
+        return "" if self == first else "_truth" if self.truth else "_limit"
+
+    def off_limit(self, column: Callable[[str], NDArray]) -> NDArray:
+        """Which runs are ok and yet end outside the band about their limit: not converged.
+
+        Args:
+            column: gives ``ok`` and `LIMITED` as numbers, of any shape; null is NaN.
+        """
+        apart = np.abs(column("phi_u_arcmin") - column("floor_arcmin"))
+        found: NDArray = (column(self.ok) > 0) & (apart > self.band_arcmin)
+        return found
 
 
 def yardsticks(study: Study, band_arcmin: float | None = None) -> tuple[Yardstick, ...]:
@@ -98,13 +119,19 @@ def yardsticks(study: Study, band_arcmin: float | None = None) -> tuple[Yardstic
     return tuple(_yardstick(study, band, truth) for truth in kinds)
 
 
+def judged_columns(study: Study) -> list[str]:
+    """The columns that tell successes and when they settled."""
+    return [name for yard in yardsticks(study) for name in (yard.ok, yard.settle)]
+
+
 def _yardstick(study: Study, band: float, truth: bool) -> Yardstick:
-    what = "true north" if truth else "what its gyro bias allows"
+    what = "true north" if truth else "its limit"
     return Yardstick(
         truth,
         f"within {band:g}' of {'the reference' if study.is_recorded else what}",
         columns.settle_column(band, truth=truth).name,
         "ok_truth" if truth else "ok_limit",
+        band,
     )
 
 

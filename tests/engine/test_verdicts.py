@@ -111,7 +111,7 @@ def test_the_success_band_is_a_band_of_its_own() -> None:
     assert table["settle_30_s"].to_pylist() == [1.0, None]
     assert [yard.words for yard in success.yardsticks(study)] == [
         "within 30' of true north",
-        "within 30' of what its gyro bias allows",
+        "within 30' of its limit",
     ]
 
 

@@ -45,11 +45,13 @@ def test_the_table_holds_the_statistics(tmp_path):
     rows = summary.filter(summary["phi_u0_deg"].combine_chunks().cast(pa.int64()).to_numpy() == 30)
     share = analysis.proportion(rows["status"].to_pylist().count("ok"), 40)
     median = analysis.quantile(rows["settle_10_s"].to_numpy())
-    mean = analysis.mean(rows["phi_u_mean_arcmin"].to_numpy())
+    error = analysis.rms(rows["phi_u_arcmin"].to_numpy())
+    most = analysis.quantile(np.abs(rows["phi_u_arcmin"].to_numpy()), 0.9)
     for cell in (
         f"{100 * share.value:.0f} [{100 * share.low:.0f}, {100 * share.high:.0f}]",
         analysis.format_estimate(median, digits=0),
-        analysis.format_estimate(mean),
+        analysis.format_estimate(error),
+        analysis.format_estimate(most),
     ):
         assert cell in text
     assert f"Of these {list(ok).count('ok')} within" in text
@@ -252,7 +254,7 @@ def test_a_page(tmp_path):
         [line.count("|") for line in part.splitlines() if line.startswith("|")]
         for part in text.split("**Against")
     ]
-    assert tables == [[9, 9, 9, 9], [7, 7, 7]]
+    assert tables == [[6, 6, 6, 6, 9, 9, 9, 9], [7, 7, 7]]
 
 
 @pytest.mark.usefixtures("drawn")
@@ -314,7 +316,7 @@ def test_both_yardsticks_stand_in_words_in_table_figure_and_page(tmp_path):
     source = Source(tmp_path, study, "x.toml", summary)
     html = tmp_path / "page.html"
     text = told(store(tmp_path / "out", study, summary), html=html)
-    truth, limit = "within 10' of true north", "within 10' of what its gyro bias allows"
+    truth, limit = "within 10' of true north", "within 10' of its limit"
     assert f"Of these 8 {truth} and 16 {limit} are ok." in text
     assert "Within 10' of true north at the end: 50 [" in text
     figures = {block.name: block.figure for block in over_axes.over_axes(source)}
@@ -325,6 +327,55 @@ def test_both_yardsticks_stand_in_words_in_table_figure_and_page(tmp_path):
         assert f"share of runs that are ok, {words}" in titles
         assert f"median time (s) to {words}" in titles
         assert f"ok: {words} (%)" in page
+
+
+def test_the_heading_error_is_told_time_by_time_whatever_its_sign(tmp_path):
+    """Headings to the left and to the right do not cancel, and the window mean is not told."""
+    sign = np.tile([1.0, -1.0], 32)
+    size = np.linspace(200.0, 400.0, 64)
+    study = small_study(study={"draws": 64, "report_times_s": [3]})
+    summary = summary_of(
+        study, every=True, phi_u_arcmin=sign * size, phi_u_at_3_arcmin=2 * sign * size
+    )
+    text = told(store(tmp_path, study, summary))
+    table = text.partition("Heading error from true north, arcmin")[2].partition("Every var")[0]
+    rms, q90 = np.sqrt(np.mean(size**2)), np.sort(size)[57]
+    early, last = (line.split() for line in table.splitlines()[4:6])
+    assert early[:4] == ["64", "3", "s", f"{2 * rms:.0f}"] and f"{2 * q90:.0f}" in early
+    assert last[:4] == ["64", "the", "end", f"{rms:.0f}"] and f"{q90:.0f}" in last
+    assert "unknown" not in table and "window mean" not in text
+    few = small_study(study={"draws": 16})
+    assert (
+        "*unknown*: too few draws"
+        in report.auto.heading_errors(
+            Source(tmp_path, few, "x.toml", summary_of(few)), [], "Heading error"
+        ).note
+    )
+
+
+def test_runs_that_are_near_north_without_having_converged_are_told(tmp_path):
+    """One axis lies at its limit, and one at north, 25.9' from it."""
+    axes = {"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]}
+    study = small_study(study={"draws": 8}, axes=axes)
+    off = np.tile([True, False, True, False], 8)
+    flags = {"ok_truth": off, "ok_limit": ~off, "status": ["ok"] * 32}
+    phi = np.where(off, 0.5, FLOOR)
+    text = told(store(tmp_path / "a", study, summary_of(study, **flags, phi_u_arcmin=phi)))
+    assert "All 16 runs that are ok within 10' of true north end more than 10' from" in text
+    best = text.partition("Where most runs are ok, within 10' of true north")[2]
+    assert "100 [68, 100], not converged" in best.partition("Equals")[0]
+    about_limit = text.partition("Where most runs are ok, within 10' of its limit")[2]
+    assert "not converged" not in about_limit.partition("Equals")[0]
+    near = summary_of(study, ok_truth=[True] * 32, phi_u_arcmin=np.full(32, FLOOR + 9))
+    text = told(store(tmp_path / "b", study, near))
+    assert "from their limit" not in text and ", not converged" not in text
+
+
+def test_the_limit_has_one_name_that_is_explained_first(tmp_path):
+    study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
+    text = told(store(tmp_path, study, summary_of(study)))
+    assert text.index("Limit: the heading error that a run's own") < text.index("of its limit")
+    assert "allow" not in text and "floor" not in text
 
 
 def test_words_are_explained_once_under_every_report(tmp_path):

@@ -87,6 +87,20 @@ def test_the_report_has_a_figure_and_a_table_over_each(drawn: Source) -> None:
     assert [row[2] for row in table.rows] == ["10"] * 12
 
 
+def test_a_panel_without_a_number_is_left_out_and_yaw_is_not_called_heading(drawn: Source) -> None:
+    over = {block.name: block for block in over_axes.over_axes(drawn)}["over_yaw_center_deg"]
+    titles = [axes.get_title(loc="left") for axes in over.figure.axes]
+    assert "heading error at the end, rms (arcmin)" in titles
+    assert "median time (s) to within 10' of true north" not in titles  # 2 s are too short
+    assert "left out: " in over.caption and "median time (s)" in over.caption
+    assert over.figure.axes[-1].get_xlabel() == "yaw, counter-clockwise (deg)"
+    (line, *_) = over.figure.axes[titles.index("heading error at the end, rms (arcmin)")].containers
+    rows = drawn.rows(["yaw_center_deg", "p0_yaw_deg", "phi_u_arcmin"])
+    yaw, p0, phi = (analysis.numbers(rows, name) for name in rows.column_names)
+    mine = phi[(yaw == 90) & (p0 == 10)]
+    assert line.lines[0].get_ydata()[1] == pytest.approx(np.sqrt(np.mean(mine**2)))
+
+
 def test_lists_are_an_axis_side_by_side(tmp_path: Path) -> None:
     times = [[], [0.5], [0.5, 1.0]]
     study = small_study(study=SHORT | {"draws": 4}, axes={"reset_times_s": times})

@@ -52,7 +52,8 @@ def test_the_first_line_says_what_share_of_the_runs_it_sees(tmp_path: Path) -> N
     ]
     share = f"unfinished: {there} of 900 runs are there ({100 * there / 900:.2g} %)"
     assert lines[1].startswith(f"Warning: {share}; shown are the {whole} draws")
-    assert lines[2].startswith(f"{3 * whole} runs: 3 variants, {whole} draws.")
+    assert lines[2].startswith("Settled: ")
+    assert lines[3].startswith(f"{3 * whole} runs: 3 variants, {whole} draws.")
     assert f"- Warning: {share}" in page.read_text()
     with pytest.raises(InputError, match="are the results complete"):  # a page with its own words
         _ = Source.read(out).draws
