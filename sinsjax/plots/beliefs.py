@@ -23,6 +23,7 @@ _WITHIN_SIGMA = float(special.erf(0.5**0.5))  # share of a normal variable withi
 _FAR = (1e-2, 1e4)  # widest range of the NEES axis
 _MARKS = ("o", "s", "^")
 _WIDTH, _THINNER = 3.2, 0.35
+_BELOW = 0.2  # distance of name and marks from the middle of their line, in lines
 
 
 class BeliefPanel(NamedTuple):
@@ -57,7 +58,7 @@ def beliefs(shown: Sequence[BeliefPanel], title: str) -> Figure:
         shown: one line each; all with shares of the same names.
         title: title of the figure.
     """
-    figure = Figure(figsize=(9.2, 4.8))
+    figure = Figure(figsize=(9.2, 4.8 + 0.3 * max(len(shown) - 3, 0)))
     figure.suptitle(title)
     left, right = figure.subplots(1, 2, width_ratios=[3, 2])
     _nees(left, shown)
@@ -92,7 +93,7 @@ def _shares(axes: Axes, shown: Sequence[BeliefPanel]) -> None:
     for i, belief in enumerate(shown):
         for j, (value, low, high, _) in enumerate(belief.shares.values()):
             spread = [[np.nan_to_num(value - low)], [np.nan_to_num(high - value)]]
-            place = i + 0.12 * (2 * j - len(belief.shares) + 1)
+            place = i + _BELOW + 0.12 * (2 * j - len(belief.shares) + 1)
             axes.errorbar(
                 [value],
                 [place],
@@ -102,13 +103,13 @@ def _shares(axes: Axes, shown: Sequence[BeliefPanel]) -> None:
                 capsize=2.5,
                 markersize=6,
             )
-        axes.text(0.0, i - 0.3, belief.label, color=colour(i), fontsize=8.5, va="center")
+        axes.text(0.0, i - _BELOW, belief.label, color=colour(i), fontsize=8.5, va="center")
     names = list(shown[0].shares) if shown else []
     for mark, name in zip(_MARKS, names, strict=False):
         axes.plot([], [], mark, color=GREY, label=name)
     axes.axvline(_WITHIN_SIGMA, color="black", linestyle="--")
     axes.set_xlim(-0.03, 1.03)
-    axes.set_ylim(len(shown) - 0.5, -0.5)
+    axes.set_ylim(len(shown) - 0.4, -0.6)  # room for the marks of the last, the name of the first
     axes.set_yticks([])
     axes.set_xlabel("share of records with the variance\nabove the squared heading error")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.16), ncols=len(names) or 1, fontsize=10)

@@ -15,8 +15,9 @@ from sinsjax.plots.style import GREY, both_sides, colour, legend_outside, styled
 BAND = (0.025, 0.975)
 """Quantiles over the draws at the edges of a band."""
 
-_LINEAR = 10.0  # arcmin; an asinh axis is about linear up to here, and logarithmic far out
-_WIDE = 60.0  # arcmin; beyond it a linear axis would hide how a run ends
+_LINEAR = (0.1, 10.0)  # arcmin; least and most up to which an asinh axis is about linear
+_WIDE = 12.0  # times the least end of a line; beyond it a linear axis would hide that end
+_CROWDED = 300.0  # times the linear part; beyond it there is no room for a tick at its edge
 _NAMES = {"e": "level error, east", "n": "level error, north", "u": "heading error"}
 
 
@@ -73,11 +74,12 @@ def ensembles(curves: pa.Table, runs: Mapping[str, Iterable[int]]) -> list[Ensem
 
 
 class Extent(NamedTuple):
-    """Lower and upper edge of a line's band over time."""
+    """Lower and upper edge of a line's band over time, or of the filter's 1 sigma."""
 
     time_s: NDArray
     low: NDArray
     high: NDArray
+    is_sigma: bool = False
 
 
 def draw(axes: Axes, line: Line) -> Extent:
@@ -118,7 +120,7 @@ def misalignment(
         zoom_s: time span to enlarge, s; None for no enlargement.
         with_sigma: whether to draw the filter's 1 sigma, dashed on both sides of 0.
     """
-    figure = Figure(figsize=(9.2, 7.8))
+    figure = Figure(figsize=(9.2, 8.4))
     figure.suptitle(title)
     grid = figure.subplots(3, 2 if zoom_s else 1, sharex="col", squeeze=False)
     for row, axis in zip(grid, "enu", strict=True):
@@ -155,23 +157,33 @@ def _draw_misalignment(
             time, sigma = ensemble.time_s[known], sigma[known]
             for side in (sigma, -sigma):
                 axes.plot(time, side, "--", color=colour(i), linewidth=0.9, alpha=0.8)
-            extents.append(Extent(time, -sigma, sigma))
+            extents.append(Extent(time, -sigma, sigma, is_sigma=True))
+    if len(extents) > len(shown):
+        axes.plot([], [], "--", color=GREY, linewidth=0.9, label="±1 sigma of the filter")
     return extents
 
 
 def _fit(axes: Axes, extents: Sequence[Extent]) -> str:
     """Make a wide range of values legible; gives a note for the axis label."""
-    edges = np.concatenate([edge for extent in extents for edge in extent[1:]])
-    if np.abs(edges).max(initial=0.0) <= _WIDE:
+    far = [np.maximum(np.abs(e.low), np.abs(e.high)) for e in extents if e.time_s.size]
+    end = max(min((float(one[-1]) for one in far), default=0.0), _LINEAR[0])
+    top = max((float(one.max()) for one in far), default=0.0)
+    if top <= _WIDE * end:
         return ""
-    return both_sides(axes.yaxis, _LINEAR)
+    linear = 10.0 ** np.floor(np.log10(min(end, _LINEAR[1])))
+    return both_sides(axes.yaxis, linear, 10 * linear if top > _CROWDED * linear else linear)
 
 
 def _enlarge(axes: Axes, span: tuple[float, float], extents: Sequence[Extent]) -> None:
     """Show a time span, with the vertical axis fitted to the lines within it."""
     axes.set_xlim(*span)
-    inside = [(e.time_s >= span[0]) & (e.time_s <= span[1]) for e in extents]
-    values = [edge[there] for e, there in zip(extents, inside, strict=True) for edge in e[1:]]
+    values = []
+    for extent in extents:
+        inside = (extent.time_s >= span[0]) & (extent.time_s <= span[1])
+        edges = [edge[inside] for edge in (extent.low, extent.high)]
+        if extent.is_sigma and inside.any():  # whole, a reset would leave no room for the lines
+            edges = [np.atleast_1d(np.median(edge)) for edge in edges]
+        values += edges
     covered = np.concatenate(values)
     if covered.size:
         margin = 0.05 * max(float(np.ptp(covered)), 1e-3)

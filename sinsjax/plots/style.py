@@ -81,17 +81,18 @@ def colour(index: int) -> str:
     return COLOURS[index % len(COLOURS)]
 
 
-def both_sides(axis: Axis, linear: float) -> str:
+def both_sides(axis: Axis, linear: float, first: float | None = None) -> str:
     """Make an axis logarithmic on both sides of 0, so that a wide range is legible.
 
     Args:
         axis: axis of values of either sign.
         linear: magnitude up to which the axis is nearly linear.
+        first: first tick on either side of 0, a power of 10; None for ``linear`` rounded to one.
 
     Returns:
         A note for the end of the axis label.
     """
-    decades = 10.0 ** np.arange(math.floor(math.log10(linear) + 0.5), 7)
+    decades = 10.0 ** np.arange(math.floor(math.log10(first or linear) + 0.5), 7)
     set_scale = axis.axes.set_xscale if isinstance(axis, XAxis) else axis.axes.set_yscale
     set_scale("asinh", linear_width=linear)
     axis.set_major_locator(FixedLocator([*-decades[::-1], 0.0, *decades]))

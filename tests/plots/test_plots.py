@@ -117,10 +117,26 @@ def test_a_narrow_range_stays_linear():
     assert [axes.get_yscale() for axes in figure.axes] == ["linear"] * 3
 
 
+@pytest.mark.parametrize("size", [0.03, 0.4, 5.0, 60.0])
+def test_a_wide_range_has_ticks_of_two_decades_or_more_on_each_side(size):
+    """A level error that begins at P0 and ends small, and a heading error that begins far off."""
+    course = size * np.geomspace(40.0, 1.0, TIME.size)
+    columns = {f"{kind}_{axis}_arcmin": course[None] for kind in ("phi", "sigma") for axis in "enu"}
+    figure = plots.misalignment([Ensemble("a", TIME, columns)], "Title", with_sigma=True)
+    for axes in figure.axes:
+        low, high = axes.get_ylim()
+        ticks = [tick for tick in axes.get_yticks() if low <= tick <= high]
+        assert sum(tick > 0 for tick in ticks) == sum(tick < 0 for tick in ticks) >= 2
+        zero, end, top = axes.transData.transform([(1.0, y) for y in (0.0, size, 40 * size)])[:, 1]
+        assert size < 0.1 or (end - zero) / (top - zero) > 0.1
+    assert "±1 sigma of the filter" in words(figure)
+
+
 def test_sigma_is_dashed_on_both_sides():
     figure = plots.misalignment([ensemble("a", sigma=5.0)], "Title", with_sigma=True)
     dashed = [line for line in figure.axes[2].get_lines() if line.get_linestyle() == "--"]
-    assert sorted(line.get_ydata()[0] for line in dashed) == [-5.0, 5.0]
+    ends = [line.get_ydata()[0] for line in dashed if len(line.get_ydata())]
+    assert sorted(ends) == [-5.0, 5.0]
 
 
 def test_enlargement_shows_the_whole_band():
@@ -130,6 +146,17 @@ def test_enlargement_shows_the_whole_band():
     low, high = figure.axes[-1].get_ylim()
     assert low < np.quantile(inside, 0.025, axis=0).min()
     assert high > np.quantile(inside, 0.975, axis=0).max()
+
+
+def test_enlargement_has_room_for_the_line_where_sigma_begins_at_a_reset():
+    sigma = np.array([2.0] * 4 + [500.0, 20.0] + [2.0] * 4)[None]
+    columns = {f"phi_{axis}_arcmin": np.linspace(1.0, 3.0, TIME.size)[None] for axis in "enu"}
+    columns |= {f"sigma_{axis}_arcmin": sigma for axis in "enu"}
+    figure = plots.misalignment(
+        [Ensemble("a", TIME, columns)], "Title", zoom_s=(5.0, 10.0), with_sigma=True
+    )
+    low, high = figure.axes[-1].get_ylim()
+    assert -2.5 < low < -2.0 and 3.0 < high < 3.5
 
 
 def test_attitude_in_degrees_with_sigma():
@@ -285,6 +312,25 @@ def test_beliefs():
     points = [container.lines[0].get_xdata()[0] for container in right.containers]
     assert points == [0.7, 0.4, 0.7, 0.4]
     assert [t.get_text() for t in right.get_legend().get_texts()] == ["a", "b"]
+
+
+@pytest.mark.parametrize("lines", [1, 7])
+def test_a_name_among_beliefs_is_clear_of_its_marks_and_of_the_edge(lines):
+    shares = {name: Estimate(0.1, 0.05, 0.15, 4) for name in ("from truth", "from the limit")}
+    shown = [BeliefPanel(f"resets {i}", np.arange(1.0, 5.0), shares) for i in range(lines)]
+    figure = plots.beliefs(shown, "Title")
+    plots.png(figure)  # lays it out
+    right = figure.axes[1]
+    names = [t for t in right.texts if t.get_text().startswith("resets")]
+    boxes = [name.get_window_extent() for name in names]
+    points = right.transData.transform(
+        [(0.1, bar.lines[0].get_ydata()[0]) for bar in right.containers]
+    )
+    radius = 6 / 72 * figure.dpi / 2
+    for i, box in enumerate(boxes):
+        assert box.y1 < right.get_window_extent().y1
+        assert box.y0 > points[2 * i, 1] + radius
+        assert i == 0 or box.y1 < points[2 * i - 1, 1] - radius
 
 
 def test_beliefs_where_nothing_is_known():
