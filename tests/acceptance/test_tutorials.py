@@ -84,15 +84,25 @@ def test_start(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
 def test_own_imu(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
     told = typed("own_imu.md", command, capsys, progress=True, saved="imu.toml")
     assert told[0] == "6.8\n" and "imu.toml: valid" in told[1]
-    within = [float(line.split()[-1]) for line in told[3].splitlines()]
-    assert np.abs(np.subtract(within, [42, 24, 18])).max() < 1.5
+    found = [list(map(float, line.split()[1:])) for line in told[3].splitlines()]
+    page = (ROOT / "docs" / "own_imu.md").read_text(encoding="utf-8")
+    number = r"([\d.]+) \[([\d.]+), ([\d.]+)\]"
+    rows = re.findall(rf"^\| \d+ s \| {number} \| {number} \|$", page, re.MULTILINE)
+    shown = np.array(rows, float).reshape(-1, 3)
+    assert shown.shape == (6, 3) and np.abs(shown - found).max() < 0.15
+    for value, low, high in shown.tolist():
+        assert f"{value} [{low}, {high}]" in told[2]
     assert told[4].splitlines() == ["[22.5, 12.8, 7.7]", "[21.0, 11.5, 6.9]"]
-    errors = np.subtract(*(_numbers("imu", name) for name in ("phi_u_arcmin", "floor_arcmin")))
-    assert abs(np.std(errors) - 9.1) < 0.3
+    assert round(float(np.hypot(7.7, float(told[0]))), 1) == 10.3  # as the page adds them up
 
 
-def _numbers(folder: str, name: str) -> np.ndarray:
-    return sinsjax.read_summary(folder, [name])[name].to_numpy()
+def test_which_q_to_give_is_said_in_the_same_words() -> None:
+    start, end = "use `kalman_sincos` with the sensors' own noise as Q", "at 100 Hz."
+    said = []
+    for page in ("README.md", "docs/own_imu.md"):
+        text = " ".join((ROOT / page).read_text(encoding="utf-8").split())
+        said.append(text.partition(start)[2].partition(end)[0])
+    assert said[0] == said[1] and "paper 1's reading" in said[0]
 
 
 def test_reading_results(command: Command, capsys: pytest.CaptureFixture[str]) -> None:

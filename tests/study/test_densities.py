@@ -28,6 +28,14 @@ def test_densities_are_the_old_numbers_by_their_true_units(key: str) -> None:
     np.testing.assert_allclose(new[:2], (60e-6 * 9.8) ** 2 * 0.01, rtol=1e-12)
 
 
+def test_a_density_and_the_noise_of_a_sample_make_the_same_q() -> None:
+    """At 100 Hz a sample has ten times the density; as it is, it has a hundred times the sigma."""
+    sample = {"q_gyro_deg_per_h": 1.8, "q_accel_ug": 600.0}
+    of_a_sample = q_of(q_reading="per_sample", **sample)
+    np.testing.assert_allclose(of_a_sample, q_of(**OLD), rtol=1e-12)
+    np.testing.assert_allclose(q_of(q_reading="per_step", **sample), 100.0**2 * of_a_sample)
+
+
 def test_densities_are_swept_as_other_keys() -> None:
     values = [0.001, 0.003]
     study = small_study(filter={"q_reading": "psd"}, axes={"q_gyro_arw_deg_per_sqrt_h": values})
