@@ -180,7 +180,7 @@ def test_a_sweep_is_gone_on_with_where_it_was_left(sinsjax: Command, tmp_path: P
     assert kept[0].stat().st_mtime_ns == before[str(kept[0].relative_to(out))][1]
     code, told, _ = sinsjax(*words)
     assert code == 0 and "study: 200 of 200 runs already there" in told
-    assert "Window" in told
+    assert "Every variant" in told
 
 
 def test_what_cannot_be_gone_on_with_is_one_clear_line(sinsjax: Command, tmp_path: Path) -> None:
