@@ -325,7 +325,7 @@ def test_a_scheduler_without_workers_is_left_in_the_end(
 
 
 def test_an_address_where_nobody_answers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dask_client, "CONNECT_S", 0.5)
+    monkeypatch.setattr(dask_client, "CONNECT_S", 3.0)
     for address, why in {
         "tcp://127.0.0.1:1": ": Connection ref",
         "nowhere": "host nowhere: ",
