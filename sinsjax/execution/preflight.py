@@ -83,9 +83,10 @@ def _of_record(study: Study, stored: StoredRecord) -> Iterator[str]:
     section, record = study.record, stored.record
     assert section is not None
     if record.filled:
-        gap = section.max_gap_s  # of arrays, the caller's own
-        limit = "" if gap is None else f" (gaps up to [record] max_gap_s = {gap:g})"
-        yield f"{record.source}: {record.filled} missing samples are interpolated{limit}"
+        yield (
+            f"{record.source}: {record.filled} missing samples are interpolated (gaps up to"
+            f" [record] max_gap_s = {section.max_gap_s:g})"
+        )
     site, _ = site_of(study, Variants(study, np.zeros(1, int)), stored)
     bias = {
         key: default if getattr(section, key) is None else getattr(section, key)

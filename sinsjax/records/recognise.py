@@ -134,9 +134,7 @@ def _sensor(path: Path, head: Head, kind: str) -> tuple[Triad, Note]:
     """The columns of the gyros or accelerometers, by their names."""
     found = triads([name for name in head.names if name in head.numbers], kind)
     if not found and (named := triads(head.names, kind)):
-        name = next(name for name in named[0].names if name not in head.numbers)
-        if name not in head.odd:  # of Parquet, whose columns have types
-            raise InputError(f"{path}: column {name!r} holds no numbers")
+        name = next(name for name in named[0].names if name in head.odd)
         row, cell = head.odd[name]
         hint = "decimal commas are not read: write points"
         if not re.fullmatch(r"[+-]?\d*,\d+", cell):

@@ -205,12 +205,6 @@ def test_doubtful_findings_are_in_manifest_and_report(tmp_path: Path) -> None:
     assert "Innovations: the mean of r' S^-1 r is" in report
 
 
-def test_samples_interpolated_in_arrays_are_told() -> None:
-    tape = StoredRecord(record("still")._replace(filled=3), None)
-    told = warnings_of(run.made_ready(recorded(), tape)[0], tape)
-    assert any("3 missing samples are interpolated" in warning for warning in told)
-
-
 def test_nothing_beyond_to_s_is_used() -> None:
     tape = StoredRecord(record(), None)
     study = recorded(record={"from_s": 100.0, "to_s": 190.0})

@@ -229,17 +229,6 @@ def test_parquet_with_dates(
     assert abs(runs(sinsjax, path)["yaw_deg"] - 10) < 1.5
 
 
-def test_parquet_with_a_column_of_text(
-    rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
-    table = dict(zip(NAMES, columns(rates, "frd", DEG, G, 0.01).T, strict=True))
-    table[NAMES[2]] = table[NAMES[2]].astype(str)
-    path = tmp_path / "log.parquet"
-    pq.write_table(pa.table(table), path)
-    with pytest.raises(InputError, match=f"log.parquet: column '{NAMES[2]}' holds no numbers$"):
-        described(path)
-
-
 def test_psins_text(rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path) -> None:
     record = Record(rates[0] / RATE, rates[1] / RATE, RATE)
     record = record._replace(latitude_deg=45.0, height_m=10.0, gravity_m_per_s2=9.8)
