@@ -82,10 +82,12 @@ def layout_of(study: Study) -> Layout:
 def _of_record(study: Study, stored: StoredRecord) -> Iterator[str]:
     section, record = study.record, stored.record
     assert section is not None
+    layout = record.layout or layout_of(study)
     if record.filled:
+        key = "max_gap_s" if record.layout else "[record] max_gap_s"
         yield (
             f"{record.source}: {record.filled} missing samples are interpolated (gaps up to"
-            f" [record] max_gap_s = {section.max_gap_s:g})"
+            f" {key} = {layout.max_gap_s:g} s)"
         )
     site, _ = site_of(study, Variants(study, np.zeros(1, int)), stored)
     bias = {
@@ -101,7 +103,7 @@ def _of_record(study: Study, stored: StoredRecord) -> Iterator[str]:
     )
     for begin, end in _used(study, record):
         where = f"{record.source}: {begin / record.rate_hz:g} to {end / record.rate_hz:g} s"
-        for finding in findings(record, (begin, end), record.layout or layout_of(study), expected):
+        for finding in findings(record, (begin, end), layout, expected):
             if finding.hard and not section.trust:
                 hint = "[record] trust = true aligns it anyway"
                 raise InputError(f"{where}: {finding.text} ({hint})")

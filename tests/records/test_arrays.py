@@ -9,6 +9,7 @@ from support.studies import STILL, small_study, small_tables
 
 import sinsjax
 from sinsjax.errors import InputError
+from sinsjax.execution.run import made_ready
 from sinsjax.records.layout import from_body
 from sinsjax.records.reference import Reference, StoredRecord
 from sinsjax.study.load import study_from_dict
@@ -236,6 +237,17 @@ def test_wrong_units_of_arrays_are_told(drive: tuple[Any, Any]) -> None:
     tape = sinsjax.record_from_arrays(time, *rates, accel_unit="g")
     with pytest.raises(InputError, match=r"9.81 times gravity: are these m/s\^2\?"):
         sinsjax.run(recorded(), tape)
+
+
+def test_interpolated_samples_of_arrays_are_told(drive: tuple[Any, Any]) -> None:
+    record = drive[1]
+    time = np.arange(1, len(record.dv) + 1) / record.rate_hz
+    gyro = record.dtheta * record.rate_hz
+    gyro[700, 1] = np.nan
+    tape = sinsjax.record_from_arrays(time, gyro, record.dv * record.rate_hz, max_gap_s=0.05)
+    assert made_ready(recorded(), tape)[1] == [
+        "arrays: 1 missing samples are interpolated (gaps up to max_gap_s = 0.05 s)"
+    ]
 
 
 def test_keys_of_files_do_not_apply_to_arrays() -> None:
