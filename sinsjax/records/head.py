@@ -1,7 +1,9 @@
 """The beginning of a file of named columns: its kind, names, comments, what its columns hold."""
 
 import csv
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import pyarrow as pa
@@ -33,6 +35,7 @@ class Head(NamedTuple):
         dates: names of those that hold dates with time.
         comments: lines of comment before the names.
         told: what kind of file it is, in words.
+        kinds: of its columns by name, of a Parquet file alone.
     """
 
     format: str
@@ -42,6 +45,7 @@ class Head(NamedTuple):
     dates: set[str]
     comments: list[str]
     told: str
+    kinds: Mapping[str, pa.DataType] = MappingProxyType({})
 
     def open(self, path: Path) -> ColumnTable:
         """The file with its columns."""
@@ -78,6 +82,7 @@ def _of_parquet(path: Path) -> Head:
         dates={name for name, kind in kinds.items() if pa.types.is_timestamp(kind)},
         comments=[],
         told=f"Parquet, {len(kinds)} columns",
+        kinds=kinds,
     )
 
 

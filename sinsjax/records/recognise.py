@@ -134,7 +134,9 @@ def _sensor(path: Path, head: Head, kind: str) -> tuple[Triad, Note]:
     """The columns of the gyros or accelerometers, by their names."""
     found = triads([name for name in head.names if name in head.numbers], kind)
     if not found and (named := triads(head.names, kind)):
-        name = next(name for name in named[0].names if name in head.odd)
+        name = next(name for name in named[0].names if name not in head.numbers)
+        if name in head.kinds:
+            raise InputError(f"{path}: column {name!r} holds {head.kinds[name]}, not numbers")
         row, cell = head.odd[name]
         hint = "decimal commas are not read: write points"
         if not re.fullmatch(r"[+-]?\d*,\d+", cell):

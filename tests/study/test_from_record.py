@@ -328,6 +328,16 @@ def test_what_is_no_record_is_refused_in_one_line(
     assert not Path("log.toml").exists()
 
 
+def test_a_column_of_text_in_parquet_is_named(
+    rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    table = dict(zip(NAMES, columns(rates, "rfu", 1.0, 1.0, 0.01).T, strict=True))
+    path = tmp_path / "log.parquet"
+    pq.write_table(pa.table(table | {"gyro_y": table["gyro_y"].astype(str)}), path)
+    with pytest.raises(InputError, match="column 'gyro_y' holds string, not numbers"):
+        study_of(path, Path("x.toml"))
+
+
 def test_names_in_a_comment_are_pointed_at(
     rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
 ) -> None:
