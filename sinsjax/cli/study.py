@@ -161,12 +161,17 @@ def foreseen(config: Path, changes: list[str] | None) -> list[str]:
 
 
 def made_ready(study: Any, stored: Any, terminal: Console) -> Any:
-    """The study at the rate of its record, after printing its warnings."""
+    """The study at the rate of its record, after printing its warnings.
+
+    The report's modules will be imported while its first program compiles.
+    """
     from sinsjax.execution import run as study_run
 
     study, warnings = study_run.made_ready(study, stored)
     for line in warnings:
         say(terminal, f"Warning: {line}")
+    # Only now: a study that is refused ends at once, with nothing left to wait for.
+    _import_while_compiling("sinsjax.report")
     return study
 
 
@@ -183,17 +188,24 @@ def check_options(
 
 
 def configure(devices: int | None) -> None:
-    """Configure JAX, and arrange for the report's modules to be imported while it compiles."""
+    """Configure JAX and start it."""
     runtime.configure(devices)
     runtime.require_backend()
-    _import_while_compiling("sinsjax.report")
 
 
 def _import_while_compiling(name: str) -> None:
-    """Import a module while XLA compiles its first program and Python is idle."""
+    """Import a module while XLA compiles its first program and Python is idle.
+
+    The process waits for the thread before it ends: one that Python stops within an extension
+    module takes the whole process down with "terminate called".
+    """
     import jax.monitoring
 
-    thread = threading.Thread(target=import_module, args=(name,), daemon=True)
+    def load() -> None:
+        with suppress(Exception):  # the import by the main thread tells it
+            import_module(name)
+
+    thread = threading.Thread(target=load, daemon=False)
 
     def listen(event: str, seconds: float, **about: Any) -> None:
         if event == _LOWERED and thread.ident is None:

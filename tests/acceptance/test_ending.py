@@ -1,0 +1,27 @@
+"""How a process of the command line ends."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+_REFUSED_WHILE_IMPORTING = """
+import jax.monitoring
+from sinsjax.cli import study
+
+study._import_while_compiling("slow")
+jax.monitoring.record_event_duration_secs(study._LOWERED, 0.1)
+raise SystemExit(2)
+"""
+
+
+def test_a_process_waits_for_the_thread_that_imports(tmp_path: Path) -> None:
+    """Python would stop it anywhere, in an extension module with "terminate called"."""
+    (tmp_path / "slow.py").write_text("import time\ntime.sleep(0.3)\nprint('imported')\n")
+    ended = subprocess.run(
+        [sys.executable, "-c", _REFUSED_WHILE_IMPORTING],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (2, "imported\n", "")
