@@ -13,6 +13,7 @@ from sinsjax.engine.truth import site_of, starts_of
 from sinsjax.errors import InputError
 from sinsjax.messages import one_line
 from sinsjax.records import Layout, Record, require_span
+from sinsjax.records.layout import Oddity
 from sinsjax.records.plausible import StationaryValues, findings
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
@@ -23,6 +24,8 @@ from sinsjax.study.variants import Variants
 from sinsjax.units import DEG_PER_H, micro_g
 
 _BIASES = {"gyro_bias_deg_per_h": 10.0, "accel_bias_ug": 5000.0}
+_TRUST = "[record] trust = true aligns it anyway"
+_MOST_TOLD = 6  # channels that are dead, or times at which all are stuck
 _DRAWS = 1024  # draws in which a drawn period is checked
 
 
@@ -101,13 +104,32 @@ def _of_record(study: Study, stored: StoredRecord) -> Iterator[str]:
         gyro_bias=bias["gyro_bias_deg_per_h"] * DEG_PER_H,
         accel_bias=bias["accel_bias_ug"] * micro_g(),
     )
-    for begin, end in _used(study, record):
+    used = _used(study, record)
+    for odd in _odd(record, used):
+        if odd.hard and not section.trust:
+            raise InputError(f"{record.source}: {odd.text} ({_TRUST})")
+        yield f"{record.source}: {odd.text}"
+    for begin, end in used:
         where = f"{record.source}: {begin / record.rate_hz:g} to {end / record.rate_hz:g} s"
         for finding in findings(record, (begin, end), layout, expected):
             if finding.hard and not section.trust:
-                hint = "[record] trust = true aligns it anyway"
-                raise InputError(f"{where}: {finding.text} ({hint})")
+                raise InputError(f"{where}: {finding.text} ({_TRUST})")
             yield f"{where}: {finding.text}"
+
+
+def _odd(record: Record, used: list[tuple[int, int]]) -> Iterator[Oddity]:
+    """What is odd about samples that are read: of what is certainly wrong the first place."""
+    read = [
+        odd
+        for odd in record.oddities
+        if any(odd.begin < end and odd.end > begin for begin, end in used)
+    ]
+    beyond = [odd for odd in read if odd.hard]
+    if beyond:
+        first, more = min(beyond, key=lambda odd: odd.begin), len(beyond) - 1
+        text = f"{first.text}; {more} more such place{'s'[: more > 1]}" if more else first.text
+        yield first._replace(text=text)
+    yield from [odd for odd in read if not odd.hard][:_MOST_TOLD]
 
 
 def _used(study: Study, record: Record) -> list[tuple[int, int]]:

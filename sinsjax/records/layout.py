@@ -45,6 +45,18 @@ class Flaw(NamedTuple):
     text: str
 
 
+class Oddity(NamedTuple):
+    """Samples, ``begin`` up to but not including ``end``, that no sensor of a base at rest gives.
+
+    ``hard`` if they are certainly wrong; the message is without the file's name.
+    """
+
+    begin: int
+    end: int
+    hard: bool
+    text: str
+
+
 class Record(NamedTuple):
     """An inertial record of T samples, b = right-front-up.
 
@@ -63,6 +75,7 @@ class Record(NamedTuple):
         filled: number of missing samples that were interpolated.
         layout: how arrays held it, for messages about their units and axes; None of a file, whose
             layout the study has.
+        oddities: samples that no sensor of a base at rest gives.
     """
 
     dtheta: FloatArray
@@ -77,6 +90,7 @@ class Record(NamedTuple):
     flaws: tuple[Flaw, ...] = ()
     filled: int = 0
     layout: "Layout | None" = None
+    oddities: tuple[Oddity, ...] = ()
 
 
 class Layout(NamedTuple):

@@ -22,11 +22,13 @@ from sinsjax.records.layout import (
     PSINS_LAYOUT,
     FloatArray,
     Layout,
+    Oddity,
     Record,
     agreed_rate,
     check_layout,
     to_body,
 )
+from sinsjax.records.oddities import oddities
 from sinsjax.units import ARCSEC, STANDARD_GRAVITY, micro_g
 
 _COUNT_COLUMNS = tuple(f"{sensor} {axis}" for sensor in ("gyro", "accelerometer") for axis in "xyz")
@@ -70,7 +72,8 @@ def read_psins(path: str | Path, layout: Layout = PSINS_LAYOUT) -> Record:
     if len(head.rows) == 3:
         raise InputError(f"{path}: no samples after the header")
     first = _Data(head.lines[3:], head.rows[3:], head.ends)
-    counts = np.concatenate([_read_counts(path, batch) for batch in chain([first], batches)])
+    rows: list[NDArray[np.int64]] = []
+    counts = np.concatenate([_counted(path, batch, rows) for batch in chain([first], batches)])
     scale = np.array(header.scale)
     latitude, _, height, t0, interval_ms, gravity = header.place
     attitude = (header.pose[0], header.pose[1], header.pose[2])
@@ -85,6 +88,27 @@ def read_psins(path: str | Path, layout: Layout = PSINS_LAYOUT) -> Record:
         attitude_deg=None if any(map(math.isnan, attitude)) else attitude,
         gravity_m_per_s2=gravity,
         source=str(path),
+        oddities=_oddities(counts, scale, rate, gravity, np.concatenate(rows)),
+    )
+
+
+def _counted(path: str | Path, data: "_Data", rows: list[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """The counts of a batch, whose rows are added to those before."""
+    rows.append(np.asarray(data.rows, np.int64))
+    return _read_counts(path, data)
+
+
+def _oddities(
+    counts: NDArray[np.int64],
+    scale: FloatArray,
+    rate_hz: float,
+    gravity: float,
+    rows: NDArray[np.int64],
+) -> tuple[Oddity, ...]:
+    units = np.repeat([ARCSEC, micro_g(gravity)], 3)
+    factors = (scale * units * rate_hz).tolist()
+    return oddities(
+        _COUNT_COLUMNS, list(counts.T), factors, rate_hz, lambda sample: int(rows[sample])
     )
 
 

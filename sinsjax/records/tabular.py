@@ -25,6 +25,7 @@ from sinsjax.records.layout import (
     check_layout,
     from_body,
 )
+from sinsjax.records.oddities import oddities
 from sinsjax.records.stamps import Sampling, between, sampling
 from sinsjax.records.tables import MISSING, ColumnTable, open_csv, open_parquet
 
@@ -83,6 +84,13 @@ def record_of(path: str | Path, layout: Layout, table: ColumnTable) -> Record:
     flaws, filled = _make_whole(columns, _Read(path, layout, table, time_s, taken))
     gyro_factor, accel_factor = _factors(layout)
     spread = taken.rate_hz if layout.quantity == "rates" else 1.0
+    odd = oddities(
+        names[:6],
+        columns,
+        [factor * taken.rate_hz / spread for factor in (gyro_factor, accel_factor) for _ in "xyz"],
+        taken.rate_hz,
+        lambda sample: table.row(int(np.searchsorted(taken.number, sample))),
+    )
     dv = _increments(columns, accel_factor, spread, layout.axes_order)
     return Record(
         dtheta=_increments(columns, gyro_factor, spread, layout.axes_order),
@@ -92,6 +100,7 @@ def record_of(path: str | Path, layout: Layout, table: ColumnTable) -> Record:
         source=str(path),
         flaws=tuple(flaws),
         filled=filled,
+        oddities=odd,
     )
 
 

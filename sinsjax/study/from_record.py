@@ -26,6 +26,7 @@ _SHORT_GAP_S = 0.1
 
 _LONGEST_S, _COARSE_S, _SHORTEST_S = 900.0, 60.0, 10.0
 _NOMINAL = 1e-4  # relative: clocks are off by as much from the rate that was meant
+_MOST_TOLD = 6  # oddities of single samples
 _WIDTH = 100
 _LATITUDE = 45.0
 _NOTHING = Note("")
@@ -247,9 +248,13 @@ def _record_section(
         gyro_bias=10 * DEG_PER_H,
         accel_bias=5000 * micro_g(),
     )
-    for finding in findings(looked.record, span, layout, expected):
-        refused = ", and the study is refused" if finding.hard else ""
-        lines.append(_comment(f"{finding.text}{refused}", DOUBT))
+    begin, end = span
+    odd = [one for one in looked.record.oddities if one.begin < end and one.end > begin]
+    found = [(one.hard, one.text) for one in odd[:_MOST_TOLD]]
+    found += [(one.hard, one.text) for one in findings(looked.record, span, layout, expected)]
+    for hard, text in found:
+        refused = ", and the study is refused" if hard else ""
+        lines.append(_comment(f"{text}{refused}", DOUBT))
     return "\n".join([*lines, ""])
 
 

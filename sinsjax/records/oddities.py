@@ -1,0 +1,112 @@
+"""Samples that no sensor puts out on a base at rest: beyond any range, or stuck.
+
+They are found where a file is read, for only there the rows are known.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sinsjax.records.layout import Oddity
+from sinsjax.units import DEG, STANDARD_GRAVITY
+
+_MOST_G, _MOST_DEG_PER_S = 20.0, 1000.0  # swaying bases and cars stay far below
+_STANDS_OUT = 0.1
+"""Of the limit: where most samples are larger, it is the unit that is wrong, as the mean tells."""
+
+_STUCK_S = 1.0  # of all six channels: one of few counts may repeat itself for long
+
+
+def oddities(
+    names: Sequence[str],
+    columns: Sequence[NDArray[Any]],
+    factors: Sequence[float],
+    rate_hz: float,
+    row: Callable[[int], int],
+) -> tuple[Oddity, ...]:
+    """What is odd about single samples of a record.
+
+    Args:
+        names: of the columns, three of gyros before three of accelerometers.
+        columns: (T,) each, in any unit, nan where missing.
+        factors: from each column's unit to rad/s or m/s^2.
+        rate_hz: sample rate, Hz.
+        row: the row to name in a message about sample k.
+    """
+    beyond = _beyond(names, columns, factors, row)
+    return (*beyond, *_stuck(names, columns, rate_hz, row))
+
+
+def _beyond(
+    names: Sequence[str],
+    columns: Sequence[NDArray[Any]],
+    factors: Sequence[float],
+    row: Callable[[int], int],
+) -> Iterator[Oddity]:
+    for place, (name, values, factor) in enumerate(zip(names, columns, factors, strict=True)):
+        is_gyro = place < 3
+        unit, shown = (DEG, "deg/s") if is_gyro else (STANDARD_GRAVITY, "g")
+        limit = _MOST_DEG_PER_S if is_gyro else _MOST_G
+        most = limit * unit / factor
+        large = (values > most) | (values < -most)
+        if not large.any() or np.nanmedian(np.abs(values)) > _STANDS_OUT * most:
+            continue
+        for begin, end in _runs(large):
+            value = float(values[begin])
+            yield Oddity(
+                begin,
+                end,
+                True,
+                f"{_rows(row, begin, end)}: column {name!r}: {value:.6g} is"
+                f" {value * factor / unit:.4g} {shown}, and no base at rest has more than"
+                f" {limit:g} {shown}",
+            )
+
+
+def _stuck(
+    names: Sequence[str],
+    columns: Sequence[NDArray[Any]],
+    rate_hz: float,
+    row: Callable[[int], int],
+) -> Iterator[Oddity]:
+    count = len(columns[0])
+    least = max(2, round(_STUCK_S * rate_hz))
+    if count < least:
+        return
+    dead = [name for name, values in zip(names, columns, strict=True) if _is_constant(values)]
+    if len(dead) == len(names):
+        yield Oddity(0, count, False, "no channel changes in any row: is this a log of sensors?")
+        return
+    for name in dead:
+        value = float(columns[names.index(name)][0])
+        text = f"column {name!r} holds {value:.6g} in every row: is that sensor dead?"
+        yield Oddity(0, count, False, text)
+    same = np.ones(count - 1, bool)
+    for values in columns:
+        same &= values[1:] == values[:-1]
+    for begin, last in _runs(same):
+        if last + 1 - begin >= least:
+            yield Oddity(
+                begin,
+                last + 1,
+                False,
+                f"{_rows(row, begin, last + 1)}: all six channels are stuck for"
+                f" {(last + 1 - begin) / rate_hz:.3g} s: did the sensor or the logger stop?",
+            )
+
+
+def _is_constant(values: NDArray[Any]) -> bool:
+    return bool(values[0] == values[-1] and (values == values[0]).all())
+
+
+def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Where flags are set: first, and the one after the last, of every run."""
+    edges = np.flatnonzero(np.diff(flags, prepend=False, append=False)).reshape(-1, 2)
+    return [(int(begin), int(end)) for begin, end in edges]
+
+
+def _rows(row: Callable[[int], int], begin: int, end: int) -> str:
+    first, last = row(begin), row(end - 1)
+    return f"row {first}" if first == last else f"rows {first} to {last}"

@@ -1,0 +1,99 @@
+"""Readings beyond any range and stuck channels are told with their rows."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sinsjax
+from sinsjax.errors import InputError
+from sinsjax.execution.run import made_ready
+from sinsjax.records import Layout, Record, read_csv, read_psins, write_csv, write_psins
+from sinsjax.records.reference import StoredRecord
+from sinsjax.study.load import study_from_dict
+
+RATE, T = 100.0, 3000
+RNG = np.random.default_rng(0)
+GYRO = RNG.normal(scale=1e-5, size=(T, 3)) + [0, 5e-5, 5e-5]  # rad/s, right-front-up
+ACCEL = RNG.normal(scale=1e-3, size=(T, 3)) + [0, 0, 9.8]  # m/s^2
+NAMES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
+LAYOUT = Layout("csv", "rates", "", NAMES[:3], NAMES[3:], "rad_per_s", "g", "xyz", RATE)
+
+
+def made(gyro: Any = GYRO, accel: Any = ACCEL, **more: Any) -> StoredRecord:
+    return sinsjax.record_from_arrays(None, gyro, accel, rate_hz=RATE, **more)
+
+
+def texts(gyro: Any = GYRO, accel: Any = ACCEL, **more: Any) -> list[str]:
+    return [odd.text for odd in made(gyro, accel, **more).record.oddities]
+
+
+def changed(values: np.ndarray, rows: Any, axis: Any, to: Any) -> np.ndarray:
+    values = values.copy()
+    values[rows, axis] = to
+    return values
+
+
+def study(**record: Any) -> Any:
+    return study_from_dict(
+        {
+            "study": {"duration_s": 10.0, "window_s": [0, 10]},
+            "earth": {"earth": "wgs84", "latitude_deg": 45.0},
+            "record": {"format": "arrays", **record},
+            "coarse": {"coarse_method": "analytic", "coarse_duration_s": 10.0},
+            "alignment": {"method": "inertial"},
+        }
+    )
+
+
+def test_samples_beyond_any_range_are_named_and_refused() -> None:
+    accel = changed(ACCEL, slice(500, 510), 0, -9999 * 9.80665)
+    accel[700, 1] = 250.0
+    tape = made(accel=accel)
+    with pytest.raises(InputError) as caught:
+        made_ready(study(), tape)
+    assert str(caught.value) == (
+        "arrays: rows 500 to 509: column 'accel[:, 0]': -98056.7 is -9999 g, and no base at rest"
+        " has more than 20 g; 1 more such place ([record] trust = true aligns it anyway)"
+    )
+    assert "rows 500 to 509" in made_ready(study(trust=True), tape)[1][0]
+    assert not made_ready(study(start_s=[8.0]), tape)[1]  # they are not read
+    (text,) = texts(gyro=changed(GYRO, 7, 2, 50.0))
+    assert text.startswith("row 7: column 'gyro[:, 2]': 50 is 2865 deg/s")
+
+
+def test_a_wrong_unit_is_no_outlier() -> None:
+    assert not texts(accel=ACCEL * 100) and not texts(gyro=GYRO * 206265 * 60)
+
+
+def test_dead_and_stuck_channels_are_told() -> None:
+    assert texts(gyro=changed(GYRO, slice(None), 0, 0.0)) == [
+        "column 'gyro[:, 0]' holds 0 in every row: is that sensor dead?"
+    ]
+    gyro, accel = (changed(v, slice(1000, 1100), slice(3), v[1000]) for v in (GYRO, ACCEL))
+    assert texts(gyro, accel) == [
+        "rows 1000 to 1099: all six channels are stuck for 1 s: did the sensor or the logger stop?"
+    ]
+    short = (changed(v, slice(1000, 1099), slice(3), v[1000]) for v in (GYRO, ACCEL))
+    assert not texts(*short)
+    assert not texts(gyro)  # one sensor of few counts may repeat itself
+    assert texts(np.zeros((T, 3)), np.zeros((T, 3)) + 9.8) == [
+        "no channel changes in any row: is this a log of sensors?"
+    ]
+    (warning,) = made_ready(study(), made(gyro, accel))[1]
+    assert warning.startswith("arrays: rows 1000 to 1099: all six")
+
+
+def test_rows_are_those_of_the_file(tmp_path: Path) -> None:
+    accel = changed(ACCEL, 20, 2, 1e4)
+    record = Record(GYRO / RATE, accel / RATE, RATE, latitude_deg=45.0, gravity_m_per_s2=9.8)
+    write_csv(record, tmp_path / "a.csv", LAYOUT)
+    (odd,) = read_csv(tmp_path / "a.csv", LAYOUT).oddities
+    assert (odd.begin, odd.end, odd.hard) == (20, 21, True)
+    assert odd.text.startswith("row 22: column 'accel_z': 1019.72 is 1020 g")
+    write_psins(record, tmp_path / "a.imu", gyro_scale_arcsec=1e-4, accel_scale_ug_s=1e-2)
+    (odd,) = read_psins(tmp_path / "a.imu").oddities
+    rows = (tmp_path / "a.imu").read_text().splitlines()
+    number = int(odd.text.split()[1].rstrip(":"))
+    assert int(rows[number - 1].split()[5]) == max(int(row.split()[5]) for row in rows[-T:])
