@@ -204,7 +204,7 @@ def tune(
     expected = forecast.of_tuning(study)
     forecast.require_room(study, expected, out, overwrite=overwrite, resume=resume)
     say(terminal, f"{expected.describe(runtime.usable_cores() if devices is None else devices)}.")
-    study = made_ready(study, stored, terminal)
+    study = made_ready(study, stored)
     with progress.interruptible(terminal) as stop:
         carry_out.tune(
             study,
@@ -216,7 +216,7 @@ def tune(
             stop=stop,
             source=named(config, changes),
         )
-    import_module("sinsjax.report").summarise([out], terminal)
+    import_module("sinsjax.report").summarise([out], terminal, warned=True)
 
 
 @command()

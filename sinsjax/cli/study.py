@@ -1,12 +1,11 @@
 """Running a study from the command line: checks, forecast, progress and report."""
 
+import sys
 import threading
 from contextlib import ExitStack, nullcontext, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
-
-from rich.console import Console
 
 from sinsjax.console import plain_console, say
 from sinsjax.errors import InputError
@@ -85,7 +84,7 @@ def run_study(
     done = forecast.runs_done(out) if resume else 0
     if cluster[1] is None:
         say(terminal, f"{expected.describe(cores, done)}.")
-    study = made_ready(study, stored, terminal)
+    study = made_ready(study, stored)
     if left := study.dropped_s:
         say(terminal, f"The last {left:g} s do not fill a record interval and are not run.")
     if study.run_s <= study.study.window_s[0]:
@@ -111,7 +110,7 @@ def run_study(
             stop=stop,
             source=named(config, changes),
         )
-    import_module("sinsjax.report").summarise([out], terminal)
+    import_module("sinsjax.report").summarise([out], terminal, warned=True)
 
 
 def loaded(config: Path, changes: list[str] | None = None) -> Any:
@@ -121,7 +120,7 @@ def loaded(config: Path, changes: list[str] | None = None) -> Any:
 
     study = load_study(config, parsed(changes or ()))
     if line := unread_sections(config):
-        say(plain_console(), f"Warning: {line}.")
+        warn(f"{line}.")
     return study
 
 
@@ -160,7 +159,12 @@ def foreseen(config: Path, changes: list[str] | None) -> list[str]:
     return [*lines, *(f"Warning: {line}" for line in warnings)]
 
 
-def made_ready(study: Any, stored: Any, terminal: Console) -> Any:
+def warn(line: str) -> None:
+    """Tell what is doubtful on the standard error."""
+    print(f"Warning: {line}", file=sys.stderr)
+
+
+def made_ready(study: Any, stored: Any) -> Any:
     """The study at the rate of its record, after printing its warnings.
 
     The report's modules will be imported while its first program compiles.
@@ -169,7 +173,7 @@ def made_ready(study: Any, stored: Any, terminal: Console) -> Any:
 
     study, warnings = study_run.made_ready(study, stored)
     for line in warnings:
-        say(terminal, f"Warning: {line}")
+        warn(line)
     # Only now: a study that is refused ends at once, with nothing left to wait for.
     _import_while_compiling("sinsjax.report")
     return study

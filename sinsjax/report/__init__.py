@@ -28,10 +28,13 @@ def summarise(
     console: Console,
     page: Path | None = None,
     html: Path | None = None,
+    *,
+    warned: bool = False,
 ) -> None:
     """Prints the tables of results or tunings, draws their figures to ``figures/`` in each of them.
 
     On request it writes a Markdown file, with figures beside it, and an HTML file that holds all.
+    What was doubtful stands first, unless the user was ``warned`` before the study ran.
     Of a page that is a folder with prose and a script, nothing else is made, unless ``html`` asks.
 
     Raises:
@@ -39,7 +42,7 @@ def summarise(
             a report that fails otherwise. The results are as they were then.
     """
     try:
-        _summarise(directories, console, page, html)
+        _summarise(directories, console, page, html, warned=warned)
     except InputError:
         raise
     except Exception as error:
@@ -51,7 +54,12 @@ def summarise(
 
 
 def _summarise(
-    directories: Sequence[Path], console: Console, page: Path | None, html: Path | None
+    directories: Sequence[Path],
+    console: Console,
+    page: Path | None,
+    html: Path | None,
+    *,
+    warned: bool,
 ) -> None:
     if page is not None and page.is_dir():
         written, figures = folder.write(page, [_read(own) for own in directories])
@@ -69,7 +77,7 @@ def _summarise(
             if source.study.is_controlled:
                 first = Chapter("With companions", list(controlled.tables(source)))
                 told = told._replace(sections=[first, *told.sections])
-            doubtful = [f"Warning: {line}" for line in source.warnings]
+            doubtful = [] if warned else [f"Warning: {line}" for line in source.warnings]
             told = told._replace(headline=[*doubtful, *told.headline, *at_the_end(source)])
         made.append(_tell(told, source, console))
     names = list(dict.fromkeys(one.source.study.name for one in made))

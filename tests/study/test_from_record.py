@@ -328,6 +328,18 @@ def test_what_is_no_record_is_refused_in_one_line(
     assert not Path("log.toml").exists()
 
 
+def test_a_warning_is_told_once_on_the_standard_error(
+    rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
+) -> None:
+    light = columns(rates, "rfu", 1.0, 1.0, 0.01) * [1, 1, 1, 1, 0.99, 0.99, 0.99]
+    write(tmp_path / "log.csv", light)
+    assert sinsjax("init", "record", "--from", "log.csv")[0] == 0
+    code, told, error = sinsjax("align", "log.csv", "log.toml", "-o", "out")
+    assert code == 0 and "Warning" not in told
+    assert error.startswith("Warning: log.csv: 0 to 100 s: the mean specific force")
+    assert error.count("\n") == error.count("Warning") == 1
+
+
 def test_a_column_of_text_in_parquet_is_named(
     rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
 ) -> None:
