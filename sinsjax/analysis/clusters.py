@@ -2,7 +2,7 @@
 
 Runs of one draw share its noise, so if variants are pooled, the draws count instead of the runs.
 Runs on a record share its sensor biases, and its samples where their spans overlap; all of them are
-one cluster, for which there is no interval.
+one cluster, for which there is no interval, nor is there for a single run.
 """
 
 import math

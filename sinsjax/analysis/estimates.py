@@ -100,10 +100,10 @@ def share(flags: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
     data = clean(flags)
     n, clustered = data.size, Clustered.of(data, cluster)
     value = float(np.mean(data))
+    if cluster is not None and clustered.n < 2:  # a draw or a record alone, be it of one run
+        return UNKNOWN._replace(value=value, n=n)
     if clustered.n == n:
         return proportion(round(value * n), n)
-    if clustered.n < 2:
-        return UNKNOWN._replace(value=value, n=n)
     return Estimate(value, *_wilson(value, clustered.worth(value), clustered.factor(TAIL)), n)
 
 

@@ -155,6 +155,6 @@ def at_the_end(source: Source) -> Iterator[str]:
 
 def intervals(source: Source, over: str = "draws", what: str = "Number") -> str:
     """What the brackets of a table are, or why there are none, in words."""
-    if source.study.is_recorded and source.study.n_draws > 1:
+    if source.study.is_recorded:
         return analysis.NO_INTERVAL
     return f"{what} [95 % interval over the {over}]."

@@ -111,6 +111,11 @@ def test_one_cluster_has_no_interval():
         assert np.isnan(found[1:3]).all()
 
 
+def test_one_run_has_no_interval():
+    found = analysis.share([True], [0])
+    assert found.value == 1.0 and found.n == 1 and np.isnan(found[1:3]).all()
+
+
 def test_clusters_and_values_go_together():
     with pytest.raises(ValueError, match="3 values need as many clusters, got 2"):
         analysis.mean([1.0, 2.0, 3.0], [0, 1])
