@@ -24,27 +24,17 @@ from sinsjax.units import DEG, DEG_PER_H, STANDARD_GRAVITY, micro_g
 _SHORT_GAP_S = 0.1
 """Longest gap that is interpolated unasked: a base at rest does not sway in less."""
 
-_LONGEST_S, _COARSE_S, _SHORTEST_S = 900.0, 60.0, 10.0
+_LONGEST_S, _COARSE_S, _SHORTEST_S = 900.0, 10.0, 10.0
 _NOMINAL = 1e-4  # relative: clocks are off by as much from the rate that was meant
 _MOST_TOLD = 6  # oddities of single samples
 _WIDTH = 100
 _LATITUDE = 45.0
 _NOTHING = Note("")
 _ABOUT = "Earth rate tells the latitude as well as the gyros know it: put the true one here"
-_FILTER = """\
+_ALIGNMENT = """\
+# for a covariance: "kalman_sincos" with [filter] q_reading = "per_sample" (sinsjax keys filter)
 [alignment]
-method = "kalman10"               # the biases of gyros and level accelerometers are states
-
-{doubt}
-[filter]                          # what the filter believes, standard deviations
-p0_velocity_m_per_s = 0.1         # m/s, initial velocity
-p0_level_deg = 0.5                # deg, level error after coarse alignment
-p0_yaw_deg = 5.0                  # deg, heading error after coarse alignment
-p0_gyro_bias_deg_per_h = 0.02     # deg/h, gyro bias
-p0_accel_bias_ug = 100.0          # ug, accelerometer bias
-q_accel_ug = 50.0                 # ug, process noise of the accelerometers
-q_gyro_deg_per_h = 0.05           # deg/h, process noise of the gyros
-r_velocity_m_per_s = 0.1          # m/s, measured zero velocity
+method = "inertial"               # needs no numbers of the sensors
 """
 
 
@@ -102,7 +92,7 @@ def study_of(path: Path, study: Path) -> str:
         _earth_section(looked.record, means),
         _record_section(looked, times, span, _latitude(looked.record, means)),
         _coarse_section(times),
-        _FILTER.format(doubt=_comment("these are for gyros of 0.01 deg/h: give your own", DOUBT)),
+        _ALIGNMENT,
     ]
     return "\n".join(sections)
 
