@@ -30,6 +30,12 @@ def shortened(text: str, most: int = 200) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
+def seconds(time_s: float) -> str:
+    """A time to a hundredth of a second, however large: that of a clock may count from 1970."""
+    text = f"{time_s:.2f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
+
+
 def one_line(text: str, most: int = 1000) -> str:
     """A message in one visible line: control characters escaped, a long middle left out."""
     line = " ".join(text.splitlines())

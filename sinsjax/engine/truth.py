@@ -32,6 +32,7 @@ from sinsjax.engine.simulator import (
     with_quanta,
 )
 from sinsjax.errors import InputError
+from sinsjax.messages import seconds
 from sinsjax.records import require_span
 from sinsjax.records.reference import StoredRecord
 from sinsjax.strapdown import base_motion, earth, sensors
@@ -333,8 +334,9 @@ def _reference_at(stored: StoredRecord, times: np.ndarray) -> np.ndarray:
     if begin < first - slack or end > last + slack:
         clock = stored.record.t0_s
         raise InputError(
-            f"{reference.source}: covers {clock + first:g} to {clock + last:g} s, but the study"
-            f" needs {clock + begin:g} to {clock + end:g} s by the clock of {stored.record.source}"
+            f"{reference.source}: covers {seconds(clock + first)} to {seconds(clock + last)} s,"
+            f" but the study needs {seconds(clock + begin)} to {seconds(clock + end)} s by the"
+            f" clock of {stored.record.source}"
         )
     # With the samples on either side, between which the ends are interpolated.
     low = np.searchsorted(reference.time_s, begin, side="right") - 1

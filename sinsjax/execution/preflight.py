@@ -11,7 +11,7 @@ from sinsjax.engine.lanes import shown, tiles_of
 from sinsjax.engine.study_limits import hidden_north
 from sinsjax.engine.truth import site_of, starts_of
 from sinsjax.errors import InputError
-from sinsjax.messages import one_line
+from sinsjax.messages import one_line, seconds
 from sinsjax.records import Layout, Record, require_span
 from sinsjax.records.layout import Oddity
 from sinsjax.records.plausible import StationaryValues, findings
@@ -110,7 +110,8 @@ def _of_record(study: Study, stored: StoredRecord) -> Iterator[str]:
             raise InputError(f"{record.source}: {odd.text} ({_TRUST})")
         yield f"{record.source}: {odd.text}"
     for begin, end in used:
-        where = f"{record.source}: {begin / record.rate_hz:g} to {end / record.rate_hz:g} s"
+        begin_s, end_s = (seconds(sample / record.rate_hz) for sample in (begin, end))
+        where = f"{record.source}: {begin_s} to {end_s} s"
         for finding in findings(record, (begin, end), layout, expected):
             if finding.hard and not section.trust:
                 raise InputError(f"{where}: {finding.text} ({_TRUST})")
@@ -138,10 +139,14 @@ def _used(study: Study, record: Record) -> list[tuple[int, int]]:
     before = [
         samples_before(study, record.rate_hz, **point) for point in study.combinations(*COARSE_KEYS)
     ]
-    needed = max(before) + max(span.read for span in study.distinct_spans) * study.record_every
+    fine = max(span.read for span in study.distinct_spans) * study.record_every
+    needed, coarse = max(before) + fine, ""
+    if max(before):
+        lengths = [f"{seconds(count / record.rate_hz)} s" for count in (max(before), fine)]
+        coarse = f" ({lengths[0]} of coarse alignment + {lengths[1]})"
     merged: list[tuple[int, int]] = []
     for start in sorted(starts.tolist()):
-        require_span(record, start / record.rate_hz, needed / record.rate_hz)
+        require_span(record, start / record.rate_hz, needed / record.rate_hz, coarse)
         if merged and start <= merged[-1][1]:
             merged[-1] = merged[-1][0], start + needed
         else:
@@ -150,8 +155,8 @@ def _used(study: Study, record: Record) -> list[tuple[int, int]]:
     end = study.record.to_s
     if end is not None and merged[-1][1] / record.rate_hz > end * (1 + 1e-9):
         raise InputError(
-            f"{record.source}: the study needs data up to {merged[-1][1] / record.rate_hz:g} s, but"
-            f" [record] to_s is {end:g}"
+            f"{record.source}: the study needs data up to {seconds(merged[-1][1] / record.rate_hz)}"
+            f" s, but [record] to_s is {seconds(end)}"
         )
     return merged
 

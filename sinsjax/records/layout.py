@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
+from sinsjax.messages import seconds
 from sinsjax.units import ARCSEC, DEG, DEG_PER_H, STANDARD_GRAVITY, micro_g
 
 FloatArray = NDArray[np.float64]
@@ -271,25 +272,26 @@ def agreed_rate(found_hz: float, layout: Layout, slack: float, source: str) -> f
     return layout.rate_hz
 
 
-def require_span(record: Record, start_s: float, needed_s: float) -> None:
+def require_span(record: Record, start_s: float, needed_s: float, made_of: str = "") -> None:
     """Reject a record that does not cover a time span, or lacks samples within it.
 
     Args:
         record: the record.
         start_s: start of the span, from the beginning of the record, s.
         needed_s: length of the span, s.
+        made_of: what that length consists of, in words after a blank.
 
     Raises:
         InputError: gives the length of the record and what is needed, or the missing samples.
     """
     has_s = len(record.dtheta) / record.rate_hz
     if start_s < 0:
-        raise InputError(f"{record.source}: start_s = {start_s:g} is before the record")
+        raise InputError(f"{record.source}: start_s = {seconds(start_s)} is before the record")
     # A thousandth of a sample absorbs the rounding of the sum without hiding a missing sample.
     if start_s + needed_s > has_s + 1e-3 / record.rate_hz:
         raise InputError(
-            f"{record.source}: has {has_s:g} s, but {needed_s:g} s from start_s = {start_s:g} "
-            f"need {start_s + needed_s:g} s"
+            f"{record.source}: has {seconds(has_s)} s, but {seconds(needed_s)} s{made_of} from"
+            f" start_s = {seconds(start_s)} need {seconds(start_s + needed_s)} s"
         )
     begin, end = start_s * record.rate_hz, (start_s + needed_s) * record.rate_hz
     for flaw in record.flaws:

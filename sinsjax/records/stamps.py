@@ -72,7 +72,7 @@ def sampling(
     if not clean.size:
         k = int((step_s <= 0).argmax())
         refuse(k, "time repeats" if step_s[k] == 0 else "time runs backward")
-    rate = agreed_rate(float(1 / clean.mean()), layout, 1 / len(clean), where)
+    rate = agreed_rate(_meant(float(1 / clean.mean()), time_s), layout, 1 / len(clean), where)
     steps = np.ones(len(step_s), int)
     in_time = 0  # the first stamp not yet examined
     for k in np.flatnonzero((step_s < 0.5 / rate) | (step_s > 1.5 / rate)).tolist():
@@ -90,6 +90,13 @@ def sampling(
         steps[k] = round(step_s[k] * rate)
     number = np.concatenate([[0], np.cumsum(steps)])
     return Sampling(rate, float(time_s[0]) - 1 / rate, number)
+
+
+def _meant(rate_hz: float, time_s: FloatArray) -> float:
+    """A whole rate where the stamps cannot tell it from that: those since 1970 are to 0.2 us."""
+    rounding_s = float(np.spacing(np.abs(time_s).max()))
+    off = 2 * rounding_s / float(np.ptp(time_s))
+    return float(round(rate_hz)) if abs(round(rate_hz) - rate_hz) <= off * rate_hz else rate_hz
 
 
 def between(time_s: FloatArray, k: int) -> str:

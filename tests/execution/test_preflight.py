@@ -205,6 +205,14 @@ def test_doubtful_findings_are_in_manifest_and_report(tmp_path: Path) -> None:
     assert "Innovations: the mean of r' S^-1 r is" in report
 
 
+def test_coarse_alignment_is_told_where_a_record_is_too_short() -> None:
+    with pytest.raises(InputError) as caught:
+        run.made_ready(recorded(record={"start_s": [120.0]}), StoredRecord(record(), None))
+    assert str(caught.value) == (
+        "study: has 200 s, but 90 s (60 s of coarse alignment + 30 s) from start_s = 120 need 210 s"
+    )
+
+
 def test_nothing_beyond_to_s_is_used() -> None:
     tape = StoredRecord(record(), None)
     study = recorded(record={"from_s": 100.0, "to_s": 190.0})
@@ -250,6 +258,10 @@ def test_a_rate_that_is_no_whole_number_and_a_clock_that_starts_at_1000_s(tmp_pa
     np.testing.assert_allclose(made.summary["heading_deg"], 350, atol=1)
     early = tape.reference
     assert isinstance(early, Reference) and early.time_s[0] == pytest.approx(0)
+    epoch = tape._replace(record=tape.record._replace(t0_s=1763000000.25))
+    late = epoch._replace(reference=early._replace(time_s=early.time_s + 1000))
+    with pytest.raises(InputError, match=r"covers 1763001000.25 to 1763001020.25 s, but the study"):
+        run.run(study, late)
     late = tape._replace(reference=early._replace(time_s=early.time_s + 1000))
     with pytest.raises(InputError, match="covers 2000 to 2020 s, but the study needs 1011 to 10"):
         run.run(study, late)

@@ -96,6 +96,12 @@ def test_dates() -> None:
     assert record.rate_hz == pytest.approx(RATE) and record.t0_s == pytest.approx(1714564800.0)
 
 
+def test_stamps_since_1970_tell_a_whole_rate() -> None:
+    time = 1.763e9 + np.arange(1, 3001) / 100
+    rates = np.ones((3000, 3))
+    assert sinsjax.record_from_arrays(time, rates, rates).record.rate_hz == 100.0
+
+
 def test_rate_without_times() -> None:
     assert made(None, rate_hz=200.0).record.rate_hz == 200.0
     assert "rate_hz: required" in refused(None)
