@@ -5,7 +5,7 @@ What the file tells is a reason; what it cannot tell is a doubt. Neither is sett
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import permutations
 from pathlib import Path
 from typing import NamedTuple
@@ -103,8 +103,8 @@ def recognise(path: Path, head: Head) -> Recognised:
     notes: dict[str, Note] = {}
     gyro, notes["gyro_columns"] = _sensor(path, head, "gyro")
     accel, notes["accel_columns"] = _sensor(path, head, "accel")
-    columns, times = _read(path, head, gyro, accel)
-    clock, rate_hz, of_clock = _clock(times)
+    columns, times, row = _read(path, head, gyro, accel)
+    clock, rate_hz, of_clock = _clock(times, row)
     notes |= of_clock
     looked_at = columns[: max(2, round(_LOOKED_AT_S * rate_hz))]
     whole = looked_at[np.isfinite(looked_at).all(axis=1)]
@@ -155,8 +155,8 @@ def _sensor(path: Path, head: Head, kind: str) -> tuple[Triad, Note]:
 
 def _read(
     path: Path, head: Head, gyro: Triad, accel: Triad
-) -> tuple[FloatArray, dict[Clock, FloatArray]]:
-    """Samples (T, 6), and those columns that may hold their times."""
+) -> tuple[FloatArray, dict[Clock, FloatArray], Callable[[int], int]]:
+    """Samples (T, 6), those columns that may hold their times, and the row of each sample."""
     taken = [*gyro.names, *accel.names]
     usable = head.numbers | head.dates
     maybe = [c for c in clocks(head.names) if c.name in usable and c.name not in taken]
@@ -164,11 +164,15 @@ def _read(
     if not maybe and head.names[0] in usable and head.names[0] not in taken:
         maybe = [Clock(head.names[0], "iso" if head.names[0] in head.dates else "")]
     names = [*taken, *(clock.name for clock in maybe)]
-    columns = head.open(path).read(names, blanks=True, dates=list(head.dates))
-    return np.column_stack(columns[:6]), dict(zip(maybe, columns[6:], strict=True))
+    table = head.open(path)
+    columns = table.read(names, blanks=True, dates=list(head.dates))
+    times = dict(zip(maybe, columns[6:], strict=True))
+    return np.column_stack(columns[:6]), times, table.row
 
 
-def _clock(times: dict[Clock, FloatArray]) -> tuple[Clock | None, float, dict[str, Note]]:
+def _clock(
+    times: dict[Clock, FloatArray], row: Callable[[int], int]
+) -> tuple[Clock | None, float, dict[str, Note]]:
     """The column of time with its unit, and the sample rate, Hz."""
     for clock, values in times.items():
         steps = np.diff(values[np.isfinite(values)])
@@ -200,8 +204,21 @@ def _clock(times: dict[Clock, FloatArray]) -> tuple[Clock | None, float, dict[st
                 "time_unit": Note(f"{told}: {rate:.6g} Hz", doubt),
             },
         )
-    doubt = f"no column holds times, so nothing tells the rate: {_UNKNOWN_HZ:g} Hz is made up"
+    made_up = f"so nothing tells the rate: {_UNKNOWN_HZ:g} Hz is made up"
+    doubt = f"{_no_clock(times, row)}, {made_up}"
     return None, _UNKNOWN_HZ, {"rate_hz": Note("", doubt)}
+
+
+def _no_clock(times: dict[Clock, FloatArray], row: Callable[[int], int]) -> str:
+    """Why no column tells the time."""
+    for clock, values in times.items():
+        known = np.flatnonzero(np.isfinite(values))
+        wrong = np.flatnonzero(np.diff(values[known]) <= 0)
+        if wrong.size and not is_counter(clock.name):
+            at = int(wrong[0])
+            what = "decreases" if values[known[at + 1]] < values[known[at]] else "repeats itself"
+            return f"{clock.name!r} {what} at row {row(int(known[at + 1]))}"
+    return "no column holds times"
 
 
 def _accel_unit(path: Path, samples: _Samples, gyro: Triad, accel: Triad) -> tuple[str, str, Note]:

@@ -329,6 +329,19 @@ def test_what_is_no_record_is_refused_in_one_line(
     assert not Path("log.toml").exists()
 
 
+def test_a_clock_that_runs_backward_or_repeats_is_named_with_its_row(
+    rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    table = columns(rates, "rfu", 1.0, 1.0, 1e4)
+    names = ("Tstamp[us]", *NAMES[1:])
+    back, coarse = table[::-1], table.copy()
+    coarse[:, 0] = (1.763e15 + table[:, 0]).astype(np.float32)
+    for rows, what in ((back, "decreases at row 3"), (coarse, "repeats itself at row 3")):
+        path = write(tmp_path / "log.csv", rows, names)
+        told = " ".join(described(path)[1])
+        assert f"'Tstamp[us]' {what}, so nothing tells the rate" in told
+
+
 def test_a_warning_is_told_once_on_the_standard_error(
     rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
 ) -> None:
