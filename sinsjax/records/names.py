@@ -22,7 +22,11 @@ _AXES = {
 }
 _WAYS = {
     "right": "r", "left": "l", "front": "f", "forward": "f", "fwd": "f", "up": "u", "down": "d",
+    "rgt": "r", "lft": "l", "frt": "f", "dn": "d", "dwn": "d",
+    "r": "r", "l": "l", "f": "f", "u": "u", "d": "d",
 }  # fmt: skip
+_TURNS = {"roll": "x", "pitch": "y", "yaw": "z", "p": "x", "q": "y", "r": "z"}
+"""Turns of an aircraft, roll_rate or p alone, by the record's axes."""
 _ORDERS = ("rfu", "frd", "flu")
 _WORDED = {
     "right-front-up": "rfu",
@@ -158,6 +162,9 @@ def _unit(text: str, kind: str) -> str:
 def _split(name: str, kind: str) -> tuple[str, str, str] | None:
     """What comes before the axis in a name, the axis, and the unit; None without an axis."""
     for bare, unit in (_without_unit(name, kind), (_words(name), "")):
+        turn = re.sub(r"_?(rate|vel(ocity)?)$", "", bare)
+        if kind == "gyro" and turn in _TURNS and (len(turn) == 1) == (turn == bare):
+            return "turn_rate", _TURNS[turn], unit
         *stem, last = bare.split("_")
         if stem and (last in _AXES or last in _WAYS):
             return "_".join(stem), last, unit

@@ -147,7 +147,8 @@ def _sensor(path: Path, head: Head, kind: str) -> tuple[Triad, Note]:
         what = "gyros" if kind == "gyro" else "accelerometers"
         raise InputError(
             f"{path}: no columns of {what} among {listed(head.names)}: name them {kind}_x,"
-            f" {kind}_y, {kind}_z"
+            f" {kind}_y, {kind}_z, or give [record] {kind}_columns in a study (see `sinsjax init"
+            " record`)"
         )
     others = [", ".join(triad.names) for triad in found[1:]]
     return found[0], Note("by their names", f"or {'; or '.join(others)}?" if others else "")

@@ -16,6 +16,7 @@ from support.studies import small_study
 import sinsjax as package
 from sinsjax.errors import InputError
 from sinsjax.records.layout import NAMED_AXES, Record, from_body
+from sinsjax.records.names import triads
 from sinsjax.records.psins import write_psins
 from sinsjax.study.from_record import study_of
 
@@ -340,6 +341,22 @@ def test_a_clock_that_runs_backward_or_repeats_is_named_with_its_row(
         path = write(tmp_path / "log.csv", rows, names)
         told = " ".join(described(path)[1])
         assert f"'Tstamp[us]' {what}, so nothing tells the rate" in told
+
+
+@pytest.mark.parametrize(
+    ("names", "unit", "ways"),
+    [
+        (("AngVel Fwd (dps)", "AngVel Rgt (dps)", "AngVel Dn (dps)"), "deg_per_s", "frd"),
+        (("dTheta_R", "dTheta_F", "dTheta_U"), "", "rfu"),
+        (("gyro_F", "gyro_L", "gyro_U"), "", "flu"),
+        (("p", "q", "r"), "", ""),
+        (("RollRate [deg/s]", "PitchRate [deg/s]", "YawRate [deg/s]"), "deg_per_s", ""),
+    ],
+)
+def test_names_of_gyros(names: tuple[str, str, str], unit: str, ways: str) -> None:
+    (found,) = triads(["roll", "pitch", "yaw", *names], "gyro")
+    assert (found.names, found.unit, found.ways) == (names, unit, ways)
+    assert not triads(names, "accel")
 
 
 def test_a_warning_is_told_once_on_the_standard_error(
