@@ -102,7 +102,8 @@ def _check_size(study: Study, where: Where) -> None:
     settings = study.study
     if settings.duration_s * settings.rate_hz > _MAX_SAMPLES * (1 + ROUNDING):
         text = f"{settings.duration_s:.12g} s at rate_hz = {settings.rate_hz:.12g}"
-        _refuse("duration_s", where, f"{text} is more than {_MAX_SAMPLES} samples a run")
+        hint = " (is time_unit right?)" if study.is_recorded else ""
+        _refuse("duration_s", where, f"{text} is more than {_MAX_SAMPLES} samples a run{hint}")
     if study.n_draws * study.n_variants > _MAX_RUNS:
         key = "start_s" if study.is_recorded else "draws"
         text = f"{study.n_draws} draws x {study.n_variants} variants of [axes] and [[cases]]"
@@ -219,7 +220,9 @@ def _check_whole(study: Study, where: Where, key: str, time: float, *, least: in
         near = " or ".join(f"{n / rate:.12g}" for n in sorted(whole))
         more = f", {least} or more" if least > 1 else ""
         text = f"{time:.12g} s is no whole number of samples of {1 / rate:.12g} s{more}"
-        _refuse(key, where, f"{text} (nearest: {near})")
+        slow = study.is_recorded and rate < 1
+        hint = f"{rate:.6g} Hz: is time_unit right?" if slow else f"nearest: {near}"
+        _refuse(key, where, f"{text} ({hint})")
 
 
 def _check_window(study: Study, where: Where) -> None:

@@ -245,6 +245,24 @@ def test_wrong_units_of_arrays_are_told(drive: tuple[Any, Any]) -> None:
         sinsjax.run(recorded(), tape)
 
 
+@pytest.mark.parametrize(
+    ("scale", "unit", "says"),
+    [
+        (1e6, "s", "1 s is no whole number of samples of 10000 s (0.0001 Hz: is time_unit right?)"),
+        (1.0, "ns", "more than 100000000 samples a run (is time_unit right?)"),
+    ],
+)
+def test_a_wrong_unit_of_time_is_told(
+    drive: tuple[Any, Any], scale: float, unit: str, says: str
+) -> None:
+    record = drive[1]
+    time = scale * np.arange(1, len(record.dv) + 1) / record.rate_hz
+    rates = record.dtheta * record.rate_hz, record.dv * record.rate_hz
+    with pytest.raises(InputError) as caught:
+        sinsjax.run(recorded(), sinsjax.record_from_arrays(time, *rates, time_unit=unit))
+    assert says in str(caught.value)
+
+
 def test_interpolated_samples_of_arrays_are_told(drive: tuple[Any, Any]) -> None:
     record = drive[1]
     time = np.arange(1, len(record.dv) + 1) / record.rate_hz
