@@ -70,7 +70,10 @@ class Tables:
         self._own_columns = layouts.of_methods(study)
         self._start_s = np.zeros(study.n_draws)
         if study.is_recorded:
-            self._start_s = starts_of(study, study.rate_hz) / study.rate_hz
+            assert study.record is not None
+            taken, given = starts_of(study, study.rate_hz) / study.rate_hz, study.record.start_s
+            # A rate of 99.9999999 Hz, from stamps that are rounded, moves no start.
+            self._start_s = np.where(np.abs(taken - given) < 1e-6, given, taken)
 
     def summary(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
         """Summary of a chunk, one row per run.

@@ -263,6 +263,17 @@ def test_a_wrong_unit_of_time_is_told(
     assert says in str(caught.value)
 
 
+@pytest.mark.optimised(False)
+def test_rounded_stamps_move_no_start(drive: tuple[Any, Any]) -> None:
+    record = drive[1]
+    time = np.round(1e-9 + np.arange(1, len(record.dv) + 1) / record.rate_hz * (1 + 1e-9), 9)
+    tape = sinsjax.record_from_arrays(
+        time, record.dtheta * record.rate_hz, record.dv * record.rate_hz
+    )
+    assert tape.record.rate_hz != 100.0
+    assert sinsjax.run(recorded(), tape).summary["start_s"].to_pylist() == [0.0, 10.0]
+
+
 def test_interpolated_samples_of_arrays_are_told(drive: tuple[Any, Any]) -> None:
     record = drive[1]
     time = np.arange(1, len(record.dv) + 1) / record.rate_hz
