@@ -56,7 +56,10 @@ def line_batches(path: str | Path, size: int | None = None) -> Iterator[Lines]:
         block = rest + block
         if b"\0" in block:
             row = first + block.count(b"\n", 0, block.index(b"\0"))
-            raise InputError(f"{path}: row {row}: not a text file (a zero byte)")
+            raise InputError(
+                f"{path}: row {row}: not a text file: a zero byte (of MATLAB or another"
+                " binary format? export it as CSV or Parquet)"
+            )
         # A line ends with \r, \n or both; a pair must not be split between two batches.
         cut = block.rfind(b"\n") + 1 or block.rfind(b"\r", 0, -1) + 1
         cut = len(block) if ends else cut

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sinsjax.errors import InputError
+from sinsjax.messages import shortened
 from sinsjax.records.layout import TIME_UNITS, FloatArray, Layout, Record
 from sinsjax.records.tables import ColumnTable, open_csv, open_parquet
 
@@ -55,6 +56,9 @@ def reference_of(path: str | Path, table: ColumnTable, layout: Layout | None = N
     yaws = [name for name in ("yaw_deg", "yaw_ccw_deg", "heading_deg") if name in table.names]
     if len(yaws) > 1:
         raise InputError(f"{path}: has both {yaws[0]} and {yaws[1]} (keep one)")
+    if not yaws and "pitch_deg" in table.names:
+        shown = shortened(", ".join(map(repr, table.names)))
+        raise InputError(f"{path}: no column 'yaw_deg' or 'heading_deg'; the file has {shown}")
     sigmas = _SIGMAS if any(name in table.names for name in _SIGMAS) else ()
     time, unit = "time_s", "s"
     if layout and time not in table.names and layout.time_column in table.names:

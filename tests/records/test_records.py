@@ -624,7 +624,11 @@ def test_a_reference_may_have_headings_and_the_record_s_own_time(tmp_path):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("time_s,pitch_deg,roll_deg\n0,1,2\n", "no column 'yaw_deg'; the file has 'time_s'"),
+        (
+            "time_s,pitch_deg,roll_deg\n0,1,2\n",
+            "no column 'yaw_deg' or 'heading_deg'; the file has 'time_s'",
+        ),
+        ("time_s\0", "(of MATLAB or another binary format? export it as CSV or Parquet)"),
         (
             "time_s,pitch_deg,roll_deg,yaw_deg,yaw_ccw_deg\n0,1,2,3,3\n",
             "has both yaw_deg and yaw_ccw_deg",
