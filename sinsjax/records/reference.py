@@ -56,13 +56,13 @@ def reference_of(path: str | Path, table: ColumnTable, layout: Layout | None = N
     yaws = [name for name in ("yaw_deg", "yaw_ccw_deg", "heading_deg") if name in table.names]
     if len(yaws) > 1:
         raise InputError(f"{path}: has both {yaws[0]} and {yaws[1]} (keep one)")
-    if not yaws and "pitch_deg" in table.names:
-        shown = shortened(", ".join(map(repr, table.names)))
-        raise InputError(f"{path}: no column 'yaw_deg' or 'heading_deg'; the file has {shown}")
     sigmas = _SIGMAS if any(name in table.names for name in _SIGMAS) else ()
     time, unit = "time_s", "s"
     if layout and time not in table.names and layout.time_column in table.names:
         time, unit = layout.time_column, layout.time_unit
+    if not yaws and {time, "pitch_deg", "roll_deg"} <= set(table.names):
+        shown = shortened(", ".join(map(repr, table.names)))
+        raise InputError(f"{path}: no column 'yaw_deg' or 'heading_deg'; the file has {shown}")
     names = [time, "pitch_deg", "roll_deg", *(yaws or ["yaw_deg"]), *sigmas]
     values = np.column_stack(table.read(names, dates=[time] if unit == "iso" else []))
     time_s, attitude, sigma = values[:, 0] * TIME_UNITS[unit], values[:, 1:4], values[:, 4:]
