@@ -483,7 +483,8 @@ def assert_refused(told: tuple[int, str, str], out: Path, *named: str) -> None:
     """Exit code 2, one line that names what is wrong, no traceback, nothing left behind."""
     code, _, error = told
     assert code == 2, error
-    assert error.count("\n") == 1 and error.startswith("error: "), error
+    (line,) = [line for line in error.splitlines() if not line.startswith("Warning: ")]
+    assert line.startswith("error: "), error
     assert "Traceback" not in error
     for word in named:
         assert word in error, (word, error)

@@ -169,7 +169,7 @@ def test_a_reader_that_leaves_does_not_end_the_work(
     config = tmp_path / "swing.toml"
     config.write_text(tomli_w.dumps(BASE))
     monkeypatch.setattr(run, "run_into", finished)
-    monkeypatch.setattr("sinsjax.report.summarise", lambda *_: done.append("report"))
+    monkeypatch.setattr("sinsjax.report.summarise", lambda *_, **__: done.append("report"))
     monkeypatch.setattr(sys, "argv", ["sinsjax", "sweep", str(config), "-o", str(tmp_path / "o")])
     with open(writing, "w", buffering=1) as closed:
         monkeypatch.setattr(sys, "stdout", closed)

@@ -115,7 +115,7 @@ def test_the_forecast_counts_threads_of_workers_and_what_is_left(
     executor = Executor(lambda runner, tasks: iter(()), {"threads": 24})
     monkeypatch.setattr(studies, "_executor", lambda *_: nullcontext(executor))
     monkeypatch.setattr(run, "run_into", lambda *_, **__: None)
-    monkeypatch.setattr("sinsjax.report.summarise", lambda *_: None)
+    monkeypatch.setattr("sinsjax.report.summarise", lambda *_, **__: None)
     options: dict[str, Any] = {"overwrite": False, "devices": None, "curves": None, "resume": True}
     for cluster, on in (((None, "tcp://head:8786"), "24 worker threads"), ((1, None), "1 core")):
         studies.run_study(config, str(out), cluster=cluster, **options)
