@@ -14,6 +14,7 @@ import numpy as np
 
 from sinsjax.alignment.base import Options, Site
 from sinsjax.alignment.methods import METHODS
+from sinsjax.engine import true_motion
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.measurements import measured, nothing_read
 from sinsjax.engine.metrics import Criteria
@@ -28,7 +29,6 @@ from sinsjax.maths.rotations import euler_vector
 from sinsjax.platform import runtime
 from sinsjax.records import Record
 from sinsjax.records.reference import StoredRecord
-from sinsjax.strapdown import base_motion
 from sinsjax.study.in_turn import IN_TURN
 from sinsjax.study.keys import COARSE_KEYS, PASS_KEYS
 from sinsjax.study.resolved import Coded
@@ -173,18 +173,17 @@ def simulated_record(study: Study, draw_id: int = 0, variant_id: int = 0) -> Rec
     draw = draw._replace(made=derived(static, environment, draw))
     site = site_of_draw(environment, draw)
 
+    samples = min(static.records, int(environment.pass_records)) * static.record_every
+    if environment.increments is None and environment.motion is not None:
+        whole = true_motion.rows(environment.motion, site.place, study.rate_hz, samples, axes=True)
+        environment = environment._replace(increments=whole[:, :6], axes=whole[:, 6:])
+
     @jax.jit
     def rows(environment: Environment, draw: Draw, numbers: Array) -> Increments:
-        if environment.increments is None and environment.motion is not None:
-            whole = base_motion.increments_and_axes(
-                environment.motion, site.place, study.rate_hz, len(numbers)
-            )
-            environment = environment._replace(increments=whole[:, :6], axes=whole[:, 6:])
         nothing = nothing_read(environment, draw)
         return measured(static, environment, draw, nothing, numbers)[0]
 
-    records = min(static.records, int(environment.pass_records))
-    out = rows(environment, draw, np.arange(records * static.record_every))
+    out = rows(environment, draw, np.arange(samples))
     return Record(
         dtheta=np.stack(out.dtheta, axis=1),
         dv=np.stack(out.dv, axis=1),

@@ -15,6 +15,7 @@ from sinsjax.alignment.base import Site
 from sinsjax.alignment.coarse import COARSE
 from sinsjax.alignment.inertial_frame.method import optimised
 from sinsjax.alignment.limits import NO_BIASES, mean_biases
+from sinsjax.engine import true_motion
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.realisations import (
     Draw,
@@ -44,7 +45,6 @@ from sinsjax.study.schema import EarthSection, MotionSection, SensorsSection
 from sinsjax.study.study import Span, Study
 from sinsjax.study.times import samples_before, stored_times
 from sinsjax.study.variants import Variants
-from sinsjax.types import Array
 from sinsjax.units import DEG, DEG_PER_H
 from sinsjax.value_types import Section
 
@@ -86,46 +86,6 @@ def site_of(study: Study, variants: Variants, stored: StoredRecord | None) -> tu
     return jax.tree.map(np.float64, site), ug
 
 
-_TIMES = 256
-"""True attitudes that are made at a time."""
-
-_rows = jax.jit(base_motion.block, static_argnames="with_axes")
-
-
-@jax.jit
-def _attitudes(motion: base_motion.Motion, times: Array) -> Array:
-    return jax.vmap(lambda t: jnp.stack(base_motion.attitude(motion, t)))(times)
-
-
-def _truth(
-    motion: base_motion.Motion,
-    place: earth.Place,
-    times: np.ndarray,
-    rate: float,
-    *,
-    samples: int,
-    axes: bool,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Ideal increments (samples, 6), or with axes (samples, 15); true attitudes (n, 4) at times.
-
-    Block by block: one program serves studies of any length.
-    """
-    rows, attitudes = _blank(samples, len(times), axes=axes)
-    for first in range(0, samples, base_motion.BLOCK):
-        some = rows[first : first + base_motion.BLOCK]
-        some[:] = _rows(motion, place, rate, float(first), with_axes=axes)[: len(some)]
-    for first in range(0, len(times), _TIMES):
-        some = attitudes[first : first + _TIMES]
-        padded = np.resize(times[first : first + _TIMES], _TIMES)
-        some[:] = _attitudes(motion, padded)[: len(some)]
-    return rows, attitudes
-
-
-def _blank(samples: int, times: int, *, axes: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Zeros of the shapes of `_truth`."""
-    return np.zeros((samples, 15 if axes else 6)), np.zeros((times, 4))
-
-
 def simulated(
     study: Study,
     variants: Variants,
@@ -153,11 +113,10 @@ def simulated(
         kept = samples if samples <= MOST_STORED_SAMPLES else 0
         surges = disturbances.surge is not None
         if blank:
-            rows, attitudes = _blank(kept, len(times), axes=surges)
+            rows, attitudes = true_motion.blank(kept, len(times), axes=surges)
         else:
-            rows, attitudes = _truth(
-                motion, site.place, times, study.rate_hz, samples=kept, axes=surges
-            )
+            rows = true_motion.rows(motion, site.place, study.rate_hz, kept, axes=surges)
+            attitudes = true_motion.attitudes(motion, times)
         if kept:
             increments, axes = rows[:, :6], rows[:, 6:] if surges else None
     n = len(draws)

@@ -25,9 +25,6 @@ _WEIGHTS = 0.5 * _WEIGHTS
 
 _BATCH = 1000
 
-BLOCK = 4 * _BATCH
-"""Rows of `block`."""
-
 
 class Sway(NamedTuple):
     """One Euler angle over time: center + amplitude sin(2 pi t / period + phase).
@@ -297,42 +294,33 @@ def _sum(a: tuple[Scalar, Scalar], b: tuple[Scalar, Scalar]) -> tuple[Scalar, Sc
     return a[0] * b[1] + a[1] * b[0], a[1] * b[1] - a[0] * b[0]
 
 
-def increments(motion: Motion, place: Place, rate_hz: Scalar, samples: int) -> Array:
-    """Ideal sensor increments of samples 0 to ``samples`` - 1, (samples, 6), see `sensed`."""
-    return _rows(motion, place, rate_hz, _numbers(samples), with_axes=False)[:samples]
-
-
-def increments_and_axes(motion: Motion, place: Place, rate_hz: Scalar, samples: int) -> Array:
-    """Increments of samples 0 to ``samples`` - 1, and the axes meanwhile, (samples, 15)."""
-    return _rows(motion, place, rate_hz, _numbers(samples), with_axes=True)[:samples]
-
-
-def block(
-    motion: Motion, place: Place, rate_hz: Scalar, first: Scalar, *, with_axes: bool
+def increments(
+    motion: Motion, place: Place, rate_hz: Scalar, samples: int, first: Scalar = 0.0
 ) -> Array:
-    """Increments of `BLOCK` samples from number ``first``, and the axes if asked for.
-
-    The same bits as those of a whole record, whose length does not decide the program.
-    """
-    return _rows(motion, place, rate_hz, first + _numbers(BLOCK), with_axes=with_axes)
+    """Ideal sensor increments of samples from number ``first`` on, (samples, 6), see `sensed`."""
+    return _rows(motion, place, rate_hz, samples, first, with_axes=False)
 
 
-def _numbers(samples: int) -> Array:
-    """Numbers of samples from 0, filled up to two or more batches.
-
-    A shorter last batch, or a single one whose loop the compiler removes, would give other bits.
-    """
-    return jnp.arange(max(2, -(-samples // _BATCH)) * _BATCH, dtype=float)
+def increments_and_axes(
+    motion: Motion, place: Place, rate_hz: Scalar, samples: int, first: Scalar = 0.0
+) -> Array:
+    """Increments of samples from number ``first`` on, and the axes meanwhile, (samples, 15)."""
+    return _rows(motion, place, rate_hz, samples, first, with_axes=True)
 
 
 def _rows(
-    motion: Motion, place: Place, rate_hz: Scalar, numbers: Array, *, with_axes: bool
+    motion: Motion, place: Place, rate_hz: Scalar, samples: int, first: Scalar, *, with_axes: bool
 ) -> Array:
-    """Rows of the samples of some numbers, computed in batches of equal size."""
+    """Rows of samples, computed in two or more batches of equal size.
+
+    A shorter last batch, or a single one whose loop the compiler removes, would give other bits.
+    """
+    batches = max(2, -(-samples // _BATCH))
+    numbers = first + jnp.arange(batches * _BATCH, dtype=float)
     ahead = nodes(motion, rate_hz)
 
     def row(k: Scalar) -> Array:
         made = sensed(motion, ahead, place, rate_hz, k)
         return jnp.stack(jax.tree.leaves(made if with_axes else made.increments))
 
-    return jax.lax.map(row, numbers, batch_size=_BATCH)
+    return jax.lax.map(row, numbers, batch_size=_BATCH)[:samples]
