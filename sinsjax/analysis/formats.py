@@ -5,16 +5,19 @@ import math
 from sinsjax.analysis.estimates import Estimate
 
 
-def format_estimate(estimate: Estimate, unit: str = "", digits: int = 1) -> str:
+def format_estimate(
+    estimate: Estimate, unit: str = "", digits: int = 1, infinite: str = "never"
+) -> str:
     """An estimate as text, such as ``12.3 [11.9, 12.8] s``.
 
     Args:
-        estimate: estimate to write; infinite numbers become ``never``, NaN becomes ``unknown``, and
-            an interval with neither end known, or of *never* alone, is omitted.
+        estimate: estimate to write; infinite numbers become words, NaN becomes ``unknown``, and an
+            interval with neither end known, or of infinite numbers alone, is omitted.
         unit: unit, written after the interval.
         digits: decimals.
+        infinite: words for infinite numbers.
     """
-    words = {"nan": "unknown", "inf": "never", "-inf": "-never"}
+    words = {"nan": "unknown", "inf": infinite, "-inf": f"-{infinite}"}
     printed = (f"{number:.{digits}f}" for number in estimate[:3])
     value, low, high = (words.get(text, text) for text in printed)
     if value == low == high == words["inf"]:

@@ -18,8 +18,8 @@ def arcmin(angle: Estimate, digits: int = 1) -> str:
 
 def heading(error_arcmin: Estimate) -> str:
     """A heading error without its unit, to a tenth where it is below 100 arcmin."""
-    text = format_estimate(error_arcmin, digits=0 if error_arcmin.value >= 100 else 1)
-    return text.replace("never", "no number")
+    digits = 0 if error_arcmin.value >= 100 else 1
+    return format_estimate(error_arcmin, digits=digits, infinite="no number")
 
 
 def share(of_runs: Estimate) -> str:

@@ -14,6 +14,7 @@ from sinsjax.errors import InputError
 from sinsjax.messages import one_line, seconds
 from sinsjax.records import Layout, Record, require_span
 from sinsjax.records.layout import Oddity
+from sinsjax.records.oddities import MOST_TOLD, within
 from sinsjax.records.plausible import StationaryValues, findings
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
@@ -25,7 +26,6 @@ from sinsjax.units import DEG_PER_H, micro_g
 
 _BIASES = {"gyro_bias_deg_per_h": 10.0, "accel_bias_ug": 5000.0}
 _TRUST = "[record] trust = true aligns it anyway"
-_MOST_TOLD = 6  # channels that are dead, or times at which all are stuck
 _DRAWS = 1024  # draws in which a drawn period is checked
 
 
@@ -120,17 +120,13 @@ def _of_record(study: Study, stored: StoredRecord) -> Iterator[str]:
 
 def _odd(record: Record, used: list[tuple[int, int]]) -> Iterator[Oddity]:
     """What is odd about samples that are read: of what is certainly wrong the first place."""
-    read = [
-        odd
-        for odd in record.oddities
-        if any(odd.begin < end and odd.end > begin for begin, end in used)
-    ]
+    read = within(record.oddities, used)
     beyond = [odd for odd in read if odd.hard]
     if beyond:
         first, more = min(beyond, key=lambda odd: odd.begin), len(beyond) - 1
         text = f"{first.text}; {more} more such place{'s'[: more > 1]}" if more else first.text
         yield first._replace(text=text)
-    yield from [odd for odd in read if not odd.hard][:_MOST_TOLD]
+    yield from [odd for odd in read if not odd.hard][:MOST_TOLD]
 
 
 def _used(study: Study, record: Record) -> list[tuple[int, int]]:

@@ -103,9 +103,8 @@ def resumed(directory: Path, job: Job, instructions: str | None = None) -> Job:
         InputError: the directory holds results of another study (names the keys that differ),
             record, version or instruction set.
     """
-    kept = _kept_study(directory)
+    kept = check_same_study(directory, job.study)
     extended = kept is not None and _is_extended(kept, job.study)
-    check_same_study(directory, job.study)
     known = manifest(directory) or _from_parts(directory)
     if known is None:
         if (directory / MANIFEST).exists():
@@ -131,15 +130,18 @@ def resumed(directory: Path, job: Job, instructions: str | None = None) -> Job:
     return job
 
 
-def check_same_study(directory: Path, study: Study) -> None:
+def check_same_study(directory: Path, study: Study) -> Study | None:
     """Reject results of another study than this one with as many draws, or with fewer.
+
+    Returns:
+        The study that the results are of; None if the directory has none that can be read.
 
     Raises:
         InputError: names the keys that differ, or why these results cannot be extended.
     """
     kept = _kept_study(directory)
     if kept is None:
-        return
+        return None
     if _is_extended(kept, study):
         _check_extension(directory, kept, study)
     elif fingerprint(kept) != fingerprint(study):
@@ -147,6 +149,7 @@ def check_same_study(directory: Path, study: Study) -> None:
         if _is_extended(study, kept):
             text += f" (there can be more, not fewer: go on with --draws {kept.n_draws})"
         raise InputError(f"{directory}: holds results of another study: {text}")
+    return kept
 
 
 def _is_extended(kept: Study, study: Study) -> bool:

@@ -16,6 +16,9 @@ _MOST_G, _MOST_DEG_PER_S = 20.0, 1000.0  # swaying bases and cars stay far below
 _STANDS_OUT = 0.1
 """Of the limit: where most samples are larger, it is the unit that is wrong, as the mean tells."""
 
+MOST_TOLD = 6
+"""Of what is odd about a record, in messages."""
+
 _STUCK_S = 1.0  # of all six channels: one of few counts may repeat itself for long
 
 
@@ -37,6 +40,13 @@ def oddities(
     """
     beyond = _beyond(names, columns, factors, row)
     return (*beyond, *_stuck(names, columns, rate_hz, row))
+
+
+def within(found: Sequence[Oddity], spans: Sequence[tuple[int, int]]) -> list[Oddity]:
+    """Those that concern some spans of samples, each up to but not including its end."""
+    return [
+        odd for odd in found if any(odd.begin < end and odd.end > begin for begin, end in spans)
+    ]
 
 
 def _beyond(

@@ -72,8 +72,11 @@ def read_psins(path: str | Path, layout: Layout = PSINS_LAYOUT) -> Record:
     if len(head.rows) == 3:
         raise InputError(f"{path}: no samples after the header")
     first = _Data(head.lines[3:], head.rows[3:], head.ends)
-    rows: list[NDArray[np.int64]] = []
-    counts = np.concatenate([_counted(path, batch, rows) for batch in chain([first], batches)])
+    read = [
+        (_read_counts(path, batch), np.asarray(batch.rows, np.int64))
+        for batch in chain([first], batches)
+    ]
+    counts, rows = (np.concatenate(parts) for parts in zip(*read, strict=True))
     scale = np.array(header.scale)
     latitude, _, height, t0, interval_ms, gravity = header.place
     attitude = (header.pose[0], header.pose[1], header.pose[2])
@@ -88,14 +91,8 @@ def read_psins(path: str | Path, layout: Layout = PSINS_LAYOUT) -> Record:
         attitude_deg=None if any(map(math.isnan, attitude)) else attitude,
         gravity_m_per_s2=gravity,
         source=str(path),
-        oddities=_oddities(counts, scale, rate, gravity, np.concatenate(rows)),
+        oddities=_oddities(counts, scale, rate, gravity, rows),
     )
-
-
-def _counted(path: str | Path, data: "_Data", rows: list[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """The counts of a batch, whose rows are added to those before."""
-    rows.append(np.asarray(data.rows, np.int64))
-    return _read_counts(path, data)
 
 
 def _oddities(

@@ -140,8 +140,9 @@ def _headline(source: Source, has_truth: bool) -> list[str]:
     if not has_truth:
         return [f"{text} Without truth or reference, attitude and its 1 sigma is what is known."]
     counted, doubts = [], []
+    rows = source.rows([*(yard.ok for yard in source.yardsticks), *LIMITED])
+    column = partial(analysis.numbers, rows)
     for yard in source.yardsticks:
-        column = partial(analysis.numbers, source.rows([yard.ok, *LIMITED]))
         ok, off = int((column(yard.ok) > 0).sum()), int(yard.off_limit(column).sum())
         counted.append(f"{ok:,} {yard.words}")
         if off > _RARE * ok:

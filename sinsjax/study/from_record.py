@@ -14,9 +14,10 @@ from sinsjax.errors import InputError
 from sinsjax.records import read_psins, read_record
 from sinsjax.records.files import line_batches, number_or_nan
 from sinsjax.records.head import head_of
-from sinsjax.records.layout import PSINS_LAYOUT, Layout, Record
+from sinsjax.records.layout import PSINS_LAYOUT, Layout, Oddity, Record
 from sinsjax.records.means import Means, means_of, rate_up
-from sinsjax.records.plausible import StationaryValues, findings
+from sinsjax.records.oddities import MOST_TOLD, within
+from sinsjax.records.plausible import Finding, StationaryValues, findings
 from sinsjax.records.recognise import EARTH_RATE, Note, recognise, sees_earth_rate
 from sinsjax.study.files import DOUBT, schema_line
 from sinsjax.units import DEG, DEG_PER_H, STANDARD_GRAVITY, micro_g
@@ -26,7 +27,6 @@ _SHORT_GAP_S = 0.1
 
 _LONGEST_S, _COARSE_S, _SHORTEST_S = 900.0, 10.0, 10.0
 _NOMINAL = 1e-4  # relative: clocks are off by as much from the rate that was meant
-_MOST_TOLD = 6  # oddities of single samples
 _WIDTH = 100
 _LATITUDE = 45.0
 _NOTHING = Note("")
@@ -238,13 +238,11 @@ def _record_section(
         gyro_bias=10 * DEG_PER_H,
         accel_bias=5000 * micro_g(),
     )
-    begin, end = span
-    odd = [one for one in looked.record.oddities if one.begin < end and one.end > begin]
-    found = [(one.hard, one.text) for one in odd[:_MOST_TOLD]]
-    found += [(one.hard, one.text) for one in findings(looked.record, span, layout, expected)]
-    for hard, text in found:
-        refused = ", and the study is refused" if hard else ""
-        lines.append(_comment(f"{text}{refused}", DOUBT))
+    doubtful: list[Oddity | Finding] = [*within(looked.record.oddities, [span])[:MOST_TOLD]]
+    doubtful += findings(looked.record, span, layout, expected)
+    for found in doubtful:
+        refused = ", and the study is refused" if found.hard else ""
+        lines.append(_comment(f"{found.text}{refused}", DOUBT))
     return "\n".join([*lines, ""])
 
 

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Iterator
 from html.parser import HTMLParser
 from importlib.util import find_spec
 from pathlib import Path
@@ -72,6 +73,18 @@ def pages(site: Path) -> dict[Path, Shown]:
 @pytest.fixture(scope="module")
 def index(site: Path) -> dict[str, Any]:
     return json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))
+
+
+def cut(text: str, index: dict[str, Any]) -> list[str]:
+    """The words of a text, as the index cuts them."""
+    return [word for word in re.split(index["config"]["separator"], text) if word]
+
+
+def entries(index: dict[str, Any]) -> Iterator[tuple[str, list[str]]]:
+    """The page of each heading, and the words under it."""
+    for entry in index["docs"]:
+        text = re.sub(r"<[^>]+>", " ", f"{entry['title']} {entry['text']}")
+        yield entry["location"].partition("#")[0], cut(text, index)
 
 
 def test_every_link_leads_to_a_page_and_an_anchor(site: Path, pages: dict[Path, Shown]) -> None:
@@ -145,16 +158,8 @@ def test_the_page_of_extending_has_all_that_the_example_imports(
 )
 def test_the_search_finds(words: str, page: str, index: dict[str, Any]) -> None:
     """A page is found that has all the words, as the index cuts them, under one heading."""
-    separator = re.compile(index["config"]["separator"])
-
-    def cut(text: str) -> set[str]:
-        return {word.lower() for word in separator.split(text) if word}
-
-    found = set()
-    for entry in index["docs"]:
-        known = cut(re.sub(r"<[^>]+>", " ", f"{entry['title']} {entry['text']}"))
-        if cut(words) <= known:
-            found.add(entry["location"].partition("#")[0])
+    wanted = {word.lower() for word in cut(words, index)}
+    found = {at for at, known in entries(index) if wanted <= {word.lower() for word in known}}
     assert page in found, sorted(found)
 
 
@@ -168,10 +173,8 @@ def test_the_search_finds(words: str, page: str, index: dict[str, Any]) -> None:
 )
 def test_a_name_in_code_is_one_word(name: str, page: str, index: dict[str, Any]) -> None:
     """Cut at its underscores it would find all pages with averages, times and seconds."""
-    separator = re.compile(index["config"]["separator"])
     found = Counter[str]()
-    for entry in index["docs"]:
-        words = separator.split(re.sub(r"<[^>]+>", " ", f"{entry['title']} {entry['text']}"))
+    for page_of, words in entries(index):
         if count := words.count(name):
-            found[entry["location"].partition("#")[0]] += count
+            found[page_of] += count
     assert 0 < len(found) < 10 and found[page] == max(found.values()), found
