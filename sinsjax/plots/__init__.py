@@ -17,7 +17,16 @@ from sinsjax.plots.curves import (
     yaw_errors,
 )
 from sinsjax.plots.errors import over_time
-from sinsjax.plots.grids import Contours, Scale, Shown, Verdicts, heat_maps, spread, verdict_matrix
+from sinsjax.plots.grids import (
+    Contours,
+    Scale,
+    Shown,
+    Verdicts,
+    differ,
+    heat_maps,
+    spread,
+    verdict_matrix,
+)
 from sinsjax.plots.spreads import Expected, along_axis, tells
 from sinsjax.plots.stored_records import survival
 from sinsjax.plots.style import COLOURS, STYLE, colour, png
@@ -40,6 +49,7 @@ __all__ = [
     "beliefs",
     "believed",
     "colour",
+    "differ",
     "draw",
     "ensembles",
     "heat_maps",

@@ -104,6 +104,11 @@ def spread(values: Sequence[float], count: int) -> NDArray:
     return np.exp(np.interp(places, middles, [ends[0], *logs, ends[1]]))
 
 
+def differ(values: Sequence[NDArray]) -> bool:
+    """Whether cells of `heat_maps` differ; a figure of equal ones says nothing."""
+    return len(np.unique(values)) > 1
+
+
 @styled
 def heat_maps(
     panels: Sequence[tuple[str, NDArray]],

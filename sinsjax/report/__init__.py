@@ -48,9 +48,8 @@ def summarise(
     except Exception as error:
         where = ", ".join(map(str, directories))
         what = shortened(" ".join(f"{type(error).__name__}: {error}".split()))
-        raise InputError(
-            f"{where}: the report failed, the results are as they were ({what})"
-        ) from error
+        text = f"{where}: the report failed, the results are as they were ({what})"
+        raise InputError(text) from error
 
 
 def _summarise(

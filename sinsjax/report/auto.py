@@ -140,8 +140,7 @@ def _headline(source: Source, has_truth: bool) -> list[str]:
     if not has_truth:
         return [f"{text} Without truth or reference, attitude and its 1 sigma is what is known."]
     counted, doubts = [], []
-    rows = source.rows([*(yard.ok for yard in source.yardsticks), *LIMITED])
-    column = partial(analysis.numbers, rows)
+    column = partial(analysis.numbers, source.rows([*(y.ok for y in source.yardsticks), *LIMITED]))
     for yard in source.yardsticks:
         ok, off = int((column(yard.ok) > 0).sum()), int(yard.off_limit(column).sum())
         counted.append(f"{ok:,} {yard.words}")

@@ -12,7 +12,7 @@ from sinsjax.execution.source import Source
 from sinsjax.plots import Shown
 from sinsjax.report.base import Block, Picture, Report, Table, number, table_of
 from sinsjax.report.markup import said
-from sinsjax.report.over_axes import Maps, differ
+from sinsjax.report.over_axes import Maps
 from sinsjax.study.keys import is_chosen
 from sinsjax.study.success import Yardstick, success_of, yardsticks
 from sinsjax.study.swept import shown_axes, shown_keys
@@ -184,7 +184,7 @@ def _figures(source: Source, names: _Names, first: _Names) -> Iterator[Picture]:
 def _heat_maps(source: Source, names: _Names, end: str) -> Iterator[Picture]:
     maps, words = Maps(source, (names.mean, names.within)), names.yard.words
     times = [panel.of(names.mean)[0] for panel in maps.drawn]
-    if differ(times):
+    if plots.differ(times):
         yield maps.draw(
             f"settling_time{end}",
             f"Expected time until the heading stays {words}; where it never does, the length of the"
@@ -194,7 +194,7 @@ def _heat_maps(source: Source, names: _Names, end: str) -> Iterator[Picture]:
             Shown("expected settling time (s)", 0.0, float(np.nanmax(times)) or 1.0, reverse=True),
         )
     shares = [100 * panel.of(names.within)[0] for panel in maps.drawn]
-    if differ(shares):
+    if plots.differ(shares):
         yield maps.draw(
             f"within_band{end}",
             f"Probability that the heading is {words} at the end of the run.",

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import format_estimate
+from sinsjax.analysis.grids import median
 from sinsjax.analysis.summaries import NEEDED, estimate_of
 from sinsjax.analysis.words import percent
 from sinsjax.execution.groupings import BINS, binned, lines_of
@@ -106,18 +107,13 @@ class Maps:
         return Picture(name, caption, figure)
 
 
-def differ(values: Sequence[NDArray]) -> bool:
-    """Whether cells differ; a figure of equal ones says nothing."""
-    return len(np.unique(values)) > 1
-
-
 def _heat_maps(source: Source, yard: Yardstick) -> Iterator[Block]:
     """The maps from one yardstick."""
     maps = Maps(source, (yard.settle, yard.ok, *LIMITED, "draw_id", "start_s"))
     if all(map(is_chosen, maps.axes)):
         yield _best(yard, maps)
     end = yard.end(source.yardsticks[0])
-    medians = [_median(panel, yard) for panel in maps.drawn]
+    medians = [median(_settle(panel, yard)) for panel in maps.drawn]
     yield maps.draw(
         f"settling_time{end}",
         f"Median time over {source.draws} draws until the heading stays {yard.words}; hatched where"
@@ -127,7 +123,7 @@ def _heat_maps(source: Source, yard: Yardstick) -> Iterator[Block]:
         Shown("median settling time (s)", 0.0, _highest(medians), reverse=True),
     )
     shares = [100 * (panel.of(yard.ok) > 0).mean(axis=0) for panel in maps.drawn]
-    if differ(shares):
+    if plots.differ(shares):
         yield maps.draw(
             f"success_rate{end}",
             f"Share of the {source.draws} draws that are ok, {yard.words}.",
@@ -138,13 +134,8 @@ def _heat_maps(source: Source, yard: Yardstick) -> Iterator[Block]:
 
 
 def _settle(panel: Panel, yard: Yardstick) -> NDArray:
-    """(draws, rows, columns) settling times, infinite where a run never settled, s."""
-    return np.nan_to_num(panel.of(yard.settle), nan=np.inf)
-
-
-def _median(panel: Panel, yard: Yardstick) -> NDArray:
-    """(rows, columns) medians over the draws; infinite where fewer than half of them settled."""
-    return np.quantile(_settle(panel, yard), 0.5, axis=0, method="inverted_cdf")
+    """(rows, columns, draws) settling times, infinite where a run never settled, s."""
+    return np.moveaxis(np.nan_to_num(panel.of(yard.settle), nan=np.inf), 0, -1)
 
 
 def _highest(values: Sequence[NDArray]) -> float:
@@ -164,9 +155,9 @@ def _best(yard: Yardstick, maps: Maps) -> Table:
         off = yard.off_limit(panel.of)
         ok, settle_s = panel.of(yard.ok) > 0, _settle(panel, yard)
         cluster = np.asarray(analysis.clusters_of(panel.rows)).reshape(ok.shape)[:, 0, 0]
-        order = np.lexsort((_median(panel, yard).ravel(), -ok.mean(axis=0).ravel()))
+        order = np.lexsort((median(settle_s).ravel(), -ok.mean(axis=0).ravel()))
         row, column = np.unravel_index(order[0], panel.shape)
-        time = analysis.quantile(settle_s[:, row, column], cluster=cluster)
+        time = analysis.quantile(settle_s[row, column], cluster=cluster)
         rows.append(
             [
                 *map(value_text, panel.point.values()),
