@@ -116,7 +116,7 @@ def interruptible(console: Console) -> Iterator[threading.Event]:
             os._exit(128 + number)
         stop.set()
         # In a thread, because the signal may have interrupted this one while printing.
-        threading.Thread(target=screen.say, args=(console, _STOPPING), daemon=True).start()
+        threading.Thread(target=screen.say, args=(console, _STOPPING)).start()
 
     before = {number: signal.signal(number, handle) for number in _SIGNALS}
     try:

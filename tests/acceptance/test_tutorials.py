@@ -120,7 +120,7 @@ def test_reading_results(command: Command, capsys: pytest.CaptureFixture[str]) -
 def test_own_record(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
     told = typed("own_record.md", command, capsys)
     assert "drive.toml written" in told[1] and "drive.toml: valid" in told[2]
-    (row,) = sinsjax.read_summary("out").to_pylist()
+    (row,) = sinsjax.read_summary("drive").to_pylist()
     assert abs(row["yaw_deg"] + 35) < 0.2 and abs(row["phi_u_arcmin"]) < 12
     text = Path("drive.toml").read_text()
     (shown,) = (text for language, text in blocks("own_record.md") if language == "toml")
