@@ -152,6 +152,8 @@ def foreseen(config: Path, changes: list[str] | None) -> list[str]:
     steps = expected.length_s * study.rate_hz
     lines.append(f"{expected.describe(runtime.usable_cores())}.")
     lines.append(f"Up to {steps:,.0f} steps a run, {steps * expected.runs:,.0f} in all.")
+    if not study.is_recorded and (told := preflight.process_noise(study)):
+        lines.append(f"{told}.")
     warnings = [] if study.is_recorded else preflight.warnings_of(study)
     if not study.is_recorded and not PACKAGES.keys().isdisjoint(study.methods):
         runtime.configure()

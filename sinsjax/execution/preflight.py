@@ -4,6 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from sinsjax.alignment.filters.parameters import q_readings
+from sinsjax.alignment.filters.section import Q_DENSITIES
 from sinsjax.alignment.methods import PACKAGES
 from sinsjax.engine import batch
 from sinsjax.engine.build import parts
@@ -18,6 +20,7 @@ from sinsjax.records.oddities import MOST_TOLD, within
 from sinsjax.records.plausible import StationaryValues, findings
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
+from sinsjax.study.acting import readers
 from sinsjax.study.keys import COARSE_KEYS
 from sinsjax.study.study import Study
 from sinsjax.study.times import samples_before
@@ -26,6 +29,12 @@ from sinsjax.units import DEG_PER_H, micro_g
 
 _BIASES = {"gyro_bias_deg_per_h": 10.0, "accel_bias_ug": 5000.0}
 _TRUST = "[record] trust = true aligns it anyway"
+_NOISE = {
+    "accelerometers": ("q_accel_ug", "accel_noise_ug", "accel_vrw_ug_per_sqrt_hz", 1.0),
+    "gyros": ("q_gyro_deg_per_h", "gyro_noise_deg_per_h", "gyro_arw_deg_per_sqrt_h", 60.0),
+}
+"""Keys of Q and of white noise, a sample's and a density's, and the latter's factor to the unit of
+the others."""
 _DRAWS = 1024  # draws in which a drawn period is checked
 
 
@@ -74,6 +83,49 @@ def check_methods(study: Study, stored: StoredRecord | None = None) -> None:
             of = " ".join(PACKAGES[static.method])
             what = f"{type(error).__name__}: {one_line(str(error).strip(), 600)}"
             raise InputError(f"method {static.method!r} of {of}: does not trace: {what}") from error
+
+
+def process_noise(study: Study) -> str | None:
+    """What filters take for the sensors' white noise, over what that is, in words.
+
+    Both are standard deviations of an increment, so that 1 is a Q that is the sensors' own. None
+    without a filter, and without white noise that all draws have.
+
+    Args:
+        study: checked study with simulated sensors.
+    """
+    told = {sensors: _believed(study, *keys) for sensors, keys in _NOISE.items()}
+    parts = [
+        f"{' to '.join(_rounded({min(ratios), max(ratios)}))} times that of the {sensors}"
+        for sensors, ratios in told.items()
+        if ratios
+    ]
+    return f"Q of the filter is white noise of {' and '.join(parts)}" if parts else None
+
+
+def _rounded(numbers: set[float]) -> list[str]:
+    return list(dict.fromkeys(f"{float(f'{number:.2g}'):,g}" for number in sorted(numbers)))
+
+
+def _believed(study: Study, q: str, sample: str, density: str, factor: float) -> set[float]:
+    """White noise that Q stands for over that of the sensors, for all that a study varies."""
+    forms = {q: 1.0, **Q_DENSITIES[q]}
+    keys = ("method", "q_reading", "q_scale", *forms, sample, density)
+    dt, using, ratios = 1 / study.rate_hz, readers(q), set()
+    if not study.has("filter"):
+        return ratios
+    for point in study.combinations(*keys):
+        taken = [point[form] * by for form, by in forms.items() if point[form] is not None]
+        white = (
+            np.multiply(point[sample], dt)
+            if point[density] is None and point[sample] is not None
+            else np.multiply(0.0 if point[density] is None else point[density], factor * dt**0.5)
+        )
+        size = float(np.sqrt(np.mean(np.square(white))))
+        if point["method"] in using and taken and size:
+            scale = 1.0 if point["q_scale"] is None else point["q_scale"]
+            ratios.add(taken[0] * (q_readings(dt)[point["q_reading"]] * scale) ** 0.5 / size)
+    return ratios
 
 
 def layout_of(study: Study) -> Layout:

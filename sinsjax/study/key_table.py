@@ -55,11 +55,19 @@ class Key(NamedTuple):
         return ", ".join(self.methods)
 
 
+_KEYLESS = ("axes", "cases")
+_VARYING = (
+    "`[axes] KEY = [...]` sweeps a key, `[axes.NAME]` holds axes that go together, `[[cases]]`"
+    " gives values and a label (`case`) to each case"
+)
+
+
 def keys(wanted: str | None = None) -> list[Key]:
     """The keys of a study, of one section, or those of one name.
 
     Args:
-        wanted: section, key, ``section.key``, or a method for its own; None for all.
+        wanted: section, key, ``section.key``, or a method for its own; None for all. What is none
+            of these finds the keys whose name contains it.
 
     Raises:
         InputError: there is none of that name.
@@ -71,7 +79,11 @@ def keys(wanted: str | None = None) -> list[Key]:
     if wanted in BROKEN:
         raise InputError(BROKEN[wanted])
     names = {text for key in every for text in (key.section, key.name, f"{key.section}.{key.name}")}
+    if wanted in _KEYLESS:
+        raise InputError(f"[{wanted}]: has no keys of its own; {_VARYING}")
     if wanted is not None and wanted not in names:
+        if found := [key for key in every if wanted and wanted in key.name]:
+            return found
         hint = near(wanted, sorted({*names, *METHODS}))
         raise InputError(f"{wanted}: no section, key or method of a study{hint}")
     return [
@@ -106,9 +118,8 @@ def page() -> str:
         " unless it is required; its meaning says what then holds. Keys of some methods act where a"
         " variant has one of them; `all` stands for any method.",
         "",
-        f"Every key of {sweepable} may vary: `[axes] KEY = [...]` sweeps it, `[axes.NAME]` holds"
-        " axes that go together, `[[cases]]` gives values and a label (`case`) to each case. A key"
-        " has one place: in its section, or in what varies it.",
+        f"Every key of {sweepable} may vary: {_VARYING}. A key has one place: in its section, or in"
+        " what varies it.",
     ]
     for name, model in TABLES.items():
         lines += ["", f"## [{name}]", "", purpose(model), ""]

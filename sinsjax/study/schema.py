@@ -207,9 +207,7 @@ class MotionSection(Section):
     roll_amplitude_deg: Amplitude = Field(0.0, description="roll amplitude, deg")
     roll_period_s: Period = Field(10.0, description="roll period, s")
     roll_phase_deg: Angle = Field(0.0, description="roll phase, deg")
-    yaw_center_deg: Angle | None = Field(
-        None, description="heading, deg, counter-clockwise from north"
-    )
+    yaw_center_deg: Angle | None = Field(None, description="yaw, deg, counter-clockwise from north")
     yaw_amplitude_deg: Amplitude = Field(0.0, description="yaw amplitude, deg")
     yaw_period_s: Period = Field(10.0, description="yaw period, s")
     yaw_phase_deg: Angle = Field(0.0, description="yaw phase, deg")

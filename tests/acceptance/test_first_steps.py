@@ -249,6 +249,7 @@ def test_validate_tells_what_would_run(sinsjax: Command) -> None:
     assert code == 0 and "variants: 56, draws: 16." in told
     assert "896 runs of up to 900 s: roughly" in told and "of memory" in told and "on disk" in told
     assert "Up to 90,000 steps a run, 80,640,000 in all." in told
+    assert "Q of the filter is white noise of 100 times that of the accelerometers" in told
 
 
 @pytest.mark.parametrize(
@@ -318,6 +319,16 @@ def test_keys_are_explained(sinsjax: Command) -> None:
     assert sinsjax("keys", "earth")[1].count("[earth]") == 6
     code, _, error = sinsjax("keys", "reset_cont")
     assert code == 2 and "did you mean reset_count?" in error
+    code, _, error = sinsjax("keys", "axes")
+    assert code == 2 and "[axes]: has no keys of its own; `[axes] KEY = [...]`" in error
+
+
+def test_a_part_of_a_name_finds_keys(sinsjax: Command) -> None:
+    code, told, _ = sinsjax("keys", "gyro_bias")
+    found = [line.split(":")[0] for line in told.splitlines() if not line.startswith(" ")]
+    named = [key for key in SECTION_OF if "gyro_bias" in key]
+    assert code == 0 and len(named) > 2
+    assert {line.split()[1] for line in found} == set(named)
 
 
 def test_every_key_is_explained(sinsjax: Command) -> None:

@@ -15,7 +15,7 @@ from support.studies import small_study
 from sinsjax.engine import build
 from sinsjax.errors import InputError
 from sinsjax.execution import run, tables
-from sinsjax.execution.preflight import warnings_of
+from sinsjax.execution.preflight import process_noise, warnings_of
 from sinsjax.records import Layout, Record, Reference, means, write_csv
 from sinsjax.records.plausible import Finding, StationaryValues, findings
 from sinsjax.records.reference import StoredRecord
@@ -303,3 +303,48 @@ def test_a_sway_above_half_the_sample_rate_is_told(tmp_path: Path) -> None:
     assert not warnings_of(small_study()) and not warnings_of(small_study(motion=STILL))
     swept = small_study(axes={"yaw_period_s": [10.0, 0.015]})
     assert "66.67 Hz" in warnings_of(swept)[0]
+
+
+def with_noise(sensors: dict[str, float], **sections: dict[str, Any]) -> Study:
+    none = {"gyro_noise_deg_per_h": None, "accel_noise_ug": None}
+    return small_study(sensors=none | sensors, **sections)
+
+
+@pytest.mark.parametrize(
+    ("filter_", "told"),
+    [
+        ({}, "5 times that of the accelerometers and 100 times that of the gyros"),
+        (
+            {"q_reading": "psd"},
+            "0.5 times that of the accelerometers and 10 times that of the gyros",
+        ),
+        (
+            {"q_reading": "per_sample", "q_scale": 4.0},
+            "0.1 times that of the accelerometers and 2 times that of the gyros",
+        ),
+        (
+            {
+                "q_reading": "psd",
+                "q_accel_ug_per_sqrt_hz": 1000.0,
+                "q_gyro_arw_deg_per_sqrt_h": 1.0,
+            },
+            "1 times that of the accelerometers and 6,000 times that of the gyros",
+        ),
+    ],
+)
+def test_what_a_filter_takes_for_white_noise_is_told(filter_: dict[str, Any], told: str) -> None:
+    """At 100 Hz, 0.1 deg/h a sample and 1000 ug/sqrt(Hz), which is 10,000 ug a sample."""
+    sensors = {"gyro_noise_deg_per_h": 0.1, "accel_vrw_ug_per_sqrt_hz": 1000.0}
+    study = with_noise(sensors, filter=filter_)
+    assert process_noise(study) == f"Q of the filter is white noise of {told}"
+
+
+def test_without_a_filter_or_white_noise_nothing_is_told_of_q() -> None:
+    assert process_noise(with_noise({"gyro_bias_deg_per_h": 0.1})) is None
+    sensors = {"gyro_noise_deg_per_h": 0.1}
+    assert process_noise(with_noise(sensors, alignment={"method": "inertial"})) is None
+    swept = with_noise(sensors, axes={"q_gyro_deg_per_h": [0.1, 0.2]})
+    assert (
+        process_noise(swept)
+        == "Q of the filter is white noise of 100 to 200 times that of the gyros"
+    )

@@ -38,8 +38,7 @@ def parameters(states: Sequence[str], columns: Columns, site: Site, ug: float) -
     """
     dt = 1 / columns.rate_hz
     zero = np.zeros(columns.count)
-    readings = {"per_step": 1.0, "psd": dt, "per_sample": dt * dt}
-    reading = columns.each(readings.__getitem__, "q_reading")
+    reading = columns.each(q_readings(dt).__getitem__, "q_reading")
     q_scale, r_scale = (column_or(columns, key, 1.0) for key in ("q_scale", "r_scale"))
     units = {"q_accel_ug": ug, "q_gyro_deg_per_h": DEG_PER_H}
     q = {key: (_q(columns, key) * unit) ** 2 * reading * q_scale for key, unit in units.items()}
@@ -60,6 +59,11 @@ def parameters(states: Sequence[str], columns: Columns, site: Site, ug: float) -
         else CovarianceReset(*(np.broadcast_to(k, zero.shape) for k in UNCHANGED)),
         trigger=_trigger(columns),
     )
+
+
+def q_readings(dt: float) -> dict[str, float]:
+    """What makes Q of a step of dt s from the square of its key, by the words of ``q_reading``."""
+    return {"per_step": 1.0, "psd": dt, "per_sample": dt * dt}
 
 
 def _p0(columns: Columns, kind: StateKind, ug: float) -> np.ndarray:
