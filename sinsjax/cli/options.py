@@ -56,7 +56,8 @@ Changes = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
-        help="Change a key of the study, as in alignment.phi_u0_deg=12; may be repeated.",
+        help="Change a key of the study, as in alignment.phi_u0_deg=12; SECTION={} drops a section,"
+        " axes.KEY={} an axis; may be repeated.",
         metavar="SECTION.KEY=VALUE",
         autocompletion=places,
     ),

@@ -1,7 +1,8 @@
 """Changes to a study by key: ``--set`` of the command line, and `Study.replace`.
 
 A key that is changed takes the place of whatever the study says of it: of an axis, a key of the
-cases or a draw of the same name, and of a key that says the same in another way.
+cases or a draw of the same name, and of a key that says the same in another way. An empty table
+in its place drops a section, an axis or a draw.
 """
 
 import tomllib
@@ -43,14 +44,18 @@ def changed(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> TomlTable:
     Args:
         tables: sections by name.
         changes: values by place: ``section.key``, ``axes.key``, ``axes.NAME.key``, ``drawn.key`` or
-            deeper, as ``tune.variables.p0_yaw_deg.low``.
+            deeper, as ``tune.variables.p0_yaw_deg.low``. An empty table drops what is there, which
+            may be a section.
 
     Raises:
-        InputError: a place names no section or no key.
+        InputError: a place names no section or no key, or there is nothing to drop.
     """
     out = {name: copied(table) for name, table in tables.items()}
     for place, value in changes.items():
         section, *path = place.split(".")
+        if value == {}:
+            _drop(out, place)
+            continue
         if not path or not all(path):
             owner = SECTION_OF.get(place)
             hint = f"{owner}.{place}" if owner else _EXAMPLE
@@ -67,6 +72,17 @@ def changed(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> TomlTable:
         if section in _SWEEPS or (section in SECTIONS and len(path) == 1):
             _clear(out, key, table if section == "axes" else out[section])
     return out
+
+
+def _drop(tables: TomlTable, place: str) -> None:
+    """Drops what stands at a place: a section, an axis or a draw."""
+    *path, name = place.split(".")
+    table: Any = tables
+    for part in path:
+        table = table.get(part) if isinstance(table, dict) else None
+    if not isinstance(table, dict) or name not in table:
+        raise InputError(f"{place}: nothing is there to drop")
+    del table[name]
 
 
 def without_defaults(tables: Mapping[str, TomlTable], filled: Mapping[str, Any]) -> TomlTable:

@@ -138,7 +138,8 @@ def _check_methods(study: Study, where: Where) -> None:
         section = f"[{SECTION_OF[key]}]"
         here = [other for other, place in where.items() if place == section]
         if where[key] == section and len(here) > 1 and unread.issuperset(here):
-            raise InputError(f"{section}: {text} (drop it: {', '.join(here)})")
+            how = f"drop it, as by --set {SECTION_OF[key]}={{}}"
+            raise InputError(f"{section}: {text} ({how}: {', '.join(here)})")
         _refuse(key, where, text)
 
 

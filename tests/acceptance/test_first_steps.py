@@ -303,6 +303,22 @@ def test_nothing_is_drawn_once_every_drawn_key_is_set() -> None:
     assert not drawn.replace({"sensors.gyro_bias_deg_per_h": 0.0}).drawn_keys
 
 
+def test_an_empty_table_drops_what_is_there(sinsjax: Command) -> None:
+    """Another method reads neither [filter] nor the axis of resets of the template."""
+    template = package.load_study(files.templates()["sweep"])
+    other = {"alignment.method": "inertial"}
+    with pytest.raises(package.InputError, match=r"drop it, as by --set filter=\{\}: "):
+        template.replace(other)
+    study = template.replace(other | {"filter": {}, "axes.reset_times_s": {}})
+    assert study.filter is None and study.axis_keys == ("phi_u0_deg",)
+    assert template.replace({"axes": {}}).n_variants == 1
+    drawn = package.load_study("reset_sweep", {"drawn.gyro_bias_deg_per_h.normal": [0.0, 0.1]})
+    assert not drawn.replace({"drawn": {}}).drawn_keys
+    for place in ("coarse", "axes.p0_yaw_deg", "filter.p0_yaw_deg.high"):
+        code, _, error = sinsjax("validate", "reset_phase", "--set", f"{place}={{}}")
+        assert (code, error.count("\n")) == (2, 1) and f"{place}: nothing is there to drop" in error
+
+
 def test_defaults_that_depend_on_others_are_made_anew() -> None:
     template = package.load_study(files.templates()["sweep"])
     assert template.study.window_s == (200.0, 300.0)

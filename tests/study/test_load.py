@@ -1203,8 +1203,8 @@ def test_a_key_that_no_method_reads(tables: dict[str, Any], key: str, method: st
 
 def test_a_section_that_no_method_reads_is_one_line():
     tables = {"alignment": {"method": "inertial"}, "filter": {"p0_yaw_deg": 9.0, "p0_level_deg": 9}}
-    text = "does not apply to method inertial (drop it: p0_yaw_deg, p0_level_deg)"
-    assert refusal(**tables) == f"[filter]: {text}"
+    text = "does not apply to method inertial (drop it, as by --set filter={}: "
+    assert refusal(**tables) == f"[filter]: {text}p0_yaw_deg, p0_level_deg)"
 
 
 def test_sections_and_defaults_are_those_of_the_methods():
