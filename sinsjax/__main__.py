@@ -1,5 +1,39 @@
-"""``python -m sinsjax``."""
+"""The ``sinsjax`` command, and ``python -m sinsjax``."""
 
-from sinsjax.cli import main
+import atexit
+import os
+import sys
+import threading
+from typing import NoReturn
 
-main()
+
+def command() -> NoReturn:
+    """Run the command line, and end the process once all that was begun is done.
+
+    The interpreter's own end would destroy every object of the extension modules first. That takes
+    a third of a second, and rarely aborts the process ("terminate called", exit code 134) on a C++
+    thread that one of them still holds.
+    """
+    code: object = 130
+    try:
+        from sinsjax.cli import main
+
+        main()
+    except SystemExit as stop:
+        code = stop.code
+    except KeyboardInterrupt:  # while modules are imported; later ones are told by `main`
+        print("interrupted: nothing was begun", file=sys.stderr)
+    for thread in threading.enumerate():
+        if thread is not threading.current_thread() and not thread.daemon:
+            thread.join()
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (AttributeError, OSError, ValueError):  # none, closed, or a pipe without a reader
+            pass
+    os._exit(code if isinstance(code, int) else bool(code))
+
+
+if __name__ == "__main__":
+    command()

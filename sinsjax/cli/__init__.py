@@ -1,6 +1,5 @@
 """The command line: thin commands. A user's mistake is one line, and exit code 2."""
 
-import atexit
 import gc
 import math
 import sys
@@ -322,12 +321,10 @@ for _one in (*machine.COMMANDS, *studies.COMMANDS):
 
 
 def main() -> None:
-    """Entry point of the ``sinsjax`` command."""
+    """The command line within a process: see `sinsjax.__main__` for its end."""
     # Imported objects stay alive; scanning them repeatedly takes a fifth of the tracing time.
     gc.freeze()
     gc.set_threshold(100_000)
-    # A final collection of objects that die with the process takes a third of a second.
-    atexit.register(gc.freeze)
     with lasting():
         try:
             code = app(standalone_mode=False)  # typer itself would print the usage before an error

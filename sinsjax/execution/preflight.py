@@ -111,7 +111,8 @@ def _believed(study: Study, q: str, sample: str, density: str, factor: float) ->
     """White noise that Q stands for over that of the sensors, for all that a study varies."""
     forms = {q: 1.0, **Q_DENSITIES[q]}
     keys = ("method", "q_reading", "q_scale", *forms, sample, density)
-    dt, using, ratios = 1 / study.rate_hz, readers(q), set()
+    dt, using = 1 / study.rate_hz, readers(q)
+    ratios: set[float] = set()
     if not study.has("filter"):
         return ratios
     for point in study.combinations(*keys):

@@ -259,3 +259,27 @@ def test_nothing_is_forecast_of_a_study_that_cannot_be_continued(
     code, told, error = command("sweep", config, "-o", out, "--resume")
     assert (code, told) == (2, "")
     assert error.endswith("(there can be more, not fewer: go on with --draws 48)\n")
+
+
+ENDING = """
+import atexit, os, sys, threading, time
+
+class Held:
+    def __del__(self):
+        os.abort()
+
+held = Held()
+atexit.register(print, "handlers run")
+threading.Thread(target=lambda: (time.sleep(0.2), print("threads end"))).start()
+sys.argv = ["sinsjax", "keys", "no_such_key"]
+from sinsjax.__main__ import command
+command()
+"""
+
+
+def test_what_extension_modules_do_at_the_end_does_not_matter() -> None:
+    """Exit code and output stand, whatever the objects that are left would do when destroyed."""
+    ended = subprocess.run([sys.executable, "-c", ENDING], capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
+    assert ended.stderr.startswith("error: no_such_key: no section, key or method")
+    assert ended.stdout.splitlines() == ["threads end", "handlers run"]
