@@ -273,7 +273,7 @@ class DaskPool:
     def _gone(self, error: BaseException) -> InputError:
         # A cancelled task is named first, which says nothing of the scheduler.
         why = first_line(error).rpartition(" reason: ")[2].rstrip(".") or type(error).__name__
-        kept = "results so far are kept: continue with --resume, in Python resume=True"
+        kept = "results so far are kept: the same again with --resume, in Python resume=True"
         return InputError(f"{self._name}: lost the scheduler: {why} ({kept})")
 
 

@@ -82,8 +82,13 @@ def at_rate(study: Study, tape: StoredRecord | None) -> Study:
     """The study at the rate of its record.
 
     Raises:
-        InputError: the study is invalid at this rate.
+        InputError: the study is invalid at this rate, or the tape is something else.
     """
+    if tape is not None and not isinstance(tape, StoredRecord):
+        raise InputError(
+            f"{study.name}: tape: must be what sinsjax.load_tape or sinsjax.record_from_arrays"
+            f" gives, not a {type(tape).__name__}"
+        )
     if tape is not None and study.is_recorded:
         return with_rate(study, tape.record.rate_hz)
     return study

@@ -147,7 +147,12 @@ def _read_header(path: str | Path, head: _Data) -> _Header:
 def _header_line(path: str | Path, line: bytes, row: int) -> list[float]:
     words = line.decode("latin-1").split()
     if len(words) != 6:
-        raise InputError(f"{path}: row {row}: a header line must have 6 values, not {len(words)}")
+        text = f"a header line must have 6 values, not {len(words)}"
+        if b"," in line or b";" in line:
+            text += (
+                " (no PSINS text? `sinsjax init record --from LOG` writes a [record] for others)"
+            )
+        raise InputError(f"{path}: row {row}: {text}")
     try:
         return [math.nan if word.lower() == "nan" else number(word) for word in words]
     except ValueError as error:

@@ -77,8 +77,8 @@ def test_a_scheduler_that_is_lost_is_told_with_the_reason() -> None:
     with pytest.raises(InputError) as told:
         dask_pool.DaskPool(client, "tcp://head:8786")._look()
     assert str(told.value) == (
-        "tcp://head:8786: lost the scheduler: Timed out (results so far are kept: continue with"
-        " --resume, in Python resume=True)"
+        "tcp://head:8786: lost the scheduler: Timed out (results so far are kept: the same again"
+        " with --resume, in Python resume=True)"
     )
 
 

@@ -1,5 +1,6 @@
 """Records from arrays: units, axes, dates, gaps, references, and a line for every mistake."""
 
+import inspect
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from support.studies import STILL, small_study, small_tables
 
 import sinsjax
 from sinsjax.errors import InputError
-from sinsjax.execution.run import made_ready
+from sinsjax.execution.run import at_rate, made_ready
 from sinsjax.records.layout import from_body
 from sinsjax.records.reference import Reference, StoredRecord
 from sinsjax.study.load import study_from_dict
@@ -294,3 +295,9 @@ def test_keys_of_files_do_not_apply_to_arrays() -> None:
 def test_arrays_are_read_from_no_file() -> None:
     with pytest.raises(InputError, match="'arrays' are given to sinsjax.run, not read from x.csv"):
         sinsjax.load_tape(recorded(), "x.csv")
+
+
+def test_a_path_is_no_record() -> None:
+    """Unwrapped, because the tests' own checks of types would come first."""
+    with pytest.raises(InputError, match=r"tape: must be what sinsjax\.load_tape or .* not a str$"):
+        inspect.unwrap(at_rate)(recorded(), "x.csv")
