@@ -82,6 +82,8 @@ def run_study(
     forecast.require_room(study, expected, out, overwrite=overwrite, resume=resume)
     cores = devices or cluster[0] or runtime.usable_cores()
     done = forecast.runs_done(out) if resume else 0
+    if resume and not out.exists():
+        say(terminal, f"{out}: there is nothing to resume, all runs are new.")
     if cluster[1] is None:
         say(terminal, f"{expected.describe(cores, done)}.")
     study = made_ready(study, stored)

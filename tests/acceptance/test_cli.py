@@ -165,13 +165,14 @@ def test_a_sweep_is_repeatable_byte_for_byte(sinsjax: Command, tmp_path: Path) -
 def test_a_sweep_is_gone_on_with_where_it_was_left(sinsjax: Command, tmp_path: Path) -> None:
     config, out = write_study(tmp_path, **TWO, study={"draws": 100}), tmp_path / "out"
     words = ("sweep", config, "-o", out, "--resume")
-    assert sinsjax(*words, "--chunk-runs", 64)[0] == 0
+    code, told, _ = sinsjax(*words, "--chunk-runs", 64)
+    assert code == 0 and f"{out}: there is nothing to resume, all runs are new." in told
     before = everything(out)
     lost, *kept = sorted(out.glob("summary/*.parquet"))
     assert len(kept) == 1
     lost.unlink()
     code, told, _ = sinsjax(*words)
-    assert code == 0
+    assert code == 0 and "nothing to resume" not in told
     assert "study: 72 of 200 runs already there" in told
     assert "study: 200 of 200 runs" in told
     assert {k: v[0] for k, v in everything(out).items() if "summary" in k} == {
