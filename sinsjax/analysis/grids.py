@@ -74,6 +74,44 @@ def median(settle_s: NDArray) -> NDArray:
     return np.asarray(np.quantile(settle_s, 0.5, axis=-1, method="inverted_cdf"))
 
 
+class Cells(NamedTuple):
+    """The runs of each cell of a map.
+
+    Attributes:
+        ok: (draws, rows, columns) the successes.
+        off_limit: (draws, rows, columns) those of them that end outside the band about their limit.
+        settle_s: (draws, rows, columns) settling times, infinite where a run never settled, s.
+    """
+
+    ok: NDArray
+    off_limit: NDArray
+    settle_s: NDArray
+
+    @property
+    def median_s(self) -> NDArray:
+        """Median settling time of each cell, (rows, columns), s; see `median`."""
+        return median(np.moveaxis(self.settle_s, 0, -1))
+
+    @property
+    def share(self) -> NDArray:
+        """Share of the runs of each cell that are ok, (rows, columns)."""
+        return np.asarray(self.ok.mean(axis=0))
+
+    @property
+    def not_converged(self) -> NDArray:
+        """Cells in which most of the runs that are ok are off their limit, (rows, columns)."""
+        return np.asarray(2 * self.off_limit.sum(axis=0) > self.ok.sum(axis=0))
+
+    @property
+    def best(self) -> tuple[int, int] | None:
+        """The cell in which most runs are ok, of equals the soonest; None if no run is ok."""
+        if not self.ok.any():
+            return None
+        order = np.lexsort((self.median_s.ravel(), -self.share.ravel()))
+        row, column = np.unravel_index(order[0], self.share.shape)
+        return int(row), int(column)
+
+
 def shared(flags: NDArray) -> Estimate:
     """Share of runs (..., draws) that have a property; its interval is that of the draws."""
     draws = np.broadcast_to(np.arange(flags.shape[-1]), flags.shape)

@@ -19,6 +19,7 @@ from sinsjax.plots.curves import (
 from sinsjax.plots.errors import over_time
 from sinsjax.plots.grids import (
     Contours,
+    Marks,
     Scale,
     Shown,
     Verdicts,
@@ -41,6 +42,7 @@ __all__ = [
     "Ensemble",
     "Expected",
     "Line",
+    "Marks",
     "Scale",
     "Shown",
     "Verdicts",

@@ -1,7 +1,7 @@
 """Figures over a grid of settings: heat maps over two axes, and matrices of verdicts."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from textwrap import fill
 from typing import Any, NamedTuple
 
@@ -11,7 +11,7 @@ from matplotlib.colors import ListedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
+from matplotlib.patches import Patch, Rectangle
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
@@ -19,7 +19,7 @@ from sinsjax.plots.style import COLOURS, styled
 from sinsjax.plots.words import label
 
 _NEVER, _NEVER_EDGE = "#dcdcdc", "#b5b5b5"
-_HATCH = "////"
+_HATCH, _MARKED = "////", "xx"
 _CONTOUR = COLOURS[1]
 _ROOMY = 6  # most cells side by side in a panel with full-size numbers
 _LEGIBLE = 10  # most cells side by side with small numbers
@@ -87,6 +87,21 @@ class Contours(NamedTuple):
     values: Sequence[NDArray]
 
 
+class Marks(NamedTuple):
+    """What cells of heat maps show besides their colour.
+
+    Attributes:
+        alike: for each panel, a number for each of its cells (rows, columns); cells that share it
+            have the same runs, and their value is written once.
+        hatched: for each panel, the cells (rows, columns) to hatch; empty for none.
+        name: meaning of the hatch, for the legend.
+    """
+
+    alike: Sequence[NDArray]
+    hatched: Sequence[NDArray] = ()
+    name: str = ""
+
+
 def spread(values: Sequence[float], count: int) -> NDArray:
     """Positive values of an axis, evenly spaced on the figure from edge to edge of its cells.
 
@@ -119,7 +134,7 @@ def heat_maps(
     columns: Scale,
     contours: Contours | None = None,
     across: int | None = None,
-    repeated: Sequence[NDArray] | None = None,
+    marks: Marks | None = None,
 ) -> Figure:
     """Heat maps of one quantity over two swept keys, side by side.
 
@@ -132,7 +147,7 @@ def heat_maps(
         columns: key from left to right.
         contours: contour lines over the panels.
         across: panels per row, such as the values of a third key; at most 4.
-        repeated: for each panel, the (rows, columns) cells without a number.
+        marks: cells to hatch, and cells whose value is written once.
     """
     width = min(4, across or 4, len(panels))
     height = -(-len(panels) // width)
@@ -143,10 +158,12 @@ def heat_maps(
     figure.suptitle(title)
     grid = figure.subplots(height, width, sharex=True, sharey=True, squeeze=False)
     for number, (axes, (_, values)) in enumerate(zip(grid.flat, panels, strict=False)):
-        image = _heat_map(axes, values, shown, repeated[number] if repeated else None)
+        image = _heat_map(axes, values, shown, marks.alike[number] if marks else None)
+        if marks and marks.hatched:
+            _mark(axes, np.isfinite(values) & marks.hatched[number], values, shown)
         axes.set_title(names[number])
-        marks = [f"{v:g}" for v in columns.values]
-        axes.set_xticks(range(len(marks)), marks, fontsize=10.5 if len(marks) <= _ROOMY else 9)
+        ticks = [f"{v:g}" for v in columns.values]
+        axes.set_xticks(range(len(ticks)), ticks, fontsize=10.5 if len(ticks) <= _ROOMY else 9)
         axes.set_yticks(range(len(rows.values)), [f"{v:g}" for v in rows.values])
         if contours:
             _contour(axes, contours.levels, contours.values[number])
@@ -166,6 +183,8 @@ def heat_maps(
     if any(not np.isfinite(values).all() for _, values in panels):
         never = Patch(facecolor=_NEVER, edgecolor=_NEVER_EDGE, hatch=_HATCH, label="never (median)")
         handles.append(never)
+    if marks and any(axes.patches for axes in grid.flat):
+        handles.append(Patch(facecolor="none", edgecolor="black", hatch=_MARKED, label=marks.name))
     if handles:
         figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     return figure
@@ -203,9 +222,7 @@ def label_rim(grid: NDArray, panels: int, *, rows: Scale, columns: Scale) -> Non
         axes.set_xlabel(label(columns.key))
 
 
-def _heat_map(
-    axes: Axes, values: NDArray, shown: Shown, repeated: NDArray | None = None
-) -> AxesImage:
+def _heat_map(axes: Axes, values: NDArray, shown: Shown, alike: NDArray | None = None) -> AxesImage:
     image = axes.imshow(
         np.ma.masked_invalid(values),
         cmap="viridis_r" if shown.reverse else "viridis",
@@ -217,16 +234,38 @@ def _heat_map(
     axes.patch.set(facecolor=_NEVER, edgecolor=_NEVER_EDGE, hatch=_HATCH)  # behind masked cells
     size = 9.0 if values.shape[1] <= _ROOMY else 7.5
     if shown.numbers and values.shape[1] <= _LEGIBLE:
-        for (row, column), value in np.ndenumerate(values):
-            if np.isfinite(value) and (repeated is None or not repeated[row, column]):
-                _write(axes, (column, row), value, shown, size=size)
+        own = np.arange(values.size).reshape(values.shape)
+        for cell, (row, column) in _places(own if alike is None else alike):
+            if np.isfinite(values[cell]):
+                text = axes.text(
+                    column, row, shown.text(values[cell]), ha="center", va="center", fontsize=size
+                )
+                text.set_color(_shade(values[cell], shown))
+                colour = image.to_rgba(values[cell])  # a hatch leaves room for the number
+                text.set_bbox({"facecolor": colour, "linewidth": 0, "pad": 1.0})
     return image
 
 
-def _write(axes: Axes, cell: tuple[int, int], value: float, shown: Shown, *, size: float) -> None:
-    light = (shown.norm(value) > _LIGHT) != shown.reverse
-    shade = "black" if light else "white"
-    axes.text(*cell, shown.text(value), ha="center", va="center", fontsize=size, color=shade)
+def _places(alike: NDArray) -> Iterator[tuple[tuple[int, int], tuple[float, float]]]:
+    """A cell of each kind, and where its value is written: mid-way if they make a rectangle."""
+    for kind in np.unique(alike):
+        cells = np.argwhere(alike == kind)
+        low, high = cells.min(axis=0), cells.max(axis=0)
+        is_whole = np.prod(high - low + 1) == len(cells)
+        row, column = (low + high) / 2 if is_whole else cells[0]
+        yield (int(cells[0][0]), int(cells[0][1])), (float(row), float(column))
+
+
+def _mark(axes: Axes, hatched: NDArray, values: NDArray, shown: Shown) -> None:
+    for row, column in np.argwhere(hatched):
+        shade, corner = _shade(values[row, column], shown), (column - 0.5, row - 0.5)
+        patch = Rectangle(corner, 1, 1, fill=False, edgecolor=shade, hatch=_MARKED, linewidth=0)
+        axes.add_patch(patch)
+
+
+def _shade(value: float, shown: Shown) -> str:
+    """What is legible on a cell's colour."""
+    return "black" if (shown.norm(value) > _LIGHT) != shown.reverse else "white"
 
 
 class Verdicts(NamedTuple):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import format_estimate
-from sinsjax.analysis.grids import median
+from sinsjax.analysis.grids import Cells
 from sinsjax.analysis.summaries import NEEDED, estimate_of
 from sinsjax.analysis.words import percent
 from sinsjax.execution.groupings import BINS, binned, lines_of
@@ -85,13 +85,18 @@ class Maps:
         self._first = first_alike(source.study)
 
     def draw(
-        self, name: str, caption: str, values: Sequence[NDArray], title: str, shown: Shown
+        self,
+        name: str,
+        caption: str,
+        values: Sequence[NDArray],
+        title: str,
+        shown: Shown,
+        hatched: Sequence[NDArray] = (),
     ) -> Picture:
-        """The figure of numbers (rows, columns) of each panel that is drawn."""
+        """The figure of numbers (rows, columns) of each panel; hatched where not converged."""
         if len(self.drawn) < len(self.panels):
             caption += f" The first {len(self.drawn)} of {len(self.panels)} panels."
-        variants = [panel.of("variant_id")[0].astype(int) for panel in self.drawn]
-        repeated = [self._first[own] != own for own in variants]
+        alike = [self._first[panel.of("variant_id")[0].astype(int)] for panel in self.drawn]
         rows, columns = (plots.Scale(key, points) for key, points in self.axes.items())
         figure = plots.heat_maps(
             [(name_of(panel.point), own) for panel, own in zip(self.drawn, values, strict=True)],
@@ -100,73 +105,66 @@ class Maps:
             rows=rows,
             columns=columns,
             across=self._across,
-            repeated=repeated,
+            marks=plots.Marks(alike, hatched, _NOT_CONVERGED),
         )
-        if np.any(repeated):
-            caption += " Cells without a number repeat their neighbour: there a key does not act."
+        if any(len(np.unique(one)) < one.size for one in alike):
+            caption += " Cells that share a number have the same runs: there a key does not act."
         return Picture(name, caption, figure)
 
 
 def _heat_maps(source: Source, yard: Yardstick) -> Iterator[Block]:
     """The maps from one yardstick."""
     maps = Maps(source, (yard.settle, yard.ok, *LIMITED, "draw_id", "start_s"))
+    every = [_cells(panel, yard) for panel in maps.panels[: 2 * MOST_PANELS]]
     if all(map(is_chosen, maps.axes)):
-        yield _best(yard, maps)
-    end = yard.end(source.yardsticks[0])
-    medians = [median(_settle(panel, yard)) for panel in maps.drawn]
+        yield _best(yard, maps, every)
+    cells, end = every[: len(maps.drawn)], yard.end(source.yardsticks[0])
+    hatched = [one.not_converged for one in cells]
+    mark = f" Cross-hatched: {said('not_converged', yard=yard)}" if np.any(hatched) else ""
+    medians = [one.median_s for one in cells]
+    longest_s = np.ma.masked_invalid(medians).compressed().max(initial=1.0)
     yield maps.draw(
         f"settling_time{end}",
-        f"Median time over {source.draws} draws until the heading stays {yard.words}; hatched where"
-        " at least half of the runs never do.",
+        f"Median time over {source.draws} draws until the heading stays {yard.words}; grey where"
+        f" at least half of the runs never do.{mark}",
         medians,
         f"How long until the heading stays {yard.words}?",
-        Shown("median settling time (s)", 0.0, _highest(medians), reverse=True),
+        Shown("median settling time (s)", 0.0, float(longest_s), reverse=True),
+        hatched,
     )
-    shares = [100 * (panel.of(yard.ok) > 0).mean(axis=0) for panel in maps.drawn]
+    shares = [100 * one.share for one in cells]
     if plots.differ(shares):
         yield maps.draw(
             f"success_rate{end}",
-            f"Share of the {source.draws} draws that are ok, {yard.words}.",
+            f"Share of the {source.draws} draws that are ok, {yard.words}.{mark}",
             shares,
             f"How many runs are ok, {yard.words}?",
             Shown("runs that are ok (%)", 0.0, 100.0),
+            hatched,
         )
 
 
-def _settle(panel: Panel, yard: Yardstick) -> NDArray:
-    """(rows, columns, draws) settling times, infinite where a run never settled, s."""
-    return np.moveaxis(np.nan_to_num(panel.of(yard.settle), nan=np.inf), 0, -1)
+def _cells(panel: Panel, yard: Yardstick) -> Cells:
+    settle_s = np.nan_to_num(panel.of(yard.settle), nan=np.inf)
+    return Cells(panel.of(yard.ok) > 0, yard.off_limit(panel.of), settle_s)
 
 
-def _highest(values: Sequence[NDArray]) -> float:
-    known = np.concatenate([one[np.isfinite(one)] for one in values])
-    return float(known.max()) if known.size else 1.0
-
-
-def _best(yard: Yardstick, maps: Maps) -> Table:
-    """At each point of the other keys, where most runs settle, and among those the fastest."""
+def _best(yard: Yardstick, maps: Maps, every: Sequence[Cells]) -> Table:
+    """At each point of the other keys, where most runs are ok, and among those the fastest."""
     rows, axes = [], maps.axes
-
-    def rate(ok: NDArray, off: NDArray, cluster: NDArray) -> str:
-        mark = f", {_NOT_CONVERGED}" if off.sum() > ok.sum() / 2 else ""
-        return f"{percent(analysis.share(ok, cluster))}{mark}"
-
-    for panel in maps.panels[: 2 * MOST_PANELS]:
-        off = yard.off_limit(panel.of)
-        ok, settle_s = panel.of(yard.ok) > 0, _settle(panel, yard)
-        cluster = np.asarray(analysis.clusters_of(panel.rows)).reshape(ok.shape)[:, 0, 0]
-        order = np.lexsort((median(settle_s).ravel(), -ok.mean(axis=0).ravel()))
-        row, column = np.unravel_index(order[0], panel.shape)
-        time = analysis.quantile(settle_s[row, column], cluster=cluster)
-        rows.append(
-            [
-                *map(value_text, panel.point.values()),
-                *(value_text(v[at]) for v, at in zip(axes.values(), (row, column), strict=True)),
-                rate(ok[:, row, column], off[:, row, column], cluster),
-                format_estimate(time, digits=0),
-                rate(ok[:, 0, 0], off[:, 0, 0], cluster),
-            ]
-        )
+    for panel, cells in zip(maps.panels, every, strict=False):
+        cluster = np.asarray(analysis.clusters_of(panel.rows)).reshape(cells.ok.shape)[:, 0, 0]
+        best = cells.best
+        at = best or (0, 0)  # without a best, all have the same rate
+        rates = [
+            percent(analysis.share(cells.ok[:, *cell], cluster))
+            + (f", {_NOT_CONVERGED}" if cells.not_converged[cell] else "")
+            for cell in (at, (0, 0))
+        ]
+        time = analysis.quantile(cells.settle_s[:, *at], cluster=cluster)
+        named = [v[i] if best else None for v, i in zip(axes.values(), at, strict=True)]
+        told = format_estimate(time, digits=0) if best else "never"
+        rows.append([*map(value_text, [*panel.point.values(), *named]), rates[0], told, rates[1]])
     first = ", ".join(f"{key} {value_text(values[0])}" for key, values in axes.items())
     header = [
         *maps.panels[0].point,
@@ -177,6 +175,8 @@ def _best(yard: Yardstick, maps: Maps) -> Table:
     ]
     title = f"Where most runs are ok, {yard.words}, and settle first, over {' and '.join(axes)}"
     note = "Equals: the first in the study's order."
+    if any(cells.best is None for cells in every):
+        note += " *-*: no run is ok, so none is best."
     if any(_NOT_CONVERGED in cell for row in rows for cell in row):
         note += f" *{_NOT_CONVERGED}*: {said('not_converged', yard=yard)}"
     return Table(title, header, rows, note)

@@ -13,6 +13,7 @@ from support.studies import small_study
 
 from sinsjax import analysis
 from sinsjax.analysis.grids import (
+    Cells,
     held_out,
     least_mean,
     median,
@@ -124,3 +125,20 @@ def test_pooled_runs_count_their_draws():
         3.0,
         NEVER,
     ]
+
+
+def test_the_best_cell_has_most_successes_and_of_equals_the_soonest():
+    ok = np.array([[[1, 1, 0]], [[1, 1, 1]]], bool)
+    settle = np.array([[[9.0, 5.0, NEVER]], [[9.0, 5.0, 1.0]]])
+    cells = Cells(ok, np.zeros_like(ok), settle)
+    assert cells.best == (0, 1)
+    np.testing.assert_array_equal(cells.share, [[1.0, 1.0, 0.5]])
+    np.testing.assert_array_equal(cells.median_s, [[9.0, 5.0, 1.0]])
+    assert Cells(np.zeros_like(ok), np.zeros_like(ok), settle).best is None
+
+
+def test_a_cell_has_not_converged_where_most_of_its_successes_are_off_their_limit():
+    ok = np.array([[1, 1, 1, 0], [1, 1, 1, 0], [0, 1, 1, 0]], bool)[:, None]
+    off = np.array([[1, 1, 0, 0], [0, 1, 0, 0], [0, 0, 0, 0]], bool)[:, None]
+    found = Cells(ok, off, np.zeros(ok.shape)).not_converged
+    assert found.tolist() == [[False, True, False, False]]  # half of them are not most

@@ -211,6 +211,31 @@ def test_heat_maps_show_values_and_hatch_never():
     assert "never" in words(figure)
 
 
+def marked(values, alike, hatched):
+    return plots.heat_maps(
+        [("all", np.array(values))],
+        "Title",
+        Shown("share (%)", 0.0, 100.0),
+        rows=Scale("a", range(len(values))),
+        columns=Scale("b", range(len(values[0]))),
+        marks=plots.Marks([np.array(alike)], [np.array(hatched)], "not so"),
+    )
+
+
+def test_heat_maps_hatch_cells_and_say_why():
+    figure = marked([[10.0, 90.0, np.inf]], [[0, 1, 2]], [[True, False, True]])
+    (patch,) = figure.axes[0].patches  # what is never there has a hatch of its own
+    assert patch.get_xy() == (-0.5, -0.5) and patch.get_hatch() and "not so" in words(figure)
+    assert "not so" not in words(marked([[10.0, 90.0]], [[0, 1]], [[False, False]]))
+
+
+def test_heat_maps_write_the_value_of_equal_cells_once_in_their_middle():
+    figure = marked([[10.0, 10.0], [30.0, 10.0], [50.0, 50.0]], [[0, 0], [2, 0], [4, 4]], [[0]])
+    written = {text.get_text(): text.get_position() for text in figure.axes[0].texts}
+    assert written == {"10": (0, 0), "30": (0, 1), "50": (0.5, 2)}  # 10: no rectangle
+    assert len(figure.axes[0].texts) == 3
+
+
 def test_heat_maps_where_nothing_is_known():
     figure = plots.heat_maps(
         [("all", np.full((2, 2), np.inf))],

@@ -366,9 +366,28 @@ def test_runs_that_are_near_north_without_having_converged_are_told(tmp_path):
     assert "100 [68, 100], not converged" in best.partition("Equals")[0]
     about_limit = text.partition("Where most runs are ok, within 10' of its limit")[2]
     assert "not converged" not in about_limit.partition("Equals")[0]
+    source = Source.read(tmp_path / "a")
+    drawn = {b.name: b for b in over_axes.over_axes(source) if isinstance(b, base.Picture)}
+    for name, hatched in {"settling_time": 2, "success_rate": 2, "settling_time_limit": 0}.items():
+        assert len(drawn[name].figure.axes[0].patches) == hatched
+        assert ("more than 10' from their limit" in drawn[name].caption) == bool(hatched)
     near = summary_of(study, ok_truth=[True] * 32, phi_u_arcmin=np.full(32, FLOOR + 9))
     text = told(store(tmp_path / "b", study, near))
     assert "from their limit" not in text and ", not converged" not in text
+
+
+def test_none_is_best_where_no_run_is_ok(tmp_path):
+    axes = {"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0], "phi_u0_deg": [5.0, 30.0]}
+    study = small_study(study={"draws": 8}, axes=axes)
+    ok = np.tile([True, False], 32)  # from 5 deg alone
+    settle = np.where(ok, 50.0, np.nan)
+    summary = summary_of(study, ok_truth=ok, settle_10_truth_s=settle)
+    text = told(store(tmp_path, study, summary))
+    best = text.partition("Where most runs are ok, within 10' of true north")[2]
+    some, none = best.partition("Equals")[0].rstrip().splitlines()[-2:]
+    assert some.split()[:3] == ["5", "0", "1"]
+    assert none.split()[:3] == ["30", "-", "-"] and "never" in none
+    assert "-: no run is ok, so none is best." in best
 
 
 def test_the_limit_has_one_name_that_is_explained_first(tmp_path):
