@@ -25,7 +25,7 @@ from sinsjax.analysis.estimates import (
     share,
     std,
 )
-from sinsjax.analysis.formats import format_difference, format_estimate
+from sinsjax.analysis.formats import format_difference, format_estimate, format_number
 from sinsjax.analysis.headings import heading_errors
 from sinsjax.analysis.summaries import NEES_FREEDOM, compare, summarise
 from sinsjax.analysis.tables import groups, has_status, has_truth, numbers, paired
@@ -44,6 +44,7 @@ __all__ = [
     "difference",
     "format_difference",
     "format_estimate",
+    "format_number",
     "groups",
     "has_status",
     "has_truth",

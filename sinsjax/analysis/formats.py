@@ -26,6 +26,11 @@ def format_estimate(
     return f"{value} {interval}{unit}".rstrip()
 
 
+def format_number(value: float | None, digits: int = 1, factor: float = 1.0) -> str:
+    """A number as text, perhaps times a factor; None and NaN are unknown."""
+    return "unknown" if value is None or value != value else f"{factor * value:.{digits}f}"
+
+
 def format_difference(
     estimate: Estimate,
     unit: str = "",

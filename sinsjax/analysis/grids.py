@@ -74,6 +74,24 @@ def median(settle_s: NDArray) -> NDArray:
     return np.asarray(np.quantile(settle_s, 0.5, axis=-1, method="inverted_cdf"))
 
 
+class Panel(NamedTuple):
+    """One point of the keys that are no axis of a map, and its rows.
+
+    Attributes:
+        point: the keys' values.
+        rows: in run order: the draws are outermost, and among a draw's variants the first axis.
+        shape: of the map.
+    """
+
+    point: dict[str, Any]
+    rows: pa.Table
+    shape: tuple[int, ...]
+
+    def of(self, column: str) -> NDArray:
+        """A column, (draws, rows, columns); null is NaN."""
+        return numbers(self.rows, column).reshape(-1, *self.shape)
+
+
 class Cells(NamedTuple):
     """The runs of each cell of a map.
 

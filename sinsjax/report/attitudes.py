@@ -5,7 +5,7 @@ from scipy import special
 from sinsjax import analysis
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
-from sinsjax.report.base import MOST_ROWS, Table, number, table_of
+from sinsjax.report.base import MOST_ROWS, Table, table_of
 from sinsjax.report.markup import said
 from sinsjax.study.swept import shown_keys
 
@@ -18,7 +18,9 @@ def attitudes(source: Source) -> Table:
     variants = source.study.n_variants
     shown = MOST_ROWS // variants * variants or MOST_ROWS  # whole start times, where they fit
     rows = source.rows([*keys, *digits]).slice(0, shown).to_pylist()
-    cells = [(name, lambda row, n=name: number(row[n], digits[n])) for name in digits]
+    cells = [
+        (name, lambda row, n=name: analysis.format_number(row[n], digits[n])) for name in digits
+    ]
     notes = [f"{left} more runs are in `summary/`."] if (left := source.runs - len(rows)) else []
     notes += [innovations(source)] if source.study.is_recorded else []
     title = "Attitude at the end, with the filter's own 1 sigma"

@@ -18,9 +18,8 @@ from sinsjax.plots.words import name_of
 from sinsjax.report.attitudes import attitudes
 from sinsjax.report.base import MOST_ROWS, Block, Picture, Report, Table, Text, intervals, table_of
 from sinsjax.report.markup import said
-from sinsjax.report.over_axes import over_axes
+from sinsjax.report.over_axes import over_axes, repeats
 from sinsjax.report.spreads import spreads
-from sinsjax.study.acting import first_alike
 from sinsjax.study.success import LIMITED, judged_columns, yardsticks
 from sinsjax.study.swept import shown_keys
 
@@ -35,7 +34,7 @@ def report(source: Source) -> Report:
     """What is best, curves where they were stored, figures over the axes, and all tables."""
     yaw = analysis.numbers(source.rows(["phi_u_arcmin"]), "phi_u_arcmin")
     has_truth = bool(np.isfinite(yaw).any())
-    tables = _tables(source) if has_truth else []
+    tables = [*repeats(source), *_tables(source)] if has_truth else []
     if source.study.is_recorded or not has_truth:
         tables = [attitudes(source), *tables]
     blocks = [*over_axes(source), *spreads(source)] if has_truth else []
@@ -169,9 +168,7 @@ def _tables(source: Source) -> Sequence[Block]:
         tables = [heading_errors(source, keys, title), every, *_over_drawn(source, keys)]
         compared = study.n_variants > 1 and source.draws > 1
         return [*tables, against_first(source)] if compared else tables
-    different = len(np.unique(first_alike(study)))
-    differ = "" if different == study.n_variants else f", of which {different} differ"
-    each = f"{study.n_variants} variants{differ}: each table takes one key and pools the others."
+    each = f"{study.n_variants} variants: each table takes one key and pools the others."
     headings = (heading_errors(source, [key], f"{title}, by {key}") for key in keys)
     by_key = (statistics(source, [key], f"By {key}", note=note) for key in keys)
     return [Text(each), *headings, *by_key, *_over_drawn(source, keys)]

@@ -43,11 +43,6 @@ class Table(NamedTuple):
     folded: bool = False
 
 
-def number(value: float | None, digits: int = 1, factor: float = 1.0) -> str:
-    """A number as text, perhaps times a factor; None and NaN are unknown."""
-    return "unknown" if value is None or value != value else f"{factor * value:.{digits}f}"
-
-
 def table_of(
     title: str,
     keys: Sequence[str],

@@ -3,11 +3,11 @@
 from collections.abc import Iterator
 
 from sinsjax import analysis, columns
-from sinsjax.analysis import format_estimate
+from sinsjax.analysis import format_estimate, format_number
 from sinsjax.analysis.controlled import mean_over_variants
 from sinsjax.execution.estimates import read_estimates
 from sinsjax.execution.source import Source
-from sinsjax.report.base import Table, number, table_of
+from sinsjax.report.base import Table, table_of
 from sinsjax.study.keys import is_chosen
 from sinsjax.study.success import success_of, yardsticks
 from sinsjax.study.swept import shown_keys
@@ -38,7 +38,7 @@ def tables(source: Source) -> Iterator[Table]:
         [
             ("mean time (s), draws alone", lambda row: format_estimate(row["of"].plain)),
             ("with companions", lambda row: format_estimate(row["of"].controlled)),
-            ("times as many draws saved", lambda row: number(row["of"].saved)),
+            ("times as many draws saved", lambda row: format_number(row["of"].saved)),
         ],
         "Never counts as the length of the run [95 % interval; with companions the error of their"
         " expectation is in it]. Medians and quantiles elsewhere are of the draws alone.",

@@ -6,13 +6,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sinsjax import analysis, columns, plots
-from sinsjax.analysis import UNKNOWN, Estimate, format_estimate
+from sinsjax.analysis import UNKNOWN, Estimate, format_estimate, format_number
 from sinsjax.execution.groupings import lines_of
 from sinsjax.execution.source import Source
 from sinsjax.plots import Shown
-from sinsjax.report.base import Block, Picture, Report, Table, number, table_of
+from sinsjax.report.base import Block, Picture, Report, Table, table_of
 from sinsjax.report.markup import said
-from sinsjax.report.over_axes import Maps
+from sinsjax.report.over_axes import Maps, repeats
 from sinsjax.study.keys import is_chosen
 from sinsjax.study.success import Yardstick, success_of, yardsticks
 from sinsjax.study.swept import shown_axes, shown_keys
@@ -58,7 +58,7 @@ class _Names(NamedTuple):
         return [
             (f"mean time to {words} (s)", lambda row: format_estimate(self.settling(row))),
             ("10, 50, 90 % of runs by (s)", self.quantiles),
-            (f"{words} at the end (%)", lambda row: number(row[self.within], 0, 100.0)),
+            (f"{words} at the end (%)", lambda row: format_number(row[self.within], 0, 100.0)),
         ]
 
 
@@ -73,7 +73,7 @@ def report(source: Source) -> Report:
     parts: dict[str, Sequence[Block]] = {
         "What is best": [block for one in found[:1] for block in _best(source, one)],
         "Figures": [block for one in found for block in _figures(source, one, found[0])],
-        "Tables": [_every_variant(source, found)],
+        "Tables": [*repeats(source), _every_variant(source, found)],
     }
     name, count = source.study.name, source.study.n_variants
     variants = f"{count:,} variant{'s' if count > 1 else ''}"
@@ -92,7 +92,9 @@ def _linearity(source: Source) -> Iterator[str]:
 
 
 def _index(row: Row) -> str:
-    return number(row["nonlinearity"], 2) + (", from draws" if row["filled_by_draws"] else "")
+    return format_number(row["nonlinearity"], 2) + (
+        ", from draws" if row["filled_by_draws"] else ""
+    )
 
 
 def _yards(source: Source) -> list[_Names]:
@@ -160,9 +162,9 @@ def _every_variant(source: Source, found: Sequence[_Names]) -> Table:
     needed = [name for one in found for name in one[1:]]
     cells = [
         *(cell for one in found for cell in one.cells),
-        ("phi_u, mean (arcmin)", lambda row: number(row[_YAW])),
-        ("1 sigma (arcmin)", lambda row: number(row[_SIGMA])),
-        ("the filter's own (arcmin)", lambda row: number(row[_OWN])),
+        ("phi_u, mean (arcmin)", lambda row: format_number(row[_YAW])),
+        ("1 sigma (arcmin)", lambda row: format_number(row[_SIGMA])),
+        ("the filter's own (arcmin)", lambda row: format_number(row[_OWN])),
     ]
     if source.study.checks_linearity:
         cells.append(("index of nonlinearity", _index))

@@ -1,24 +1,23 @@
 """Tables and figures over a study's swept numbers: heat maps, and curves with intervals."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import format_estimate
-from sinsjax.analysis.grids import Cells
+from sinsjax.analysis.grids import Cells, Panel
 from sinsjax.analysis.summaries import NEEDED, estimate_of
 from sinsjax.analysis.words import percent
 from sinsjax.execution.groupings import BINS, binned, lines_of
 from sinsjax.execution.source import Source
 from sinsjax.plots import Shown
 from sinsjax.plots.words import name_of, value_text
-from sinsjax.report.base import Block, Picture, Table, intervals
+from sinsjax.report.base import Block, Picture, Table, Text, intervals
 from sinsjax.report.markup import said
-from sinsjax.study.acting import first_alike
+from sinsjax.study.acting import first_alike, idle_keys
 from sinsjax.study.keys import is_chosen
 from sinsjax.study.success import LIMITED, Yardstick, judged_columns
 from sinsjax.study.swept import shown_axes, shown_keys
@@ -46,22 +45,11 @@ def over_axes(source: Source) -> list[Block]:
     return found
 
 
-class Panel(NamedTuple):
-    """One point of the keys that are no axis of a map, and its rows.
-
-    Attributes:
-        point: the keys' values.
-        rows: in run order: the draws are outermost, and among a draw's variants the first axis.
-        shape: of the map.
-    """
-
-    point: dict[str, Any]
-    rows: pa.Table
-    shape: tuple[int, ...]
-
-    def of(self, column: str) -> NDArray:
-        """A column, (draws, rows, columns); null is NaN."""
-        return analysis.numbers(self.rows, column).reshape(-1, *self.shape)
+def repeats(source: Source) -> Iterator[Text]:
+    """How tables count runs that equal others, if there are any."""
+    if keys := idle_keys(source.study):
+        variants, kept = source.study.n_variants, len({*first_alike(source.study)})
+        yield Text(said("repeats", source=source, variants=variants, kept=kept, keys=keys))
 
 
 class Maps:

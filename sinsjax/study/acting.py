@@ -79,6 +79,13 @@ def first_alike(study: Study) -> np.ndarray:
     return first[alike]
 
 
+def idle_keys(study: Study) -> list[str]:
+    """The swept keys whose values differ between variants with the same runs."""
+    first = first_alike(study)
+    told = {key: study.values(key) for key in study.axis_keys if key != "case"}
+    return [k for k, v in told.items() if any(v[i] != v[at] for i, at in enumerate(first))]
+
+
 def _acting_column(study: Study, key: str) -> Coded:
     """Values of a key over the variants, those that do not act being one value of their own."""
     coarse = _COARSE if key in INITIAL_KEYS and study.coarse else ()

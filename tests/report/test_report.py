@@ -72,7 +72,9 @@ def test_many_variants_are_pooled_and_their_intervals_count_draws(tmp_path):
     axes = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 2.0], "phi_u0_deg": [0, 5, 10, 20]}
     study = small_study(axes=axes, resets={})
     text = told(store(tmp_path, study, summary_of(study)))
-    assert "24 variants, of which 20 differ: each table takes one key" in text
+    assert "24 variants: each table takes one key" in text
+    assert "4 of the 24 variants repeat another one, because reset_cycle_s does not act" in text
+    assert "what is repeated once: 60 of 72 runs." in text
     table = text.partition("By reset_count")[2].partition("By reset_cycle_s")[0]
     assert [line.split()[:2] for line in table.splitlines()[4:7]] == [
         ["0", "12"],  # no cycle acts without resets

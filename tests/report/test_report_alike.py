@@ -11,7 +11,8 @@ from sinsjax import analysis
 from sinsjax.execution import run as study_run
 from sinsjax.execution.source import Source
 from sinsjax.report import auto, over_axes
-from sinsjax.report.base import Picture, Table
+from sinsjax.report.base import Picture, Table, Text
+from sinsjax.study.acting import idle_keys
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -43,6 +44,21 @@ def test_the_table_of_variants_has_each_once(source: Source) -> None:
         ["1", "2", "3"],
         ["1", "3", "3"],
     ]
+
+
+def test_the_tables_begin_with_how_repeated_runs_count(source: Source) -> None:
+    (chapter,) = (one for one in auto.report(source).sections if one.heading == "Tables")
+    assert chapter.blocks[0] == Text(
+        "2 of the 6 variants repeat another one, because reset_cycle_s does not act there. The"
+        " tables below count what is repeated once: 12 of 18 runs. The lines at the top and the"
+        " Parquet files count all."
+    )
+
+
+def test_keys_that_tell_no_runs_apart_are_named() -> None:
+    axes = {"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]}
+    assert idle_keys(small_study(axes=axes)) == ["reset_cycle_s"]
+    assert idle_keys(small_study(axes=axes | {"reset_count": [1, 2]})) == []
 
 
 def test_a_map_writes_their_number_once(source: Source) -> None:
