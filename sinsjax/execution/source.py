@@ -165,6 +165,12 @@ class Source:
             raise InputError(f"{self.directory}: summary: column {missing[0]} is missing")
         return self.table.select(wanted)
 
+    def largest(self, key: str) -> float:
+        """The largest magnitude of a number or vector of the study, given or drawn, to 3 digits."""
+        drawn = key in self.study.drawn_keys
+        values = self.rows([key])[key].to_pylist() if drawn else self.study.values(key)
+        return float(f"{max(float(np.max(np.abs(value or 0.0))) for value in values):.3g}")
+
     def grid(self, columns: Sequence[str], **axes: str | Sequence[Any]) -> Grid:
         """Every run as arrays over the axes that a page names.
 

@@ -5,13 +5,19 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from sinsjax import analysis, plots
+from sinsjax.alignment.filters.description import OF_BIASES
+from sinsjax.alignment.methods import METHODS
 from sinsjax.execution.groupings import keys_of_lines
 from sinsjax.execution.source import Source
 from sinsjax.plots.beliefs import SHARES, BeliefPanel
 from sinsjax.plots.words import name_of
 from sinsjax.report.base import Picture, Text
 from sinsjax.report.markup import said
+from sinsjax.study.distributions import BIASES
 from sinsjax.units import ARCMIN, MICRO
+
+_YAW, _FREEDOM = "phi_u_arcmin", analysis.NEES_FREEDOM
+_FAR = 2.0  # times the upper end of its band: a mean NEES beyond it is explained
 
 
 def spreads(source: Source) -> Iterator[Picture | Text]:
@@ -29,23 +35,24 @@ def spreads(source: Source) -> Iterator[Picture | Text]:
 
 
 def _biases_unknown(source: Source) -> Iterator[Text]:
-    """Why a filter without bias states has no NEES of 3 where the sensors have constant biases."""
+    """Why filters without bias states have no NEES of 3 where the sensors have constant biases."""
     study = source.study
-    if study.is_recorded or set(study.values("method")) != {"kalman5"}:
+    filters = [METHODS[name] for name in study.methods if METHODS[name].has_covariance]
+    if study.is_recorded or not all({*OF_BIASES} <= {*one.silent} for one in filters):
         return
-    gyro, accel = (
-        max(float(np.max(np.abs(value or 0.0))) for value in study.values(key))
-        for key in ("gyro_bias_deg_per_h", "accel_bias_ug")
-    )
+    gyro, accel = (source.largest(key) for key in BIASES)
     if not gyro and not accel:
         return
-    rows = source.rows(["sigma_e_arcmin", "sigma_n_arcmin"])
-    east, north = (
-        analysis.quantile(analysis.numbers(rows, f"sigma_{a}_arcmin")).value for a in "en"
-    )
-    tilt = accel * MICRO / ARCMIN
-    told = {"gyro": gyro, "accel": accel, "tilt": tilt, "east": east, "north": north}
-    yield Text(said("biases_unknown", nees=analysis.NEES_FREEDOM, **told))
+    names = [*(f"sigma_{axis}_arcmin" for axis in "enu"), "floor_arcmin", _YAW, "nees"]
+    rows = source.rows(names)
+    *sigmas, limit, yaw, nees = (analysis.numbers(rows, name) for name in names)
+    east, north, up = np.nanmedian(sigmas, axis=1)
+    told = {"gyro": gyro, "accel": accel, "tilt": accel * MICRO / ARCMIN, "sigmas": (east, north)}
+    yield Text(said("biases_unknown", nees=_FREEDOM, **told))
+    mean, most = analysis.mean(nees).value, analysis.chi2_mean_band(_FREEDOM, source.draws)[1]
+    left, found = (analysis.rms(one).value for one in (limit, yaw))
+    if mean > _FAR * most and left > up:
+        yield Text(said("overconfident", mean=mean, most=most, sigma=up, limit=left, found=found))
 
 
 def consistency(beliefs: Sequence[BeliefPanel], note: str = "") -> Picture:

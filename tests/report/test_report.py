@@ -420,6 +420,26 @@ def test_biases_that_a_filter_does_not_know_explain_its_nees(tmp_path):
     assert "is not to be expected" not in text
 
 
+@pytest.mark.parametrize(("method", "told_of"), [("kalman5", True), ("kalman10", False)])
+def test_drawn_biases_explain_a_nees_too_and_what_to_add(tmp_path, method, told_of):
+    drawn = {"gyro_bias_deg_per_h": {"normal": [0.0, 0.5]}}
+    study = small_study(
+        study={"draws": 8},
+        drawn=drawn,
+        alignment={"method": method},
+        sensors={"accel_bias_ug": 0.0, "gyro_bias_deg_per_h": None},
+    )
+    of_filter = {"sigma_u_arcmin": np.full(8, 5.0), "nees": np.full(8, 1.8e4)}
+    biases = [[0.0, 0.3, -0.7512]] * 8
+    runs = {"floor_arcmin": np.full(8, -12.0), "phi_u_arcmin": np.full(8, 13.5), **of_filter}
+    summary = summary_of(study, every=True, gyro_bias_deg_per_h=biases, **runs)
+    text = told(store(tmp_path, study, summary))
+    assert ("A NEES of 3 is not to be expected here" in text) == told_of
+    assert ("gyros up to 0.751 deg/h, accelerometers up to 0 ug" in text) == told_of
+    assert ("The mean NEES is 18,000, far above the band" in text) == told_of
+    assert ("in quadrature: 13.0 arcmin. The heading errors found are 13.5" in text) == told_of
+
+
 # --- the car test -------------------------------------------------------------------------------
 
 
