@@ -221,7 +221,7 @@ def std(
     return Estimate(value, *_root(value, clustered), n)
 
 
-def rms(values: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
+def rms(values: ArrayLike, cluster: ArrayLike | None = None, *, most: float = math.inf) -> Estimate:
     """The root mean square of the finite values.
 
     Non-finite values are omitted; ``n`` is the number used. Fewer than five have no interval.
@@ -229,6 +229,7 @@ def rms(values: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
     Args:
         values: shape (m,), any unit.
         cluster: shape (m,), integer cluster of each value; None if each is its own.
+        most: largest magnitude that a value can have; the interval ends there.
 
     Raises:
         ValueError: no values at all.
@@ -237,7 +238,8 @@ def rms(values: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
     if data.size == 0:
         return UNKNOWN
     value = math.sqrt(np.mean(data**2))
-    return Estimate(value, *_root(value, Clustered.of(data**2, cluster)), data.size)
+    low, high = np.minimum(_root(value, Clustered.of(data**2, cluster)), most).tolist()
+    return Estimate(value, low, high, data.size)
 
 
 def _root(value: float, squares: Clustered) -> tuple[float, float]:

@@ -35,8 +35,8 @@ from sinsjax.errors import InputError
 
 NEES_FREEDOM = 3
 """Degrees of freedom of ``nees``: three angles."""
-
 _YAW, _FLOOR, _AT = "phi_u_mean_arcmin", "floor_arcmin", "phi_u_at_"
+_MOST = 180 * 60.0  # arcmin, of a heading error
 NEEDED = ("draw_id", "start_s", "status", "phi_u_arcmin", "has_limit", _YAW, _FLOOR)
 """Columns that `summarise` needs besides keys and those that its statistics are of."""
 
@@ -82,7 +82,7 @@ def summarise(table: pa.Table, by: Sequence[str], names: Sequence[str] | None = 
       count also for ``settle_B_data_s`` and ``settle_B_truth_data_s``, with repeated passes over a
       stored record;
     * the heading error from the truth, arcmin, for ``phi_u_arcmin`` at the end and every column
-      ``phi_u_at_T_arcmin``: ``phi_u_arcmin_rms`` of the finite values, and
+      ``phi_u_at_T_arcmin``: ``phi_u_arcmin_rms`` of the finite values (180 deg at most), and
       ``phi_u_arcmin_abs_q90``, the value that |phi_u| of 90 % of the runs does not exceed (a run
       without a number counts as infinite);
     * ``phi_u_mean_arcmin_mean`` and ``phi_u_mean_arcmin_std``: the signed window means over the
@@ -233,7 +233,7 @@ def _offered(columns: Sequence[str]) -> dict[str, _Statistic]:
         offered[f"{name}_q90"] = _of(partial(quantile, q=0.9), name, **about)
         offered[f"{name}_mean"] = _of(mean, name, suffixes=_MEAN, **about)
     for name in (name for name in columns if name == "phi_u_arcmin" or name.startswith(_AT)):
-        offered[f"{name}_rms"] = _of(rms, name, suffixes=_MEAN)
+        offered[f"{name}_rms"] = _of(partial(rms, most=_MOST), name, suffixes=_MEAN)
         offered[f"{name}_abs_q90"] = _of(_abs_q90, name)
     return offered | {
         "phi_u_mean_arcmin_mean": _of(mean, _YAW, suffixes=_MEAN),

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ _DODGE = 0.008  # share of the axis by which the marks of two lines are offset t
 _MOST_STEPS = 1000
 _APART = 0.06  # share of the axis needed between marks
 _WIDE = 12  # letters of a word that has no room beside others
-_LINE = 0.055  # height of a line of text, as a share of the axes
+_LONG = 4.0  # times the median bar of a panel; beyond it a bar leaves the panel
 
 
 class Expected(NamedTuple):
@@ -50,7 +51,7 @@ def along_axis(
         key: leaf key, with the unit in its name.
         values: values of the key; lists stand side by side, as words.
         panels: quantity, with its unit, to line label to one estimate per value; infinite ones are
-            marked at the upper edge as *never*.
+            marked at the upper edge as *never*; a bar far longer than the others ends outside.
         title: title of the figure.
         expected: expected value, drawn in every panel.
         log: whether the vertical axes are logarithmic.
@@ -70,18 +71,18 @@ def along_axis(
             axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
             axes.yaxis.set_minor_formatter(NullFormatter())
         for i, (line, estimates) in enumerate(lines.items()):
-            value, low, high = np.array([e[:3] for e in estimates], dtype=float).T
-            value[~np.isfinite(value)] = np.nan
-            spread = np.nan_to_num([value - low, high - value], posinf=0.0, neginf=0.0)
+            value, spread = _bars(estimates)
             style = {"color": colour(i), "label": line, "capsize": 2.5, "markersize": 5}
             beside = x + _DODGE * np.ptp(x) * (i - (len(lines) - 1) / 2)
             mark = _MARKS[i % len(_MARKS)] + ("" if words else "-")  # lists have no distance
-            axes.errorbar(beside, value, yerr=np.maximum(spread, 0.0), fmt=mark, **style)
+            axes.errorbar(beside, value, yerr=spread, fmt=mark, **style)
             never = beside[np.isposinf([e.value for e in estimates])]
             if never.size:
                 height = np.full(never.size, 0.97)  # of the axes: their upper edge
                 edge = axes.get_xaxis_transform()
                 axes.plot(never, height, "x", color=colour(i), transform=edge)
+        if not log:
+            _follow(axes, [e for estimates in lines.values() for e in estimates], expected)
         axes.set_title(name, loc="left", size="medium")
         if not any(np.isfinite(e.value) for estimates in lines.values() for e in estimates):
             axes.set_yticks([])
@@ -95,6 +96,29 @@ def along_axis(
         grid[0].plot([], [], "x", color=GREY, label="never (median)")
     legend_outside(figure, grid[0])
     return figure
+
+
+def _bars(estimates: Sequence[Estimate]) -> tuple[NDArray, NDArray]:
+    """(n,) finite values, others NaN, and the lengths (2, n) of their bars down and up."""
+    value, low, high = np.array([e[:3] for e in estimates], dtype=float).T
+    value[~np.isfinite(value)] = np.nan
+    spread = np.nan_to_num([value - low, high - value], posinf=0.0, neginf=0.0)
+    return value, np.maximum(spread, 0.0)
+
+
+def _follow(axes: Axes, estimates: Sequence[Estimate], expected: Expected | None) -> None:
+    """Let a bar that is far longer than the others leave the panel, instead of squashing it."""
+    value, bars = _bars(estimates)
+    known = np.isfinite(value)
+    value, bars = value[known], bars[:, known]
+    if not bars.any():
+        return
+    room = max(_LONG * np.median(bars[bars > 0]), np.ptp(value) / 2)
+    if (bars > room).any():
+        down, up = np.minimum(bars, room)
+        ends = [*(value - down), *(value + up), *(expected.band if expected else ())]
+        margin = 0.05 * np.ptp(ends)
+        axes.set_ylim(min(ends) - margin, max(ends) + margin)
 
 
 def tells(panel: Mapping[str, Sequence[Estimate]]) -> bool:

@@ -138,6 +138,12 @@ def test_summarise_one_row_a_group():
     assert second["success_rate"] == 1.0
 
 
+def test_no_end_of_an_interval_of_heading_errors_is_beyond_180_deg():
+    errors = np.r_[np.full(11, 30.0), 8000.0]
+    row = analysis.summarise(summary(12, phi_u_arcmin=errors), []).to_pylist()[0]
+    assert analysis.rms(errors).high > 10_800.0 == row["phi_u_arcmin_rms_high"]
+
+
 def test_heading_errors_are_of_magnitudes_at_the_end_and_at_report_times():
     """Against NumPy; pooled variants of a draw count once, and headings do not cancel."""
     draw = np.repeat(np.arange(40), 2)

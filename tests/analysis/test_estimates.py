@@ -352,6 +352,14 @@ def test_rms_leaves_out_what_is_not_finite():
     assert analysis.rms([np.nan]).n == 0 and math.isnan(analysis.rms([2.0]).low)
 
 
+def test_the_interval_of_an_rms_ends_where_no_value_can_be():
+    values = [*np.full(9, 30.0), 8000.0]
+    free, bound = analysis.rms(values), analysis.rms(values, most=10_800.0)
+    assert free.high > 1e4 and bound == free._replace(high=10_800.0)
+    assert analysis.rms(np.arange(9.0), most=100.0) == analysis.rms(np.arange(9.0))
+    assert math.isnan(analysis.rms([2.0], most=9.0).high)
+
+
 @pytest.mark.parametrize(("freedom", "n"), [(1, 1), (3, 1), (3, 256), (1, 100_000)])
 def test_chi2_mean_band(freedom, n):
     band = analysis.chi2_mean_band(freedom, n)

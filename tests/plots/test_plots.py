@@ -281,6 +281,20 @@ def test_verdict_matrix():
     np.testing.assert_allclose(held[1, 1], to_rgb(plots.COLOURS[0]), atol=0.01)
 
 
+def height_of(high, *, others=12.0, last=20.0):
+    """The upper end of an axis with points at 10, 10, 10 and the last; their bars end above."""
+    ends = [(10.0, others)] * 3 + [(last, high)]
+    line = {"a": [Estimate(x, x - 1.0, end, 9) for x, end in ends]}
+    return plots.along_axis("k", range(4), {"x": line}, title="Title").axes[0].get_ylim()[1]
+
+
+def test_the_axis_follows_the_points_where_one_bar_is_huge():
+    assert 20 < height_of(10800.0) < 40  # the bar goes on beyond the panel
+    assert height_of(26.0) > 26.0  # a longer one than the others is whole
+    assert height_of(600.0, others=500.0) > 600.0  # as are bars that are all long
+    assert height_of(10800.0, last=2500.0) > 2500.0  # points are all there
+
+
 def test_along_axis_marks_never():
     lines = {
         "a": [Estimate(1.0, 0.5, 2.0, 8), Estimate(math.inf, 3.0, math.inf, 8)],
