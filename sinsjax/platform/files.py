@@ -34,6 +34,37 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
             temporary.unlink()
 
 
+def make_folder(path: Path) -> None:
+    """Make a folder and those above it, where they are missing.
+
+    Raises:
+        InputError: it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(unwritable(path, error)) from None
+
+
+def require_writable(path: Path, option: str) -> None:
+    """Refuse a file that cannot be written, before any work goes into it.
+
+    Args:
+        path: the file; its folder need not be there yet.
+        option: what the message calls it.
+
+    Raises:
+        InputError: it is a folder, or cannot be made.
+    """
+    if path.is_dir():
+        raise InputError(f"{option} {path}: is a folder, give the name of a file")
+    folder = next(one for one in path.absolute().parents if one.exists())
+    if not folder.is_dir() or not os.access(folder, os.W_OK):
+        raise InputError(
+            f"{option} {path}: cannot be written: no folder can be written at {folder}"
+        )
+
+
 def unwritable(path: Path, error: OSError) -> str:
     """The message about a file or directory that cannot be written."""
     return f"{path}: cannot be written: {error.strerror or error}"

@@ -14,6 +14,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution.belongings import list_figures
 from sinsjax.execution.source import Source
 from sinsjax.messages import shortened
+from sinsjax.platform.files import require_writable
 from sinsjax.report import auto, controlled, estimated, folder, tuned
 from sinsjax.report.base import Chapter, Report, Text, at_the_end
 from sinsjax.report.markup import template
@@ -60,7 +61,11 @@ def _summarise(
     *,
     warned: bool,
 ) -> None:
-    if page is not None and page.is_dir():
+    if html is not None:
+        require_writable(html, "--html")
+    if page is not None and not page.is_dir():
+        require_writable(page, "--page")
+    elif page is not None:
         written, figures = folder.write(page, [_read(own) for own in directories])
         screen.say(console, f"{written} and {figures} figures beside it", wrap=True)
         if html is None:

@@ -97,7 +97,8 @@ def script(folder: Path) -> ModuleType:
         InputError: the folder lacks the script or the prose.
     """
     if missing := [name for name in (SCRIPT, PROSE) if not (folder / name).is_file()]:
-        raise InputError(f"{folder}: holds no {missing[0]}, so that it is no folder of a page")
+        told = f"holds no {missing[0]}, so that it is no folder of a page"
+        raise InputError(f"{folder}: {told} (--page takes one, or a file)")
     beside = str(folder.resolve().parent)
     known = sys.modules.get(_PACKAGE)
     if known is None or list(known.__path__) != [beside]:

@@ -16,9 +16,8 @@ from rich.text import Text as RichText
 
 from sinsjax import console as screen
 from sinsjax import plots
-from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
-from sinsjax.platform.files import file_stem, replacing, unwritable
+from sinsjax.platform.files import file_stem, make_folder, replacing
 from sinsjax.report.base import Block, Picture, Report, Table, Text, yardstick
 from sinsjax.report.markup import template
 from sinsjax.report.names import NO_NAMES, Names
@@ -76,10 +75,7 @@ def save_figures(images: Mapping[str, bytes], directory: Path) -> None:
     Raises:
         InputError: the directory cannot be written.
     """
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(unwritable(directory, error)) from error
+    make_folder(directory)
     for name, content in images.items():
         with replacing(directory / f"{name}.png") as file:
             file.write(content)
@@ -121,6 +117,8 @@ def write_page(page: Path, title: str, made: Sequence[Made]) -> None:
 def write_html(path: Path, title: str, made: Sequence[Made]) -> None:
     """Writes an HTML page that needs nothing else: no network, no file beside it, no script.
 
+    Its folder is made if missing.
+
     Raises:
         InputError: the page cannot be written.
     """
@@ -134,6 +132,7 @@ def write_html(path: Path, title: str, made: Sequence[Made]) -> None:
         paragraphs=_paragraphs,
         base64=lambda content: b64encode(content).decode(),
     )
+    make_folder(path.parent)
     with replacing(path) as file:
         file.write(page.encode())
 

@@ -279,6 +279,28 @@ def test_a_page_that_cannot_be_written(tmp_path):
         told(directory, page=tmp_path / "file" / "page.md")
 
 
+@pytest.mark.parametrize("option", ["page", "html"])
+def test_what_cannot_be_written_is_refused_before_anything_is_told(tmp_path, monkeypatch, option):
+    study = small_study()
+    directory = store(tmp_path / "results", study, summary_of(study))
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr(report.auto, "report", lambda source: pytest.fail("was made"))
+    wrong = {"file/one": f"--{option} .*one: cannot be written: no folder.*file$"}
+    if option == "html":
+        wrong["results"] = "--html .*results: is a folder, give the name of a file$"
+    for name, line in wrong.items():
+        with pytest.raises(InputError, match=line):
+            told(directory, **{option: tmp_path / name})
+
+
+def test_the_folder_of_a_page_is_made(tmp_path):
+    study = small_study()
+    directory = store(tmp_path / "results", study, summary_of(study))
+    files = [tmp_path / kind / f"page.{kind}" for kind in ("md", "html")]
+    told(directory, page=files[0], html=files[1])
+    assert all(file.is_file() for file in files)
+
+
 def test_cells_and_folds():
     table = base.Table("T", ["a|b"], [["|x|"]], "note", folded=True)
     text = report.output.markdown(table)
