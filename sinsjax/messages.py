@@ -30,6 +30,11 @@ def shortened(text: str, most: int = 200) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
+def counted(number: int, noun: str) -> str:
+    """A number of things: ``1 draw``, ``2,000 draws``."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
 def seconds(time_s: float) -> str:
     """A time to a hundredth of a second, however large: that of a clock may count from 1970."""
     text = f"{time_s:.2f}".rstrip("0").rstrip(".")

@@ -22,6 +22,7 @@ from sinsjax.engine.truth import MOST_STORED_SAMPLES
 from sinsjax.errors import InputError
 from sinsjax.execution import layouts, stopping
 from sinsjax.execution.parts import read_manifest
+from sinsjax.messages import counted
 from sinsjax.platform import machine, runtime
 from sinsjax.study.distributions import NUMBERS_DRAWN
 from sinsjax.study.in_turn import runs_in_turn
@@ -106,14 +107,14 @@ class Forecast(NamedTuple):
             threads: whether the cores are threads of workers, of whatever kind.
         """
         kind = "noise-free run" if self.noise_free else "run"
-        runs = f"{self.runs:,} {kind}{'s' if self.runs != 1 else ''} of up to {self.length_s:g} s"
+        runs = f"{counted(self.runs, kind)} of up to {self.length_s:g} s"
         left = max(0, self.runs - done)
         if done:
             runs += f", {left:,} left"
         takes = _time(left * self.run_s / cores)
         most = "At most " if self.at_most else ""
-        on = f"{cores} {'worker thread' if threads else 'core'}{'s' if cores != 1 else ''}"
-        programs = f"{self.programs:,} program{'s' if self.programs != 1 else ''}"
+        on = counted(cores, "worker thread" if threads else "core")
+        programs = counted(self.programs, "program")
         first = f"{_time(_START_S + self.programs * _COMPILE_S)} the first time"
         return (
             f"{most}{runs}: roughly {takes} on {on}, and {_time(_START_S)} to start ({first},"

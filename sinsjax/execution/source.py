@@ -16,6 +16,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import estimates, tables
 from sinsjax.execution.kept_study import kept_study
 from sinsjax.execution.parts import is_there
+from sinsjax.messages import counted
 from sinsjax.study.acting import first_alike, silent
 from sinsjax.study.study import Study
 from sinsjax.study.success import Yardstick, as_of_schema_1, yardsticks
@@ -109,11 +110,12 @@ class Source:
     def counted(self) -> str:
         """What a figure rests on, for its footer: the study's name and how many runs it has."""
         study = self.study
-        unit = "start times" if study.is_recorded else "Monte Carlo runs"
+        unit = "start time" if study.is_recorded else "Monte Carlo run"
         if study.n_variants == 1:
-            return f"{study.name}: {self.runs:,} {unit if self.runs > 1 else unit[:-1]}"
-        each = f"{self.runs / study.n_variants:,g} {unit}"
-        return f"{study.name}: {study.n_variants:,} variants × {each} = {self.runs:,} runs"
+            return f"{study.name}: {counted(self.runs, unit)}"
+        each = self.runs / study.n_variants
+        rows = counted(int(each), unit) if each.is_integer() else f"{each:,g} {unit}s"
+        return f"{study.name}: {study.n_variants:,} variants × {rows} = {self.runs:,} runs"
 
     @property
     def draws(self) -> int:

@@ -15,6 +15,7 @@ from sinsjax.plots.style import GREY, both_sides, colour, legend_outside, styled
 BAND = (0.025, 0.975)
 """Quantiles over the draws at the edges of a band."""
 
+_FAINT = 0.22  # opacity of a band
 _LINEAR = (0.1, 10.0)  # arcmin; least and most up to which an asinh axis is about linear
 _WIDE = 12.0  # times the least end of a line; beyond it a linear axis would hide that end
 _CROWDED = 300.0  # times the linear part; beyond it there is no room for a tick at its edge
@@ -96,7 +97,7 @@ def draw(axes: Axes, line: Line) -> Extent:
     if len(values) == 1 or not known.any():
         return Extent(time, mean, mean)
     low, high = np.quantile(values, BAND, axis=0)
-    axes.fill_between(time, low, high, color=line.colour, alpha=0.22, linewidth=0)
+    axes.fill_between(time, low, high, color=line.colour, alpha=_FAINT, linewidth=0)
     return Extent(time, np.minimum(low, mean), np.maximum(high, mean))
 
 
@@ -115,7 +116,7 @@ def misalignment(
     Args:
         shown: one line each, with the phi columns (and sigma, if drawn).
         title: title of the figure.
-        limits: grey lines at ``{"e": ..., "n": ..., "u": ...}``, arcmin.
+        limits: dash-dotted lines at ``{"e": ..., "n": ..., "u": ...}``, arcmin.
         resets_s: dotted lines at reset times, s.
         zoom_s: time span to enlarge, s; None for no enlargement.
         with_sigma: whether to draw the filter's 1 sigma, dashed on both sides of 0.
@@ -127,7 +128,8 @@ def misalignment(
         for axes in row:
             extents = _draw_misalignment(axes, axis, shown, with_sigma=with_sigma)
             if limits and axis in limits:
-                axes.axhline(limits[axis], color=GREY, linewidth=0.9, zorder=1.5, label="limit")
+                # Over the lines: what has converged would hide it.
+                axes.axhline(limits[axis], color="black", ls="-.", lw=0.9, zorder=3, label="limit")
             _mark(axes, resets_s)
         row[0].set_xlim(0, max(extent.time_s[-1] for extent in extents))
         row[0].set_ylabel(f"{_NAMES[axis]} (arcmin){_fit(row[0], extents)}")
@@ -158,6 +160,8 @@ def _draw_misalignment(
             for side in (sigma, -sigma):
                 axes.plot(time, side, "--", color=colour(i), linewidth=0.9, alpha=0.8)
             extents.append(Extent(time, -sigma, sigma, is_sigma=True))
+    if any(len(ensemble.columns[f"phi_{axis}_arcmin"]) > 1 for ensemble in shown):
+        axes.fill_between([], [], color=GREY, alpha=_FAINT, linewidth=0, label="95 % of the runs")
     if len(extents) > len(shown):
         axes.plot([], [], "--", color=GREY, linewidth=0.9, label="±1 sigma of the filter")
     return extents

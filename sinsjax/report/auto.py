@@ -14,6 +14,7 @@ from sinsjax.columns import report_columns
 from sinsjax.execution import stopping
 from sinsjax.execution.groupings import BINS, binned
 from sinsjax.execution.source import Source
+from sinsjax.messages import counted
 from sinsjax.plots.words import name_of
 from sinsjax.report.attitudes import attitudes
 from sinsjax.report.base import MOST_ROWS, Block, Picture, Report, Table, Text, intervals, table_of
@@ -27,6 +28,7 @@ _MOST_LINES = 6
 _MOST_DRAWS = 256  # in a line's band
 _MOST_MOMENTS = 8
 _END = "phi_u_arcmin"
+_SAME = 0.01  # arcmin; limits that lie closer are one line
 _RARE = 0.1  # of the runs that are ok: so many may be at the edge of both bands
 
 
@@ -134,18 +136,18 @@ def against_first(source: Source) -> Table:
 def _headline(source: Source, has_truth: bool) -> list[str]:
     """How many runs are ok, and whether some of these are near north without having converged."""
     study = source.study
-    draws = "start times" if study.is_recorded else "draws"
-    text = f"{source.runs:,} runs: {study.n_variants} variants, {source.draws} {draws}."
+    draws = counted(source.draws, "start time" if study.is_recorded else "draw")
+    text = f"{counted(source.runs, 'run')}: {counted(study.n_variants, 'variant')}, {draws}."
     if not has_truth:
         return [f"{text} Without truth or reference, attitude and its 1 sigma is what is known."]
-    counted, doubts = [], []
+    several, doubts = [], []
     column = partial(analysis.numbers, source.rows([*(y.ok for y in source.yardsticks), *LIMITED]))
     for yard in source.yardsticks:
         ok, off = int((column(yard.ok) > 0).sum()), int(yard.off_limit(column).sum())
-        counted.append(f"{ok:,} {yard.words}")
+        several.append(f"{ok:,} {yard.of_several}")
         if off > _RARE * ok:
             doubts.append(said("off_limit", off=off, ok=ok, yard=yard))
-    return [f"{text} Of these {' and '.join(counted)} are ok.", *doubts]
+    return [f"{text} Of these {' and '.join(several)} are ok.", *doubts]
 
 
 def _stopped(source: Source) -> list[str]:
@@ -168,7 +170,7 @@ def _tables(source: Source) -> Sequence[Block]:
         tables = [heading_errors(source, keys, title), every, *_over_drawn(source, keys)]
         compared = study.n_variants > 1 and source.draws > 1
         return [*tables, against_first(source)] if compared else tables
-    each = f"{study.n_variants} variants: each table takes one key and pools the others."
+    each = f"{study.n_variants:,} variants: each table takes one key and pools the others."
     headings = (heading_errors(source, [key], f"{title}, by {key}") for key in keys)
     by_key = (statistics(source, [key], f"By {key}", note=note) for key in keys)
     return [Text(each), *headings, *by_key, *_over_drawn(source, keys)]
@@ -206,12 +208,13 @@ def _curves(source: Source, has_truth: bool) -> Iterator[Block]:
         shading = "; shading: the filter's own 1 sigma" if has_sigma else ""
         yield Picture("attitude", f"{caption}{shading}.", plots.attitude(shown, title))
         return
-    floors = np.unique(analysis.numbers(table, "floor_arcmin"))
+    floors = analysis.numbers(table, "floor_arcmin")
+    limits = floors[np.isfinite(floors)]  # a method without a limit has none
     moments = {time for rows in drawn.values() for time in rows["reset_times_s"][0].as_py()}
     figure = plots.misalignment(
         shown,
         "Misalignment left after correction",
-        limits={"u": float(floors[0])} if floors.size == 1 and np.isfinite(floors[0]) else None,
+        limits={"u": limits[0]} if limits.size and np.ptp(limits) < _SAME else None,
         resets_s=sorted(moments) if len(moments) <= _MOST_MOMENTS else (),
         zoom_s=source.study.study.window_s,
         with_sigma=has_sigma,

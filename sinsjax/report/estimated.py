@@ -9,6 +9,7 @@ from sinsjax import analysis, columns, plots
 from sinsjax.analysis import UNKNOWN, Estimate, format_estimate, format_number
 from sinsjax.execution.groupings import lines_of
 from sinsjax.execution.source import Source
+from sinsjax.messages import counted
 from sinsjax.plots import Shown
 from sinsjax.report.base import Block, Picture, Report, Table, table_of
 from sinsjax.report.markup import said
@@ -75,8 +76,7 @@ def report(source: Source) -> Report:
         "Figures": [block for one in found for block in _figures(source, one, found[0])],
         "Tables": [*repeats(source), _every_variant(source, found)],
     }
-    name, count = source.study.name, source.study.n_variants
-    variants = f"{count:,} variant{'s' if count > 1 else ''}"
+    name, variants = source.study.name, counted(source.study.n_variants, "variant")
     how = "the covariance of the true error beside one noise-free run of each"
     headline = [f"{variants}, estimated without draws: by {how}.", *_linearity(source)]
     return Report.of(headline, parts, f"{name}: {variants}, no Monte Carlo runs")

@@ -13,6 +13,7 @@ from sinsjax.analysis.summaries import NEEDED, estimate_of
 from sinsjax.analysis.words import percent
 from sinsjax.execution.groupings import BINS, binned, lines_of
 from sinsjax.execution.source import Source
+from sinsjax.messages import counted
 from sinsjax.plots import Shown
 from sinsjax.plots.words import name_of, value_text
 from sinsjax.report.base import Block, Picture, Table, Text, intervals
@@ -113,8 +114,8 @@ def _heat_maps(source: Source, yard: Yardstick) -> Iterator[Block]:
     longest_s = np.ma.masked_invalid(medians).compressed().max(initial=1.0)
     yield maps.draw(
         f"settling_time{end}",
-        f"Median time over {source.draws} draws until the heading stays {yard.words}; grey where"
-        f" at least half of the runs never do.{mark}",
+        f"Median time over {counted(source.draws, 'draw')} until the heading stays {yard.words};"
+        f" grey where at least half of the runs never do.{mark}",
         medians,
         f"How long until the heading stays {yard.words}?",
         Shown("median settling time (s)", 0.0, float(longest_s), reverse=True),
@@ -124,9 +125,9 @@ def _heat_maps(source: Source, yard: Yardstick) -> Iterator[Block]:
     if plots.differ(shares):
         yield maps.draw(
             f"success_rate{end}",
-            f"Share of the {source.draws} draws that are ok, {yard.words}.{mark}",
+            f"Share of {counted(source.draws, 'draw')} ok, {yard.of_several}.{mark}",
             shares,
-            f"How many runs are ok, {yard.words}?",
+            f"How many runs are ok, {yard.of_several}?",
             Shown("runs that are ok (%)", 0.0, 100.0),
             hatched,
         )
@@ -161,7 +162,8 @@ def _best(yard: Yardstick, maps: Maps, every: Sequence[Cells]) -> Table:
         "from when on, median (s)",
         f"at {first} (%)",
     ]
-    title = f"Where most runs are ok, {yard.words}, and settle first, over {' and '.join(axes)}"
+    over = " and ".join(axes)
+    title = f"Where most runs are ok, {yard.of_several}, and settle first, over {over}"
     note = "Equals: the first in the study's order."
     if any(cells.best is None for cells in every):
         note += " *-*: no run is ok, so none is best."
@@ -171,7 +173,7 @@ def _best(yard: Yardstick, maps: Maps, every: Sequence[Cells]) -> Table:
 
 
 def _along_axis(source: Source, axis: str, values: Sequence[Any], others: Sequence[str]) -> Picture:
-    shown = {y.rate: f"share of runs that are ok, {y.words}" for y in source.yardsticks}
+    shown = {y.rate: f"share of runs that are ok, {y.of_several}" for y in source.yardsticks}
     shown |= {f"{y.settle}_median": f"median time (s) to {y.words}" for y in source.yardsticks}
     shown["phi_u_arcmin_rms"] = "heading error at the end, rms (arcmin)"
     shown["phi_u_from_floor_arcmin_mean"] = "signed mean of phi_u from its limit (arcmin)"

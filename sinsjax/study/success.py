@@ -87,6 +87,11 @@ class Yardstick(NamedTuple):
     band_arcmin: float
 
     @property
+    def of_several(self) -> str:
+        """What successes of several runs are: ``within 10' of their limits``."""
+        return self.words.replace("its limit", "their limits")
+
+    @property
     def rate(self) -> str:
         """The share of successes, as a statistic of the summary."""
         return f"success_{'truth' if self.truth else 'limit'}_rate"

@@ -109,7 +109,13 @@ def test_misalignment():
     assert low < 0.0 and high > 900.0
     assert [len(axes.get_lines()) for axes in whole] == [4, 4, 5]
     assert figure.get_suptitle() == "Title"
-    assert [t.get_text() for t in figure.legends[0].get_texts()] == ["a", "b", "limit", "reset"]
+    assert [t.get_text() for t in figure.legends[0].get_texts()] == [
+        "a",
+        "b",
+        "95 % of the runs",
+        "limit",
+        "reset",
+    ]
 
 
 def test_a_narrow_range_stays_linear():

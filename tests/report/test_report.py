@@ -341,14 +341,15 @@ def test_both_yardsticks_stand_in_words_in_table_figure_and_page(tmp_path):
     html = tmp_path / "page.html"
     text = told(store(tmp_path / "out", study, summary), html=html)
     truth, limit = "within 10' of true north", "within 10' of its limit"
-    assert f"Of these 8 {truth} and 16 {limit} are ok." in text
+    limits = "within 10' of their limits"
+    assert f"Of these 8 {truth} and 16 {limits} are ok." in text
     assert "Within 10' of true north at the end: 50 [" in text
     figures = {block.name: block.figure for block in over_axes.over_axes(source)}
     titles = [axes.get_title(loc="left") for axes in figures["along_axis"].axes]
     page = unescape(html.read_text())
-    for words in (truth, limit):
+    for words, several in ((truth, truth), (limit, limits)):
         assert f"ok: {words} (%)" in text and f"time to {words}, median (s)" in text
-        assert f"share of runs that are ok, {words}" in titles
+        assert f"share of runs that are ok, {several}" in titles
         assert f"median time (s) to {words}" in titles
         assert f"ok: {words} (%)" in page
 
@@ -388,16 +389,42 @@ def test_runs_that_are_near_north_without_having_converged_are_told(tmp_path):
     assert "All 16 runs that are ok within 10' of true north end more than 10' from" in text
     best = text.partition("Where most runs are ok, within 10' of true north")[2]
     assert "100 [68, 100], not converged" in best.partition("Equals")[0]
-    about_limit = text.partition("Where most runs are ok, within 10' of its limit")[2]
+    about_limit = text.partition("Where most runs are ok, within 10' of their limits")[2]
     assert "not converged" not in about_limit.partition("Equals")[0]
     source = Source.read(tmp_path / "a")
     drawn = {b.name: b for b in over_axes.over_axes(source) if isinstance(b, base.Picture)}
     for name, hatched in {"settling_time": 2, "success_rate": 2, "settling_time_limit": 0}.items():
         assert len(drawn[name].figure.axes[0].patches) == hatched
-        assert ("more than 10' from their limit" in drawn[name].caption) == bool(hatched)
+        assert ("more than 10' from their limits" in drawn[name].caption) == bool(hatched)
     near = summary_of(study, ok_truth=[True] * 32, phi_u_arcmin=np.full(32, FLOOR + 9))
     text = told(store(tmp_path / "b", study, near))
     assert "from their limit" not in text and ", not converged" not in text
+
+
+def test_numbers_of_one_are_told_as_one(tmp_path):
+    study = small_study(study={"draws": 1})
+    flags = {"ok_truth": [True], "ok_limit": [False]}
+    text = told(store(tmp_path, study, summary_of(study, **flags, phi_u_arcmin=np.zeros(1))))
+    assert "\n1 run: 1 variant, 1 draw. Of these 1 within" in text
+    assert "The one run that is ok within 10' of true north ends more than 10' from its" in text
+    several = small_study(study={"draws": 8})
+    flags = {"ok_truth": [True] + [False] * 7, "ok_limit": [True] + [False] * 7}
+    summary = summary_of(several, **flags, phi_u_arcmin=np.zeros(8))
+    text = told(store(tmp_path / "b", several, summary))
+    assert "8 runs: 1 variant, 8 draws. Of these 1 within" in text
+
+
+@pytest.mark.parametrize(
+    ("floors", "drawn"),
+    [([FLOOR, np.nan], True), ([FLOOR, FLOOR + 1e-6], True), ([FLOOR, FLOOR + 5.0], False)],
+)
+def test_a_limit_that_is_one_number_is_a_line(tmp_path, floors, drawn):
+    study = small_study(study={"draws": 2, "curves": True}, axes={"phi_u0_deg": [0.0, 30.0]})
+    summary = summary_of(study, floor_arcmin=np.tile(floors, 2))
+    source = Source.read(store(tmp_path, study, summary, curves_of(study)))
+    blocks = [block for one in report.auto.report(source).sections for block in one.blocks]
+    (figure,) = (block.figure for block in blocks if getattr(block, "name", "") == "misalignment")
+    assert ("limit" in [text.get_text() for text in figure.legends[0].get_texts()]) == drawn
 
 
 def test_none_is_best_where_no_run_is_ok(tmp_path):
