@@ -91,6 +91,10 @@ class Panel(NamedTuple):
         """A column, (draws, rows, columns); null is NaN."""
         return numbers(self.rows, column).reshape(-1, *self.shape)
 
+    def cells(self, ok: str, settle: str, off_limit: NDArray) -> "Cells":
+        """Its runs by the columns of successes and settling times; off_limit as in `Cells`."""
+        return Cells(self.of(ok) > 0, off_limit, np.nan_to_num(self.of(settle), nan=np.inf))
+
 
 class Cells(NamedTuple):
     """The runs of each cell of a map.

@@ -8,6 +8,7 @@ import numpy as np
 
 from sinsjax import analysis, plots
 from sinsjax.analysis import Estimate, format_difference, format_estimate
+from sinsjax.analysis.references import compare_with_first
 from sinsjax.analysis.summaries import NEEDED, estimate_of
 from sinsjax.analysis.words import heading, percent
 from sinsjax.columns import report_columns
@@ -21,6 +22,7 @@ from sinsjax.report.base import MOST_ROWS, Block, Picture, Report, Table, Text, 
 from sinsjax.report.markup import said
 from sinsjax.report.over_axes import over_axes, repeats
 from sinsjax.report.spreads import spreads
+from sinsjax.study.keys import is_given
 from sinsjax.study.success import LIMITED, judged_columns, yardsticks
 from sinsjax.study.swept import shown_keys
 
@@ -52,7 +54,7 @@ def statistics(source: Source, keys: Sequence[str], title: str, *, note: str = "
     table = source.distinct([*keys, *NEEDED, *judged_columns(source.study)])
     rows = analysis.summarise(table, keys, [one.name for one in shown]).to_pylist()
     cells = [("runs", lambda row: str(row["n"])), *((one.header, one.cell) for one in shown)]
-    return table_of(title, keys, rows, cells, note, left="rows are not shown")
+    return table_of(title, keys, rows, cells, note)
 
 
 class _Shown(NamedTuple):
@@ -102,15 +104,18 @@ def heading_errors(source: Source, keys: Sequence[str], title: str) -> Table:
     rows = list(analysis.heading_errors(table, keys, times))
     unbounded = any(np.isnan(row["q90"].high) for row in rows) and not source.study.is_recorded
     note = f"{intervals(source)}{' *unknown*: too few draws to bound it.' if unbounded else ''}"
-    most, left = MOST_ROWS * len(times), "rows are not shown"
-    return table_of(title, keys, rows, cells, note, most=most, left=left)
+    return table_of(title, keys, rows, cells, note, most=MOST_ROWS * len(times))
 
 
 def against_first(source: Source) -> Table:
-    """How each variant differs from the first one, draw by draw."""
+    """How each variant differs from the first one under the same conditions, draw by draw."""
     keys, yards = shown_keys(source.study), source.yardsticks
     table = source.distinct([*keys, *NEEDED, *judged_columns(source.study)])
-    first = {key: table[key][0].as_py() for key in keys}
+    given = [key for key in keys if is_given(key)]
+    first, rows = compare_with_first(table, keys, given)
+    compared = [each for each in source.study.dimensions if first.keys() & each.keys()]
+    swept = [(key, values) for each in compared for key, values in each.items() if is_given(key)]
+    mixed = [key for key, values in swept if any(one != values[0] for one in values)]
     times = partial(format_difference, digits=0, sides=("it", "the first"))
     shown = [
         *(_Shown(f"ok: {y.words} (% points)", f"{y.rate}_difference", percent) for y in yards),
@@ -123,13 +128,14 @@ def against_first(source: Source) -> Table:
         ),
     ]
     shared = "from the same start times" if source.study.is_recorded else "on the same noise"
+    same = "" if mixed or not given else f" with the same {' and '.join(given)}"
+    pairs = intervals(source, "pairs of runs of a draw", "Difference")
     return table_of(
-        f"Against {name_of(first)}, {shared}",
+        f"Against {name_of(first)}{same}, {shared}",
         keys,
-        analysis.compare(table, keys, first).to_pylist(),
+        rows,
         [(one.header, one.cell) for one in shown],
-        f"{intervals(source, 'pairs of runs of a draw', 'Difference')} Distance: of the mean"
-        " of phi_u over the window.",
+        said("against", intervals=pairs, mixed=mixed),
     )
 
 

@@ -51,7 +51,7 @@ def table_of(
     note: str = "",
     *,
     most: int = MOST_ROWS,
-    left: str = "",
+    left: str = "rows are not shown",
 ) -> Table:
     """A table with a line for each row: its keys, then what each cell with its header tells of it.
 

@@ -117,8 +117,6 @@ def write_page(page: Path, title: str, made: Sequence[Made]) -> None:
 def write_html(path: Path, title: str, made: Sequence[Made]) -> None:
     """Writes an HTML page that needs nothing else: no network, no file beside it, no script.
 
-    Its folder is made if missing.
-
     Raises:
         InputError: the page cannot be written.
     """

@@ -104,7 +104,8 @@ class Maps:
 def _heat_maps(source: Source, yard: Yardstick) -> Iterator[Block]:
     """The maps from one yardstick."""
     maps = Maps(source, (yard.settle, yard.ok, *LIMITED, "draw_id", "start_s"))
-    every = [_cells(panel, yard) for panel in maps.panels[: 2 * MOST_PANELS]]
+    shown = maps.panels[: 2 * MOST_PANELS]
+    every = [one.cells(yard.ok, yard.settle, yard.off_limit(one.of)) for one in shown]
     if all(map(is_chosen, maps.axes)):
         yield _best(yard, maps, every)
     cells, end = every[: len(maps.drawn)], yard.end(source.yardsticks[0])
@@ -131,11 +132,6 @@ def _heat_maps(source: Source, yard: Yardstick) -> Iterator[Block]:
             Shown("runs that are ok (%)", 0.0, 100.0),
             hatched,
         )
-
-
-def _cells(panel: Panel, yard: Yardstick) -> Cells:
-    settle_s = np.nan_to_num(panel.of(yard.settle), nan=np.inf)
-    return Cells(panel.of(yard.ok) > 0, yard.off_limit(panel.of), settle_s)
 
 
 def _best(yard: Yardstick, maps: Maps, every: Sequence[Cells]) -> Table:

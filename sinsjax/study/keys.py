@@ -3,6 +3,7 @@
 from functools import cache
 from typing import Any
 
+from sinsjax.alignment.description import INITIAL_KEYS
 from sinsjax.alignment.methods import BROKEN, METHODS, PACKAGES, SECTIONS_OF_METHODS
 from sinsjax.alignment.sections import AlignmentSection, CoarseSection, PassesSection
 from sinsjax.study.distributions import StopWhenSection
@@ -104,6 +105,11 @@ def rivals(key: str) -> set[str]:
     """The keys that say in another way what a key says."""
     pairs = SECTIONS[SECTION_OF[key]].exclusive if key in SECTION_OF else ()
     return {other for pair in pairs if key in pair for other in pair} - {key}
+
+
+def is_given(key: str) -> bool:
+    """Whether a key says what a run is faced with: site, motion, sensors, initial errors."""
+    return key in INITIAL_KEYS or SECTION_OF.get(key) in ("earth", "motion", "sensors")
 
 
 def is_chosen(key: str) -> bool:

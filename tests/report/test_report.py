@@ -116,6 +116,30 @@ def test_variants_are_compared_with_the_first_on_the_same_noise(tmp_path):
     yaw = np.abs(summary["phi_u_mean_arcmin"].to_numpy() - FLOOR)
     error = analysis.format_estimate(analysis.difference(yaw[1::2], yaw[::2]))
     assert "7 [7, 7]" in row and percent(share) in row and error in row
+    assert "is a reference only: variants also differ from it in phi_u0_deg, the" in text
+
+
+def test_variants_are_compared_under_the_same_conditions(tmp_path):
+    """From 30 deg every run takes 100 s longer, and a second reset 7 s longer."""
+    axes = {"reset_count": [1, 2], "phi_u0_deg": [0.0, 30.0]}
+    study = small_study(study={"draws": 40}, axes=axes, resets={"reset_cycle_s": 1.0})
+    settle = 50.0 + np.repeat(np.arange(40.0), 4) + np.tile([0.0, 100.0, 7.0, 107.0], 40)
+    text = told(store(tmp_path, study, summary_of(study, settle_10_s=settle)))
+    title = "Against number of resets 1 with the same phi_u0_deg, on the same noise"
+    table = text.partition(title)[2].partition("Difference [")[0]
+    rows = [line for line in table.splitlines() if line.startswith(" 2 ")]
+    assert [row.split()[:2] for row in rows] == [["2", "0"], ["2", "30"]]
+    assert all("7 [7, 7]" in row for row in rows) and "\n 1 " not in table
+    assert "is a reference only" not in text
+
+
+def test_conditions_of_cases_are_told(tmp_path):
+    level = {"phi_e0_deg": 2.0, "reset_count": 0}  # the same in both
+    cases = [{"case": name, "phi_u0_deg": u, **level} for name, u in (("near", 1.0), ("far", 9.0))]
+    study = small_study(study={"draws": 8}, cases=cases)
+    text = told(store(tmp_path, study, summary_of(study)))
+    assert "Against near, on the same noise" in text
+    assert "variants also differ from it in phi_u0_deg, the conditions of a run." in text
 
 
 @pytest.mark.parametrize("changes", [{"study": {"draws": 1}}, {}])
