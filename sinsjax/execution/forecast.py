@@ -99,7 +99,7 @@ class Forecast(NamedTuple):
         return sum(batch.runs for batch in self.batches)
 
     def describe(self, cores: int, done: int = 0, *, threads: bool = False) -> str:
-        """One line for a user, with the time that is left.
+        """One line for a user, with the time that is left, or that nothing is left.
 
         Args:
             cores: number of cores that share the runs.
@@ -109,6 +109,8 @@ class Forecast(NamedTuple):
         kind = "noise-free run" if self.noise_free else "run"
         runs = f"{counted(self.runs, kind)} of up to {self.length_s:g} s"
         left = max(0, self.runs - done)
+        if not left:
+            return f"{runs}: nothing is left to run"
         if done:
             runs += f", {left:,} left"
         takes = _time(left * self.run_s / cores)

@@ -198,6 +198,13 @@ def test_what_is_left_is_told():
     assert line.startswith("100,000,000 runs of up to 6 s: roughly 60 s on 20 worker threads, ")
 
 
+def test_nothing_is_forecast_where_nothing_is_left():
+    expected = forecast.of(small_study(study={"draws": 192}))
+    line = "192 runs of up to 6 s: nothing is left to run"
+    assert expected.describe(2, 192) == expected.describe(2, 200, threads=True) == line
+    assert "1 left: roughly" in expected.describe(2, 191)
+
+
 def test_compass_runs_take_less_than_filters():
     filters, loops = small_study(), small_study(alignment={"method": "compass"})
     assert forecast.of(loops).run_s < forecast.of(filters).run_s
