@@ -241,8 +241,6 @@ def _heat_map(axes: Axes, values: NDArray, shown: Shown, alike: NDArray | None =
                     column, row, shown.text(values[cell]), ha="center", va="center", fontsize=size
                 )
                 text.set_color(_shade(values[cell], shown))
-                colour = image.to_rgba(values[cell])  # a hatch leaves room for the number
-                text.set_bbox({"facecolor": colour, "linewidth": 0, "pad": 1.0})
     return image
 
 
@@ -261,6 +259,11 @@ def _mark(axes: Axes, hatched: NDArray, values: NDArray, shown: Shown) -> None:
         shade, corner = _shade(values[row, column], shown), (column - 0.5, row - 0.5)
         patch = Rectangle(corner, 1, 1, fill=False, edgecolor=shade, hatch=_MARKED, linewidth=0)
         axes.add_patch(patch)
+    (image,) = axes.get_images()
+    for text in axes.texts if hatched.any() else ():  # a hatch leaves room for the numbers
+        column, row = map(int, text.get_position())
+        colour = image.to_rgba(values[row, column])
+        text.set_bbox({"facecolor": colour, "linewidth": 0, "pad": 1.0})
 
 
 def _shade(value: float, shown: Shown) -> str:
