@@ -77,6 +77,7 @@ def _shown(source: Source) -> list[_Shown]:
     seconds, arcmin = (partial(format_estimate, digits=digits) for digits in (0, 1))
     yards = source.yardsticks
     missing = [yard for yard in yardsticks(source.study) if yard not in yards]
+    aim = "the reference" if source.study.is_recorded else "its limit"
     lost = "not recorded" if source.schema == "1" else "no limit"
     return [
         *(_Shown(f"ok: {y.words} (%)", y.rate, percent, not y.truth) for y in yards),
@@ -86,7 +87,7 @@ def _shown(source: Source) -> list[_Shown]:
             for y in yards
         ),
         _Shown("heading error at the end, rms (arcmin)", f"{_END}_rms", heading),
-        _Shown("signed mean from its limit (arcmin)", "phi_u_from_floor_arcmin_mean", arcmin, True),
+        _Shown(f"signed mean from {aim} (arcmin)", "phi_u_from_floor_arcmin_mean", arcmin, True),
     ]
 
 

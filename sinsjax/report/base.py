@@ -122,7 +122,7 @@ def yardstick(study: Study) -> str:
     last = " to ".join(f"{s:g}" for s in sorted({dwell_s.min(), dwell_s.max()}))
     aim = "true north" if rule.from_truth else "its limit (not of true north)"
     if study.is_recorded:
-        aim = "the reference's heading"
+        aim = "the reference's heading, where there is one,"
     return said(
         "yardstick",
         band=rule.band_arcmin,
