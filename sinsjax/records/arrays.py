@@ -1,12 +1,15 @@
 """Records and reference attitudes from arrays in memory: NumPy, pandas, Polars, Arrow."""
 
 from collections.abc import Collection, Sequence
+from datetime import datetime
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
-from sinsjax.messages import first_line
+from sinsjax.messages import first_line, shortened
 from sinsjax.records.files import LARGEST
 from sinsjax.records.layout import (
     ACCEL_UNITS,
@@ -14,14 +17,14 @@ from sinsjax.records.layout import (
     FloatArray,
     Layout,
     fault,
+    given_as,
 )
 from sinsjax.records.reference import Reference, StoredRecord, reference_of
 from sinsjax.records.tables import MISSING, ColumnTable, column_index
 from sinsjax.records.tabular import record_of
 
+_OF_ARRAYS = Layout("arrays")
 _PLACES = tuple(f"[:, {axis}]" for axis in range(3))
-_ARGUMENTS = {"gyro_unit": "gyro_unit", "accel_unit": "accel_unit", "axes_order": "axes"}
-"""The arguments that keys of a layout come from, where their names differ or may be in error."""
 
 
 def record_from_arrays(
@@ -45,10 +48,10 @@ def record_from_arrays(
     The study that runs on it has ``[record] format = "arrays"``.
 
     Args:
-        time: (T,) time at the end of each sample, in ``time_unit`` or as dates with time (NumPy,
-            pandas or Polars); None where ``rate_hz`` gives the times.
+        time: (T,) time at the end of each sample, in ``time_unit`` or as dates with time of any
+            library, in UTC unless they have a zone; None where ``rate_hz`` gives the times.
         gyro: (T, 3) angular rates averaged over each sample, or increments over it, as the unit
-            tells; nan where a sample is missing.
+            tells; nan, None or NA where a sample is missing.
         accel: (T, 3) specific forces likewise: of a base at rest it points up.
         gyro_unit: "rad_per_s", "deg_per_s", "deg_per_h"; of increments "rad", "deg", "arcsec".
         accel_unit: "m_per_s2", "g", "mg", "ug"; of increments "m_per_s", "g_s", "ug_s".
@@ -61,7 +64,7 @@ def record_from_arrays(
         height_m: height above the ellipsoid, likewise.
         reference: attitude to compare with: a mapping or table of columns as `read_reference` reads
             them from a file (time_s, on the clock of ``time``, pitch_deg, roll_deg, and yaw_deg or
-            heading_deg), or a `Reference`.
+            heading_deg; dates with time are seconds since 1970), or a `Reference`.
         source: name of the record, for messages and manifests.
 
     Returns:
@@ -85,8 +88,10 @@ def record_from_arrays(
     )
     if time_unit == "iso":
         raise InputError(f"{source}: time_unit: 'iso' is of files (pass dates as a datetime array)")
+    if time is None and rate_hz is None:
+        raise InputError(f"{source}: rate_hz: required where time is None")
     if found := fault(layout):
-        raise InputError(f"{source}: {_ARGUMENTS.get(found.key, found.key)}: {found.text}")
+        raise InputError(f"{source}: {given_as(_OF_ARRAYS, found.key)}: {found.text}")
     vectors = {
         name: _vectors(source, name, own) for name, own in (("gyro", gyro), ("accel", accel))
     }
@@ -95,9 +100,12 @@ def record_from_arrays(
         for name, values in vectors.items()
         for axis, place in enumerate(_PLACES)
     }
+    layout = layout._replace(format=_OF_ARRAYS.format)
     if time is not None:
-        times, is_date = _times(source, time)
-        columns["time"] = times
+        columns["time"], is_date = _column(source, "time", time)
+        if columns["time"].ndim != 1:
+            shape = columns["time"].shape
+            raise InputError(f"{source}: time: must have the shape (T,), not {shape}")
         layout = layout._replace(time_unit="iso" if is_date else time_unit)
     _require_one_length(source, {**vectors, **({} if time is None else {"time": columns["time"]})})
     record = record_of(source, layout, _table(source, columns))
@@ -132,12 +140,35 @@ def _numbers(source: str, name: str, values: Any) -> FloatArray:
     try:
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        for row, one in enumerate(values if isinstance(values, list) else np.asarray(values)):
-            try:
-                np.asarray(one, dtype=np.float64)
-            except (TypeError, ValueError):
-                raise InputError(f"{source}: {name}: row {row}: {one!s} is no number") from None
-        raise InputError(f"{source}: {name}: no numbers: {first_line(error)}") from None
+        cells = _cells(values)
+        if cells is None:
+            raise InputError(f"{source}: {name}: no numbers: {first_line(error)}") from None
+    numbers = np.empty(cells.shape)
+    for place, cell in np.ndenumerate(cells):
+        try:
+            numbers[place] = np.nan if _is_missing(cell) else float(cell)
+        except (TypeError, ValueError):
+            row, *axis = place
+            column = f"{name}[:, {axis[0]}]" if axis else name
+            shown = shortened(repr(cell), 32)
+            raise InputError(
+                f"{source}: row {row}: column {column!r}: {shown} is no number"
+            ) from None
+    return numbers
+
+
+def _cells(values: Any) -> NDArray[Any] | None:
+    """The single cells of an array or table; None where its rows differ in length."""
+    try:
+        cells = np.asarray(values, dtype=object)
+    except ValueError:
+        return None
+    return None if any(isinstance(cell, list | tuple) for cell in cells.flat) else cells
+
+
+def _is_missing(cell: Any) -> bool:
+    """Whether a cell is None, NA or NaT: those of pandas neither compare nor become numbers."""
+    return cell is None or type(cell).__name__ in ("NAType", "NaTType")
 
 
 def _vectors(source: str, name: str, values: Any) -> FloatArray:
@@ -147,17 +178,27 @@ def _vectors(source: str, name: str, values: Any) -> FloatArray:
     return numbers
 
 
-def _times(source: str, time: Any) -> tuple[FloatArray, bool]:
-    """Times as numbers, and whether they are seconds since 1970 from dates."""
-    values = np.asarray(time)
-    if is_date := values.dtype.kind == "M":
-        nanoseconds = values.astype("datetime64[ns]").astype(np.int64) * 1e-9
-        numbers = np.where(np.isnat(values), np.nan, nanoseconds)
-    else:
-        numbers = _numbers(source, "time", time)
-    if numbers.ndim != 1:
-        raise InputError(f"{source}: time: must have the shape (T,), not {numbers.shape}")
-    return numbers, is_date
+def _column(source: str, name: str, values: Any) -> tuple[FloatArray, bool]:
+    """A column as numbers, and whether they are seconds since 1970 from dates."""
+    plain = np.asarray(values)
+    if plain.dtype.kind == "O" and plain.ndim == 1:  # pandas gives dates with a zone as objects
+        first = next((cell for cell in plain if not _is_missing(cell)), None)
+        if isinstance(first, datetime):
+            plain = _moments(source, name, values)
+    if plain.dtype.kind != "M":
+        return _numbers(source, name, values), False
+    nanoseconds = plain.astype("datetime64[ns]").astype(np.int64) * 1e-9
+    return np.where(np.isnat(plain), np.nan, nanoseconds), True
+
+
+def _moments(source: str, name: str, values: Any) -> NDArray[Any]:
+    """Dates with time in UTC, of objects of which some may have a zone."""
+    try:
+        dates = pa.array(values, pa.timestamp("ns", "UTC"), from_pandas=True)
+    except (pa.ArrowException, TypeError, ValueError) as error:
+        raise InputError(f"{source}: {name}: no dates with time: {first_line(error)}") from None
+    moments: NDArray[Any] = dates.to_numpy(zero_copy_only=False)
+    return moments
 
 
 def _require_one_length(source: str, arrays: dict[str, FloatArray]) -> None:
@@ -198,7 +239,7 @@ def _reference(source: str, given: Any) -> Reference | None:
     names = getattr(given, "column_names", None)  # of Arrow, whose `columns` are arrays
     if names is None:
         names = getattr(given, "columns", given)
-    columns = {str(name): _numbers(source, str(name), given[name]) for name in names}
+    columns = {str(name): _column(source, str(name), given[name])[0] for name in names}
     rows = {len(values) for values in columns.values()}
     if len(rows) > 1 or not all(values.ndim == 1 for values in columns.values()):
         raise InputError(f"{source}: its columns must have one number for each of its rows")

@@ -99,6 +99,7 @@ class Layout(NamedTuple):
 
     Attributes:
         format: "psins", "csv" or "parquet". PSINS text otherwise uses only axes_order and rate_hz.
+            "arrays" of what was given in memory, which no file has.
         quantity: "increments" over each sample, or "rates" averaged over each sample.
         time_column: time at the end of each sample; "" if the file has no time.
         gyro_columns: three names, in the record's own x, y, z.
@@ -124,6 +125,14 @@ class Layout(NamedTuple):
     rate_hz: float | None = None
     time_unit: str = "s"
     max_gap_s: float = 0.0
+
+
+_ARGUMENTS = {"time_column": "time", "axes_order": "axes"}
+
+
+def given_as(layout: Layout, key: str) -> str:
+    """What messages call a key of a layout: that of a file, or the argument that gives arrays."""
+    return _ARGUMENTS.get(key, key) if layout.format == "arrays" else key
 
 
 PSINS_LAYOUT = Layout("psins")

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sinsjax.records.layout import ACCEL_UNITS, GYRO_UNITS, Layout, Record
+from sinsjax.records.layout import ACCEL_UNITS, GYRO_UNITS, Layout, Record, given_as
 from sinsjax.records.means import TURN, Means, means_of, rate_up
 from sinsjax.units import DEG, DEG_PER_H, micro_g
 
@@ -107,16 +107,17 @@ def _force(
 def _vertical(means: Means, layout: Layout) -> Iterator[Finding]:
     size = float(np.linalg.norm(means.force)) or 1.0  # zero in a record that is trusted anyway
     tilt = math.acos(max(-1.0, min(1.0, means.force[2] / size)))
+    key = given_as(layout, "axes_order")
     if tilt > 90 * DEG:
         right_up = layout.axes_order in ("xyz", "rfu")
         hint = " ('yx-z' for front-right-down)" if right_up else ""
         yield Finding(
             True,
             f"the specific force points down, {tilt / DEG:.3g} deg from the up axis: are"
-            f" axes_order{hint} and the sign of the accelerometers right?",
+            f" {key}{hint} and the sign of the accelerometers right?",
         )
     elif tilt > _TILTED:
-        text = f"the up axis is tilted by {tilt / DEG:.3g} deg: is axes_order right?"
+        text = f"the up axis is tilted by {tilt / DEG:.3g} deg: is {key} right?"
         yield Finding(False, text)
 
 
