@@ -135,6 +135,13 @@ def given_as(layout: Layout, key: str) -> str:
     return _ARGUMENTS.get(key, key) if layout.format == "arrays" else key
 
 
+class Note(NamedTuple):
+    """Why a key of a layout has its value, and what cannot be known about it; "" for nothing."""
+
+    reason: str
+    doubt: str = ""
+
+
 PSINS_LAYOUT = Layout("psins")
 """PSINS text with right-front-up axes, at the header's rate."""
 

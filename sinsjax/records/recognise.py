@@ -14,31 +14,29 @@ import numpy as np
 
 from sinsjax.errors import InputError
 from sinsjax.messages import shortened
+from sinsjax.records.clock import LOOKED_AT_S, timing_of
 from sinsjax.records.head import Head, listed
 from sinsjax.records.layout import (
     ACCEL_UNITS,
     GYRO_UNITS,
-    TIME_UNITS,
     FloatArray,
     Layout,
+    Note,
     Record,
     axes,
     to_body,
 )
 from sinsjax.records.means import Means, means_of, rate_up
-from sinsjax.records.names import Clock, Triad, clocks, is_counter, told_axes, triads
+from sinsjax.records.names import Clock, Triad, clocks, told_axes, triads
 from sinsjax.records.plausible import UNIT_NAMES
 from sinsjax.units import DEG, DEG_PER_H, STANDARD_GRAVITY
 
 EARTH_RATE = 15.041 * DEG_PER_H
 """rad/s."""
 
-_FASTEST_S, _SLOWEST_S = 0.5e-3, 0.5  # steps of inertial units: a factor of 1000, as between units
-_LOOKED_AT_S = 300.0  # of a record, to find its units and axes
 _NEAR_GRAVITY = 0.1  # relative: accelerometers are better
 _NEAR_EARTH_RATE = 0.5, 2.0  # ratios: gyros that can find north are better
 _REFUSED = 9.5  # times gravity, or a part of it: no study runs on such a record
-_UNKNOWN_HZ = 100.0
 _BESIDE = {
     "m_per_s2": "rad_per_s",
     "g": "deg_per_s",
@@ -49,25 +47,20 @@ _BESIDE = {
 """Units of gyros that go with those of accelerometers where nothing else tells them."""
 
 
-class Note(NamedTuple):
-    """Why a key has its value, and what cannot be known about it; "" for nothing."""
-
-    reason: str
-    doubt: str = ""
-
-
 class Recognised(NamedTuple):
     """What is found in a file.
 
     Attributes:
-        layout: how it holds a record; without a time column its rate is made up.
+        layout: how it holds a record; its rate stands for one that nothing tells, or is None.
         notes: by key of the layout.
         means: mean measurements of its first minutes, in its own axes.
+        tells_rate: whether the file tells its rate.
     """
 
     layout: Layout
     notes: Mapping[str, Note]
     means: Means
+    tells_rate: bool
 
 
 class _Samples(NamedTuple):
@@ -98,15 +91,17 @@ def recognise(path: Path, head: Head) -> Recognised:
         head: its beginning.
 
     Raises:
-        InputError: it has no columns of gyros or accelerometers, or none that measure gravity.
+        InputError: it has no columns of gyros or accelerometers, or none that measure gravity; or
+            its time runs backward.
     """
     notes: dict[str, Note] = {}
     gyro, notes["gyro_columns"] = _sensor(path, head, "gyro")
     accel, notes["accel_columns"] = _sensor(path, head, "accel")
     columns, times, row = _read(path, head, gyro, accel)
-    clock, rate_hz, of_clock = _clock(times, row)
-    notes |= of_clock
-    looked_at = columns[: max(2, round(_LOOKED_AT_S * rate_hz))]
+    timing = timing_of(path, times, row)
+    clock, rate_hz = timing.clock, timing.rate_hz
+    notes |= timing.notes
+    looked_at = columns[: max(2, round(LOOKED_AT_S * rate_hz))]
     whole = looked_at[np.isfinite(looked_at).all(axis=1)]
     if len(whole) < rate_hz:
         raise InputError(f"{path}: has less than a second without missing samples")
@@ -127,7 +122,7 @@ def recognise(path: Path, head: Head) -> Recognised:
         rate_hz=None if clock else rate_hz,
         time_unit=clock.unit if clock else "s",
     )
-    return Recognised(layout, notes, means)
+    return Recognised(layout, notes, means, timing.known)
 
 
 def _sensor(path: Path, head: Head, kind: str) -> tuple[Triad, Note]:
@@ -169,57 +164,6 @@ def _read(
     columns = table.read(names, blanks=True, dates=list(head.dates))
     times = dict(zip(maybe, columns[6:], strict=True))
     return np.column_stack(columns[:6]), times, table.row
-
-
-def _clock(
-    times: dict[Clock, FloatArray], row: Callable[[int], int]
-) -> tuple[Clock | None, float, dict[str, Note]]:
-    """The column of time with its unit, and the sample rate, Hz."""
-    for clock, values in times.items():
-        steps = np.diff(values[np.isfinite(values)])
-        if not len(steps) or np.mean(steps > 0) < 0.99 or is_counter(clock.name):
-            continue
-        step = float(np.median(steps))
-        fits = [
-            unit
-            for unit, factor in TIME_UNITS.items()
-            if unit != "iso" and _FASTEST_S <= step * factor < _SLOWEST_S
-        ]
-        unit = clock.unit if clock.unit in (*fits, "iso") or not fits else fits[0]
-        if not unit:
-            continue
-        rate = 1 / (step * TIME_UNITS[unit])
-        told = "dates with time" if unit == "iso" else f"steps of {step:g} {unit}"
-        doubt = ""
-        if clock.unit and unit != clock.unit:
-            doubt = f"the name tells {clock.unit}, in which there would be"
-            doubt += f" {1 / (step * TIME_UNITS[clock.unit]):.3g} samples a second"
-        elif not fits and unit != "iso":
-            doubt = f"{rate:.3g} samples a second are unusual"
-        ends = "the stamps are taken for the ends of the samples"
-        return (
-            Clock(clock.name, unit),
-            rate,
-            {
-                "time_column": Note(f"it increases from row to row; {ends}"),
-                "time_unit": Note(f"{told}: {rate:.6g} Hz", doubt),
-            },
-        )
-    made_up = f"so nothing tells the rate: {_UNKNOWN_HZ:g} Hz is made up"
-    doubt = f"{_no_clock(times, row)}, {made_up}"
-    return None, _UNKNOWN_HZ, {"rate_hz": Note("", doubt)}
-
-
-def _no_clock(times: dict[Clock, FloatArray], row: Callable[[int], int]) -> str:
-    """Why no column tells the time."""
-    for clock, values in times.items():
-        known = np.flatnonzero(np.isfinite(values))
-        wrong = np.flatnonzero(np.diff(values[known]) <= 0)
-        if wrong.size and not is_counter(clock.name):
-            at = int(wrong[0])
-            what = "decreases" if values[known[at + 1]] < values[known[at]] else "repeats itself"
-            return f"{clock.name!r} {what} at row {row(int(known[at + 1]))}"
-    return "no column holds times"
 
 
 def _accel_unit(path: Path, samples: _Samples, gyro: Triad, accel: Triad) -> tuple[str, str, Note]:

@@ -14,11 +14,11 @@ from sinsjax.errors import InputError
 from sinsjax.records import read_psins, read_record
 from sinsjax.records.files import line_batches, number_or_nan
 from sinsjax.records.head import head_of
-from sinsjax.records.layout import PSINS_LAYOUT, Layout, Oddity, Record
+from sinsjax.records.layout import PSINS_LAYOUT, Layout, Note, Oddity, Record
 from sinsjax.records.means import Means, means_of, rate_up
 from sinsjax.records.oddities import MOST_TOLD, within
 from sinsjax.records.plausible import Finding, StationaryValues, findings
-from sinsjax.records.recognise import EARTH_RATE, Note, recognise, sees_earth_rate
+from sinsjax.records.recognise import EARTH_RATE, recognise, sees_earth_rate
 from sinsjax.study.files import DOUBT, schema_line
 from sinsjax.units import DEG, DEG_PER_H, STANDARD_GRAVITY, micro_g
 
@@ -46,12 +46,14 @@ class _Looked(NamedTuple):
         notes: by key of [record].
         record: what is read with it.
         told: what kind of file it is.
+        tells_rate: whether the file tells its rate.
     """
 
     layout: Layout
     notes: dict[str, Note]
     record: Record
     told: str
+    tells_rate: bool = True
 
 
 class _Times(NamedTuple):
@@ -88,7 +90,7 @@ def study_of(path: Path, study: Path) -> str:
     means = means_of(looked.record, span, STANDARD_GRAVITY)
     sections = [
         _title(path, study),
-        _study_section(path, times, of_times),
+        _study_section(path, looked, times, of_times),
         _earth_section(looked.record, means),
         _record_section(looked, times, span, _latitude(looked.record, means)),
         _coarse_section(times),
@@ -128,7 +130,7 @@ def _looked(path: Path) -> _Looked:
         record = read_record(path, layout)
         doubt = "if the base moves in them, leave this out: the study then refuses them"
         notes["max_gap_s"] = Note(f"{record.filled} samples in {len(short)} gaps", doubt)
-    return _Looked(layout, notes, record, head.told)
+    return _Looked(layout, notes, record, head.told, found.tells_rate)
 
 
 def _times(path: Path, record: Record) -> tuple[_Times, Note]:
@@ -191,16 +193,26 @@ def _title(path: Path, study: Path) -> str:
     )
 
 
-def _study_section(path: Path, times: _Times, note: Note) -> str:
+def _study_section(path: Path, looked: _Looked, times: _Times, note: Note) -> str:
+    rate = [*_entry("rate_hz", times.rate_hz, _rate_note(looked, times))]
+    if not looked.tells_rate:  # the study is refused until it is given
+        rate[-1] = "# rate_hz ="
     lines = [
         "[study]",
         *_entry("name", path.stem),
         *_entry("duration_s", times.fine_s, Note(f"s, the alignment; {note.reason}", note.doubt)),
-        *_entry("rate_hz", times.rate_hz, Note("Hz, of the record")),
+        *rate,
         *_entry("record_interval_s", times.interval_s, Note("s, between recorded values")),
         *_entry("settle_bands_arcmin", [60, 10], Note("arcmin, heading error bands")),
     ]
     return "\n".join([*lines, ""])
+
+
+def _rate_note(looked: _Looked, times: _Times) -> Note:
+    measured = f"{looked.record.rate_hz:.6g}"
+    if measured == f"{times.rate_hz:.6g}":
+        return looked.notes.get("rate_hz", Note("Hz, of the record"))
+    return Note(f"Hz, the nominal rate: the stamps tell {measured}")
 
 
 def _earth_section(record: Record, means: Means) -> str:
@@ -221,9 +233,7 @@ def _record_section(
     lines = ["[record]", _comment(f"{looked.told}."), *_entry("format", layout.format)]
     for key in Layout._fields:
         value = getattr(layout, key)
-        if key == "rate_hz" and key in notes:
-            lines.append(_comment(notes[key].doubt, DOUBT))
-        elif key in ("format", "rate_hz") or value in ("", 0.0, ()):
+        if key in ("format", "rate_hz") or value in ("", 0.0, ()):
             continue
         elif layout.format != "psins" or key == "axes_order":
             if key != "time_unit" or layout.time_column:

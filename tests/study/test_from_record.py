@@ -81,14 +81,14 @@ def described(path: Path) -> tuple[dict[str, Any], list[str]]:
     return tomllib.loads(text), [" ".join(doubt.replace("\n#  ", "").split()) for doubt in doubts]
 
 
-def runs(sinsjax: Command, path: Path) -> dict[str, Any]:
-    """The row of the study that is written for a file: it validates and runs."""
+def runs(sinsjax: Command, path: Path, *more: str) -> dict[str, Any]:
+    """The row of the study that is written for a file: it validates and runs with more options."""
     code, told, error = sinsjax("init", "record", "--from", path.name, "-o", "its.toml")
     assert (code, error) == (0, ""), error
     assert re.search(r"cannot tell: \d+ lines of its.toml begin with # DOUBT", told)
-    code, told, error = sinsjax("validate", "its.toml")
+    code, told, error = sinsjax("validate", "its.toml", *more)
     assert (code, error) == (0, ""), error
-    code, told, error = sinsjax("align", path.name, "its.toml", "-o", "out")
+    code, told, error = sinsjax("align", path.name, "its.toml", "-o", "out", *more)
     assert code == 0 and "error" not in error, error  # what is doubtful is told there
     (row,) = package.read_summary("out").to_pylist()
     return row
@@ -172,13 +172,14 @@ def test_a_log_becomes_a_study_that_runs(
     study, doubts = described(path)
     found = {key: study["record"].get(key) for key in expected}
     assert found == expected
-    assert study["study"]["rate_hz"] == RATE
+    untimed = name == "no time"
+    assert study["study"].get("rate_hz") == (None if untimed else RATE)
     assert study["earth"]["latitude_deg"] == pytest.approx(45.0, abs=0.3)
     told = " ".join(doubts)
     assert "put the true one here" in told
     assert study["alignment"] == {"method": "inertial"} and "filter" not in study
-    assert ("Hz is made up" in told) == (name == "no time")
-    row = runs(sinsjax, path)
+    assert ("nothing tells the rate" in told) == untimed
+    row = runs(sinsjax, path, *(["--set", "study.rate_hz=100"] if untimed else []))
     assert abs(row["roll_deg"]) < 1 and abs(row["pitch_deg"]) < 1
     # Of a box whose front is not told the yaw is off by right angles, as the doubt says.
     off = (row["yaw_deg"] - 10 + 45) % 90 - 45
@@ -330,17 +331,57 @@ def test_what_is_no_record_is_refused_in_one_line(
     assert not Path("log.toml").exists()
 
 
-def test_a_clock_that_runs_backward_or_repeats_is_named_with_its_row(
-    rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
+def test_a_clock_that_runs_backward_is_refused_with_its_row(
+    rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
+) -> None:
+    table = columns(rates, "rfu", 1.0, 1.0, 0.01)
+    write(tmp_path / "log.csv", table[::-1], ("Tstamp", *NAMES[1:]))
+    code, told, error = sinsjax("init", "record", "--from", "log.csv")
+    assert (code, told, error.count("\n")) == (2, "", 1)
+    assert "column 'Tstamp': row 3: time runs backward, from 100.0 to 99.99 (sort" in error
+    # A column that no name calls a time may decrease, and one that can be read comes first.
+    described(write(tmp_path / "log.csv", table[::-1], ("other", *NAMES[1:])))
+    both = np.column_stack([table[::-1, 0], table])
+    study, _ = described(write(tmp_path / "log.csv", both, ("date", *NAMES)))
+    assert study["record"]["time_column"] == "t"
+
+
+@pytest.mark.parametrize("resolution_s", [0.02, 1.0])
+def test_stamps_too_coarse_to_read_tell_the_mean_rate(
+    resolution_s: float,
+    rates: tuple[np.ndarray, np.ndarray],
+    sinsjax: Command,
+    tmp_path: Path,
+) -> None:
+    table = columns(rates, "rfu", 1.0, 1.0, 0.01)
+    # Not in whole seconds the mean tells 100 Hz too, and 99 Hz is not taken for it.
+    for rate in (100.0, 99.0):
+        times = np.floor(table[:, 0] * 100 / rate / resolution_s) * resolution_s
+        path = write(tmp_path / "log.csv", np.column_stack([times, table[:, 1:]]))
+        study, doubts = described(path)
+        assert study["study"]["rate_hz"] == (
+            rate if resolution_s < 0.1 else pytest.approx(rate, 0.02)
+        )
+        assert "time_column" not in study["record"]
+        (doubt,) = [doubt for doubt in doubts if "coarse" in doubt]
+        assert re.match(r"'t' repeats itself at row [34]: its stamps are too coarse to be", doubt)
+    runs(sinsjax, path)
+
+
+def test_no_study_runs_at_a_rate_that_nothing_tells(
+    rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
 ) -> None:
     table = columns(rates, "rfu", 1.0, 1.0, 1e4)
-    names = ("Tstamp[us]", *NAMES[1:])
-    back, coarse = table[::-1], table.copy()
-    coarse[:, 0] = (1.763e15 + table[:, 0]).astype(np.float32)
-    for rows, what in ((back, "decreases at row 3"), (coarse, "repeats itself at row 3")):
-        path = write(tmp_path / "log.csv", rows, names)
-        told = " ".join(described(path)[1])
-        assert f"'Tstamp[us]' {what}, so nothing tells the rate" in told
+    table[:, 0] = (1.763e15 + table[:, 0]).astype(np.float32)
+    path = write(tmp_path / "log.csv", table, ("Tstamp[us]", *NAMES[1:]))
+    study, doubts = described(path)
+    told = "'Tstamp[us]' repeats itself at row 3, so nothing tells the rate: put it here"
+    assert "rate_hz" not in study["study"] and any(told in doubt for doubt in doubts)
+    assert sinsjax("init", "record", "--from", "log.csv")[0] == 0
+    for command in (("validate", "log.toml"), ("align", "log.csv", "log.toml", "-o", "out")):
+        code, _, error = sinsjax(*command)
+        assert code == 2 and error.startswith("error: log.toml: [study] rate_hz: required")
+        assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize(
