@@ -85,7 +85,7 @@ def _stuck(
     least = max(2, round(_STUCK_S * rate_hz))
     if count < least:
         return
-    dead = [name for name, values in zip(names, columns, strict=True) if _is_constant(values)]
+    dead = [name for name, values in zip(names, columns, strict=True) if is_constant(values)]
     if len(dead) == len(names):
         yield Oddity(0, count, False, "no channel changes in any row: is this a log of sensors?")
         return
@@ -107,7 +107,8 @@ def _stuck(
             )
 
 
-def _is_constant(values: NDArray[Any]) -> bool:
+def is_constant(values: NDArray[Any]) -> bool:
+    """Whether a channel (T,) never changes."""
     return bool(values[0] == values[-1] and (values == values[0]).all())
 
 

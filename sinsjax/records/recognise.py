@@ -28,6 +28,7 @@ from sinsjax.records.layout import (
 )
 from sinsjax.records.means import Means, means_of, rate_up
 from sinsjax.records.names import Clock, Triad, clocks, told_axes, triads
+from sinsjax.records.oddities import is_constant
 from sinsjax.records.plausible import UNIT_NAMES
 from sinsjax.units import DEG, DEG_PER_H, STANDARD_GRAVITY
 
@@ -36,6 +37,7 @@ EARTH_RATE = 15.041 * DEG_PER_H
 
 _NEAR_GRAVITY = 0.1  # relative: accelerometers are better
 _NEAR_EARTH_RATE = 0.5, 2.0  # ratios: gyros that can find north are better
+_LEAST_OF_LIVE = 0.14  # ratio of the gyros beside a dead one: far from that in the nearest unit
 _REFUSED = 9.5  # times gravity, or a part of it: no study runs on such a record
 _BESIDE = {
     "m_per_s2": "rad_per_s",
@@ -213,20 +215,26 @@ def _gyro_unit(
     """Unit of the gyros by their names and Earth rate, and the means in it."""
     spread = samples.rate_hz if quantity == "rates" else 1.0
     dv = samples.accel * (ACCEL_UNITS[quantity][accel_unit] / spread)
+    # Without a dead channel the others tell the order of Earth rate; with its constant, nothing.
+    dead = [is_constant(values) for values in samples.gyro.T]
+    left_out = any(dead) and not all(dead)
+    live = np.where(dead, 0.0, samples.gyro) if left_out else samples.gyro
     means, ratio = {}, {}
     for unit, factor in GYRO_UNITS[quantity].items():
-        record = Record(samples.gyro * (factor / spread), dv, samples.rate_hz)
+        record = Record(live * (factor / spread), dv, samples.rate_hz)
         means[unit] = means_of(record, (0, len(dv)), STANDARD_GRAVITY)
         ratio[unit] = float(np.linalg.norm(means[unit].rate)) / EARTH_RATE
     # Gyros in a wrong unit do not follow the vertical of a base that sways.
     far = {unit: abs(math.log(max(ratio[unit], 1e-12))) for unit in ratio}
     best = min(ratio, key=lambda unit: (means[unit].kept < 0.99, far[unit]))
     beside = _BESIDE.get(accel_unit, best)
-    low, high = _NEAR_EARTH_RATE
+    low, high = _LEAST_OF_LIVE if left_out else _NEAR_EARTH_RATE[0], _NEAR_EARTH_RATE[1]
     unit = gyro.unit if gyro.unit in ratio else best if low < ratio[best] < high else beside
     told = f"the mean rate is {ratio[unit]:.3g} times Earth rate in {UNIT_NAMES[unit]}"
+    names = ", ".join(repr(name) for name, is_dead in zip(gyro.names, dead, strict=True) if is_dead)
     if low < ratio[unit] < high:
-        return unit, means[unit], Note(told)
+        doubt = f"told without {names}, which never changes" if left_out else ""
+        return unit, means[unit], Note(told, doubt)
     by_name = unit == gyro.unit
     if low < ratio[best] < high:
         doubt = f"the names tell this unit; in {UNIT_NAMES[best]} it would be {ratio[best]:.3g}"

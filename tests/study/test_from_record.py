@@ -300,6 +300,19 @@ def test_what_cannot_be_known_is_a_doubt(
     assert doubt in " ".join(described(path)[1])
 
 
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize(("unit", "factor"), GYRO.items())
+def test_a_dead_gyro_does_not_tell_the_unit(
+    axis: int, unit: str, factor: float, rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    for value in (0.0, 0.0062, -3.0):
+        table = columns(rates, "rfu", factor, 1.0, 0.01)
+        table[:, 1 + axis] = value
+        study, doubts = described(write(tmp_path / "log.csv", table))
+        assert study["record"]["gyro_unit"] == unit
+        assert f"told without '{NAMES[1 + axis]}', which never changes" in doubts
+
+
 @pytest.mark.parametrize(
     ("make", "line"),
     [
