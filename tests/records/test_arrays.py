@@ -231,6 +231,7 @@ def test_a_reference_is_on_the_clock_of_the_record() -> None:
         ({"time": None, "rate_hz": 1.0, "gyro": np.empty((0, 3))}, "arrays: gyro: has no rows"),
         ({"gyro": GYRO * 1e35}, "arrays: row 0: column 'gyro[:, 0]': out of range (beyond 1e+30)"),
         ({"time": TIME[::-1]}, "column 'time': row 1: time runs backward, from 0.5 to 0.49 s"),
+        ({"time": np.ones(T)}, "time repeats, from 1.0 to 1.0 s (of bad stamps leave time out and"),
         ({"rate_hz": 50.0}, "arrays: column 'time' gives 100 Hz, but rate_hz is 50"),
         ({"gyro_unit": "dps"}, "gyro_unit: 'dps' is not one of rad, deg, arcsec, rad_per_s"),
         (

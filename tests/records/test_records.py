@@ -439,6 +439,63 @@ def test_late_stamps_are_no_gap_where_the_next_ones_are_in_time(tmp_path, late):
     assert record.rate_hz == 100.0
 
 
+def scattered_stamps(count: int = 6000, begin: float = 0.0) -> np.ndarray:
+    """Stamps at 200 Hz of which some change places: normal scatter, 1 sigma 1 ms."""
+    time_s = begin + np.arange(1, count + 1) / 200
+    time_s = time_s + np.random.default_rng(7).normal(scale=1e-3, size=count)
+    assert (np.diff(time_s) < 0).any() and (np.diff(time_s) > 0.01).any()
+    return time_s
+
+
+@pytest.mark.parametrize("begin", [0.0, 1.7e9])
+@pytest.mark.parametrize("rate_hz", [None, 200.0])
+def test_stamps_that_scatter_about_a_line_have_its_rate(tmp_path, begin, rate_hz):
+    time_s = scattered_stamps(begin=begin)
+    record = read_whole(table_csv(tmp_path, time_s), CSV._replace(rate_hz=rate_hz))
+    assert len(record.dtheta) == 6000 and record.rate_hz == 200.0
+    assert record.t0_s == pytest.approx(begin, abs=1e-4)
+    # Not taken for a whole rate that it is not, and not far from it.
+    path = table_csv(tmp_path, begin + (time_s - begin) * 1.0001)
+    assert read_whole(path, CSV._replace(rate_hz=None)).rate_hz == pytest.approx(200 / 1.0001, 5e-6)
+
+
+def test_uniform_scatter_of_half_a_sample_is_read(tmp_path):
+    time_s = np.arange(1, 3001) / 100 + np.random.default_rng(1).uniform(-0.005, 0.005, 3000)
+    record = read_whole(table_csv(tmp_path, time_s), CSV._replace(rate_hz=None))
+    assert len(record.dtheta) == 3000 and record.rate_hz == pytest.approx(100.0, rel=1e-5)
+
+
+@pytest.mark.parametrize("missing", [[3000], [300, 301, 5000], [2000, 2020, *range(4000, 4300)]])
+def test_samples_that_lack_among_scattered_stamps_are_found(tmp_path, missing):
+    time_s = np.delete(scattered_stamps(), missing)
+    record = records.read_csv(table_csv(tmp_path, time_s), CSV._replace(rate_hz=None))
+    assert len(record.dtheta) == 6000 and record.rate_hz == 200.0
+    found = np.flatnonzero(np.isnan(record.dtheta[:, 0]))
+    # A stamp that is half a sample off leaves open on which side of it a sample is missing.
+    assert len(found) == len(missing) and np.abs(found - missing).max() <= 1
+    assert f"row {missing[0] + 2}: a gap at 200 Hz" in record.flaws[0].text
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda t: np.insert(t, 3000, t[3000]), "row 3003: time repeats"),
+        (lambda t: t - np.where(np.arange(6000) < 3000, 0, 5.0), "row 3002: time runs backward"),
+        (lambda t: t - np.where(np.arange(6000) < 3000, 0, 0.005), "a short step at 200 Hz"),
+        (lambda t: t + np.where(np.arange(6000) < 3000, 0, 1e6), "row 3002: a gap at "),
+        (lambda t: t[::-1], "row 3: time runs backward"),
+        (lambda t: np.round(t, 2), "time repeats"),
+        (lambda t: t + np.where(np.arange(6000) == 3000, 0.03, 0), "a short step"),
+    ],
+)
+def test_a_clock_that_is_wrong_is_found_among_scattered_stamps(tmp_path, change, says):
+    path = table_csv(tmp_path, change(scattered_stamps()))
+    line = refused(records.read_csv, path, CSV._replace(rate_hz=None))
+    assert says in line
+    if "short" in says or "repeats" in says:
+        assert line.endswith(" s (of bad stamps leave time_column out and give rate_hz)")
+
+
 def lacking(folder: Path, missing: list[int], kind: str) -> tuple[Path, np.ndarray]:
     """A table whose values are times, without some samples: as a gap, or as empty cells."""
     time_s = np.arange(1, 401) / 100
