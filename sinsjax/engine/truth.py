@@ -290,12 +290,18 @@ def _reference_at(stored: StoredRecord, times: np.ndarray) -> np.ndarray:
     first, last = reference.time_s[0], reference.time_s[-1]
     begin, end = times.min(), times.max()  # a backward pass ends before it begins
     slack = 1e-6 + 1 / stored.record.rate_hz
-    if begin < first - slack or end > last + slack:
+    late, early = float(first - begin), float(end - last)
+    if max(late, early) > slack:
         clock = stored.record.t0_s
+        lack, remedy = f"ends {early:.3g} s too early", "a shorter [study] duration_s would do"
+        if late >= early:
+            lack, remedy = f"begins {late:.3g} s too late", "a later [record] start_s would do"
+        if max(late, early) > end - begin:
+            remedy = "do their clocks differ?"
         raise InputError(
             f"{reference.source}: covers {seconds(clock + first)} to {seconds(clock + last)} s,"
             f" but the study needs {seconds(clock + begin)} to {seconds(clock + end)} s by the"
-            f" clock of {stored.record.source}"
+            f" clock of {stored.record.source}: it {lack} ({remedy})"
         )
     # With the samples on either side, between which the ends are interpolated.
     low = np.searchsorted(reference.time_s, begin, side="right") - 1

@@ -150,7 +150,8 @@ def _times(path: Path, record: Record) -> tuple[_Times, Note]:
             f" {_SHORTEST_S:g}"
         )
     coarse = min(round(_COARSE_S / interval_s), intervals // 4)
-    fine = min(intervals - coarse, round(_LONGEST_S / interval_s))
+    # An ordinary reference ends a little earlier than its record.
+    fine = min(intervals - coarse - 1, round(_LONGEST_S / interval_s))
     note = Note(f"of {len(record.dv) / rate:.4g} s in the file")
     if record.flaws:
         longest = f"{begin / rate:.4g} to {end / rate:.4g} s is the longest part without"

@@ -263,8 +263,19 @@ def test_a_rate_that_is_no_whole_number_and_a_clock_that_starts_at_1000_s(tmp_pa
     with pytest.raises(InputError, match=r"covers 1763001000.25 to 1763001020.25 s, but the study"):
         run.run(study, late)
     late = tape._replace(reference=early._replace(time_s=early.time_s + 1000))
-    with pytest.raises(InputError, match="covers 2000 to 2020 s, but the study needs 1011 to 10"):
+    with pytest.raises(
+        InputError, match="covers 2000 to 2020 s, but the study needs 1011 to 10"
+    ) as told:
         run.run(study, late)
+    assert str(told.value).endswith("begins 989 s too late (do their clocks differ?)")
+    for by, says in (
+        (-4.01, "ends 0.016 s too early (a shorter [study] duration_s would do)"),
+        (11.5, "begins 0.499 s too late (a later [record] start_s would do)"),
+    ):
+        moved = tape._replace(reference=early._replace(time_s=early.time_s + by))
+        with pytest.raises(InputError) as told:
+            run.run(study, moved)
+        assert str(told.value).endswith(says)
 
 
 @pytest.mark.parametrize("name", ["car_test", "compass_car", "car_adaptive", "car_batch"])

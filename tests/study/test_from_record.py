@@ -232,6 +232,22 @@ def test_parquet_with_dates(
     assert abs(runs(sinsjax, path)["yaw_deg"] - 10) < 1.5
 
 
+def test_a_reference_that_ends_a_little_earlier_than_the_log_is_enough(
+    rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
+) -> None:
+    path = write(tmp_path / "log.csv", columns(rates, "rfu", 1.0, 1.0, 0.01))
+    study, _ = described(path)
+    assert study["study"]["duration_s"] + study["coarse"]["coarse_duration_s"] == 99.0
+    times = np.arange(0.1, 99.95, 0.1)
+    table = np.column_stack([times, np.zeros((len(times), 2)), np.full(len(times), 10.0)])
+    names = ("time_s", "pitch_deg", "roll_deg", "yaw_deg")
+    write(tmp_path / "ref.csv", table, names)
+    assert sinsjax("init", "record", "--from", "log.csv")[0] == 0
+    command = ("align", "log.csv", "log.toml", "-o", "out", "--reference", "ref.csv")
+    assert sinsjax(*command)[0] == 0
+    assert package.read_summary("out")["phi_u_arcmin"].null_count == 0
+
+
 def test_psins_text(rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path) -> None:
     record = Record(rates[0] / RATE, rates[1] / RATE, RATE)
     record = record._replace(latitude_deg=45.0, height_m=10.0, gravity_m_per_s2=9.8)
@@ -421,7 +437,7 @@ def test_a_warning_is_told_once_on_the_standard_error(
     assert sinsjax("init", "record", "--from", "log.csv")[0] == 0
     code, told, error = sinsjax("align", "log.csv", "log.toml", "-o", "out")
     assert code == 0 and "Warning" not in told
-    assert error.startswith("Warning: log.csv: 0 to 100 s: the mean specific force")
+    assert error.startswith("Warning: log.csv: 0 to 99 s: the mean specific force")
     assert error.count("\n") == error.count("Warning") == 1
 
 
