@@ -7,7 +7,10 @@ import numpy as np
 
 from sinsjax.records.layout import FloatArray, Record
 from sinsjax.records.turning import attitudes, multiply, rotate
-from sinsjax.units import DEG
+from sinsjax.units import DEG, DEG_PER_H
+
+EARTH_RATE = 15.041 * DEG_PER_H
+"""rad/s."""
 
 TURN = 1.0 * DEG
 """A parked vehicle stays within it."""

@@ -1,4 +1,4 @@
-"""Samples that no sensor puts out on a base at rest: beyond any range, or stuck.
+"""What no sensor puts out on a base at rest: samples beyond any range, or stuck; no Earth rate.
 
 They are found where a file is read, for only there the rows are known.
 """
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax.records.layout import Oddity
+from sinsjax.records.means import EARTH_RATE
 from sinsjax.units import DEG, STANDARD_GRAVITY
 
 _MOST_G, _MOST_DEG_PER_S = 20.0, 1000.0  # swaying bases and cars stay far below
@@ -19,6 +20,7 @@ _STANDS_OUT = 0.1
 MOST_TOLD = 6
 """Of what is odd about a record, in messages."""
 
+_REMOVED = 0.01  # of Earth rate, in every gyro: biases do not cancel it so well in all three
 _STUCK_S = 1.0  # of all six channels: one of few counts may repeat itself for long
 
 
@@ -39,7 +41,7 @@ def oddities(
         row: the row to name in a message about sample k.
     """
     beyond = _beyond(names, columns, factors, row)
-    return (*beyond, *_stuck(names, columns, rate_hz, row))
+    return (*beyond, *_removed(columns[:3], factors), *_stuck(names, columns, rate_hz, row))
 
 
 def within(found: Sequence[Oddity], spans: Sequence[tuple[int, int]]) -> list[Oddity]:
@@ -73,6 +75,24 @@ def _beyond(
                 f" {value * factor / unit:.4g} {shown}, and no base at rest has more than"
                 f" {limit:g} {shown}",
             )
+
+
+def _removed(gyros: Sequence[NDArray[Any]], factors: Sequence[float]) -> Iterator[Oddity]:
+    """Earth rate that was removed by subtracting the mean of the whole log from each gyro.
+
+    The mean over a part of it, which a study aligns, is that of its sways then.
+    """
+    if any(map(is_constant, gyros)):
+        return
+    means = [
+        float(np.nansum(gyro)) / max(1, np.count_nonzero(np.isfinite(gyro))) * factor
+        for gyro, factor in zip(gyros, factors, strict=False)
+    ]
+    if max(map(abs, means)) < _REMOVED * EARTH_RATE:
+        text = (
+            f"the mean of each gyro over the whole log is below {_REMOVED:.0%} of Earth rate: has"
+        )
+        yield Oddity(0, len(gyros[0]), True, f"{text} Earth rate been removed?")
 
 
 def _stuck(

@@ -153,11 +153,12 @@ def _rate(
         text += f": a gyro bias of {least:.3g} deg/h or more would explain it"
         yield Finding(False, f"{text}, and the heading cannot be trusted")
     elif abs(up - vertical) > allowed:
+        removed = ", or has Earth rate been removed" if abs(up) < 0.5 * abs(vertical) else ""
         yield Finding(
             False,
             f"the rate about the vertical is {up / DEG_PER_H:.3g} deg/h, but Earth rate there is"
             f" {vertical / DEG_PER_H:.3g}: do gyros and accelerometers share their axes, and is the"
-            " latitude right?",
+            f" latitude right{removed}?",
         )
 
 

@@ -26,14 +26,11 @@ from sinsjax.records.layout import (
     axes,
     to_body,
 )
-from sinsjax.records.means import Means, means_of, rate_up
+from sinsjax.records.means import EARTH_RATE, Means, means_of, rate_up
 from sinsjax.records.names import Clock, Triad, clocks, told_axes, triads
 from sinsjax.records.oddities import is_constant
 from sinsjax.records.plausible import UNIT_NAMES
-from sinsjax.units import DEG, DEG_PER_H, STANDARD_GRAVITY
-
-EARTH_RATE = 15.041 * DEG_PER_H
-"""rad/s."""
+from sinsjax.units import DEG, STANDARD_GRAVITY
 
 _NEAR_GRAVITY = 0.1  # relative: accelerometers are better
 _NEAR_EARTH_RATE = 0.5, 2.0  # ratios: gyros that can find north are better

@@ -15,10 +15,10 @@ from sinsjax.records import read_psins, read_record
 from sinsjax.records.files import line_batches, number_or_nan
 from sinsjax.records.head import head_of
 from sinsjax.records.layout import PSINS_LAYOUT, Layout, Note, Oddity, Record
-from sinsjax.records.means import Means, means_of, rate_up
+from sinsjax.records.means import EARTH_RATE, Means, means_of, rate_up
 from sinsjax.records.oddities import MOST_TOLD, within
 from sinsjax.records.plausible import Finding, StationaryValues, findings
-from sinsjax.records.recognise import EARTH_RATE, recognise, sees_earth_rate
+from sinsjax.records.recognise import recognise, sees_earth_rate
 from sinsjax.study.files import DOUBT, schema_line
 from sinsjax.units import DEG, DEG_PER_H, STANDARD_GRAVITY, micro_g
 

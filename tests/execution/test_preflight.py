@@ -2,6 +2,7 @@
 
 import gc
 import json
+import math
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -85,6 +86,19 @@ def test_a_vertical_that_points_down_is_refused() -> None:
     turned = [v[:, [1, 0, 2]] * [1, 1, -1] for v in (some.dtheta, some.dv)]
     assert "'yx-z' for front-right-down" in refused(some._replace(dtheta=turned[0], dv=turned[1]))
     assert "points down" in refused(some._replace(dv=-some.dv))
+
+
+def test_a_rate_about_the_vertical_of_another_latitude_is_a_warning() -> None:
+    """At 32 N it is 7.97 deg/h; without it, or its sign, the size is still near Earth rate."""
+    some = record("still")
+    for part, asks in (
+        (1, "latitude right, or has Earth rate been removed?"),
+        (2, "latitude right?"),
+    ):
+        less = np.array([0, 0, part * 15.041067 * math.sin(32 * DEG)]) * DEG_PER_H / 100
+        (one,) = found(some._replace(dtheta=some.dtheta - less), gyro=3.0)
+        assert one.text.endswith(asks) and not one.hard
+        assert "deg/h, but Earth rate there is 7.97: do gyros" in one.text
 
 
 @pytest.mark.parametrize("base", ["still", "swinging"])

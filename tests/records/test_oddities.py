@@ -85,6 +85,23 @@ def test_dead_and_stuck_channels_are_told() -> None:
     assert warning.startswith("arrays: rows 1000 to 1099: all six")
 
 
+@pytest.mark.parametrize("unit", ["rad_per_s", "deg_per_h"])
+def test_a_mean_of_the_whole_log_that_was_subtracted_is_told(unit: str) -> None:
+    """A sway that the log cuts short: over the part that is aligned the mean is not zero."""
+    sway = 2e-4 * np.cos(np.arange(T)[:, None] / T * [3.0, 4.0, 5.0])
+    sensed = GYRO + sway
+    factor = 1.0 if unit == "rad_per_s" else 3600 * 180 / np.pi
+    removed = np.round((sensed - sensed.mean(axis=0)) * factor, 9)
+    removed[5, 1] = np.nan
+    asks = "the mean of each gyro over the whole log is below 1% of Earth rate: has Earth rate been"
+    tape = made(removed, gyro_unit=unit, max_gap_s=0.1)
+    with pytest.raises(InputError, match=asks):
+        made_ready(study(), tape)
+    assert any(asks in line for line in made_ready(study(trust=True), tape)[1])
+    for gyro in (sensed * factor, removed + [0, 0, 1e-5 * factor]):
+        assert not texts(gyro, gyro_unit=unit, max_gap_s=0.1)
+
+
 def test_rows_are_those_of_the_file(tmp_path: Path) -> None:
     accel = changed(ACCEL, 20, 2, 1e4)
     record = Record(GYRO / RATE, accel / RATE, RATE, latitude_deg=45.0, gravity_m_per_s2=9.8)
