@@ -85,7 +85,7 @@ def _removed(gyros: Sequence[NDArray[Any]], factors: Sequence[float]) -> Iterato
     if any(map(is_constant, gyros)):
         return
     means = [
-        float(np.nansum(gyro)) / max(1, np.count_nonzero(np.isfinite(gyro))) * factor
+        float(np.nansum(gyro)) / max(1, int(np.isfinite(gyro).sum())) * factor
         for gyro, factor in zip(gyros, factors, strict=False)
     ]
     if max(map(abs, means)) < _REMOVED * EARTH_RATE:

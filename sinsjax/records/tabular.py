@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,6 +29,9 @@ from sinsjax.records.layout import (
 from sinsjax.records.oddities import oddities
 from sinsjax.records.stamps import Sampling, between, sampling
 from sinsjax.records.tables import MISSING, ColumnTable, open_csv, open_parquet
+
+_INTERPOLATED_S = 1.0
+"""Longest gap for which interpolation is offered: most bases sway more slowly than this."""
 
 
 def read_csv(path: str | Path, layout: Layout) -> Record:
@@ -149,10 +153,11 @@ def _make_whole(columns: list[FloatArray], read: _Read) -> tuple[list[Flaw], int
     fill, flaws = np.zeros(len(missing), bool), []
     for begin, end in edges.tolist():
         inside = begin > 0 and end < len(missing)
-        if inside and (end - begin + 1) / rate <= read.layout.max_gap_s * (1 + 1e-9):
+        gap_s = (end - begin + 1) / rate if inside else math.inf
+        if gap_s <= read.layout.max_gap_s * (1 + 1e-9):
             fill[begin:end] = True
         else:
-            flaws.append(Flaw(begin, end, _lack(columns, read, begin)))
+            flaws.append(Flaw(begin, end, _lack(columns, read, begin, gap_s)))
     good = np.flatnonzero(~missing)
     for column in columns:
         if fill.any():
@@ -161,17 +166,27 @@ def _make_whole(columns: list[FloatArray], read: _Read) -> tuple[list[Flaw], int
     return flaws, int(fill.sum())
 
 
-def _lack(columns: list[FloatArray], read: _Read, sample: int) -> str:
-    """The message about a run of missing samples, with the row of the first."""
+def _lack(columns: list[FloatArray], read: _Read, sample: int, gap_s: float) -> str:
+    """The message about a run of missing samples in a gap, with the row of the first."""
     number, layout = read.taken.number, read.layout
     k = int(np.searchsorted(number, sample))
+    remedy = ""
+    if gap_s <= _INTERPOLATED_S:
+        remedy = f" (max_gap_s = {_upward(gap_s):g} would interpolate it)"
     if number[k] != sample:
         assert read.time_s is not None
         where = f"{read.path}: column {layout.time_column!r}: row {read.table.row(k)}"
-        return f"{where}: a gap at {read.taken.rate_hz:g} Hz, {between(read.time_s, k - 1)}"
+        gap = f"a gap at {read.taken.rate_hz:g} Hz, {between(read.time_s, k - 1)}"
+        return f"{where}: {gap}{remedy}"
     names = zip((*layout.gyro_columns, *layout.accel_columns), columns, strict=True)
     name = next(name for name, column in names if not np.isfinite(column[sample]))
-    return f"{read.path}: row {read.table.row(k)}: column {name!r}: {MISSING}"
+    return f"{read.path}: row {read.table.row(k)}: column {name!r}: {MISSING}{remedy}"
+
+
+def _upward(gap_s: float) -> float:
+    """The next longer time of three digits, as a user would write it."""
+    unit = float(10.0 ** (math.floor(math.log10(gap_s)) - 2))
+    return float(math.ceil(gap_s / unit - 1e-9) * unit)
 
 
 def _factors(layout: Layout) -> tuple[float, float]:

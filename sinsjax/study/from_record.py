@@ -154,7 +154,7 @@ def _times(path: Path, record: Record) -> tuple[_Times, Note]:
     fine = min(intervals - coarse - 1, round(_LONGEST_S / interval_s))
     note = Note(f"of {len(record.dv) / rate:.4g} s in the file")
     if record.flaws:
-        longest = f"{begin / rate:.4g} to {end / rate:.4g} s is the longest part without"
+        longest = f"{begin / rate:.4g} to {end / rate:.4g} s is the longest part without a gap"
         note = Note(f"{note.reason}, of which {longest}", record.flaws[0].text)
     return _Times(rate, interval_s, float(start_s), coarse * interval_s, fine * interval_s), note
 

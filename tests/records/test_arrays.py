@@ -179,7 +179,10 @@ def test_gaps_are_interpolated_or_flaws() -> None:
     record = made(gyro=gyro, max_gap_s=0.02).record
     assert record.filled == 1 and np.isfinite(record.dtheta).all()
     (flaw,) = made(gyro=gyro).record.flaws
-    assert flaw.text == "arrays: row 10: column 'gyro[:, 0]': empty or not finite"
+    assert flaw.text == (
+        "arrays: row 10: column 'gyro[:, 0]': empty or not finite (max_gap_s = 0.02 would"
+        " interpolate it)"
+    )
     masked = np.ma.masked_invalid(gyro)
     assert made(gyro=masked).record.flaws[0].begin == 10
     late = np.delete(TIME, slice(20, 23))

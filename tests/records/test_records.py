@@ -538,10 +538,23 @@ def test_short_gaps_are_interpolated_and_counted(tmp_path, kind):
     assert record.filled == 1 and [flaw[:2] for flaw in record.flaws] == [(200, 203)]
 
 
+@pytest.mark.parametrize("kind", ["gap", "empty"])
+@pytest.mark.parametrize(("count", "offered"), [(1, "0.02"), (31, "0.32"), (99, "1"), (100, None)])
+def test_what_is_offered_for_a_short_gap_interpolates_it(tmp_path, kind, count, offered):
+    path, _ = lacking(tmp_path, list(range(100, 100 + count)), kind)
+    (flaw,) = records.read_csv(path, CSV).flaws
+    found = re.search(r" \(max_gap_s = (.*) would interpolate it\)$", flaw.text)
+    assert (found and found[1]) == offered
+    if found:
+        record = read_whole(path, CSV._replace(max_gap_s=float(found[1])))
+        assert record.filled == count
+
+
 def test_missing_ends_are_not_interpolated(tmp_path):
     path, _ = lacking(tmp_path, [0, 399], "empty")
     record = records.read_csv(path, CSV._replace(max_gap_s=1.0))
     assert [flaw[:2] for flaw in record.flaws] == [(0, 1), (399, 400)] and not record.filled
+    assert not any("interpolate" in flaw.text for flaw in record.flaws)
 
 
 def test_a_clock_that_was_set_makes_no_record_of_years(tmp_path):

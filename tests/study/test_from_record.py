@@ -214,6 +214,8 @@ def test_gaps_are_interpolated_if_short(
     study, doubts = described(path)
     assert study["record"]["max_gap_s"] == 0.04
     assert study["record"]["start_s"] == [21.0]
+    text = study_of(path, Path("its.toml")).replace("\n#   ", " ")
+    assert "of 100 s in the file, of which 21 to 100 s is the longest part without a gap\n" in text
     assert any("a gap at 100 Hz, from 20.0 to 21.01 s" in doubt for doubt in doubts)
     assert any(doubt.startswith("if the base moves in them") for doubt in doubts)
     assert abs((runs(sinsjax, path)["yaw_deg"] - 10 + 45) % 90 - 45) < 4
