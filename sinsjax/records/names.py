@@ -27,6 +27,10 @@ _WAYS = {
 }  # fmt: skip
 _TURNS = {"roll": "x", "pitch": "y", "yaw": "z", "p": "x", "q": "y", "r": "z"}
 """Turns of an aircraft, roll_rate or p alone, by the record's axes."""
+_TURN = "turn_rate"
+_THREE = ("rl", "f", "ud")
+"""Ways of three axes; of a pair either."""
+_SHOWN = {"r": "right", "l": "left", "f": "front", "u": "up", "d": "down"}
 _ORDERS = ("rfu", "frd", "flu")
 _WORDED = {
     "right-front-up": "rfu",
@@ -90,6 +94,26 @@ class Clock(NamedTuple):
 
 def triads(names: Sequence[str], kind: str) -> list[Triad]:
     """The triads of ``"gyro"`` or ``"accel"`` among a file's columns, in the file's order."""
+    grouped = _groups(names, kind).items()
+    found = [_triad(stem, unit, columns) for (stem, unit), columns in grouped]
+    return [triad for triad in found if triad is not None]
+
+
+def incomplete(names: Sequence[str], kind: str) -> tuple[list[str], str] | None:
+    """Two columns of ``"gyro"`` or ``"accel"``, and how the name of their third would end."""
+    for (stem, _), columns in _groups(names, kind).items():
+        ways = {_WAYS[axis]: name for axis, name in columns.items() if axis in _WAYS}
+        named = dict(zip("xyz", ("roll", "pitch", "yaw"), strict=True)) if stem == _TURN else {}
+        for of, axes in ((columns, ("x", "y", "z")), (columns, ("1", "2", "3")), (ways, _THREE)):
+            lacking = [axis for axis in axes if not any(way in of for way in axis)]
+            if len(of) == 2 and len(lacking) == 1:
+                shown = " or ".join(_SHOWN.get(way, named.get(way, way)) for way in lacking[0])
+                return list(of.values()), shown
+    return None
+
+
+def _groups(names: Sequence[str], kind: str) -> dict[tuple[str, str], dict[str, str]]:
+    """Columns by axis, of each stem and unit of ``"gyro"`` or ``"accel"``."""
     groups: dict[tuple[str, str], dict[str, str]] = {}
     for name in names:
         split = _split(name, kind)
@@ -98,8 +122,7 @@ def triads(names: Sequence[str], kind: str) -> list[Triad]:
         stem, axis, unit = split
         if _is_of(kind, stem) and not _NOT.search(stem):
             groups.setdefault((stem, unit), {})[axis] = name
-    found = [_triad(stem, unit, columns) for (stem, unit), columns in groups.items()]
-    return [triad for triad in found if triad is not None]
+    return groups
 
 
 def clocks(names: Sequence[str]) -> list[Clock]:
@@ -164,7 +187,7 @@ def _split(name: str, kind: str) -> tuple[str, str, str] | None:
     for bare, unit in (_without_unit(name, kind), (_words(name), "")):
         turn = re.sub(r"_?(rate|vel(ocity)?)$", "", bare)
         if kind == "gyro" and turn in _TURNS and (len(turn) == 1) == (turn == bare):
-            return "turn_rate", _TURNS[turn], unit
+            return _TURN, _TURNS[turn], unit
         *stem, last = bare.split("_")
         if stem and (last in _AXES or last in _WAYS):
             return "_".join(stem), last, unit

@@ -27,7 +27,7 @@ from sinsjax.records.layout import (
     to_body,
 )
 from sinsjax.records.means import EARTH_RATE, Means, means_of, rate_up
-from sinsjax.records.names import Clock, Triad, clocks, told_axes, triads
+from sinsjax.records.names import Clock, Triad, clocks, incomplete, told_axes, triads
 from sinsjax.records.oddities import is_constant
 from sinsjax.records.plausible import UNIT_NAMES
 from sinsjax.units import DEG, STANDARD_GRAVITY
@@ -139,8 +139,12 @@ def _sensor(path: Path, head: Head, kind: str) -> tuple[Triad, Note]:
         raise InputError(f"{path}: {text} ({hint})")
     if not found:
         what = "gyros" if kind == "gyro" else "accelerometers"
+        lacking = f"no columns of {what}"
+        if two := incomplete(head.names, kind):
+            there = " and ".join(map(repr, two[0]))
+            lacking = f"{there} are there, but no column of the {what} named {two[1]}"
         raise InputError(
-            f"{path}: no columns of {what} among {listed(head.names)}: name them {kind}_x,"
+            f"{path}: {lacking} among {listed(head.names)}: name them {kind}_x,"
             f" {kind}_y, {kind}_z, or give [record] {kind}_columns in a study (see `sinsjax init"
             " record`)"
         )

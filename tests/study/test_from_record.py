@@ -343,6 +343,18 @@ def test_a_dead_gyro_does_not_tell_the_unit(
             lambda t: (t, tuple("abcdefg")),
             "no columns of gyros among a, b, c, d, e, f, g: name them",
         ),
+        (
+            lambda t: (t, ("t", "roll_rate", "pitch_rate", "spare", *NAMES[4:])),
+            "'roll_rate' and 'pitch_rate' are there, but no column of the gyros named yaw among t,",
+        ),
+        (
+            lambda t: (t, (*NAMES[:4], "acc_y", "acc_z", "spare")),
+            "'acc_y' and 'acc_z' are there, but no column of the accelerometers named x among",
+        ),
+        (
+            lambda t: (t, ("t", "gyro_F", "gyro_R", "spare", *NAMES[4:])),
+            "but no column of the gyros named up or down among t, gyro_F",
+        ),
         (lambda t: (t, ("1", "2", "3", "4", "5", "6", "7")), "row 1: numbers where the names"),
         (lambda t: (t[:500], NAMES), "has 5 s without a gap, and an alignment needs 10"),
         (lambda t: (t[:, :5], NAMES[:5]), "row 1: 5 columns between commas"),
