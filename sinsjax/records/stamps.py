@@ -21,6 +21,7 @@ _CATCHES_UP_S = 0.1  # the longest it takes to catch up
 _AVERAGED = 32  # stamps before and after a place, whose means tell a missing sample from scatter
 _SCATTER = 0.3  # samples, of the median: above that of uniform scatter by half a sample, 0.25
 _FURTHEST = 9.0  # times the median: 6 sigma of normal scatter
+_COUNTED = 1e12  # samples that a clock may be set by, so that means are exact
 _ROUNDS = 8  # of gaps that lie near each other one is found at a time
 _MOST_MISSING = 10  # times the samples present; a larger gap means that the clock was set
 
@@ -191,7 +192,7 @@ def scattered(time_s: FloatArray) -> Line | None:
     number = np.arange(count)
     ahead = (time_s - time_s[0]) / step_s - number  # samples
     typical = float(np.median(np.abs(np.diff(ahead)))) / math.sqrt(2)
-    if not 0 < typical <= _SCATTER:
+    if not 0 < typical <= _SCATTER or np.abs(ahead).max() > _COUNTED:
         return None
     for _ in range(_ROUNDS):
         jumps = _jumps(ahead, typical)

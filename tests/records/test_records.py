@@ -483,6 +483,7 @@ def test_samples_that_lack_among_scattered_stamps_are_found(tmp_path, missing):
         (lambda t: t - np.where(np.arange(6000) < 3000, 0, 5.0), "row 3002: time runs backward"),
         (lambda t: t - np.where(np.arange(6000) < 3000, 0, 0.005), "a short step at 200 Hz"),
         (lambda t: t + np.where(np.arange(6000) < 3000, 0, 1e6), "row 3002: a gap at "),
+        (lambda t: t + np.where(np.arange(6000) < 3000, 0, 1e29), "column 'time_s': row "),
         (lambda t: t[::-1], "row 3: time runs backward"),
         (lambda t: np.round(t, 2), "time repeats"),
         (lambda t: t + np.where(np.arange(6000) == 3000, 0.03, 0), "a short step"),

@@ -204,6 +204,17 @@ def test_reasons_and_doubts_stand_beside_their_keys(
     assert all(len(line) <= 100 for line in lines)
 
 
+def test_a_nominal_rate_says_that_it_is_one(
+    rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    path = write(tmp_path / "log.csv", columns(rates, "flu", DEG, G, 0.0100003), NAMES)
+    text = study_of(path, Path("its.toml"))
+    assert re.search(r"\nrate_hz = 100.0 +# Hz, the nominal rate: the stamps tell 99.997\n", text)
+    assert "# steps of 0.01 s: 100 Hz\n" in text
+    path = write(tmp_path / "log.csv", columns(rates, "flu", DEG, G, 0.01), NAMES)
+    assert "nominal" not in study_of(path, Path("its.toml"))
+
+
 def test_gaps_are_interpolated_if_short(
     rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
 ) -> None:
