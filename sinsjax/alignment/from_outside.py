@@ -101,6 +101,9 @@ def _check_section(
 
 
 def _loaded(point: EntryPoint) -> Description:
+    if EntryPoint.pattern.match(point.value) is None:
+        form = "no package.module:NAME, of letters, digits and _"
+        raise InputError(f"{_named(point)}: cannot be loaded ({point.value!r} is {form})")
     try:
         method = point.load()
     except (Exception, SystemExit) as error:  # whatever another's module raises

@@ -93,6 +93,7 @@ def test_its_key_is_tuned_by_gradient(
     ("change", "line"),
     [
         (("description:AVERAGED", "nowhere:AVERAGED"), "cannot be loaded (ModuleNotFoundError: "),
+        (("description:", "de-scription:"), "cannot be loaded ('averaged_alignment.de-scription:"),
         (("AVERAGED", "AveragedSection"), "description:AveragedSection is a ModelMetaclass, no "),
         (('name="averaged"', 'name="inertial"'), "there is already a method 'inertial'"),
         (('{"averaged": Av', '{"filter": Av'), "section [filter] is that of another method"),

@@ -162,6 +162,19 @@ def test_a_module_that_exits_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.broken["made"].endswith(f"cannot be loaded (SystemExit: 3, {where})")
 
 
+@pytest.mark.parametrize("value", ["made-of.description:MADE", "made.description:MADE:x y", ""])
+def test_an_entry_point_that_names_no_object_is_told(
+    monkeypatch: pytest.MonkeyPatch, value: str
+) -> None:
+    """What its module is cannot be asked, and other methods stay."""
+    others = EntryPoint("bad", value, "sinsjax.methods"), point(described)
+    found = brought(monkeypatch, *others)
+    assert [*found.methods] == ["made"]
+    form = "no package.module:NAME, of letters, digits and _"
+    why = f"cannot be loaded ({value!r} is {form})"
+    assert found.broken == {"bad": f"entry point 'bad' in sinsjax.methods: {why}"}
+
+
 def exits() -> Any:
     raise SystemExit(3)
 
