@@ -13,16 +13,11 @@ from collections.abc import Iterable, Mapping
 from importlib.metadata import EntryPoint
 from typing import Any, NamedTuple, get_type_hints
 
-from pydantic import ConfigDict, TypeAdapter, ValidationError
-
 from sinsjax.alignment.description import Description
-from sinsjax.alignment.guarding import guarded, of_package, what
+from sinsjax.alignment.guarding import guarded, mistyped, of_package, what
 from sinsjax.errors import InputError
-from sinsjax.messages import explained, one_line
 from sinsjax.platform import runtime
 from sinsjax.value_types import ActsWhere
-
-_CONFIG = ConfigDict(strict=True, arbitrary_types_allowed=True)
 
 
 class Brought(NamedTuple):
@@ -123,13 +118,8 @@ def _loaded(point: EntryPoint) -> Description:
 
 def _check_type(point: EntryPoint, field: str, value: object, kind: Any) -> None:
     """Refuse what a description should not say: every study is read by it."""
-    try:
-        TypeAdapter(kind, config=_CONFIG).validate_python(value)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = field + "".join(f"[{part!r}]" for part in first["loc"])
-        text = explained(first).replace("must be a list", "must be a tuple")  # that of a study file
-        raise InputError(one_line(f"{_named(point)}: {place}: {text}")) from None
+    if wrong := mistyped(field, value, kind):
+        raise InputError(f"{_named(point)}: {wrong}")
 
 
 def _named(point: EntryPoint) -> str:

@@ -12,11 +12,15 @@ from dataclasses import replace
 from importlib.metadata import EntryPoint
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from sinsjax.alignment.description import Description, Implementation
 from sinsjax.errors import InputError
-from sinsjax.messages import first_line
+from sinsjax.messages import explained, first_line, one_line
+
+_CONFIG = ConfigDict(strict=True, arbitrary_types_allowed=True)
 
 _NOT_THEIRS = (
     *(f"{folder}/" for folder in (Path(__file__).parents[1], sysconfig.get_path("stdlib"))),
@@ -37,7 +41,7 @@ def guarded(method: Description, point: EntryPoint) -> Description:
         from sinsjax.alignment.limits import Limit
         from sinsjax.types import Quat, Vec3
 
-        made = guard("load", method.load, _of_type(Implementation))()
+        made = guard("load", method.load, _loadable(method.keys))()
         build = guard("build", made.build, _of_type(Method))
         given = {
             "attitude": _as("attitude", Quat(*(0.0,) * 4)),
@@ -60,6 +64,7 @@ def guarded(method: Description, point: EntryPoint) -> Description:
             build=built,
             parameters=guard("parameters", made.parameters, _one_each),
             check=guard("check", made.check),
+            relaxed=made.relaxed and _relaxed(guard, made.relaxed),
         )
 
     columns = (
@@ -72,6 +77,19 @@ def guarded(method: Description, point: EntryPoint) -> Description:
         rules=tuple(guard("rules", rule) for rule in method.rules),
         columns=tuple(columns),
         last_called=guard("last_called", method.last_called),
+    )
+
+
+def _relaxed(guard: Callable[..., Any], relaxed: Any) -> Any:
+    """How numbers follow keys, each function guarded."""
+    changes = {
+        key: guard(f"relaxed.changes[{key!r}]", change, _like_numbers)
+        for key, change in relaxed.changes.items()
+    }
+    return relaxed._replace(
+        changes=changes,
+        soften=relaxed.soften and guard("relaxed.soften", relaxed.soften),
+        refused=guard("relaxed.refused", relaxed.refused),
     )
 
 
@@ -124,19 +142,54 @@ def _guard(
         except (Exception, SystemExit) as error:  # whatever another's module raises
             raise InputError(f"{whose}: {name}: {what(error, point)}") from error
         if wrong:
-            raise InputError(f"{whose}: {name}: {wrong}{_defined(function)}")
+            raise InputError(f"{whose}: {name}: {wrong}{defined(function)}")
         return found
 
     return call
 
 
-def _defined(function: Callable[..., Any]) -> str:
+def mistyped(field: str, value: object, kind: Any) -> str | None:
+    """What is wrong with the value of a field, in words; None if it is of the type wanted."""
+    try:
+        TypeAdapter(kind, config=_CONFIG).validate_python(value)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = field + "".join(f"[{part!r}]" for part in first["loc"])
+        text = explained(first).replace("must be a list", "must be a tuple")  # that of a study file
+        return one_line(f"{where}: {text}")
+    return None
+
+
+def defined(function: Callable[..., Any]) -> str:
     """Where a function begins; empty of one that is not written in Python."""
     code = getattr(inspect.unwrap(function), "__code__", None)
     return f", in {code.co_filename}:{code.co_firstlineno}" if code else ""
 
 
 # What functions should give
+
+
+def _loadable(keys: frozenset[str]) -> Check:
+    """An `Implementation`, and what it says of gradients: of keys that the method reads."""
+
+    def check(found: Any, given: tuple[Any, ...]) -> str | None:
+        from sinsjax.alignment.base import Relaxed
+
+        wrong = _of_type(Implementation)(found, given)
+        if wrong or found.relaxed is None:
+            return wrong
+        relaxed = found.relaxed
+        if wrong := _of_type(Relaxed)(relaxed, given):
+            return f"relaxed: {wrong}"
+        for field, kind in get_type_hints(Relaxed).items():
+            if wrong := mistyped(f"relaxed.{field}", getattr(relaxed, field), kind):
+                return wrong
+        follows = (*relaxed.follows, *relaxed.follows.values())
+        named = (*relaxed.changes, *follows, *relaxed.moves, *filter(None, [relaxed.times]))
+        unread = next((key for key in named if key not in keys), None)
+        return unread and f"relaxed: the method reads no key {unread!r}"
+
+    return check
 
 
 def _of_type(kind: type) -> Check:
@@ -164,6 +217,12 @@ def _as_given(place: int) -> Check:
     return check
 
 
+def _like_numbers(found: Any, given: tuple[Any, ...]) -> str | None:
+    """The numbers that it was given, changed: whole ones may have become real ones."""
+    wrong = _unlike("numbers", found, given[0], types=False)
+    return wrong and f"{wrong}, unlike the numbers that it was given"
+
+
 def _one_each(found: Any, given: tuple[Any, ...]) -> str | None:
     """A number, or an array, a variant in each leaf."""
     import jax
@@ -173,35 +232,38 @@ def _one_each(found: Any, given: tuple[Any, ...]) -> str | None:
     for path, leaf in jax.tree_util.tree_leaves_with_path(found):
         if np.shape(leaf)[:1] != (count,):
             return (
-                f"gave {_place('numbers', path)} of shape {np.shape(leaf)}, not ({count}, ...): one"
+                f"gave {place('numbers', path)} of shape {np.shape(leaf)}, not ({count}, ...): one"
                 " a variant"
             )
     return None
 
 
-def _unlike(name: str, found: Any, like: Any) -> str | None:
+def _unlike(name: str, found: Any, like: Any, *, types: bool = True) -> str | None:
     """How numbers differ in place, shape or type from those that they should be like."""
     import jax
 
     have, want = (jax.tree_util.tree_leaves_with_path(tree) for tree in (found, like))
     for (path, leaf), (wanted, model) in zip(have, want, strict=False):
+        if path != wanted and not path:
+            return f"gave one number or array, without {place(name, wanted)}"
         if path != wanted:
-            return f"gave {_place(name, path)}, not {_place(name, wanted)}"
+            return f"gave {place(name, path)}, not {place(name, wanted)}"
         one, other = jax.typeof(leaf), jax.typeof(model)
         if one.shape != other.shape:
-            return f"gave {_place(name, path)} of shape {one.shape}, not {other.shape}"
-        if one.dtype != other.dtype and not other.weak_type:
-            return f"gave {_place(name, path)} of type {one.dtype}, not {other.dtype}"
+            return f"gave {place(name, path)} of shape {one.shape}, not {other.shape}"
+        if types and one.dtype != other.dtype and not other.weak_type:
+            return f"gave {place(name, path)} of type {one.dtype}, not {other.dtype}"
     if len(have) > len(want):
-        return f"gave {_place(name, have[len(want)][0])} too"
+        return f"gave {place(name, have[len(want)][0])} too"
     if len(have) < len(want):
-        return f"gave no {_place(name, want[len(have)][0])}"
+        return f"gave no {place(name, want[len(have)][0])}"
     if jax.tree.structure(found) != jax.tree.structure(like):
         return f"gave {name} in other containers (a list for a tuple, say)"
     return None
 
 
-def _place(name: str, path: Any) -> str:
+def place(name: str, path: Any) -> str:
+    """A leaf of a tree by the way to it, as ``numbers.kept``."""
     import jax
 
     return name + jax.tree_util.keystr(path)

@@ -58,6 +58,11 @@ def packages_of(names: Iterable[str]) -> dict[str, str]:
     return dict(PACKAGES[name] for name in names if name in PACKAGES)
 
 
+def from_package(name: str) -> str:
+    """A method that another package brings, as messages name it."""
+    return f"method {name!r} of {' '.join(PACKAGES[name])}"
+
+
 def keys_unread(names: Iterable[str]) -> set[str]:
     """The keys that other methods read, and none of some."""
     read = {key for name in names for key in METHODS[name].keys}

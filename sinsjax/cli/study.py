@@ -149,6 +149,7 @@ def foreseen(config: Path, changes: list[str] | None) -> list[str]:
     if study.tune:
         from sinsjax.tuning.carry_out import check_searches
 
+        runtime.configure()  # methods of other packages are evaluated
         check_searches(study)
     expected = (forecast.of_tuning if study.tune else forecast.of)(study)
     steps = expected.length_s * study.rate_hz

@@ -6,7 +6,7 @@ import numpy as np
 
 from sinsjax.alignment.filters.parameters import q_readings
 from sinsjax.alignment.filters.section import Q_DENSITIES
-from sinsjax.alignment.methods import PACKAGES
+from sinsjax.alignment.methods import PACKAGES, from_package
 from sinsjax.engine import batch
 from sinsjax.engine.build import parts
 from sinsjax.engine.lanes import shown, tiles_of
@@ -80,9 +80,9 @@ def check_methods(study: Study, stored: StoredRecord | None = None) -> None:
         except InputError:
             raise
         except Exception as error:  # what JAX says of another's function
-            of = " ".join(PACKAGES[static.method])
+            of = from_package(static.method)
             what = f"{type(error).__name__}: {one_line(str(error).strip(), 600)}"
-            raise InputError(f"method {static.method!r} of {of}: does not trace: {what}") from error
+            raise InputError(f"{of}: does not trace: {what}") from error
 
 
 def process_noise(study: Study) -> str | None:

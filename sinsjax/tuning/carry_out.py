@@ -80,7 +80,7 @@ def tune(
     if study.study.rate_hz:
         expected = forecast.of_tuning(study)
         forecast.require_room(study, expected, directory, overwrite=overwrite, resume=resume)
-    check_searches(study)
+    check_searches(study, tape)
     session = SearchSession(
         directory,
         tape,
@@ -99,19 +99,25 @@ def tune(
         lock.release()
 
 
-def check_searches(study: Study) -> None:
+def check_searches(study: Study, tape: StoredRecord | None = None) -> None:
     """Refuse searches that do not go with the variables or the study, before anything runs.
 
     Args:
         study: study with [tune], at the rate of its record.
+        tape: the record of a recorded study; without it what other packages' methods say of
+            gradients is not evaluated.
 
     Raises:
-        InputError: a variable without a gradient, or what covariance analysis does not hold for.
+        InputError: a variable without a gradient, a method of another package whose numbers do not
+            follow its keys, or what covariance analysis does not hold for.
+        RuntimeError: double precision is off, and a method is of another package.
     """
     searches, space = require_tune(study).searches, SearchSpace.of(study)
     if GRADIENT in searches:
         for combination in space.combinations:
-            Relaxation(study, space, combination)
+            relaxation = Relaxation(study, space, combination)
+            if study.is_recorded == (tape is not None):
+                relaxation.check_changes(tape)
     if COVARIANCE in searches:
         require_modelled(study)
 

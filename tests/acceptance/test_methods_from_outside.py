@@ -67,6 +67,13 @@ def test_it_is_a_method_like_any_other(site: Path, tmp_path: Path) -> None:
     assert set(errors) == {"averaged", "inertial"} and max(map(abs, errors.values())) < 0.5
 
 
+def tuning(path: Path) -> None:
+    """Writes the study of the page with its variable, for the searches that [tune] does."""
+    (ranges,) = re.findall(r"`(averaging_time_s = \{.+\})`", PAGE)
+    study = STUDY.replace("averaging_time_s = 1000.0", "").replace(', "inertial"]', "]")
+    path.write_text(f"{study}[tune.variables]\n{ranges}\n")
+
+
 def test_its_key_is_tuned_by_gradient(
     site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -82,9 +89,7 @@ def test_its_key_is_tuned_by_gradient(
 
     changed = relaxed.RELAXED.changes["averaging_time_s"](kept(10.0), None, 40.0, 10.0)
     np.testing.assert_allclose(changed.kept, kept(40.0).kept, rtol=1e-12)
-    (ranges,) = re.findall(r"`(averaging_time_s = \{.+\})`", PAGE)
-    study = STUDY.replace("averaging_time_s = 1000.0", "").replace(', "inertial"]', "]")
-    (tmp_path / "tuned.toml").write_text(f"{study}[tune.variables]\n{ranges}\n")
+    tuning(tmp_path / "tuned.toml")
     told = sinsjax("validate", "tuned.toml", site=site, cwd=tmp_path)
     assert (told.returncode, told.stderr) == (0, "") and "tunes averaging_time_s" in told.stdout
 
@@ -156,3 +161,30 @@ def test_a_method_that_cannot_be_run_is_told_by_validate(
     sought = f"def {function}(" if function else change[1]
     (line,) = (i for i, text in enumerate(method.read_text().splitlines(), 1) if sought in text)
     assert told.stderr.endswith(f", in {method}:{line}\n")
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ("1 / 0", "ZeroDivisionError: division by zero, in "),
+        ("value.nothing", "AttributeError: "),
+        ("params.kept * base / value", "gave one number or array, without numbers.kept, unlike "),
+        ("params._replace(kept=params.kept / value)", "gives numbers.kept = 0.0031"),
+        ("params", "no number changes with it at 10, 316.228 and 10000, in "),
+        ("params._replace(kept=params.kept + 0 * value)", "no number changes with it at 10, "),
+    ],
+)
+def test_numbers_that_do_not_follow_a_key_are_told_by_validate(
+    site: Path, tmp_path: Path, change: str, what: str
+) -> None:
+    changed = shutil.copytree(site, tmp_path / "site")
+    relaxed = changed / "averaged_alignment" / "relaxed.py"
+    text = re.sub(r"return params\._replace.*", f"return {change}", relaxed.read_text())
+    relaxed.write_text(text)
+    tuning(tmp_path / "tuned.toml")
+    for command in (("validate", "tuned.toml"), ("tune", "tuned.toml", "-o", "out")):
+        told = sinsjax(*command, site=changed, cwd=tmp_path)
+        whose = "method 'averaged' of averaged-alignment 1.0: relaxed.changes['averaging_time_s']"
+        assert told.returncode == 2 and told.stderr.count("\n") == 1
+        assert told.stderr.startswith(f"error: {whose}: {what}")
+        assert re.search(rf", in {relaxed}:\d+$", told.stderr)

@@ -9,7 +9,7 @@ import pytest
 from pydantic import BaseModel
 
 from sinsjax.alignment import from_outside
-from sinsjax.alignment.base import Method
+from sinsjax.alignment.base import Method, Relaxed
 from sinsjax.alignment.description import Description, Implementation
 from sinsjax.errors import InputError
 from sinsjax.platform import runtime
@@ -55,6 +55,10 @@ def implementation(**changes: Any) -> Implementation:
     return Implementation(**given | changes)
 
 
+def relaxing(relaxed: Any) -> Implementation:
+    return implementation(relaxed=relaxed)
+
+
 def fails(*given: Any) -> Any:
     raise KeyError("nothing")
 
@@ -83,6 +87,17 @@ HERE = f"in {__file__}:{fails.__code__.co_firstlineno + 1}"
         ("parameters", {"load": lambda: implementation(parameters=fails)}, "parameters: KeyError"),
         ("check", {"load": lambda: implementation(check=fails)}, "check: KeyError"),
         ("rule", {"rules": (fails,)}, "rules: KeyError"),
+        ("load", {"load": lambda: relaxing({})}, "load: relaxed: gave a dict, not a sinsjax."),
+        (
+            "load",
+            {"load": lambda: relaxing(Relaxed({"lag_s": None}))},
+            "load: relaxed.changes['lag_s']: must be callable, not None",
+        ),
+        (
+            "load",
+            {"load": lambda: relaxing(Relaxed({"phi_u0_deg": fails}))},
+            "load: relaxed: the method reads no key 'phi_u0_deg'",
+        ),
         ("limit", {}, "limit: gave a NoneType, not a sinsjax.alignment.limits.Limit, in "),
     ],
 )
@@ -287,6 +302,31 @@ def test_what_a_function_gives_is_what_it_should(
         getattr(method(None), name)(*given)
     line = function.__code__.co_firstlineno + (function is no_field)
     assert str(caught.value) == f"method 'made': {name}: {what}, in {__file__}:{line}"
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        (lambda params, *given: params.x, "gave one number or array, without numbers.x, unlike"),
+        (lambda params, *given: params._replace(x=None), "gave numbers.y, not numbers.x, unlike"),
+        (lambda params, *given: Two(ONE, np.ones(2)), "gave numbers.y of shape (2,), not (), unl"),
+        (lambda params, value: params, "TypeError: "),
+    ],
+)
+def test_a_change_gives_numbers_like_those_that_it_was_given(
+    monkeypatch: pytest.MonkeyPatch, change: Any, what: str
+) -> None:
+    made = relaxing(Relaxed({"lag_s": change}))
+    method = of_package(monkeypatch, reads=("lag_s",), load=lambda: made).methods["made"]
+    with pytest.raises(InputError) as caught:
+        method.implementation.relaxed.changes["lag_s"](Two(ONE, ONE), None, 2.0, 1.0)
+    assert str(caught.value).startswith(f"method 'made': relaxed.changes['lag_s']: {what}")
+
+
+def test_a_change_may_make_a_whole_number_real(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = relaxing(Relaxed({"lag_s": lambda params, entry, value, base: params * value / base}))
+    method = of_package(monkeypatch, reads=("lag_s",), load=lambda: made).methods["made"]
+    assert method.implementation.relaxed.changes["lag_s"](np.int64(3), None, 1.0, 2.0) == 1.5
 
 
 def test_what_works_for_a_loop_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
