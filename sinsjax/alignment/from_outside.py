@@ -11,13 +11,16 @@ What is wrong with one concerns the studies that use it, and no others.
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from importlib.metadata import EntryPoint
-from typing import Any, NamedTuple, get_type_hints
+from typing import Annotated, Any, NamedTuple, get_type_hints
+
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
 
 from sinsjax.alignment.description import Description
 from sinsjax.alignment.guarding import guarded, mistyped, of_package, what
 from sinsjax.errors import InputError
 from sinsjax.platform import runtime
-from sinsjax.value_types import ActsWhere
+from sinsjax.value_types import ActsWhere, Default, Usual, mark
 
 
 class Brought(NamedTuple):
@@ -111,6 +114,8 @@ def _loaded(point: EntryPoint) -> Description:
     for name, section in method.sections.items():
         _check_type(point, f"[{name}] exclusive", section.exclusive, tuple[tuple[str, str], ...])
         _check_type(point, f"[{name}] conditions", section.conditions, tuple[ActsWhere, ...])
+        for key, of_key in section.model_fields.items():
+            _check_defaults(point, f"[{name}] default of {key}", of_key)
     if not 0 < method.step_s < 1:
         raise InputError(f"{_named(point)}: step_s: must be above 0 and below 1 s")
     return method
@@ -118,8 +123,25 @@ def _loaded(point: EntryPoint) -> Description:
 
 def _check_type(point: EntryPoint, field: str, value: object, kind: Any) -> None:
     """Refuse what a description should not say: every study is read by it."""
-    if wrong := mistyped(field, value, kind):
+    try:
+        wrong = mistyped(field, value, kind)
+    except Exception as error:  # what a validator of another's raises
+        wrong = f"{field}: {what(error, point)}"
+    if wrong:
         raise InputError(f"{_named(point)}: {wrong}")
+
+
+def _check_defaults(point: EntryPoint, where: str, field: FieldInfo) -> None:
+    """Refuse a default that no study could give: pydantic takes it as it stands."""
+    own, beside = field.get_default(), mark(field, Default)
+    usual, kind = mark(field, Usual), Annotated[field.annotation, field]
+    for value in (own, beside.value if beside else PydanticUndefined):
+        if value is PydanticUndefined:
+            continue
+        _check_type(point, where, value, kind)
+        if usual and isinstance(value, int | float) and not usual.low <= value <= usual.high:
+            text = f"must be within the usual {usual.low:g} to {usual.high:g}, not {value!r}"
+            raise InputError(f"{_named(point)}: {where}: {text}")
 
 
 def _named(point: EntryPoint) -> str:

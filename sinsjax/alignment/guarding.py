@@ -20,7 +20,7 @@ from sinsjax.alignment.description import Description, Implementation
 from sinsjax.errors import InputError
 from sinsjax.messages import explained, first_line, one_line
 
-_CONFIG = ConfigDict(strict=True, arbitrary_types_allowed=True)
+_CONFIG = ConfigDict(strict=True, arbitrary_types_allowed=True, allow_inf_nan=False)
 
 _NOT_THEIRS = (
     *(f"{folder}/" for folder in (Path(__file__).parents[1], sysconfig.get_path("stdlib"))),

@@ -2,11 +2,11 @@
 
 from importlib.metadata import EntryPoint
 from types import SimpleNamespace
-from typing import Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import pytest
-from pydantic import BaseModel
+from pydantic import AfterValidator, BaseModel, Field, create_model
 
 from sinsjax.alignment import from_outside
 from sinsjax.alignment.base import Method, Relaxed
@@ -15,7 +15,7 @@ from sinsjax.errors import InputError
 from sinsjax.platform import runtime
 from sinsjax.study import usable
 from sinsjax.types import Quat
-from sinsjax.value_types import Section
+from sinsjax.value_types import Default, Seconds, Section
 
 METHOD = Method(*[lambda *given: None] * 7)
 
@@ -142,6 +142,49 @@ class Unpaired(Section):
 
 class Unconditional(Section):
     conditions: ClassVar[Any] = (("lag_s",),)
+
+
+class Right(Section):
+    lag_s: Seconds = 1.0
+    delay_s: Annotated[Seconds | None, Default(2.0)] = None
+    limit_s: Seconds
+    kind: Literal["one", "two"] = "one"
+    times_s: tuple[Seconds, ...] = (1.0, 2.0)
+
+
+def with_default(kind: Any, value: Any) -> dict[str, Any]:
+    made = create_model("Made", __base__=Section, lag_s=(kind, value))
+    return {"sections": {"lagged": made}}
+
+
+def test_defaults_that_a_study_could_give_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert of_package(monkeypatch, sections={"lagged": Right}).broken == {}
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "what"),
+    [
+        (Annotated[str, Field(description="its name")], 10.0, "must be text, not 10.0"),
+        (Seconds, "ten", "must be a number, not 'ten'"),
+        (Seconds, -10.0, "must be greater than 0, not -10.0"),
+        (Seconds, 1e10, "must be within the usual 1e-09 to 1e+08, not 10000000000.0"),
+        (Seconds, None, "must be a number, not None"),
+        (Annotated[Seconds, Field(description="lag, s")], True, "must be a number, not True"),
+        (Annotated[Seconds | None, Default("ten")], None, "must be a number, not 'ten'"),
+        (float, np.inf, "must be finite, not inf"),
+        (
+            Annotated[float, AfterValidator(lambda value: fails())],
+            1.0,
+            f"KeyError: 'nothing', {HERE}",
+        ),
+    ],
+)
+def test_a_default_is_of_the_type_of_its_key(
+    monkeypatch: pytest.MonkeyPatch, kind: Any, value: Any, what: str
+) -> None:
+    found = of_package(monkeypatch, **with_default(kind, value))
+    where = "entry point 'made' in sinsjax.methods: [lagged] default of lag_s"
+    assert found.methods == {} and found.broken == {"made": f"{where}: {what}"}
 
 
 @pytest.mark.parametrize(
