@@ -160,7 +160,7 @@ def foreseen(config: Path, changes: list[str] | None) -> list[str]:
     warnings = [] if study.is_recorded else preflight.warnings_of(study)
     if not study.is_recorded and not PACKAGES.keys().isdisjoint(study.methods):
         runtime.configure()
-        preflight.check_methods(study)
+        warnings = [*preflight.check_methods(study), *warnings]
     return [*lines, *(f"Warning: {line}" for line in warnings)]
 
 

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from sinsjax.alignment import passes
-from sinsjax.alignment.base import Ending, Site
+from sinsjax.alignment.base import AttitudeCovariance, Ending, Site
 from sinsjax.alignment.limits import Biases, Limit
 from sinsjax.alignment.passes import BodyTurn, PassReading
 from sinsjax.engine import measurements, metrics
@@ -234,6 +234,15 @@ def begin(static: Static, environment: Environment, site: Site, params: RunParam
     nav = solution(site, rotations.misalign(params.phi, params.q), params.ve, params.vn)
     state = method.init(params.method, nav)
     return Run(state, metrics.start(environment.criteria, nav.longitude))
+
+
+def first_covariance(
+    static: Static, environment: Environment, draw: Draw, params: RunParams
+) -> AttitudeCovariance:
+    """The covariance of the attitude before the first sample; arguments as of `simulate`."""
+    setup = set_up(static, environment, draw, params)
+    state = begin(static, environment, setup.site, setup.params).state
+    return method_of(static).covariance(state)
 
 
 def solution(site: Site, q: Quat, ve: Scalar, vn: Scalar) -> Navigation:

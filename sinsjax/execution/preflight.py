@@ -2,14 +2,15 @@
 
 from collections.abc import Iterator
 
+import jax
 import numpy as np
 
 from sinsjax.alignment.filters.parameters import q_readings
 from sinsjax.alignment.filters.section import Q_DENSITIES
-from sinsjax.alignment.methods import PACKAGES, from_package
-from sinsjax.engine import batch
+from sinsjax.alignment.methods import METHODS, PACKAGES, from_package
+from sinsjax.engine import batch, simulate
 from sinsjax.engine.build import parts
-from sinsjax.engine.lanes import shown, tiles_of
+from sinsjax.engine.lanes import Group, shown, tiles_of
 from sinsjax.engine.study_limits import hidden_north
 from sinsjax.engine.truth import site_of, starts_of
 from sinsjax.errors import InputError
@@ -56,18 +57,22 @@ def warnings_of(study: Study, stored: StoredRecord | None = None) -> list[str]:
     return list(_of_record(study, stored))
 
 
-def check_methods(study: Study, stored: StoredRecord | None = None) -> None:
+def check_methods(study: Study, stored: StoredRecord | None = None) -> list[str]:
     """Trace what methods of other packages compute, as a run would.
 
     Args:
         study: checked study, at the rate of its record.
         stored: the record of a recorded study.
 
+    Returns:
+        Warnings where a method's P is not what its description says, one line each.
+
     Raises:
         InputError: one of them cannot be run; names its package.
     """
+    told: dict[str, str | None] = {}
     if PACKAGES.keys().isdisjoint(study.methods):
-        return
+        return []
     for part in parts(study, stored):
         static, environment = part.group.static, part.group.environment
         if static.method not in PACKAGES:
@@ -83,6 +88,25 @@ def check_methods(study: Study, stored: StoredRecord | None = None) -> None:
             of = from_package(static.method)
             what = f"{type(error).__name__}: {one_line(str(error).strip(), 600)}"
             raise InputError(f"{of}: does not trace: {what}") from error
+        if static.method not in told:
+            told[static.method] = _odd_covariance(part.group)
+    return [f"{from_package(name)}: covariance: {odd}" for name, odd in told.items() if odd]
+
+
+def _odd_covariance(group: Group) -> str | None:
+    """How P at the start of a first run contradicts the description of its method, in words."""
+    draw = jax.tree.map(lambda a: a[0] if np.ndim(a) else a, group.draws)
+    params = jax.tree.map(lambda a: np.asarray(a)[0], group.variants)
+    first = jax.jit(simulate.first_covariance, static_argnums=0)
+    p = first(group.static, group.environment, draw, params)
+    described, given = METHODS[group.static.method].has_covariance, not np.isnan(p).all()
+    if given and not described:
+        return "gives one, but has_covariance is False (say True, or give no_covariance)"
+    if described and not given:
+        return "gives none as a run begins, but has_covariance is True (without any, say False)"
+    if min(p.ee, p.nn, p.uu) < 0:
+        return "gives a negative variance as a run begins"
+    return None
 
 
 def process_noise(study: Study) -> str | None:

@@ -103,8 +103,7 @@ def made_ready(study: Study, tape: StoredRecord | None) -> tuple[Study, list[str
     study = at_rate(study, tape)
     if study.is_recorded != (tape is not None):  # rejected when it is run
         return study, []
-    check_methods(study, tape)
-    return study, warnings_of(study, tape)
+    return study, [*check_methods(study, tape), *warnings_of(study, tape)]
 
 
 def run(

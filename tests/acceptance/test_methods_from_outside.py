@@ -188,3 +188,35 @@ def test_numbers_that_do_not_follow_a_key_are_told_by_validate(
         assert told.returncode == 2 and told.stderr.count("\n") == 1
         assert told.stderr.startswith(f"error: {whose}: {what}")
         assert re.search(rf", in {relaxed}:\d+$", told.stderr)
+
+
+@pytest.mark.parametrize(
+    ("given", "described", "what"),
+    [
+        ("no_covariance(state.nav.ve)", True, "gives none as a run begins, but has_covariance is"),
+        ("AttitudeCovariance(*(one, 0 * one) * 3)", False, "gives one, but has_covariance is Fal"),
+        ("AttitudeCovariance(*(-one, 0 * one) * 3)", True, "gives a negative variance as a run "),
+        ("AttitudeCovariance(one, 0 * one, 0 * one, one, 0 * one, one)", True, None),
+    ],
+)
+def test_a_covariance_that_contradicts_the_description_is_told(
+    site: Path, tmp_path: Path, given: str, described: bool, what: str | None
+) -> None:
+    changed = shutil.copytree(site, tmp_path / "site") / "averaged_alignment"
+    for name, change in {
+        "description.py": ("has_covariance=False", f"has_covariance={described}"),
+        "method.py": (
+            "return no_covariance(state.nav.ve)",
+            f"one = 1 + 0 * state.nav.ve\n    return {given}",
+        ),
+    }.items():
+        text = (changed / name).read_text().replace(*change)
+        text = text.replace("import Method", "import AttitudeCovariance, Method")
+        (changed / name).write_text(text)
+    (tmp_path / "averages.toml").write_text(STUDY)
+    told = sinsjax("validate", "averages.toml", site=changed.parent, cwd=tmp_path)
+    assert (told.returncode, told.stderr) == (0, "")
+    warnings = [line for line in told.stdout.splitlines() if line.startswith("Warning: method")]
+    start = "Warning: method 'averaged' of averaged-alignment 1.0: covariance: "
+    assert len(warnings) == (what is not None)
+    assert all(line.startswith(f"{start}{what}") for line in warnings)
