@@ -19,6 +19,7 @@ from pydantic_core import PydanticUndefined
 from sinsjax.alignment.description import Description
 from sinsjax.alignment.guarding import guarded, mistyped, of_package, what
 from sinsjax.errors import InputError
+from sinsjax.messages import near
 from sinsjax.platform import runtime
 from sinsjax.value_types import ActsWhere, Default, Usual, mark
 
@@ -116,6 +117,12 @@ def _loaded(point: EntryPoint) -> Description:
         _check_type(point, f"[{name}] conditions", section.conditions, tuple[ActsWhere, ...])
         for key, of_key in section.model_fields.items():
             _check_defaults(point, f"[{name}] default of {key}", of_key)
+    named = {"silent": method.silent, "gyro_bias_keys": sum(method.gyro_bias_keys, ())}
+    for field, keys in named.items():
+        if unknown := sorted({*keys} - method.keys):
+            hint = near(unknown[0], sorted(method.keys))
+            text = f"{unknown[0]!r} is in none of its sections, nor in reads{hint}"
+            raise InputError(f"{_named(point)}: {field}: {text}")
     if not 0 < method.step_s < 1:
         raise InputError(f"{_named(point)}: step_s: must be above 0 and below 1 s")
     return method

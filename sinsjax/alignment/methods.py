@@ -60,7 +60,7 @@ def packages_of(names: Iterable[str]) -> dict[str, str]:
 
 def from_package(name: str) -> str:
     """A method that another package brings, as messages name it."""
-    return f"method {name!r} of {' '.join(PACKAGES[name])}"
+    return f"method {name!r} of {' '.join(PACKAGES.get(name, ('another package',)))}"
 
 
 def keys_unread(names: Iterable[str]) -> set[str]:

@@ -4,8 +4,15 @@ from functools import cache
 from typing import Any
 
 from sinsjax.alignment.description import INITIAL_KEYS
-from sinsjax.alignment.methods import BROKEN, METHODS, PACKAGES, SECTIONS_OF_METHODS
+from sinsjax.alignment.methods import (
+    BROKEN,
+    METHODS,
+    PACKAGES,
+    SECTIONS_OF_METHODS,
+    from_package,
+)
 from sinsjax.alignment.sections import AlignmentSection, CoarseSection, PassesSection
+from sinsjax.messages import near
 from sinsjax.study.distributions import StopWhenSection
 from sinsjax.study.ranges import TuneSection
 from sinsjax.study.recorded import RecordSection
@@ -36,7 +43,8 @@ _AFTER: dict[str, type[Section]] = {
 def _of_all() -> dict[str, type[Section]]:
     """Those of every study about those of methods.
 
-    A method of another package with a section, or a key, that every study has cannot be used.
+    A method of another package cannot be used with a section, or a key, that every study has, nor
+    if it reads keys that there are not.
     """
     common = _BEFORE | _AFTER
     taken = {key: name for name, section in common.items() for key in section.model_fields}
@@ -44,15 +52,29 @@ def _of_all() -> dict[str, type[Section]]:
         keys = sorted(section.model_fields.keys() & taken.keys())
         if name not in common and not keys:
             continue
-        del SECTIONS_OF_METHODS[name]
         why = f"[{name}] is a section of every study"
         if name not in common:
             why = f"[{name}] {keys[0]} is a key of [{taken[keys[0]]}]"
         for method in [one.name for one in METHODS.values() if name in one.sections]:
-            package = " ".join(PACKAGES.pop(method, ("another package",)))
-            BROKEN[method] = f"method {method!r} of {package}: {why}"
-            del METHODS[method]
+            _refuse(method, why)
+    sections: list[type[Section]] = [AlignmentSection, PassesSection, *SECTIONS_OF_METHODS.values()]
+    known = {key for section in sections for key in section.model_fields}
+    for one in [*METHODS.values()]:
+        if unknown := sorted({*one.reads} - known):
+            hint = near(unknown[0], sorted(known))
+            why = f"reads: {unknown[0]!r} is no key of [alignment] or [passes]{hint}"
+            _refuse(one.name, why)
     return _BEFORE | SECTIONS_OF_METHODS | _AFTER
+
+
+def _refuse(method: str, why: str) -> None:
+    """Take a method of another package out, with the sections that no other one has."""
+    BROKEN[method] = f"{from_package(method)}: {why}"
+    del METHODS[method]
+    PACKAGES.pop(method, None)
+    left = {name for one in METHODS.values() for name in one.sections}
+    for name in SECTIONS_OF_METHODS.keys() - left:
+        del SECTIONS_OF_METHODS[name]
 
 
 SECTIONS = _of_all()

@@ -104,6 +104,10 @@ def test_its_key_is_tuned_by_gradient(
         (('{"averaged": Av', '{"filter": Av'), "section [filter] is that of another method"),
         (("averaging_time_s", "level_time_s"), "key level_time_s is one of section [compass]"),
         (("averaging_time_s", "duration_s"), "[averaged] duration_s is a key of [study]"),
+        (
+            ("reads=INITIAL", "reads=('nosuch_deg',) + INITIAL"),
+            "reads: 'nosuch_deg' is no key of [al",
+        ),
         (('{"averaged": Av', '{"study": Av'), "[study] is a section of every study"),
     ],
 )
@@ -124,10 +128,22 @@ def test_what_clashes_or_is_broken_is_one_line(
     assert "averaged-alignment 1.0" in told.stderr
 
 
-def test_what_is_broken_concerns_its_own_studies_alone(site: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (("averaging_time_s", "duration_s"), "[averaged] duration_s is a key of [study]"),
+        (
+            ("reads=", "reads=('phi_u_deg',) + "),
+            "reads: 'phi_u_deg' is no key of [alignment] or [passes] (did you mean phi_u0_deg?)",
+        ),
+    ],
+)
+def test_what_is_broken_concerns_its_own_studies_alone(
+    site: Path, tmp_path: Path, change: tuple[str, str], why: str
+) -> None:
     changed = shutil.copytree(site, tmp_path / "site")
     described = changed / "averaged_alignment" / "description.py"
-    described.write_text(described.read_text().replace("averaging_time_s", "duration_s"))
+    described.write_text(described.read_text().replace(*change))
     told = sinsjax("validate", "reset_sweep", site=changed, cwd=tmp_path)
     assert (told.returncode, told.stderr) == (0, "")
     # Its section and its keys are no errors of their own, wherever the method is named.
@@ -136,7 +152,7 @@ def test_what_is_broken_concerns_its_own_studies_alone(site: Path, tmp_path: Pat
     study = study.replace('method = ["averaged", "inertial"]', "averaging_time_s = [1.0, 2.0]")
     (tmp_path / "averages.toml").write_text(study)
     told = sinsjax("validate", "averages.toml", site=changed, cwd=tmp_path)
-    why = "method 'averaged' of averaged-alignment 1.0: [averaged] duration_s is a key of [study]"
+    why = f"method 'averaged' of averaged-alignment 1.0: {why}"
     line = f"averages.toml: [alignment] method: 'averaged' cannot be used: {why}"
     assert (told.returncode, told.stderr) == (2, f"error: {line}\n")
 

@@ -197,6 +197,11 @@ def test_a_default_is_of_the_type_of_its_key(
         ({"sections": {"lagged": Unconditional}}, "[lagged] conditions[0]"),
         ({"reads": "phi_u0_deg"}, "reads: must be a tuple, not 'phi_u0_deg'"),
         ({"silent": (1,)}, "silent[0]: must be text, not 1"),
+        (
+            {"reads": ("phi_u0_deg",), "silent": ("phi_u_deg",)},
+            "silent: 'phi_u_deg' is in none of its sections, nor in reads (did you mean phi_u0_deg",
+        ),
+        ({"gyro_bias_keys": (("a_deg", "b_deg"),)}, "gyro_bias_keys: 'a_deg' is in none of its s"),
         ({"step_s": "fast"}, "step_s: must be a number, not 'fast'"),
         ({"step_s": 0.0}, "step_s: must be above 0"),
         ({"load": None}, "load: must be callable, not None"),
