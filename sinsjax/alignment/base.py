@@ -85,7 +85,16 @@ class FilterResults(NamedTuple):
 
 
 class AttitudeCovariance(NamedTuple):
-    """Covariance of the misalignment, upper triangle in rad^2, NaN for methods without one."""
+    """Covariance of the misalignment, upper triangle row by row; NaN for methods without one.
+
+    Attributes:
+        ee: variance about east, rad^2.
+        en: covariance about east and north, rad^2.
+        eu: covariance about east and up, rad^2.
+        nn: variance about north, rad^2.
+        nu: covariance about north and up, rad^2.
+        uu: variance about up, that of the heading, rad^2.
+    """
 
     ee: Scalar
     en: Scalar

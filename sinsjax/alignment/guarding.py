@@ -37,12 +37,12 @@ def guarded(method: Description, point: EntryPoint) -> Description:
     guard = functools.partial(_guard, f"method {method.name!r}{of_package(point)}", point)
 
     def load() -> Implementation:
-        from sinsjax.alignment.base import AttitudeCovariance, Method
+        from sinsjax.alignment.base import AttitudeCovariance
         from sinsjax.alignment.limits import Limit
         from sinsjax.types import Quat, Vec3
 
         made = guard("load", method.load, _loadable(method.keys))()
-        build = guard("build", made.build, _of_type(Method))
+        build = guard("build", made.build, _buildable(method.has_error_step))
         given = {
             "attitude": _as("attitude", Quat(*(0.0,) * 4)),
             "covariance": _as("covariance", AttitudeCovariance(*(0.0,) * 6)),
@@ -188,6 +188,22 @@ def _loadable(keys: frozenset[str]) -> Check:
         named = (*relaxed.changes, *follows, *relaxed.moves, *filter(None, [relaxed.times]))
         unread = next((key for key in named if key not in keys), None)
         return unread and f"relaxed: the method reads no key {unread!r}"
+
+    return check
+
+
+def _buildable(has_error_step: bool) -> Check:
+    """A `Method`, with all that covariance analysis asks for where the description says so."""
+
+    def check(found: Any, given: tuple[Any, ...]) -> str | None:
+        from sinsjax.alignment.base import Method
+
+        wrong = _of_type(Method)(found, given)
+        if wrong or not has_error_step:
+            return wrong
+        asked = ("error_step", "error_angles", "start_error")
+        lacks = next((name for name in asked if getattr(found, name) is None), None)
+        return lacks and f"gave a Method without {lacks}, but has_error_step is True"
 
     return check
 

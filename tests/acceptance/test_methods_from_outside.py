@@ -15,10 +15,24 @@ import numpy as np
 import pytest
 
 import sinsjax as package
+from sinsjax.alignment import base
 
 EXAMPLE = Path(__file__).parents[1] / "example_method"
 PAGE = (EXAMPLE.parents[1] / "docs" / "own_method.md").read_text("utf-8")
 STUDY = re.findall(r"^```toml\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)[-1]
+
+
+def test_the_pages_tell_what_a_step_may_need() -> None:
+    """Fields in their order, and where what they do not show stands."""
+    fields = ", ".join(base.AttitudeCovariance._fields)
+    assert f"`AttitudeCovariance({fields})`, rad^2" in PAGE
+    assert all(f"`{name}`" in PAGE for name in base.Options._fields)
+    assert "functools.partial(_step, options.dt)" in PAGE
+    extending = (EXAMPLE.parents[1] / "docs" / "extending.md").read_text("utf-8")
+    _, _, section = extending.partition("\n## Covariance analysis\n")
+    for name in ("has_error_step=True", "error_step(", "error_angles(", "start_error("):
+        assert name in section.partition("\n## ")[0]
+    assert "extending.md#covariance-analysis" in PAGE
 
 
 @pytest.fixture(scope="module")

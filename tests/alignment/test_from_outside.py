@@ -84,6 +84,11 @@ HERE = f"in {__file__}:{fails.__code__.co_firstlineno + 1}"
         ("load", {"load": lambda: None}, "load: gave a NoneType, not a sinsjax.alignment."),
         ("build", {"load": lambda: implementation(build=fails)}, "build: KeyError"),
         ("build", {"load": lambda: implementation(build=lambda o: 1)}, "build: gave a int, not"),
+        (
+            "build",
+            {"has_error_step": True},
+            "build: gave a Method without error_step, but has_error_step is True, in ",
+        ),
         ("parameters", {"load": lambda: implementation(parameters=fails)}, "parameters: KeyError"),
         ("check", {"load": lambda: implementation(check=fails)}, "check: KeyError"),
         ("rule", {"rules": (fails,)}, "rules: KeyError"),
