@@ -63,6 +63,15 @@ def from_package(name: str) -> str:
     return f"method {name!r} of {' '.join(PACKAGES.get(name, ('another package',)))}"
 
 
+def unusable() -> str:
+    """Where to look for what is unknown, as a method may be there that cannot be used; else empty.
+
+    An entry point may be one of another name than its method's, which is not known then.
+    """
+    text = "an installed package brings a method that cannot be used, `sinsjax info` tells why"
+    return f" ({text})" if BROKEN else ""
+
+
 def keys_unread(names: Iterable[str]) -> set[str]:
     """The keys that other methods read, and none of some."""
     read = {key for name in names for key in METHODS[name].keys}

@@ -1,10 +1,11 @@
 """The sections of a study that an alignment reads, whatever its method; free of jax."""
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationError, WrapValidator
 
-from sinsjax.alignment.methods import METHODS
+from sinsjax.alignment.methods import METHODS, unusable
+from sinsjax.messages import explained
 from sinsjax.value_types import (
     ActsWhere,
     Count,
@@ -16,14 +17,24 @@ from sinsjax.value_types import (
     Section,
     Speed,
     Whole,
+    invalid,
 )
 
 _ANGLES = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg")
 
+
+def _known(name: Any, check: Any) -> Any:
+    """The name of a method."""
+    try:
+        return check(name)
+    except ValidationError as error:
+        raise invalid(explained(error.errors()[0]) + unusable()) from None
+
+
 if TYPE_CHECKING:
     MethodName = str
 else:
-    MethodName = Literal[tuple(METHODS)]
+    MethodName = Annotated[Literal[tuple(METHODS)], WrapValidator(_known)]
 
 
 def _may_turn(*angles: float | None) -> bool:

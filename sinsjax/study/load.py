@@ -14,7 +14,7 @@ import tomli_w
 from pydantic import ValidationError
 
 from sinsjax.alignment.filters.section import Q_DENSITIES
-from sinsjax.alignment.methods import METHODS, SECTIONS_OF_METHODS, keys_unread
+from sinsjax.alignment.methods import METHODS, SECTIONS_OF_METHODS, keys_unread, unusable
 from sinsjax.errors import InputError
 from sinsjax.messages import explained, index, near, one_line
 from sinsjax.study import axes, files, search_space, tuned_keys, usual
@@ -234,7 +234,8 @@ def _tables(data: TomlTable) -> TomlTable:
         if name in SECTION_OF and name not in SECTIONS:
             raise InputError(f"{name}: belongs in [{SECTION_OF[name]}]")
         if name not in names:
-            hint = near(name, names, "[{}]") or " (of a method whose package is not installed?)"
+            hint = near(name, names, "[{}]") + unusable()
+            hint = hint or " (of a method whose package is not installed?)"
             raise InputError(f"[{name}]: unknown section{hint}")
         if name == "cases":
             continue

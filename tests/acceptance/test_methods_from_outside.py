@@ -171,6 +171,28 @@ def test_what_is_broken_concerns_its_own_studies_alone(
     assert (told.returncode, told.stderr) == (2, f"error: {line}\n")
 
 
+@pytest.mark.parametrize("name", ["kalman5", "my averaged"])
+def test_an_entry_point_of_another_name_is_pointed_to(
+    site: Path, tmp_path: Path, name: str
+) -> None:
+    """A study with the method's own name is told where to look."""
+    changed = shutil.copytree(site, tmp_path / "site")
+    points = changed / "averaged_alignment-1.0.dist-info" / "entry_points.txt"
+    points.write_text(points.read_text().replace("averaged =", f"{name} ="))
+    study = STUDY.replace("[averaged]\naveraging_time_s = 1000.0\n", "")
+    (tmp_path / "averages.toml").write_text(study)
+    told = sinsjax("validate", "averages.toml", site=changed, cwd=tmp_path)
+    assert told.returncode == 2 and told.stderr.count("\n") == 1
+    assert told.stderr.startswith("error: averages.toml: [axes] method[0]: must be 'kalman5', ")
+    assert "not 'averaged'" in told.stderr and "`sinsjax info` tells why" in told.stderr
+    (tmp_path / "averages.toml").write_text(STUDY)  # its section is unknown, too
+    told = sinsjax("validate", "averages.toml", site=changed, cwd=tmp_path)
+    assert told.returncode == 2
+    assert all("`sinsjax info` tells why" in line for line in told.stderr.splitlines())
+    told = sinsjax("info", site=changed, cwd=tmp_path)
+    assert f"not usable  entry point '{name}' in sinsjax.methods of averaged-a" in told.stdout
+
+
 @pytest.mark.parametrize(
     ("change", "what", "function"),
     [
