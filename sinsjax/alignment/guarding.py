@@ -5,6 +5,7 @@ Free of JAX until the method is loaded.
 
 import functools
 import inspect
+import re
 import sysconfig
 import traceback
 from collections.abc import Callable
@@ -27,6 +28,12 @@ _NOT_THEIRS = (
     *("/site-packages/", "/dist-packages/", "/jax/", "/pydantic/", "<"),
 )
 """In the paths of code that calls a package's own, or is called by it."""
+
+_STUDIES = f"{Path(__file__).parents[1] / 'study'}/"
+"""Where a key is looked up that a method asks for."""
+
+_TRACER = re.compile(r"\b\w+Tracer\b")
+"""What JAX calls the numbers that it traces."""
 
 _STATES = {"step": 2, "turn": 2, "normalise": 0, "close": 1, "begin_after": 0, "rewind": 2}
 """Functions of a `Method` that give the state which they are given, and its place among these."""
@@ -98,13 +105,24 @@ def of_package(point: EntryPoint) -> str:
     return f" of {point.dist.name} {point.dist.version}" if point.dist else ""
 
 
-def what(error: BaseException, point: EntryPoint) -> str:
-    """An error in one line, with the last place in the package's own code."""
-    line = f"{type(error).__name__}: {first_line(error)}"
+def what(
+    error: BaseException, point: EntryPoint, function: Callable[..., Any] | None = None
+) -> str:
+    """An error in one line, with the last place in the package's own code.
+
+    Args:
+        error: that was raised.
+        point: entry point of the package.
+        function: that was called; its beginning is told where no place is, as of wrong arguments.
+    """
     frames = traceback.extract_tb(error.__traceback__)
     own = [f for f in frames if f.filename.startswith(_folders(point))]
     own = own or [f for f in frames if not any(one in f.filename for one in _NOT_THEIRS)]
-    return f"{line}, in {own[-1].filename}:{own[-1].lineno}" if own else line
+    place = f", in {own[-1].filename}:{own[-1].lineno}" if own else defined(function)
+    if isinstance(error, KeyError) and frames and frames[-1].filename.startswith(_STUDIES):
+        return f"no section of the method, or of the study, has a key {error}{place}"
+    said = _TRACER.sub("array or number", first_line(error))
+    return f"{type(error).__name__}: {said}{place}"
 
 
 def _folders(point: EntryPoint) -> tuple[str, ...]:
@@ -140,7 +158,7 @@ def _guard(
         except InputError:
             raise
         except (Exception, SystemExit) as error:  # whatever another's module raises
-            raise InputError(f"{whose}: {name}: {what(error, point)}") from error
+            raise InputError(f"{whose}: {name}: {what(error, point, function)}") from error
         if wrong:
             raise InputError(f"{whose}: {name}: {wrong}{defined(function)}")
         return found
@@ -160,9 +178,15 @@ def mistyped(field: str, value: object, kind: Any) -> str | None:
     return None
 
 
-def defined(function: Callable[..., Any]) -> str:
+def defined(function: Callable[..., Any] | None) -> str:
     """Where a function begins; empty of one that is not written in Python."""
-    code = getattr(inspect.unwrap(function), "__code__", None)
+    if function is None:
+        return ""
+    function = inspect.unwrap(function)
+    while isinstance(function, functools.partial):
+        function = inspect.unwrap(function.func)
+    written = function if hasattr(function, "__code__") else type(function).__call__
+    code = getattr(written, "__code__", None)
     return f", in {code.co_filename}:{code.co_firstlineno}" if code else ""
 
 
@@ -198,9 +222,14 @@ def _buildable(has_error_step: bool) -> Check:
     def check(found: Any, given: tuple[Any, ...]) -> str | None:
         from sinsjax.alignment.base import Method
 
-        wrong = _of_type(Method)(found, given)
-        if wrong or not has_error_step:
+        if wrong := _of_type(Method)(found, given):
             return wrong
+        for name, value in found._asdict().items():
+            left_out = value is None and name in Method._field_defaults
+            if not (callable(value) or left_out or name == "common_covariance"):
+                return f"gave a Method whose {name} is {_called(value)}, not a function"
+        if not has_error_step:
+            return None
         asked = ("error_step", "error_angles", "start_error")
         lacks = next((name for name in asked if getattr(found, name) is None), None)
         return lacks and f"gave a Method without {lacks}, but has_error_step is True"
@@ -212,9 +241,21 @@ def _of_type(kind: type) -> Check:
     def check(found: Any, given: tuple[Any, ...]) -> str | None:
         if isinstance(found, kind):
             return None
-        return f"gave a {type(found).__name__}, not a {kind.__module__}.{kind.__name__}"
+        return f"gave {_called(found)}, not a {kind.__module__}.{kind.__name__}"
 
     return check
+
+
+def _called(found: Any) -> str:
+    """What something is, in words; JAX has many names for its arrays."""
+    if found is None:
+        return "nothing"
+    if isinstance(found, int | float):
+        return "a number"
+    shape = getattr(found, "shape", None)
+    if shape is None:
+        return f"a {type(found).__name__}"
+    return f"an array of shape {tuple(shape)}" if shape else "a number"
 
 
 def _as(name: str, like: Any) -> Check:

@@ -1,12 +1,17 @@
 """What another package's code raises or gives is told in one line, with its place."""
 
+import re
+from functools import partial
 from importlib.metadata import EntryPoint
 from types import SimpleNamespace
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from pydantic import AfterValidator, BaseModel, Field, create_model
+from support.studies import small_study
 
 from sinsjax.alignment import from_outside
 from sinsjax.alignment.base import Method, Relaxed
@@ -14,6 +19,7 @@ from sinsjax.alignment.description import Description, Implementation
 from sinsjax.errors import InputError
 from sinsjax.platform import runtime
 from sinsjax.study import usable
+from sinsjax.study.variants import Variants
 from sinsjax.types import Quat
 from sinsjax.value_types import Default, Seconds, Section
 
@@ -81,9 +87,19 @@ HERE = f"in {__file__}:{fails.__code__.co_firstlineno + 1}"
     ("call", "changes", "what"),
     [
         ("load", {"load": fails}, f"load: KeyError: 'nothing', {HERE}"),
-        ("load", {"load": lambda: None}, "load: gave a NoneType, not a sinsjax.alignment."),
+        ("load", {"load": lambda: None}, "load: gave nothing, not a sinsjax.alignment."),
         ("build", {"load": lambda: implementation(build=fails)}, "build: KeyError"),
-        ("build", {"load": lambda: implementation(build=lambda o: 1)}, "build: gave a int, not"),
+        ("build", {"load": lambda: implementation(build=lambda o: 1)}, "build: gave a number, not"),
+        (
+            "build",
+            {"load": lambda: implementation(build=lambda o: METHOD._replace(limit=3))},
+            "build: gave a Method whose limit is a number, not a function, in ",
+        ),
+        (
+            "build",
+            {"load": lambda: implementation(build=lambda o: METHOD._replace(init=None))},
+            "build: gave a Method whose init is nothing, not a function, in ",
+        ),
         (
             "build",
             {"has_error_step": True},
@@ -103,7 +119,7 @@ HERE = f"in {__file__}:{fails.__code__.co_firstlineno + 1}"
             {"load": lambda: relaxing(Relaxed({"phi_u0_deg": fails}))},
             "load: relaxed: the method reads no key 'phi_u0_deg'",
         ),
-        ("limit", {}, "limit: gave a NoneType, not a sinsjax.alignment.limits.Limit, in "),
+        ("limit", {}, "limit: gave nothing, not a sinsjax.alignment.limits.Limit, in "),
     ],
 )
 def test_what_fails_is_told(
@@ -123,6 +139,65 @@ def test_what_fails_is_told(
     assert str(caught.value).startswith(f"method 'made': {what}")
     raised = what.partition(": ")[2].startswith("KeyError")
     assert isinstance(caught.value.__cause__, KeyError) == raised
+
+
+def one_too_few(state: Any) -> Any:
+    return state
+
+
+def two(state: Any, n: Any) -> Any:
+    return state
+
+
+class Called:
+    def __call__(self, state: Any) -> Any:
+        return state
+
+
+TOO_FEW, TOO_MANY = (f"TypeError: {f.__name__}() " for f in (one_too_few, two))
+
+
+@pytest.mark.parametrize(
+    ("function", "written", "what"),
+    [
+        (partial(one_too_few, 1), one_too_few, TOO_FEW),
+        (partial(partial(two)), two, TOO_MANY),
+        (two, two, TOO_MANY),
+        (jax.jit(lambda state: state), None, "gave a number, not a sinsjax.types.Quat"),
+        (Called(), Called.__call__, "gave a number, not a sinsjax.types.Quat"),
+        (partial(lambda n, state: jnp.ones(4), 1), None, "gave an array of shape (4,), not a sin"),
+        (lambda state: state.q, None, "AttributeError: array or number has no attribute q"),
+        (lambda state: [*state], None, "TypeError: iteration over a 0-d array"),
+    ],
+)
+def test_the_place_is_that_of_the_function_itself(
+    monkeypatch: pytest.MonkeyPatch, function: Any, written: Any, what: str
+) -> None:
+    """Bound to numbers, called with others than it takes, or traced."""
+    made = METHOD._replace(attitude=function)
+    load = implementation(build=lambda options: made)
+    attitude = of_package(monkeypatch, load=lambda: load).methods["made"](None).attitude
+    with pytest.raises(InputError) as caught:
+        jax.vmap(attitude)(np.ones(3))
+    assert str(caught.value).startswith(f"method 'made': attitude: {what}")
+    line = r"\d+" if written is None else written.__code__.co_firstlineno
+    assert re.search(rf", in {__file__}:{line}$", str(caught.value))
+
+
+def test_a_key_that_there_is_not_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    columns = Variants(small_study(), np.zeros(1, int))
+    for key in ("gain", "compass_time_s"):
+
+        def parameters(columns: Any, site: Any, ug: float, key: str = key) -> Any:
+            return columns.column(key)
+
+        load = implementation(parameters=parameters)
+        method = of_package(monkeypatch, load=lambda load=load: load).methods["made"]
+        with pytest.raises(InputError) as caught:
+            method.implementation.parameters(columns, None, 1.0)
+        why = f"no section of the method, or of the study, has a key '{key}'"
+        line = parameters.__code__.co_firstlineno + 1
+        assert str(caught.value) == f"method 'made': parameters: {why}, in {__file__}:{line}"
 
 
 def test_what_it_refuses_itself_is_its_own_line(monkeypatch: pytest.MonkeyPatch) -> None:
