@@ -31,7 +31,7 @@ def is_modelled(study: Study) -> bool:
 
 
 def check(study: Study, where: Mapping[str, str]) -> None:
-    """Refuses what does not go with the way in which a study's results are estimated.
+    """Refuses what does not go with covariance analysis, where a study or its tuning asks for it.
 
     Args:
         study: checked study.
@@ -40,6 +40,10 @@ def check(study: Study, where: Mapping[str, str]) -> None:
     Raises:
         InputError: ``[section] key: what is wrong (hint)``.
     """
+    if study.tune and "covariance" in study.tune.searches:
+        if told := next(_unmodelled(study, where), None):
+            text = f"'covariance' cannot be one of them (use 'sobol'): {told}"
+            raise InputError(f"[tune] searches: {text}")
     samples, estimate = study.study.estimate_samples, study.study.estimate
     if not study.is_estimated and study.study.check_linearity is not None:
         raise InputError("[study] check_linearity: requires estimate = 'covariance'")

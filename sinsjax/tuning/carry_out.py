@@ -17,7 +17,6 @@ from sinsjax.execution.parts import MANIFEST
 from sinsjax.execution.run import RunProgress, Tell
 from sinsjax.platform.files import replacing, unwritable
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.estimating import require_modelled
 from sinsjax.study.fingerprint import fingerprint
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import load_study, study_to_toml, with_point, with_rate
@@ -100,7 +99,7 @@ def tune(
 
 
 def check_searches(study: Study, tape: StoredRecord | None = None) -> None:
-    """Refuse searches that do not go with the variables or the study, before anything runs.
+    """Refuse searches that do not go with the variables, before anything runs.
 
     Args:
         study: study with [tune], at the rate of its record.
@@ -108,18 +107,16 @@ def check_searches(study: Study, tape: StoredRecord | None = None) -> None:
             gradients is not evaluated.
 
     Raises:
-        InputError: a variable without a gradient, a method of another package whose numbers do not
-            follow its keys, or what covariance analysis does not hold for.
+        InputError: a variable without a gradient, or a method of another package whose numbers do
+            not follow its keys.
         RuntimeError: double precision is off, and a method is of another package.
     """
-    searches, space = require_tune(study).searches, SearchSpace.of(study)
-    if GRADIENT in searches:
+    space = SearchSpace.of(study)
+    if GRADIENT in require_tune(study).searches:
         for combination in space.combinations:
             relaxation = Relaxation(study, space, combination)
             if study.is_recorded == (tape is not None):
                 relaxation.check_changes(tape)
-    if COVARIANCE in searches:
-        require_modelled(study)
 
 
 def _carry_out(study: Study, space: SearchSpace, session: SearchSession) -> None:

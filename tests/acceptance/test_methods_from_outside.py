@@ -81,11 +81,11 @@ def test_it_is_a_method_like_any_other(site: Path, tmp_path: Path) -> None:
     assert set(errors) == {"averaged", "inertial"} and max(map(abs, errors.values())) < 0.5
 
 
-def tuning(path: Path) -> None:
+def tuning(path: Path, tune: str = "") -> None:
     """Writes the study of the page with its variable, for the searches that [tune] does."""
     (ranges,) = re.findall(r"`(averaging_time_s = \{.+\})`", PAGE)
     study = STUDY.replace("averaging_time_s = 1000.0", "").replace(', "inertial"]', "]")
-    path.write_text(f"{study}[tune.variables]\n{ranges}\n")
+    path.write_text(f"{study}{tune}[tune.variables]\n{ranges}\n")
 
 
 def test_its_key_is_tuned_by_gradient(
@@ -240,6 +240,14 @@ def test_numbers_that_do_not_follow_a_key_are_told_by_validate(
         assert told.returncode == 2 and told.stderr.count("\n") == 1
         assert told.stderr.startswith(f"error: {whose}: {what}")
         assert re.search(rf", in {relaxed}:\d+$", told.stderr)
+
+
+def test_a_search_by_covariance_names_file_and_remedy(site: Path, tmp_path: Path) -> None:
+    tuning(tmp_path / "tuned.toml", '[tune]\nsearches = ["covariance"]\n')
+    told = sinsjax("validate", "tuned.toml", site=site, cwd=tmp_path)
+    why = "[axes] method: covariance analysis knows no linear part of averaged"
+    line = f"[tune] searches: 'covariance' cannot be one of them (use 'sobol'): {why}"
+    assert (told.returncode, told.stderr) == (2, f"error: tuned.toml: {line}\n")
 
 
 @pytest.mark.parametrize(

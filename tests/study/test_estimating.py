@@ -68,6 +68,17 @@ def test_what_the_covariance_does_not_hold_is_refused_with_the_reason(place: str
     assert refusal(**changes) == told
 
 
+def test_a_search_by_covariance_is_refused_where_the_study_is_read() -> None:
+    tune = {
+        "searches": ["sobol", "covariance"],
+        "variables": {"phi_u0_deg": {"low": 1.0, "high": 9.0}},
+    }
+    assert refusal(alignment={"method": "inertial"}, tune=tune) == (
+        "[tune] searches: 'covariance' cannot be one of them (use 'sobol'): [alignment] method:"
+        " covariance analysis knows no linear part of inertial"
+    )
+
+
 UNREAD: dict[str, tuple[dict[str, Any], str]] = {
     "[study] curves": ({"study": {"curves": True}}, "there are no runs to have any"),
     "[stop_when]": (
