@@ -19,6 +19,7 @@ from sinsjax.alignment import base
 
 EXAMPLE = Path(__file__).parents[1] / "example_method"
 PAGE = (EXAMPLE.parents[1] / "docs" / "own_method.md").read_text("utf-8")
+MESSAGES = (EXAMPLE.parents[1] / "docs" / "messages.md").read_text("utf-8")
 STUDY = re.findall(r"^```toml\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)[-1]
 
 
@@ -61,6 +62,15 @@ def sinsjax(*words: str, site: Path, cwd: Path) -> subprocess.CompletedProcess[s
         capture_output=True,
         text=True,
     )
+
+
+def is_listed(line: str) -> bool:
+    """Whether a row on methods of other packages is on a message that names one."""
+    section = MESSAGES.partition("\n## A method of another package\n")[2].partition("\n## ")[0]
+    rows = [row.split("|")[1] for row in section.splitlines() if row.startswith("| `")]
+    forms = [form.split("...") for row in rows for form in re.findall("`(.+?)`", row)]
+    patterns = (".*".join(re.escape(piece.strip()) for piece in form) for form in forms)
+    return any(re.search(pattern, line) for pattern in patterns)
 
 
 @pytest.mark.optimised(False)
@@ -139,7 +149,7 @@ def test_what_clashes_or_is_broken_is_one_line(
     told = sinsjax("keys", "averaged", site=changed, cwd=tmp_path)
     assert told.returncode == 2 and told.stderr.count("\n") == 1
     assert told.stderr.startswith("error: ") and line in told.stderr
-    assert "averaged-alignment 1.0" in told.stderr
+    assert "averaged-alignment 1.0" in told.stderr and is_listed(told.stderr)
 
 
 @pytest.mark.parametrize(
@@ -189,6 +199,7 @@ def test_an_entry_point_of_another_name_is_pointed_to(
     told = sinsjax("validate", "averages.toml", site=changed, cwd=tmp_path)
     assert told.returncode == 2
     assert all("`sinsjax info` tells why" in line for line in told.stderr.splitlines())
+    assert all(map(is_listed, told.stderr.splitlines()))
     told = sinsjax("info", site=changed, cwd=tmp_path)
     assert f"not usable  entry point '{name}' in sinsjax.methods of averaged-a" in told.stdout
 
@@ -240,6 +251,7 @@ def test_numbers_that_do_not_follow_a_key_are_told_by_validate(
         assert told.returncode == 2 and told.stderr.count("\n") == 1
         assert told.stderr.startswith(f"error: {whose}: {what}")
         assert re.search(rf", in {relaxed}:\d+$", told.stderr)
+        assert "Error: " in told.stderr or is_listed(told.stderr)
 
 
 def test_a_search_by_covariance_names_file_and_remedy(site: Path, tmp_path: Path) -> None:
@@ -279,4 +291,4 @@ def test_a_covariance_that_contradicts_the_description_is_told(
     warnings = [line for line in told.stdout.splitlines() if line.startswith("Warning: method")]
     start = "Warning: method 'averaged' of averaged-alignment 1.0: covariance: "
     assert len(warnings) == (what is not None)
-    assert all(line.startswith(f"{start}{what}") for line in warnings)
+    assert all(line.startswith(f"{start}{what}") and is_listed(line) for line in warnings)
