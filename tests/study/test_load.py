@@ -759,7 +759,7 @@ def test_missing_latitude_and_heading():
     assert refusal(SIMULATED, earth={}, motion=3).startswith("[motion]")
     data = copy.deepcopy(SIMULATED)
     del data["motion"]
-    assert refusal(data).startswith("[motion] yaw_center_deg: required (heading, deg")
+    assert refusal(data).startswith("[motion] yaw_center_deg: required (yaw, deg")
     del data["earth"]
     assert refusal(data).startswith("[earth] latitude_deg: required (latitude, deg")
 
