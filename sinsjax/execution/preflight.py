@@ -124,7 +124,11 @@ def process_noise(study: Study) -> str | None:
         for sensors, ratios in told.items()
         if ratios
     ]
-    return f"Q of the filter is white noise of {' and '.join(parts)}" if parts else None
+    if not parts:
+        return None
+    return (
+        f"Q of the filter is that of white noise with {' and '.join(parts)} (standard deviations)"
+    )
 
 
 def _rounded(numbers: set[float]) -> list[str]:

@@ -73,6 +73,8 @@ def sampling(
     except InputError:
         line = scattered(time_s)
         if line is None:
+            if (set_back := _set_back(time_s)) is not None:  # it spoils the rate, and rows before
+                _refuse(where, layout, time_s, set_back, row)
             raise
     found_hz = _meant(line.rate_hz, time_s, line.unsure)
     rate = agreed_rate(found_hz, layout, line.unsure, where)
@@ -82,6 +84,15 @@ def sampling(
     # One stamp, the first, is as much off as any: the mean of all is not.
     t0_s = float(time_s.mean()) - (float(line.number.mean()) + 1) / rate
     return Sampling(rate, t0_s, line.number)
+
+
+def _set_back(time_s: FloatArray) -> int | None:
+    """The first stamp after which time runs backward by more than stamps scatter, None without."""
+    step_s = np.diff(time_s)
+    usual_s = float(np.median(step_s))
+    typical_s = float(np.median(np.abs(step_s - usual_s)))
+    found = np.flatnonzero(step_s < -_FURTHEST * typical_s)
+    return int(found[0]) if found.size and usual_s > 0 else None
 
 
 def _in_steps(

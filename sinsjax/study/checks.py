@@ -140,6 +140,8 @@ def _check_methods(study: Study, where: Where) -> None:
         if where[key] == section and len(here) > 1 and unread.issuperset(here):
             how = f"drop it, as by --set {SECTION_OF[key]}={{}}"
             raise InputError(f"{section}: {text} ({how}: {', '.join(here)})")
+        if where[key].startswith("[axes"):
+            text += f" (drop it, as by --set {where[key].strip('[]')}.{key}={{}})"
         _refuse(key, where, text)
 
 

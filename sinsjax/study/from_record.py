@@ -252,7 +252,7 @@ def _record_section(
     doubtful: list[Oddity | Finding] = [*within(looked.record.oddities, [span])[:MOST_TOLD]]
     doubtful += findings(looked.record, span, layout, expected)
     for found in doubtful:
-        refused = ", and the study is refused" if found.hard else ""
+        refused = " (the study is refused)" if found.hard else ""
         lines.append(_comment(f"{found.text}{refused}", DOUBT))
     return "\n".join([*lines, ""])
 

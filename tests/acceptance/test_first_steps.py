@@ -249,7 +249,7 @@ def test_validate_tells_what_would_run(sinsjax: Command) -> None:
     assert code == 0 and "variants: 56, draws: 16." in told
     assert "896 runs of up to 900 s: roughly" in told and "of memory" in told and "on disk" in told
     assert "Up to 90,000 steps a run, 80,640,000 in all." in told
-    assert "Q of the filter is white noise of 100 times that of the accelerometers" in told
+    assert "white noise with 100 times that of the accelerometers and 100 times" in told
 
 
 @pytest.mark.parametrize(
@@ -309,6 +309,8 @@ def test_an_empty_table_drops_what_is_there(sinsjax: Command) -> None:
     other = {"alignment.method": "inertial"}
     with pytest.raises(package.InputError, match=r"drop it, as by --set filter=\{\}: "):
         template.replace(other)
+    with pytest.raises(package.InputError, match=r"drop it, as by --set axes.reset_times_s=\{\}"):
+        template.replace(other | {"filter": {}})
     study = template.replace(other | {"filter": {}, "axes.reset_times_s": {}})
     assert study.filter is None and study.axis_keys == ("phi_u0_deg",)
     assert template.replace({"axes": {}}).n_variants == 1

@@ -486,7 +486,9 @@ def test_samples_that_lack_among_scattered_stamps_are_found(tmp_path, missing):
         (lambda t: t + np.where(np.arange(6000) < 3000, 0, 1e29), "column 'time_s': row "),
         (lambda t: t[::-1], "row 3: time runs backward"),
         (lambda t: np.round(t, 2), "time repeats"),
-        (lambda t: t + np.where(np.arange(6000) == 3000, 0.03, 0), "a short step"),
+        (lambda t: t + np.where(np.arange(6000) == 3000, 0.03, 0), "row 3003: time runs backward"),
+        (lambda t: t - np.where(np.arange(6000) == 2, 0.02, 0), "row 4: time runs backward"),
+        (lambda t: np.where(np.arange(6000) == 100, -9999.0, t), "row 102: time runs backward"),
     ],
 )
 def test_a_clock_that_is_wrong_is_found_among_scattered_stamps(tmp_path, change, says):

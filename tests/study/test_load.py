@@ -1197,7 +1197,9 @@ def test_a_record_may_tell_the_rate():
     ],
 )
 def test_a_key_that_no_method_reads(tables: dict[str, Any], key: str, method: str):
-    assert refusal(**tables) == f"{key}: does not apply to method {method}"
+    place, _, name = key.partition(" ")
+    drop = f" (drop it, as by --set axes.{name}={{}})" if place == "[axes]" else ""
+    assert refusal(**tables) == f"{key}: does not apply to method {method}{drop}"
     built(merged(SIMULATED, **tables), axes={"method": ["kalman5", "compass"]})
 
 
