@@ -12,7 +12,7 @@ import filelock
 
 from sinsjax.errors import InputError
 from sinsjax.messages import one_line, shortened
-from sinsjax.platform.files import unwritable
+from sinsjax.platform.files import make_folder, unwritable
 
 LOCK = ".lock"
 WRITER = ".writer"
@@ -25,10 +25,7 @@ def locked(directory: Path) -> filelock.FileLock:
     Raises:
         InputError: another process is writing there, or the directory is not writable.
     """
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(unwritable(directory, error)) from error
+    make_folder(directory)
     lock = _acquired(directory)
     with suppress(OSError):  # whoever cannot be named is respected all the same
         (directory / WRITER).write_text(f"pid {os.getpid()} on {socket.gethostname()}\n")

@@ -11,10 +11,11 @@ from sinsjax.alignment.methods import METHODS, PACKAGES, from_package
 from sinsjax.engine import batch, simulate
 from sinsjax.engine.build import parts
 from sinsjax.engine.lanes import Group, shown, tiles_of
+from sinsjax.engine.simulator import NOISES, errors_of
 from sinsjax.engine.study_limits import hidden_north
 from sinsjax.engine.truth import site_of, starts_of
 from sinsjax.errors import InputError
-from sinsjax.messages import one_line, seconds
+from sinsjax.messages import counted, one_line, seconds
 from sinsjax.records import Layout, Record, require_span
 from sinsjax.records.layout import Oddity
 from sinsjax.records.oddities import MOST_TOLD, within
@@ -31,11 +32,10 @@ from sinsjax.units import DEG_PER_H, micro_g
 _BIASES = {"gyro_bias_deg_per_h": 10.0, "accel_bias_ug": 5000.0}
 _TRUST = "[record] trust = true aligns it anyway"
 _NOISE = {
-    "accelerometers": ("q_accel_ug", "accel_noise_ug", "accel_vrw_ug_per_sqrt_hz", 1.0),
-    "gyros": ("q_gyro_deg_per_h", "gyro_noise_deg_per_h", "gyro_arw_deg_per_sqrt_h", 60.0),
+    "accelerometers": ("q_accel_ug", micro_g(), "accel_noise"),
+    "gyros": ("q_gyro_deg_per_h", DEG_PER_H, "gyro_noise"),
 }
-"""Keys of Q and of white noise, a sample's and a density's, and the latter's factor to the unit of
-the others."""
+"""Keys of Q with their units in SI, and the white noise of an increment beside it."""
 _DRAWS = 1024  # draws in which a drawn period is checked
 
 
@@ -135,25 +135,20 @@ def _rounded(numbers: set[float]) -> list[str]:
     return list(dict.fromkeys(f"{float(f'{number:.2g}'):,g}" for number in sorted(numbers)))
 
 
-def _believed(study: Study, q: str, sample: str, density: str, factor: float) -> set[float]:
+def _believed(study: Study, q: str, unit: float, noise: str) -> set[float]:
     """White noise that Q stands for over that of the sensors, for all that a study varies."""
-    forms = {q: 1.0, **Q_DENSITIES[q]}
-    keys = ("method", "q_reading", "q_scale", *forms, sample, density)
-    dt, using = 1 / study.rate_hz, readers(q)
+    forms, using = {q: 1.0, **Q_DENSITIES[q]}, readers(q)
+    readings = q_readings(1 / study.rate_hz)
     ratios: set[float] = set()
     if not study.has("filter"):
         return ratios
-    for point in study.combinations(*keys):
+    for point in study.combinations("method", "q_reading", "q_scale", *forms, *NOISES):
+        white = getattr(errors_of(point.get, micro_g(), study.rate_hz), noise)
+        size = float(np.sqrt(np.mean(white**2)))
         taken = [point[form] * by for form, by in forms.items() if point[form] is not None]
-        white = (
-            np.multiply(point[sample], dt)
-            if point[density] is None and point[sample] is not None
-            else np.multiply(0.0 if point[density] is None else point[density], factor * dt**0.5)
-        )
-        size = float(np.sqrt(np.mean(np.square(white))))
         if point["method"] in using and taken and size:
             scale = 1.0 if point["q_scale"] is None else point["q_scale"]
-            ratios.add(taken[0] * (q_readings(dt)[point["q_reading"]] * scale) ** 0.5 / size)
+            ratios.add(taken[0] * unit * (readings[point["q_reading"]] * scale) ** 0.5 / size)
     return ratios
 
 
@@ -205,7 +200,7 @@ def _odd(record: Record, used: list[tuple[int, int]]) -> Iterator[Oddity]:
     beyond = [odd for odd in read if odd.hard]
     if beyond:
         first, more = min(beyond, key=lambda odd: odd.begin), len(beyond) - 1
-        text = f"{first.text}; {more} more such place{'s'[: more > 1]}" if more else first.text
+        text = f"{first.text}; {counted(more, 'more such place')}" if more else first.text
         yield first._replace(text=text)
     yield from [odd for odd in read if not odd.hard][:MOST_TOLD]
 

@@ -21,7 +21,7 @@ from sinsjax.execution.outputs import outputs_of
 from sinsjax.execution.run import load_tape
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import one_line
-from sinsjax.platform.files import replacing, unwritable
+from sinsjax.platform.files import make_folder, replacing
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.study import Study
 
@@ -131,10 +131,7 @@ def rerun_into(
 
 
 def _write(target: Path, made: Rerun, study: Study) -> None:
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(unwritable(target, error)) from error
+    make_folder(target)
     for name, table in (("summary", made.row), ("curve", made.curve)):
         with replacing(target / f"{name}.parquet") as file:
             pq.write_table(table, file, compression="zstd")

@@ -135,6 +135,12 @@ def given_as(layout: Layout, key: str) -> str:
     return _ARGUMENTS.get(key, key) if layout.format == "arrays" else key
 
 
+def spans_of(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Where flags (T,) are set: of every run the first place, and the one after its last."""
+    edges = np.flatnonzero(np.diff(flags, prepend=False, append=False)).reshape(-1, 2)
+    return [(begin, end) for begin, end in edges.tolist()]
+
+
 class Note(NamedTuple):
     """Why a key of a layout has its value, and what cannot be known about it; "" for nothing."""
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.records.layout import Oddity
+from sinsjax.records.layout import Oddity, spans_of
 from sinsjax.records.means import EARTH_RATE
 from sinsjax.units import DEG, STANDARD_GRAVITY
 
@@ -65,7 +65,7 @@ def _beyond(
         large = (values > most) | (values < -most)
         if not large.any() or np.nanmedian(np.abs(values)) > _STANDS_OUT * most:
             continue
-        for begin, end in _runs(large):
+        for begin, end in spans_of(large):
             value = float(values[begin])
             yield Oddity(
                 begin,
@@ -116,7 +116,7 @@ def _stuck(
     same = np.ones(count - 1, bool)
     for values in columns:
         same &= values[1:] == values[:-1]
-    for begin, last in _runs(same):
+    for begin, last in spans_of(same):
         if last + 1 - begin >= least:
             yield Oddity(
                 begin,
@@ -130,12 +130,6 @@ def _stuck(
 def is_constant(values: NDArray[Any]) -> bool:
     """Whether a channel (T,) never changes."""
     return bool(values[0] == values[-1] and (values == values[0]).all())
-
-
-def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Where flags are set: first, and the one after the last, of every run."""
-    edges = np.flatnonzero(np.diff(flags, prepend=False, append=False)).reshape(-1, 2)
-    return [(int(begin), int(end)) for begin, end in edges]
 
 
 def _rows(row: Callable[[int], int], begin: int, end: int) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
-from sinsjax.records.layout import FloatArray, Layout, agreed_rate, given_as
+from sinsjax.records.layout import FloatArray, Layout, agreed_rate, given_as, spans_of
 
 _LATE_S = 0.02  # the latest that a busy logger stamps a sample
 _CATCHES_UP_S = 0.1  # the longest it takes to catch up
@@ -240,8 +240,7 @@ def _jumps(ahead: FloatArray, typical: float) -> NDArray[np.int64]:
     noise = 1.5 * typical * np.sqrt(1 / (last - k) + 1 / (k - first))
     flagged = np.abs(found) > np.maximum(0.5, 5 * noise)
     jumps = np.zeros(count, np.int64)
-    edges = np.flatnonzero(np.diff(flagged, prepend=False, append=False)).reshape(-1, 2)
-    for begin, end in edges.tolist():
+    for begin, end in spans_of(flagged):
         most = begin + int(np.abs(found[begin:end]).argmax())
         jumps[most + 1] = round(float(found[most]))
     return jumps

@@ -25,6 +25,7 @@ from sinsjax.records.layout import (
     axes,
     check_layout,
     from_body,
+    spans_of,
 )
 from sinsjax.records.oddities import oddities
 from sinsjax.records.stamps import Sampling, between, sampling
@@ -149,9 +150,8 @@ def _make_whole(columns: list[FloatArray], read: _Read) -> tuple[list[Flaw], int
         missing |= ~np.isfinite(columns[place])
     if not missing.any():
         return [], 0
-    edges = np.flatnonzero(np.diff(missing, prepend=False, append=False)).reshape(-1, 2)
     fill, flaws = np.zeros(len(missing), bool), []
-    for begin, end in edges.tolist():
+    for begin, end in spans_of(missing):
         inside = begin > 0 and end < len(missing)
         gap_s = (end - begin + 1) / rate if inside else math.inf
         if gap_s <= read.layout.max_gap_s * (1 + 1e-9):
