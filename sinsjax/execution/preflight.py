@@ -15,10 +15,9 @@ from sinsjax.engine.simulator import NOISES, errors_of
 from sinsjax.engine.study_limits import hidden_north
 from sinsjax.engine.truth import site_of, starts_of
 from sinsjax.errors import InputError
-from sinsjax.messages import counted, one_line, seconds
+from sinsjax.messages import one_line, seconds
 from sinsjax.records import Layout, Record, require_span
-from sinsjax.records.layout import Oddity
-from sinsjax.records.oddities import MOST_TOLD, within
+from sinsjax.records.oddities import told
 from sinsjax.records.plausible import StationaryValues, findings
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
@@ -181,28 +180,20 @@ def _of_record(study: Study, stored: StoredRecord) -> Iterator[str]:
         accel_bias=bias["accel_bias_ug"] * micro_g(),
     )
     used = _used(study, record)
-    for odd in _odd(record, used):
+    for odd in told(record.oddities, used):
         if odd.hard and not section.trust:
             raise InputError(f"{record.source}: {odd.text} ({_TRUST})")
         yield f"{record.source}: {odd.text}"
+    dead = [odd.text for odd in record.oddities if (odd.begin, odd.end) == (0, len(record.dv))]
     for begin, end in used:
         begin_s, end_s = (seconds(sample / record.rate_hz) for sample in (begin, end))
         where = f"{record.source}: {begin_s} to {end_s} s"
         for finding in findings(record, (begin, end), layout, expected):
             if finding.hard and not section.trust:
-                raise InputError(f"{where}: {finding.text} ({_TRUST})")
+                # A channel that never changes may be the cause, and only the refusal is seen.
+                text = "; ".join([finding.text, *dead])
+                raise InputError(f"{where}: {text} ({_TRUST})")
             yield f"{where}: {finding.text}"
-
-
-def _odd(record: Record, used: list[tuple[int, int]]) -> Iterator[Oddity]:
-    """What is odd about samples that are read: of what is certainly wrong the first place."""
-    read = within(record.oddities, used)
-    beyond = [odd for odd in read if odd.hard]
-    if beyond:
-        first, more = min(beyond, key=lambda odd: odd.begin), len(beyond) - 1
-        text = f"{first.text}; {counted(more, 'more such place')}" if more else first.text
-        yield first._replace(text=text)
-    yield from [odd for odd in read if not odd.hard][:MOST_TOLD]
 
 
 def _used(study: Study, record: Record) -> list[tuple[int, int]]:

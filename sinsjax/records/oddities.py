@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sinsjax.messages import counted
 from sinsjax.records.layout import Oddity, spans_of
 from sinsjax.records.means import EARTH_RATE
 from sinsjax.units import DEG, STANDARD_GRAVITY
@@ -17,9 +18,7 @@ _MOST_G, _MOST_DEG_PER_S = 20.0, 1000.0  # swaying bases and cars stay far below
 _STANDS_OUT = 0.1
 """Of the limit: where most samples are larger, it is the unit that is wrong, as the mean tells."""
 
-MOST_TOLD = 6
-"""Of what is odd about a record, in messages."""
-
+_MOST_TOLD = 6  # of what may be right, in messages
 _REMOVED = 0.01  # of Earth rate, in every gyro: biases do not cancel it so well in all three
 _STUCK_S = 1.0  # of all six channels: one of few counts may repeat itself for long
 
@@ -44,11 +43,24 @@ def oddities(
     return (*beyond, *_removed(columns[:3], factors), *_stuck(names, columns, rate_hz, row))
 
 
-def within(found: Sequence[Oddity], spans: Sequence[tuple[int, int]]) -> list[Oddity]:
-    """Those that concern some spans of samples, each up to but not including its end."""
-    return [
+def told(found: Sequence[Oddity], spans: Sequence[tuple[int, int]]) -> Iterator[Oddity]:
+    """Those that concern some spans of samples, as messages tell them.
+
+    Of what is certainly wrong the first place, and how many more there are.
+
+    Args:
+        found: in a record.
+        spans: first sample of each, and the one after its last.
+    """
+    read = [
         odd for odd in found if any(odd.begin < end and odd.end > begin for begin, end in spans)
     ]
+    certain = [odd for odd in read if odd.hard]
+    if certain:
+        first, more = min(certain, key=lambda odd: odd.begin), len(certain) - 1
+        text = f"{first.text}; {counted(more, 'more such place')}" if more else first.text
+        yield first._replace(text=text)
+    yield from [odd for odd in read if not odd.hard][:_MOST_TOLD]
 
 
 def _beyond(
@@ -73,7 +85,7 @@ def _beyond(
                 True,
                 f"{_rows(row, begin, end)}: column {name!r}: {value:.6g} is"
                 f" {value * factor / unit:.4g} {shown}, and no base at rest has more than"
-                f" {limit:g} {shown}",
+                f" {limit:g} {shown}: leave such cells empty, as missing samples",
             )
 
 

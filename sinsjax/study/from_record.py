@@ -16,7 +16,7 @@ from sinsjax.records.files import line_batches, number_or_nan
 from sinsjax.records.head import head_of
 from sinsjax.records.layout import PSINS_LAYOUT, Layout, Note, Oddity, Record
 from sinsjax.records.means import EARTH_RATE, Means, means_of, rate_up
-from sinsjax.records.oddities import MOST_TOLD, within
+from sinsjax.records.oddities import is_constant, told
 from sinsjax.records.plausible import Finding, StationaryValues, findings
 from sinsjax.records.recognise import recognise, sees_earth_rate
 from sinsjax.study.files import DOUBT, schema_line
@@ -166,11 +166,17 @@ def _samples(record: Record, times: _Times) -> tuple[int, int]:
     return begin, min(end, len(record.dv))
 
 
+def _tells_latitude(record: Record, means: Means) -> bool:
+    """Whether its mean rate is Earth rate, and not in part what a dead channel holds."""
+    dead = [is_constant(values) for values in record.dtheta.T]
+    return sees_earth_rate(means) and (not any(dead) or all(dead))
+
+
 def _latitude(record: Record, means: Means) -> float:
     """Geodetic latitude, deg: of the header, or about that which Earth rate tells."""
     if record.latitude_deg is not None:
         return record.latitude_deg
-    if not sees_earth_rate(means):
+    if not _tells_latitude(record, means):
         return _LATITUDE
     sine = max(-0.99, min(0.99, rate_up(means) / EARTH_RATE))
     return round(math.asin(sine) / DEG, 1)
@@ -219,7 +225,7 @@ def _rate_note(looked: _Looked, times: _Times) -> Note:
 def _earth_section(record: Record, means: Means) -> str:
     if record.latitude_deg is not None:
         return "\n".join(["[earth]", *_entry("earth", "wgs84", Note("place: of the header")), ""])
-    if sees_earth_rate(means):
+    if _tells_latitude(record, means):
         note = Note("deg, by the vertical part of the mean rate", _ABOUT)
     else:
         note = Note("deg", "the gyros do not tell the latitude: put the true one here")
@@ -249,8 +255,9 @@ def _record_section(
         gyro_bias=10 * DEG_PER_H,
         accel_bias=5000 * micro_g(),
     )
-    doubtful: list[Oddity | Finding] = [*within(looked.record.oddities, [span])[:MOST_TOLD]]
-    doubtful += findings(looked.record, span, layout, expected)
+    doubtful: list[Oddity | Finding] = [*told(looked.record.oddities, [span])]
+    if not any(odd.hard for odd in doubtful):  # they are in the means
+        doubtful += findings(looked.record, span, layout, expected)
     for found in doubtful:
         refused = " (the study is refused)" if found.hard else ""
         lines.append(_comment(f"{found.text}{refused}", DOUBT))

@@ -55,7 +55,8 @@ def test_samples_beyond_any_range_are_named_and_refused() -> None:
         made_ready(study(), tape)
     assert str(caught.value) == (
         "arrays: rows 500 to 509: column 'accel[:, 0]': -98056.7 is -9999 g, and no base at rest"
-        " has more than 20 g; 1 more such place ([record] trust = true aligns it anyway)"
+        " has more than 20 g: leave such cells empty, as missing samples; 1 more such place"
+        " ([record] trust = true aligns it anyway)"
     )
     assert "rows 500 to 509" in made_ready(study(trust=True), tape)[1][0]
     assert not made_ready(study(start_s=[8.0]), tape)[1]  # they are not read
@@ -83,6 +84,16 @@ def test_dead_and_stuck_channels_are_told() -> None:
     ]
     (warning,) = made_ready(study(), made(gyro, accel))[1]
     assert warning.startswith("arrays: rows 1000 to 1099: all six")
+
+
+def test_a_refusal_names_the_dead_channel_that_may_have_caused_it() -> None:
+    tape = made(changed(GYRO, slice(None), 0, 0.1))
+    with pytest.raises(InputError) as caught:
+        made_ready(study(), tape)
+    assert str(caught.value).endswith(
+        "hides Earth rate: no heading can be found; column 'gyro[:, 0]' holds 0.1 in every row: is"
+        " that sensor dead? ([record] trust = true aligns it anyway)"
+    )
 
 
 @pytest.mark.parametrize("unit", ["rad_per_s", "deg_per_h"])

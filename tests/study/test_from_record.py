@@ -340,6 +340,18 @@ def test_a_dead_gyro_does_not_tell_the_unit(
         study, doubts = described(write(tmp_path / "log.csv", table))
         assert study["record"]["gyro_unit"] == unit
         assert f"told without '{NAMES[1 + axis]}', which never changes" in doubts
+        assert "the gyros do not tell the latitude: put the true one here" in doubts
+
+
+def test_marks_of_missing_samples_bring_one_doubt_and_its_cure(
+    rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    table = columns(rates, "rfu", 1.0, 1.0, 0.01)
+    table[2000:9000:500, 4:] = -9999.0
+    _, doubts = described(write(tmp_path / "log.csv", table))
+    (line,) = [doubt for doubt in doubts if "refused" in doubt]
+    assert line.startswith("row 2002: column 'accel_x': -9999 is -1020 g")
+    assert "leave such cells empty, as missing samples; 41 more such places" in line
 
 
 @pytest.mark.parametrize(
