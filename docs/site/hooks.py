@@ -26,6 +26,7 @@ PAGES = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "benchmarks/README.md")
 LANGUAGES = {".c": "c", ".cff": "yaml", ".json": "json", ".py": "python", ".toml": "toml"}
 
 _LINK = re.compile(r"\]\((?P<target>[^\s():#]+)(?P<anchor>#[^\s()]*)?\)")
+_FIGURE = re.compile(r'(?<!">)<img [^>]*?src="(?P<source>[^":]+)"[^>]*>')
 _COMMENT = re.compile(r"\A<!--.*?-->\s*", re.DOTALL)
 
 
@@ -59,6 +60,11 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     # <details> by itself.
     markdown = _COMMENT.sub("", markdown).replace("<details>", '<details markdown="1">')
     return _LINK.sub(led, markdown)
+
+
+def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Lead from a figure to itself alone: on a phone one with many panels is too small to read."""
+    return _FIGURE.sub(r'<a href="\g<source>">\g<0></a>', html)
 
 
 def site_path(name: str) -> str:

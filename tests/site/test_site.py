@@ -106,6 +106,18 @@ def test_every_link_leads_to_a_page_and_an_anchor(site: Path, pages: dict[Path, 
     assert len(pages) > 25 and followed > 1000
 
 
+def test_a_figure_leads_to_itself_in_full_size(site: Path, pages: dict[Path, Shown]) -> None:
+    figures = [
+        (path, file)
+        for path, page in pages.items()
+        for file in page.files
+        if file.endswith(".png") and "assets/" not in file
+    ]
+    assert len(figures) > 25
+    for path, file in figures:
+        assert file in pages[path].links, f"{path.relative_to(site)}: {file}"
+
+
 def test_nothing_is_loaded_from_elsewhere(site: Path, pages: dict[Path, Shown]) -> None:
     for path, page in pages.items():
         assert not [file for file in page.files if urlsplit(file).netloc], path
