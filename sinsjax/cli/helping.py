@@ -26,6 +26,10 @@ def wrong_usage(error: Any) -> str:
 class Command(TyperCommand):
     """A command whose help names its arguments without their Python types."""
 
+    def get_short_help_str(self, limit: int = 0) -> str:
+        """Its first sentence, which a list of commands breaks and does not cut."""
+        return str(super().get_short_help_str(limit=sys.maxsize))
+
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """The words of the usage line: required arguments bare, others in brackets."""
         return [
