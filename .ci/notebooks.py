@@ -57,7 +57,8 @@ def main() -> int:
     out = Path(sys.argv[1]) if len(sys.argv) > 1 else None
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-    paths = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
+    # Backward: the longest is the last by name, and would run alone in the end.
+    paths = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"), reverse=True)
     failed = False
     with ProcessPoolExecutor(AT_A_TIME) as pool:
         told = pool.map(partial(execute, out=out), paths)
