@@ -53,15 +53,23 @@ def _require_scheduler(address: str) -> None:
 
     wait_s = 0.8 * CONNECT_S  # leaving the rest to the client
 
+    scheme, place = addressing.parse_address(address)
+    host, port = addressing.parse_host_port(place, 0) if scheme in ("tcp", "tls") else ("", 0)
+
     def resolve() -> None:
         """Dask would try again and again, and then only tell how long."""
-        scheme, place = addressing.parse_address(address)
-        if scheme in ("tcp", "tls"):
-            host, _ = addressing.parse_host_port(place, 0)
-            try:
-                socket.getaddrinfo(host, None)
-            except socket.gaierror as error:
-                raise ValueError(f"host {host}: {error.strerror}") from None
+        try:
+            socket.getaddrinfo(host, None)
+        except socket.gaierror as error:
+            raise ValueError(f"host {host}: {error.strerror}") from None
+
+    def refusal() -> OSError | None:
+        """What the system says of a connection: Dask has forgotten it if its last try was short."""
+        try:
+            socket.create_connection((host, port), 1.0).close()
+        except OSError as error:
+            return error
+        return None
 
     async def ask() -> str:
         arguments = Security().get_connection_args("client")
@@ -72,10 +80,14 @@ def _require_scheduler(address: str) -> None:
 
     def within_time() -> None:
         try:
-            resolve()
+            if host:
+                resolve()
             answers.append(asyncio.run(asyncio.wait_for(ask(), wait_s)))
         except TimeoutError as error:
             answers.append(TimeoutError(first_line(error) or f"no answer in {wait_s:g} s"))
+        except OSError as error:
+            error.__cause__ = (refusal() if host else None) or error.__cause__
+            answers.append(error)
         except BaseException as error:
             answers.append(error)
 
