@@ -1,5 +1,6 @@
 """Descents: gradients against differences, what variables do to the engine's numbers, cost."""
 
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -7,6 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 from scipy.stats import mstats, norm
 from support.studies import small_study
@@ -27,6 +29,28 @@ from sinsjax.types import Vec3
 from sinsjax.units import ARCMIN
 
 pytestmark = pytest.mark.optimised(False)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def mixing_optax() -> Iterator[None]:
+    """Optax mixes integers and floats freely, in its update alone.
+
+    Were more of a descent let off, its threads, which are not, would trace the slope again.
+    """
+    strict = optax.adam
+
+    def adam(rate: optax.Schedule) -> optax.GradientTransformation:
+        made = strict(rate)
+
+        def update(*arguments: Any) -> Any:
+            with jax.numpy_dtype_promotion("standard"):
+                return made.update(*arguments)
+
+        return made._replace(update=update)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(optax, "adam", adam)
+        yield
 
 
 def log(low: float, high: float) -> dict[str, Any]:
@@ -341,9 +365,16 @@ SMOOTH = tuned(
     descent_screen=12,
     descent_starts=9,
     descent_steps=3,
+    descent_draws=1,
     evolution_samples=32,
 )
 """Resets that stay where they are, of a kind that cannot be spread."""
+
+
+@cache
+def smooth_slope(*, starts: int, draws: int, samples: int) -> Slope:
+    """Of `SMOOTH`; its program takes longer to trace than a descent takes."""
+    return Slope(SMOOTH, None, 0, starts=starts, draws=draws, samples=samples)
 
 
 @pytest.mark.slow
@@ -353,7 +384,7 @@ def test_gradients_by_covariance_agree_with_differences() -> None:
     box = np.tile([0.4, 0.45], (1 + 4 * p, 1))
     for i in range(p):
         box[1 + 4 * i : 5 + 4 * i, i] += step * AROUND
-    slope = Slope(SMOOTH, None, 0, starts=len(box), draws=1, samples=32)
+    slope = smooth_slope(starts=len(box), draws=1, samples=32)
     score, by_box = slope(box, np.arange(1), Softness(5.0, 3.0))
     expected = score[1:].reshape(p, 4) @ np.array([1.0, -8.0, 8.0, -1.0]) / (12 * step)
     np.testing.assert_allclose(by_box[0], expected, rtol=1e-4)
@@ -361,9 +392,12 @@ def test_gradients_by_covariance_agree_with_differences() -> None:
 
 
 @pytest.mark.slow
-def test_descents_by_covariance_end_in_better_runs_than_they_begin_with() -> None:
+def test_descents_by_covariance_end_in_better_runs_than_they_begin_with(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Their points are estimates, at nearly a hard edge those of hard ones; their ends are not."""
-    found, tune = descend(SMOOTH), SMOOTH.tune
+    monkeypatch.setattr(descent, "Slope", lambda *_, **given: smooth_slope(**given))
+    found, tune = descent.descend(SMOOTH), SMOOTH.tune
     assert tune is not None
     steps, ends = [look for look in found.looks if look.estimated], found.looks[-9:]
     assert [look.step for look in steps] == [i for i in range(3) for _ in range(9)]
@@ -378,7 +412,7 @@ def test_descents_by_covariance_end_in_better_runs_than_they_begin_with() -> Non
     derived = search.derive(SMOOTH, points, name="begin")
     hard = estimates.values(derived, tune).reshape(9, -1)
     box = np.array([space.box(look.values) for look in steps[:9]])
-    slope = Slope(SMOOTH, None, 0, starts=9, draws=1, samples=32)
+    slope = smooth_slope(starts=9, draws=1, samples=32)
     np.testing.assert_allclose(
         slope(box, np.arange(1), Softness(1.0, 2.0**14))[0], hard.mean(axis=1), atol=0.02
     )
@@ -437,12 +471,6 @@ def test_what_moves_no_reset_goes_through_covariance_analysis_where_that_holds(
 # Descents
 
 
-def descend(study: Study) -> history.Found:
-    """Optax mixes integers and floats freely."""
-    with jax.numpy_dtype_promotion("standard"):
-        return descent.descend(study)
-
-
 @pytest.fixture(scope="module")
 def down() -> tuple[Study, history.Found]:
     """A compass whose loop may be too slow, or too nervous; two draws, looked at in every step.
@@ -464,7 +492,7 @@ def down() -> tuple[Study, history.Found]:
         descent_steps=8,
         descent_draws=2,
     )
-    return study, descend(study)
+    return study, descent.descend(study)
 
 
 @pytest.mark.slow
@@ -505,7 +533,7 @@ def test_descents_are_told_as_they_were_made(down: tuple[Study, history.Found]) 
 @pytest.mark.slow
 def test_descents_are_the_same_again(down: tuple[Study, history.Found]) -> None:
     study, found = down
-    assert descend(study) == found
+    assert descent.descend(study) == found
 
 
 @pytest.mark.slow
@@ -526,8 +554,7 @@ def test_candidates_are_tried_one_by_one() -> None:
         descent_draws=2,
     )
     seen: list[tuple[int, int]] = []
-    with jax.numpy_dtype_promotion("standard"):
-        found = descent.descend(study, tell=lambda p: seen.append((p.done, p.total)))
+    found = descent.descend(study, tell=lambda p: seen.append((p.done, p.total)))
     assert seen == [(2, 4), (4, 4)]
     assert [look.candidate for look in found.looks] == [0, 1, 1, 1]
     np.testing.assert_array_equal(
