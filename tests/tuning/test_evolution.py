@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from support.studies import STILL, small_study
 
@@ -19,8 +20,9 @@ pytestmark = pytest.mark.optimised(False)
 TIMES = [{"low": 1.0, "high": 10.0}, {"low": 1.0, "high": 20.0}]
 FEW = {
     **{"evolution_screen": 4, "evolution_points": 4, "evolution_steps": 2},
-    **{"evolution_samples": 16, "evolution_finalists": 2, "feedback_phases": 2},
+    **{"evolution_samples": 1024, "evolution_finalists": 2, "feedback_phases": 2},
 }
+"""What is estimated and judged at once is as many runs in most tests: one program for all."""
 
 
 def tuned(changes: dict[str, Any] | None = None, **tune: Any) -> Study:
@@ -38,17 +40,33 @@ def tuned(changes: dict[str, Any] | None = None, **tune: Any) -> Study:
     return small_study(tune=tune, **(motion | own | (changes or {})))
 
 
-@pytest.mark.parametrize("kind", ["settle_mean", "settle_quantile", "failure_rate", "final_error"])
-def test_what_is_estimated_is_what_draws_give(kind: str) -> None:
-    """Within four standard errors of 256 draws, at each of three points."""
-    study = tuned(objective=kind, tune_draws=256, evolution_samples=1024)
-    assert study.tune is not None
-    times = [(5.0, 12.0), (2.0, 3.0), (9.5, 18.0)]
+@pytest.fixture(scope="module")
+def found() -> history.Found:
+    return evolution.evolve(tuned())
+
+
+def at_points(**tune: Any) -> tuple[Study, Study]:
+    """A study that is tuned, and that of its runs at four points."""
+    study = tuned(tune_draws=256, **tune)
+    times = [(5.0, 12.0), (2.0, 3.0), (9.5, 18.0), (7.0, 8.0)]
     points = {str(number): {"reset_times_s": of} for number, of in enumerate(times)}
-    derived = search.derive(study, points, name="derived")
-    drawn = search.run_values(study, derived, run.run(derived, curves=False).summary)[:, 0]
+    return study, search.derive(study, points, name="derived")
+
+
+@pytest.fixture(scope="module")
+def summary() -> pa.Table:
+    """Of the runs, which know nothing of the objective."""
+    return run.run(at_points()[1], curves=False).summary
+
+
+@pytest.mark.parametrize("kind", ["settle_mean", "settle_quantile", "failure_rate", "final_error"])
+def test_what_is_estimated_is_what_draws_give(kind: str, summary: pa.Table) -> None:
+    """Within four standard errors of 256 draws, at each of four points."""
+    study, derived = at_points(objective=kind)
+    assert study.tune is not None
+    drawn = search.run_values(study, derived, summary)[:, 0]
     estimated = estimates.values(derived, study.tune)
-    assert estimated.shape[0] == len(points) == drawn.shape[0]
+    assert estimated.shape[0] == 4 == drawn.shape[0]
     for one, other in zip(estimated, drawn, strict=True):
         got = objective.score(study.tune, one[None])
         samples = np.random.default_rng(0).choice(other, (400, other.size))
@@ -67,9 +85,8 @@ def test_a_shift_is_of_all_resets_and_on_whole_samples() -> None:
     assert evolution.shifted(study, {"q_scale": 0.5}, 0.5) == {"q_scale": 0.5}
 
 
-def test_the_best_are_judged_by_the_tuning_draws() -> None:
+def test_the_best_are_judged_by_the_tuning_draws(found: history.Found) -> None:
     study = tuned()
-    found = evolution.evolve(study)
     assert study.tune is not None
     space = SearchSpace.of(study)
     judged = [look for look in found.looks if not look.estimated]
@@ -87,20 +104,26 @@ def test_the_best_are_judged_by_the_tuning_draws() -> None:
     assert costs == sorted(costs) and costs[0] > 0
 
 
-def test_the_same_seed_finds_the_same() -> None:
-    assert evolution.evolve(tuned()) == evolution.evolve(tuned())
+def test_the_same_seed_finds_the_same(found: history.Found) -> None:
+    assert evolution.evolve(tuned()) == found
 
 
 @pytest.mark.parametrize(
-    "variables",
+    ("variables", "changes", "finalists"),
     [
-        {"q_scale": {"low": 0.1, "high": 10.0, "scale": "log"}},  # of one variable
-        {"reset_times_s": TIMES, "reset_count": {"candidates": [0, 2]}},
-        {"q_scale": {"candidates": [0.5, 2.0]}},  # of none
+        (  # of one variable, beside resets that none moves
+            {"q_scale": {"low": 0.1, "high": 10.0, "scale": "log"}},
+            {"resets": {"reset_times_s": [5.0, 12.0]}},
+            4,
+        ),
+        ({"reset_times_s": TIMES, "reset_count": {"candidates": [0, 2]}}, {}, 2),
+        ({"q_scale": {"candidates": [0.5, 2.0]}}, {}, 2),  # of none
     ],
 )
-def test_any_number_of_variables(variables: dict[str, Any]) -> None:
-    study = tuned(variables=variables)
+def test_any_number_of_variables(
+    variables: dict[str, Any], changes: dict[str, Any], finalists: int
+) -> None:
+    study = tuned(changes, variables=variables, evolution_finalists=finalists)
     found = evolution.evolve(study)
     space = SearchSpace.of(study)
     assert not found.best.estimated
@@ -109,13 +132,12 @@ def test_any_number_of_variables(variables: dict[str, Any]) -> None:
         assert search.derive(study, {"one": point}, name="one").n_variants == 1
 
 
-def test_a_tuning_by_covariance_is_kept_and_told(tmp_path: Path) -> None:
+def test_a_tuning_by_covariance_is_kept_and_told(found: history.Found, tmp_path: Path) -> None:
     study = tuned()
     sinsjax.tune(study, tmp_path / "out")
     rows = history.read_history(tmp_path / "out")
     assert rows["estimated"].to_pylist().count(False) == 2
-    (found,) = history.read(tmp_path / "out", SearchSpace.of(study))
-    assert found == evolution.evolve(study)
+    assert history.read(tmp_path / "out", SearchSpace.of(study)) == [found]
     sinsjax.tune(study, tmp_path / "out", resume=True)
     assert history.read_history(tmp_path / "out").equals(rows)
 
