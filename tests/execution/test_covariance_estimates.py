@@ -36,7 +36,10 @@ SHORT = {"duration_s": 2.0, "window_s": [0, 2], "report_times_s": [1.0]}
 
 
 def study_of(**changes: Any) -> Study:
-    """A minute at rest, three starts by two schedules, from errors of a few degrees."""
+    """A minute at rest, four starts by two schedules, from errors of a few degrees.
+
+    One program does all studies of 7 or 8 variants of them, with a reset or two schedules.
+    """
     settings: dict[str, Any] = {
         **{"duration_s": RUN_S, "window_s": [30, RUN_S], "report_times_s": [20.0, 45.0]},
         **{"estimate": "covariance", "draws": None, "settle_bands_arcmin": [60.0, 20.0, 10.0]},
@@ -44,7 +47,7 @@ def study_of(**changes: Any) -> Study:
     tables_: dict[str, Any] = {
         "motion": STILL,
         "alignment": {"feedback_interval_s": 1.0, "phi_e0_deg": 0.5, "phi_n0_deg": 0.5},
-        "axes": {"phi_u0_deg": [0.0, 2.0, 5.0], "reset_times_s": [[], [10.0]]},
+        "axes": {"phi_u0_deg": [0.0, 2.0, 3.5, 5.0], "reset_times_s": [[], [10.0]]},
     }
     changes = dict(changes)
     settings |= changes.pop("study", {})
@@ -74,7 +77,7 @@ def by_variant(summary: pa.Table, column: str) -> np.ndarray:
 def test_mean_and_sigma_are_those_of_draws(pair: tuple[pa.Table, pa.Table]) -> None:
     """At each time: means within four standard errors, variances in their chi-square interval."""
     made, summary = pair
-    assert made.num_rows == 6
+    assert made.num_rows == 8
     tail = 0.0005 / (len(TIMES) * made.num_rows)
     low, high = stats.chi2.ppf([tail, 1 - tail], DRAWS - 1) / (DRAWS - 1)
     for at in TIMES:
@@ -116,8 +119,13 @@ def test_shares_and_settling_times_are_those_of_draws(pair: tuple[pa.Table, pa.T
             assert (never[~missing] < 1 - share + 0.12).all()
 
 
-def test_columns_say_unit_and_meaning() -> None:
-    made = study_run.estimate(short())
+@pytest.fixture(scope="module")
+def made_of_short() -> pa.Table:
+    return study_run.estimate(short(), chunk_runs=2)
+
+
+def test_columns_say_unit_and_meaning(made_of_short: pa.Table) -> None:
+    made = made_of_short
     for name in made.column_names:
         about = made.schema.field(name).metadata
         assert about[b"meaning"]
@@ -129,9 +137,11 @@ def test_columns_say_unit_and_meaning() -> None:
     assert not {"run_id", "draw_id", "start_s"}.intersection(made.column_names)
 
 
-def test_a_variant_without_a_limit_is_estimated_about_the_truth_alone() -> None:
-    """A sway of 10 s has no limit in runs of a minute."""
-    for row in study_run.estimate(study_of(motion={})).to_pylist():
+def test_a_variant_without_a_limit_is_estimated_about_the_truth_alone(
+    made_of_short: pa.Table,
+) -> None:
+    """A sway of 10 s has no limit in runs of two."""
+    for row in made_of_short.to_pylist():
         assert not row["has_limit"] and row["floor_arcmin"] is None
         assert row["within_10_share"] is row["settle_10_mean_s"] is None
         assert row["within_10_truth_share"] is not None
@@ -157,7 +167,7 @@ def test_without_noise_the_estimate_is_the_run() -> None:
 def test_curves_are_those_of_estimates_at_their_times(pair: tuple[pa.Table, pa.Table]) -> None:
     """Of a study without draws, or with any."""
     made = estimated_curves(study_of(study={"estimate": "draws", "draws": 2}))
-    assert made["variant_id"].to_pylist() == np.repeat(range(6), int(RUN_S)).tolist()
+    assert made["variant_id"].to_pylist() == np.repeat(range(8), int(RUN_S)).tolist()
     assert made["time_s"].to_pylist()[:3] == [1.0, 2.0, 3.0]
     for at, time_s in zip(TIMES, (RUN_S, 20.0, 45.0), strict=True):
         rows = made.filter(pc.equal(made["time_s"], time_s))
@@ -182,8 +192,10 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory
 
 
-def test_rows_are_the_same_for_any_chunk_and_as_stored(whole: Path) -> None:
-    one, other = (study_run.estimate(short(), chunk_runs=n) for n in (2, 10**6))
+def test_rows_are_the_same_for_any_chunk_and_as_stored(
+    whole: Path, made_of_short: pa.Table
+) -> None:
+    one, other = made_of_short, study_run.estimate(short(), chunk_runs=10**6)
     assert one.equals(other) and one.num_rows == 260
     stored = read_estimates(whole)
     assert stored["variant_id"].to_pylist() == list(range(260))
@@ -240,8 +252,7 @@ def test_a_killed_sweep_is_gone_on_with(moment: str, whole: Path, tmp_path: Path
 
 def test_a_study_of_draws_may_take_its_place(whole: Path, tmp_path: Path) -> None:
     study_run.run_into(short(), tmp_path, chunk_runs=128)
-    short_draws = SHORT | {"estimate": "draws", "draws": 2}
-    drawn = study_of(study=short_draws, axes={"phi_u0_deg": [0.0, 5.0]})
+    drawn = study_of(study={"estimate": "draws", "draws": 2})
     with pytest.raises(InputError, match="holds results of another study"):
         study_run.run_into(drawn, tmp_path, resume=True)
     study_run.run_into(drawn, tmp_path, overwrite=True)
@@ -280,7 +291,7 @@ def test_a_report_tells_the_soonest_settings_and_draws_the_axes(
     tmp_path: Path,
 ) -> None:
     axes = {"reset_count": [0, 1], "reset_cycle_s": [5.0, 10.0], "phi_u0_deg": [0.0, 5.0]}
-    study = study_of(axes=axes, resets={}, study={"estimate_samples": 16})
+    study = study_of(axes=axes, resets={})
     study_run.run_into(study, tmp_path / "out")
     page = tmp_path / "page.md"
     said = told(tmp_path / "out", page=page)
@@ -294,10 +305,13 @@ def test_a_report_tells_the_soonest_settings_and_draws_the_axes(
     assert page.read_text().count("](figures/") == said.count(".png")
 
 
-@pytest.mark.parametrize("axes", [{"phi_u0_deg": [0.0, 5.0]}, {"method": ["kalman5"]}])
-def test_a_report_of_any_axes_opens(axes: dict[str, Any], tmp_path: Path) -> None:
-    study = study_of(axes=axes, study={"estimate_samples": 16})
-    study_run.run_into(study, tmp_path)
+@pytest.mark.parametrize(
+    ("axes", "checked"),
+    [({"phi_u0_deg": [*range(8)]}, True), ({"method": ["kalman5"]}, False)],
+)
+def test_a_report_of_any_axes_opens(axes: dict[str, Any], checked: bool, tmp_path: Path) -> None:
+    resets, study = {"reset_times_s": [10.0]}, {"check_linearity": checked}
+    study_run.run_into(study_of(axes=axes, resets=resets, study=study), tmp_path)
     said = told(tmp_path)
     assert "Every variant" in said and "estimated without draws" in said
     assert columns.settle_estimates(10.0)[0].name in read_estimates(tmp_path).column_names
