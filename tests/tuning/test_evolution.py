@@ -20,7 +20,7 @@ pytestmark = pytest.mark.optimised(False)
 TIMES = [{"low": 1.0, "high": 10.0}, {"low": 1.0, "high": 20.0}]
 FEW = {
     **{"evolution_screen": 4, "evolution_points": 4, "evolution_steps": 2},
-    **{"evolution_samples": 1024, "evolution_finalists": 2, "feedback_phases": 2},
+    **{"evolution_samples": 1024, "evolution_finalists": 3, "feedback_phases": 2},
 }
 """What is estimated and judged at once is as many runs in most tests: one program for all."""
 
@@ -90,15 +90,18 @@ def test_the_best_are_judged_by_the_tuning_draws(found: history.Found) -> None:
     assert study.tune is not None
     space = SearchSpace.of(study)
     judged = [look for look in found.looks if not look.estimated]
-    assert (len(found.looks), len(judged)) == (4 + 2 * 4 + 2, 2)
+    assert (len(found.looks), len(judged)) == (4 + 2 * 4 + 3, 3)
     best = sorted(look.objective for look in found.looks if look.estimated)
     assert best[0] <= best[1]
-    for look in judged:
-        point = space.point(list(look.values), {})
-        phases = {str(k): evolution.shifted(study, point, k / 2) for k in range(2)}
-        derived = search.derive(study, phases, name="again")
-        values = search.run_values(study, derived, run.run(derived, curves=False).summary)
-        assert look.objective == objective.score(study.tune, values.reshape(2, -1))
+    phases = {
+        f"{number} {k}": evolution.shifted(study, space.point(list(look.values), {}), k / 2)
+        for number, look in enumerate(judged)
+        for k in range(2)
+    }
+    derived = search.derive(study, phases, name="again")
+    values = search.run_values(study, derived, run.run(derived, curves=False).summary)
+    for look, own in zip(judged, values.reshape(3, 2, -1), strict=True):
+        assert look.objective == objective.score(study.tune, own)
     assert found.best in judged
     costs = [look.cost for look in found.looks]
     assert costs == sorted(costs) and costs[0] > 0
@@ -116,8 +119,8 @@ def test_the_same_seed_finds_the_same(found: history.Found) -> None:
             {"resets": {"reset_times_s": [5.0, 12.0]}},
             4,
         ),
-        ({"reset_times_s": TIMES, "reset_count": {"candidates": [0, 2]}}, {}, 2),
-        ({"q_scale": {"candidates": [0.5, 2.0]}}, {}, 2),  # of none
+        ({"reset_times_s": TIMES, "reset_count": {"candidates": [0, 2]}}, {}, 3),
+        ({"q_scale": {"candidates": [0.5, 2.0]}}, {}, 3),  # of none
     ],
 )
 def test_any_number_of_variables(
@@ -136,7 +139,7 @@ def test_a_tuning_by_covariance_is_kept_and_told(found: history.Found, tmp_path:
     study = tuned()
     sinsjax.tune(study, tmp_path / "out")
     rows = history.read_history(tmp_path / "out")
-    assert rows["estimated"].to_pylist().count(False) == 2
+    assert rows["estimated"].to_pylist().count(False) == 3
     assert history.read(tmp_path / "out", SearchSpace.of(study)) == [found]
     sinsjax.tune(study, tmp_path / "out", resume=True)
     assert history.read_history(tmp_path / "out").equals(rows)
