@@ -23,7 +23,12 @@ pytestmark = pytest.mark.optimised(False)
 
 DRAWS, MANY = 48, 512
 SETTINGS: dict[str, Any] = {
-    **{"duration_s": 40.0, "window_s": [20, 40], "report_times_s": [20.0]},
+    **{
+        "duration_s": 40.0,
+        "record_interval_s": 4.0,
+        "window_s": [20, 40],
+        "report_times_s": [20.0],
+    },
     **{"estimate": "controlled", "draws": DRAWS, "settle_bands_arcmin": [20.0, 10.0]},
 }
 
@@ -136,8 +141,8 @@ def test_a_run_is_repeated_with_its_companion(stored: Path, tmp_path: Path) -> N
 
 
 def test_it_stops_sooner(tmp_path: Path) -> None:
-    """At a half width that 64 draws reach with companions; alone they need twice as many."""
-    axes = {"reset_times_s": [[10.0]]}
+    """At a half width that 64 draws reach with companions, and not alone."""
+    axes = {"reset_times_s": [[10.0]], "phi_u0_deg": [28.0, 29.0, 30.0, 31.0]}
     until = {"statistic": "settle_20_s_mean", "half_width": 0.8}
     changes: dict[str, Any] = {"axes": axes, "stop_when": until}
     made = study_run.run(study_of(**changes, study={"draws": 256})).summary
