@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.forked import Server
 
 import sinsjax as package
 from sinsjax.alignment import base
@@ -53,7 +55,16 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def forked() -> Iterator[Server]:
+    """Runs command lines one after the other in a process that finds methods of its own."""
+    server = Server()
+    yield server
+    server.close()
+
+
 def sinsjax(*words: str, site: Path, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """As a user does, who waits a second for what it imports."""
     paths = [str(site), *filter(None, [os.environ.get("PYTHONPATH")])]
     return subprocess.run(
         [sys.executable, "-m", "sinsjax", *words],
@@ -99,7 +110,7 @@ def tuning(path: Path, tune: str = "") -> None:
 
 
 def test_its_key_is_tuned_by_gradient(
-    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    forked: Server, site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Numbers follow the key as they are made from it, and the searches of [tune] take it."""
     monkeypatch.syspath_prepend(site)
@@ -114,7 +125,7 @@ def test_its_key_is_tuned_by_gradient(
     changed = relaxed.RELAXED.changes["averaging_time_s"](kept(10.0), None, 40.0, 10.0)
     np.testing.assert_allclose(changed.kept, kept(40.0).kept, rtol=1e-12)
     tuning(tmp_path / "tuned.toml")
-    told = sinsjax("validate", "tuned.toml", site=site, cwd=tmp_path)
+    (told,) = forked(("validate", "tuned.toml"), site=site, cwd=tmp_path)
     assert (told.returncode, told.stderr) == (0, "") and "tunes averaging_time_s" in told.stdout
 
 
@@ -136,7 +147,7 @@ def test_its_key_is_tuned_by_gradient(
     ],
 )
 def test_what_clashes_or_is_broken_is_one_line(
-    site: Path, tmp_path: Path, change: tuple[str, str], line: str
+    forked: Server, site: Path, tmp_path: Path, change: tuple[str, str], line: str
 ) -> None:
     changed = shutil.copytree(site, tmp_path / "site")
     for path in (
@@ -146,7 +157,7 @@ def test_what_clashes_or_is_broken_is_one_line(
         text = path.read_text()
         if path.suffix == ".txt" or not change[0].startswith(("desc", "AV")):
             path.write_text(text.replace(*change))
-    told = sinsjax("keys", "averaged", site=changed, cwd=tmp_path)
+    (told,) = forked(("keys", "averaged"), site=changed, cwd=tmp_path)
     assert told.returncode == 2 and told.stderr.count("\n") == 1
     assert told.stderr.startswith("error: ") and line in told.stderr
     assert "averaged-alignment 1.0" in told.stderr and is_listed(told.stderr)
@@ -163,19 +174,20 @@ def test_what_clashes_or_is_broken_is_one_line(
     ],
 )
 def test_what_is_broken_concerns_its_own_studies_alone(
-    site: Path, tmp_path: Path, change: tuple[str, str], why: str
+    forked: Server, site: Path, tmp_path: Path, change: tuple[str, str], why: str
 ) -> None:
     changed = shutil.copytree(site, tmp_path / "site")
     described = changed / "averaged_alignment" / "description.py"
     described.write_text(described.read_text().replace(*change))
-    told = sinsjax("validate", "reset_sweep", site=changed, cwd=tmp_path)
-    assert (told.returncode, told.stderr) == (0, "")
     # Its section and its keys are no errors of their own, wherever the method is named.
     study = STUDY.replace("[averaged]\n", "").replace("averaging_time_s = 1000.0\n", "")
     study = study.replace("[alignment]\n", '[alignment]\nmethod = "averaged"\n')
     study = study.replace('method = ["averaged", "inertial"]', "averaging_time_s = [1.0, 2.0]")
     (tmp_path / "averages.toml").write_text(study)
-    told = sinsjax("validate", "averages.toml", site=changed, cwd=tmp_path)
+    other, told = forked(
+        ("validate", "reset_sweep"), ("validate", "averages.toml"), site=changed, cwd=tmp_path
+    )
+    assert (other.returncode, other.stderr) == (0, "")
     why = f"method 'averaged' of averaged-alignment 1.0: {why}"
     line = f"averages.toml: [alignment] method: 'averaged' cannot be used: {why}"
     assert (told.returncode, told.stderr) == (2, f"error: {line}\n")
@@ -183,7 +195,7 @@ def test_what_is_broken_concerns_its_own_studies_alone(
 
 @pytest.mark.parametrize("name", ["kalman5", "my averaged"])
 def test_an_entry_point_of_another_name_is_pointed_to(
-    site: Path, tmp_path: Path, name: str
+    forked: Server, site: Path, tmp_path: Path, name: str
 ) -> None:
     """A study with the method's own name is told where to look."""
     changed = shutil.copytree(site, tmp_path / "site")
@@ -191,17 +203,19 @@ def test_an_entry_point_of_another_name_is_pointed_to(
     points.write_text(points.read_text().replace("averaged =", f"{name} ="))
     study = STUDY.replace("[averaged]\naveraging_time_s = 1000.0\n", "")
     (tmp_path / "averages.toml").write_text(study)
-    told = sinsjax("validate", "averages.toml", site=changed, cwd=tmp_path)
+    (tmp_path / "section.toml").write_text(STUDY)  # its section is unknown, too
+    told, of_section, info = forked(
+        *(("validate", "averages.toml"), ("validate", "section.toml"), ("info",)),
+        site=changed,
+        cwd=tmp_path,
+    )
     assert told.returncode == 2 and told.stderr.count("\n") == 1
     assert told.stderr.startswith("error: averages.toml: [axes] method[0]: must be 'kalman5', ")
     assert "not 'averaged'" in told.stderr and "`sinsjax info` tells why" in told.stderr
-    (tmp_path / "averages.toml").write_text(STUDY)  # its section is unknown, too
-    told = sinsjax("validate", "averages.toml", site=changed, cwd=tmp_path)
-    assert told.returncode == 2
-    assert all("`sinsjax info` tells why" in line for line in told.stderr.splitlines())
-    assert all(map(is_listed, told.stderr.splitlines()))
-    told = sinsjax("info", site=changed, cwd=tmp_path)
-    assert f"not usable  entry point '{name}' in sinsjax.methods of averaged-a" in told.stdout
+    assert of_section.returncode == 2
+    assert all("`sinsjax info` tells why" in line for line in of_section.stderr.splitlines())
+    assert all(map(is_listed, of_section.stderr.splitlines()))
+    assert f"not usable  entry point '{name}' in sinsjax.methods of averaged-a" in info.stdout
 
 
 @pytest.mark.parametrize(
@@ -212,13 +226,13 @@ def test_an_entry_point_of_another_name_is_pointed_to(
     ],
 )
 def test_a_method_that_cannot_be_run_is_told_by_validate(
-    site: Path, tmp_path: Path, change: tuple[str, str], what: str, function: str
+    forked: Server, site: Path, tmp_path: Path, change: tuple[str, str], what: str, function: str
 ) -> None:
     changed = shutil.copytree(site, tmp_path / "site")
     method = changed / "averaged_alignment" / "method.py"
     method.write_text(method.read_text().replace(*change))
     (tmp_path / "averages.toml").write_text(STUDY)
-    told = sinsjax("validate", "averages.toml", site=changed, cwd=tmp_path)
+    (told,) = forked(("validate", "averages.toml"), site=changed, cwd=tmp_path)
     assert told.returncode == 2 and told.stderr.count("\n") == 1
     assert told.stderr.startswith(f"error: method 'averaged' of averaged-alignment 1.0: {what}")
     sought = f"def {function}(" if function else change[1]
@@ -238,15 +252,15 @@ def test_a_method_that_cannot_be_run_is_told_by_validate(
     ],
 )
 def test_numbers_that_do_not_follow_a_key_are_told_by_validate(
-    site: Path, tmp_path: Path, change: str, what: str
+    forked: Server, site: Path, tmp_path: Path, change: str, what: str
 ) -> None:
     changed = shutil.copytree(site, tmp_path / "site")
     relaxed = changed / "averaged_alignment" / "relaxed.py"
     text = re.sub(r"return params\._replace.*", f"return {change}", relaxed.read_text())
     relaxed.write_text(text)
     tuning(tmp_path / "tuned.toml")
-    for command in (("validate", "tuned.toml"), ("tune", "tuned.toml", "-o", "out")):
-        told = sinsjax(*command, site=changed, cwd=tmp_path)
+    commands = ("validate", "tuned.toml"), ("tune", "tuned.toml", "-o", "out")
+    for told in forked(*commands, site=changed, cwd=tmp_path):
         whose = "method 'averaged' of averaged-alignment 1.0: relaxed.changes['averaging_time_s']"
         assert told.returncode == 2 and told.stderr.count("\n") == 1
         assert told.stderr.startswith(f"error: {whose}: {what}")
@@ -254,9 +268,11 @@ def test_numbers_that_do_not_follow_a_key_are_told_by_validate(
         assert "Error: " in told.stderr or is_listed(told.stderr)
 
 
-def test_a_search_by_covariance_names_file_and_remedy(site: Path, tmp_path: Path) -> None:
+def test_a_search_by_covariance_names_file_and_remedy(
+    forked: Server, site: Path, tmp_path: Path
+) -> None:
     tuning(tmp_path / "tuned.toml", '[tune]\nsearches = ["covariance"]\n')
-    told = sinsjax("validate", "tuned.toml", site=site, cwd=tmp_path)
+    (told,) = forked(("validate", "tuned.toml"), site=site, cwd=tmp_path)
     why = "[axes] method: covariance analysis knows no linear part of averaged"
     line = f"[tune] searches: 'covariance' cannot be one of them (use 'sobol'): {why}"
     assert (told.returncode, told.stderr) == (2, f"error: tuned.toml: {line}\n")
@@ -272,7 +288,7 @@ def test_a_search_by_covariance_names_file_and_remedy(site: Path, tmp_path: Path
     ],
 )
 def test_a_covariance_that_contradicts_the_description_is_told(
-    site: Path, tmp_path: Path, given: str, described: bool, what: str | None
+    forked: Server, site: Path, tmp_path: Path, given: str, described: bool, what: str | None
 ) -> None:
     changed = shutil.copytree(site, tmp_path / "site") / "averaged_alignment"
     for name, change in {
@@ -286,7 +302,7 @@ def test_a_covariance_that_contradicts_the_description_is_told(
         text = text.replace("import Method", "import AttitudeCovariance, Method")
         (changed / name).write_text(text)
     (tmp_path / "averages.toml").write_text(STUDY)
-    told = sinsjax("validate", "averages.toml", site=changed.parent, cwd=tmp_path)
+    (told,) = forked(("validate", "averages.toml"), site=changed.parent, cwd=tmp_path)
     assert (told.returncode, told.stderr) == (0, "")
     warnings = [line for line in told.stdout.splitlines() if line.startswith("Warning: method")]
     start = "Warning: method 'averaged' of averaged-alignment 1.0: covariance: "
