@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -152,23 +152,22 @@ class TestTwoWorkers:
             assert len(taken) - len(done) < 2 * dask_pool.AHEAD
         assert sorted(done) == taken == tasks[:9]
 
+    def test_one_that_is_killed_costs_no_row(
+        self, two: study_tasks.Executor, study: Study, here: Parts, tmp_path: Path
+    ) -> None:
+        killed: list[psutil.Process] = []
 
-@needs_two_cores
-def test_a_worker_that_is_killed_costs_no_row(study: Study, here: Parts, tmp_path: Path) -> None:
-    killed: list[psutil.Process] = []
+        def tell(progress: run.RunProgress) -> None:
+            if progress.done >= 3 * CHUNK and not killed:
+                killed.append(worker_processes()[0])
+                # Stopped with tasks in hand, it takes them with it a second later.
+                killed[0].suspend()
+                threading.Timer(1.0, killed[0].kill).start()
 
-    def tell(progress: run.RunProgress) -> None:
-        if progress.done >= 3 * CHUNK and not killed:
-            killed.append(worker_processes()[0])
-            # Stopped with tasks in hand, it takes them with it a second later.
-            killed[0].suspend()
-            threading.Timer(1.0, killed[0].kill).start()
-
-    with dask_pool.executor(workers=2) as executor:
-        run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
+        run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=two, tell=tell)
         assert killed and not killed[0].is_running()
-    assert parts(tmp_path) == here
-    assert rows(tmp_path)["run_id"].to_pylist() == list(range(2400))
+        assert parts(tmp_path) == here
+        assert rows(tmp_path)["run_id"].to_pylist() == list(range(2400))
 
 
 def test_a_task_that_workers_die_of_is_named(study: Study, here: Parts, tmp_path: Path) -> None:
@@ -203,9 +202,9 @@ def test_a_task_that_fails_is_named(
 Begin = Callable[..., subprocess.Popen]
 
 
-@pytest.fixture
-def begin() -> Iterator[Begin]:
-    """Starts a Dask command; it ends with the test."""
+@contextmanager
+def dask_commands() -> Iterator[Begin]:
+    """Starts Dask commands; they end with the block."""
     started: list[subprocess.Popen] = []
 
     def dask_command(*words: str, **environment: str) -> subprocess.Popen:
@@ -224,9 +223,20 @@ def begin() -> Iterator[Begin]:
 
 
 @pytest.fixture
+def begin() -> Iterator[Begin]:
+    """Starts a Dask command; it ends with the test."""
+    with dask_commands() as begin:
+        yield begin
+
+
+@pytest.fixture
 def scheduler(begin: Begin, tmp_path: Path) -> str:
     """Address of a scheduler without workers."""
-    about = tmp_path / "scheduler.json"
+    return address_of_scheduler(begin, tmp_path / "scheduler.json")
+
+
+def address_of_scheduler(begin: Begin, about: Path) -> str:
+    """Start one, which tells of itself in a file."""
     begin("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(about))
     for _ in range(600):
         with suppress(FileNotFoundError, json.JSONDecodeError):
@@ -235,46 +245,72 @@ def scheduler(begin: Begin, tmp_path: Path) -> str:
     raise AssertionError("no scheduler within 30 s")
 
 
-def test_a_scheduler_gives_the_same_bytes(
-    begin: Begin, scheduler: str, study: Study, here: Parts, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    # Workers that come late are waited for, and take part.
-    begin("worker", scheduler, "--nthreads", "1")
-    joined = []
+class TestOneScheduler:
+    """With a worker, and later a second one; it ends with the last of these tests."""
 
-    def tell(progress: run.RunProgress) -> None:
-        if progress.done and not joined:
-            joined.append(begin("worker", scheduler, "--nthreads", "1"))
+    @pytest.fixture(scope="class")
+    @classmethod
+    def begin(cls) -> Iterator[Begin]:
+        with dask_commands() as begin:
+            yield begin
 
-    with dask_pool.executor(scheduler=scheduler) as executor:
-        run.run_into(study, out, chunk_runs=CHUNK, executor=executor, tell=tell)
-    assert parts(out) == here
-    (session,) = result_tables.read_manifest(out)["sessions"]
-    assert (session["workers"], session["scheduler"]) == (1, scheduler)
+    @pytest.fixture(scope="class")
+    @classmethod
+    def scheduler(cls, begin: Begin, tmp_path_factory: pytest.TempPathFactory) -> str:
+        address = address_of_scheduler(begin, tmp_path_factory.mktemp("scheduler") / "about.json")
+        begin("worker", address, "--nthreads", "1")
+        return address
 
+    def test_it_gives_the_same_bytes(
+        self, begin: Begin, scheduler: str, study: Study, here: Parts, tmp_path: Path
+    ) -> None:
+        """Workers that come late are waited for, and take part."""
+        joined = []
 
-def test_a_scheduler_that_dies_is_told(
-    begin: Begin, scheduler: str, study: Study, here: Parts, tmp_path: Path
-) -> None:
-    begin("worker", scheduler, "--nthreads", "1")
-    (process,) = (
-        p for p in psutil.Process().children() if p.cmdline()[1:4] == ["-m", "dask", "scheduler"]
-    )
+        def tell(progress: run.RunProgress) -> None:
+            if progress.done and not joined:
+                joined.append(begin("worker", scheduler, "--nthreads", "1"))
 
-    def tell(progress: run.RunProgress) -> None:
-        if progress.done == 3 * CHUNK:
-            process.kill()
+        with dask_pool.executor(scheduler=scheduler) as executor:
+            run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
+        assert parts(tmp_path) == here
+        (session,) = result_tables.read_manifest(tmp_path)["sessions"]
+        assert (session["workers"], session["scheduler"]) == (1, scheduler)
 
-    with (
-        dask_pool.executor(scheduler=scheduler) as executor,
-        pytest.raises(
-            InputError, match=f"^{scheduler}: lost the scheduler: .+ .results so far are"
-        ),
-    ):
-        run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
-    there = parts(tmp_path)
-    assert len(there) >= 3 and there.items() <= here.items()
+    def test_its_worker_is_none(self, scheduler: str) -> None:
+        with distributed.Client(scheduler, set_as_default=False) as client:
+            client.wait_for_workers(1, timeout=60)
+            worker_address, *_ = client.nthreads()
+        with (
+            pytest.raises(
+                InputError, match=r"no Dask scheduler answers there \(found a Dask worker\)$"
+            ),
+            dask_pool.executor(scheduler=worker_address),
+        ):
+            pass
+
+    def test_that_it_dies_is_told(
+        self, scheduler: str, study: Study, here: Parts, tmp_path: Path
+    ) -> None:
+        (process,) = (
+            p
+            for p in psutil.Process().children()
+            if p.cmdline()[1:4] == ["-m", "dask", "scheduler"]
+        )
+
+        def tell(progress: run.RunProgress) -> None:
+            if progress.done == 3 * CHUNK:
+                process.kill()
+
+        with (
+            dask_pool.executor(scheduler=scheduler) as executor,
+            pytest.raises(
+                InputError, match=f"^{scheduler}: lost the scheduler: .+ .results so far are"
+            ),
+        ):
+            run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
+        there = parts(tmp_path)
+        assert len(there) >= 3 and there.items() <= here.items()
 
 
 def test_workers_of_another_version_are_refused(
@@ -371,20 +407,6 @@ def test_something_else_that_answers_is_told(kind: str, monkeypatch: pytest.Monk
         asking.start()
         asking.join(30.0)
         assert told == [f"{address}: no Dask scheduler answers there (no answer in 0.8 s)"]
-
-
-def test_a_worker_is_no_scheduler(begin: Begin, scheduler: str) -> None:
-    begin("worker", scheduler, "--nthreads", "1")
-    with distributed.Client(scheduler, set_as_default=False) as client:
-        client.wait_for_workers(1, timeout=60)
-        (worker_address,) = client.nthreads()
-    with (
-        pytest.raises(
-            InputError, match=r"no Dask scheduler answers there \(found a Dask worker\)$"
-        ),
-        dask_pool.executor(scheduler=worker_address),
-    ):
-        pass
 
 
 def test_more_workers_than_cores_are_refused() -> None:
@@ -578,16 +600,15 @@ def test_ctrl_c_lets_the_workers_finish_and_resume_goes_on(
     assert parts(out) == here
 
 
-@needs_two_cores
 def test_workers_die_with_the_process_that_asked(
     sweep: Sweep, here: Parts, study: Study, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
-    process = sweep(out, "--workers", "2")
+    process = sweep(out, "--workers", "1")
     begun(process)
     children = worker_processes(process.pid)
     process.kill()
-    assert len(children) == 2 and not psutil.wait_procs(children, timeout=60)[1]
+    assert len(children) == 1 and not psutil.wait_procs(children, timeout=60)[1]
     assert parts(out).items() < here.items()
     run.run_into(study, out, resume=True)
     assert parts(out) == here
