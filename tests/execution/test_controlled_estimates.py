@@ -23,13 +23,9 @@ pytestmark = pytest.mark.optimised(False)
 
 DRAWS, MANY = 48, 512
 SETTINGS: dict[str, Any] = {
-    **{
-        "duration_s": 40.0,
-        "record_interval_s": 4.0,
-        "window_s": [20, 40],
-        "report_times_s": [20.0],
-    },
-    **{"estimate": "controlled", "draws": DRAWS, "settle_bands_arcmin": [20.0, 10.0]},
+    **{"duration_s": 40.0, "record_interval_s": 4.0, "window_s": [20, 40]},
+    **{"report_times_s": [20.0], "settle_bands_arcmin": [20.0, 10.0]},
+    **{"estimate": "controlled", "draws": DRAWS},
 }
 
 

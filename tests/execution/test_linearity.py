@@ -22,9 +22,14 @@ def study_of(**settings: Any) -> Study:
 
     Of the shape of the controlled estimates' study, whose programs it shares.
     """
-    common = {"duration_s": RUN_S, "window_s": [20, RUN_S], "report_times_s": [20.0]}
+    common = {
+        **{"duration_s": RUN_S, "record_interval_s": 4.0, "window_s": [20, RUN_S]},
+        **{"report_times_s": [20.0], "settle_bands_arcmin": [60.0, 10.0]},
+    }
+    if settings.get("estimate"):
+        common |= {"estimate_samples": 4096}
     return small_study(
-        study=common | {"settle_bands_arcmin": [60.0, 10.0]} | settings,
+        study=common | settings,
         motion=STILL,
         alignment={"feedback_interval_s": 1.0, "phi_e0_deg": 0.1, "phi_n0_deg": 0.1},
         axes={"phi_u0_deg": STARTS, "reset_times_s": [[], [10.0]]},
