@@ -87,7 +87,7 @@ def test_a_study_stops_where_it_would_have_with_all_draws(
 def test_variants_that_have_the_same_runs_stay_so(tmp_path: Path) -> None:
     """Which are computed is settled once: with more draws it might be otherwise."""
     axes = {"method": ["compass", "kalman5"], "q_accel_ug": [1.0 * i for i in range(1, 40)]}
-    assert_extended(of(20, axes=axes), of(300, axes=axes), tmp_path)
+    assert_extended(of(20, axes=axes), of(300, axes=axes), tmp_path, chunk_runs=128)
 
 
 def test_parts_tell_what_the_manifest_told(tmp_path: Path) -> None:
