@@ -1,0 +1,20 @@
+"""How far the spread of draws may be off."""
+
+import numpy as np
+
+
+def intervals(errors: np.ndarray, tail: float, resamples: int = 4000) -> np.ndarray:
+    """(2, n) ends of the bootstrap intervals of the standard deviations of errors (draws, n).
+
+    Args:
+        errors: a row a draw.
+        tail: share of resamples beyond either end.
+        resamples: how many.
+    """
+    draws = len(errors)
+    # Only how often a draw is taken matters: sums by matrix products, and no draw is looked up.
+    taken = np.random.default_rng(1).multinomial(draws, np.full(draws, 1 / draws), resamples)
+    off = errors - errors.mean(axis=0)
+    mean, square = (taken.astype(float) @ power / draws for power in (off, off**2))
+    found = np.sqrt((square - mean**2) * draws / (draws - 1))
+    return np.quantile(found, [tail, 1 - tail], axis=0)
