@@ -1,6 +1,7 @@
 """The spread of runs by linear covariance analysis, against runs with noise."""
 
-from typing import Any
+from functools import cache
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -16,6 +17,9 @@ from sinsjax.units import ARCMIN
 pytestmark = pytest.mark.optimised(False)
 
 METHODS = ("kalman5", "kalman10", "kalman_sincos", "ekf_azimuth", "invariant", "unscented")
+WATCHED = ("kalman5", "kalman_sincos")
+"""A method tells its linear part to the covariance as to companions: of one and of two headings."""
+
 DRAWS = 192
 
 
@@ -79,30 +83,43 @@ def runs_of(group: Group) -> np.ndarray:
     return out
 
 
-@pytest.fixture(scope="module", params=METHODS)
-def made(request: pytest.FixtureRequest) -> tuple[Group, Spread, tuple[np.ndarray, np.ndarray]]:
-    group = group_of(study_of(request.param))
-    return group, spread_of(group)[0], companions_of(group)
+class Made(NamedTuple):
+    group: Group
+    phi: np.ndarray
+    outside_until: np.ndarray
 
 
-def test_a_companion_is_the_run_of_its_draw_where_errors_are_small(made: Any) -> None:
-    group, spread, (companion, _) = made
-    run = runs_of(group)
-    name = group.static.method
+@cache
+def made(method: str) -> Made:
+    """The companions of a method, see `companions_of`."""
+    group = group_of(study_of(method))
+    return Made(group, *companions_of(group))
+
+
+@cache
+def told(method: str) -> Spread:
+    """What is told of their spread."""
+    return spread_of(made(method).group)[0]
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_companion_is_the_run_of_its_draw_where_errors_are_small(name: str) -> None:
+    group, companion, _ = made(name)
     # Sigma points follow the estimate, and gains with them.
     share = 0.35 if name == "unscented" else 0.05
     axes, first = slice(None), 10
     if name == "kalman_sincos":
         # Sine and cosine show no heading at first, which turns the level error of that time.
         axes, first = slice(2, None), 40
-    error = (companion - run)[:, :, axes, first:]
-    rms = np.sqrt(np.mean(error**2, axis=1)) / spread.sigma[:, axes, first:]
+    companion, run = (phi[:, :, axes, first:] for phi in (companion, runs_of(group)))
+    rms = np.sqrt(np.mean((companion - run) ** 2, axis=1)) / companion.std(axis=1, ddof=1)
     assert rms.max() < share, rms
 
 
-def test_companions_spread_as_the_covariance_says(made: Any) -> None:
+@pytest.mark.parametrize("name", WATCHED)
+def test_companions_spread_as_the_covariance_says(name: str) -> None:
     """Within the chi-square interval of each, at 99.9 % over all that is compared."""
-    _, spread, (companion, _) = made
+    spread, companion = told(name), made(name).phi
     records = [39, 49, 59]
     count = companion.shape[1]
     ratio = companion[..., records].var(axis=1, ddof=1) / spread.sigma[..., records] ** 2
@@ -111,9 +128,10 @@ def test_companions_spread_as_the_covariance_says(made: Any) -> None:
     assert (ratio > low).all() and (ratio < high).all(), ratio
 
 
-def test_sampled_errors_settle_as_companions_do(made: Any) -> None:
+@pytest.mark.parametrize("name", WATCHED)
+def test_sampled_errors_settle_as_companions_do(name: str) -> None:
     """Means of settling times within four standard errors of both."""
-    _, spread, (_, outside) = made
+    spread, outside = told(name), made(name).outside_until
     sampled = np.asarray(spread.outside_until)  # (variants, 2, B, samples)
     a, b = sampled.mean(-1), np.moveaxis(outside, 1, -1).mean(-1)
     spread_ = np.sqrt(sampled.var(-1) / (sampled.shape[-1]) + outside.var(1) / outside.shape[1])
@@ -130,6 +148,6 @@ def test_the_noise_free_run_is_that_of_a_study_without_noise() -> None:
 
 
 def test_without_noise_nothing_is_spread() -> None:
-    spread, _ = spread_of(group_of(study_of("kalman5", sensors=SMALL | QUIET)), samples=4)
+    spread, _ = spread_of(group_of(study_of("kalman5", sensors=SMALL | QUIET)))
     assert (np.asarray(spread.sigma) == 0).all()
     assert np.ptp(spread.outside_until, axis=-1).max() == 0
