@@ -9,9 +9,7 @@ import pytest
 from support.studies import BASE, STILL, small_study
 
 from sinsjax.engine import batch, build
-from sinsjax.engine import lanes as lane_layout
 from sinsjax.engine.simulate import simulate
-from sinsjax.engine.tile import run_tile
 from sinsjax.execution import run
 from sinsjax.study import sampling as draw_sampling
 from sinsjax.study.keys import SECTION_OF
@@ -59,7 +57,7 @@ def fixed(data: dict[str, Any], values: dict[str, np.ndarray], draw: int) -> dic
     return out
 
 
-SOME = ["phi_e0_deg", "phi_u0_deg", "vn0_m_per_s"]
+AT_REST = ["yaw_center_deg", "pitch_center_deg", "gyro_bias_deg_per_h", "phi_u0_deg"]
 EULER = {"alignment": {"misalignment": "euler"}}
 THREE = {"axes": {"p0_yaw_deg": [40.0, 50.0, 80.0]}}
 """Variants; with as many everywhere the studies share what is compiled."""
@@ -71,11 +69,7 @@ THREE = {"axes": {"p0_yaw_deg": [40.0, 50.0, 80.0]}}
     [
         (["gyro_bias_deg_per_h", "accel_scale_ppm", "gyro_misalignment_arcsec"], "random", THREE),
         (["latitude_deg"], "sobol", {"earth": {"earth": "wgs84"}} | THREE),
-        (
-            ["yaw_center_deg", "pitch_center_deg"],
-            "random",
-            {"motion": STILL} | THREE,
-        ),
+        (AT_REST, "random", {"motion": STILL} | THREE),
         (
             ["yaw_center_deg", "gyro_bias_deg_per_h", "phi_u0_deg"],
             "random",
@@ -90,9 +84,8 @@ THREE = {"axes": {"p0_yaw_deg": [40.0, 50.0, 80.0]}}
                 "compass": {"level_time_s": 1.0},
             },
         ),
-        # Of the programs whose bits are compared below.
-        pytest.param(SOME, "random", EULER | THREE, marks=pytest.mark.optimised(True)),
-        pytest.param(list(ALL), "sobol", EULER | THREE, marks=pytest.mark.optimised(True)),
+        (["phi_e0_deg", "phi_u0_deg", "vn0_m_per_s"], "random", EULER | THREE),
+        (list(ALL), "sobol", EULER | THREE),
     ],
 )
 def test_a_drawn_value_is_a_given_value(
@@ -119,11 +112,8 @@ def test_a_drawn_value_is_a_given_value(
 
 @pytest.mark.slow
 @pytest.mark.optimised(True)
-@pytest.mark.parametrize("keys", [SOME, list(ALL)])
-def test_rows_of_drawn_studies_have_the_same_bits_for_any_chunk_and_number_of_draws(
-    keys: list[str],
-) -> None:
-    data = drawn_study(keys, "sobol", study={"draws": 130}, **EULER, **THREE)
+def test_rows_of_drawn_studies_have_the_same_bits_for_any_chunk_and_number_of_draws() -> None:
+    data = drawn_study(list(ALL), "sobol", study={"draws": 130}, **EULER, **THREE)
     whole = run.run(study_from_dict(data)).summary
     assert run.run(study_from_dict(data), chunk_runs=64).summary.equals(whole)
     fewer = study_from_dict(data | {"study": data["study"] | {"draws": 70}})
@@ -131,14 +121,13 @@ def test_rows_of_drawn_studies_have_the_same_bits_for_any_chunk_and_number_of_dr
 
 
 def test_draws_differ_in_what_is_drawn_and_share_the_rest() -> None:
-    axes = {"q_reading": ["psd", "per_step"]}
-    data = drawn_study(["phi_u0_deg", "gyro_bias_deg_per_h"], motion=STILL, axes=axes)
-    study = study_from_dict(data)
+    study = study_from_dict(drawn_study(AT_REST, motion=STILL, **THREE))
     table = run.run(study).summary
     for name in ("phi_u0_deg", "gyro_bias_deg_per_h", "floor_arcmin"):
-        told = np.array(table[name].to_pylist()).reshape(DRAWS, 2, -1)
+        told = np.array(table[name].to_pylist()).reshape(DRAWS, study.n_variants, -1)
         assert len({tuple(row) for row in told[:, 0]}) == DRAWS
-        np.testing.assert_array_equal(told[:, 0], told[:, 1])
+        for other in range(1, study.n_variants):
+            np.testing.assert_array_equal(told[:, 0], told[:, other])
     assert len(set(table["phi_n0_deg"].to_pylist())) == 1
 
 
@@ -165,17 +154,15 @@ def test_noise_may_be_drawn() -> None:
 
 def test_a_run_taken_alone_is_that_of_its_tile() -> None:
     """Its increments are made sample by sample; in the tile, in a row with those of other draws."""
-    data = drawn_study(["yaw_center_deg", "roll_period_s", "latitude_deg"], axes=THREE["axes"])
-    (part,) = build.parts(study_from_dict(data))
-    group = part.group
-    tiles = lane_layout.tiles_of(group, batch.plan(group)[0])
-    tile = jax.tree.map(lambda a: a[0], tiles)
-    many, _ = jax.jit(partial(run_tile, group.static))(group.environment, tile)
-    draw = jax.tree.map(lambda a: a[1] if np.ndim(a) else a, tile.draws)
-    lane = int(np.argmax(tile.row == 1))
-    params = jax.tree.map(lambda a: a[lane], tile.params)
+    (part,) = build.parts(study_from_dict(drawn_study(list(ALL), "sobol", **EULER, **THREE)))
+    group, place = part.group, 1
+    many = batch.Calls(group).whole().outcome
+    draw = jax.tree.map(lambda a: a[place] if np.ndim(a) else a, group.draws)
+    params = jax.tree.map(lambda a: np.asarray(a)[0], group.variants)
+    params = params._replace(q=type(params.q)(*group.q[place]))
     one, _ = jax.jit(partial(simulate, group.static))(group.environment, draw, params)
-    np.testing.assert_allclose(one.last.yaw, many.last.yaw[lane], rtol=0, atol=1e-11)
+    run_id = place * group.sizes[1]
+    np.testing.assert_allclose(one.last.yaw, many.last.yaw[run_id], rtol=0, atol=1e-11)
 
 
 def test_a_record_of_a_draw_is_what_its_sensors_put_out() -> None:
