@@ -1,6 +1,8 @@
-"""Going from event to event changes no bit, and a run taken alone can be differentiated."""
+"""Going from event to event changes no bit."""
 
-from functools import partial
+from collections.abc import Callable
+from functools import cache, partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,64 +15,79 @@ from support.studies import small_study
 from sinsjax.alignment.schedules import Resets, next_due, reset_due
 from sinsjax.engine import batch, build, tile
 from sinsjax.engine import lanes as lane_layout
+from sinsjax.engine.realisations import Static
 from sinsjax.engine.stepping import event_by_event, sample_by_sample
 
+HEEDING = {"reset_at_feedback": [False, True], "reset_restarts_feedback": [False, True]}
 SCHEDULES = {
     "reset_times_s": [(), (1.37, 4.0), (0.5,), (2.0, 2.01, 2.02)],
     "feedback_interval_s": [0.01, 0.07, 1.0, 5.0],
+    **HEEDING,
 }
+"""As many as a tile has lanes."""
+
 NIS = {"reset_trigger": "nis", "trigger_threshold": 3e-4}
 
 
-def group_of(draws: int, **axes: list) -> lane_layout.Group:
-    study = small_study(study={"draws": draws, "curves": True}, axes=axes)
+def group_of(draws: int, axes: dict[str, list], **tables: Any) -> lane_layout.Group:
+    study = small_study(study={"draws": draws, "curves": True}, axes=axes, **tables)
     (part,) = build.parts(study)
     return part.group
+
+
+@cache
+def program(static: Static, closing: Callable) -> Callable:
+    """The program of a tile whose loops are closed as tracing finds it."""
+    return jax.jit(partial(tile.run_tile, static))
 
 
 def run_tiles(group: lane_layout.Group) -> tuple:
     """Outcomes and curves of the group's tiles."""
     tiles = lane_layout.tiles_of(group, batch.plan(group)[0])
-    one = jax.jit(partial(tile.run_tile, group.static, group.environment))
-    rows = [one(jax.tree.map(lambda a, i=i: a[i], tiles)) for i in range(2)]
+    one = program(group.static, tile.event_by_event)
+    rows = [one(group.environment, jax.tree.map(lambda a, i=i: a[i], tiles)) for i in range(2)]
     return tuple(jax.tree.leaves(rows))
 
 
-@pytest.mark.parametrize("draws", [1, 20, 130])
-def test_closing_at_events_and_at_every_sample_give_the_same_bits(draws, monkeypatch):
-    """One draw, four and 64 a tile: their noise is made in different pieces, or by sample."""
-    group = group_of(draws, **(SCHEDULES if draws < 64 else {"reset_times_s": [(1.37, 4.0)]}))
+def by_sample(*given: Any, **_: Any) -> Any:
+    """`event_by_event` that takes every sample for an event."""
+    return sample_by_sample(*given)
+
+
+@pytest.mark.parametrize(
+    ("draws", "axes"), [(2, SCHEDULES), (130, {"reset_times_s": [(1.37, 4.0)]})]
+)
+def test_closing_at_events_and_at_every_sample_give_the_same_bits(draws, axes, monkeypatch):
+    """One draw and 64 a tile: their noise is made in pieces, or by sample.
+
+    Schedules have what restarts the clock, and what waits for it.
+    """
+    group = group_of(draws, axes)
     at_events = run_tiles(group)
-    monkeypatch.setattr(tile, "event_by_event", lambda *given, **_: sample_by_sample(*given))
+    monkeypatch.setattr(tile, "event_by_event", by_sample)
     for a, b in zip(at_events, run_tiles(group), strict=True):
         assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
 
 
-@pytest.mark.parametrize(("trigger", "off"), [({}, 0), (NIS, 1e-12)])
-def test_resets_that_heed_feedback_are_closed_at_events_as_well(trigger, off, monkeypatch):
-    """What restarts the clock, and what waits for it; a trigger's samples are compiled anew."""
-    study = small_study(
-        study={"draws": 32, "curves": True},
-        filter={"r_velocity_m_per_s": 1e-3},
-        resets=trigger | {"reset_times_s": [1.37, 4.0]},
-        axes={"reset_at_feedback": [False, True], "reset_restarts_feedback": [False, True]},
-    )
-    (part,) = build.parts(study)
-    at_events = run_tiles(part.group)
-    monkeypatch.setattr(tile, "event_by_event", lambda *given, **_: sample_by_sample(*given))
-    for a, b in zip(at_events, run_tiles(part.group), strict=True):
-        np.testing.assert_allclose(a, b, rtol=off, atol=off)
+def test_resets_by_a_trigger_that_heed_feedback_are_closed_at_events_as_well(monkeypatch):
+    """To rounding: a trigger's samples are compiled anew."""
+    given = {"filter": {"r_velocity_m_per_s": 1e-3}, "resets": NIS | {"reset_times_s": [1.37, 4.0]}}
+    group = group_of(32, HEEDING, **given)
+    at_events = run_tiles(group)
+    monkeypatch.setattr(tile, "event_by_event", by_sample)
+    for a, b in zip(at_events, run_tiles(group), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
 
 
 def test_other_schedules_in_the_tile_change_no_bit_of_a_run():
-    """One of sixteen schedules, and the same beside fifteen others."""
-    resets = [(0.3 + 0.11 * i,) for i in range(15)]
-    others = {"reset_times_s": [(1.37, 4.0), *resets], "feedback_interval_s": [0.07]}
-    many, same = (run_tiles(group_of(4, **axes)) for axes in (SCHEDULES, others))
-    mine = 1 * 4 + 1  # (1.37, 4.0) and 0.07 s
+    """One of 64 schedules, and the same beside 63 others."""
+    resets = [(0.3 + 0.11 * i, 4.5, 5.0) for i in range(15)]
+    others = {"reset_times_s": [(1.37, 4.0), *resets], "feedback_interval_s": [0.07]} | HEEDING
+    many, same = (run_tiles(group_of(2, axes)) for axes in (SCHEDULES, others))
+    mine = (1 * 4 + 1) * 4 + 3  # (1.37, 4.0) and 0.07 s, each heeding the other
     for a, b in zip(many, same, strict=True):
         axis = a.shape.index(64)
-        x, y = (np.moveaxis(np.asarray(leaf), axis, 0)[at::16] for leaf, at in ((a, mine), (b, 0)))
+        x, y = (np.moveaxis(np.asarray(leaf), axis, 0)[at] for leaf, at in ((a, mine), (b, 3)))
         assert x.tobytes() == y.tobytes()
 
 
