@@ -304,24 +304,3 @@ def test_derivatives_by_beliefs_as_secants():
         secant = (up - down) / (2 * step)
         assert np.abs(secant).min() > 1e-6
         np.testing.assert_allclose(derivative, secant, rtol=1e-5, atol=1e-6)
-
-
-@pytest.mark.slow
-@pytest.mark.optimised(False)
-def test_a_run_alone_has_derivatives_of_both_modes():
-    """By R, through feedback and a reset, against a central difference."""
-    filt = paper_filter(5, every=7, resets=(33,))
-    here, program = environment(20, 3), static(20, 3)
-    start = one_run(filt)
-
-    def yaw(r):
-        run = start._replace(method=start.method._replace(r=r))
-        return simulate(program, here, draw(), run)[0].last.phi.z / ARCMIN
-
-    r, step = np.float64(start.method.r), 1e-4
-    forward = jax.jit(lambda r: jax.jvp(yaw, (r,), (np.float64(1.0),)))
-    (up, _), (down, _), (_, tangent) = map(forward, (r * (1 + step), r * (1 - step), r))
-    secant = (up - down) / (2 * step * r)
-    for derivative in (jax.jit(jax.grad(yaw))(r), tangent):
-        np.testing.assert_allclose(derivative, secant, rtol=1e-5)
-    assert abs(secant) > 0
