@@ -10,8 +10,8 @@ from sinsjax.execution import run as study_run
 pytestmark = [pytest.mark.slow, pytest.mark.optimised(False)]
 
 DRAWS, ENDS, BAR = 256, ("_at_60", "_at_120", ""), (0.90, 1.10)
-SETTINGS = {"duration_s": 300.0, "window_s": [200, 300], "report_times_s": [60.0, 120.0]}
-STARTS = {"phi_e0_deg": [0.0, 5.0, 20.0], "phi_n0_deg": [0.0, 5.0, 20.0]}
+SETTINGS = {"duration_s": 200.0, "window_s": [100, 200], "report_times_s": [60.0, 120.0]}
+STARTS = {"phi_e0_deg": [0.0, 20.0], "phi_n0_deg": [0.0, 20.0]}
 
 
 def test_sigma_is_that_of_draws() -> None:
@@ -21,7 +21,7 @@ def test_sigma_is_that_of_draws() -> None:
     """
     tables = {
         "alignment": {"method": "optimisation"} | dict.fromkeys([*STARTS, "phi_u0_deg"]),
-        "axes": {"start": STARTS | {"phi_u0_deg": [0.0, 30.0, 120.0]}},
+        "axes": {"start": STARTS | {"phi_u0_deg": [0.0, 120.0]}},
     }
     few = {"estimate": "covariance", "draws": None, "estimate_samples": 16}
     made = study_run.estimate(small_study(study=SETTINGS | few, **tables))

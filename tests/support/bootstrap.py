@@ -1,5 +1,7 @@
 """How far the spread of draws may be off."""
 
+from functools import cache
+
 import numpy as np
 
 
@@ -13,8 +15,14 @@ def intervals(errors: np.ndarray, tail: float, resamples: int = 4000) -> np.ndar
     """
     draws = len(errors)
     # Only how often a draw is taken matters: sums by matrix products, and no draw is looked up.
-    taken = np.random.default_rng(1).multinomial(draws, np.full(draws, 1 / draws), resamples)
     off = errors - errors.mean(axis=0)
-    mean, square = (taken.astype(float) @ power / draws for power in (off, off**2))
+    mean, square = (_taken(draws, resamples) @ power / draws for power in (off, off**2))
     found = np.sqrt((square - mean**2) * draws / (draws - 1))
     return np.quantile(found, [tail, 1 - tail], axis=0)
+
+
+@cache
+def _taken(draws: int, resamples: int) -> np.ndarray:
+    """(resamples, draws) how often each draw is taken."""
+    random = np.random.default_rng(1)
+    return random.multinomial(draws, np.full(draws, 1 / draws), resamples).astype(float)
