@@ -106,7 +106,7 @@ def test_derivatives_of_both_modes_by_r_are_the_slope(run: Any) -> None:
     r = float(run.params.method.r)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        slope = jax.grad(error)(r)
+        slope = jax.jit(jax.grad(error))(r)
     step = 1e-4 * r
     forward = jax.jit(lambda r: jax.jvp(error, (r,), (1.0,)))
     (above, _), (below, _), (_, tangent) = map(forward, (r + step, r - step, r))
@@ -136,7 +136,7 @@ def test_a_hard_reset_time_tells_that_its_gradient_is_zero(run: Any) -> None:
 def test_windows_have_a_gradient_by_reset_times(study: Any, run: Any) -> None:
     soft = sinsjax.one_run(study, variant_id=1, window_s=0.5)
     samples = soft.params.method.resets.samples
-    value, slope = jax.value_and_grad(partial(by_times, soft))(samples)
+    value, slope = jax.jit(jax.value_and_grad(partial(by_times, soft)))(samples)
     assert np.isfinite(slope).all() and slope.all()
     hard = float(by_times(run, run.params.method.resets.samples))
     assert float(value) == pytest.approx(hard, rel=0.2)
@@ -148,7 +148,7 @@ def test_settling_times_have_a_gradient_where_bands_are_soft(study: Any, run: An
 
     r = float(run.params.method.r)
     slopes = [
-        float(jax.jvp(partial(settling, one), (r,), (r,))[1])
+        float(jax.jit(partial(jax.jvp, partial(settling, one)))((r,), (r,))[1])
         for one in (run, sinsjax.one_run(study, variant_id=1, sharpness=8.0))
     ]
     assert slopes[0] == 0 and slopes[1] != 0
