@@ -17,8 +17,9 @@ from sinsjax.units import ARCMIN
 pytestmark = pytest.mark.optimised(False)
 
 METHODS = ("kalman5", "kalman10", "kalman_sincos", "ekf_azimuth", "invariant", "unscented")
-WATCHED = ("kalman5", "kalman_sincos")
-"""A method tells its linear part to the covariance as to companions: of one and of two headings."""
+WATCHED = ("kalman5", "kalman10")
+"""Without and with states that are no part of the solution; methods tell their linear parts to the
+covariance as they do to companions."""
 
 DRAWS = 192
 
