@@ -69,6 +69,7 @@ def test_closing_at_events_and_at_every_sample_give_the_same_bits(draws, axes, m
         assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
 
 
+@pytest.mark.optimised(False)
 def test_resets_by_a_trigger_that_heed_feedback_are_closed_at_events_as_well(monkeypatch):
     """To rounding: a trigger's samples are compiled anew."""
     given = {"filter": {"r_velocity_m_per_s": 1e-3}, "resets": NIS | {"reset_times_s": [1.37, 4.0]}}
