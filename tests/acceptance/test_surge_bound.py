@@ -9,9 +9,9 @@ from support.studies import STILL, small_study
 
 import sinsjax
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.optimised(False)]
 
-DRAWS, END_S = 128, 300.0
+RATE_HZ, DRAWS, END_S = 25.0, 128, 300.0
 AIM = 1.5
 """Of the bound, at the end, on every base."""
 BASES = {
@@ -29,7 +29,10 @@ def ratios():
     found = {}
     for base, motion in BASES.items():
         study = small_study(
-            study={"duration_s": END_S, "draws": DRAWS, "window_s": [200, END_S]},
+            study={
+                **{"duration_s": END_S, "rate_hz": RATE_HZ, "draws": DRAWS},
+                "window_s": [200, END_S],
+            },
             motion=motion,
             sensors={"gyro_bias_deg_per_h": 0.0, "accel_bias_ug": 0.0},
             filter={"q_reading": "per_sample", "r_reading": "psd"},

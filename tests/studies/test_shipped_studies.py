@@ -25,14 +25,15 @@ def test_one_study_holds_every_method() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.optimised(False)
 def test_surge_hurts_resets_most() -> None:
     """0.1 m/s rms for 300 s at (5, 5, 30) deg: three resets against `kalman_sincos`.
 
-    Over 256 draws the rms error of three resets was 38 [34, 42] times that of `kalman_sincos`, and
-    27 [24, 30] times with a first-order surge.
+    Over 256 draws at 100 Hz the rms error of three resets was 38 [34, 42] times that of
+    `kalman_sincos`, and 27 [24, 30] times with a first-order surge. At 25 Hz it is as clear.
     """
     data = tomllib.loads((CONFIGS / "methods.toml").read_text())
-    data["study"] |= {"draws": 16}
+    data["study"] |= {"draws": 16, "rate_hz": 25.0}
     data["axes"]["start"] = {key: [values[1]] for key, values in data["axes"]["start"].items()}
     data["axes"]["surge"] = {key: values[1:] for key, values in data["axes"]["surge"].items()}
     arms = ("three resets", "kalman_sincos")
