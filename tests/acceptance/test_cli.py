@@ -23,7 +23,7 @@ from sinsjax.engine import build
 from sinsjax.execution import tables
 from sinsjax.records import PSINS_LAYOUT, Layout, read_psins, write_csv, write_parquet, write_psins
 
-pytestmark = pytest.mark.optimised(False)
+pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
 
 @pytest.fixture
@@ -69,6 +69,7 @@ def record() -> build.Record:
     return build.simulated_record(small_study())
 
 
+@pytest.mark.usefixtures("drawn")
 def test_run_leaves_results_figures_and_a_table(sinsjax: Command, tmp_path: Path) -> None:
     config = write_study(tmp_path, **TWO)
     out = tmp_path / "out"

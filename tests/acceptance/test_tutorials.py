@@ -13,7 +13,7 @@ import sinsjax
 from sinsjax.plots import png
 from sinsjax.records.layout import to_body
 
-pytestmark = pytest.mark.optimised(False)
+pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
 ROOT = Path(__file__).parents[2]
 
@@ -69,7 +69,8 @@ def typed(
 
 def test_start(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
     """The first study with a few of its points; the other is as it comes."""
-    few = "--set study.draws=2 --set axes.reset_cycle_s=[10,50] --set axes.phi_u0_deg=[0,90]"
+    few = "--draws 2 --set axes.reset_cycle_s=[10,50] --set axes.phi_u0_deg=[0,90]"
+    few += " --set study.duration_s=450 --set study.window_s=[300,450]"
     told = typed("start.md", command, capsys, progress=True, shorter={"sweep reset_sweep": few})
     first, gravity, mine, worse = told[0], told[2], told[6], told[7]
     assert "56 runs: 28 variants, 2 draws." in first
