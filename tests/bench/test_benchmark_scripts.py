@@ -7,6 +7,7 @@ import subprocess
 import sys
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -321,9 +322,10 @@ def test_the_speed_up_is_over_one_device_in_the_same_turn(monkeypatch):
 
 
 @cache
-def of_methods() -> list[Row]:
-    """Rows of the methods' script, which takes the longest."""
-    return methods.rows(True, 1)
+def quick_rows(script: ModuleType) -> list[Row]:
+    """Rows of a script's quick path."""
+    rows: list[Row] = script.rows(True, 1)
+    return rows
 
 
 @pytest.mark.slow
@@ -334,7 +336,7 @@ def of_methods() -> list[Row]:
 def test_a_script_runs_quickly(script):
     if script is pairs and (why := gate.unable()):
         pytest.skip(why)
-    rows = of_methods() if script is methods else script.rows(True, 1)
+    rows = quick_rows(script)
     keys = "name ns_per_step_run runs steps dtype devices compile_s median_s spread_s".split()
     assert all(set(keys) <= row.keys() for row in rows)
     assert all(0 < row["ns_per_step_run"] < 1e6 for row in rows)
@@ -588,7 +590,7 @@ def test_a_base_of_its_own_may_take_so_many_ns(tmp_path, ns, reached):
 @pytest.mark.slow
 @pytest.mark.optimised(False)
 def test_a_tunings_gradient_is_timed_beside_its_plain_runs():
-    plain, gradient = derivative.tuning(4.0, 1)
+    *_, plain, gradient = quick_rows(derivative)
     assert [row["name"] for row in (plain, gradient)] == ["tune_plain", "tune_gradient_p2"]
     assert (gradient["runs"], gradient["steps"]) == (plain["runs"], plain["steps"]) == (128, 400)
     assert gradient["counted"] == 5 and 2 < gradient["operations_ratio"] < 6
@@ -618,7 +620,7 @@ def test_an_operation_of_a_method_may_take_little_more_than_the_filters(tmp_path
 def test_a_step_of_a_method_has_its_own_arithmetic():
     """XLA does the same operations at either level; LLVM, which comes after it, is not counted."""
     assert {*methods.OTHERS} == {*METHODS} - {"kalman5", "compass"}
-    rows = {row["name"]: row for row in of_methods()}
+    rows = {row["name"]: row for row in quick_rows(methods)}
     beside = {"kalman", "kalman_alone", "linearisation", "compass", "compass_tape"}
     assert {*methods.QUICK, *beside} == {*rows}
     of = {name: row.get("operations_ratio") for name, row in rows.items()}
