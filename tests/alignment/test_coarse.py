@@ -20,6 +20,8 @@ from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Quat, Sample
 from sinsjax.units import ARCSEC, DEG, DEG_PER_H, MICRO
 
+pytestmark = pytest.mark.optimised(False)
+
 RATE = 100.0
 DT = 1 / RATE
 SECONDS = 23  # no whole number of any sway period below

@@ -21,6 +21,8 @@ from sinsjax.alignment.base import Options
 from sinsjax.alignment.sincos.surge import SurgeParams
 from sinsjax.engine.realisations import Static
 
+pytestmark = pytest.mark.optimised(False)
+
 RATE, SAMPLES, EVERY, LATITUDE = 100, 600, 50, 32 * DEG
 NAIVE = {
     "kalman_sincos": SINCOS,

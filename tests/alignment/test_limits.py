@@ -112,7 +112,7 @@ LOOPS = {"level_sigma_per_s": 0.04, "azimuth_sigma_per_s": 0.04, "level_time_s":
 def study_of(method: str, **changes: Any) -> Study:
     """Runs of 20 minutes without noise, from 10 deg of heading; headed north, body is n."""
     data: dict[str, Any] = {
-        "study": {"duration_s": 1200.0, "rate_hz": 10.0, "window_s": [1100.0, 1200.0]},
+        "study": {"duration_s": 1200.0, "rate_hz": 5.0, "window_s": [1100.0, 1200.0]},
         "earth": {"latitude_deg": 60.0},
         "motion": {"yaw_center_deg": 0.0},
         "sensors": {},
@@ -175,6 +175,7 @@ def test_the_small_angle_form_is_not_where_a_filter_ends() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.optimised(False)
 @pytest.mark.parametrize("method", ["kalman5", "kalman10"])
 def test_filters_end_at_the_limit(method: str) -> None:
     axes = {"latitude_deg": LATITUDES, "gyro_bias_deg_per_h": BIASES}
@@ -255,6 +256,7 @@ def test_large_tilts_and_headings_together() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.optimised(False)
 def test_a_bias_is_averaged_over_a_sway_that_has_the_time_for_it() -> None:
     """Yaw +-90 deg: J0(pi/2) of the bias is left, but in 20 minutes not with a period of 30."""
     axes = {"yaw_period_s": [100.0, 1800.0], "gyro_bias_deg_per_h": [(5.0, 0.0, 0.0)]}

@@ -29,6 +29,8 @@ from sinsjax.maths import rotations
 from sinsjax.strapdown import sensors
 from sinsjax.strapdown.error_model import MODELS
 
+pytestmark = pytest.mark.optimised(False)
+
 RATE, SECONDS, LATITUDE = 100, 60, 32 * DEG
 SWING = PAPER1._replace(center=np.array([0.05, -0.1, 2.0]))
 NEVER = 10**9

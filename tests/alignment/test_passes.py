@@ -50,6 +50,8 @@ from sinsjax.strapdown import earth, mechanisation, sensors
 from sinsjax.strapdown.error_model import MODELS
 from sinsjax.types import Vec3
 
+pytestmark = pytest.mark.optimised(False)
+
 EARTH = SECOND_PAPER
 LATITUDE = 32.057313 * DEG
 STILL = Swing(*np.zeros((2, 3)), np.ones(3), np.zeros(3))

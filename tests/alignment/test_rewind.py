@@ -32,6 +32,8 @@ from sinsjax.engine.realisations import Static
 from sinsjax.strapdown import sensors
 from sinsjax.types import Quat, Vec3
 
+pytestmark = pytest.mark.optimised(False)
+
 RATE, EVERY, TAPE, LATITUDE = 100, 50, 12, 32 * DEG
 FREE = loops(Loops((0.0, 0.0, 0.0), ((np.inf, (0.0, 0.0, 0.0, 0.0)),)), REVERSALS["keep"])
 
@@ -103,7 +105,6 @@ def test_a_gyro_bias_is_taken_out_of_the_way_back(bias_deg_per_h, left):
     assert off < left and (bias_deg_per_h == 0 or off > left / 1e3)
 
 
-@pytest.mark.optimised(False)
 def test_forward_passes_over_one_record_find_the_heading():
     """From a start of which the first pass makes nothing: it levels, the next ones start level."""
     study = small_study(

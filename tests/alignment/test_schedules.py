@@ -33,6 +33,8 @@ from sinsjax.alignment.schedules import (
 )
 from sinsjax.strapdown import sensors
 
+pytestmark = pytest.mark.optimised(False)
+
 FULL = CovarianceReset(0.0, 0.0, 1.0, 1.0)
 KINDS = {
     "full": FULL,

@@ -190,13 +190,14 @@ def test_the_heading_of_the_start_makes_no_difference():
 
 
 @pytest.mark.slow
+@pytest.mark.optimised(False)
 def test_what_it_believes_of_heading_and_drift_is_true():
     """Its sigmas cover its errors at the end, and the north drift comes out."""
     bias = 0.5
     study = matched(
         sensors={"gyro_bias_deg_per_h": [0.0, bias, 0.0]},
         motion={"yaw_center_deg": 0.0, "yaw_amplitude_deg": 0.0},
-        study={"draws": 128, "duration_s": 300.0, "window_s": [200, 300]},
+        study={"draws": 128, "duration_s": 300.0, "rate_hz": 25.0, "window_s": [200, 300]},
     )
     results = run_study(study)
     drift, sigma = (

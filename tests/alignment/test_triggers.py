@@ -42,6 +42,8 @@ from sinsjax.execution import tables as result_tables
 from sinsjax.maths.algebra import triangle_index
 from sinsjax.types import Quat, Sample, Vec3
 
+pytestmark = pytest.mark.optimised(False)
+
 DT = 0.01
 LATITUDE = 32 * DEG
 NOISE = np.array([2e-4, 3e-4, 1e-4, 2e-4, 3e-4]), 0.04
@@ -482,6 +484,7 @@ def test_turns_leave_the_counts_alone():
     ]
 
 
+@pytest.mark.optimised(True)
 def test_a_filter_with_gravity_in_its_model_has_nothing_to_be_honest_about():
     """Its own covariance is that of a base at rest: the score is 1 but for corrections."""
     filt = paper_filter(5, force="gravity", **CLOSED)
@@ -519,7 +522,6 @@ def of_variant(rows, number):
     return [row for row in rows if row["variant_id"] == number]
 
 
-@pytest.mark.optimised(False)
 def test_what_a_trigger_did_is_told(rows):
     for row in rows:
         count, *times = (row[own.column.name] for own in TRIGGER_COUNTS)
@@ -529,7 +531,6 @@ def test_what_a_trigger_did_is_told(rows):
             assert (count, times) == (0, [None, None])
 
 
-@pytest.mark.optimised(False)
 def test_a_trigger_that_never_fires_changes_nothing(rows):
     assert len(of_variant(rows, 0)) == 3
     for without, quiet in zip(of_variant(rows, 0), of_variant(rows, QUIET), strict=True):
@@ -543,7 +544,6 @@ def test_a_trigger_that_never_fires_changes_nothing(rows):
                 assert type(quiet[name]) is type(value)
 
 
-@pytest.mark.optimised(False)
 def test_a_trigger_knows_nothing_of_the_runs_beside_it(rows):
     """Other neighbours, fewer draws: the same bits."""
     tables = ROWS | {"study": ROWS["study"] | {"draws": 2}}
@@ -553,7 +553,6 @@ def test_a_trigger_knows_nothing_of_the_runs_beside_it(rows):
     assert all(row["triggered_count"] for row in of_variant(alone, QUIET))
 
 
-@pytest.mark.optimised(False)
 def test_the_columns_of_a_trigger_come_with_it_alone(rows):
     told = {own.column.name for own in TRIGGER_COUNTS}
     assert told <= rows[0].keys()

@@ -16,6 +16,8 @@ from sinsjax.maths import rotations
 from sinsjax.strapdown import base_motion, earth, mechanisation, sensors
 from sinsjax.types import Navigation, Quat, Sample, Vec3
 
+pytestmark = pytest.mark.optimised(False)
+
 ARCSEC = DEG / 3600
 
 
