@@ -20,7 +20,7 @@ from sinsjax.records.names import triads
 from sinsjax.records.psins import write_psins
 from sinsjax.study.from_record import study_of
 
-pytestmark = pytest.mark.optimised(False)
+pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
 RATE = 100.0
 DEG = np.pi / 180
