@@ -166,7 +166,9 @@ def test_columns_have_unit_and_meaning() -> None:
     }
 
 
+@pytest.mark.optimised(True)
 def test_a_run_is_repeated_alone(tmp_path: Path) -> None:
+    """To the bit: at the least level the program with curves rounds otherwise."""
     replay = COARSE | {"axes": {"coarse_then": ["replay"]}}
     study = small_study(**replay, study={"report_times_s": [1.0, 5.0]})
     run.run_into(study, tmp_path / "out", curves=False)
