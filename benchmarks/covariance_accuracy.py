@@ -27,6 +27,7 @@ from sinsjax.engine import build
 sys.path.insert(0, str(common.ROOT / "tests"))
 
 from oracles import tangents  # noqa: E402
+from support.bootstrap import intervals  # noqa: E402
 
 BAND = 10.0  # arcmin
 STARTS = ((0.0, 0.0, 0.0), (0.0, 0.0, 30.0), (5.0, 5.0, 30.0), (20.0, 20.0, 120.0))
@@ -35,7 +36,6 @@ STARTS = ((0.0, 0.0, 0.0), (0.0, 0.0, 30.0), (5.0, 5.0, 30.0), (20.0, 20.0, 120.
 SCHEDULES = ([], [10.0, 60.0], [11.0, 24.0, 57.0], [50.0, 100.0, 150.0])
 """Reset times, s."""
 
-RESAMPLES = 4000
 SIGMA_BAR = (0.90, 1.10)
 SPEARMAN_BAR, RMS_BAR_S, SHARE_BAR = 0.995, 4.0, 0.05
 
@@ -104,7 +104,7 @@ def _reference(size: Size, seed: int) -> Row:
     told = np.radians(_heading_errors(study, times) / 60).reshape(size.reference_draws, -1)
     expected = sigma[:, at].T.ravel()
     ratio = told.std(axis=0, ddof=1) / expected
-    low, high = bootstrap(told, 0.05 / ratio.size, seed) / expected
+    low, high = intervals(told, 0.05 / ratio.size, seed) / expected
     misses = (high < SIGMA_BAR[0]) | (low > SIGMA_BAR[1])
     return {
         **{"name": "sigma of draws / reference", "compared": ratio.size},
@@ -121,17 +121,6 @@ def _heading_errors(study: Any, times_s: tuple[float, ...]) -> NDArray:
     names = [*(f"phi_u_at_{t:g}_arcmin" for t in earlier), "phi_u_arcmin"]
     columns = [summary[name].to_numpy().reshape(study.n_draws, -1) for name in names]
     return np.stack(columns, axis=1)
-
-
-def bootstrap(values: NDArray, tail: float, seed: int) -> NDArray:
-    """(2, k) ends of the percentile interval of the standard deviations of columns (n, k)."""
-    random, n = np.random.default_rng(seed), len(values)
-    squares = np.square(values - values.mean(axis=0))
-    values = values - values.mean(axis=0)
-    counts = random.multinomial(n, np.full(n, 1 / n), RESAMPLES)
-    means, second = counts @ values / n, counts @ squares / n
-    sigma = np.sqrt(np.maximum(second - means**2, 0) * n / (n - 1))
-    return np.quantile(sigma, [tail / 2, 1 - tail / 2], axis=0)
 
 
 def _estimates(size: Size, seed: int) -> list[Row]:

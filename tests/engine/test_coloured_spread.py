@@ -45,7 +45,7 @@ def assert_spread_is_that_of(drawn: pa.Table, made: pa.Table) -> None:
     """The bootstrap interval of each ratio of sigma, corrected for all, meets the bar."""
     sigma = made["true_sigma_u_arcmin"].to_numpy()
     errors = drawn["phi_u_arcmin"].to_numpy().reshape(DRAWS, -1)
-    low, high = intervals(errors, 0.025 / len(sigma)) / sigma
+    low, high = intervals(errors, 0.05 / len(sigma)) / sigma
     assert (low < BAR[1]).all() and (high > BAR[0]).all()
 
 

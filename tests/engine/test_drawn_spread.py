@@ -101,7 +101,7 @@ def of_draws(method: str) -> pa.Table:
 def assert_sigma_and_settling_are_those_of(drawn: pa.Table, made: pa.Table) -> None:
     """The bootstrap interval of each ratio of sigma, corrected for all, meets the bar."""
     floor = drawn["floor_arcmin"].to_numpy().reshape(DRAWS, -1)
-    tail = 0.025 / (2 * len(ENDS) * made.num_rows)
+    tail = 0.05 / (2 * len(ENDS) * made.num_rows)
     for end, name in itertools.product(ENDS, ("true_sigma_u", "true_sigma_u_from_limit")):
         phi = drawn[f"phi_u{end}_arcmin"].to_numpy().reshape(DRAWS, -1)
         errors = phi - floor if "limit" in name else phi

@@ -1,28 +1,30 @@
-"""How far the spread of draws may be off."""
+"""How far the spread of draws may be off, for tests and for the script on covariance analysis."""
 
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
+
+RESAMPLES = 4000
 
 
-def intervals(errors: np.ndarray, tail: float, resamples: int = 4000) -> np.ndarray:
-    """(2, n) ends of the bootstrap intervals of the standard deviations of errors (draws, n).
+def intervals(values: NDArray, tail: float, seed: int = 1) -> NDArray:
+    """(2, k) ends of the percentile interval of the standard deviations of columns (n, k).
 
     Args:
-        errors: a row a draw.
-        tail: share of resamples beyond either end.
-        resamples: how many.
+        values: a row a draw.
+        tail: share of resamples beyond both ends together.
+        seed: of the resamples.
     """
-    draws = len(errors)
     # Only how often a draw is taken matters: sums by matrix products, and no draw is looked up.
-    off = errors - errors.mean(axis=0)
-    mean, square = (_taken(draws, resamples) @ power / draws for power in (off, off**2))
-    found = np.sqrt((square - mean**2) * draws / (draws - 1))
-    return np.quantile(found, [tail, 1 - tail], axis=0)
+    n, off = len(values), values - values.mean(axis=0)
+    mean, square = (_taken(n, seed) @ power / n for power in (off, off**2))
+    sigma = np.sqrt(np.maximum(square - mean**2, 0) * n / (n - 1))
+    return np.quantile(sigma, [tail / 2, 1 - tail / 2], axis=0)
 
 
 @cache
-def _taken(draws: int, resamples: int) -> np.ndarray:
-    """(resamples, draws) how often each draw is taken."""
-    random = np.random.default_rng(1)
-    return random.multinomial(draws, np.full(draws, 1 / draws), resamples).astype(float)
+def _taken(n: int, seed: int) -> NDArray:
+    """(resamples, n) how often each draw is taken."""
+    random = np.random.default_rng(seed)
+    return random.multinomial(n, np.full(n, 1 / n), RESAMPLES).astype(float)
