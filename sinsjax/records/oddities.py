@@ -94,7 +94,7 @@ def _removed(gyros: Sequence[NDArray[Any]], factors: Sequence[float]) -> Iterato
 
     The mean over a part of it, which a study aligns, is that of its sways then.
     """
-    if any(map(is_constant, gyros)):
+    if any(map(_is_constant, gyros)):
         return
     means = [
         float(np.nansum(gyro)) / max(1, int(np.isfinite(gyro).sum())) * factor
@@ -117,7 +117,7 @@ def _stuck(
     least = max(2, round(_STUCK_S * rate_hz))
     if count < least:
         return
-    dead = [name for name, values in zip(names, columns, strict=True) if is_constant(values)]
+    dead = [name for name, values in zip(names, columns, strict=True) if _is_constant(values)]
     if len(dead) == len(names):
         yield Oddity(0, count, False, "no channel changes in any row: is this a log of sensors?")
         return
@@ -139,7 +139,13 @@ def _stuck(
             )
 
 
-def is_constant(values: NDArray[Any]) -> bool:
+def dead_among(channels: NDArray[Any]) -> list[bool]:
+    """Whether each of some channels (n, T) never changes while another one does."""
+    constant = list(map(_is_constant, channels))
+    return [False] * len(constant) if all(constant) else constant
+
+
+def _is_constant(values: NDArray[Any]) -> bool:
     """Whether a channel (T,) never changes."""
     return bool(values[0] == values[-1] and (values == values[0]).all())
 

@@ -28,7 +28,7 @@ from sinsjax.records.layout import (
 )
 from sinsjax.records.means import EARTH_RATE, Means, means_of, rate_up
 from sinsjax.records.names import Clock, Triad, clocks, incomplete, told_axes, triads
-from sinsjax.records.oddities import is_constant
+from sinsjax.records.oddities import dead_among
 from sinsjax.records.plausible import UNIT_NAMES
 from sinsjax.units import DEG, STANDARD_GRAVITY
 
@@ -217,9 +217,9 @@ def _gyro_unit(
     spread = samples.rate_hz if quantity == "rates" else 1.0
     dv = samples.accel * (ACCEL_UNITS[quantity][accel_unit] / spread)
     # Without a dead channel the others tell the order of Earth rate; with its constant, nothing.
-    dead = [is_constant(values) for values in samples.gyro.T]
-    left_out = any(dead) and not all(dead)
-    live = np.where(dead, 0.0, samples.gyro) if left_out else samples.gyro
+    dead = dead_among(samples.gyro.T)
+    left_out = any(dead)
+    live = np.where(dead, 0.0, samples.gyro)
     means, ratio = {}, {}
     for unit, factor in GYRO_UNITS[quantity].items():
         record = Record(live * (factor / spread), dv, samples.rate_hz)

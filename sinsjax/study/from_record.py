@@ -16,7 +16,7 @@ from sinsjax.records.files import line_batches, number_or_nan
 from sinsjax.records.head import head_of
 from sinsjax.records.layout import PSINS_LAYOUT, Layout, Note, Oddity, Record
 from sinsjax.records.means import EARTH_RATE, Means, means_of, rate_up
-from sinsjax.records.oddities import is_constant, told
+from sinsjax.records.oddities import dead_among, told
 from sinsjax.records.plausible import Finding, StationaryValues, findings
 from sinsjax.records.recognise import recognise, sees_earth_rate
 from sinsjax.study.files import DOUBT, schema_line
@@ -168,8 +168,7 @@ def _samples(record: Record, times: _Times) -> tuple[int, int]:
 
 def _tells_latitude(record: Record, means: Means) -> bool:
     """Whether its mean rate is Earth rate, and not in part what a dead channel holds."""
-    dead = [is_constant(values) for values in record.dtheta.T]
-    return sees_earth_rate(means) and (not any(dead) or all(dead))
+    return sees_earth_rate(means) and not any(dead_among(record.dtheta.T))
 
 
 def _latitude(record: Record, means: Means) -> float:
