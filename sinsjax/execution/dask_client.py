@@ -53,23 +53,8 @@ def _require_scheduler(address: str) -> None:
 
     wait_s = 0.8 * CONNECT_S  # leaving the rest to the client
 
-    scheme, place = addressing.parse_address(address)
-    host, port = addressing.parse_host_port(place, 0) if scheme in ("tcp", "tls") else ("", 0)
-
-    def resolve() -> None:
-        """Dask would try again and again, and then only tell how long."""
-        try:
-            socket.getaddrinfo(host, None)
-        except socket.gaierror as error:
-            raise ValueError(f"host {host}: {error.strerror}") from None
-
-    def refusal() -> OSError | None:
-        """What the system says of a connection: Dask has forgotten it if its last try was short."""
-        try:
-            socket.create_connection((host, port), 1.0).close()
-        except OSError as error:
-            return error
-        return None
+    scheme, location = addressing.parse_address(address)
+    place = addressing.parse_host_port(location, 0) if scheme in ("tcp", "tls") else None
 
     async def ask() -> str:
         arguments = Security().get_connection_args("client")
@@ -80,13 +65,13 @@ def _require_scheduler(address: str) -> None:
 
     def within_time() -> None:
         try:
-            if host:
-                resolve()
+            if place:
+                _resolve(place[0])
             answers.append(asyncio.run(asyncio.wait_for(ask(), wait_s)))
         except TimeoutError as error:
             answers.append(TimeoutError(first_line(error) or f"no answer in {wait_s:g} s"))
         except OSError as error:
-            error.__cause__ = (refusal() if host else None) or error.__cause__
+            error.__cause__ = (_refusal(place) if place else None) or error.__cause__
             answers.append(error)
         except BaseException as error:
             answers.append(error)
@@ -100,6 +85,23 @@ def _require_scheduler(address: str) -> None:
         raise kind
     if kind != "Scheduler":
         raise ValueError(f"found a Dask {kind.lower()}")
+
+
+def _resolve(host: str) -> None:
+    """Look a host up: Dask would try again and again, and then only tell how long."""
+    try:
+        socket.getaddrinfo(host, None)
+    except socket.gaierror as error:
+        raise ValueError(f"host {host}: {error.strerror}") from None
+
+
+def _refusal(place: tuple[str, int]) -> OSError | None:
+    """What the system says of a connection: Dask has forgotten it if its last try was short."""
+    try:
+        socket.create_connection(place, 1.0).close()
+    except OSError as error:
+        return error
+    return None
 
 
 def _reason(error: BaseException) -> str:
