@@ -16,7 +16,7 @@ import pytest
 import tomli_w
 from support.commands import Command, command_line
 from support.kept import everything
-from support.studies import BASE, small_study
+from support.studies import BASE, small_study, swing_deg
 
 from sinsjax import cli
 from sinsjax.engine import build
@@ -288,9 +288,7 @@ def test_align_judges_against_a_reference(
     """The reference is the true attitude of the simulated swing, so phi is the true error."""
     write_psins(record, tmp_path / "swing.imu")
     times = np.arange(0, 6.01, 0.01)
-    swing = [1.8 * np.sin(2 * np.pi * times / 6), 2.4 * np.sin(2 * np.pi * times / 8)]
-    yaw = 10 + 2.8 * np.sin(2 * np.pi * times / 10)
-    rows = np.column_stack([times, *swing, yaw])
+    rows = np.column_stack([times, swing_deg(times)])
     header = "time_s,pitch_deg,roll_deg,yaw_deg"
     np.savetxt(tmp_path / "true.csv", rows, delimiter=",", header=header, comments="")
     config, out = write_study(tmp_path, **RECORDED), tmp_path / "out"

@@ -11,13 +11,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 from rich.console import Console
-from support.studies import refusal, small_study
+from support.studies import refusal, small_study, with_truth
 
 from sinsjax.engine import build
 from sinsjax.execution import rerun, run
 from sinsjax.execution.tables import Tables
-from sinsjax.records import Reference
-from sinsjax.records.reference import StoredRecord
 from sinsjax.study import acting
 from sinsjax.study.load import study_from_dict, study_to_toml
 from sinsjax.study.study import Study
@@ -163,11 +161,7 @@ def test_a_run_is_repeated_alone(tmp_path: Path) -> None:
 def test_a_record_is_replayed_as_its_simulation_is() -> None:
     """From its start time, with the attitude unknown; its own hand-over has t = 0 at its end."""
     silent = {"gyro_noise_deg_per_h": 0.0}
-    record = build.simulated_record(study(sensors=silent))
-    time_s = np.arange(0, 6.01, 0.01)
-    angles = [1.8 * np.sin(2 * np.pi * time_s / 6), 2.4 * np.sin(2 * np.pi * time_s / 8)]
-    yaw = 10 + 2.8 * np.sin(2 * np.pi * time_s / 10)
-    stored = StoredRecord(record, Reference(time_s, np.column_stack([*angles, yaw]), "true.csv"))
+    stored = with_truth(build.simulated_record(study(sensors=silent)))
     settings: dict[str, Any] = {"duration_s": 4.0, "window_s": [2, 4], "curves": True}
     settings["settle_bands_arcmin"] = [9000]  # in a few seconds a run gets no nearer
 

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from rich.console import Console
-from support.studies import refusal, small_study
+from support.studies import refusal, small_study, with_truth
 
 from sinsjax.engine import batch, build
 from sinsjax.engine.lanes import tiles_of
@@ -19,7 +19,6 @@ from sinsjax.engine.simulate import simulate
 from sinsjax.errors import InputError
 from sinsjax.execution import forecast, rerun, run
 from sinsjax.execution.tables import Tables
-from sinsjax.records import Reference
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.fingerprint import fingerprint
 from sinsjax.study.load import study_from_dict, study_to_toml
@@ -180,11 +179,7 @@ def test_a_run_is_repeated_alone(tmp_path: Path) -> None:
 def record() -> StoredRecord:
     """Six seconds of the swinging base, with its true attitude."""
     simulated = small_study(sensors={"gyro_noise_deg_per_h": 0.0})
-    time_s = np.arange(0, 6.01, 0.01)
-    angles = [1.8 * np.sin(2 * np.pi * time_s / 6), 2.4 * np.sin(2 * np.pi * time_s / 8)]
-    yaw = 10 + 2.8 * np.sin(2 * np.pi * time_s / 10)
-    attitude = np.column_stack([*angles, yaw])
-    return StoredRecord(build.simulated_record(simulated), Reference(time_s, attitude, "true.csv"))
+    return with_truth(build.simulated_record(simulated))
 
 
 def recorded(times: list[float], coarse: dict[str, Any], **tables: Any) -> dict[str, Any]:

@@ -8,20 +8,19 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 from support.kept import STUDIES, everything, study_of
-from support.studies import small_study
+from support.studies import small_study, with_truth
 
 from sinsjax.alignment import methods
 from sinsjax.engine import build
 from sinsjax.errors import InputError
 from sinsjax.execution import rerun, tables
 from sinsjax.execution import run as study_run
-from sinsjax.records import PSINS_LAYOUT, Reference, read_psins, write_psins
+from sinsjax.records import PSINS_LAYOUT, read_psins, write_psins
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import Study, study_from_dict
 
@@ -106,11 +105,7 @@ def recorded_study(**changes: Any) -> Study:
 
 @pytest.fixture(scope="module")
 def tape() -> StoredRecord:
-    time_s = np.arange(0, 6.01, 0.01)
-    angles = [1.8 * np.sin(2 * np.pi * time_s / 6), 2.4 * np.sin(2 * np.pi * time_s / 8)]
-    yaw = 10 + 2.8 * np.sin(2 * np.pi * time_s / 10)
-    reference = Reference(time_s, np.column_stack([*angles, yaw]), "true.csv")
-    return StoredRecord(build.simulated_record(small_study()), reference)
+    return with_truth(build.simulated_record(small_study()))
 
 
 @pytest.mark.optimised(False)

@@ -2,9 +2,12 @@
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from sinsjax.errors import InputError
+from sinsjax.records import Record, Reference
+from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import Study, study_from_dict
 
 BASE: dict[str, dict[str, Any]] = {
@@ -50,6 +53,22 @@ def small_tables(**changes: Any) -> dict[str, Any]:
 def small_study(**changes: Any) -> Study:
     """The study of `small_tables`."""
     return study_from_dict(small_tables(**changes))
+
+
+def swing_deg(time_s: np.ndarray) -> np.ndarray:
+    """(n, 3) pitch, roll and yaw of `BASE` at some times."""
+    motion = BASE["motion"]
+    sways = [
+        motion[f"{angle}_amplitude_deg"] * np.sin(2 * np.pi * time_s / motion[f"{angle}_period_s"])
+        for angle in ("pitch", "roll", "yaw")
+    ]
+    return np.column_stack(sways) + [0.0, 0.0, motion["yaw_center_deg"]]
+
+
+def with_truth(record: Record) -> StoredRecord:
+    """A record of six seconds of `BASE`, with its true attitude."""
+    time_s = np.arange(0, 6.01, 0.01)
+    return StoredRecord(record, Reference(time_s, swing_deg(time_s), "true.csv"))
 
 
 def refusal(**tables: Any) -> str:
