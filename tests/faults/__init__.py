@@ -1,0 +1,1 @@
+"""One-line faults of the package, and the script that checks that tests notice each of them."""
