@@ -1,0 +1,61 @@
+"""Results of small studies, number by number: the net under changes that should move none.
+
+Where numbers are meant to change, `remake.py` makes the expected files anew. Where columns change
+their names or new ones come, `RENAMED` and `ADDED` say so until then.
+"""
+
+import copy
+from pathlib import Path
+
+import pytest
+from golden_studies import NAMES, as_json, differences, expected, expected_file, run_alone
+
+RENAMED: dict[str, str] = {}
+"""New names of columns, by the names in the expected files."""
+
+ADDED: tuple[str, ...] = ()
+"""Columns that the expected files do not have yet."""
+
+SAME_JAXLIB, OTHER_JAXLIB = 1e-11, 1e-6
+"""Tolerances relative to the largest number of a column.
+
+Expected files have 12 digits, which the jaxlib that they were made with gives again. Another one
+may order sums and products differently, and what that changes in the last bits grows over a run.
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_results_are_as_expected(name: str, tmp_path: Path) -> None:
+    old, new = expected(name), run_alone(name, tmp_path)
+    tolerance = SAME_JAXLIB if old["jaxlib"] == new["jaxlib"] else OTHER_JAXLIB
+    found = differences(old, new, tolerance, RENAMED, ADDED)
+    if found:
+        lines = [f"{len(found)} differences:", *(f"{name}: {line}" for line in found)]
+        pytest.fail("\n".join(lines), pytrace=False)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_expected_files_are_as_they_are_written(name: str) -> None:
+    assert as_json(expected(name)) == expected_file(name).read_text("utf-8")
+
+
+def test_every_difference_is_told_at_once() -> None:
+    old = expected("kalman5_resets")
+    new = copy.deepcopy(old)
+    columns = new["tables"]["summary"]["columns"]
+    columns["heading_now_deg"] = columns.pop("heading_deg")
+    columns["phi_u_arcmin"]["mean"] *= 1 + 1e-6
+    columns["status"]["counts"] = {"ok": 32}
+    new["tables"]["curves"]["rows"] += 1
+    del new["tables"]["curves"]["columns"]["yaw_deg"]
+    places = ("curves: had", "curves: yaw_deg: is missing", "summary: heading_deg: is missing")
+    places += ("summary: heading_now_deg: is new", "summary: phi_u_arcmin: mean was")
+    places += ("summary: status: counts",)
+    found = differences(old, new, SAME_JAXLIB)
+    assert len(found) == len(places)
+    assert all(line.startswith(place) for line, place in zip(found, places, strict=True))
+    renamed = differences(old, new, SAME_JAXLIB, {"heading_deg": "heading_now_deg"})
+    assert renamed == [line for line in found if "heading" not in line]
+    added = differences(old, new, SAME_JAXLIB, {}, ["heading_now_deg"])
+    assert added == [line for line in found if "is new" not in line]
