@@ -1,4 +1,4 @@
-"""Studies that are refused, and where the command line says that the errors of each are."""
+"""Faulty studies, and the file, section and key of each error that the command line reports."""
 
 import io
 import json
@@ -22,11 +22,11 @@ _KEY = r"\w[\w.\[\]]*"
 _PLACE = re.compile(rf"(?:\[([^\]]+)\](?: ({_KEY}(?:, {_KEY})*))?|(\w+)): ")
 
 Place = list[str]
-"""File, section and key of an error, as its line begins; empty where it names none."""
+"""File, section and key at the beginning of an error's line; empty if it names none."""
 
 
 def bad_studies() -> dict[str, str]:
-    """The text of every study that is refused, by name."""
+    """Return the text of every faulty study, by name."""
     tables = tomllib.loads((HERE / "bad_studies.toml").read_text("utf-8"))
     return {name: _text(tables["bases"], **bad) for name, bad in tables["bad"].items()}
 
@@ -45,7 +45,7 @@ def _text(bases: dict[str, Any], **bad: Any) -> str:
 
 
 def _merged(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
-    """Tables with some values put in; both are left as they are."""
+    """Merge values into tables; neither argument changes."""
     out = {key: dict(value) if isinstance(value, dict) else value for key, value in old.items()}
     for key, value in new.items():
         both = isinstance(value, dict) and isinstance(out.get(key), dict)
@@ -54,12 +54,12 @@ def _merged(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
 
 
 def errors_of(path: Path) -> list[Place]:
-    """The places of all errors that ``sinsjax validate`` tells of a study, sorted."""
-    told = io.StringIO()
+    """Return the places of all errors that ``sinsjax validate`` reports for a study, sorted."""
+    errors = io.StringIO()
     argv = mock.patch.object(sys, "argv", ["sinsjax", "validate", str(path)])
-    with argv, redirect_stdout(io.StringIO()), redirect_stderr(told), suppress(SystemExit):
+    with argv, redirect_stdout(io.StringIO()), redirect_stderr(errors), suppress(SystemExit):
         cli.main()
-    return sorted(_place(line) for line in told.getvalue().splitlines())
+    return sorted(_place(line) for line in errors.getvalue().splitlines())
 
 
 def _place(line: str) -> Place:
@@ -70,7 +70,7 @@ def _place(line: str) -> Place:
 
 
 def all_errors(folder: Path) -> dict[str, list[Place]]:
-    """The places of all errors of every bad study, by its name.
+    """Return the places of all errors of every faulty study, by its name.
 
     Args:
         folder: where it may write.
@@ -84,7 +84,7 @@ def all_errors(folder: Path) -> dict[str, list[Place]]:
 
 
 def as_json(errors: dict[str, list[Place]]) -> str:
-    """The text of the expected file: sorted, a line a study."""
+    """Return the text of the expected file: sorted, one line per study."""
     lines = [
         f" {json.dumps(name)}: {json.dumps(places)}" for name, places in sorted(errors.items())
     ]
@@ -92,16 +92,16 @@ def as_json(errors: dict[str, list[Place]]) -> str:
 
 
 def differences(old: dict[str, list[Place]], new: dict[str, list[Place]]) -> list[str]:
-    """What differs between the errors of bad studies, a line a study."""
+    """List the differences between the errors of faulty studies, one line per study."""
     return [
-        f"{name}: was {_told(old.get(name))}, is {_told(new.get(name))}"
+        f"{name}: was {_in_words(old.get(name))}, is {_in_words(new.get(name))}"
         for name in sorted({*old, *new})
         if old.get(name) != new.get(name)
     ]
 
 
-def _told(places: list[Place] | None) -> str:
-    """Places in a few words: ``[study] draws, [earth] latitude_deg``."""
+def _in_words(places: list[Place] | None) -> str:
+    """Format places for a message: ``[study] draws, [earth] latitude_deg``."""
     if not places:
         return "not there" if places is None else "without an error"
     return "; ".join(f"{file} [{section}] {key}".rstrip() for file, section, key in places)

@@ -1,9 +1,9 @@
-"""The golden studies: run in a process of their own, and put into numbers that a diff can show.
+"""Run the golden studies, each in its own process, and reduce results to numbers that diff well.
 
-    python tests/golden/golden_studies.py STUDY FOLDER
+    python tests/golden/golden_studies.py STUDY FOLDER DEVICES
 
-runs a study into an empty folder and prints what `run_alone` returns. It uses only what
-`sinsjax.__all__` names.
+runs a study into an empty folder and prints its results as JSON: `run_alone` calls it, with an
+environment of its own. It uses only what `sinsjax.__all__` names.
 """
 
 import json
@@ -68,22 +68,22 @@ def run_alone(name: str, folder: Path, devices: int = 1) -> Recorded:
 
 
 def expected(name: str) -> Recorded:
-    """What a golden study gave when its expected file was made."""
+    """Return the expected results of a golden study."""
     return json.loads(expected_file(name).read_text("utf-8"))
 
 
 def expected_file(name: str) -> Path:
-    """The file of a study's expected results."""
+    """Return the path of a study's expected results."""
     return HERE / "expected" / f"{name}.json"
 
 
 def as_json(recorded: Recorded) -> str:
-    """The text of an expected file: sorted, a line a column."""
+    """Return the text of an expected file: sorted, one line per column."""
     tables = []
     for name, table in sorted(recorded["tables"].items()):
         columns = [
-            f"   {json.dumps(column)}: {json.dumps(told, sort_keys=True, allow_nan=False)}"
-            for column, told in sorted(table["columns"].items())
+            f"   {json.dumps(column)}: {json.dumps(summary, sort_keys=True, allow_nan=False)}"
+            for column, summary in sorted(table["columns"].items())
         ]
         head = f'  "{name}": {{"rows": {table["rows"]}, "columns": {{\n'
         tables.append(head + ",\n".join(columns) + "}}")
@@ -98,7 +98,7 @@ def differences(
     renamed: Mapping[str, str] | None = None,
     added: Collection[str] = (),
 ) -> list[str]:
-    """What differs between two results of a study, a line a column.
+    """List the differences between two results of a study, one line per column.
 
     Args:
         old: the expected ones.
@@ -115,7 +115,7 @@ def differences(
             continue
         if was["rows"] != now["rows"]:
             lines.append(f"{name}: had {was['rows']} rows, has {now['rows']}")
-        before = {(renamed or {}).get(key, key): told for key, told in was["columns"].items()}
+        before = {(renamed or {}).get(key, key): one for key, one in was["columns"].items()}
         for column in sorted({*before, *now["columns"]} - ({*added} - {*before})):
             change = _change(before.get(column), now["columns"].get(column), tolerance)
             lines += [f"{name}: {column}: {change}"] if change else []
@@ -123,7 +123,7 @@ def differences(
 
 
 def _change(was: Any, now: Any, tolerance: float) -> str:
-    """How a column has changed, by what has changed most of it; empty if it has not."""
+    """Describe the largest change of a column; empty if there is none."""
     if was is None or now is None:
         return f"is new ({now['kind']})" if was is None else f"is missing (was {was['kind']})"
     one, other = dict(_parts(was)), dict(_parts(now))
@@ -146,44 +146,44 @@ def _change(was: Any, now: Any, tolerance: float) -> str:
     return f"{text}; {len(changes)} of its {len(one)} numbers differ"
 
 
-def _parts(told: Any, place: str = "") -> Iterator[tuple[str, Any]]:
-    """Every number and word that is told of a column, by its place: ``quantiles[2]``."""
-    if isinstance(told, dict):
-        for key, value in told.items():
+def _parts(summary: Any, place: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield every number and word of a column's summary, by its place: ``quantiles[2]``."""
+    if isinstance(summary, dict):
+        for key, value in summary.items():
             yield from _parts(value, f"{place} {key}".strip())
-    elif isinstance(told, list):
-        for number, value in enumerate(told):
+    elif isinstance(summary, list):
+        for number, value in enumerate(summary):
             yield from _parts(value, f"{place}[{number}]")
     else:
-        yield place, told
+        yield place, summary
 
 
 def summarised(table: pa.Table) -> dict[str, Any]:
-    """The number of rows of a table, and what its columns hold, by name."""
+    """Return the number of rows of a table and a summary of each column, by name."""
     columns = {name: _column(table[name]) for name in table.column_names}
     return {"rows": table.num_rows, "columns": columns}
 
 
 def _column(column: pa.ChunkedArray) -> dict[str, Any]:
-    """Kind, nulls and first, middle and last value; of numbers quantiles and mean, else counts."""
+    """Summarise a column: kind, nulls, three values, and quantiles and mean or counts."""
     values, kind = column.to_pylist(), column.type
     places = (0, len(values) // 2, len(values) - 1)
-    told: dict[str, Any] = {
+    summary: dict[str, Any] = {
         "kind": str(kind),
         "nulls": column.null_count,
         "sample": [_rounded(values[place]) for place in places],
     }
     known = [value for value in values if value is not None]
     if pa.types.is_list(kind):
-        told["kind"] = f"list of {kind.value_type}"
-        told["lengths"] = _counts(map(len, known))
+        summary["kind"] = f"list of {kind.value_type}"
+        summary["lengths"] = _counts(map(len, known))
         known = [entry for value in known for entry in value]
     if pa.types.is_string(kind) or pa.types.is_boolean(kind):
-        return told | {"counts": _counts(known)}
+        return summary | {"counts": _counts(known)}
     if known:
-        told["quantiles"] = [_rounded(float(q)) for q in np.quantile(known, _QUANTILES)]
-        told["mean"] = _rounded(float(np.mean(known)))
-    return told
+        summary["quantiles"] = [_rounded(float(q)) for q in np.quantile(known, _QUANTILES)]
+        summary["mean"] = _rounded(float(np.mean(known)))
+    return summary
 
 
 def _counts(values: Any) -> dict[str, int]:
@@ -191,14 +191,14 @@ def _counts(values: Any) -> dict[str, int]:
 
 
 def _rounded(value: Any) -> Any:
-    """A value with `DIGITS` significant digits, where it has any."""
+    """Round a number to `DIGITS` significant digits; leave anything else as it is."""
     if isinstance(value, list):
         return [_rounded(entry) for entry in value]
     return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
 
 
 def write_record(folder: Path) -> tuple[Path, Path]:
-    """The record of the study ``recorded`` and its reference, without the package.
+    """Write the record of the study ``recorded`` and its reference, without the package.
 
     40 s of a tilted base whose heading swings, its axes front-right-down, and two samples that are
     missing. Rates are those in the middle of a sample, times those of its end.
@@ -237,7 +237,7 @@ def write_record(folder: Path) -> tuple[Path, Path]:
 
 
 def main(name: str, folder: str, devices: str) -> None:
-    """Run a study in this process, and print what it gives as JSON."""
+    """Run a study in this process and print its summarised tables as JSON."""
     import sinsjax
 
     sinsjax.configure(devices=int(devices))
@@ -255,8 +255,8 @@ def main(name: str, folder: str, devices: str) -> None:
         tables["summary"] = sinsjax.read_summary(out)
     if settings["curves"]:
         tables["curves"] = sinsjax.read_curves(out)
-    told = {table: summarised(rows) for table, rows in tables.items()}
-    print(json.dumps({"jaxlib": version("jaxlib"), "tables": told}))
+    summaries = {table: summarised(rows) for table, rows in tables.items()}
+    print(json.dumps({"jaxlib": version("jaxlib"), "tables": summaries}))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Remake expected results: ``python tests/golden/remake.py [NAME...]``.
 
-NAME is a study of ``studies/``, or ``errors``; without one all are made anew. It tells what has
-changed in each file.
+NAME is a study of ``studies/``, or ``errors``; without one all are remade. The changes of each file
+are printed.
 
 The rule: expected files change only in a commit that says which of them change, and why.
 """
@@ -33,7 +33,7 @@ def main(names: list[str]) -> None:
 
 
 def _study(name: str, folder: Path) -> list[str]:
-    """Remake the results of a study; what has changed, a line a column."""
+    """Remake the results of a study; return its changes, one line per column."""
     file, new = golden_studies.expected_file(name), golden_studies.run_alone(name, folder)
     old = golden_studies.expected(name) if file.exists() else {"tables": {}}
     file.write_text(golden_studies.as_json(new), "utf-8")
@@ -41,7 +41,7 @@ def _study(name: str, folder: Path) -> list[str]:
 
 
 def _errors(name: str, folder: Path) -> list[str]:
-    """Remake the places of errors; what has changed, a line a study."""
+    """Remake the places of errors; return the changes, one line per study."""
     file, new = golden_errors.EXPECTED, golden_errors.all_errors(folder)
     old = json.loads(file.read_text("utf-8")) if file.exists() else {}
     file.write_text(golden_errors.as_json(new), "utf-8")
