@@ -35,8 +35,9 @@ class Fault:
     @property
     def folder_tests(self) -> tuple[str, ...]:
         """The folders of tests that mirror the folder of the package, and those of `tests`."""
-        folders = {f"tests/{self.folder}", *(str(Path(test).parent) for test in self.tests)}
-        return tuple(sorted(folders))
+        own = HERE.parent / self.folder  # there is none of the command line
+        mirrored = {f"tests/{self.folder}"} if own.is_dir() else set()
+        return tuple(sorted(mirrored | {str(Path(test).parent) for test in self.tests}))
 
     def patched(self, source: str) -> str:
         """Return a file's text with the fault in it.

@@ -22,7 +22,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Queue
@@ -168,7 +168,8 @@ def main() -> int:
                 copies.put(copy)
 
         with ThreadPoolExecutor(asked.jobs) as pool:
-            for row in pool.map(attempt, waiting):
+            for done in as_completed([pool.submit(attempt, fault) for fault in waiting]):
+                row = done.result()
                 rows[str(row["fault"])] = {key: str(value) for key, value in row.items()}
                 write_outcomes(asked.results, rows, order)
                 print(
