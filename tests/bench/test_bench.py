@@ -5,6 +5,8 @@ import shutil
 import sys
 import tempfile
 from functools import partial
+from itertools import count
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -249,13 +251,23 @@ def test_without_noise_only_the_noise_is_gone(small_group):
 
 
 @pytest.mark.optimised(False)
-@pytest.mark.parametrize("devices", [1, 2])
-def test_the_engine_is_timed_on_whole_tiles(small_group, devices):
+@pytest.mark.parametrize(("devices", "elapsed_s"), [(1, 100.0), (2, 1.0)])
+def test_the_engine_is_timed_on_whole_tiles(small_group, monkeypatch, devices, elapsed_s):
+    """One device in CPU time, several in wall time: here one second, in which 100 are computed."""
+    wall, cpu = count(0.0), count(0.0, 100.0)
+    clocks = SimpleNamespace(perf_counter=lambda: next(wall), process_time=lambda: next(cpu))
+    monkeypatch.setattr(cases, "time", clocks)
     case = cases.engine("x", cases.shortened(small_group, 2), tiles=4, lanes=16, devices=devices)
     runs = 64 * devices
     assert (case.name, case.runs, case.steps, case.devices) == ("x", runs, 200, devices)
     assert case.compile_s > 0
-    assert 0 < case.call() < 10
+    assert case.call() == elapsed_s
+
+
+@pytest.mark.optimised(False)
+def test_idle_lanes_are_not_counted_as_runs(small_group):
+    few = cases.shortened(small_group.some(np.arange(3), np.arange(4)), 2)
+    assert cases.engine("x", few, tiles=4, lanes=16).runs == 3 * 4 < 64
 
 
 def test_a_baseline_that_differs_from_the_engine_is_refused(small_group, monkeypatch):

@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
+from support.commands import command_line
 from support.kept import STUDIES, everything, study_of
 from support.studies import small_study, with_truth
 
@@ -48,6 +49,7 @@ def assert_alone_as_among_others(
             assert last[name].to_pylist() == again.row[name].to_pylist()
 
 
+@pytest.mark.representative("drawn", "passes")
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("name", STUDIES)
 def test_a_run_alone_is_the_run_among_others(name: str) -> None:
@@ -58,11 +60,13 @@ def test_a_run_alone_is_the_run_among_others(name: str) -> None:
     assert_alone_as_among_others(study, curves=True, runs=chosen)
 
 
+@pytest.mark.slow
 def test_keeping_curves_changes_no_row() -> None:
     study = study_of("worlds")
     assert_alone_as_among_others(study, curves=False, runs=[7, 299])
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(False)
 def test_a_run_whose_resets_heed_feedback() -> None:
     """Of the schedule and of a trigger; the clock of some runs in a tile starts anew."""
@@ -189,6 +193,16 @@ def test_a_row_that_differs_is_told_with_what_differs(out: Path, tmp_path: Path)
         told = rerun_into(out, 0, out=tmp_path / "one")
     assert f"1 of {columns} columns differ from the stored row: yaw_deg " in told
     assert "identical" not in told and " here. Last bits depend on jaxlib, " in told
+
+
+def test_rerun_command_exits_1_when_the_row_differs(
+    out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sinsjax = command_line(monkeypatch, capsys)
+    with turned(out, 1e-13):
+        code, said, _ = sinsjax("rerun", out, "--run-id", 0, "-o", tmp_path / "one")
+    assert code == 1 and "differ from the stored row" in said
+    assert sinsjax("rerun", out, "--run-id", 0, "-o", tmp_path / "two")[0] == 0
 
 
 def test_what_a_package_has_changed_is_told(

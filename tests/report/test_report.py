@@ -378,6 +378,14 @@ def test_both_yardsticks_stand_in_words_in_table_figure_and_page(tmp_path):
         assert f"ok: {words} (%)" in page
 
 
+def test_headings_too_far_east_are_not_within_the_band_at_the_end(tmp_path):
+    study = small_study(axes={"phi_u0_deg": [0.0, 30.0]})
+    summary = summary_of(study)
+    assert (summary["phi_u_arcmin"].to_numpy() < -20).all()
+    text = told(store(tmp_path, study, summary))
+    assert "Within 10' of true north at the end: 0 [" in text
+
+
 def test_the_heading_error_is_told_time_by_time_whatever_its_sign(tmp_path):
     """Headings to the left and to the right do not cancel, and the window mean is not told."""
     sign = np.tile([1.0, -1.0], 32)
