@@ -1,28 +1,20 @@
 """Settings of the whole test run; JAX reads some of them once, so they come first."""
 
-import atexit
 import gc
 import os
-import shutil
-import tempfile
 
 os.environ["MPLBACKEND"] = "Agg"
 # Tables in a pipe are as wide as that says, and pytest-xdist's workers have it.
 os.environ.pop("COLUMNS", None)
 # Products of small matrices: more threads of OpenBLAS only wait, each at the cost of a core.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# What one process compiles, xdist's others and those that tests start take from it; the folder
-# begins empty and ends with the process that made it.
-if "SINSJAX_COMPILE_CACHE" not in os.environ:
-    os.environ["SINSJAX_COMPILE_CACHE"] = tempfile.mkdtemp(prefix="sinsjax-tests-")
-    atexit.register(shutil.rmtree, os.environ["SINSJAX_COMPILE_CACHE"], ignore_errors=True)
-
+from collections.abc import Iterator
 from pathlib import Path
 
 import hypothesis
 import jax
 import pytest
-from support import type_checks
+from support import tiers, type_checks
 
 type_checks.install("sinsjax")
 
@@ -30,6 +22,7 @@ from support import compilation  # noqa: E402  (imports what is to be checked)
 
 from sinsjax.platform import runtime  # noqa: E402
 
+compilation.share_cache(Path(__file__).parents[1])
 runtime.configure(devices=2, x64=True)
 compilation.install()
 jax.config.update("jax_legacy_prng_key", "error")
@@ -49,15 +42,24 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("filterwarnings", line)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """One level of optimisation after the other: to change it drops what is compiled."""
+@pytest.hookimpl(tryfirst=True)  # before tests are deselected by their markers
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Sort tests by level of optimisation, a change of which drops all programs; set the tiers."""
     items.sort(key=compilation.least)
+    tiers.mark_slow_cases(items, whole_files=not any("::" in name for name in config.args))
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Before any fixture, which may compile."""
     compilation.suit(item)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _little_memory() -> Iterator[None]:
+    """Drop compiled programs after a module that leaves much of them."""
+    yield
+    compilation.drop_programs_if_large()
 
 
 @pytest.fixture(scope="session")

@@ -345,6 +345,7 @@ def test_a_record_gives_the_same_results_through_any_format(
     assert yaw["e"] == pytest.approx(yaw["a"], abs=0.5)
 
 
+@pytest.mark.slow
 def test_bench_prints_one_json_object_a_line(
     monkeypatch: pytest.MonkeyPatch, sinsjax: Command
 ) -> None:
@@ -387,9 +388,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
 
 
 @pytest.mark.parametrize("name", MISTAKES)
-def test_a_mistake_in_a_study_is_one_clear_line(
-    sinsjax: Command, tmp_path: Path, name: str
-) -> None:
+def test_a_mistake_in_a_study_is_one_clear_line(sinsjax: Command, tmp_path: Path, name: str) -> None:
     changes, named = MISTAKES[name]
     config, out = write_study(tmp_path, **changes), tmp_path / "out"
     assert_refused(sinsjax("sweep", config, "-o", out), out, str(config), *named)
@@ -469,9 +468,7 @@ def test_missing_files_and_wrong_commands_are_one_clear_line(
     assert_refused(sinsjax("sweep", recorded, "-o", out), out, "align")
 
 
-def test_an_output_that_cannot_be_written_is_one_clear_line(
-    sinsjax: Command, tmp_path: Path
-) -> None:
+def test_an_output_that_cannot_be_written_is_one_clear_line(sinsjax: Command, tmp_path: Path) -> None:
     config = write_study(tmp_path)
     (tmp_path / "file").write_text("in the way")
     for out in (tmp_path / "file", tmp_path / "file" / "below", tmp_path / ("x" * 300)):

@@ -48,6 +48,7 @@ def of_variant(table: pa.Table, variant: int, name: str) -> np.ndarray:
     return table.filter(runs)[name].to_numpy().reshape(3, -1)
 
 
+@pytest.mark.slow
 def test_until_the_hand_over_the_attitude_is_the_coarse_methods() -> None:
     """To the bit that of a run of this method alone, which goes on where this one stops."""
     curves = results().curves
@@ -144,6 +145,7 @@ def test_a_replay_may_be_reset_at_any_time() -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_run_is_repeated_alone(tmp_path: Path) -> None:
     """With passes that rewind, a trigger, and after a replay."""
     one = study(
@@ -158,6 +160,7 @@ def test_a_run_is_repeated_alone(tmp_path: Path) -> None:
         assert "identical" in told.getvalue()
 
 
+@pytest.mark.slow
 def test_a_record_is_replayed_as_its_simulation_is() -> None:
     """From its start time, with the attitude unknown; its own hand-over has t = 0 at its end."""
     silent = {"gyro_noise_deg_per_h": 0.0}

@@ -29,6 +29,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(6))
 def test_examples_of_reading_run(
     number: int, out: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -54,6 +55,7 @@ def test_examples_of_reading_run(
         assert "'case': 'baseline" in told and "'n': 3" in told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("library", ["pandas", "polars", "duckdb", "xarray"])
 def test_results_go_to_each_library_in_a_line(
     library: str, out: Path, monkeypatch: pytest.MonkeyPatch

@@ -31,6 +31,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Target
     yield {target.name: target for target in targets(tmp_path_factory.mktemp("fuzz"))}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_it_is_taken_or_refused_in_one_line(name: str, found: dict[str, Target]):
     target = found[name]
@@ -54,6 +55,7 @@ def test_it_is_taken_or_refused_in_one_line(name: str, found: dict[str, Target])
 MISFITS = [{"a": 1}, [[[1]]], 1e300, -1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", MISFITS, ids=repr)
 def test_no_key_takes_offence_anywhere(value: object, tmp_path: Path):
     """Chance hardly ever puts a table where one word belongs."""

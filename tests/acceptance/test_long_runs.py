@@ -13,7 +13,7 @@ from sinsjax.engine import lanes as lane_layout
 from sinsjax.engine.realisations import aligned_record
 from sinsjax.execution import run
 
-pytestmark = pytest.mark.optimised(False)
+pytestmark = [pytest.mark.slow, pytest.mark.optimised(False)]
 
 DAY_S = 86_400.0
 MOST_BYTES = 60e6

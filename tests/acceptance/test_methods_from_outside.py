@@ -84,8 +84,11 @@ def is_listed(line: str) -> bool:
     return any(re.search(pattern, line) for pattern in patterns)
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_it_is_a_method_like_any_other(site: Path, tmp_path: Path) -> None:
+def test_it_is_a_method_like_any_other(
+    site: Path, tmp_path: Path
+) -> None:
     """Its section is read and explained, its runs stand beside others', its version is kept."""
     (tmp_path / "averages.toml").write_text(STUDY)
     told = sinsjax("keys", "averaged", site=site, cwd=tmp_path)
@@ -109,6 +112,7 @@ def tuning(path: Path, tune: str = "") -> None:
     path.write_text(f"{study}{tune}[tune.variables]\n{ranges}\n")
 
 
+@pytest.mark.slow
 def test_its_key_is_tuned_by_gradient(
     forked: Server, site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -129,6 +133,7 @@ def test_its_key_is_tuned_by_gradient(
     assert (told.returncode, told.stderr) == (0, "") and "tunes averaging_time_s" in told.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "line"),
     [
@@ -193,6 +198,7 @@ def test_what_is_broken_concerns_its_own_studies_alone(
     assert (told.returncode, told.stderr) == (2, f"error: {line}\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["kalman5", "my averaged"])
 def test_an_entry_point_of_another_name_is_pointed_to(
     forked: Server, site: Path, tmp_path: Path, name: str
@@ -218,6 +224,7 @@ def test_an_entry_point_of_another_name_is_pointed_to(
     assert f"not usable  entry point '{name}' in sinsjax.methods of averaged-a" in info.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "what", "function"),
     [
@@ -240,6 +247,7 @@ def test_a_method_that_cannot_be_run_is_told_by_validate(
     assert told.stderr.endswith(f", in {method}:{line}\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "what"),
     [
@@ -278,6 +286,7 @@ def test_a_search_by_covariance_names_file_and_remedy(
     assert (told.returncode, told.stderr) == (2, f"error: tuned.toml: {line}\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("given", "described", "what"),
     [

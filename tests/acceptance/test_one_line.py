@@ -100,7 +100,9 @@ NESTED = {
 
 
 @pytest.mark.parametrize("how", NESTED)
-def test_a_study_that_is_nested_too_deeply(how: str, tmp_path: Path, sinsjax: Command) -> None:
+def test_a_study_that_is_nested_too_deeply(
+    how: str, tmp_path: Path, sinsjax: Command
+) -> None:
     out = store(tmp_path / "out", small_study(), pa.table({"run_id": [0]}))
     path = out / "study.toml"
     path.write_text(NESTED[how])
@@ -118,7 +120,9 @@ def test_a_table_that_is_nested_too_deeply() -> None:
     assert refused({"study": {"window_s": deep}}) == "swing.toml: is nested too deeply"
 
 
-def test_a_manifest_that_is_nested_too_deeply(tmp_path: Path, sinsjax: Command) -> None:
+def test_a_manifest_that_is_nested_too_deeply(
+    tmp_path: Path, sinsjax: Command
+) -> None:
     out = store(tmp_path / "out", small_study(), pa.table({"run_id": [0]}))
     for text in ("[" * DEEP, '{"a":' * DEEP, '{"chunks":' + "[" * DEEP):
         (out / "manifest.json").write_text(text)

@@ -147,6 +147,7 @@ def test_a_tape_as_long_as_the_study_changes_no_bit() -> None:
             assert b.select(a.column_names).equals(a)
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(True)
 def test_tapes_swept_together_give_the_rows_of_each_alone() -> None:
     """Every bit of them, though the parts share a tape of one length."""
@@ -178,6 +179,7 @@ def test_a_pass_hears_the_noise_of_the_tape_again() -> None:
         np.testing.assert_allclose(phi[:3], phi[6:3:-1], rtol=1e-6)
 
 
+@pytest.mark.representative("compass")
 @pytest.mark.parametrize(
     "tables",
     [
@@ -224,6 +226,7 @@ def test_a_run_among_many_is_itself_alone(tables: dict[str, Any]) -> None:
             np.testing.assert_allclose(a, b[run_id], rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "direction"),
     [

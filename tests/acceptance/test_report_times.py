@@ -62,6 +62,7 @@ def at_record(curves: pa.Table, name: str, record: int) -> np.ndarray:
     return curves[name].to_numpy().reshape(-1, 6)[:, record - 1]
 
 
+@pytest.mark.representative("turns")
 @pytest.mark.parametrize("name", STUDIES)
 def test_columns_are_the_curves_at_these_times(name: str) -> None:
     """Counted over all passes, and from the first sample of coarse alignment."""
@@ -74,6 +75,7 @@ def test_columns_are_the_curves_at_these_times(name: str) -> None:
         np.testing.assert_array_equal(np.isnan(summary[f"nees_at_{time}"].to_numpy()), unknown)
 
 
+@pytest.mark.representative("loops")
 @pytest.mark.parametrize("name", ["loops", "turns", "coarse"])
 def test_nothing_else_changes_by_a_bit(name: str) -> None:
     """Filters of one pass are below, in optimised programs."""
@@ -89,6 +91,7 @@ def test_nothing_else_changes_by_a_bit(name: str) -> None:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(True)
 @pytest.mark.parametrize("method", ["kalman5", "kalman_sincos"])
 def test_nor_does_it_in_optimised_programs(method: str) -> None:
@@ -100,6 +103,7 @@ def test_nor_does_it_in_optimised_programs(method: str) -> None:
     assert reported.curves.equals(plain.curves)
 
 
+@pytest.mark.slow
 def test_nees_is_that_of_runs_that_end_there() -> None:
     nees = results("filters", 1.0, 2.0, 5.0).summary["nees_at_2"].to_numpy()
     ended = run.run(small_study(**FILTERS, study={"duration_s": 2.0, "window_s": [0, 2]})).summary
@@ -108,6 +112,7 @@ def test_nees_is_that_of_runs_that_end_there() -> None:
     assert results("loops", 1.0, 2.0, 5.0).summary["nees_at_2"].null_count == 3
 
 
+@pytest.mark.slow
 def test_one_run_tells_what_the_batch_does() -> None:
     (part,) = build.parts(small_study(study={"report_times_s": [2.0, 6.0], "draws": 1}))
     group = part.group
@@ -130,6 +135,7 @@ def test_other_times_are_other_numbers_of_the_same_program() -> None:
     assert program([1.0, 2.0]) is not program([3.0])
 
 
+@pytest.mark.slow
 def test_the_gradient_of_a_tuning_knows_nothing_of_them() -> None:
     tune: dict[str, Any] = {"searches": ["gradient"], "tune_draws": 2}
     tune["variables"] = {"r_scale": {"low": 0.2, "high": 5.0, "scale": "log"}}
@@ -165,6 +171,7 @@ def test_columns_have_unit_and_meaning() -> None:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(True)
 def test_a_run_is_repeated_alone(tmp_path: Path) -> None:
     """To the bit: at the least level the program with curves rounds otherwise."""
@@ -191,6 +198,7 @@ def recorded(times: list[float], coarse: dict[str, Any], **tables: Any) -> dict[
     } | tables
 
 
+@pytest.mark.slow
 def test_of_a_record_the_same_data_count_for_a_hand_over_and_a_replay() -> None:
     """The one has heard 2 s before t = 0; alone, its times are those of its records."""
     stored = record()
@@ -232,7 +240,9 @@ HERE = "[study] report_times_s: "
         ),
     ],
 )
-def test_times_that_are_no_records_are_refused(tables: dict[str, Any], line: str) -> None:
+def test_times_that_are_no_records_are_refused(
+    tables: dict[str, Any], line: str
+) -> None:
     assert refusal(**tables) == HERE + line
 
 

@@ -288,7 +288,9 @@ def test_what_a_killed_tuning_left_is_cleared_away(
 
 
 @pytest.mark.parametrize("how", ["resume", "overwrite"])
-def test_two_tunings_do_not_write_into_one_directory(made: Path, tmp_path: Path, how: str) -> None:
+def test_two_tunings_do_not_write_into_one_directory(
+    made: Path, tmp_path: Path, how: str
+) -> None:
     """Not even between two searches, where no results are written."""
     out = shutil.copytree(made, tmp_path / "out")
     held = locking.locked(out)
@@ -347,9 +349,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], list[str], str]] = {
 
 
 @pytest.mark.parametrize("objective", ["settle_mean", "failure_rate"])
-def test_a_tuning_in_which_every_point_fails_says_so(
-    objective: str, tmp_path: Path, sinsjax_: Command
-) -> None:
+def test_a_tuning_in_which_every_point_fails_says_so(objective: str, tmp_path: Path, sinsjax_: Command) -> None:
     """A gyro bias whose limit lies far outside the band, judged from the truth."""
     tune = {
         "objective": objective,

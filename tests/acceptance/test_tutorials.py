@@ -13,7 +13,11 @@ import sinsjax
 from sinsjax.plots import png
 from sinsjax.records.layout import to_body
 
-pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.optimised(False),
+    pytest.mark.usefixtures("drawn_on_request"),
+]
 
 ROOT = Path(__file__).parents[2]
 
@@ -67,7 +71,9 @@ def typed(
     return told
 
 
-def test_start(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
+def test_start(
+    command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The first study with a few of its points; the other is as it comes."""
     few = "--draws 2 --set axes.reset_cycle_s=[10,50] --set axes.phi_u0_deg=[0,90]"
     few += " --set study.duration_s=450 --set study.window_s=[300,450]"
@@ -82,7 +88,9 @@ def test_start(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
     assert Path("first/figures/settling_time.png").exists()
 
 
-def test_own_imu(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
+def test_own_imu(
+    command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
     told = typed("own_imu.md", command, capsys, progress=True, saved="imu.toml")
     assert told[0] == "6.8\n" and "imu.toml: valid" in told[1]
     found = [list(map(float, line.split()[1:])) for line in told[3].splitlines()]
@@ -106,7 +114,9 @@ def test_which_q_to_give_is_said_in_the_same_words() -> None:
     assert said[0] == said[1] and "paper 1's reading" in said[0]
 
 
-def test_reading_results(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
+def test_reading_results(
+    command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
     for library in ("duckdb", "polars"):
         pytest.importorskip(library)
     told = typed("reading_results.md", command, capsys, progress=True)
@@ -118,7 +128,9 @@ def test_reading_results(command: Command, capsys: pytest.CaptureFixture[str]) -
     assert re.search(r"0 +┆ 10.0 +┆ 17\d\d\.\d+ +┆ 3\d\d\.", told[7])
 
 
-def test_own_record(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
+def test_own_record(
+    command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
     told = typed("own_record.md", command, capsys)
     assert "drive.toml written" in told[1] and "drive.toml: valid" in told[2]
     (row,) = sinsjax.read_summary("drive").to_pylist()
@@ -132,7 +144,9 @@ def test_own_record(command: Command, capsys: pytest.CaptureFixture[str]) -> Non
     assert all(abs(one["yaw_deg"] + 35) < 0.5 for one in starts)
 
 
-def test_one_run(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_run(
+    command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Each block prints what the page shows below it."""
     shown = [text for language, text in blocks("one_run.md") if language == "text"]
     assert typed("one_run.md", command, capsys) == shown and len(shown) == 4

@@ -153,6 +153,11 @@ SCHEDULES = {
 }
 
 
+@pytest.mark.representative(
+    "ekf_azimuth-resets restart feedback",
+    "unscented-partial feedback, heading reset",
+    "invariant-resets restart feedback",
+)
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("name", NAIVE)
 def test_closed_loop_as_the_naive_one(name, schedule):

@@ -86,6 +86,7 @@ def dense(disturbances: Disturbances) -> tuple[np.ndarray, np.ndarray]:
     return f, w
 
 
+@pytest.mark.representative("surge", "accel_walk")
 @pytest.mark.parametrize("name", [*(n for n, p in ALL._asdict().items() if p is not None), "all"])
 def test_growth_is_that_of_dense_matrices(name: str) -> None:
     own = ALL if name == "all" else Disturbances(**{name: getattr(ALL, name)})

@@ -41,6 +41,7 @@ def numbers(name, **changes):
     return Filter(p0, q, 0.1**2, **changes)
 
 
+@pytest.mark.representative("kalman_sincos-rewind", "kalman_surge-carried")
 @pytest.mark.parametrize("turn", ["carried", "rewind"])
 @pytest.mark.parametrize("name", NAIVE)
 def test_three_passes_as_the_naive_loop(name, turn):

@@ -338,7 +338,9 @@ def test_a_method_of_this_package_stays(monkeypatch: pytest.MonkeyPatch) -> None
     usable.check_usable({"alignment": {"method": "made"}})
 
 
-def test_two_packages_with_one_name_are_both_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_packages_with_one_name_are_both_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     others = point(described, package="one"), point(described, package="other")
     found = brought(monkeypatch, *others, built_in=[described(name="own")])
     assert list(found.methods) == ["own"]
@@ -466,7 +468,9 @@ def test_what_works_for_a_loop_is_taken(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 @pytest.mark.parametrize("leaf", [np.ones(7), np.ones(1), 1.0, np.ones((3, 2))])
-def test_a_number_has_a_value_a_variant(monkeypatch: pytest.MonkeyPatch, leaf: Any) -> None:
+def test_a_number_has_a_value_a_variant(
+    monkeypatch: pytest.MonkeyPatch, leaf: Any
+) -> None:
     columns = SimpleNamespace(count=2)
 
     def parameters(leaf: Any) -> Any:

@@ -132,6 +132,7 @@ def test_optimisation_of_positions_leaves_the_first_velocity_open(seconds):
     assert np.abs(log(fitted(b.T @ a, body[-1], seconds) @ found.T)).max() < 1e-2 * ARCMIN
 
 
+@pytest.mark.slow
 def test_a_base_that_is_under_way_at_a_steady_velocity_does_not_matter_to_positions():
     """Of a metre a second, known to the inertial frame as a change of the first sample."""
     moving = record().copy()
@@ -190,6 +191,7 @@ def test_all_methods_stand_in_one_study():
         assert np.all(of_method == (name in NAMES)), name
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(False)
 def test_methods_that_no_heading_acts_on_have_the_same_runs():
     names = ["kalman5", *NAMES]

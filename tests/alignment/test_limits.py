@@ -44,6 +44,7 @@ MOTIONS = {
 }
 
 
+@pytest.mark.representative("still", "paper", "large")
 @pytest.mark.parametrize("name", MOTIONS)
 def test_the_mean_attitude_is_that_over_many_periods(name: str) -> None:
     one = MOTIONS[name]
@@ -174,7 +175,7 @@ def test_the_small_angle_form_is_not_where_a_filter_ends() -> None:
     assert -5.0 / (RATE * np.cos(60 * DEG)) / DEG == pytest.approx(-38.09, abs=0.005)
 
 
-@pytest.mark.slow
+@pytest.mark.representative("kalman5")
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("method", ["kalman5", "kalman10"])
 def test_filters_end_at_the_limit(method: str) -> None:

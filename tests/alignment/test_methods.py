@@ -217,6 +217,7 @@ def test_normalise_touches_only_the_length_of_the_quaternion(name):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-15)
 
 
+@pytest.mark.representative("kalman5", "compass", "ekf_azimuth", "inertial")
 @methods
 def test_tangents_are_finite_where_nothing_is_off(name):
     """There a root or an arc tangent might have none."""

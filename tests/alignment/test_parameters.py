@@ -163,7 +163,9 @@ def of_filter(method: str = "kalman10", **tables: Any) -> Any:
         ("reset_gyro_bias_deg_per_h", 0.02, "eps_x eps_y eps_z", 0.02 * DEG_PER_H),
     ],
 )
-def test_what_p_is_reset_to(method: str, key: str, value: float, states: str, sigma: float) -> None:
+def test_what_p_is_reset_to(
+    method: str, key: str, value: float, states: str, sigma: float
+) -> None:
     """A key of its own for each kind of state; the others are reset to what they began with."""
     plain, own = of_filter(method), of_filter(method, resets={key: value})
     assert len(plain.p0) == {"kalman5": 5, "kalman10": 10}[method]

@@ -267,6 +267,9 @@ def dense(entries, n):
     return matrix
 
 
+@pytest.mark.representative(
+    "kalman5-planet0-fixed-rewind-clock3", "kalman10-planet1-integrated-carried-clock0"
+)
 @pytest.mark.parametrize(
     ("turn", "clock"),
     [

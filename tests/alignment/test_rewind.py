@@ -67,6 +67,7 @@ def some_filter(name):
     return params._replace(own=own)
 
 
+@pytest.mark.representative("kalman5")
 @pytest.mark.parametrize("name", ["kalman5", "invariant", "ekf_azimuth", "unscented"])
 def test_a_pass_is_a_run_that_starts_with_the_attitude_wound_back(name):
     """Its P, estimate and velocity are those of a start, and so are feedbacks after it."""
@@ -105,6 +106,7 @@ def test_a_gyro_bias_is_taken_out_of_the_way_back(bias_deg_per_h, left):
     assert off < left and (bias_deg_per_h == 0 or off > left / 1e3)
 
 
+@pytest.mark.slow
 def test_forward_passes_over_one_record_find_the_heading():
     """From a start of which the first pass makes nothing: it levels, the next ones start level."""
     study = small_study(

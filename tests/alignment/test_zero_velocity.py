@@ -113,11 +113,22 @@ SCHEDULES = {
 }
 
 
+@pytest.mark.representative(
+    "partial feedback, yaw resets",
+    "resets restart feedback",
+    "resets wait, and restart nothing",
+    "P shrunk",
+    "feedback every 7 samples, full resets",
+)
 @pytest.mark.parametrize("schedule", SCHEDULES)
 def test_closed_loop_as_the_naive_one(schedule):
     compare("kalman5", PAPER, 32.0, paper_filter(5, **SCHEDULES[schedule]))
 
 
+@pytest.mark.representative(
+    "kalman5-gravity-integrated-feedback every 7 samples, full resets",
+    "kalman10-measured-integrated-feedback every 7 samples, full resets",
+)
 @pytest.mark.parametrize(
     ("name", "force", "position", "schedule"),
     [

@@ -16,6 +16,8 @@ from sinsjax.analysis.controlled import (
     samples_needed,
 )
 
+pytestmark = pytest.mark.slow
+
 FINITE = st.lists(st.floats(-1e3, 1e3), min_size=6, max_size=30)
 
 

@@ -357,6 +357,7 @@ def test_resolving_is_timed_and_judged(tmp_path):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(False)
 def test_memory_is_asked_for_quickly():
     plain, curves, sweep = memory.rows(True, 1)

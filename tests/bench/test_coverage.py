@@ -10,6 +10,8 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 import interval_coverage
 
+pytestmark = pytest.mark.slow
+
 LEAST = 0.93
 EXCEPTIONS: dict[tuple[str, str, int], float] = {}
 """Estimator, population and n that stay below it, with their coverage: none of the laws here."""

@@ -10,9 +10,12 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 import soak  # noqa: E402
 
-pytestmark = pytest.mark.skipif(
-    not Path("/proc/self/stat").exists(), reason="no /proc to find processes in"
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        not Path("/proc/self/stat").exists(), reason="no /proc to find processes in"
+    ),
+]
 
 COMMAND = """
 import fcntl, json, os, sys, time

@@ -59,6 +59,7 @@ def reference(six_variants: lane_layout.Group) -> tuple:
     return all_runs(six_variants, devices=1, tiles_a_chunk=64)
 
 
+@pytest.mark.representative("measured-1-2", "measured-2-2")
 @pytest.mark.parametrize(("devices", "tiles"), [(1, 2), (2, 2)])
 def test_results_have_the_same_bits_for_any_chunk_and_device_count(
     six_variants: lane_layout.Group, reference: tuple, devices: int, tiles: int
@@ -67,6 +68,7 @@ def test_results_have_the_same_bits_for_any_chunk_and_device_count(
     assert_same_bits(got, reference)
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(False)
 def test_a_program_a_device_puts_each_threads_work_on_its_own(
     monkeypatch: pytest.MonkeyPatch,
@@ -106,7 +108,10 @@ def test_a_program_a_device_puts_each_threads_work_on_its_own(
     assert sorted(used, key=str) == [(device, device) for device in devices]
 
 
-def test_every_run_equals_itself_alone(six_variants: lane_layout.Group, reference: tuple) -> None:
+@pytest.mark.representative("measured")
+def test_every_run_equals_itself_alone(
+    six_variants: lane_layout.Group, reference: tuple
+) -> None:
     """The unmapped function of one run gives what the tile gave, to rounding."""
     group = six_variants
     alone = jax.jit(lambda d, p: simulate(group.static, group.environment, d, p))
@@ -119,6 +124,7 @@ def test_every_run_equals_itself_alone(six_variants: lane_layout.Group, referenc
             np.testing.assert_allclose(a, b[run], rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_later_draws_leave_earlier_rows_alone(
     six_variants: lane_layout.Group, reference: tuple
 ) -> None:
@@ -242,6 +248,7 @@ def test_only_a_covariance_that_no_draw_changes_is_shared(
     assert lane_layout.layout(part.group.static, 1)[0] == sets
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(False)
 def test_a_shared_covariance_gives_the_results_of_a_computed_one() -> None:
     """To rounding, against tiles of the same program in which every run has its own."""

@@ -103,6 +103,7 @@ def told(method: str) -> Spread:
     return spread_of(made(method).group)[0]
 
 
+@pytest.mark.representative("kalman5")
 @pytest.mark.parametrize("name", METHODS)
 def test_a_companion_is_the_run_of_its_draw_where_errors_are_small(name: str) -> None:
     group, companion, _ = made(name)
@@ -117,6 +118,7 @@ def test_a_companion_is_the_run_of_its_draw_where_errors_are_small(name: str) ->
     assert rms.max() < share, rms
 
 
+@pytest.mark.representative("kalman5")
 @pytest.mark.parametrize("name", WATCHED)
 def test_companions_spread_as_the_covariance_says(name: str) -> None:
     """Within the chi-square interval of each, at 99.9 % over all that is compared."""
@@ -129,6 +131,7 @@ def test_companions_spread_as_the_covariance_says(name: str) -> None:
     assert (ratio > low).all() and (ratio < high).all(), ratio
 
 
+@pytest.mark.representative("kalman5")
 @pytest.mark.parametrize("name", WATCHED)
 def test_sampled_errors_settle_as_companions_do(name: str) -> None:
     """Means of settling times within four standard errors of both."""

@@ -50,6 +50,7 @@ def case(request: pytest.FixtureRequest) -> tuple[Group, tangents.Spread]:
     return part.group, tangents.spread(part.group)
 
 
+@pytest.mark.slow
 def test_sigma_of_linear_parts_is_that_of_tangents(case: tuple[Group, tangents.Spread]) -> None:
     """Where errors are small: blocks of noise tell 0.3 %, and the rest is what P makes of them."""
     group, expected = case
@@ -60,6 +61,7 @@ def test_sigma_of_linear_parts_is_that_of_tangents(case: tuple[Group, tangents.S
     np.testing.assert_allclose(sigma[:, TIMES], expected.sigma[:, TIMES], rtol=0.01)
 
 
+@pytest.mark.slow
 def test_tangents_tell_the_spread_of_draws(case: tuple[Group, tangents.Spread]) -> None:
     """Variances within the chi-square interval of each, at 99.9 % over all that is compared."""
     group, expected = case

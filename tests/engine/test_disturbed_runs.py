@@ -65,6 +65,7 @@ def all_runs(group, **options):
     return jax.tree.map(lambda a: a[order], (whole.outcome, whole.curves))
 
 
+@pytest.mark.representative("drawn")
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize(
     "changes",
@@ -100,6 +101,7 @@ def rows(study: Study, draw: int = 0):
     return np.concatenate([record.dtheta, record.dv], axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(False)
 def test_what_disturbs_leaves_the_rest_of_the_noise_alone():
     """What surge adds is the same whatever else there is, and so is what the rest adds."""
@@ -114,6 +116,7 @@ def test_what_disturbs_leaves_the_rest_of_the_noise_alone():
     assert not np.allclose(other, alone[0] - none, rtol=0, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.optimised(False)
 def test_a_record_hangs_on_neither_its_length_nor_on_passes():
     whole = rows(disturbed())
@@ -175,6 +178,19 @@ def records(static, environment, draws, numbers):
         return measured(static, environment, draw, nothing_read(environment, draw), numbers)[0]
 
     return jax.vmap(record)(draws.draw_id)
+
+
+@pytest.mark.optimised(False)
+def test_drift_of_each_draw_is_driven_by_independent_noise() -> None:
+    """A draw's gyro drift, sample by sample, is uncorrelated with that of every other draw."""
+    quiet = dict.fromkeys(("gyro_noise_deg_per_h", "accel_noise_ug"), 0.0)
+    drift = {"gyro_instability_deg_per_h": 0.1, "gyro_instability_time_s": 0.1}
+    group = group_of(small_study(study={"draws": 4}, sensors=quiet | drift, motion=STILL))
+    made = records(group.static, group.environment, group.draws, np.arange(600))
+    drifts = np.diff(np.asarray(made.dtheta.x))
+    assert (drifts.std(axis=1) > 0).all()
+    correlations = np.corrcoef(drifts) - np.eye(4)
+    assert np.abs(correlations).max() < 5 / np.sqrt(600)
 
 
 @pytest.mark.slow

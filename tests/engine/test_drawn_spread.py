@@ -76,6 +76,7 @@ def tables_of(method: str) -> dict[str, Any]:
     return {"alignment": {"feedback_interval_s": 1.0, "method": method}, "axes": RESETS}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["invariant", "compass"])
 def test_without_noise_sigma_is_that_of_differences_of_runs(method: str) -> None:
     """Of methods whose gains do not follow the error."""

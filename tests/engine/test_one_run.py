@@ -59,6 +59,7 @@ CASES: dict[str, dict[str, Any]] = {
 OPTIMISED = [pytest.param("filter", marks=pytest.mark.optimised(True)), "compass", "drawn"]
 
 
+@pytest.mark.representative("compass")
 @pytest.mark.parametrize("name", OPTIMISED)
 def test_it_has_the_bits_of_the_engine(name: str) -> None:
     study = small_study(study=LENGTH, **CASES[name])
@@ -70,6 +71,7 @@ def test_it_has_the_bits_of_the_engine(name: str) -> None:
         assert found == [row[f"phi_{axis}_arcmin"] for axis in "enu"]
 
 
+@pytest.mark.slow
 def test_it_may_be_mapped_over_draws() -> None:
     """Which have noise and numbers of their own."""
     run = sinsjax.one_run(small_study(study=LENGTH, **CASES["drawn"]))
@@ -80,6 +82,7 @@ def test_it_may_be_mapped_over_draws() -> None:
         np.testing.assert_allclose(together, found, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_record_is_run_from_its_start_times(study: Any) -> None:
     tape = sinsjax.simulated_record(small_study(study=LENGTH | {"duration_s": 30.0}))
     time = np.arange(1, len(tape.dv) + 1) / tape.rate_hz
@@ -97,6 +100,7 @@ def test_a_record_is_run_from_its_start_times(study: Any) -> None:
         assert float(run(run.params, run.draw(number)).last.yaw / DEG) == row["yaw_deg"]
 
 
+@pytest.mark.slow
 def test_derivatives_of_both_modes_by_r_are_the_slope(run: Any) -> None:
     """Through feedback and resets."""
 
@@ -133,6 +137,7 @@ def test_a_hard_reset_time_tells_that_its_gradient_is_zero(run: Any) -> None:
         jax.eval_shape(jax.grad(by_interval), every)  # when it is traced, not when it has run
 
 
+@pytest.mark.slow
 def test_windows_have_a_gradient_by_reset_times(study: Any, run: Any) -> None:
     soft = sinsjax.one_run(study, variant_id=1, window_s=0.5)
     samples = soft.params.method.resets.samples

@@ -112,6 +112,7 @@ def naive_measured():
     return ideal()[2:] + BIAS / RATE + NOISE * normal
 
 
+@pytest.mark.representative("30-23-7", "70-9-None")
 @pytest.mark.parametrize(
     ("every", "records", "tape"),
     [(30, 23, None), (70, 9, None), (30, 23, 7), (30, 23, 23)],
@@ -159,6 +160,7 @@ def test_one_run_is_the_naive_loop_and_its_metrics(every, records, tape):
     np.testing.assert_allclose(outcome.nis_u, expected.nis_u, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("replays", [False, True])
 def test_a_run_after_coarse_alignment_is_the_naive_loop_from_its_attitude(replays):
     """At rest and with P0; before, its attitude is the coarse method's own."""

@@ -54,6 +54,7 @@ def by_sample(*given: Any, **_: Any) -> Any:
     return sample_by_sample(*given)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("draws", "axes"), [(2, SCHEDULES), (130, {"reset_times_s": [(1.37, 4.0)]})]
 )
@@ -80,6 +81,7 @@ def test_resets_by_a_trigger_that_heed_feedback_are_closed_at_events_as_well(mon
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_other_schedules_in_the_tile_change_no_bit_of_a_run():
     """One of 64 schedules, and the same beside 63 others."""
     resets = [(0.3 + 0.11 * i, 4.5, 5.0) for i in range(15)]

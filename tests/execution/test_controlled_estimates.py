@@ -19,7 +19,7 @@ from sinsjax.execution.layouts import controlled
 from sinsjax.execution.tables import read_summary
 from sinsjax.study.load import Study
 
-pytestmark = pytest.mark.optimised(False)
+pytestmark = [pytest.mark.slow, pytest.mark.optimised(False)]
 
 DRAWS, MANY = 48, 512
 SETTINGS: dict[str, Any] = {

@@ -14,7 +14,7 @@ from rich.console import Console
 from scipy import stats
 from support.dying import Dying
 from support.kept import assert_complete, manifest, parts, times
-from support.stored import told
+from support.stored import store, told
 from support.studies import STILL, small_study
 
 from sinsjax import columns
@@ -164,6 +164,7 @@ def test_without_noise_the_estimate_is_the_run() -> None:
     assert set(made["settle_10_truth_mean_error_s"].to_pylist()) == {0.0}
 
 
+@pytest.mark.slow
 def test_curves_are_those_of_estimates_at_their_times(pair: tuple[pa.Table, pa.Table]) -> None:
     """Of a study without draws, or with any."""
     made = estimated_curves(study_of(study={"estimate": "draws", "draws": 2}))
@@ -192,6 +193,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory
 
 
+@pytest.mark.slow
 def test_rows_are_the_same_for_any_chunk_and_as_stored(
     whole: Path, made_of_short: pa.Table
 ) -> None:
@@ -206,7 +208,9 @@ def test_rows_are_the_same_for_any_chunk_and_as_stored(
     assert told_["runs"] == told_["runs_done"] == 260 and told_["state"] == "complete"
 
 
-def test_bytes_are_the_same_in_any_order_and_place(whole: Path, tmp_path: Path) -> None:
+def test_bytes_are_the_same_in_any_order_and_place(
+    whole: Path, tmp_path: Path
+) -> None:
     def elsewhere(_: TaskRunner, tasks: Any) -> Any:
         todo = list(tasks)
         random.Random(3).shuffle(todo)
@@ -217,9 +221,7 @@ def test_bytes_are_the_same_in_any_order_and_place(whole: Path, tmp_path: Path) 
     assert_complete(tmp_path, whole)
 
 
-def test_what_is_missing_or_broken_is_made_again_and_nothing_else(
-    whole: Path, tmp_path: Path
-) -> None:
+def test_what_is_missing_or_broken_is_made_again_and_nothing_else(whole: Path, tmp_path: Path) -> None:
     study_run.run_into(short(), tmp_path, chunk_runs=128)
     before = times(tmp_path)
     first, second, *kept = sorted(before)
@@ -287,6 +289,7 @@ def test_the_forecast_counts_noise_free_runs() -> None:
 # --- reported -----------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("drawn_on_request")
 def test_a_report_tells_the_soonest_settings_and_draws_the_axes(
     tmp_path: Path,
 ) -> None:
@@ -305,11 +308,31 @@ def test_a_report_tells_the_soonest_settings_and_draws_the_axes(
     assert page.read_text().count("](figures/") == said.count(".png")
 
 
+@pytest.mark.usefixtures("drawn_on_request")
+def test_report_prints_least_share_over_starts_of_each_setting(tmp_path: Path) -> None:
+    """Estimates are made up: shares of 30 and 90 % without a reset, 60 and 80 % with one."""
+    study = study_of(axes={"phi_u0_deg": [0.0, 5.0], "reset_times_s": [[], [10.0]]})
+    made = study_run.estimate(study)
+    for name, values in (
+        ("within_10_truth_share", [0.3, 0.6, 0.9, 0.8]),
+        ("settle_10_truth_mean_s", [20.0, 30.0, 20.0, 30.0]),
+    ):
+        place = made.column_names.index(name)
+        made = made.set_column(place, made.schema.field(place), pa.array(values))
+    out = store(tmp_path, study, made)
+    (out / "summary").rename(out / "estimates")
+    table = told(out).partition("The soonest within 10' of true north, mean over phi_u0_deg")[2]
+    assert [line.split()[-2] for line in table.splitlines()[4:6]] == ["30", "60"]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("axes", "checked"),
     [({"phi_u0_deg": [*range(8)]}, True), ({"method": ["kalman5"]}, False)],
 )
-def test_a_report_of_any_axes_opens(axes: dict[str, Any], checked: bool, tmp_path: Path) -> None:
+def test_a_report_of_any_axes_opens(
+    axes: dict[str, Any], checked: bool, tmp_path: Path
+) -> None:
     resets, study = {"reset_times_s": [10.0]}, {"check_linearity": checked}
     study_run.run_into(study_of(axes=axes, resets=resets, study=study), tmp_path)
     said = told(tmp_path)

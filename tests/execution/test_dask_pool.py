@@ -171,7 +171,9 @@ class TestTwoWorkers:
         assert rows(tmp_path)["run_id"].to_pylist() == list(range(2400))
 
 
-def test_a_task_that_workers_die_of_is_named(study: Study, here: Parts, tmp_path: Path) -> None:
+def test_a_task_that_workers_die_of_is_named(
+    study: Study, here: Parts, tmp_path: Path
+) -> None:
     def tell(progress: run.RunProgress) -> None:
         if progress.done == 2 * CHUNK:
             worker_processes()[0].kill()
@@ -370,7 +372,9 @@ class Mute(http.server.BaseHTTPRequestHandler):
 
 
 @pytest.mark.parametrize("kind", ["silent", "http"])
-def test_something_else_that_answers_is_told(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_something_else_that_answers_is_told(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(dask_client, "CONNECT_S", 1.0)
     with ExitStack() as stack:
         if kind == "http":
@@ -443,9 +447,7 @@ class Far:
         raise AssertionError("nothing is left")
 
 
-def test_the_record_goes_to_every_worker_once(
-    study: Study, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_record_goes_to_every_worker_once(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dask_pool, "_LOOK_S", 0.0)
     tasks = [study_tasks.Task(f"part-0000-{i:06d}", 0, (0, 1), i, 1, 0) for i in range(40)]
     far = Far(["tcp://a:1", "tcp://b:1"])

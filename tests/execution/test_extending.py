@@ -57,6 +57,7 @@ def test_rows_equal_those_of_a_sweep_with_all_draws(tmp_path: Path, chunk_runs: 
     )
 
 
+@pytest.mark.slow
 def test_a_run_of_extended_results_is_repeated(tmp_path: Path) -> None:
     """One of before and one of after; the manifest names the study that it began as."""
     out = assert_extended(of(40), of(50), tmp_path)
@@ -70,9 +71,7 @@ def test_points_of_a_design_go_on(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("half_width", [0.001, 0.9])
-def test_a_study_stops_where_it_would_have_with_all_draws(
-    tmp_path: Path, half_width: float
-) -> None:
+def test_a_study_stops_where_it_would_have_with_all_draws(tmp_path: Path, half_width: float) -> None:
     """No interim analysis takes place where the first study ended."""
     rule = {"statistic": "success_rate", "half_width": half_width}
     tables_ = {"stop_when": rule}
@@ -84,6 +83,7 @@ def test_a_study_stops_where_it_would_have_with_all_draws(
     assert tables.read_summary(out).equals(at_once.cast(tables.read_summary(out).schema))
 
 
+@pytest.mark.slow
 def test_variants_that_have_the_same_runs_stay_so(tmp_path: Path) -> None:
     """Which are computed is settled once: with more draws it might be otherwise."""
     axes = {"method": ["compass", "kalman5"], "q_accel_ug": [1.0 * i for i in range(1, 40)]}

@@ -46,6 +46,7 @@ def drawn() -> pa.Table:
     return study_run.run(study_of(draws=DRAWS)).summary
 
 
+@pytest.mark.slow
 def test_the_index_is_what_runs_have_beyond_their_companions(made: pa.Table) -> None:
     """In standard deviations of the true error, over the first eight draws."""
     summary = study_run.run(study_of(estimate="controlled", draws=8)).summary
@@ -62,12 +63,14 @@ def test_the_index_is_what_runs_have_beyond_their_companions(made: pa.Table) -> 
         np.testing.assert_allclose(index[kept], (rms / sigma)[kept], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_small_errors_keep_their_estimate_and_large_ones_are_filled(made: pa.Table) -> None:
     assert made["filled_by_draws"].to_pylist() == [False, False, True, True]
     index = np.maximum(made["nonlinearity"], made["nonlinearity_at_20"])
     assert (index[:2] < 0.3).all() and (index[2:] > 0.5).all()
 
 
+@pytest.mark.slow
 def test_what_is_filled_is_that_of_draws(made: pa.Table, drawn: pa.Table) -> None:
     rows, limited = slice(2, 4), drawn["floor_arcmin"].to_numpy().reshape(DRAWS, 4)
     for at in ("_at_20", ""):

@@ -144,7 +144,9 @@ def test_a_turn_that_the_gyros_did_not_feel_is_told() -> None:
 
 
 @pytest.mark.parametrize("base", ["still", "swinging"])
-def test_a_long_span_is_judged_as_a_short_one(base: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_span_is_judged_as_a_short_one(
+    base: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Where samples are put together, a record of 200 s stands for one of a day."""
     some = record(base)
     turned = some.dtheta.copy()
@@ -357,7 +359,9 @@ def with_noise(sensors: dict[str, float], **sections: dict[str, Any]) -> Study:
         ),
     ],
 )
-def test_what_a_filter_takes_for_white_noise_is_told(filter_: dict[str, Any], told: str) -> None:
+def test_what_a_filter_takes_for_white_noise_is_told(
+    filter_: dict[str, Any], told: str
+) -> None:
     """At 100 Hz, 0.1 deg/h a sample and 1000 ug/sqrt(Hz), which is 10,000 ug a sample."""
     sensors = {"gyro_noise_deg_per_h": 0.1, "accel_vrw_ug_per_sqrt_hz": 1000.0}
     study = with_noise(sensors, filter=filter_)

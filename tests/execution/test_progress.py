@@ -149,7 +149,7 @@ def test_a_signal_asks_for_a_stop_and_says_so(
     with progress.interruptible(screen) as stop:
         assert not stop.is_set()
         os.kill(os.getpid(), number)
-        assert stop.wait(5)
+        assert stop.wait(60)
         for thread in threading.enumerate():
             if thread is not threading.current_thread() and thread.daemon:
                 thread.join(0.2)

@@ -49,7 +49,7 @@ def assert_alone_as_among_others(
             assert last[name].to_pylist() == again.row[name].to_pylist()
 
 
-@pytest.mark.representative("drawn", "passes")
+@pytest.mark.slow
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("name", STUDIES)
 def test_a_run_alone_is_the_run_among_others(name: str) -> None:
@@ -89,6 +89,7 @@ def stopping_study() -> Study:
     )
 
 
+@pytest.mark.slow
 def test_a_run_of_a_study_that_stopped_early() -> None:
     assert_alone_as_among_others(stopping_study(), curves=False, runs=[5, 383])
 
@@ -224,9 +225,7 @@ def test_what_a_package_has_changed_is_told(
     assert f" here. {why}\n" in told
 
 
-def test_what_cannot_be_done_again_is_one_clear_line(
-    out: Path, tmp_path: Path, tape: StoredRecord
-) -> None:
+def test_what_cannot_be_done_again_is_one_clear_line(out: Path, tmp_path: Path, tape: StoredRecord) -> None:
     runs = STUDY.n_draws * STUDY.n_variants
     with pytest.raises(InputError, match=f"has no run {runs} .runs are numbered 0 to {runs - 1}"):
         rerun_into(out, runs)

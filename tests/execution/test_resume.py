@@ -92,6 +92,7 @@ def test_rows_of_another_version_of_a_package_with_a_method_are_not_added(
     assert str(caught.value).startswith(line) and "not 'brought'" in str(caught.value)
 
 
+@pytest.mark.slow
 def test_rows_of_another_instruction_set_are_not_added(tmp_path: Path) -> None:
     """Made by another process, which XLA holds to a smaller set than this one has."""
     study, out = small_study(), tmp_path / "out"

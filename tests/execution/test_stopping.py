@@ -125,8 +125,11 @@ def sweep_of(name: str) -> Study:
     )
 
 
+@pytest.mark.representative("settling time")
 @pytest.mark.parametrize("name", CASES)
-def test_it_stops_at_the_same_place_for_any_chunk_order_and_kill(name: str, tmp_path: Path) -> None:
+def test_it_stops_at_the_same_place_for_any_chunk_order_and_kill(
+    name: str, tmp_path: Path
+) -> None:
     study = sweep_of(name)
     whole = study_run.run(study, chunk_runs=128)
     draws = CASES[name][3]

@@ -229,7 +229,9 @@ def test_a_wrong_checksum_of_a_whole_part_is_put_right(whole: Path, out: Path) -
 
 
 @pytest.mark.parametrize("name", ["chunk_runs", "all of it", "study.toml too"])
-def test_parts_know_their_chunks_where_no_manifest_does(whole: Path, out: Path, name: str) -> None:
+def test_parts_know_their_chunks_where_no_manifest_does(
+    whole: Path, out: Path, name: str
+) -> None:
     """The default would cut this study into other chunks, none of which is there."""
     (out / "manifest.json").unlink()
     (out / "summary" / f"{chunk(0)}.parquet").write_bytes(b"no part")
@@ -380,7 +382,9 @@ def test_a_garbled_manifest_costs_nothing(whole: Path, out: Path, name: str) -> 
 
 
 @pytest.mark.parametrize(("edited", "said"), [(256, "256"), (None, "none"), (1, "1")])
-def test_chunks_of_another_size_cost_no_part(out: Path, edited: int | None, said: str) -> None:
+def test_chunks_of_another_size_cost_no_part(
+    out: Path, edited: int | None, said: str
+) -> None:
     """Cut otherwise, no part that is there would be one of the study's."""
     told = manifest(out) | {"chunk_runs": edited}
     (out / "manifest.json").write_text(json.dumps(told))
@@ -392,7 +396,9 @@ def test_chunks_of_another_size_cost_no_part(out: Path, edited: int | None, said
 
 
 @pytest.mark.parametrize("edited", ["0", "-128", "1.5", '"many"'])
-def test_chunks_of_no_size_are_told_by_the_parts(whole: Path, out: Path, edited: str) -> None:
+def test_chunks_of_no_size_are_told_by_the_parts(
+    whole: Path, out: Path, edited: str
+) -> None:
     text = (out / "manifest.json").read_text()
     text = text.replace(f'"chunk_runs": {CHUNK_RUNS}', f'"chunk_runs": {edited}')
     (out / "manifest.json").write_text(text)
@@ -497,7 +503,9 @@ def test_there_is_one_writer(out: Path) -> None:
     assert sweep(out, resume=True) == []
 
 
-def test_a_writer_that_cannot_begin_lets_go(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_writer_that_cannot_begin_lets_go(
+    out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with monkeypatch.context() as broken:
         broken.setattr(store, "_remove", lambda paths: 1 / 0)
         with pytest.raises(ZeroDivisionError):
@@ -511,9 +519,7 @@ def test_a_lock_that_cannot_be_taken_is_one_clear_line(tmp_path: Path) -> None:
         sweep(tmp_path / "out")
 
 
-def test_what_came_before_the_lock_was_taken_is_not_lost(
-    out: Path, whole: Path, tmp_path: Path
-) -> None:
+def test_what_came_before_the_lock_was_taken_is_not_lost(out: Path, whole: Path, tmp_path: Path) -> None:
     """Two starts at a time on a new directory, of which one had ended when the other took hold."""
     for study, chunk_runs in ((STUDY, None), (sweep_study(study={"seed": 2}), CHUNK_RUNS)):
         late = TaskRunner(resume.resumed(tmp_path / "new", Job(study, None, None, chunk_runs)))
@@ -645,7 +651,9 @@ def test_resuming_nothing_begins(whole: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("chunks", [0, 1, 5, CHUNKS - 4])
-def test_a_stop_keeps_what_is_done_and_says_so(whole: Path, tmp_path: Path, chunks: int) -> None:
+def test_a_stop_keeps_what_is_done_and_says_so(
+    whole: Path, tmp_path: Path, chunks: int
+) -> None:
     stop, seen = threading.Event(), []
 
     def tell(now: study_run.RunProgress) -> None:

@@ -44,6 +44,7 @@ def assert_same(one: study_run.Results, other: study_run.Results) -> None:
         assert a.equals(b)
 
 
+@pytest.mark.representative("worlds", "passes", "drawn")
 def test_rows_are_the_same_for_any_chunk(name: str, reference: study_run.Results) -> None:
     """The smallest, and one that holds all runs."""
     assert_same(study_run.run(study_of(name), chunk_runs=2), reference)

@@ -2,14 +2,14 @@
 
     python tests/faults/run.py [NAME ...] [--part 1/3] [--jobs 2] [--results FILE]
 
-For each fault the test files that its entry names run first, then the folders of tests that
-belong to its folder, then the whole fast tier, and for survivors the slow tests in the same order.
-The first failing test ends it. `outcome.csv` gets one row per fault as soon as it is known, and
-faults that have a row are skipped: delete the row, or the file, to run them again.
+For each fault the test files that its entry names run first, then the golden studies, the folders
+of tests that belong to its folder and the whole fast tier, and for survivors the slow tests in the
+same order. The first failing test ends it. `outcome.csv` gets one row per fault as soon as it is
+known, and faults that have a row are skipped: delete the row, or the file, to run them again.
 
     --tree DIR     the repository to test, if not this one (an older version, to compare)
     --one-tier     tests of that version have no tiers: ignore the marker `slow`
-    --stages LIST  any of named, folders, all; by default all three
+    --stages LIST  any of named, golden, folders, all; by default all four
 """
 
 import argparse
@@ -48,7 +48,12 @@ class Plan:
 
     def selections(self, fault: Fault) -> Iterator[tuple[str, str, list[str]]]:
         """Yield tier, stage and the arguments that select its tests."""
-        paths = {"named": fault.tests, "folders": fault.folder_tests, "all": ("tests",)}
+        paths = {
+            "named": fault.tests,
+            "golden": ("tests/golden",),
+            "folders": fault.folder_tests,
+            "all": ("tests",),
+        }
         for tier, marker in self.tiers.items():
             for stage in self.stages:
                 yield tier, stage, [*paths[stage], "-m", marker]
@@ -144,7 +149,7 @@ def main() -> int:
     parser.add_argument("--results", type=Path, default=OUTCOME)
     parser.add_argument("--tree", type=Path, default=HERE.parents[1])
     parser.add_argument("--one-tier", action="store_true")
-    parser.add_argument("--stages", default="named,folders,all")
+    parser.add_argument("--stages", default="named,golden,folders,all")
     asked = parser.parse_args()
 
     everything = load()

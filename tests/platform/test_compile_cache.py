@@ -92,9 +92,11 @@ def test_the_folder_is_this_users_alone_and_has_one_for_each_jaxlib_and_cpu(unch
     assert all(place.stat().st_mode & 0o077 == 0 for place in (here, here.parent))
     unchanged.setattr(machine, "cpu", lambda: {"model name": "another", "flags": "avx2"})
     other_cpu = compile_cache.enable()
+    unchanged.setattr(machine, "cpu", lambda: {"model name": "another", "flags": "avx512f"})
+    other_features = compile_cache.enable()
     unchanged.setattr(compile_cache.importlib.metadata, "version", lambda _: "99.0")
     other_jaxlib = compile_cache.enable()
-    assert len({here, other_cpu, other_jaxlib}) == 3
+    assert len({here, other_cpu, other_features, other_jaxlib}) == 4
     assert here.parent == other_cpu.parent == other_jaxlib.parent
 
 
@@ -224,6 +226,7 @@ def replace(inner: Path) -> None:
         entry.write_bytes(zlib.compress(b"another's"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spoil", [cut, flip, orphan, forget, replace])
 def test_a_spoiled_cache_changes_no_bit_and_is_whole_again(filled, spoil):
     folder, inner, bits = filled
@@ -232,6 +235,7 @@ def test_a_spoiled_cache_changes_no_bit_and_is_whole_again(filled, spoil):
     assert told(start(folder)) == (bits, True)
 
 
+@pytest.mark.slow
 def test_first_starts_at_once(tmp_path, first):
     processes = [start(tmp_path / "new") for _ in range(3)]
     assert [told(process)[0] for process in processes] == 3 * [first[1]]

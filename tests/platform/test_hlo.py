@@ -5,6 +5,8 @@ import pytest
 from sinsjax.platform import xla
 from sinsjax.platform.hlo import fused_loop_present, options_seen
 
+pytestmark = pytest.mark.slow
+
 
 def hlo(**computations: str) -> str:
     """HLO text as XLA prints it, from the instructions of each computation; ENTRY is `main`."""

@@ -131,7 +131,9 @@ def test_a_link_is_followed_once_and_what_it_led_to_is_checked(tmp_path: Path) -
 
 
 @modes
-def test_whoever_makes_it_first_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_whoever_makes_it_first_is_noticed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     make = Path.mkdir
 
     def late(place: Path, mode: int = 0o777) -> None:

@@ -133,6 +133,7 @@ def test_apply_leaves_a_flag_file_alone(unset):
     assert os.environ["XLA_FLAGS"] == "flags.txt"
 
 
+@pytest.mark.slow
 def test_an_unknown_jaxlib_is_tried_once_and_remembered(unset):
     """XLA says so when it starts, LLVM when it compiles."""
     unknown = Option("xla_no_such_flag", "1", extra=False), Option("--no-such-option", "1")
@@ -242,6 +243,7 @@ def test_a_loop_with_a_vectorised_twin_counts_as_vectorised():
     assert vectorised_share("define void @f() {\n  ret void\n}") is None
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not xla.loop_options(), reason="no loop options for this instruction set")
 def test_the_options_vectorise_every_loop_of_a_step():
     assert attempt(merge_options("", options=xla.wanted())) == Trial(frozenset(), 1.0)

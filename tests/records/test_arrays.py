@@ -64,7 +64,9 @@ def refused(*given: Any, **more: Any) -> str:
 
 @pytest.mark.parametrize(("gyro_unit", "accel_unit"), PAIRS)
 @pytest.mark.parametrize(("axes", "order"), [("rfu", "xyz"), ("frd", "yx-z"), ("flu", "-yxz")])
-def test_units_and_axes(gyro_unit: str, accel_unit: str, axes: str, order: str) -> None:
+def test_units_and_axes(
+    gyro_unit: str, accel_unit: str, axes: str, order: str
+) -> None:
     gyro, accel = (from_body(values, order) for values in (GYRO, ACCEL))
     factors = GYROS[gyro_unit], ACCELS[accel_unit]
     units = {"gyro_unit": gyro_unit, "accel_unit": accel_unit, "axes": axes}

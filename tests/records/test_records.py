@@ -164,7 +164,9 @@ def test_psins_counts_scale_and_header(tmp_path):
         ("rates", "rad_per_s", "m_per_s2", 0.01, 0.01),
     ],
 )
-def test_units(tmp_path, quantity, gyro_unit, accel_unit, dtheta, dv):
+def test_units(
+    tmp_path, quantity, gyro_unit, accel_unit, dtheta, dv
+):
     layout = NO_TIME._replace(quantity=quantity, gyro_unit=gyro_unit, accel_unit=accel_unit)
     (tmp_path / "a.csv").write_text("az,extra, ay,ax,gz,gy,gx\n3,text,2,+1,3,2,1\n")
     record = records.read_csv(tmp_path / "a.csv", layout)

@@ -87,7 +87,10 @@ def entries(index: dict[str, Any]) -> Iterator[tuple[str, list[str]]]:
         yield entry["location"].partition("#")[0], cut(text, index)
 
 
-def test_every_link_leads_to_a_page_and_an_anchor(site: Path, pages: dict[Path, Shown]) -> None:
+@pytest.mark.slow
+def test_every_link_leads_to_a_page_and_an_anchor(
+    site: Path, pages: dict[Path, Shown]
+) -> None:
     followed = 0
     for path, page in pages.items():
         for link in page.links | page.files:
@@ -183,7 +186,9 @@ def test_the_search_finds(words: str, page: str, index: dict[str, Any]) -> None:
         ("read_history", "python.html"),
     ],
 )
-def test_a_name_in_code_is_one_word(name: str, page: str, index: dict[str, Any]) -> None:
+def test_a_name_in_code_is_one_word(
+    name: str, page: str, index: dict[str, Any]
+) -> None:
     """Cut at its underscores it would find all pages with averages, times and seconds."""
     found = Counter[str]()
     for page_of, words in entries(index):

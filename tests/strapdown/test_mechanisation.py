@@ -91,9 +91,7 @@ three = st.tuples(*[st.floats(-np.pi, np.pi)] * 3)
 
 @given(angles, angles, st.floats(-np.pi, np.pi), st.floats(-80, 80), three)
 @settings(max_examples=12)
-def test_without_errors_any_heading_latitude_and_phase_stays_at_truth(
-    pitch, roll, yaw, latitude_deg, phase
-):
+def test_without_errors_any_heading_latitude_and_phase_stays_at_truth(pitch, roll, yaw, latitude_deg, phase):
     swing = PAPER1._replace(center=np.array([pitch, roll, yaw]), phase=np.array(phase))
     here = place(WGS84, latitude_deg * DEG)
     (angle, speed), _ = free_runs(motion(swing), here, rate=100, seconds=60)
@@ -176,7 +174,9 @@ FAST = Planet(7.292115e-3, 6378137.0, 6378137.0, 9.8)
 
 @pytest.mark.parametrize("moves", [False, True])
 @pytest.mark.parametrize(("planet", "latitude_deg"), [(WGS84, 57.0), (PAPER, -32.0), (FAST, 40.0)])
-def test_velocity_attitude_and_position_under_way(flight_increments, planet, latitude_deg, moves):
+def test_velocity_attitude_and_position_under_way(
+    flight_increments, planet, latitude_deg, moves
+):
     start, v, latitude = exp([0.2, -0.1, 2.0]), np.array([220.0, -170.0]), latitude_deg * DEG
     c, velocity, position = exact_flight(planet, start, v, latitude, 20.0, moves=moves)
     off = {}

@@ -81,6 +81,7 @@ def integrated(study, times, turn, *, level_s, tape_s, sigma_az):
     return -np.rad2deg(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn", TURNS)
 def test_the_engine_without_noise_is_the_north_channel_integrated(turn):
     factors = {"level_time_s": 40.0, "sigma_factors": [1.0, 2.0], "sigma_times_s": [100.0]}

@@ -140,6 +140,7 @@ def bounds(monkeypatch):
     monkeypatch.setattr(made, lambda times_s, **_: np.ones(len(times_s)))
 
 
+@pytest.mark.representative("paper1", "reset_sweep", "tuning", "compass_map", "adaptive")
 @pytest.mark.usefixtures("tunings", "few_resamples", "bounds")
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_names_all_that_its_script_computes(name, tmp_path):

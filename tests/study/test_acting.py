@@ -108,6 +108,12 @@ def outcomes(tables: dict[str, Any], key: str, values: list[Any]) -> list[Any]:
     return [found[variant] for variant in range(study.n_variants)]
 
 
+@pytest.mark.representative(
+    "cycle of no reset",
+    "cycle of one reset with a time",
+    "reading of no angle",
+    "period of no sway",
+)
 @pytest.mark.parametrize("name", SILENT)
 def test_a_key_that_does_not_act_changes_nothing(name: str) -> None:
     tables, key, values = SILENT[name]

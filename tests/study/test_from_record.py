@@ -163,6 +163,7 @@ LOGS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
 }
 
 
+@pytest.mark.representative("RFU increments, ms, tabs", "FRD in rad/s, semicolons, comments")
 @pytest.mark.parametrize("name", LOGS)
 def test_a_log_becomes_a_study_that_runs(
     name: str, rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
@@ -261,7 +262,9 @@ def test_a_reference_that_ends_a_little_earlier_than_the_log_is_enough(
     assert package.read_summary("out")["phi_u_arcmin"].null_count == 0
 
 
-def test_psins_text(rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path) -> None:
+def test_psins_text(
+    rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
+) -> None:
     record = Record(rates[0] / RATE, rates[1] / RATE, RATE)
     record = record._replace(latitude_deg=45.0, height_m=10.0, gravity_m_per_s2=9.8)
     path = tmp_path / "log.imu"
@@ -329,6 +332,7 @@ def test_what_cannot_be_known_is_a_doubt(
     assert doubt in " ".join(described(path)[1])
 
 
+@pytest.mark.representative("deg_per_s-0.017453292519943295-1", "deg_per_h-4.84813681109536e-06-2")
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize(("unit", "factor"), GYRO.items())
 def test_a_dead_gyro_does_not_tell_the_unit(
@@ -460,7 +464,9 @@ def test_no_study_runs_at_a_rate_that_nothing_tells(
         (("RollRate [deg/s]", "PitchRate [deg/s]", "YawRate [deg/s]"), "deg_per_s", ""),
     ],
 )
-def test_names_of_gyros(names: tuple[str, str, str], unit: str, ways: str) -> None:
+def test_names_of_gyros(
+    names: tuple[str, str, str], unit: str, ways: str
+) -> None:
     (found,) = triads(["roll", "pitch", "yaw", *names], "gyro")
     assert (found.names, found.unit, found.ways) == (names, unit, ways)
     assert not triads(names, "accel")

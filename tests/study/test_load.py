@@ -1113,7 +1113,9 @@ def test_intervals(tables: dict[str, Any], line: str):
         ),
     ],
 )
-def test_times_in_a_record(record: dict[str, Any], coarse: dict[str, Any], line: str):
+def test_times_in_a_record(
+    record: dict[str, Any], coarse: dict[str, Any], line: str
+):
     assert refusal(RECORDED, record=record, coarse=coarse) == line
     built(RECORDED, record={"start_s": [0, 0.01]}, coarse={"coarse_duration_s": 0.02})
     assert built(RECORDED, record={"from_s": 30}).record.start_s == (30.0,)
@@ -1318,7 +1320,9 @@ def test_passes_are_checked_as_they_meet():
         ({"tape_s": 80, "passes": 4, "ending": "forward", "direction": "rewind"}, (320, 80)),
     ],
 )
-def test_how_long_passes_last(passes: dict[str, Any], spans: tuple[int, int]):
+def test_how_long_passes_last(
+    passes: dict[str, Any], spans: tuple[int, int]
+):
     (span,) = built(study={"window_s": [0, 200]}, passes=passes).spans
     assert (span.records, span.pass_records, span.rewinds) == (*spans, "direction" in passes)
 

@@ -58,6 +58,7 @@ def test_a_reset_that_waits_for_feedback_does_not_tell_its_phase() -> None:
     assert written[0] != written[1] != written[2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "method", [pytest.param("kalman5", marks=pytest.mark.optimised(True)), "kalman_sincos"]
 )

@@ -382,7 +382,9 @@ def test_rivals_of_a_drawn_key():
         ("accel_scale_ppm", {"normal": [1e12, 1]}, "must be less than or equal to 1000000000000"),
     ],
 )
-def test_a_draw_out_of_bounds(laws: dict[str, Any], key: str, law: dict[str, Any], text: str):
+def test_a_draw_out_of_bounds(
+    laws: dict[str, Any], key: str, law: dict[str, Any], text: str
+):
     table = {"sampling": laws.get("sampling", "random"), key: law}
     line = refusal(table, study={"draws": 1000, "unchecked": True})
     assert re.fullmatch(rf"\[drawn\] {key}: draw \d+ gives \S+: {text}", line)

@@ -9,8 +9,15 @@ of a method over turns, rewinds and triggers, and limits and closed forms, which
 tolerance: there a program for each case takes longer to compile than to run.
 """
 
+import atexit
+import ctypes
+import gc
 import os
+import shutil
+import tempfile
+from contextlib import suppress
 from functools import wraps
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -18,8 +25,12 @@ import pytest
 from jax._src import compiler  # no public setting says what is compiled everywhere in a process
 
 from sinsjax.engine import batch
+from sinsjax.platform import compile_cache, machine
 
 _LEAST = "jax_disable_most_optimizations"
+
+LARGE_MB = 700.0
+"""Memory of a process above which it drops its programs after a module of tests."""
 
 SPARED = {
     "xla_disable_hlo_passes": "simplify-while-loops,while-loop-invariant-code-motion",
@@ -46,8 +57,49 @@ def suit(item: pytest.Item) -> None:
         return
     jax.config.update(_LEAST, level)
     os.environ[_LEAST.upper()] = str(int(level))
+    drop_programs()
+
+
+def drop_programs() -> None:
+    """Forget every program of this process; the cache on disk has those that took long."""
     batch._trace.cache_clear()
     jax.clear_caches()
+
+
+def drop_programs_if_large() -> None:
+    """Forget them if this process has grown beyond `LARGE_MB`."""
+    if resident_mb() > LARGE_MB:
+        drop_programs()
+        gc.collect()
+        with suppress(OSError, AttributeError):  # another libc, which gives memory back by itself
+            ctypes.CDLL("libc.so.6").malloc_trim(0)
+
+
+def resident_mb() -> float:
+    """Return the resident memory of this process, MB; 0 where there is no ``/proc``."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except OSError:
+        return 0.0
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def share_cache(repository: Path) -> None:
+    """Keep compiled programs for this run's other processes and for the next run.
+
+    In ``.pytest_cache`` unless ``SINSJAX_COMPILE_CACHE`` says otherwise, or in a temporary folder
+    where others may write to the repository: JAX would run what they put there.
+    """
+    # Most programs here are small: the next process reads one sooner than it compiles it.
+    compile_cache._WORTH_KEEPING_S = 0.05
+    if compile_cache.VARIABLE in os.environ:
+        return
+    try:
+        folder = machine.private_folder(repository / ".pytest_cache" / "compiled")
+    except OSError:
+        folder = Path(tempfile.mkdtemp(prefix="sinsjax-tests-"))
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    os.environ[compile_cache.VARIABLE] = str(folder)
 
 
 def install() -> None:

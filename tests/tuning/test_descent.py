@@ -1,6 +1,8 @@
 """Descents: gradients against differences, what variables do to the engine's numbers, cost."""
 
+import threading
 from collections.abc import Iterator
+from contextlib import nullcontext
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -190,7 +192,12 @@ def gradients(name: str) -> dict[str, tuple[float, float]]:
     return {v.name: (float(ours), float(theirs)) for v, ours, theirs in rows}
 
 
-@pytest.mark.slow
+@pytest.mark.representative(
+    "compass-sigma_factors[0]",
+    "compass-sigma_factors[1]",
+    "counted-reset_first_s",
+    "counted-reset_cycle_s",
+)
 @pytest.mark.parametrize(("name", "variable"), VARIABLES)
 def test_gradients_agree_with_differences(name: str, variable: str) -> None:
     ours, theirs = gradients(name)[variable]
@@ -208,7 +215,9 @@ WAYS = [
 
 
 @pytest.mark.parametrize(("what", "across"), WAYS)
-def test_the_relaxed_objective_and_its_slope(what: str, across: str) -> None:
+def test_the_relaxed_objective_and_its_slope(
+    what: str, across: str
+) -> None:
     """Beside the hard one of the same numbers, and beside differences."""
     study = tuned({"p0_yaw_deg": log(5.0, 80.0)}, {}, objective=what, objective_across=across)
     tune = study.tune
@@ -534,6 +543,49 @@ def test_descents_are_told_as_they_were_made(down: tuple[Study, history.Found]) 
 def test_descents_are_the_same_again(down: tuple[Study, history.Found]) -> None:
     study, found = down
     assert descent.descend(study) == found
+
+
+def test_descent_steps_take_turns_over_the_tuning_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[list[int]] = []
+
+    class FlatSlope(Slope):
+        """A slope of zero that records which draws each step asks for."""
+
+        used, draws, n_draws, cost = (0,), 2, 4, 1
+
+        def __init__(self, *_: Any, **__: Any) -> None:
+            pass
+
+        def __call__(self, box: np.ndarray, draws: np.ndarray, _: Softness) -> tuple:
+            seen.append(draws.tolist())
+            return np.zeros(len(box)), np.zeros_like(box)
+
+    monkeypatch.setattr(descent, "Slope", FlatSlope)
+    monkeypatch.setattr(search, "scored", lambda _, __, points, ___: (np.zeros(len(points)), [], 1))
+    study = tuned(
+        {"azimuth_sigma_per_s": log(0.02, 0.08)},
+        {"study": SHORT, "alignment": {"method": "compass"}, "compass": {"level_time_s": 1.0}},
+        descent_screen=1,
+        descent_starts=1,
+        descent_steps=4,
+        descent_draws=2,
+        tune_draws=4,
+    )
+    descent.descend(study)
+    assert seen == [[0, 1], [2, 3], [0, 1], [2, 3]]
+
+
+def test_resumed_tuning_takes_each_search_from_its_own_points() -> None:
+    """Of the searches that are not interrupted midway, gradient and covariance, either is done."""
+    look = history.Evaluation(0, 0, [1.0], 1.0, 1, 0)
+    known = [history.Found(name, [look]) for name in ("gradient", "covariance")]
+    study = tuned({"p0_yaw_deg": log(5.0, 50.0)}, {"study": SHORT})
+    session = search.SearchSession(
+        Path("unused"), None, False, True, lambda _: nullcontext(), threading.Event(), None
+    )
+    for one in known:
+        found = carry_out._search(study, SearchSpace.of(study), one.search, session, known)
+        assert found.search == one.search
 
 
 @pytest.mark.slow

@@ -59,6 +59,7 @@ def summary() -> pa.Table:
     return run.run(at_points()[1], curves=False).summary
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["settle_mean", "settle_quantile", "failure_rate", "final_error"])
 def test_what_is_estimated_is_what_draws_give(kind: str, summary: pa.Table) -> None:
     """Within four standard errors of 256 draws, at each of four points."""
@@ -111,6 +112,7 @@ def test_the_same_seed_finds_the_same(found: history.Found) -> None:
     assert evolution.evolve(tuned()) == found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("variables", "changes", "finalists"),
     [
@@ -135,7 +137,9 @@ def test_any_number_of_variables(
         assert search.derive(study, {"one": point}, name="one").n_variants == 1
 
 
-def test_a_tuning_by_covariance_is_kept_and_told(found: history.Found, tmp_path: Path) -> None:
+def test_a_tuning_by_covariance_is_kept_and_told(
+    found: history.Found, tmp_path: Path
+) -> None:
     study = tuned()
     sinsjax.tune(study, tmp_path / "out")
     rows = history.read_history(tmp_path / "out")
