@@ -166,27 +166,27 @@ def violations(sources: Sources) -> list[str]:
     return wrong
 
 
-def test_imports_point_down_the_floors():
+def test_imports_reach_only_same_or_lower_floors():
     assert not violations(read_sources())
 
 
-def test_the_folder_of_methods_imports_nothing():
+def test_method_package_init_files_import_nothing():
     """Else importing a section would load every method, and JAX."""
     for name in ("alignment", *METHODS, "alignment.triggers"):
         tree = ast.parse(read_sources()[name])
         assert [type(node) for node in tree.body] == [ast.Expr], name
 
 
-def test_others_may_check_their_types_against_the_package():
+def test_package_has_py_typed_marker():
     """Type checkers look for the marker of PEP 561 beside the modules."""
     assert (Path(sinsjax.__file__).parent / "py.typed").is_file()
 
 
-def test_every_source_file_is_read():
+def test_read_sources_includes_packages_and_modules():
     assert {"types", "platform.runtime", "alignment", "alignment.base"} <= read_sources().keys()
 
 
-def test_every_folder_says_what_it_is():
+def test_every_folder_has_docstring():
     """In one sentence, for whoever reads the list of folders."""
     sources = read_sources()
     folders = {name.rpartition(".")[0] for name in sources} - {""}
@@ -267,16 +267,16 @@ def test_every_folder_says_what_it_is():
         ({"engine.simulate": "import matplotlib.pyplot"}, "engine.simulate must not import"),
     ],
 )
-def test_a_broken_rule_is_told(sources, message):
+def test_broken_layer_rules_are_reported(sources, message):
     assert any(line.startswith(message) for line in violations(sources))
 
 
-def test_a_relative_import_is_told():
+def test_relative_imports_are_refused():
     with pytest.raises(AssertionError, match="maths.rng: line 1: write imports in full"):
         violations({"maths.rng": "from . import algebra"})
 
 
-def test_what_is_allowed_is_not_told():
+def test_allowed_imports_are_not_reported():
     assert not violations(
         {
             "units": "import math",

@@ -68,12 +68,12 @@ def test_arguments_results_and_fields_are_checked(made_up: ModuleType) -> None:
             call()
 
 
-def test_what_cannot_be_checked_is_left_alone(made_up: ModuleType) -> None:
+def test_uncheckable_annotations_are_ignored(made_up: ModuleType) -> None:
     assert made_up.Pair("leaf").one == "leaf"  # as JAX fills it
     assert made_up.of_static_checkers(1) == 1
 
 
-def test_arrays_are_scalars_of_their_kind() -> None:
+def test_scalar_annotation_accepts_only_float_scalars() -> None:
     for given in (1, np.zeros(2), jnp.zeros(2), np.array(True), "x"):
         with pytest.raises(BeartypeCallHintViolation):
             rotations.sin_cos(given)

@@ -70,7 +70,7 @@ def record() -> build.Record:
 
 
 @pytest.mark.usefixtures("drawn")
-def test_run_leaves_results_figures_and_a_table(sinsjax: Command, tmp_path: Path) -> None:
+def test_run_writes_results_and_figures_and_prints_table(sinsjax: Command, tmp_path: Path) -> None:
     config = write_study(tmp_path, **TWO)
     out = tmp_path / "out"
     code, told, _ = sinsjax("run", config, "-o", out)
@@ -102,7 +102,7 @@ def written_help(callback: Callable[..., None]) -> list[str]:
 
 
 @pytest.mark.parametrize("command", [one.callback for one in cli.app.registered_commands])
-def test_help_shows_every_word_that_is_written(sinsjax: Command, command: Any) -> None:
+def test_help_prints_docstring_and_option_help_in_full(sinsjax: Command, command: Any) -> None:
     """The section [tune] is no markup."""
     code, told, error = sinsjax(command.__name__, "--help")
     assert (code, error) == (0, "")
@@ -111,7 +111,7 @@ def test_help_shows_every_word_that_is_written(sinsjax: Command, command: Any) -
         assert "".join(text.split()) in shown
 
 
-def test_brackets_in_what_is_printed_are_no_markup(
+def test_brackets_in_output_are_not_parsed_as_markup(
     sinsjax: Command, tmp_path: Path, record: build.Record, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sinsjax.cli.study.MOST_RUNS", 1)
@@ -129,7 +129,7 @@ def test_brackets_in_what_is_printed_are_no_markup(
     assert str(tmp_path / "[out]" / "reruns" / "1") in told
 
 
-def test_results_are_not_overwritten_unasked(sinsjax: Command, tmp_path: Path) -> None:
+def test_existing_results_are_overwritten_only_on_request(sinsjax: Command, tmp_path: Path) -> None:
     config, out = write_study(tmp_path, **TWO), tmp_path / "out"
     assert sinsjax("sweep", config, "-o", out)[0] == 0
     before = (out / "manifest.json").read_bytes()
@@ -142,7 +142,7 @@ def test_results_are_not_overwritten_unasked(sinsjax: Command, tmp_path: Path) -
     assert (out / "notes.txt").read_text() == "mine"
 
 
-def test_files_that_only_look_like_results_are_never_touched(
+def test_overwrite_of_directory_without_results_is_refused(
     sinsjax: Command, tmp_path: Path
 ) -> None:
     (tmp_path / "figures").mkdir()
@@ -154,7 +154,7 @@ def test_files_that_only_look_like_results_are_never_touched(
     assert config.read_text()
 
 
-def test_a_sweep_is_repeatable_byte_for_byte(sinsjax: Command, tmp_path: Path) -> None:
+def test_repeated_sweep_writes_identical_bytes(sinsjax: Command, tmp_path: Path) -> None:
     config = write_study(tmp_path, axes={"reset_times_s": [[], [2.5]]})
     for name in ("one", "two"):
         assert sinsjax("sweep", config, "-o", tmp_path / name)[0] == 0
@@ -163,7 +163,7 @@ def test_a_sweep_is_repeatable_byte_for_byte(sinsjax: Command, tmp_path: Path) -
     assert not (tmp_path / "one" / "curves").exists()
 
 
-def test_a_sweep_is_gone_on_with_where_it_was_left(sinsjax: Command, tmp_path: Path) -> None:
+def test_resume_computes_only_missing_runs(sinsjax: Command, tmp_path: Path) -> None:
     config, out = write_study(tmp_path, **TWO, study={"draws": 100}), tmp_path / "out"
     words = ("sweep", config, "-o", out, "--resume")
     code, told, _ = sinsjax(*words, "--chunk-runs", 64)
@@ -185,7 +185,7 @@ def test_a_sweep_is_gone_on_with_where_it_was_left(sinsjax: Command, tmp_path: P
     assert "Every variant" in told
 
 
-def test_what_cannot_be_gone_on_with_is_one_clear_line(sinsjax: Command, tmp_path: Path) -> None:
+def test_resume_of_different_study_is_refused_in_one_line(sinsjax: Command, tmp_path: Path) -> None:
     config, out = write_study(tmp_path, **TWO), tmp_path / "out"
     assert sinsjax("sweep", config, "-o", out)[0] == 0
     before = everything(out)
@@ -198,7 +198,7 @@ def test_what_cannot_be_gone_on_with_is_one_clear_line(sinsjax: Command, tmp_pat
     assert everything(out) == before
 
 
-def test_words_that_do_not_go_together_are_one_clear_line(sinsjax: Command, tmp_path: Path) -> None:
+def test_invalid_executor_options_are_refused_in_one_line(sinsjax: Command, tmp_path: Path) -> None:
     words = ("sweep", write_study(tmp_path), "-o", tmp_path / "out")
     address = ("--scheduler", "tcp://127.0.0.1:1")
     none = tmp_path / "out"
@@ -208,7 +208,7 @@ def test_words_that_do_not_go_together_are_one_clear_line(sinsjax: Command, tmp_
     assert_refused(sinsjax(*words, "--devices", 4096), none, "--devices", "4096")
 
 
-def test_rerun_does_one_run_again(sinsjax: Command, tmp_path: Path) -> None:
+def test_rerun_reproduces_stored_run(sinsjax: Command, tmp_path: Path) -> None:
     config, out = write_study(tmp_path, **TWO), tmp_path / "out"
     assert sinsjax("sweep", config, "-o", out)[0] == 0
     code, told, error = sinsjax("rerun", out, "--run-id", 3)
@@ -222,7 +222,7 @@ def test_rerun_does_one_run_again(sinsjax: Command, tmp_path: Path) -> None:
     assert_refused(told, tmp_path / "none", "nothing")
 
 
-def test_a_recorded_run_is_gone_on_with_and_done_again(
+def test_resume_and_rerun_of_recorded_study_require_same_record(
     sinsjax: Command, tmp_path: Path, record: build.Record
 ) -> None:
     path, other = tmp_path / "swing.imu", tmp_path / "other.imu"
@@ -244,7 +244,7 @@ def test_a_recorded_run_is_gone_on_with_and_done_again(
     assert code == 0 and "identical to the stored one" in told
 
 
-def test_report_needs_parquet_alone(sinsjax: Command, tmp_path: Path) -> None:
+def test_report_recreates_deleted_figures(sinsjax: Command, tmp_path: Path) -> None:
     out = tmp_path / "out"
     sinsjax("run", write_study(tmp_path, **TWO), "-o", out)
     shutil.rmtree(out / "figures")
@@ -254,7 +254,7 @@ def test_report_needs_parquet_alone(sinsjax: Command, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("folder", "change"), [("", ""), ("mine/", "study.seed=3")])
-def test_a_page_names_the_file_that_was_given_and_what_was_set(
+def test_page_names_study_file_and_set_overrides(
     sinsjax: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str, change: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -267,7 +267,7 @@ def test_a_page_names_the_file_that_was_given_and_what_was_set(
     assert f"<footer>{named}" in Path("page.html").read_text()
 
 
-def test_align_gives_attitude_and_its_sigma_without_a_reference(
+def test_align_without_reference_gives_attitude_and_sigma_only(
     sinsjax: Command, tmp_path: Path, record: build.Record
 ) -> None:
     write_psins(record, tmp_path / "swing.imu")
@@ -282,7 +282,7 @@ def test_align_gives_attitude_and_its_sigma_without_a_reference(
         assert summary[name].null_count == 0
 
 
-def test_align_judges_against_a_reference(
+def test_align_with_reference_reports_true_misalignment(
     sinsjax: Command, tmp_path: Path, record: build.Record
 ) -> None:
     """The reference is the true attitude of the simulated swing, so phi is the true error."""
@@ -301,7 +301,7 @@ def test_align_judges_against_a_reference(
     np.testing.assert_allclose(-np.array(summary["phi_u_arcmin"]) / 60, error, rtol=0.02)
 
 
-def test_a_record_gives_the_same_results_through_any_format(
+def test_record_gives_same_heading_in_every_format(
     sinsjax: Command, tmp_path: Path, record: build.Record
 ) -> None:
     """Bit-identical through increments, 1e-9 through rates, quantised through PSINS text."""
@@ -346,7 +346,7 @@ def test_a_record_gives_the_same_results_through_any_format(
 
 
 @pytest.mark.slow
-def test_bench_prints_one_json_object_a_line(
+def test_bench_json_prints_one_object_per_line(
     monkeypatch: pytest.MonkeyPatch, sinsjax: Command
 ) -> None:
     from sinsjax import bench
@@ -388,7 +388,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
 
 
 @pytest.mark.parametrize("name", MISTAKES)
-def test_a_mistake_in_a_study_is_one_clear_line(sinsjax: Command, tmp_path: Path, name: str) -> None:
+def test_invalid_study_is_refused_in_one_line(sinsjax: Command, tmp_path: Path, name: str) -> None:
     changes, named = MISTAKES[name]
     config, out = write_study(tmp_path, **changes), tmp_path / "out"
     assert_refused(sinsjax("sweep", config, "-o", out), out, str(config), *named)
@@ -409,7 +409,7 @@ SPOILT: dict[str, tuple[Callable[[list[str]], list[str]], tuple[str, ...]]] = {
 
 
 @pytest.mark.parametrize("name", SPOILT)
-def test_a_spoilt_record_is_one_clear_line(
+def test_corrupt_record_is_refused_in_one_line(
     sinsjax: Command, tmp_path: Path, record: build.Record, name: str
 ) -> None:
     change, named = SPOILT[name]
@@ -429,7 +429,7 @@ def test_a_spoilt_record_is_one_clear_line(
         ("backward", lambda t: np.where(np.arange(len(t)) == 100, t - 0.03, t)),
     ],
 )
-def test_times_that_jump_are_one_clear_line(
+def test_irregular_record_times_are_refused_in_one_line(
     sinsjax: Command,
     tmp_path: Path,
     record: build.Record,
@@ -455,7 +455,7 @@ def test_times_that_jump_are_one_clear_line(
     assert_refused(sinsjax("align", path, config, "-o", out), out, str(path), "row")
 
 
-def test_missing_files_and_wrong_commands_are_one_clear_line(
+def test_missing_file_or_wrong_command_is_refused_in_one_line(
     sinsjax: Command, tmp_path: Path, record: build.Record
 ) -> None:
     out = tmp_path / "out"
@@ -468,7 +468,7 @@ def test_missing_files_and_wrong_commands_are_one_clear_line(
     assert_refused(sinsjax("sweep", recorded, "-o", out), out, "align")
 
 
-def test_an_output_that_cannot_be_written_is_one_clear_line(sinsjax: Command, tmp_path: Path) -> None:
+def test_unwritable_output_is_refused_in_one_line(sinsjax: Command, tmp_path: Path) -> None:
     config = write_study(tmp_path)
     (tmp_path / "file").write_text("in the way")
     for out in (tmp_path / "file", tmp_path / "file" / "below", tmp_path / ("x" * 300)):
@@ -489,7 +489,7 @@ def assert_refused(told: tuple[int, str, str], out: Path, *named: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_installed_command_shows_no_traceback(tmp_path: Path) -> None:
+def test_module_command_reports_error_without_traceback(tmp_path: Path) -> None:
     config = write_study(tmp_path, alignment={"methode": "kalman5"})
     words = [sys.executable, "-m", "sinsjax", "sweep", str(config), "-o", str(tmp_path / "out")]
     told = subprocess.run(words, capture_output=True, text=True)

@@ -49,7 +49,7 @@ def of_variant(table: pa.Table, variant: int, name: str) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_until_the_hand_over_the_attitude_is_the_coarse_methods() -> None:
+def test_attitude_before_hand_over_equals_coarse_method_alone() -> None:
     """To the bit that of a run of this method alone, which goes on where this one stops."""
     curves = results().curves
     for method, variants in {"inertial": (2, 3, 6, 7), "optimisation": (4, 5)}.items():
@@ -64,7 +64,7 @@ def test_until_the_hand_over_the_attitude_is_the_coarse_methods() -> None:
     assert meaning == b"from the first sample of data"
 
 
-def test_what_a_run_would_begin_with_makes_no_difference() -> None:
+def test_initial_heading_error_is_ignored_after_coarse_alignment() -> None:
     """Such variants are one: computed once, and shown once."""
     phi = results().summary["phi_u_arcmin"].to_numpy().reshape(3, 4, 2)
     same = phi[..., 0] == phi[..., 1]
@@ -73,7 +73,7 @@ def test_what_a_run_would_begin_with_makes_no_difference() -> None:
     assert acting.silent(study(), "phi_u0_deg").tolist() == [False] * 2 + [True] * 6
 
 
-def test_sigma_is_that_of_a_filter_that_begins_at_the_hand_over_or_replays() -> None:
+def test_sigma_is_nan_before_hand_over_and_smaller_after_replay() -> None:
     """Before, there is none; one that has filtered all data since the start knows more."""
     sigma = [of_variant(results().curves, v, "sigma_u_arcmin") for v in range(8)]
     assert not np.isnan(sigma[0]).any() and np.isnan(sigma[2][:, :3]).all()
@@ -82,7 +82,7 @@ def test_sigma_is_that_of_a_filter_that_begins_at_the_hand_over_or_replays() -> 
     assert np.all(replayed < handed_over)
 
 
-def test_the_length_of_data_stands_beside_settling_times() -> None:
+def test_coarse_summary_has_data_length_per_settling_time() -> None:
     summary = results().summary
     for band in (60, 10, 3):
         for kind in ("", "_truth"):
@@ -92,7 +92,7 @@ def test_the_length_of_data_stands_beside_settling_times() -> None:
     assert not any(column.name.endswith("data_s") for column in plain)
 
 
-def test_a_study_is_what_its_resolved_file_says() -> None:
+def test_resolved_toml_loads_as_equal_study() -> None:
     one = study()
     assert study_from_dict(tomllib.loads(study_to_toml(one))) == one
     assert small_study().coarse is None and study().coarse is not None
@@ -134,11 +134,11 @@ def test_a_study_is_what_its_resolved_file_says() -> None:
         ),
     ],
 )
-def test_what_cannot_be_is_refused(tables: dict[str, Any], line: str) -> None:
+def test_invalid_coarse_settings_are_refused(tables: dict[str, Any], line: str) -> None:
     assert refusal(**tables) == line
 
 
-def test_a_replay_may_be_reset_at_any_time() -> None:
+def test_replay_allows_resets_during_coarse_alignment() -> None:
     small_study(
         coarse={"coarse_duration_s": 2.0, "coarse_then": "replay"},
         resets={"reset_times_s": [1.0, 4.0]},
@@ -146,7 +146,7 @@ def test_a_replay_may_be_reset_at_any_time() -> None:
 
 
 @pytest.mark.slow
-def test_a_run_is_repeated_alone(tmp_path: Path) -> None:
+def test_rerun_with_coarse_stage_is_identical(tmp_path: Path) -> None:
     """With passes that rewind, a trigger, and after a replay."""
     one = study(
         axes={"coarse_then": ["hand_over", "replay"]},
@@ -161,7 +161,7 @@ def test_a_run_is_repeated_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_record_is_replayed_as_its_simulation_is() -> None:
+def test_replayed_record_matches_its_simulation() -> None:
     """From its start time, with the attitude unknown; its own hand-over has t = 0 at its end."""
     silent = {"gyro_noise_deg_per_h": 0.0}
     stored = with_truth(build.simulated_record(study(sensors=silent)))

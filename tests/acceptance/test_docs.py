@@ -31,7 +31,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(6))
-def test_examples_of_reading_run(
+def test_results_page_python_examples_run(
     number: int, out: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """One after another, as a reader would type them; the fifth needs a name of the second."""
@@ -57,7 +57,7 @@ def test_examples_of_reading_run(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("library", ["pandas", "polars", "duckdb", "xarray"])
-def test_results_go_to_each_library_in_a_line(
+def test_results_load_into_each_library_in_one_line(
     library: str, out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (lines,) = re.findall(r"```py\n(.*?)```", RESULTS, re.DOTALL)
@@ -77,13 +77,13 @@ def test_results_go_to_each_library_in_a_line(
     assert found[library]() == 9  # three draws of three variants
 
 
-def test_links_of_every_page_lead_somewhere() -> None:
+def test_links_in_docs_pages_exist() -> None:
     for page in (ROOT / "docs").rglob("*.md"):
         for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8")):
             assert (page.parent / target).exists(), f"{page.name}: {target}"
 
 
-def test_what_stands_beside_psins_is_a_study(tmp_path: Path) -> None:
+def test_psins_comparison_example_loads_and_names_known_keys(tmp_path: Path) -> None:
     """Its worked example is valid, and every key that its table names is one."""
     text = (ROOT / "docs" / "comparison.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)

@@ -14,7 +14,7 @@ raise SystemExit(2)
 """
 
 
-def test_a_process_waits_for_the_thread_that_imports(tmp_path: Path) -> None:
+def test_process_waits_for_import_thread_before_exit(tmp_path: Path) -> None:
     """Python would stop it anywhere, in an extension module with "terminate called"."""
     (tmp_path / "slow.py").write_text("import time\ntime.sleep(0.3)\nprint('imported')\n")
     ended = subprocess.run(

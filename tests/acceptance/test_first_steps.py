@@ -57,7 +57,7 @@ def sinsjax(
     return command_line(monkeypatch, capsys)
 
 
-def test_shipped_studies_go_by_name(sinsjax: Command) -> None:
+def test_shipped_studies_are_found_by_name(sinsjax: Command) -> None:
     path = ROOT / "configs" / "reset_sweep.toml"
     for name in ("reset_sweep", "reset_sweep.toml", "configs/reset_sweep.toml", path):
         assert files.found(name).samefile(path)
@@ -66,7 +66,7 @@ def test_shipped_studies_go_by_name(sinsjax: Command) -> None:
         package.load_study("reset_sweeps")
 
 
-def test_a_file_of_the_folder_wins(sinsjax: Command, tmp_path: Path) -> None:
+def test_local_study_file_precedes_shipped_study(sinsjax: Command, tmp_path: Path) -> None:
     (tmp_path / "reset_sweep").mkdir()  # results are no study
     assert files.found("reset_sweep").samefile(ROOT / "configs" / "reset_sweep.toml")
     (tmp_path / "reset_sweep.toml").write_text("x = 1\n")
@@ -74,12 +74,12 @@ def test_a_file_of_the_folder_wins(sinsjax: Command, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", "/", "x" * 300, "a/b"])
-def test_what_is_no_file_is_one_line(sinsjax: Command, name: str) -> None:
+def test_invalid_study_path_gives_one_line_error(sinsjax: Command, name: str) -> None:
     code, _, error = sinsjax("validate", name)
     assert (code, error.count("\n")) == (2, 1) and "Traceback" not in error
 
 
-def test_init_copies_with_comments(sinsjax: Command, tmp_path: Path) -> None:
+def test_init_copies_study_file_with_comments(sinsjax: Command, tmp_path: Path) -> None:
     code, told, error = sinsjax("init", "reset_sweep")
     assert (code, error) == (0, "") and "sinsjax validate reset_sweep.toml" in told
     copy = tmp_path / "reset_sweep.toml"
@@ -97,7 +97,7 @@ def test_init_copies_with_comments(sinsjax: Command, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", files.TEMPLATES)
-def test_templates_are_valid_and_tell_meaning_and_unit(sinsjax: Command, name: str) -> None:
+def test_templates_are_valid_and_comment_their_keys(sinsjax: Command, name: str) -> None:
     untold = ("name", "earth", "reset_times_s", "case", "method")
     assert sinsjax("init", name)[0] == 0
     code, told, error = sinsjax("validate", name)
@@ -108,7 +108,7 @@ def test_templates_are_valid_and_tell_meaning_and_unit(sinsjax: Command, name: s
             assert "# " in value, line
 
 
-def test_validate_tells_all_errors(sinsjax: Command, tmp_path: Path) -> None:
+def test_validate_reports_all_errors(sinsjax: Command, tmp_path: Path) -> None:
     (tmp_path / "wrong.toml").write_text(WRONG)
     code, told, error = sinsjax("validate", "wrong")
     lines = [line.removeprefix("error: wrong.toml: ") for line in error.splitlines()]
@@ -161,7 +161,7 @@ phi_u0_deg = "y"
 """
 
 
-def test_validate_tells_every_error_of_a_list(sinsjax: Command, tmp_path: Path) -> None:
+def test_validate_reports_every_error_in_lists(sinsjax: Command, tmp_path: Path) -> None:
     (tmp_path / "lists.toml").write_text(LISTS)
     _, _, error = sinsjax("validate", "lists")
     lines = [line.removeprefix("error: lists.toml: ") for line in error.splitlines()]
@@ -195,7 +195,7 @@ def test_validate_tells_every_error_of_a_list(sinsjax: Command, tmp_path: Path) 
         (["sweep", "reset_sweep", "-o", "x", "--devices", "two"], "invalid value for '--devices'"),
     ],
 )
-def test_a_wrong_command_line_is_told_in_one_line(
+def test_wrong_command_line_gives_one_line_error(
     sinsjax: Command, words: list[str], line: str
 ) -> None:
     code, told, error = sinsjax(*words)
@@ -203,14 +203,14 @@ def test_a_wrong_command_line_is_told_in_one_line(
     assert error.startswith(f"error: {line}")
 
 
-def test_without_a_command_there_is_help(sinsjax: Command) -> None:
+def test_usage_is_printed_if_no_command_is_given(sinsjax: Command) -> None:
     code, _, error = sinsjax()
     assert (
         code == 2 and error.startswith("Usage: sinsjax [OPTIONS] COMMAND") and "  sweep " in error
     )
 
 
-def test_misshapen_tables_are_told_too(tmp_path: Path) -> None:
+def test_malformed_tables_are_reported(tmp_path: Path) -> None:
     path = tmp_path / "s.toml"
     path.write_text(f'axes = 3\ndrawn = [1]\n[study]\nseed = ["x", {10**400}]\n[[cases]]\nx = 1\n')
     told = problems.problems(path, {})
@@ -220,7 +220,7 @@ def test_misshapen_tables_are_told_too(tmp_path: Path) -> None:
     assert told[0].startswith(f"{path}: [axes] reset_count[0]: must be a whole number")
 
 
-def test_a_key_without_a_meaning_is_a_line(
+def test_key_without_meaning_is_listed_in_one_line(
     sinsjax: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = key_table.Key("lagged", "lag_s", "s", "1", "", ("lagged",))
@@ -229,7 +229,7 @@ def test_a_key_without_a_meaning_is_a_line(
     assert sinsjax("keys", "lag_s") == (0, told, "")
 
 
-def test_validate_tells_a_search_that_tune_refuses(sinsjax: Command, tmp_path: Path) -> None:
+def test_validate_reports_search_that_tune_refuses(sinsjax: Command, tmp_path: Path) -> None:
     """The searches of a study that names none have a gradient among them."""
     (tmp_path / "tuned.toml").write_text(
         "[study]\nduration_s = 30.0\nrate_hz = 10.0\n[earth]\nlatitude_deg = 40.0\n"
@@ -244,7 +244,7 @@ def test_validate_tells_a_search_that_tune_refuses(sinsjax: Command, tmp_path: P
     assert sinsjax("validate", "tuned", *words)[::2] == (0, "")
 
 
-def test_validate_tells_what_would_run(sinsjax: Command) -> None:
+def test_validate_reports_planned_runs_and_cost(sinsjax: Command) -> None:
     code, told, _ = sinsjax("validate", "reset_sweep", "--set", "alignment.phi_u0_deg=12")
     assert code == 0 and "variants: 56, draws: 16." in told
     assert "896 runs of up to 900 s: roughly" in told and "of memory" in told and "on disk" in told
@@ -263,12 +263,12 @@ def test_validate_tells_what_would_run(sinsjax: Command) -> None:
         ("cases.p0_yaw_deg=1", "cases are a list"),
     ],
 )
-def test_what_cannot_be_set_is_one_line(sinsjax: Command, text: str, reason: str) -> None:
+def test_invalid_set_option_gives_one_line_error(sinsjax: Command, text: str, reason: str) -> None:
     code, _, error = sinsjax("validate", "reset_sweep", "--set", text)
     assert (code, error.count("\n")) == (2, 1) and error.startswith("error: ") and reason in error
 
 
-def test_a_changed_study_is_what_runs(sinsjax: Command, tmp_path: Path) -> None:
+def test_changes_apply_to_shipped_study(sinsjax: Command, tmp_path: Path) -> None:
     settings = ("study.duration_s=20", "study.window_s=[10,20]", "study.draws=2")
     swept = ("axes.reset_count=[0]", "alignment.phi_u0_deg=12", "alignment.method=kalman10")
     words = [word for text in (*settings, *swept) for word in ("--set", text)]
@@ -278,7 +278,7 @@ def test_a_changed_study_is_what_runs(sinsjax: Command, tmp_path: Path) -> None:
     assert study.alignment.phi_u0_deg == 12 and list(study.axes) == ["reset_count", "reset_cycle_s"]
 
 
-def test_a_study_is_replaced_in_part() -> None:
+def test_replace_changes_only_given_study_keys() -> None:
     study = package.load_study("reset_sweep")
     assert study.replace({}) == study
     longer = study.replace({"study.duration_s": 1200.0, "alignment.phi_u0_deg": 12.0})
@@ -290,20 +290,20 @@ def test_a_study_is_replaced_in_part() -> None:
         study.replace({"study.draws": 0})
 
 
-def test_draws_and_zips_are_set_by_their_keys() -> None:
+def test_changes_set_drawn_keys_and_zipped_axes() -> None:
     changes = {"drawn.phi_u0_deg.uniform": [-5.0, 5.0], "axes.level.phi_e0_deg": [1.0, 2.0]}
     study = package.load_study("reset_sweep", changes | {"axes.level.phi_n0_deg": [1.0, 2.0]})
     assert study.drawn_keys == ("phi_u0_deg",)
     assert study.axis_keys == ("phi_e0_deg", "phi_n0_deg", "reset_count", "reset_cycle_s")
 
 
-def test_nothing_is_drawn_once_every_drawn_key_is_set() -> None:
+def test_setting_drawn_key_to_value_stops_drawing_it() -> None:
     drawn = package.load_study("reset_sweep", {"drawn.gyro_bias_deg_per_h.normal": [0.0, 0.1]})
     assert drawn.drawn_keys == ("gyro_bias_deg_per_h",)
     assert not drawn.replace({"sensors.gyro_bias_deg_per_h": 0.0}).drawn_keys
 
 
-def test_an_empty_table_drops_what_is_there(sinsjax: Command) -> None:
+def test_empty_table_drops_existing_section_or_key(sinsjax: Command) -> None:
     """Another method reads neither [filter] nor the axis of resets of the template."""
     template = package.load_study(files.templates()["sweep"])
     other = {"alignment.method": "inertial"}
@@ -321,7 +321,7 @@ def test_an_empty_table_drops_what_is_there(sinsjax: Command) -> None:
         assert (code, error.count("\n")) == (2, 1) and f"{place}: nothing is there to drop" in error
 
 
-def test_defaults_that_depend_on_others_are_made_anew() -> None:
+def test_dependent_defaults_are_recomputed_on_replace() -> None:
     template = package.load_study(files.templates()["sweep"])
     assert template.study.window_s == (200.0, 300.0)
     assert template.replace({"study.duration_s": 600.0}).study.window_s == (400.0, 600.0)
@@ -329,7 +329,7 @@ def test_defaults_that_depend_on_others_are_made_anew() -> None:
     assert compare.replace({}) == compare
 
 
-def test_keys_are_explained(sinsjax: Command) -> None:
+def test_keys_command_explains_key_and_section(sinsjax: Command) -> None:
     code, told, _ = sinsjax("keys", "reset_count")
     assert code == 0
     assert told.startswith("[resets] reset_count: default 0; methods: all but optimisation, ")
@@ -341,7 +341,7 @@ def test_keys_are_explained(sinsjax: Command) -> None:
     assert code == 2 and "[axes]: has no keys of its own; `[axes] KEY = [...]`" in error
 
 
-def test_a_part_of_a_name_finds_keys(sinsjax: Command) -> None:
+def test_keys_command_finds_keys_by_part_of_name(sinsjax: Command) -> None:
     code, told, _ = sinsjax("keys", "gyro_bias")
     found = [line.split(":")[0] for line in told.splitlines() if not line.startswith(" ")]
     named = [key for key in SECTION_OF if "gyro_bias" in key]
@@ -349,13 +349,13 @@ def test_a_part_of_a_name_finds_keys(sinsjax: Command) -> None:
     assert {line.split()[1] for line in found} == set(named)
 
 
-def test_every_key_is_explained(sinsjax: Command) -> None:
+def test_keys_command_lists_every_key(sinsjax: Command) -> None:
     code, told, _ = sinsjax("keys")
     assert code == 0
     assert all(f"] {key}: " in told for key in SECTION_OF)
 
 
-def test_help_and_version(sinsjax: Command) -> None:
+def test_version_and_command_help_are_printed(sinsjax: Command) -> None:
     assert sinsjax("--version")[:2] == (0, f"sinsjax {package.__version__}\n")
     code, told, _ = sinsjax("report", "-h")
     assert code == 0 and "report [OPTIONS] DIR..." in told
@@ -365,7 +365,7 @@ def test_help_and_version(sinsjax: Command) -> None:
         assert "<" not in told and "--no-" not in told
 
 
-def test_words_are_completed(sinsjax: Command, tmp_path: Path) -> None:
+def test_shell_completion_offers_studies_and_keys(sinsjax: Command, tmp_path: Path) -> None:
     (tmp_path / "reset_mine.toml").write_text(tomli_w.dumps({}))
     names = options.study_names("reset_")
     assert names == ["reset_mine.toml", "reset_cycle_study", "reset_phase", "reset_sweep"]
@@ -374,7 +374,7 @@ def test_words_are_completed(sinsjax: Command, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_wheel_is_enough(tmp_path: Path) -> None:
+def test_wheel_alone_finds_templates_and_configs(tmp_path: Path) -> None:
     """Built, unpacked and used in an empty folder: what the README tells to type is found."""
     build = pytest.importorskip("hatchling.build")
     here = os.getcwd()

@@ -33,7 +33,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Target
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_it_is_taken_or_refused_in_one_line(name: str, found: dict[str, Target]):
+def test_fuzzed_input_is_accepted_or_refused_in_one_line(name: str, found: dict[str, Target]):
     target = found[name]
 
     @settings(
@@ -57,13 +57,13 @@ MISFITS = [{"a": 1}, [[[1]]], 1e300, -1]
 
 @pytest.mark.slow
 @pytest.mark.parametrize("value", MISFITS, ids=repr)
-def test_no_key_takes_offence_anywhere(value: object, tmp_path: Path):
+def test_misfit_value_is_accepted_or_refused_in_one_line(value: object, tmp_path: Path):
     """Chance hardly ever puts a table where one word belongs."""
     for data in studies.everywhere(value):
         check_study(tmp_path / "s.toml", studies.written(data))
 
 
-def test_every_key_of_the_schema_is_fuzzed():
+def test_every_schema_key_is_fuzzed():
     assert set(studies.KEYS) == {
         (name, key) for name, m in SECTIONS.items() for key in m.model_fields
     }
@@ -83,13 +83,13 @@ def directory_with(manifest: dict[str, Any], folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("warnings", [1, True, {"a": 1}, "text", 2.5])
-def test_warnings_that_are_no_list_are_none(warnings: Any, tmp_path: Path):
+def test_manifest_warnings_of_wrong_type_are_ignored(warnings: Any, tmp_path: Path):
     assert Source.read(directory_with({"warnings": warnings}, tmp_path)).warnings == ()
 
 
 @pytest.mark.parametrize("text", ["[" * 5000, "\x1b[31m", "1\n2"])
 @pytest.mark.parametrize("key", ["versions", "instructions"])
-def test_a_version_is_told_in_one_line_that_can_be_seen(key: str, text: str, tmp_path: Path):
+def test_version_mismatch_is_reported_in_one_printable_line(key: str, text: str, tmp_path: Path):
     session = {"started_unix_s": 1.0, "wall_s": 1.0}
     session |= {key: {"numpy": text} if key == "versions" else text}
     out = directory_with({"sessions": [session]}, tmp_path)
@@ -98,14 +98,14 @@ def test_a_version_is_told_in_one_line_that_can_be_seen(key: str, text: str, tmp
     assert len(line_of(caught.value, out)) < 1000
 
 
-def test_columns_of_many_letters_are_not_told_whole(tmp_path: Path):
+def test_overlong_column_names_are_shortened_in_error(tmp_path: Path):
     (tmp_path / "r.csv").write_text("[" * 5000 + ",pitch_deg\n1,2\n")
     with pytest.raises(InputError, match="no column 'time_s'") as caught:
         read_reference(tmp_path / "r.csv")
     assert len(str(caught.value)) < 500
 
 
-def test_what_a_library_says_of_a_broken_part_is_one_line_that_can_be_seen():
+def test_first_line_of_library_error_is_short_and_printable():
     error = OSError("Could not read 'a\x04b\u2028c': " + "x" * 5000 + "\nand more")
     line = first_line(error)
     assert line.startswith("Could not read 'a\\x04b c': xxx") and len(line) <= 400

@@ -10,7 +10,7 @@ from sinsjax.cli import loop_gains
 PAPER = {"gravity": 9.8, "radius": 6378165.0}
 
 
-def test_gains_and_roots_of_the_papers_loops():
+def test_design_gives_gains_and_roots_of_paper_loops():
     made, roots = loop_gains.design(0.02, 0.01, 0.5**0.5, **PAPER)
     level, azimuth = made.rows
     assert level[:3] == ["level", "0.06", "1040.33306122"]
@@ -20,7 +20,7 @@ def test_gains_and_roots_of_the_papers_loops():
     assert roots.rows[1][2:] == ["299.6", "628.3"]
 
 
-def test_they_are_printed():
+def test_print_gains_shows_roots_and_damping():
     console = Console(record=True, width=120, file=io.StringIO())
     loop_gains.print_gains(console, 0.05, 0.02, 0.7, **PAPER)
     text = console.export_text()

@@ -167,7 +167,7 @@ def assert_sound(out: Path, whole: Path, made: dict[str, int]) -> None:
                 assert hashlib.sha256(there[file["file"]]).hexdigest() == file["sha256"]
 
 
-def test_twenty_kills_cost_nothing(sweeps: Sweeps, whole: Path) -> None:
+def test_sweep_resumes_after_twenty_kills_without_loss(sweeps: Sweeps, whole: Path) -> None:
     """Ten at named points, ten at moments spread over the sweep, all on one directory."""
     out, chance = sweeps.out, random.Random(5)
     chunk_s = sum(chunk["seconds"] for chunk in manifest(whole)["chunks"]) / CHUNKS
@@ -203,7 +203,7 @@ def test_twenty_kills_cost_nothing(sweeps: Sweeps, whole: Path) -> None:
     assert tables.read_curves(out).equals(tables.read_curves(whole))
 
 
-def test_a_second_process_is_refused_until_the_first_dies(sweeps: Sweeps, whole: Path) -> None:
+def test_second_writer_is_refused_until_first_process_dies(sweeps: Sweeps, whole: Path) -> None:
     """Whatever way it dies: the lock is the operating system's."""
     first = sweeps.ready().go()
     wait(first, lambda: count(sweeps.out) > 0)
@@ -225,7 +225,7 @@ def test_a_second_process_is_refused_until_the_first_dies(sweeps: Sweeps, whole:
     assert_complete(sweeps.out, whole)
 
 
-def test_a_person_or_a_scheduler_may_stop_it(sweeps: Sweeps, whole: Path) -> None:
+def test_sweep_stopped_by_signals_resumes_without_loss(sweeps: Sweeps, whole: Path) -> None:
     """Once: what is under way is finished. Twice: it ends at once, and nothing else is lost."""
     out, made = sweeps.out, dict[str, int]()
     following = sweeps.ready()
@@ -286,7 +286,7 @@ def mount(*words: str) -> None:
     subprocess.run(["mount", *words], check=True, capture_output=True, text=True)
 
 
-def test_a_full_or_a_write_protected_disk_costs_nothing_that_is_complete(
+def test_full_or_read_only_disk_loses_no_complete_chunk(
     small_disk: Path, folder: Path, whole: Path
 ) -> None:
     sweeps, made = Sweeps(folder, small_disk / "out"), dict[str, int]()
@@ -322,7 +322,7 @@ MORE = 200
         (("after", "summary/*", 1), True),
     ],
 )
-def test_an_extension_that_is_killed_costs_nothing_that_was_there(
+def test_killed_extension_keeps_existing_results(
     sweeps: Sweeps, whole: Path, point: tuple[str, str, int], began: bool
 ) -> None:
     """No part of the results is replaced, so there are never fewer than before."""

@@ -41,7 +41,7 @@ def arrays(jaxpr: Any) -> Iterator[tuple[int, str]]:
 
 
 @pytest.mark.parametrize("specific_force", ["measured", "gravity"])
-def test_a_run_of_a_day_holds_no_large_array(specific_force: str) -> None:
+def test_day_long_run_allocates_no_large_array(specific_force: str) -> None:
     """Neither a tape, nor what idle lanes would have; with gravity, tiles share a covariance."""
     study = small_study(
         study={"duration_s": DAY_S, "draws": 1},
@@ -70,7 +70,7 @@ PASSES = small_study(
 )
 
 
-def test_truth_in_pieces_is_truth_at_once(request: pytest.FixtureRequest) -> None:
+def test_curves_without_stored_increments_match_stored_ones(request: pytest.FixtureRequest) -> None:
     """To rounding, forward and backward: the formulas are the same, not the loop they are in."""
     whole = run.run(PASSES).curves
     request.getfixturevalue("without_tapes")
@@ -82,7 +82,7 @@ def test_truth_in_pieces_is_truth_at_once(request: pytest.FixtureRequest) -> Non
         np.testing.assert_allclose(pieces[name], whole[name], rtol=0, atol=1e-7, err_msg=name)
 
 
-def test_a_long_simulation_is_written_as_a_short_one(request: pytest.FixtureRequest) -> None:
+def test_simulated_record_is_same_without_stored_increments(request: pytest.FixtureRequest) -> None:
     whole = build.simulated_record(PASSES, draw_id=1)
     request.getfixturevalue("without_tapes")
     again = build.simulated_record(PASSES, draw_id=1)
@@ -90,7 +90,7 @@ def test_a_long_simulation_is_written_as_a_short_one(request: pytest.FixtureRequ
     np.testing.assert_allclose(again.dv, whole.dv, rtol=0, atol=1e-13)
 
 
-def test_curves_of_idle_lanes_are_not_asked_for() -> None:
+def test_curves_of_idle_lanes_are_not_requested() -> None:
     (part,) = build.parts(small_study(study={"draws": 3}), curves=True)
     assert lane_layout.shown(part.group) == 3
     silent = part.group._replace(static=part.group.static._replace(curves=False))
@@ -100,7 +100,7 @@ def test_curves_of_idle_lanes_are_not_asked_for() -> None:
 
 
 @pytest.mark.parametrize("samples", [1, 5, 1000, 100_000])
-def test_a_tape_begins_where_xla_takes_it_as_it_is(samples: int) -> None:
+def test_record_array_is_aligned_to_64_bytes(samples: int) -> None:
     tape = aligned_record(samples)
     assert tape.shape == (samples, 6) and tape.dtype == float and tape.flags.c_contiguous
     assert tape.ctypes.data % 64 == 0 and tape.flags.writeable

@@ -70,7 +70,7 @@ def results() -> tuple[dict[Case, np.ndarray], dict[Case, np.ndarray]]:
 
 @pytest.mark.parametrize("start", range(len(STARTS)), ids=str)
 @pytest.mark.parametrize("method", BARS)
-def test_north_is_found_from_every_start(results, method, start):
+def test_heading_settles_from_every_start_near_information_bound(results, method, start):
     errors, settled = (of[method, STARTS[start]] for of in results)
     assert better_median(settled) <= BARS[method]
     within = int(np.sum(np.abs(errors[:, -1]) < 6))
@@ -84,5 +84,5 @@ def test_north_is_found_from_every_start(results, method, start):
 
 
 @pytest.mark.parametrize("method", FROM_SMALL)
-def test_a_nonlinear_filter_finds_it_from_a_small_misalignment(results, method):
+def test_nonlinear_filter_settles_in_time_from_small_misalignment(results, method):
     assert better_median(results[1][method, SMALL]) <= FROM_SMALL[method]

@@ -25,7 +25,7 @@ MESSAGES = (EXAMPLE.parents[1] / "docs" / "messages.md").read_text("utf-8")
 STUDY = re.findall(r"^```toml\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)[-1]
 
 
-def test_the_pages_tell_what_a_step_may_need() -> None:
+def test_own_method_pages_document_options_and_covariance() -> None:
     """Fields in their order, and where what they do not show stands."""
     fields = ", ".join(base.AttitudeCovariance._fields)
     assert f"`AttitudeCovariance({fields})`, rad^2" in PAGE
@@ -86,7 +86,7 @@ def is_listed(line: str) -> bool:
 
 @pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_it_is_a_method_like_any_other(
+def test_plugin_method_is_explained_and_swept_like_built_in_methods(
     site: Path, tmp_path: Path
 ) -> None:
     """Its section is read and explained, its runs stand beside others', its version is kept."""
@@ -113,7 +113,7 @@ def tuning(path: Path, tune: str = "") -> None:
 
 
 @pytest.mark.slow
-def test_its_key_is_tuned_by_gradient(
+def test_plugin_method_key_can_be_tuned_by_gradient(
     forked: Server, site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Numbers follow the key as they are made from it, and the searches of [tune] take it."""
@@ -151,7 +151,7 @@ def test_its_key_is_tuned_by_gradient(
         (('{"averaged": Av', '{"study": Av'), "[study] is a section of every study"),
     ],
 )
-def test_what_clashes_or_is_broken_is_one_line(
+def test_broken_or_clashing_plugin_gives_one_line_error(
     forked: Server, site: Path, tmp_path: Path, change: tuple[str, str], line: str
 ) -> None:
     changed = shutil.copytree(site, tmp_path / "site")
@@ -178,7 +178,7 @@ def test_what_clashes_or_is_broken_is_one_line(
         ),
     ],
 )
-def test_what_is_broken_concerns_its_own_studies_alone(
+def test_broken_plugin_affects_only_studies_that_use_it(
     forked: Server, site: Path, tmp_path: Path, change: tuple[str, str], why: str
 ) -> None:
     changed = shutil.copytree(site, tmp_path / "site")
@@ -200,7 +200,7 @@ def test_what_is_broken_concerns_its_own_studies_alone(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["kalman5", "my averaged"])
-def test_an_entry_point_of_another_name_is_pointed_to(
+def test_misnamed_entry_point_is_reported_by_validate_and_info(
     forked: Server, site: Path, tmp_path: Path, name: str
 ) -> None:
     """A study with the method's own name is told where to look."""
@@ -232,7 +232,7 @@ def test_an_entry_point_of_another_name_is_pointed_to(
         (("sample.dv),", "sample.dv)[:1],"), "step: gave state.force[0], not ", "_step"),
     ],
 )
-def test_a_method_that_cannot_be_run_is_told_by_validate(
+def test_validate_reports_failing_plugin_step(
     forked: Server, site: Path, tmp_path: Path, change: tuple[str, str], what: str, function: str
 ) -> None:
     changed = shutil.copytree(site, tmp_path / "site")
@@ -259,7 +259,7 @@ def test_a_method_that_cannot_be_run_is_told_by_validate(
         ("params._replace(kept=params.kept + 0 * value)", "no number changes with it at 10, "),
     ],
 )
-def test_numbers_that_do_not_follow_a_key_are_told_by_validate(
+def test_validate_and_tune_report_wrong_relaxed_changes_of_plugin(
     forked: Server, site: Path, tmp_path: Path, change: str, what: str
 ) -> None:
     changed = shutil.copytree(site, tmp_path / "site")
@@ -276,7 +276,7 @@ def test_numbers_that_do_not_follow_a_key_are_told_by_validate(
         assert "Error: " in told.stderr or is_listed(told.stderr)
 
 
-def test_a_search_by_covariance_names_file_and_remedy(
+def test_unsupported_covariance_search_names_file_and_remedy(
     forked: Server, site: Path, tmp_path: Path
 ) -> None:
     tuning(tmp_path / "tuned.toml", '[tune]\nsearches = ["covariance"]\n')
@@ -296,7 +296,7 @@ def test_a_search_by_covariance_names_file_and_remedy(
         ("AttitudeCovariance(one, 0 * one, 0 * one, one, 0 * one, one)", True, None),
     ],
 )
-def test_a_covariance_that_contradicts_the_description_is_told(
+def test_validate_warns_if_covariance_contradicts_description(
     forked: Server, site: Path, tmp_path: Path, given: str, described: bool, what: str | None
 ) -> None:
     changed = shutil.copytree(site, tmp_path / "site") / "averaged_alignment"

@@ -55,7 +55,7 @@ def refused(data: Any) -> str:
     [("alignment", "method"), ("earth", "earth"), ("resets", "reset_trigger")],
 )
 @pytest.mark.parametrize("value", [{"a": 1}, {}, [{"a": 1}], [["a"]]])
-def test_a_table_where_a_word_belongs(section: str, key: str, value: Any) -> None:
+def test_table_or_list_in_place_of_string_is_refused(section: str, key: str, value: Any) -> None:
     data = copy.deepcopy(BASE)
     data.setdefault(section, {})[key] = value
     assert refused(data).startswith(f"swing.toml: [{section}] {key}")
@@ -65,7 +65,7 @@ ODD: list[Any] = [{"a": 1}, {}, [{"a": 1}], [{}], [[1]], [[[]]], "x" * 10_000, 1
 
 
 @pytest.mark.parametrize("value", ODD, ids=[repr(value)[:12] for value in ODD])
-def test_an_odd_value_of_any_key_is_a_short_line(value: Any) -> None:
+def test_odd_value_of_any_key_gives_short_printable_error(value: Any) -> None:
     for section, model in SECTIONS.items():
         for key in model.model_fields:
             data = copy.deepcopy(BASE)
@@ -82,7 +82,7 @@ def test_an_odd_value_of_any_key_is_a_short_line(value: Any) -> None:
                     assert str(error).isprintable() and len(str(error)) < 500, (section, key)
 
 
-def test_a_long_name_is_not_echoed_whole() -> None:
+def test_long_unknown_name_is_shortened_in_error() -> None:
     for data in ({"x" * 10_000: {}}, BASE | {"study": {"x" * 10_000: 1}}):
         line = refused(data)
         assert " ... " in line and ": unknown " in line
@@ -100,7 +100,7 @@ NESTED = {
 
 
 @pytest.mark.parametrize("how", NESTED)
-def test_a_study_that_is_nested_too_deeply(
+def test_study_nested_too_deeply_is_refused_in_one_line(
     how: str, tmp_path: Path, sinsjax: Command
 ) -> None:
     out = store(tmp_path / "out", small_study(), pa.table({"run_id": [0]}))
@@ -113,14 +113,14 @@ def test_a_study_that_is_nested_too_deeply(
     assert resume._kept_study(out) is None  # resume asks the parts whose they are
 
 
-def test_a_table_that_is_nested_too_deeply() -> None:
+def test_value_nested_too_deeply_is_refused_in_one_line() -> None:
     deep: Any = []
     for _ in range(DEEP):
         deep = [deep]
     assert refused({"study": {"window_s": deep}}) == "swing.toml: is nested too deeply"
 
 
-def test_a_manifest_that_is_nested_too_deeply(
+def test_manifest_nested_too_deeply_is_refused_in_one_line(
     tmp_path: Path, sinsjax: Command
 ) -> None:
     out = store(tmp_path / "out", small_study(), pa.table({"run_id": [0]}))
@@ -136,7 +136,7 @@ def test_a_manifest_that_is_nested_too_deeply(
 # --- parts ------------------------------------------------------------------------------------
 
 
-def test_curves_in_place_of_a_summary_are_no_row(tmp_path: Path, sinsjax: Command) -> None:
+def test_rerun_refuses_summary_with_two_rows_of_one_run(tmp_path: Path, sinsjax: Command) -> None:
     curves = pa.table({"run_id": [0, 0, 1, 1], "time_s": [1.0, 2.0, 1.0, 2.0]})
     out = store(tmp_path / "out", small_study(), curves)
     code, error = sinsjax("rerun", out, "--run-id", 1)
@@ -147,7 +147,7 @@ def test_curves_in_place_of_a_summary_are_no_row(tmp_path: Path, sinsjax: Comman
 # --- where output goes ------------------------------------------------------------------------
 
 
-def test_what_was_closed_before_the_start_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_standard_streams_are_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """As of a daemon, whose standard streams are None in Python."""
     monkeypatch.setattr(sys, "stdout", None)
     monkeypatch.setattr(sys, "stderr", None)
@@ -157,7 +157,7 @@ def test_what_was_closed_before_the_start_is_no_error(monkeypatch: pytest.Monkey
     assert stop.value.code == 0
 
 
-def test_a_reader_that_leaves_does_not_end_the_work(
+def test_sweep_and_report_finish_after_broken_pipe(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """What ``| head -1`` does: the sweep goes on to its end, and so do figures and tables."""
@@ -184,7 +184,7 @@ def test_a_reader_that_leaves_does_not_end_the_work(
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
-def test_a_full_disk_under_the_output_is_one_line(
+def test_full_disk_on_standard_output_is_reported_in_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for words in (["info"], ["gains"], ["--help"], ["sweep", "--help"]):
@@ -198,7 +198,7 @@ def test_a_full_disk_under_the_output_is_one_line(
         assert capsys.readouterr().err == line
 
 
-def test_another_end_of_the_work_keeps_its_code() -> None:
+def test_exit_codes_and_exceptions_pass_through_broken_pipe_guard() -> None:
     for code in (0, 1, 130):
         with pytest.raises(SystemExit) as stop, console.lasting():
             raise SystemExit(code)
@@ -207,7 +207,7 @@ def test_another_end_of_the_work_keeps_its_code() -> None:
         print(1 / 0)
 
 
-def test_a_platform_that_is_not_there_is_one_line() -> None:
+def test_unavailable_jax_platform_is_reported_in_one_line() -> None:
     """In a process of its own: JAX starts once."""
     done = subprocess.run(
         [sys.executable, "-m", "sinsjax", "info"],
@@ -224,7 +224,7 @@ def test_a_platform_that_is_not_there_is_one_line() -> None:
 # --- interrupted, and continued -----------------------------------------------------------------
 
 
-def test_an_interrupted_sweep_names_the_command_that_continues_it(
+def test_interrupted_sweep_prints_resume_command(
     sinsjax: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def interrupted(*_: Any, **__: Any) -> None:
@@ -240,7 +240,7 @@ def test_an_interrupted_sweep_names_the_command_that_continues_it(
         assert sinsjax(*words, more) == (130, told)
 
 
-def test_ctrl_c_outside_of_the_runs_is_one_line(
+def test_keyboard_interrupt_outside_runs_is_reported_in_one_line(
     sinsjax: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def interrupted(*_: Any, **__: Any) -> None:
@@ -251,7 +251,7 @@ def test_ctrl_c_outside_of_the_runs_is_one_line(
     assert sinsjax("sweep", "reset_sweep", "-o", tmp_path / "out") == (130, told)
 
 
-def test_nothing_is_forecast_of_a_study_that_cannot_be_continued(
+def test_sweep_that_cannot_resume_prints_no_forecast(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     command, out = command_line(monkeypatch, capsys), tmp_path / "out"
@@ -281,7 +281,7 @@ command()
 """
 
 
-def test_what_extension_modules_do_at_the_end_does_not_matter() -> None:
+def test_abort_at_teardown_does_not_change_exit_code_or_output() -> None:
     """Exit code and output stand, whatever the objects that are left would do when destroyed."""
     ended = subprocess.run([sys.executable, "-c", ENDING], capture_output=True, text=True)
     assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)

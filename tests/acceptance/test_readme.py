@@ -12,19 +12,19 @@ ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def test_every_link_and_config_is_there() -> None:
+def test_readme_links_and_configs_exist() -> None:
     targets = re.findall(r"\]\(([^)#]+)\)", README) + re.findall(r"configs/\w+\.toml", README)
     assert len(targets) > 8
     missing = [name for name in targets if not (ROOT / name).exists()]
     assert not missing
 
 
-def test_the_table_of_commands_is_the_command_line() -> None:
+def test_readme_command_table_matches_cli() -> None:
     told = set(re.findall(r"^\| `sinsjax (\w+)", README, re.MULTILINE))
     assert told == set(get_command(cli.app).commands)  # type: ignore[attr-defined]
 
 
-def test_the_map_names_every_module() -> None:
+def test_readme_map_names_every_module() -> None:
     told = set(re.findall(r"`(\w+)/?`", README.split("## Map")[1].split("## Goals")[0]))
     paths = [path for path in (ROOT / "sinsjax").iterdir() if path.suffix != ".typed"]
     modules = {path.stem for path in paths if not path.stem.startswith("_")}
@@ -32,7 +32,7 @@ def test_the_map_names_every_module() -> None:
 
 
 @pytest.mark.slow
-def test_the_python_example_runs(
+def test_readme_python_example_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (example,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)

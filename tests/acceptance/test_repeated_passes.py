@@ -98,7 +98,7 @@ PLACES = ("time_s", "update_time_s", "tape_time_s", "pass")
         ({"tape_s": 2.0, "passes": 2, "direction": "rewind"}, [1, 2, 1, 2], [1, 1, 2, 2]),
     ],
 )
-def test_curves_say_where_on_the_tape_a_run_is(
+def test_stored_times_and_pass_numbers_follow_passes(
     passes: dict[str, Any], tape_times: list[int], numbers: list[int]
 ) -> None:
     """By hand; the engine is told the same times by the truth, see below."""
@@ -119,7 +119,7 @@ def swept() -> study_run.Results:
 
 
 @pytest.mark.optimised(True)
-def test_columns_of_the_curves_and_of_the_summary() -> None:
+def test_passes_add_time_and_data_columns_to_tables() -> None:
     curves, summary = swept().curves, swept().summary
     got = columns_of(curves, 0, *PLACES)
     times = [float(t) for t in range(1, 9)]
@@ -137,7 +137,7 @@ def test_columns_of_the_curves_and_of_the_summary() -> None:
 
 @pytest.mark.slow
 @pytest.mark.optimised(True)
-def test_a_tape_as_long_as_the_study_changes_no_bit() -> None:
+def test_single_pass_of_full_duration_gives_identical_results() -> None:
     """The program that could turn gives what the one that cannot does, for any method."""
     methods = {"axes": {"method": ["compass", "kalman5"]}, "compass": QUICK["compass"]}
     plain = run(methods)
@@ -149,7 +149,7 @@ def test_a_tape_as_long_as_the_study_changes_no_bit() -> None:
 
 @pytest.mark.slow
 @pytest.mark.optimised(True)
-def test_tapes_swept_together_give_the_rows_of_each_alone() -> None:
+def test_swept_stored_durations_give_same_rows_as_each_alone() -> None:
     """Every bit of them, though the parts share a tape of one length."""
     alone = run(QUICK, {"passes": {"tape_s": 3.0}, "axes": TURNS})
     rows = swept().summary.filter(pc.less(swept().summary["variant_id"], 2))
@@ -164,7 +164,7 @@ def test_tapes_swept_together_give_the_rows_of_each_alone() -> None:
 
 
 @pytest.mark.optimised(True)
-def test_a_pass_hears_the_noise_of_the_tape_again() -> None:
+def test_backward_pass_undoes_noise_of_forward_pass() -> None:
     """Without gains the noise of the way there is undone on the way back, to the last digits."""
     still = {"level_gains": [0.0] * 3, "azimuth_gains": [0.0] * 4, "allow_unstable": True}
     start = {"method": "compass", "phi_e0_deg": 0.0, "phi_n0_deg": 0.0, "phi_u0_deg": 0.0}
@@ -210,7 +210,7 @@ def test_a_pass_hears_the_noise_of_the_tape_again() -> None:
         ),
     ],
 )
-def test_a_run_among_many_is_itself_alone(tables: dict[str, Any]) -> None:
+def test_batched_runs_with_passes_match_single_runs(tables: dict[str, Any]) -> None:
     """Tiles of runs, and filters that share their P, turn as one run by itself does."""
     (part,) = build.parts(study_from_dict(merged({"passes": {"tape_s": 3.0}}, tables)))
     group = part.group
@@ -235,7 +235,7 @@ def test_a_run_among_many_is_itself_alone(tables: dict[str, Any]) -> None:
         ("compass", "rewind"),
     ],
 )
-def test_at_truth_a_run_stays_at_truth_over_every_pass(method: str, direction: str) -> None:
+def test_error_free_run_keeps_true_attitude_over_every_pass(method: str, direction: str) -> None:
     """What a run is compared with is the attitude at its place on the tape, backward too."""
     start = {"alignment": {"method": method, "phi_e0_deg": 0.0, "phi_n0_deg": 0, "phi_u0_deg": 0}}
     loops = {"compass": QUICK["compass"]} if method == "compass" else {}
@@ -251,7 +251,7 @@ def test_at_truth_a_run_stays_at_truth_over_every_pass(method: str, direction: s
         np.testing.assert_allclose(got, swing, rtol=0, atol=1e-5)
 
 
-def test_the_sensors_of_a_study_put_out_one_tape() -> None:
+def test_simulated_record_is_one_pass_long() -> None:
     study = study_from_dict(merged({"passes": {"tape_s": 3.0}}))
     record = build.simulated_record(study)
     whole = build.simulated_record(study_from_dict(merged()))
@@ -309,7 +309,7 @@ def mean_and_half_width(rows: pa.Table, key: str, passes: int, turn: str) -> tup
 
 
 @pytest.mark.slow
-def test_a_filter_that_carries_its_covariance_is_overconfident_with_every_pass() -> None:
+def test_carried_covariance_is_overconfident_after_repeated_passes() -> None:
     """One pass is consistent. N passes are believed to be N times the data: P_UU is N times small.
 
     The error itself stays: repetition adds no information.
@@ -362,7 +362,7 @@ def recorded(**passes: Any) -> dict[str, Any]:
     }
 
 
-def test_a_record_is_gone_over_from_every_start() -> None:
+def test_recorded_passes_follow_record_from_every_start_time() -> None:
     """The coarse attitude is good to arcseconds here; each start has a tape of its own."""
     study = study_from_dict(recorded(tape_s=6.0))
     curves = study_run.run(study, StoredRecord(record(), reference(RECORD_S))).curves
@@ -374,7 +374,7 @@ def test_a_record_is_gone_over_from_every_start() -> None:
         assert np.abs(phi_e).max() < 0.5
 
 
-def test_a_tape_longer_than_the_record_is_refused() -> None:
+def test_pass_longer_than_record_is_refused() -> None:
     """The tape, not the duration: passes of 6 s may last 12 s on a record that holds 16."""
     study = study_from_dict(recorded(tape_s=11.0))
     with pytest.raises(InputError) as caught:
@@ -385,7 +385,7 @@ def test_a_tape_longer_than_the_record_is_refused() -> None:
     assert len(part.group.environment.increments) == 800  # of the 1000 of the record, what is read
 
 
-def test_no_more_of_a_record_is_taken_than_is_read() -> None:
+def test_only_needed_part_of_record_is_loaded() -> None:
     """Runs that begin at 10 s of the record begin where their fine alignment does on the tape."""
     data = recorded(tape_s=6.0)
     data["record"] = data["record"] | {"start_s": 4.0}
@@ -398,7 +398,7 @@ def test_no_more_of_a_record_is_taken_than_is_read() -> None:
 
 
 @pytest.mark.parametrize("passes", [1, 2])
-def test_a_reference_must_cover_the_tape_wherever_a_run_ends(passes: int) -> None:
+def test_reference_must_cover_whole_stored_record(passes: int) -> None:
     """With two passes a run ends where its tape begins, which the reference covers."""
     study = study_from_dict(recorded(tape_s=6.0, passes=passes))
     with pytest.raises(InputError, match=r"covers 0 to 13 s, but the study needs 1. to 16 s"):
@@ -418,7 +418,7 @@ def test_a_reference_must_cover_the_tape_wherever_a_run_ends(passes: int) -> Non
         ({"alignment": {"method": "kalman5"}}, ("[compass]", "does not apply to method kalman5")),
     ],
 )
-def test_a_mistake_is_one_clear_line(
+def test_invalid_compass_or_passes_key_is_refused_in_one_line(
     tables: dict[str, Any],
     words: tuple[str, ...],
     tmp_path: Path,
@@ -433,7 +433,7 @@ def test_a_mistake_is_one_clear_line(
     assert_one_line(told, *words)
 
 
-def test_a_record_shorter_than_the_tape_is_one_clear_line(
+def test_align_refuses_record_shorter_than_pass_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, config = tmp_path / "swing.imu", tmp_path / "study.toml"

@@ -64,7 +64,7 @@ def at_record(curves: pa.Table, name: str, record: int) -> np.ndarray:
 
 @pytest.mark.representative("turns")
 @pytest.mark.parametrize("name", STUDIES)
-def test_columns_are_the_curves_at_these_times(name: str) -> None:
+def test_report_time_columns_match_curves(name: str) -> None:
     """Counted over all passes, and from the first sample of coarse alignment."""
     summary, curves = results(name, 1.0, 2.0, 5.0)
     for time in (1, 2, 5):
@@ -77,7 +77,7 @@ def test_columns_are_the_curves_at_these_times(name: str) -> None:
 
 @pytest.mark.representative("loops")
 @pytest.mark.parametrize("name", ["loops", "turns", "coarse"])
-def test_nothing_else_changes_by_a_bit(name: str) -> None:
+def test_report_times_leave_other_results_bit_identical(name: str) -> None:
     """Filters of one pass are below, in optimised programs."""
     plain, reported = results(name), results(name, 1.0, 2.0, 5.0)
     names = plain.summary.column_names
@@ -94,7 +94,7 @@ def test_nothing_else_changes_by_a_bit(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.optimised(True)
 @pytest.mark.parametrize("method", ["kalman5", "kalman_sincos"])
-def test_nor_does_it_in_optimised_programs(method: str) -> None:
+def test_report_times_leave_optimised_filter_results_bit_identical(method: str) -> None:
     plain, reported = (
         run.run(small_study(alignment={"method": method}, study={"curves": True} | times))
         for times in ({}, {"report_times_s": [2.0, 5.0]})
@@ -104,7 +104,7 @@ def test_nor_does_it_in_optimised_programs(method: str) -> None:
 
 
 @pytest.mark.slow
-def test_nees_is_that_of_runs_that_end_there() -> None:
+def test_nees_at_report_time_matches_runs_ending_then() -> None:
     nees = results("filters", 1.0, 2.0, 5.0).summary["nees_at_2"].to_numpy()
     ended = run.run(small_study(**FILTERS, study={"duration_s": 2.0, "window_s": [0, 2]})).summary
     np.testing.assert_allclose(nees, ended["nees"].to_numpy(), rtol=1e-12)
@@ -113,7 +113,7 @@ def test_nees_is_that_of_runs_that_end_there() -> None:
 
 
 @pytest.mark.slow
-def test_one_run_tells_what_the_batch_does() -> None:
+def test_single_run_matches_batch_at_report_times() -> None:
     (part,) = build.parts(small_study(study={"report_times_s": [2.0, 6.0], "draws": 1}))
     group = part.group
     draw = jax.tree.map(lambda a: a[0] if np.ndim(a) else a, group.draws)
@@ -124,7 +124,7 @@ def test_one_run_tells_what_the_batch_does() -> None:
     assert abs(one.at_times[1, 0] - one.last.phi.z) == 0
 
 
-def test_other_times_are_other_numbers_of_the_same_program() -> None:
+def test_equally_many_report_times_share_one_program() -> None:
     def program(times: list[float]) -> batch.Program:
         (part,) = build.parts(small_study(study={"report_times_s": times}))
         group = part.group
@@ -136,7 +136,7 @@ def test_other_times_are_other_numbers_of_the_same_program() -> None:
 
 
 @pytest.mark.slow
-def test_the_gradient_of_a_tuning_knows_nothing_of_them() -> None:
+def test_tuning_gradient_ignores_report_times() -> None:
     tune: dict[str, Any] = {"searches": ["gradient"], "tune_draws": 2}
     tune["variables"] = {"r_scale": {"low": 0.2, "high": 5.0, "scale": "log"}}
     tables = {"tune": tune, "alignment": {"method": "kalman5"}}
@@ -151,7 +151,7 @@ def test_the_gradient_of_a_tuning_knows_nothing_of_them() -> None:
         np.testing.assert_array_equal(plain, reported)
 
 
-def test_a_study_without_them_is_as_it_was() -> None:
+def test_report_times_enter_study_toml_and_fingerprint_only_if_given() -> None:
     plain, reported = small_study(), small_study(study={"report_times_s": [2.0]})
     assert "report_times_s" not in study_to_toml(plain)
     assert len({fingerprint(plain), fingerprint(reported)}) == 2
@@ -161,7 +161,7 @@ def test_a_study_without_them_is_as_it_was() -> None:
     assert part.group.environment.criteria.report_samples is None
 
 
-def test_columns_have_unit_and_meaning() -> None:
+def test_report_time_columns_have_unit_and_meaning() -> None:
     made = Tables(small_study(study={"record_interval_s": 0.5, "report_times_s": [2.5]}))
     told = {c.name: (c.unit, c.meaning) for c in made.summary_columns if "_at_" in c.name}
     assert told == {
@@ -173,7 +173,7 @@ def test_columns_have_unit_and_meaning() -> None:
 
 @pytest.mark.slow
 @pytest.mark.optimised(True)
-def test_a_run_is_repeated_alone(tmp_path: Path) -> None:
+def test_rerun_with_report_times_is_identical(tmp_path: Path) -> None:
     """To the bit: at the least level the program with curves rounds otherwise."""
     replay = COARSE | {"axes": {"coarse_then": ["replay"]}}
     study = small_study(**replay, study={"report_times_s": [1.0, 5.0]})
@@ -199,7 +199,7 @@ def recorded(times: list[float], coarse: dict[str, Any], **tables: Any) -> dict[
 
 
 @pytest.mark.slow
-def test_of_a_record_the_same_data_count_for_a_hand_over_and_a_replay() -> None:
+def test_report_times_count_same_data_for_hand_over_and_replay() -> None:
     """The one has heard 2 s before t = 0; alone, its times are those of its records."""
     stored = record()
     both = recorded([3.0, 4.0], {}, axes={"coarse_then": ["hand_over", "replay"]})
@@ -214,7 +214,7 @@ def test_of_a_record_the_same_data_count_for_a_hand_over_and_a_replay() -> None:
     assert alone.summary["phi_u_at_4_arcmin"].to_pylist() == [own[3]]
 
 
-def test_without_a_reference_there_is_a_sigma_alone() -> None:
+def test_report_times_without_reference_give_only_sigma() -> None:
     summary = run.run(study_from_dict(recorded([1.0], {})), record()._replace(reference=None))[0]
     assert summary["phi_u_at_1_arcmin"].null_count == summary["nees_at_1"].null_count == 1
     assert summary["sigma_u_at_1_arcmin"].to_pylist()[0] > 1 * ARCMIN
@@ -240,7 +240,7 @@ HERE = "[study] report_times_s: "
         ),
     ],
 )
-def test_times_that_are_no_records_are_refused(
+def test_report_times_between_records_or_after_run_are_refused(
     tables: dict[str, Any], line: str
 ) -> None:
     assert refusal(**tables) == HERE + line
@@ -254,7 +254,7 @@ def test_times_that_are_no_records_are_refused(
         ([5.0], 2.0, "5 s is not within the run (duration_s = 4)"),
     ],
 )
-def test_times_that_a_hand_over_has_not_are_refused(
+def test_report_times_outside_hand_over_records_are_refused(
     times: list[float], coarse_s: float, line: str
 ) -> None:
     arms = {"arm": {"coarse_then": ["hand_over", "replay"], "coarse_duration_s": [coarse_s, 2.0]}}

@@ -48,7 +48,7 @@ def ratios():
 
 @pytest.mark.parametrize("base", BASES)
 @pytest.mark.parametrize("method", METHODS)
-def test_it_comes_within_half_as_much_again_of_the_bound(ratios, method, base):
+def test_heading_sigma_is_within_1_5_times_information_bound(ratios, method, base):
     low, high = ratios[method, base]
     assert low <= AIM
     assert high >= 1

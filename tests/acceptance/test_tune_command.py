@@ -102,7 +102,7 @@ def made(faked: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) ->
     return folder / "out"
 
 
-def test_what_a_tuning_leaves(made: Path) -> None:
+def test_tuning_writes_study_history_and_evaluation(made: Path) -> None:
     names = {"study.toml", "tuned.toml", "history.parquet", "grid", "equal_cost", "evaluation"}
     assert {path.name for path in made.iterdir()} == names | {".lock", ".writer"}
     study = load_study(made / "study.toml")
@@ -122,7 +122,7 @@ def test_what_a_tuning_leaves(made: Path) -> None:
     assert tables.read_manifest(made / "grid")["config"] == "swing.toml"
 
 
-def test_the_best_on_the_tuning_draws_is_put_into_the_study(made: Path) -> None:
+def test_tuned_study_has_best_point_of_tuning_draws(made: Path) -> None:
     study = load_study(made / "study.toml")
     space = SearchSpace.of(study)
     best = min(history.read(made, space), key=lambda one: one.best.objective)
@@ -133,7 +133,7 @@ def test_the_best_on_the_tuning_draws_is_put_into_the_study(made: Path) -> None:
     assert tuned_study.n_draws == study.n_draws
 
 
-def test_a_tuning_is_reported_from_its_files(made: Path, tmp_path: Path) -> None:
+def test_tuning_report_is_built_from_stored_files(made: Path, tmp_path: Path) -> None:
     said = told(made, page=tmp_path / "page.md", html=tmp_path / "page.html")
     page = (tmp_path / "page.md").read_text()
     for text in (said, page):
@@ -147,7 +147,7 @@ def test_a_tuning_is_reported_from_its_files(made: Path, tmp_path: Path) -> None
     shutil.rmtree(made / "figures")
 
 
-def test_values_on_the_bound_of_their_range_are_flagged(made: Path) -> None:
+def test_report_flags_values_at_range_bounds(made: Path) -> None:
     tuning = Tuning.of(results.read(made))
     space = SearchSpace.of(tuning.study)
     bounds = {
@@ -169,7 +169,7 @@ def test_values_on_the_bound_of_their_range_are_flagged(made: Path) -> None:
     assert any("(bound)" in cell for cell in cells) == any(bounds.values())
 
 
-def test_resets_close_together_are_told_as_a_double_one() -> None:
+def test_reset_times_close_together_are_printed_as_pair() -> None:
     first = Variable("reset_times_s", 0, 2.0, 50.0, True)
     assert tuned._value((8.94, 76.55, 76.74), (), "reset_times_s") == "8.94, 76.55 and 76.74"
     found = tuned._value((2.0, 63.84), [(first, 2.0)], "reset_times_s")
@@ -177,7 +177,7 @@ def test_resets_close_together_are_told_as_a_double_one() -> None:
     assert tuned._value(0.5, (), "q_scale") == "0.5" and tuned._value((), (), "q") == "none"
 
 
-def test_a_judging_that_lacks_runs_is_not_reported(made: Path, tmp_path: Path) -> None:
+def test_report_refuses_evaluation_with_missing_runs(made: Path, tmp_path: Path) -> None:
     out = shutil.copytree(made, tmp_path / "out")
     (part,) = (out / "evaluation" / "summary").iterdir()
     pq.write_table(pq.read_table(part).slice(1), part)
@@ -188,7 +188,7 @@ def test_a_judging_that_lacks_runs_is_not_reported(made: Path, tmp_path: Path) -
         told(out)
 
 
-def test_intervals_and_differences_are_of_common_draws(made: Path) -> None:
+def test_scores_and_differences_use_common_draws(made: Path) -> None:
     tuning = Tuning.of(results.read(made))
     own, other = (tuning.runs[tuning.places[name]] for name in ("gradient", "grid"))
     rows = tables.read_summary(made / "evaluation").to_pylist()
@@ -201,7 +201,7 @@ def test_intervals_and_differences_are_of_common_draws(made: Path) -> None:
     assert tuning.difference("grid")[:3] == (0, 0, 0)
 
 
-def test_a_tuning_is_gone_on_with(made: Path, tmp_path: Path, faked: Any) -> None:
+def test_resumed_tuning_repeats_only_missing_parts(made: Path, tmp_path: Path, faked: Any) -> None:
     """What is complete is kept, the gradient too; only what is missing is made."""
     out = shutil.copytree(made, tmp_path / "out")
     shutil.rmtree(out / "equal_cost")
@@ -226,7 +226,7 @@ def test_a_tuning_is_gone_on_with(made: Path, tmp_path: Path, faked: Any) -> Non
     assert (out / "tuned.toml").read_bytes() == (made / "tuned.toml").read_bytes()
 
 
-def test_a_directory_with_a_tuning_is_not_overwritten_unasked(
+def test_existing_tuning_directory_is_not_silently_overwritten(
     made: Path, sinsjax_: Command, tmp_path: Path
 ) -> None:
     config = made.parent / "swing.toml"
@@ -252,7 +252,7 @@ def test_a_directory_with_a_tuning_is_not_overwritten_unasked(
     assert (code, error) == (2, f"error: {made}: {text}\n")
 
 
-def test_overwriting_begins_anew(
+def test_overwrite_removes_previous_tuning_results(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = shutil.copytree(made, tmp_path / "out")
@@ -268,7 +268,7 @@ def test_overwriting_begins_anew(
     assert carry_out.is_tuning(out)
 
 
-def test_what_a_killed_tuning_left_is_cleared_away(
+def test_resume_removes_temporary_files_of_killed_tuning(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Files that were not whole yet, and nothing that a person put there."""
@@ -288,7 +288,7 @@ def test_what_a_killed_tuning_left_is_cleared_away(
 
 
 @pytest.mark.parametrize("how", ["resume", "overwrite"])
-def test_two_tunings_do_not_write_into_one_directory(
+def test_concurrent_tunings_in_one_directory_are_refused(
     made: Path, tmp_path: Path, how: str
 ) -> None:
     """Not even between two searches, where no results are written."""
@@ -305,7 +305,7 @@ def test_two_tunings_do_not_write_into_one_directory(
     assert everything(out) == before
 
 
-def test_a_tuning_can_be_interrupted(tmp_path: Path, faked: Any) -> None:
+def test_interrupted_tuning_raises_study_interrupted(tmp_path: Path, faked: Any) -> None:
     study, stop = load_study(write(tmp_path / "swing.toml")), threading.Event()
     stop.set()
     with pytest.raises(StudyInterrupted, match=r"0 of 72 runs are in .*grid"):
@@ -349,7 +349,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], list[str], str]] = {
 
 
 @pytest.mark.parametrize("objective", ["settle_mean", "failure_rate"])
-def test_a_tuning_in_which_every_point_fails_says_so(objective: str, tmp_path: Path, sinsjax_: Command) -> None:
+def test_tune_warns_if_every_point_fails(objective: str, tmp_path: Path, sinsjax_: Command) -> None:
     """A gyro bias whose limit lies far outside the band, judged from the truth."""
     tune = {
         "objective": objective,
@@ -368,7 +368,7 @@ def test_a_tuning_in_which_every_point_fails_says_so(objective: str, tmp_path: P
 
 
 @pytest.mark.parametrize("name", MISTAKES)
-def test_a_mistake_is_one_line(name: str, tmp_path: Path, sinsjax_: Command) -> None:
+def test_tune_input_error_is_one_line(name: str, tmp_path: Path, sinsjax_: Command) -> None:
     changes, words, text = MISTAKES[name]
     config = write(tmp_path / "swing.toml", **changes)
     code, _, error = sinsjax_("tune", config, "-o", tmp_path / "out", *words)
@@ -376,12 +376,12 @@ def test_a_mistake_is_one_line(name: str, tmp_path: Path, sinsjax_: Command) -> 
     assert not (tmp_path / "out").exists()
 
 
-def test_a_directory_that_cannot_be_looked_into_is_one_line(tmp_path: Path) -> None:
+def test_too_long_output_path_raises_input_error(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="n: cannot be written: File name too long"):
         carry_out.check_free(tmp_path / ("n" * 5000), overwrite=False)
 
 
-def test_files_of_others_are_never_touched(tmp_path: Path, sinsjax_: Command) -> None:
+def test_tune_refuses_output_path_with_foreign_files(tmp_path: Path, sinsjax_: Command) -> None:
     config = write(tmp_path / "swing.toml")
     (tmp_path / "figures").mkdir()
     code, _, error = sinsjax_("tune", config, "-o", tmp_path, "--overwrite")
@@ -390,7 +390,7 @@ def test_files_of_others_are_never_touched(tmp_path: Path, sinsjax_: Command) ->
     assert code == 2 and f"{config}: is a file, not a directory" in error
 
 
-def test_equal_points_are_judged_once_under_all_their_names(
+def test_equal_points_are_evaluated_once_under_joined_names(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One candidate, the study's own value: the grid finds the baseline."""
@@ -409,7 +409,7 @@ def test_equal_points_are_judged_once_under_all_their_names(
 
 
 @pytest.mark.slow
-def test_a_record_is_tuned(tmp_path: Path, sinsjax_: Command) -> None:
+def test_tune_on_stored_record_splits_start_times(tmp_path: Path, sinsjax_: Command) -> None:
     """Its start times tune and judge in turn; the tuned study is one that `align` takes."""
     write_psins(simulated_record(small_study()), tmp_path / "swing.imu")
     times = np.arange(0, 6.01, 0.01)
@@ -454,7 +454,7 @@ def landscape(count: int, *, grid: bool = False) -> descents.Landscape:
 
 
 @pytest.mark.parametrize(("count", "grid"), [(1, True), (2, True), (2, False), (3, False)])
-def test_a_descent_is_drawn_over_what_was_seen(count: int, grid: bool) -> None:
+def test_descent_plot_has_expected_panels_and_legend(count: int, grid: bool) -> None:
     ways = [descents.Way(np.full((3, count), 20.0), np.array([3.0, 2.0, 1.0]))]
     point = np.full(count, 30.0)
     spots = [descents.Spot("best", point, 2.0, 0), descents.Spot("baseline", point, None, 2)]
@@ -467,7 +467,7 @@ def test_a_descent_is_drawn_over_what_was_seen(count: int, grid: bool) -> None:
     assert {"best", "baseline"} <= {text.get_text() for text in legend.get_texts()}
 
 
-def test_a_map_has_the_objective_where_the_grid_had_it() -> None:
+def test_descent_map_places_objective_at_grid_points() -> None:
     figure = descents.descent(landscape(2, grid=True), [], [], "swing")
     (mesh,) = figure.axes[0].collections
     shown = np.ma.masked_invalid(mesh.get_array()).reshape(4, 4)
@@ -476,7 +476,7 @@ def test_a_map_has_the_objective_where_the_grid_had_it() -> None:
     assert shown[1, 3] == pytest.approx(100 + 100 ** (1 / 3))
 
 
-def test_best_by_cost_tells_relaxed_from_hard() -> None:
+def test_best_by_cost_plot_labels_relaxed_and_hard_results() -> None:
     cost, best = np.array([1.0, 2.0, 4.0]), np.array([5.0, 4.0, 3.0])
     searches = [
         descents.CostCurve("grid", cost, best, False, None),

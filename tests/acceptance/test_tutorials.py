@@ -71,7 +71,7 @@ def typed(
     return told
 
 
-def test_start(
+def test_start_tutorial_commands_run_with_expected_output(
     command: Command, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The first study with a few of its points; the other is as it comes."""
@@ -88,7 +88,7 @@ def test_start(
     assert Path("first/figures/settling_time.png").exists()
 
 
-def test_own_imu(
+def test_own_imu_tutorial_prints_documented_numbers(
     command: Command, capsys: pytest.CaptureFixture[str]
 ) -> None:
     told = typed("own_imu.md", command, capsys, progress=True, saved="imu.toml")
@@ -105,7 +105,7 @@ def test_own_imu(
     assert round(float(np.hypot(7.7, float(told[0]))), 1) == 10.3  # as the page adds them up
 
 
-def test_which_q_to_give_is_said_in_the_same_words() -> None:
+def test_readme_and_own_imu_page_give_same_q_advice() -> None:
     start, end = "use `kalman_sincos` with the sensors' own noise as Q", "at 100 Hz."
     said = []
     for page in ("README.md", "docs/own_imu.md"):
@@ -114,7 +114,7 @@ def test_which_q_to_give_is_said_in_the_same_words() -> None:
     assert said[0] == said[1] and "paper 1's reading" in said[0]
 
 
-def test_reading_results(
+def test_reading_results_tutorial_gives_expected_values(
     command: Command, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for library in ("duckdb", "polars"):
@@ -128,7 +128,7 @@ def test_reading_results(
     assert re.search(r"0 +┆ 10.0 +┆ 17\d\d\.\d+ +┆ 3\d\d\.", told[7])
 
 
-def test_own_record(
+def test_own_record_tutorial_finds_expected_heading(
     command: Command, capsys: pytest.CaptureFixture[str]
 ) -> None:
     told = typed("own_record.md", command, capsys)
@@ -144,7 +144,7 @@ def test_own_record(
     assert all(abs(one["yaw_deg"] + 35) < 0.5 for one in starts)
 
 
-def test_one_run(
+def test_one_run_tutorial_prints_shown_output(
     command: Command, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Each block prints what the page shows below it."""
@@ -152,7 +152,7 @@ def test_one_run(
     assert typed("one_run.md", command, capsys) == shown and len(shown) == 4
 
 
-def test_pages_share_a_folder_without_sharing_results() -> None:
+def test_tutorial_pages_use_distinct_result_folders() -> None:
     """Who follows the README and these pages in one folder meets no results of another page."""
     taken: list[str] = []
     for page in ("../README.md", "start.md", "own_imu.md", "reading_results.md"):
@@ -161,7 +161,7 @@ def test_pages_share_a_folder_without_sharing_results() -> None:
     assert len(taken) > 8 and len(taken) == len(set(taken))
 
 
-def test_own_method() -> None:
+def test_own_method_page_shows_example_package_files() -> None:
     """The page shows the files of the example package, which other tests install and run.
 
     They run the study at its end, too.
@@ -176,7 +176,7 @@ def test_own_method() -> None:
     }
 
 
-def test_each_concept_has_one_figure_that_is_drawn_by_the_script() -> None:
+def test_each_concept_page_has_one_figure_drawn_by_script() -> None:
     names: dict[str, object] = {"__name__": "concepts"}
     exec((ROOT / "docs" / "figures" / "concepts.py").read_text(encoding="utf-8"), names)
     drawn = names["FIGURES"]
@@ -191,7 +191,7 @@ def test_each_concept_has_one_figure_that_is_drawn_by_the_script() -> None:
         assert png(drawn[name]()).startswith(b"\x89PNG")
 
 
-def test_the_figure_of_the_axes_shows_what_is_read() -> None:
+def test_body_axes_figure_agrees_with_to_body() -> None:
     """The numbers behind it: each name turns its own axes to right, front and up."""
     names: dict[str, object] = {"__name__": "body_axes"}
     exec((ROOT / "docs" / "figures" / "body_axes.py").read_text(encoding="utf-8"), names)

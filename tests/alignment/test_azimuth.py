@@ -80,7 +80,7 @@ def _tilt_and_azimuth(off):
 @pytest.mark.parametrize("planet", [WGS84, PAPER])
 @given(st.floats(-3.1, 3.1), st.integers(0, 2**32 - 1))
 @settings(max_examples=30, deadline=None)
-def test_the_model_is_the_navigator_for_any_azimuth(planet, a, seed):
+def test_error_model_matches_navigator_at_any_azimuth(planet, a, seed):
     """Exactly in the azimuth; to first order in velocity and tilt."""
     x = np.random.default_rng(seed).normal(size=4) * np.array([1e-3, 1e-3, 1e-5, 1e-5])
     here = place(planet, LATITUDE)
@@ -101,7 +101,7 @@ def test_the_model_is_the_navigator_for_any_azimuth(planet, a, seed):
 
 @given(errors, st.floats(-6, 6))
 @settings(max_examples=50, deadline=None)
-def test_the_derivative_is_that_of_the_model(level, azimuth):
+def test_model_derivative_matches_automatic_differentiation(level, azimuth):
     x, here = (*map(jnp.asarray, level), jnp.asarray(azimuth)), place(PAPER, LATITUDE)
     slope = np.array(jax.jacfwd(lambda x: jnp.stack(model.after(x, here, DT)))(x)).T
     entries = np.eye(5)
@@ -112,7 +112,7 @@ def test_the_derivative_is_that_of_the_model(level, azimuth):
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-3, 0.5, 1.0]))
 @settings(max_examples=30, deadline=None)
-def test_the_unscented_transform_is_the_textbooks(seed, alpha):
+def test_unscented_prediction_matches_textbook_transform(seed, alpha):
     rng, here = np.random.default_rng(seed), place(PAPER, LATITUDE)
     x = rng.normal(size=5) * np.array([1.0, 1.0, 0.2, 0.2, 2.0])
     root = rng.normal(size=(5, 5)) * np.array([0.1, 0.1, 0.2, 0.2, 1.0])[:, None]
@@ -131,7 +131,7 @@ def test_the_unscented_transform_is_the_textbooks(seed, alpha):
 
 @given(st.tuples(*(st.floats(-3, 3) for _ in range(6))))
 @settings(max_examples=50, deadline=None)
-def test_the_left_jacobian_is_the_mean_of_the_rotations(numbers):
+def test_left_jacobian_matches_mean_of_rotations(numbers):
     phi, v = np.array(numbers[:3]), np.array(numbers[3:])
     found = left_jacobian(Vec3(*map(jnp.asarray, phi)), Vec3(*map(jnp.asarray, v)))
     np.testing.assert_allclose(found, jacobian(phi) @ v, rtol=0, atol=1e-13)
@@ -160,7 +160,7 @@ SCHEDULES = {
 )
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("name", NAIVE)
-def test_closed_loop_as_the_naive_one(name, schedule):
+def test_azimuth_filters_match_naive_closed_loop(name, schedule):
     filt = Filter(P0, Q, R, **SCHEDULES[schedule])
     start = exp(-PHI0) @ PAPER1.matrix(0.0)
     about = {"latitude": LATITUDE, "c": start, "v": V0, "filt": filt}
@@ -183,7 +183,7 @@ def test_closed_loop_as_the_naive_one(name, schedule):
     np.testing.assert_allclose(c, naive.corrected, **close)
 
 
-def test_angles_are_fed_back_as_kalman5_does():
+def test_angle_feedback_corrects_attitude_by_rotation_vector():
     """The user's attitude is the same rotation of the solution before feedback and after."""
     filt = Filter(P0, Q, R, every=100)
     nav = navigation(exp(-PHI0) @ PAPER1.matrix(0.0), V0, LATITUDE)
@@ -196,7 +196,7 @@ def test_angles_are_fed_back_as_kalman5_does():
     np.testing.assert_allclose(of_quaternion(np.stack(attitude)[:, 98]), expected, atol=1e-12)
 
 
-def test_without_the_earths_turn_the_invariant_error_is_linear_in_its_logarithm():
+def test_invariant_error_is_linear_without_earth_rotation():
     """C C'^-1 = exp(phi) stays, V - exp(phi) V' = J(phi) (g x phi) t, from 20, 20 and 120 deg."""
     phi0 = np.array([20.0, 20.0, 120.0]) * DEG
     still = PAPER._replace(rate=0.0, a=1e15, b=1e15)
@@ -231,7 +231,7 @@ def from_a_small_azimuth():
 @pytest.mark.slow
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("name", SMALL)
-def test_with_a_small_azimuth_it_is_kalman5_with_gravity(from_a_small_azimuth, name):
+def test_small_azimuth_filters_agree_with_kalman5_using_gravity(from_a_small_azimuth, name):
     """To what the second order of 0.01 deg and the transform leave."""
     phi = from_a_small_azimuth[:, [0, 1 + SMALL.index(name)]]
     assert np.abs(phi[:, 0] - phi[:, 1]).max() < 0.02 * (1 + 2 * np.abs(phi[:, 0]).max() / 60)

@@ -48,12 +48,12 @@ def best_sigma(n, *, gyro_noise, accel_noise, rate_hz, gravity, rate_n):
         (PAPER1, 900, 0.37),
     ],
 )
-def test_bounds_of_the_papers_sensors(sensors, tape_s, arcmin):
+def test_heading_bound_of_paper_sensors_matches_known_values(sensors, tape_s, arcmin):
     assert bounds.tape_bound(tape_s, **sensors) / ARCMIN == pytest.approx(arcmin, rel=0.01)
 
 
 @pytest.mark.parametrize("sensors", [PAPER1, PAPER2])
-def test_the_papers_sensors_can_reach_the_bound(sensors):
+def test_least_squares_reaches_bound_for_paper_sensors(sensors):
     # A hundredth of the samples with a tenth of the noise hold the same densities.
     thin = sensors | {
         "rate_hz": sensors["rate_hz"] / 100,
@@ -66,7 +66,7 @@ def test_the_papers_sensors_can_reach_the_bound(sensors):
 
 
 @given(st.floats(-3, 3), st.integers(10, 120), st.floats(0.1, 100))
-def test_no_linear_unbiased_estimator_is_better(decades, n, rate_hz):
+def test_best_linear_unbiased_estimator_never_beats_bound(decades, n, rate_hz):
     noise = {"gyro_noise": 1e-6 * 10**decades, "accel_noise": 1e-5}
     sensors = {**noise, "rate_hz": rate_hz, "gravity": G, "rate_n": 6e-5}
     bound = float(bounds.tape_bound(n / rate_hz, **sensors))
@@ -74,13 +74,13 @@ def test_no_linear_unbiased_estimator_is_better(decades, n, rate_hz):
 
 
 @pytest.mark.parametrize("only", ["gyro_noise", "accel_noise"])
-def test_one_noise_alone_reaches_the_bound(only):
+def test_bound_is_tight_for_single_noise_source(only):
     sensors = PAPER2 | {"gyro_noise": 1e-15, "accel_noise": 1e-9} | {only: PAPER2[only]}
     found = best_sigma(400, **sensors) / bounds.tape_bound(2.0, **sensors)
     assert 1 <= found < 1.005
 
 
-def test_a_swing_leaves_the_bound():
+def test_swing_with_unknown_biases_leaves_bound_unchanged():
     rate, seconds = 10.0, 80.0
     t = np.arange(1, round(rate * seconds) + 1) / rate
     yaw, pitch = 2.8 * DEG * np.sin(2 * np.pi * t / 10), 1.8 * DEG * np.sin(2 * np.pi * t / 6)
@@ -95,7 +95,7 @@ def test_a_swing_leaves_the_bound():
     assert sigma == pytest.approx(float(expected), rel=0.02)
 
 
-def test_bounds_broadcast_and_fall_with_the_tape():
+def test_bounds_broadcast_and_fall_with_record_length():
     tapes = np.array([[20.0, 40.0, 80.0]])
     latitude = np.array([[0.0], [60.0]])
     found = bounds.tape_bound(tapes, **PAPER2 | {"rate_n": EARTH_RATE * np.cos(latitude * DEG)})
@@ -104,7 +104,7 @@ def test_bounds_broadcast_and_fall_with_the_tape():
     assert np.all(np.diff(found) < 0)
 
 
-def test_the_share_outside_a_band():
+def test_share_outside_band_matches_normal_distribution():
     sigma = np.array([0.3, 0.95, 4.0])
     expected = 2 * stats.norm.sf(1.2 / sigma)
     np.testing.assert_allclose(bounds.share_outside(sigma, 1.2), expected, rtol=1e-12)

@@ -73,7 +73,7 @@ def rms(values: Array) -> float:
 @example(-33.0, 0.0, 0.0, 180.0)
 @example(48.0, 0.0, 180.0, 0.0)
 @example(48.0, 0.0, 180.0, 180.0)
-def test_static_base_is_met_exactly_by_both_methods(latitude, pitch, roll, yaw):
+def test_both_methods_are_exact_on_static_base(latitude, pitch, roll, yaw):
     motion, place = still(pitch, roll, yaw), at(latitude)
     increments = ideal(motion, place)
     for method in COARSE:
@@ -83,7 +83,7 @@ def test_static_base_is_met_exactly_by_both_methods(latitude, pitch, roll, yaw):
 
 @some
 @given(latitudes, st.floats(-40, 40), st.floats(-40, 40), turns)
-def test_inertial_meets_a_swinging_base_exactly_at_the_intervals_end(latitude, pitch, roll, yaw):
+def test_inertial_is_exact_at_interval_end_on_swinging_base(latitude, pitch, roll, yaw):
     motion, place = swinging(2.0, pitch, roll, yaw), at(latitude)
     increments = ideal(motion, place)
     phi = error("inertial", increments, place, end(motion, increments))
@@ -91,7 +91,7 @@ def test_inertial_meets_a_swinging_base_exactly_at_the_intervals_end(latitude, p
 
 
 @pytest.mark.parametrize("yaw", [-135.0, 0.0, 30.0])
-def test_analytic_fails_on_the_swing_that_inertial_survives(yaw):
+def test_analytic_fails_but_inertial_succeeds_on_swinging_base(yaw):
     motion, place = swinging(2.0, yaw=yaw), at(32.0)
     increments = ideal(motion, place)
     truth = end(motion, increments)
@@ -100,7 +100,7 @@ def test_analytic_fails_on_the_swing_that_inertial_survives(yaw):
 
 
 @pytest.mark.parametrize("method", COARSE)
-def test_start_times_map(method):
+def test_mapped_start_times_match_single_starts(method):
     """Several starts in one mapped call are the starts one by one."""
     motion, place = swinging(1.0, yaw=70.0), at(-20.0)
     increments = ideal(motion, place)
@@ -119,7 +119,7 @@ def test_start_times_map(method):
 
 
 @pytest.mark.parametrize("method", COARSE)
-def test_constant_biases_leave_the_known_limits(method):
+def test_constant_biases_leave_known_bias_floors(method):
     yaw, latitude = 40.0, 32.0
     motion, place = still(yaw=yaw), at(latitude)
     increments = ideal(motion, place)
@@ -141,7 +141,7 @@ def inertial_limit(force_noise: float, seconds: int, place: Place) -> float:
 
 
 @pytest.mark.parametrize("seconds", [6, SECONDS])
-def test_yaw_error_against_noise_is_what_theory_says(seconds):
+def test_yaw_error_from_noise_matches_theory(seconds):
     """So it shrinks as T^-1.5 (accelerometers, inertial) and as T^-0.5 (gyros, analytic)."""
     place, force, drift = at(32.0), 500 * MICRO, 0.1 * DEG_PER_H
     motion = still(yaw=20.0)
@@ -160,7 +160,7 @@ def test_yaw_error_against_noise_is_what_theory_says(seconds):
 
 @some
 @given(phase=st.floats(0, 360), hertz=st.floats(2, 3.4))
-def test_vibration_at_the_ends_hardly_enters(phase, hertz):
+def test_inertial_yaw_is_insensitive_to_vibration_at_interval_ends(phase, hertz):
     """1 cm/s at a parked vehicle's frequencies; without the weight yaw errs by up to 22 deg."""
     motion, place = still(), at(34.0)
     increments = ideal(motion, place)
@@ -184,7 +184,7 @@ def velocity_fit(samples: Sample, place: Place) -> Rotation:
     return Rotation.from_rotvec(-n * DT * rate) * start * attitude[-1]
 
 
-def test_inertial_is_the_least_squares_fit_of_velocities_with_unknown_start():
+def test_inertial_matches_least_squares_velocity_fit_with_unknown_start():
     motion, place, force = swinging(2.0, yaw=-50.0), at(32.0), 100 * MICRO
     noise = np.random.default_rng(3).normal(size=(SECONDS * int(RATE) + 1, 3))
     increments = ideal(motion, place).at[:, ACCEL].add(noise * force * place.gravity * DT)
@@ -221,14 +221,14 @@ def vehicle(data_dir: Path) -> dict[str, np.ndarray]:
     return errors
 
 
-def test_vehicle_inertial_is_in_small_angle_range_from_every_start(vehicle):
+def test_inertial_error_on_vehicle_record_is_small_from_every_start(vehicle):
     level, yaw = vehicle["inertial"][:, :2], vehicle["inertial"][:, 2]
     assert yaw.max() < 0.25
     assert np.median(yaw) < 0.04
     assert level.max() < 0.001
 
 
-def test_vehicle_defeats_analytic(vehicle):
+def test_analytic_fails_on_vehicle_record(vehicle):
     yaw = vehicle["analytic"][:, 2]
     assert yaw.min() > 1
     assert np.median(yaw) > 5

@@ -88,7 +88,7 @@ def dense(disturbances: Disturbances) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.representative("surge", "accel_walk")
 @pytest.mark.parametrize("name", [*(n for n, p in ALL._asdict().items() if p is not None), "all"])
-def test_growth_is_that_of_dense_matrices(name: str) -> None:
+def test_coloured_growth_matches_dense_matrices(name: str) -> None:
     own = ALL if name == "all" else Disturbances(**{name: getattr(ALL, name)})
     coloured = coloured_growth.increments(own, DT)
     quiet = IncrementNoise((jnp.asarray(0.0),), (jnp.asarray(0.0),))
@@ -114,7 +114,7 @@ def test_growth_is_that_of_dense_matrices(name: str) -> None:
         at += wide
 
 
-def test_a_new_interval_begins_anew() -> None:
+def test_new_interval_resets_coloured_growth() -> None:
     coloured = coloured_growth.increments(ALL, DT)
     quiet = IncrementNoise((jnp.asarray(1.0),), (jnp.asarray(1.0),))
     begun: Any = no_growth(N, jnp.asarray(0.0), coloured)

@@ -131,7 +131,7 @@ def driven(name, size):
 
 
 @pytest.mark.parametrize("name", LEVELLING)
-def test_levelling_has_the_closed_form_of_the_paper(name):
+def test_levelling_loop_matches_closed_form_of_paper(name):
     """Eq. (1), Delta3 = s^3 + K1 s^2 + (1 + K2) (g/R) s + g K3."""
     kind, size, numerators = LEVELLING[name]
     k1, k2, k3 = LEVEL
@@ -160,7 +160,7 @@ def azimuth_forms(k1, k2, k3, k4, omega):
 
 
 @pytest.mark.parametrize("name", ["phi_U(0)", "eps_U", "phi_E(0)", "eps_E", "nabla_N", "dV_N(0)"])
-def test_azimuth_has_the_closed_form_of_the_paper(name):
+def test_azimuth_loop_matches_closed_form_of_paper(name):
     """Eq. (2), Delta4 = s (s + K4) (s^2 + K1 s + (1 + K2) g/R) + g K3."""
     delta, forms = azimuth_forms(*AZIMUTH, SLOW.rate)
     kind, size, numerator = forms[name]
@@ -219,7 +219,7 @@ DRIVEN = {
 
 
 @pytest.mark.parametrize("name", DRIVEN)
-def test_both_channels_follow_the_whole_linear_model(name):
+def test_both_channels_match_coupled_linear_model(name):
     """With all couplings, through levelling, the switch to azimuth and a change of pace."""
     case = {"phi": np.zeros(3), "v": np.zeros(2), "eps": np.zeros(3), "nabla": np.zeros(3)}
     case |= DRIVEN[name]
@@ -233,7 +233,7 @@ def test_both_channels_follow_the_whole_linear_model(name):
         close(got[:, column], expected[:, column], 5e-4)
 
 
-def test_where_constant_errors_leave_the_loops():
+def test_steady_state_errors_from_constant_biases_match_theory():
     """Tilts at -nabla_N/g and nabla_E/g, whatever drifts; phi_U as in theory, with every term."""
     eps, nabla = np.array([2, -3, 4]) * 1e-5 * DEG_PER_H, np.array([0.5, -0.3, 0.0]) * UG
     case = {"planet": EARTH, "latitude": LATITUDE, "rate": 50, "nabla": nabla}
@@ -258,7 +258,7 @@ def test_where_constant_errors_leave_the_loops():
     np.testing.assert_allclose(both[1], k4 * omega * up / k3, rtol=1e-3)
 
 
-def test_without_gains_the_mechanisation_turns_the_platform_by_the_transport_rate():
+def test_loop_without_gains_oscillates_at_schuler_frequency():
     """The 1 in 1 + K2: what is left of the levelling loop is Schuler's."""
     given = Loops((0.0, 0.0, 0.0), ((NEVER, (0.0, 0.0, 0.0, 0.0)),))
     got = extrapolated(given, planet=SLOW, latitude=0.0, phi=(1e-5, 0, 0))
@@ -266,7 +266,7 @@ def test_without_gains_the_mechanisation_turns_the_platform_by_the_transport_rat
     close(got[:, 2], 1e-5 * np.cos(np.sqrt(G / R) * t), 1e-3)
 
 
-def test_the_transport_rate_is_counted_once():
+def test_levelling_loop_counts_transport_rate_once():
     """With K2 + 1 for K2, or K2 - 1, the tilt is off by 100 times what the right one is."""
     level = level_gains(0.02, EARTH)
     delta = [1, level[0], (1 + level[1]) * G / R, G * level[2]]
@@ -299,7 +299,7 @@ def around_the_switch(begin):
     return trail(static, environment, start)
 
 
-def test_loop_state_is_carried_over_the_switch():
+def test_loop_state_is_continuous_at_switch_to_azimuth():
     """Nothing jumps: the azimuth rate begins at zero, the levelling state goes on where it was."""
     k, dt = 500, 0.01
     levelling, switched = around_the_switch(NEVER), around_the_switch(float(k))
@@ -332,7 +332,7 @@ def short_run(given, phi):
     return trail(static, environment, one_run(np.eye(3), phi, (0, 0), given))
 
 
-def test_a_pace_is_a_factor_on_sigma():
+def test_pace_scales_sigma_of_azimuth_loop():
     """Pace p at sigma is pace 1 at p sigma; a piece begins after its sample."""
 
     def run(sigma, begin, paces):
@@ -350,7 +350,7 @@ def test_a_pace_is_a_factor_on_sigma():
 
 
 @pytest.mark.parametrize(("loop", "grows"), [("level", 1.01), ("azimuth", 1.25)])
-def test_a_sample_carries_just_what_is_not_refused(loop, grows):
+def test_stability_bound_on_sigma_separates_decay_from_growth(loop, grows):
     """A per cent below the bound on sigma a loop decays, and a little above it grows.
 
     In azimuth the bound is on the safe side: it leaves out that the mean heading of a step counts.
@@ -393,7 +393,7 @@ ERRORS = {
     ("planet", "latitude_deg", "position"), [(EARTH, 32.0, "fixed"), (WGS84, -41.0, "integrated")]
 )
 @pytest.mark.parametrize("rule", [*REVERSALS, "rewind"])
-def test_three_passes_as_the_naive_loop(rule, planet, latitude_deg, position):
+def test_three_compass_passes_match_naive_loop(rule, planet, latitude_deg, position):
     """Forward, backward, forward over 6 s of swing, azimuth taking over within the first pass.
 
     Or all three forward.

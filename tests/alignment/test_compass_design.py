@@ -56,7 +56,7 @@ def test_azimuth_gains_place_the_designed_double_roots(sigma, damping):
     assert gains.k1 == gains.k4
 
 
-def test_the_papers_damping_gives_its_formulas():
+def test_paper_damping_reproduces_paper_gain_formulas():
     g, r = EARTH.values()
     np.testing.assert_allclose(LEVEL, (0.06, 4 * 0.02**2 * r / g - 1, 2 * 0.02**3 / g), rtol=1e-14)
     np.testing.assert_allclose(
@@ -64,14 +64,14 @@ def test_the_papers_damping_gives_its_formulas():
     )
 
 
-def test_the_papers_printed_gains():
+def test_gains_match_printed_values_except_horizontal_k3():
     assert f"{LEVEL.k2:.8f}" == "1040.33306122"
     assert f"{AZIMUTH.k2:.7f}" == "259.3332653"
     assert f"{AZIMUTH.k3:.3e}" == "4.082e-09"
     assert PRINTED_K3 / LEVEL.k3 == pytest.approx(50, rel=1e-8)
 
 
-def test_the_printed_horizontal_k3_is_unstable():
+def test_printed_horizontal_k3_is_unstable():
     polynomial = loops.level_polynomial(LEVEL._replace(k3=PRINTED_K3), **EARTH)
     _, a, b, c = polynomial
     assert a * b == pytest.approx(9.6e-5)
@@ -83,7 +83,7 @@ def test_the_printed_horizontal_k3_is_unstable():
     assert not loops.carries(unstable, 1e-3)
 
 
-def test_roots_of_the_papers_loops():
+def test_roots_of_paper_loops_match_designed_values():
     level = loops.roots(loops.level_polynomial(LEVEL, **EARTH))
     np.testing.assert_allclose(
         by_imaginary(level), [-0.02 - 0.02j, -0.02, -0.02 + 0.02j], rtol=1e-9
@@ -102,7 +102,7 @@ def test_roots_are_sorted_and_rebuild_the_polynomial(real, imaginary, lead):
     np.testing.assert_allclose(lead * np.poly(found), polynomial, atol=1e-10)
 
 
-def test_roots_are_batched():
+def test_roots_accept_batched_polynomials():
     sigma = np.array([[0.01, 0.02, 0.05], [0.1, 0.2, 0.3]])
     gains = loops.level_gains(sigma, 0.6, **EARTH)
     polynomials = loops.level_polynomial(gains, **EARTH)
@@ -112,7 +112,7 @@ def test_roots_are_batched():
     np.testing.assert_allclose(found[1, 2], loops.roots(polynomials[1, 2]), rtol=1e-12)
 
 
-def test_gains_are_designed_under_jit_in_the_precision_of_sigma():
+def test_gain_design_under_jit_keeps_sigma_precision():
     for design in (loops.level_gains, loops.azimuth_gains):
         traced = jax.jit(lambda s, design=design: design(s, PAPER_DAMPING, **EARTH))
         gains = traced(np.float32(0.02))
@@ -121,20 +121,20 @@ def test_gains_are_designed_under_jit_in_the_precision_of_sigma():
 
 
 @given(sigmas, dampings, st.floats(0.1, 10))
-def test_a_pace_scales_sigma(sigma, damping, pace):
+def test_at_pace_scales_sigma(sigma, damping, pace):
     gains = loops.at_pace(loops.azimuth_gains(sigma, damping, **EARTH), pace)
     expected = loops.azimuth_gains(pace * sigma, damping, **EARTH)
     np.testing.assert_allclose(gains, expected, rtol=1e-11)
 
 
 @given(st.floats(10, 1000), st.floats(0.05, 0.95))
-def test_an_adjustment_time_is_one_damped_period(time, damping):
+def test_adjustment_time_is_one_damped_period(time, damping):
     sigma = loops.sigma_of_period(time, damping)
     wd = designed_roots(sigma, damping)[0].imag
     assert wd * time == pytest.approx(2 * math.pi)
 
 
-def test_the_papers_adjustment_times():
+def test_paper_adjustment_times_give_expected_sigma():
     assert loops.sigma_of_period(150, PAPER_DAMPING) == pytest.approx(0.041888, abs=5e-7)
     assert loops.sigma_of_period(450, PAPER_DAMPING) == pytest.approx(0.013963, abs=5e-7)
     assert loops.sigma_of_settling(150, math.exp(-3)) == pytest.approx(0.02)
@@ -157,21 +157,21 @@ def characteristic(matrix, s):
 
 
 @given(gains3, st.complex_numbers(min_magnitude=0.01, max_magnitude=2))
-def test_the_level_matrix_has_the_characteristic_polynomial(gains, s):
+def test_level_matrix_matches_characteristic_polynomial(gains, s):
     value = np.polyval(loops.level_polynomial(gains, **EARTH), s)
     size = np.polyval(loops.level_polynomial(gains, **EARTH), abs(s))
     assert abs(characteristic(loops.level_matrix(gains, **EARTH), s) - value) < 1e-11 * size
 
 
 @given(gains4, st.complex_numbers(min_magnitude=0.01, max_magnitude=2), st.sampled_from([1, -1]))
-def test_the_azimuth_matrix_has_the_characteristic_polynomial(gains, s, direction):
+def test_azimuth_matrix_matches_characteristic_polynomial(gains, s, direction):
     matrix = loops.azimuth_matrix(gains, **EARTH, rate_n=RATE_N, direction=direction)
     polynomial = loops.azimuth_polynomial(gains, **EARTH)
     value, size = np.polyval(polynomial, s), np.polyval(polynomial, abs(s))
     assert abs(characteristic(matrix, s) - value) < 1e-11 * size
 
 
-def test_matrices_have_the_roots_as_eigenvalues():
+def test_matrix_eigenvalues_equal_polynomial_roots():
     sigma = np.array([0.01, 0.05])
     level = loops.level_gains(sigma, 0.5, **EARTH)
     found = by_imaginary(np.linalg.eigvals(loops.level_matrix(level, **EARTH)))
@@ -184,7 +184,7 @@ def test_matrices_have_the_roots_as_eigenvalues():
 
 
 @given(gains3, st.complex_numbers(min_magnitude=0.05, max_magnitude=2), st.integers(0, 99))
-def test_the_closed_form_of_levelling(gains, s, seed):
+def test_levelling_response_matches_paper_closed_form(gains, s, seed):
     """[P2] eq. (1) against the resolvent of the state space."""
     g, r = EARTH.values()
     k1, k2, k3 = gains
@@ -201,7 +201,7 @@ def test_the_closed_form_of_levelling(gains, s, seed):
 
 
 @given(gains4, st.complex_numbers(min_magnitude=0.05, max_magnitude=2), st.integers(0, 99))
-def test_the_closed_form_of_the_azimuth_loop(gains, s, seed):
+def test_azimuth_response_matches_paper_closed_form(gains, s, seed):
     """[P2] eq. (2) against the resolvent of the state space."""
     g, r = EARTH.values()
     k1, k2, k3, k4 = gains
@@ -220,7 +220,7 @@ def test_the_closed_form_of_the_azimuth_loop(gains, s, seed):
     assert abs(g * phi_e - ((s + k1) * dv - nabla - dv0)) < 1e-9 * (abs(g * phi_e) + abs(dv) + 1)
 
 
-def test_steady_states():
+def test_steady_states_match_closed_forms():
     g, r = EARTH.values()
     nabla, eps_e, eps_u = 50e-6 * g, 0.02 * math.pi / 648e3, 0.02 * math.pi / 648e3
     level = np.linalg.solve(-loops.level_matrix(LEVEL, **EARTH), [nabla, -eps_e, 0])
@@ -275,7 +275,7 @@ def simulated_azimuth(gains, dt, steps):
         (loops.azimuth_matrix(AZIMUTH, **EARTH, rate_n=RATE_N), AZIMUTH, simulated_azimuth),
     ],
 )
-def test_a_sample_carries_a_loop_up_to_the_limit_of_the_recursion(matrix, gains, simulated):
+def test_stability_limit_of_sample_time_matches_simulated_recursion(matrix, gains, simulated):
     below, above = 1.0, 1000.0
     while above / below > 1.001:
         middle = math.sqrt(below * above)
@@ -287,7 +287,7 @@ def test_a_sample_carries_a_loop_up_to_the_limit_of_the_recursion(matrix, gains,
     assert max(grown[-100:]) > 1e2 * max(grown[:100])
 
 
-def test_carries_is_batched_and_exact_for_short_samples():
+def test_stability_check_is_batched_and_exact_for_short_samples():
     matrix = loops.azimuth_matrix(AZIMUTH, **EARTH, rate_n=RATE_N)
     got = loops.carries(matrix, np.array([1e-9, 0.005, 1.0, 1000.0]))
     assert got.tolist() == [True, True, True, False]
@@ -297,13 +297,13 @@ def test_carries_is_batched_and_exact_for_short_samples():
 
 
 @pytest.mark.parametrize("turn", CYCLE_RADII)
-def test_cycle_radii_of_turns_that_lose_something(turn):
+def test_cycle_radii_of_lossy_turns_match_known_values(turn):
     for tape_s in (40.0, 80.0, 300.0):
         got = loops.cycle_radius(SIGMA_TAPES / tape_s, tape_s, loops.turn_matrix(*turn))
         np.testing.assert_allclose(got, CYCLE_RADII[turn], atol=5.1e-5)
 
 
-def test_a_reflection_goes_on_as_if_the_tape_had_not_turned():
+def test_reflected_passes_equal_one_long_forward_pass():
     turn = loops.turn_matrix(*REFLECTION)
     forward = loops.azimuth_matrix(AZIMUTH, **EARTH, rate_n=RATE_N)
     reverse = loops.azimuth_matrix(AZIMUTH, **EARTH, rate_n=RATE_N, direction=-1)
@@ -315,7 +315,7 @@ def test_a_reflection_goes_on_as_if_the_tape_had_not_turned():
     np.testing.assert_allclose(whole, scipy.linalg.expm(240 * forward), rtol=1e-8, atol=0)
 
 
-def test_a_cycle_integrated_in_time():
+def test_cycle_radius_matches_integrated_differential_equations():
     """The radius from the differential equations of the loop with the paper's g, R and Earth."""
     g, r = EARTH.values()
     sigma, tape_s = 0.015, 80.0
@@ -346,7 +346,7 @@ def test_a_cycle_integrated_in_time():
     )
 
 
-def test_a_schedule_of_changing_gains():
+def test_schedule_matrix_of_changing_gains_matches_matrix_exponentials():
     turn = loops.turn_matrix(*VELOCITY_ONLY)
     paces = [(5.0, 80.0), (3.0, 80.0), (2.0, 40.0)]
     passes = [(loops.at_pace(AZIMUTH, pace), seconds) for pace, seconds in paces]

@@ -18,12 +18,12 @@ from sinsjax.study.keys import SECTIONS, TUNABLE
 methods = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
 
 
-def test_the_page_on_methods_is_up_to_date():
+def test_methods_page_is_up_to_date():
     assert (Path(__file__).parents[2] / "docs" / "methods.md").read_text() == page()
 
 
 @methods
-def test_it_reads_keys_that_there_are(method):
+def test_methods_name_only_existing_keys(method):
     known = {key for name in TUNABLE for key in SECTIONS[name].model_fields}
     assert {*method.reads} <= known and {*method.silent} <= method.keys
     for pair in method.gyro_bias_keys:
@@ -34,7 +34,7 @@ def test_it_reads_keys_that_there_are(method):
 
 
 @methods
-def test_its_columns_are_told_where_the_study_has_them(method):
+def test_method_columns_are_in_summary_layout(method):
     study = small_study(alignment={"method": method.name})
     names = [own.column.name for own in method.columns_of(study)]
     assert len({*names}) == len(names)
@@ -42,7 +42,7 @@ def test_its_columns_are_told_where_the_study_has_them(method):
 
 
 @methods
-def test_it_has_a_covariance_or_says_that_it_has_none(method):
+def test_has_covariance_flag_matches_initial_covariance(method):
     group = Scenario(small_study(alignment={"method": method.name})).part(0).group
     params = jax.tree.map(lambda a: np.asarray(a)[0], group.variants)
     built = method(Options(0.01))

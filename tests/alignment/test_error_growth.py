@@ -48,7 +48,7 @@ def random_step(rng: np.random.Generator, n: int) -> ErrorStep:
 
 
 @given(seeds, st.sampled_from([5, 6, 10]), st.booleans())
-def test_growth_is_that_of_dense_matrices(seed: int, n: int, alike: bool) -> None:
+def test_error_growth_matches_dense_matrices(seed: int, n: int, alike: bool) -> None:
     rng = np.random.default_rng(seed)
     growth = error_growth.no_growth(n, np.float64(0.0))
     f, w, d = np.eye(n), np.zeros((n, n)), rng.normal(size=n)
@@ -82,7 +82,7 @@ def test_growth_is_that_of_dense_matrices(seed: int, n: int, alike: bool) -> Non
 
 
 @given(seeds, st.sampled_from([5, 10]))
-def test_gains_are_those_of_the_update(seed: int, n: int) -> None:
+def test_kalman_gains_reproduce_update(seed: int, n: int) -> None:
     """X after an update is x + sum of gains times what each measurement still had to tell."""
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(n, n))
@@ -95,7 +95,7 @@ def test_gains_are_those_of_the_update(seed: int, n: int) -> None:
     np.testing.assert_allclose(kalman.update(belief, (0, 1), tuple(z), r).x, x, rtol=1e-12)
 
 
-def test_all_that_tell_their_linear_part_are_known_here() -> None:
+def test_only_listed_methods_have_linear_error_step() -> None:
     """By name, so that a further method is thought of."""
     for name in METHODS:
         built = method_of(_program(name)[0])
@@ -127,7 +127,7 @@ def _states(name: str, off: float) -> tuple[Any, ...]:
 
 
 @pytest.mark.parametrize("name", FILTERS)
-def test_a_step_moves_the_error_of_the_corrected_solution_by_its_linear_part(name: str) -> None:
+def test_linear_error_step_predicts_error_of_corrected_solution(name: str) -> None:
     """Of two runs that begin a little apart, on a base at rest; the states' order is the filter's.
 
     The error is taken by what it means: the corrected attitude and velocity of both.
@@ -163,7 +163,7 @@ def test_a_step_moves_the_error_of_the_corrected_solution_by_its_linear_part(nam
 
 
 @pytest.mark.parametrize("name", FILTERS)
-def test_increments_in_error_enter_as_told(name: str) -> None:
+def test_linear_error_step_predicts_effect_of_increment_errors(name: str) -> None:
     """One step with increments a little off, against the step with exact ones."""
     method, params, site, state = _states(name, 0.0)
     assert method.error_step is not None and method.error_angles is not None
@@ -195,7 +195,7 @@ def _compass_error(state: Any, rate: Any) -> np.ndarray:
 
 
 @pytest.mark.parametrize("n", [1.0, 1e9])
-def test_the_linear_part_of_the_compass_is_its_steps_derivative(n: float) -> None:
+def test_compass_error_step_is_derivative_of_its_step(n: float) -> None:
     """By each state and each increment, while levelling and after, in any state of the loops."""
     method, params, site, state = _states("compass", 0.02)
     assert method.error_step is not None

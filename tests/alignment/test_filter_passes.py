@@ -44,7 +44,7 @@ def numbers(name, **changes):
 @pytest.mark.representative("kalman_sincos-rewind", "kalman_surge-carried")
 @pytest.mark.parametrize("turn", ["carried", "rewind"])
 @pytest.mark.parametrize("name", NAIVE)
-def test_three_passes_as_the_naive_loop(name, turn):
+def test_three_passes_match_naive_filter_loop(name, turn):
     """With feedback over the direction reversals, and a reset; or all three forward."""
     phi, v = np.array([1.0, -2.0, 15.0]) * DEG, np.array([0.3, -0.2])
     rows = measured(PAPER, LATITUDE, SAMPLES)

@@ -143,7 +143,7 @@ def plain(watched, reversals):
 
 @pytest.mark.parametrize("trigger", ["none", "nis"])
 @pytest.mark.parametrize("reversals", [(), (50, 120)])
-def test_any_filter_has_schedules_reversals_innovations_and_triggers(trigger, reversals):
+def test_shared_filter_stages_match_naive_two_state_filter(trigger, reversals):
     """Of whatever states; they come with its stages."""
     rows, results = engine(trigger, np.array(reversals, float))
     expected, called, squares = plain(trigger == "nis", reversals)

@@ -73,7 +73,7 @@ def refuses(*given: Any) -> Any:
     raise InputError("[made] key: is too large")
 
 
-def test_what_works_is_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_valid_plugin_method_is_registered_and_built(monkeypatch: pytest.MonkeyPatch) -> None:
     found = of_package(monkeypatch)
     assert found.broken == {} and list(found.methods) == ["made"]
     built = found.methods["made"](None)
@@ -122,7 +122,7 @@ HERE = f"in {__file__}:{fails.__code__.co_firstlineno + 1}"
         ("limit", {}, "limit: gave nothing, not a sinsjax.alignment.limits.Limit, in "),
     ],
 )
-def test_what_fails_is_told(
+def test_failing_plugin_function_is_named_in_error(
     monkeypatch: pytest.MonkeyPatch, call: str, changes: dict[str, Any], what: str
 ) -> None:
     method = of_package(monkeypatch, **changes).methods["made"]
@@ -170,7 +170,7 @@ TOO_FEW, TOO_MANY = (f"TypeError: {f.__name__}() " for f in (one_too_few, two))
         (lambda state: [*state], None, "TypeError: iteration over a 0-d array"),
     ],
 )
-def test_the_place_is_that_of_the_function_itself(
+def test_plugin_error_points_to_line_of_wrapped_function(
     monkeypatch: pytest.MonkeyPatch, function: Any, written: Any, what: str
 ) -> None:
     """Bound to numbers, called with others than it takes, or traced."""
@@ -184,7 +184,7 @@ def test_the_place_is_that_of_the_function_itself(
     assert re.search(rf", in {__file__}:{line}$", str(caught.value))
 
 
-def test_a_key_that_there_is_not_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unknown_key_in_plugin_parameters_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     columns = Variants(small_study(), np.zeros(1, int))
     for key in ("gain", "compass_time_s"):
 
@@ -200,13 +200,13 @@ def test_a_key_that_there_is_not_is_told(monkeypatch: pytest.MonkeyPatch) -> Non
         assert str(caught.value) == f"method 'made': parameters: {why}, in {__file__}:{line}"
 
 
-def test_what_it_refuses_itself_is_its_own_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_input_error_of_plugin_passes_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
     method = of_package(monkeypatch, rules=(refuses,)).methods["made"]
     with pytest.raises(InputError, match=r"^\[made\] key: is too large$"):
         method.rules[0](None)
 
 
-def test_an_entry_point_has_the_name_of_its_method(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_entry_point_named_unlike_its_method_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     found = of_package(monkeypatch, name="other")
     assert found.methods == {}
     assert found.broken["other"].endswith("its method is called 'made' (give both one name)")
@@ -237,7 +237,7 @@ def with_default(kind: Any, value: Any) -> dict[str, Any]:
     return {"sections": {"lagged": made}}
 
 
-def test_defaults_that_a_study_could_give_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_valid_section_defaults_are_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
     assert of_package(monkeypatch, sections={"lagged": Right}).broken == {}
 
 
@@ -259,7 +259,7 @@ def test_defaults_that_a_study_could_give_are_taken(monkeypatch: pytest.MonkeyPa
         ),
     ],
 )
-def test_a_default_is_of_the_type_of_its_key(
+def test_invalid_section_default_is_refused(
     monkeypatch: pytest.MonkeyPatch, kind: Any, value: Any, what: str
 ) -> None:
     found = of_package(monkeypatch, **with_default(kind, value))
@@ -288,7 +288,7 @@ def test_a_default_is_of_the_type_of_its_key(
         ({"rules": (None,)}, "rules[0]: must be callable, not None"),
     ],
 )
-def test_a_description_of_other_types_is_refused(
+def test_description_with_invalid_fields_is_refused(
     monkeypatch: pytest.MonkeyPatch, changes: dict[str, Any], what: str
 ) -> None:
     made = described()
@@ -299,14 +299,14 @@ def test_a_description_of_other_types_is_refused(
     assert found.broken["made"].startswith(f"entry point 'made' in sinsjax.methods: {what}")
 
 
-def test_a_module_that_exits_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_plugin_module_that_exits_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     found = brought(monkeypatch, point(exits))
     where = f"in {__file__}:{exits.__code__.co_firstlineno + 1}"
     assert found.broken["made"].endswith(f"cannot be loaded (SystemExit: 3, {where})")
 
 
 @pytest.mark.parametrize("value", ["made-of.description:MADE", "made.description:MADE:x y", ""])
-def test_an_entry_point_that_names_no_object_is_told(
+def test_malformed_entry_point_is_reported_and_others_load(
     monkeypatch: pytest.MonkeyPatch, value: str
 ) -> None:
     """What its module is cannot be asked, and other methods stay."""
@@ -322,7 +322,7 @@ def exits() -> Any:
     raise SystemExit(3)
 
 
-def test_a_method_of_this_package_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_built_in_method_is_kept_over_plugin_of_same_name(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever others bring under its name, even if that cannot be loaded."""
     own = described()
     others = point(described, package="one"), point(exits, package="other")
@@ -338,7 +338,7 @@ def test_a_method_of_this_package_stays(monkeypatch: pytest.MonkeyPatch) -> None
     usable.check_usable({"alignment": {"method": "made"}})
 
 
-def test_two_packages_with_one_name_are_both_named(
+def test_two_plugins_with_same_method_name_are_both_reported(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     others = point(described, package="one"), point(described, package="other")
@@ -422,7 +422,7 @@ def no_field(state: Any) -> Any:
         ("normalise", no_field, (Two(1, 1),), "ValueError: Got unexpected field names: ['nav']"),
     ],
 )
-def test_what_a_function_gives_is_what_it_should(
+def test_wrong_plugin_return_value_is_reported_with_place(
     monkeypatch: pytest.MonkeyPatch, name: str, function: Any, given: Any, what: str
 ) -> None:
     made = METHOD._replace(**{name: function})
@@ -443,7 +443,7 @@ def test_what_a_function_gives_is_what_it_should(
         (lambda params, value: params, "TypeError: "),
     ],
 )
-def test_a_change_gives_numbers_like_those_that_it_was_given(
+def test_relaxed_change_returning_other_structure_is_reported(
     monkeypatch: pytest.MonkeyPatch, change: Any, what: str
 ) -> None:
     made = relaxing(Relaxed({"lag_s": change}))
@@ -453,13 +453,13 @@ def test_a_change_gives_numbers_like_those_that_it_was_given(
     assert str(caught.value).startswith(f"method 'made': relaxed.changes['lag_s']: {what}")
 
 
-def test_a_change_may_make_a_whole_number_real(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_relaxed_change_may_turn_integer_into_float(monkeypatch: pytest.MonkeyPatch) -> None:
     made = relaxing(Relaxed({"lag_s": lambda params, entry, value, base: params * value / base}))
     method = of_package(monkeypatch, reads=("lag_s",), load=lambda: made).methods["made"]
     assert method.implementation.relaxed.changes["lag_s"](np.int64(3), None, 1.0, 2.0) == 1.5
 
 
-def test_what_works_for_a_loop_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_plain_number_in_state_may_become_float(monkeypatch: pytest.MonkeyPatch) -> None:
     """A plain number of a state becomes what the first step makes of it."""
     made = METHOD._replace(normalise=lambda state: Two(ONE, state.y))
     load = implementation(build=lambda options: made)
@@ -468,7 +468,7 @@ def test_what_works_for_a_loop_is_taken(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 @pytest.mark.parametrize("leaf", [np.ones(7), np.ones(1), 1.0, np.ones((3, 2))])
-def test_a_number_has_a_value_a_variant(
+def test_plugin_parameters_need_one_value_per_variant(
     monkeypatch: pytest.MonkeyPatch, leaf: Any
 ) -> None:
     columns = SimpleNamespace(count=2)

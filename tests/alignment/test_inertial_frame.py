@@ -39,7 +39,7 @@ NAMES = ("optimisation", "optimisation_position", "inertial")
 
 @given(st.integers(0, 2**32 - 1), st.floats(-9, 0), st.floats(-3, 12), st.floats(0, 1e-7))
 @settings(max_examples=100, deadline=None)
-def test_the_eigenvector_of_the_larger_of_two_close_eigenvalues(seed, gap, size, above):
+def test_dominant_eigenvector_is_accurate_for_close_eigenvalues(seed, gap, size, above):
     """To what rounding the matrix leaves of it: some 1e-16 over the gap."""
     rng, gap = np.random.default_rng(seed), 10**gap
     axes, _ = np.linalg.qr(rng.normal(size=(4, 4)))
@@ -53,7 +53,7 @@ def test_the_eigenvector_of_the_larger_of_two_close_eigenvalues(seed, gap, size,
 
 @given(st.floats(0.01, 1e5), st.floats(-80, 80))
 @settings(max_examples=30, deadline=None)
-def test_the_velocity_of_gravitys_reaction_in_the_inertial_frame(t, latitude_deg):
+def test_reaction_velocity_matches_numerical_integral(t, latitude_deg):
     here = place(WGS84, latitude_deg * DEG)
     rate = np.array([0.0, here.rate_n, here.rate_u])
     expected, _ = quad_vec(
@@ -110,7 +110,7 @@ def fitted(b, body, seconds):
 
 
 @pytest.mark.parametrize("seconds", [20, 40, 60])
-def test_optimisation_is_the_least_squares_fit_of_the_velocities(seconds):
+def test_optimisation_matches_least_squares_fit_of_velocities(seconds):
     n = seconds * RATE
     alpha, beta, body = (of[:n] for of in velocities())
     found = of_record("optimisation")[seconds - 1]
@@ -119,7 +119,7 @@ def test_optimisation_is_the_least_squares_fit_of_the_velocities(seconds):
 
 
 @pytest.mark.parametrize("seconds", [20, 40, 60])
-def test_optimisation_of_positions_leaves_the_first_velocity_open(seconds):
+def test_position_optimisation_leaves_initial_velocity_free(seconds):
     """The residuals of their sums on the time, by least squares, fit best."""
     n = seconds * RATE
     alpha, beta, body = (of[:n] for of in velocities())
@@ -133,7 +133,7 @@ def test_optimisation_of_positions_leaves_the_first_velocity_open(seconds):
 
 
 @pytest.mark.slow
-def test_a_base_that_is_under_way_at_a_steady_velocity_does_not_matter_to_positions():
+def test_position_optimisation_ignores_constant_base_velocity():
     """Of a metre a second, known to the inertial frame as a change of the first sample."""
     moving = record().copy()
     moving[0, 3:] += [0.6, -0.8, 0.1]
@@ -145,7 +145,7 @@ def test_a_base_that_is_under_way_at_a_steady_velocity_does_not_matter_to_positi
     assert change("optimisation") > 100 * ARCMIN
 
 
-def test_inertial_is_coarse_alignment_as_it_goes():
+def test_inertial_method_matches_inertial_coarse_alignment():
     samples = sensors.compensate_record(record(), record()[0])
     found = of_record("inertial")
     for seconds in (1, 20, SECONDS):
@@ -155,7 +155,7 @@ def test_inertial_is_coarse_alignment_as_it_goes():
         assert np.abs(turn).max() < 1e-9
 
 
-def test_an_interval_is_optimised_at_once_as_sample_by_sample():
+def test_batch_optimisation_matches_sample_by_sample_result():
     samples = sensors.compensate_record(record(), record()[0])
     q = jax.jit(optimised)(samples, place(PAPER, LATITUDE), 1 / RATE)
     turn = log(of_quaternion(np.array(q)) @ of_record("optimisation")[-1].T)
@@ -163,14 +163,14 @@ def test_an_interval_is_optimised_at_once_as_sample_by_sample():
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_without_sensor_errors_it_finds_the_attitude_within_a_minute(name):
+def test_error_free_attitude_is_found_within_one_minute(name):
     rows = swing_increments(SWING, PAPER, LATITUDE, rate=RATE, samples=RATE * SECONDS)
     found = attitudes(name, rows)
     assert np.abs(log(SWING.matrix(SECONDS) @ found[-1].T)).max() < 0.05 * ARCMIN
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_what_a_run_begins_with_makes_no_difference(name):
+def test_initial_attitude_does_not_change_result(name):
     other = attitudes(name, record(), exp([1.0, 2.0, 3.0]))
     np.testing.assert_array_equal(of_record(name), other)
 
@@ -184,7 +184,7 @@ def of_methods(names):
     )
 
 
-def test_all_methods_stand_in_one_study():
+def test_initial_heading_is_inactive_for_inertial_frame_methods_only():
     """Each ignores the keys of the others; on some the heading that they begin with acts."""
     silent = acting.silent(of_methods(list(METHODS)), "phi_u0_deg").reshape(-1, 2)
     for name, of_method in zip(METHODS, silent, strict=True):
@@ -193,7 +193,7 @@ def test_all_methods_stand_in_one_study():
 
 @pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_methods_that_no_heading_acts_on_have_the_same_runs():
+def test_initial_heading_does_not_change_inertial_frame_runs():
     names = ["kalman5", *NAMES]
     phi = run_study(of_methods(names)).summary["phi_u_mean_arcmin"].to_numpy()
     for name, final in zip(names, np.moveaxis(phi.reshape(2, -1, 2), 1, 0), strict=True):
@@ -201,7 +201,7 @@ def test_methods_that_no_heading_acts_on_have_the_same_runs():
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_passes_are_refused_with_the_reason(name):
+def test_inertial_frame_methods_refuse_passes_with_reason(name):
     line = refusal(alignment={"method": name}, passes={"tape_s": 2.0})
     assert line == (
         f"[passes] tape_s: method {name} takes a record in once: read again it tells no more"

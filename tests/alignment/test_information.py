@@ -97,7 +97,7 @@ def least_squares(n, surge=None):
 
 
 @pytest.mark.parametrize("name", [None, *OF_SURGE])
-def test_the_bound_is_that_of_generalised_least_squares(name):
+def test_information_bound_matches_generalised_least_squares(name):
     surge, counts = OF_SURGE.get(name), (40, 200)
     found = bound([n * DT for n in counts], Disturbances(surge=surge))
     expected = [np.sqrt(least_squares(n, surge)[1][2, 2]) for n in counts]
@@ -105,7 +105,7 @@ def test_the_bound_is_that_of_generalised_least_squares(name):
 
 
 @pytest.mark.parametrize("name", OF_SURGE)
-def test_least_squares_of_simulated_data_reaches_the_bound(name):
+def test_least_squares_on_simulated_data_reaches_bound(name):
     """Each realisation is stepped through, sample by sample."""
     surge, n, draws, rng = OF_SURGE[name], 200, 4000, np.random.default_rng(1)
     x = np.einsum("ij,djk->dik", surge.begin, rng.standard_normal((draws, len(surge.drive), 2)))
@@ -128,7 +128,7 @@ def test_least_squares_of_simulated_data_reaches_the_bound(name):
 
 
 @pytest.mark.parametrize(("gyro", "most"), [(0.1 * GYRO, 1.01), (GYRO, 1.1)])
-def test_white_noise_alone_leaves_what_is_known_in_closed_form(gyro, most):
+def test_white_noise_bound_is_near_closed_form(gyro, most):
     """A bound of the bound, and close to it where one of two noises dominates."""
     times = [100.0, 300.0]
     closed = bounds.tape_bound(
@@ -143,7 +143,7 @@ def test_white_noise_alone_leaves_what_is_known_in_closed_form(gyro, most):
     assert np.all((ratio > 0.999) & (ratio < most))
 
 
-def test_a_slow_surge_hides_more_than_a_fast_one_and_none_more_than_all():
+def test_bound_grows_with_surge_correlation_time():
     def of(time_s, rms=0.1):
         surge = processes.gauss_markov(np.full(3, rms), time_s, DT)
         return bound([60.0], Disturbances(surge=surge))[0]
@@ -152,7 +152,7 @@ def test_a_slow_surge_hides_more_than_a_fast_one_and_none_more_than_all():
     assert of(5.0, rms=1e-6) == pytest.approx(bound([60.0])[0], rel=1e-3)
 
 
-def test_vibration_within_bounds_hides_next_to_nothing():
+def test_bounded_vibration_barely_raises_bound():
     shaking = processes.resonance(np.full(3, 1e-3), 1.5, 0.1, DT)
     rocking = processes.resonance(np.full(3, 1e-6), 1.5, 0.1, DT)
     alone, shaken = bound([120.0])[0], bound([120.0], Disturbances(shaking=shaking))[0]
@@ -160,12 +160,12 @@ def test_vibration_within_bounds_hides_next_to_nothing():
     assert alone < bound([120.0], Disturbances(rocking=rocking))[0] < 1.05 * alone
 
 
-def test_a_drifting_gyro_leaves_at_least_its_walk():
+def test_gyro_random_walk_raises_bound():
     walk = processes.mean_random_walk(np.full(3, 1e-8), DT)
     assert bound([300.0], Disturbances(gyro_walk=walk))[0] > 1.5 * bound([300.0])[0]
 
 
-def test_the_axes_of_the_sensors_turn_with_the_body():
+def test_sensor_noise_axes_rotate_with_body():
     turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # heading 90 deg
     ahead = bound([60.0], errors=errors((ACCEL, 3 * ACCEL, ACCEL), (GYRO, 2 * GYRO, GYRO)))
     aside = bound(
@@ -174,5 +174,5 @@ def test_the_axes_of_the_sensors_turn_with_the_body():
     np.testing.assert_allclose(ahead, aside, rtol=1e-12)
 
 
-def test_a_sample_or_two_tell_no_heading():
+def test_one_sample_carries_almost_no_heading_information():
     assert np.all(bound([DT, 10.0])[0] > 100 * bound([10.0]))

@@ -23,7 +23,7 @@ def random_places(rng, n):
 
 
 @pytest.mark.parametrize(("n", "measured"), [(5, (0, 1)), (5, (3,)), (5, (4, 0, 2)), (10, (0, 1))])
-def test_predict_and_update_as_a_dense_joint_filter(n, measured):
+def test_predict_and_update_match_dense_joint_filter(n, measured):
     rng = np.random.default_rng(n)
     places = random_places(rng, n)
     h = np.eye(n)[list(measured)]
@@ -52,7 +52,7 @@ def test_predict_and_update_as_a_dense_joint_filter(n, measured):
 
 
 @pytest.mark.parametrize("n", [1, 2, 6, 9, 12])
-def test_any_number_of_states(n):
+def test_predict_matches_dense_matrices_for_any_state_count(n):
     rng = np.random.default_rng(n)
     places = random_places(rng, n) or [(0, 0)]
     values = rng.normal(scale=0.3, size=len(places))
@@ -108,7 +108,7 @@ def run(p0, q, r, force):
 
 
 @given(seeds)
-def test_a_worthless_measurement_changes_nothing(seed):
+def test_measurement_with_huge_noise_changes_nothing(seed):
     rng = np.random.default_rng(seed)
     half = rng.normal(size=(5, 7))
     p = tuple((half @ half.T)[np.triu_indices(5)])
@@ -119,7 +119,7 @@ def test_a_worthless_measurement_changes_nothing(seed):
 
 
 @given(seeds)
-def test_a_perfect_measurement_is_believed(seed):
+def test_noise_free_measurement_is_adopted_exactly(seed):
     rng = np.random.default_rng(seed)
     half = rng.normal(size=(5, 7))
     belief = kalman.Belief(tuple(np.zeros(5)), tuple((half @ half.T)[np.triu_indices(5)]))
@@ -128,6 +128,6 @@ def test_a_perfect_measurement_is_believed(seed):
     np.testing.assert_allclose(dense(after.p, 5)[:2], 0, atol=1e-10)
 
 
-def test_as_many_values_as_measured_states():
+def test_update_refuses_wrong_number_of_measurements():
     with pytest.raises(ValueError, match="zip"):
         kalman.update(kalman.start((1.0, 1.0)), (0, 1), (0.5,), 1.0)

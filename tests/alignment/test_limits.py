@@ -46,7 +46,7 @@ MOTIONS = {
 
 @pytest.mark.representative("still", "paper", "large")
 @pytest.mark.parametrize("name", MOTIONS)
-def test_the_mean_attitude_is_that_over_many_periods(name: str) -> None:
+def test_mean_attitude_matches_average_over_many_periods(name: str) -> None:
     one = MOTIONS[name]
     t = np.linspace(0, 71_000, 300_007, endpoint=False)
     angles = [
@@ -75,7 +75,7 @@ def limit_of(group: Any) -> Any:
     )
 
 
-def test_biases_turn_with_the_vehicle() -> None:
+def test_mean_biases_rotate_with_vehicle() -> None:
     """Heading 90 deg: east is body -y, north is body x; swayed by J0 of the amplitude."""
     sensors = {"gyro_bias_deg_per_h": [0.1, 0.2, 0.3], "accel_bias_ug": [300.0, 500.0, 0.0]}
     sways = STILL | {"yaw_center_deg": 90.0, "yaw_amplitude_deg": 90.0}
@@ -87,7 +87,7 @@ def test_biases_turn_with_the_vehicle() -> None:
     assert most == pytest.approx(500 * 9.8e-6)
 
 
-def test_papers_limit_accuracy() -> None:
+def test_bias_floor_matches_paper_value() -> None:
     """[P1] section 2.4.1 prints -27.0248'; small angles, both terms and 15.041 deg/h -25.877'."""
     group, _ = biases_of(motion={"yaw_center_deg": 0.0} | STILL)
     phi = limit_of(group).phi
@@ -163,7 +163,7 @@ def check(study: Study) -> None:
 
 
 @pytest.mark.optimised(False)
-def test_the_small_angle_form_is_not_where_a_filter_ends() -> None:
+def test_filter_ends_at_exact_not_small_angle_bias_floor() -> None:
     study = study_of(
         "kalman5",
         filter=SETTLING | {"q_gyro_deg_per_h": 1.0},
@@ -178,13 +178,13 @@ def test_the_small_angle_form_is_not_where_a_filter_ends() -> None:
 @pytest.mark.representative("kalman5")
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("method", ["kalman5", "kalman10"])
-def test_filters_end_at_the_limit(method: str) -> None:
+def test_filters_end_at_bias_floor(method: str) -> None:
     axes = {"latitude_deg": LATITUDES, "gyro_bias_deg_per_h": BIASES}
     check(study_of(method, filter=QUICK, axes=axes))
 
 
 @pytest.mark.slow
-def test_compass_loops_end_at_the_limit() -> None:
+def test_compass_loops_end_at_bias_floor() -> None:
     """But for 20 deg/h of both at 60 deg.
 
     What is felt there is 4.5 times omega_N, and so is the gain of the azimuth loop, whose margin is
@@ -196,7 +196,7 @@ def test_compass_loops_end_at_the_limit() -> None:
 
 
 @pytest.mark.slow
-def test_compass_loops_lag_behind_an_up_bias() -> None:
+def test_compass_loops_lag_under_up_gyro_bias() -> None:
     """By 2 eps_U/sigma of the sigma in force at the end, as told; less where more is felt."""
     study = study_of(
         "compass",
@@ -221,7 +221,7 @@ def test_compass_loops_lag_behind_an_up_bias() -> None:
 
 
 @pytest.mark.slow
-def test_the_lag_changes_its_sign_with_the_direction_of_the_pass() -> None:
+def test_compass_lag_changes_sign_with_pass_direction() -> None:
     study = study_of(
         "compass",
         study={"duration_s": 3000.0, "rate_hz": 20.0},
@@ -238,7 +238,7 @@ def test_the_lag_changes_its_sign_with_the_direction_of_the_pass() -> None:
 
 
 @pytest.mark.slow
-def test_large_tilts_and_headings_together() -> None:
+def test_bias_floor_holds_for_large_tilt_and_heading() -> None:
     """Accelerometers off by 5 mg, loops without a memory: phi is a rotation vector, not angles."""
     study = study_of(
         "compass",
@@ -258,7 +258,7 @@ def test_large_tilts_and_headings_together() -> None:
 
 @pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_a_bias_is_averaged_over_a_sway_that_has_the_time_for_it() -> None:
+def test_bias_averages_over_fast_sway_but_not_slow_sway() -> None:
     """Yaw +-90 deg: J0(pi/2) of the bias is left, but in 20 minutes not with a period of 30."""
     axes = {"yaw_period_s": [100.0, 1800.0], "gyro_bias_deg_per_h": [(5.0, 0.0, 0.0)]}
     filt = SETTLING | {"q_gyro_deg_per_h": 0.1, "q_accel_ug": 50.0}
@@ -278,7 +278,7 @@ def runs_with_limit(study: Study, last_reset_s: float = 0.0) -> list[bool]:
     return has_limit(study, 0 * ids, ids, np.full(ids.shape, last_reset_s)).tolist()
 
 
-def test_a_sway_needs_ten_periods_since_the_last_reset() -> None:
+def test_bias_floor_needs_ten_sway_periods_since_last_reset() -> None:
     biased = {"gyro_bias_deg_per_h": [0.0, 1.0, 0.0]}
     for bias in (biased, {"accel_bias_ug": 10.0}):
         study = study_of("kalman5", motion=SWAY, sensors=bias)
@@ -292,7 +292,7 @@ def test_a_sway_needs_ten_periods_since_the_last_reset() -> None:
     assert runs_with_limit(again) == [False]  # a tape has but six periods
 
 
-def test_whether_there_is_a_limit_may_differ_from_run_to_run() -> None:
+def test_bias_floor_availability_varies_between_runs() -> None:
     study = study_of(
         "kalman5",
         study={"draws": 3},
@@ -311,7 +311,7 @@ def test_whether_there_is_a_limit_may_differ_from_run_to_run() -> None:
     )
 
 
-def test_a_filter_with_bias_states_has_a_limit_on_a_still_base_only() -> None:
+def test_kalman10_has_bias_floor_only_on_still_base() -> None:
     biased = {"gyro_bias_deg_per_h": 0.1}
     assert runs_with_limit(study_of("kalman10", sensors=biased)) == [True]
     swung = {"yaw_amplitude_deg": 180.0, "yaw_period_s": 20.0}
@@ -325,7 +325,7 @@ def test_a_filter_with_bias_states_has_a_limit_on_a_still_base_only() -> None:
 
 @pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_a_wide_p0_of_the_biases_shares_the_heading_with_them() -> None:
+def test_wide_bias_p0_keeps_heading_off_bias_floor() -> None:
     """By sigma_eps^2 : (omega_N sigma_phi)^2 of the way from the start."""
     axes = {"p0_gyro_bias_deg_per_h": [0.1, 3.0]}
     sensors = {"gyro_bias_deg_per_h": [1.0, 0.0, 0.0]}
@@ -339,7 +339,7 @@ def test_a_wide_p0_of_the_biases_shares_the_heading_with_them() -> None:
 
 
 @pytest.mark.optimised(False)
-def test_what_gyros_cannot_tell_from_the_earth_is_found_before_a_run() -> None:
+def test_hidden_north_counts_runs_with_bias_above_earth_rate() -> None:
     assert hidden_north(study_of("kalman5", sensors={"gyro_bias_deg_per_h": [5.0, 5, 50]})) is None
     study = study_of(
         "kalman5",
@@ -356,7 +356,7 @@ def test_what_gyros_cannot_tell_from_the_earth_is_found_before_a_run() -> None:
         assert limit.no_north == (exceeds > RATE * np.cos(study.values("latitude_deg")[i] * DEG))
 
 
-def test_a_sway_may_hide_a_bias_and_a_draw_have_its_own() -> None:
+def test_hidden_north_accounts_for_sway_and_drawn_values() -> None:
     large = {"gyro_bias_deg_per_h": [10.0, 0.0, 0.0]}
     assert hidden_north(study_of("kalman5", sensors=large)) is not None
     assert hidden_north(study_of("kalman5", sensors=large, motion=SWAY)) is None
@@ -373,7 +373,7 @@ def test_a_sway_may_hide_a_bias_and_a_draw_have_its_own() -> None:
     assert found[2:] == (2, 8)
 
 
-def test_without_biases_the_limit_is_zero() -> None:
+def test_bias_floor_is_zero_without_biases() -> None:
     zero = np.zeros(3)
     none = Biases(Vec3(*zero), Vec3(*zero), np.float64(0.0))
     here = earth.place(earth.wgs84(), 48 * DEG)

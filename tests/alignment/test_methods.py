@@ -118,7 +118,7 @@ LEAVE_TRUTH = {*FROM_ANY_HEADING, "unscented"}
 
 
 @pytest.mark.parametrize("name", sorted(METHODS.keys() - LEAVE_TRUTH))
-def test_at_truth_it_stays_at_truth(name):
+def test_run_started_at_truth_stays_at_truth(name):
     changes = {"every": 10} if name in FILTERS else {}
     left, _, speed = run(name, np.zeros(3), **changes)
     assert np.abs(left).max() < 1e-3 * ARCMIN
@@ -132,7 +132,7 @@ SLOWLY_FED_BACK = [(name, {"every": 100}) for name in FILTERS]
 
 
 @pytest.mark.parametrize(("name", "changes"), FIND_NORTH + SLOWLY_FED_BACK)
-def test_it_levels_and_then_finds_north(name, changes):
+def test_run_levels_and_then_finds_north(name, changes):
     phi = np.array([10.0, -10.0, 60.0]) * ARCMIN
     left, p, _ = run(name, phi, v=(0.05, -0.05), **changes)
     # Level first, in seconds; north slowly, out of the Earth's rate.
@@ -150,7 +150,7 @@ def test_covariance_is_symmetric_positive(name):
 
 
 @filters
-def test_feedback_interval_does_not_matter_while_errors_are_small(name):
+def test_feedback_interval_does_not_matter_for_small_errors(name):
     """The loop is linear there: what is fed back early or late is the same estimate."""
     phi = np.array([0.05, -0.05, 0.2]) * ARCMIN
     each, seldom, never = (run(name, phi, every=every)[0] for every in (1, 700, NEVER))
@@ -159,7 +159,7 @@ def test_feedback_interval_does_not_matter_while_errors_are_small(name):
 
 
 @filters
-def test_a_reset_believes_the_start_again(name):
+def test_reset_restores_initial_covariance(name):
     k = 40
     phi = np.array([10.0, -10.0, 60.0]) * ARCMIN
     _, p, _ = run(name, phi, every=100)
@@ -171,7 +171,7 @@ def test_a_reset_believes_the_start_again(name):
 
 
 @filters
-def test_feedback_leaves_the_given_attitude_alone(name):
+def test_feedback_does_not_change_corrected_attitude(name):
     """The estimate moves into the solution: its sum with the solution, the user's, stays."""
     start = nav_off(np.array([1.0, -2.0, 5.0]) * DEG, (0.3, 0.4))
     given = []
@@ -185,7 +185,7 @@ def test_feedback_leaves_the_given_attitude_alone(name):
 
 
 @methods
-def test_it_begins_with_what_it_is_given(name):
+def test_init_keeps_given_navigation_and_initial_covariance(name):
     method = method_of(name)
     nav = nav_off([0.1, 0.2, 0.3], (0.5, -0.6))
     state = method.init(numbers(name), nav)
@@ -208,7 +208,7 @@ def test_it_begins_with_what_it_is_given(name):
 
 
 @methods
-def test_normalise_touches_only_the_length_of_the_quaternion(name):
+def test_normalise_changes_only_quaternion_length(name):
     method = method_of(name)
     state = method.init(numbers(name), nav_off([0.1, 0.2, 0.3]))
     q = state.nav.q
@@ -219,7 +219,7 @@ def test_normalise_touches_only_the_length_of_the_quaternion(name):
 
 @pytest.mark.representative("kalman5", "compass", "ekf_azimuth", "inertial")
 @methods
-def test_tangents_are_finite_where_nothing_is_off(name):
+def test_tangents_are_finite_at_zero_error(name):
     """There a root or an arc tangent might have none."""
     method, here, filt = method_of(name), site(PAPER, LATITUDE), numbers(name, every=1)
     sample = jax.tree.map(
@@ -255,7 +255,7 @@ def under_way(name, seconds):
 
 
 @methods
-def test_two_turns_on_one_spot_are_none(name):
+def test_two_turns_at_one_place_cancel(name):
     method, given, here, state = under_way(name, 2)
     once = method.turn(given, here, state)
     twice = method.turn(given, passes.site_of_pass(here, jnp.asarray(True)), once)
@@ -266,7 +266,7 @@ def test_two_turns_on_one_spot_are_none(name):
 
 
 @methods
-def test_a_turn_leaves_the_heading_alone(name):
+def test_turn_does_not_change_heading(name):
     """It runs time the other way: the platform is not turned about the vertical."""
     method, given, here, state = under_way(name, 2)
     once = method.turn(given, here, state)

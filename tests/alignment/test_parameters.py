@@ -45,21 +45,21 @@ def all_of(gains: Any) -> np.ndarray:
     return np.stack(gains, axis=-1)
 
 
-def test_the_default_gains_are_those_that_the_paper_prints() -> None:
+def test_default_compass_gains_match_paper2_except_level_k3() -> None:
     made = numbers()
     np.testing.assert_allclose(all_of(made.level)[0][:2], PRINTED["level_gains"][:2], rtol=5e-11)
     np.testing.assert_allclose(made.level.k3, PRINTED["level_gains"][2] / 50, rtol=1e-8)
     np.testing.assert_allclose(all_of(made.azimuth)[0], PRINTED["azimuth_gains"], rtol=1e-4)
 
 
-def test_gains_are_taken_as_given() -> None:
+def test_given_compass_gains_are_used_unchanged() -> None:
     own = {"level_gains": [0.05, 1000.0, 1.0e-6], "azimuth_gains": [0.03, 300.0, 5e-9, 0.01]}
     made = numbers(compass=own)
     np.testing.assert_array_equal(all_of(made.level), [own["level_gains"]])
     np.testing.assert_array_equal(all_of(made.azimuth), [own["azimuth_gains"]])
 
 
-def test_sigma_damping_and_adjustment_times() -> None:
+def test_compass_gains_follow_sigma_damping_and_adjustment_time() -> None:
     """Gains whose roots are -sigma and -sigma +- j sigma sqrt(1/xi^2 - 1)."""
     compass = {"level_sigma_per_s": 0.03, "level_damping": 0.6}
     made = numbers(compass=compass | {"azimuth_sigma_per_s": 0.02, "azimuth_damping": 0.8})
@@ -82,7 +82,7 @@ def test_sigma_damping_and_adjustment_times() -> None:
     np.testing.assert_allclose(settling.azimuth.k1, 0.02)
 
 
-def test_variants_have_their_own_gains() -> None:
+def test_compass_gains_may_differ_between_variants() -> None:
     cases = [
         {"level_gains": PRINTED["level_gains"], "allow_unstable": True},
         {"level_gains": [0.05, 1000.0, 1.0e-6], "allow_unstable": False},
@@ -92,7 +92,7 @@ def test_variants_have_their_own_gains() -> None:
     np.testing.assert_allclose(made.azimuth.k1, [0.02, 0.04, 0.02, 0.04])
 
 
-def test_schedules_in_time_and_in_passes() -> None:
+def test_compass_schedules_in_seconds_or_passes_become_samples() -> None:
     times = numbers(
         compass={"level_time_s": 3.21},
         cases=[
@@ -112,7 +112,7 @@ def test_schedules_in_time_and_in_passes() -> None:
     np.testing.assert_array_equal(counted.pace.samples, [[400, 1200]])
 
 
-def test_turns_of_the_loops() -> None:
+def test_compass_turn_rules_set_signs_and_smoothing() -> None:
     rules = {
         # velocity, integral, rate, reflection
         "reflect": (-1, -1, 1, 1),
@@ -131,7 +131,7 @@ def test_turns_of_the_loops() -> None:
     np.testing.assert_allclose(late, 0.5, rtol=0, atol=0.01)
 
 
-def test_turns_of_a_filter() -> None:
+def test_turn_covariance_rules_set_filter_turn_factors() -> None:
     made = numbers(
         alignment={"method": "kalman5"},
         passes={"tape_s": 4.0, "turn_inflation": 3.0},
@@ -163,7 +163,7 @@ def of_filter(method: str = "kalman10", **tables: Any) -> Any:
         ("reset_gyro_bias_deg_per_h", 0.02, "eps_x eps_y eps_z", 0.02 * DEG_PER_H),
     ],
 )
-def test_what_p_is_reset_to(
+def test_reset_keys_set_reset_variance_of_their_states(
     method: str, key: str, value: float, states: str, sigma: float
 ) -> None:
     """A key of its own for each kind of state; the others are reset to what they began with."""
@@ -179,7 +179,7 @@ def test_what_p_is_reset_to(
     )
 
 
-def test_what_p_is_reset_to_may_differ_from_variant_to_variant() -> None:
+def test_reset_variance_may_differ_between_variants() -> None:
     made = of_filter(axes={"reset_yaw_deg": [1.0, 2.0], "p0_yaw_deg": [80.0, 40.0]})
     np.testing.assert_allclose(made.reset_to[4], np.array([1, 1, 2, 2]) ** 2 * DEG**2)
     np.testing.assert_allclose(made.p0[4], np.array([80, 40] * 2) ** 2 * DEG**2)
@@ -187,7 +187,7 @@ def test_what_p_is_reset_to_may_differ_from_variant_to_variant() -> None:
 
 
 @pytest.mark.parametrize("readings", [{}, {"q_reading": "psd", "r_reading": "psd"}])
-def test_scales_multiply_q_and_r_and_nothing_else(readings: dict[str, str]) -> None:
+def test_q_scale_and_r_scale_multiply_only_q_and_r(readings: dict[str, str]) -> None:
     plain = of_filter(filter=readings)
     for key, names in (("q_scale", {"q"}), ("r_scale", {"r"})):
         made = of_filter(filter=readings, axes={key: [1.0, 0.25, 4.0]})
@@ -197,7 +197,7 @@ def test_scales_multiply_q_and_r_and_nothing_else(readings: dict[str, str]) -> N
             np.testing.assert_array_equal(getattr(made, name), before * factors)
 
 
-def test_numbers_of_a_trigger_are_in_samples() -> None:
+def test_reset_trigger_times_are_converted_to_samples() -> None:
     trigger = {"reset_trigger": "nis", "trigger_threshold": 9.5, "trigger_until_s": 12.34}
     given = {"trigger_window_s": 2.0, "trigger_refractory_s": 0.5, "trigger_most": 3}
     made = of_filter(resets=trigger | given).trigger
@@ -223,7 +223,7 @@ def test_numbers_of_a_trigger_are_in_samples() -> None:
 UNSTABLE = "0.02538+0.08111j, 0.02538-0.08111j, -0.1108"
 
 
-def test_the_printed_level_gains_are_refused_with_their_roots() -> None:
+def test_printed_level_gains_are_refused_with_their_roots() -> None:
     line = refusal(compass={"level_gains": PRINTED["level_gains"]})
     start, roots = line.split("its roots are ")
     assert start == (
@@ -256,7 +256,7 @@ def test_unstable_or_idle_loops_are_refused(key: str, gains: list[float]) -> Non
     assert numbers(compass={key: gains, "allow_unstable": True})
 
 
-def test_one_unstable_variant_is_enough() -> None:
+def test_study_with_one_unstable_variant_is_refused() -> None:
     cases = [{"level_gains": [0.05, 1000.0, 1e-6]}, {"level_gains": PRINTED["level_gains"]}]
     assert UNSTABLE.split(", ")[2] in refusal(cases=cases)
     allowed = [case | {"allow_unstable": i == 1} for i, case in enumerate(cases)]
@@ -277,7 +277,7 @@ def test_one_unstable_variant_is_enough() -> None:
         ({"sigma_factors": [1.0, 1e4, 1.0], "sigma_times_s": [5.0, 6.0]}, "azimuth_sigma_per_s"),
     ],
 )
-def test_a_sigma_that_a_sample_cannot_carry_is_refused(compass: dict[str, Any], key: str) -> None:
+def test_loop_too_fast_for_sample_interval_is_refused(compass: dict[str, Any], key: str) -> None:
     line = refusal(compass=compass)
     start = f"some: [compass] {key}: "
     assert " makes a loop that a sample of 0.01 s cannot carry, its roots are " in line
@@ -286,7 +286,7 @@ def test_a_sigma_that_a_sample_cannot_carry_is_refused(compass: dict[str, Any], 
     assert numbers(compass=compass | {"allow_unstable": True})
 
 
-def test_the_loops_of_filters_are_not_looked_at() -> None:
+def test_unstable_compass_is_refused_in_study_with_filters() -> None:
     """A part of filters beside a part of compass runs has none; a refusal comes before any run."""
     tables = {
         "axes": {"method": ["kalman5", "compass"]},
@@ -298,7 +298,7 @@ def test_the_loops_of_filters_are_not_looked_at() -> None:
     assert len(list(build.parts(study_from_dict(data | {"compass": {}})))) == 2
 
 
-def test_a_gain_that_is_no_finite_number_is_refused() -> None:
+def test_nonfinite_compass_gain_is_refused() -> None:
     line = refusal(compass={"level_adjustment_s": 1e-300}, study={"unchecked": True})
     assert (
         line == "some: [compass] level_adjustment_s: 1e-300 gives a gain that is no finite number"

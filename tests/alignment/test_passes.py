@@ -62,7 +62,7 @@ NEVER = np.inf
 
 @given(st.integers(1, 6), st.integers(1, 5), st.integers(1, 20))
 @settings(max_examples=15)
-def test_every_sample_of_the_tape_is_read_once_a_pass(tape: int, every: int, records: int) -> None:
+def test_every_stored_sample_is_read_once_per_pass(tape: int, every: int, records: int) -> None:
     """Forward in order, backward in reverse; each is compensated with the one before it."""
     paired, before, turns = [], -1, []
     for record in range(records):
@@ -83,7 +83,7 @@ def test_every_sample_of_the_tape_is_read_once_a_pass(tape: int, every: int, rec
     assert turns == [u.turns for u in expected]
 
 
-def test_a_backward_sample_is_the_forward_one_undone() -> None:
+def test_backward_sample_undoes_forward_sample() -> None:
     """After both, a body is where it was, and has gained twice the velocity, seen from there."""
     rng = np.random.default_rng(1)
     now, before = (
@@ -99,7 +99,7 @@ def test_a_backward_sample_is_the_forward_one_undone() -> None:
     np.testing.assert_allclose(there @ np.array(backward.dv), np.array(forward.dv), atol=1e-15)
 
 
-def test_the_earth_of_a_backward_pass_turns_the_other_way() -> None:
+def test_earth_rate_is_reversed_in_backward_pass() -> None:
     here = site(WGS84, LATITUDE)
     there = passes.site_of_pass(here, jnp.asarray(True))
     turned = earth.place(there.earth, LATITUDE)
@@ -148,7 +148,7 @@ def there_and_back(phi, v=(0.0, 0.0), *, noise=0.0, position="fixed", rate=RATE)
         ((1, -1, 30), (0.5, -1), 1.0, (1e-7, 1e-4)),
     ],
 )
-def test_there_and_back_is_where_it_began(phi_deg, v, noise, bounds, position):
+def test_backward_pass_retraces_forward_navigation(phi_deg, v, noise, bounds, position):
     """Same attitude, mirrored velocity, same place, at every tape time of the way."""
     phi = np.array(phi_deg) * DEG
     off, velocity, place = there_and_back(phi, v, noise=noise, position=position)
@@ -159,14 +159,14 @@ def test_there_and_back_is_where_it_began(phi_deg, v, noise, bounds, position):
     assert (np.abs(place[TAPE_S]).max() > 1e-6) == (position == "integrated" and any(phi))
 
 
-def test_what_is_left_of_a_round_trip_is_first_order_in_the_sample_time():
+def test_round_trip_error_is_first_order_in_sample_time():
     """A step takes the rates at its start, which is the other end on the way back."""
     coarse, fine = (there_and_back((DEG, 0, 0), rate=rate)[0][-1] for rate in (100, 200))
     assert np.abs(coarse).max() > 1e-9
     np.testing.assert_allclose(coarse, 2 * fine, rtol=0, atol=1e-3 * np.abs(coarse).max())
 
 
-def test_an_earth_that_goes_on_turning_forward_does_not_lead_back():
+def test_backward_pass_without_reversed_earth_rate_misses_start():
     """These tests can fail: without its sign the attitude is off by 160 s of the Earth rate."""
     here = site(EARTH, LATITUDE)
 
@@ -205,7 +205,7 @@ def still_tape(latitude: float, rate: int) -> np.ndarray:
     return swing_increments(STILL, EARTH, latitude, rate=rate, samples=rate * 640)
 
 
-def test_a_reflected_loop_goes_on_as_if_there_were_no_turn():
+def test_reflected_compass_loop_continues_as_without_turn():
     """Exactly so where omega_U does not couple the channels and the low pass does not lag."""
     for latitude, smoothing_s, bound in ((0.0, 1e-3, 0.002), (LATITUDE, 1e-3, 0.02)):
         case = {"smoothing_s": smoothing_s, "latitude": latitude}
@@ -220,7 +220,7 @@ def test_a_reflected_loop_goes_on_as_if_there_were_no_turn():
     assert abs(lagging[-1]) < 0.15  # a tenth of what it began with
 
 
-def test_a_reflection_the_other_way_diverges():
+def test_reflection_with_wrong_sign_diverges():
     right, wrong = (
         heading_errors(REVERSALS["reflect"]._replace(reflection=sign), 80, smoothing_s=2.0)
         for sign in (1.0, -1.0)
@@ -230,7 +230,7 @@ def test_a_reflection_the_other_way_diverges():
 
 
 @pytest.mark.parametrize("rule", ["velocity", "velocity_and_rate", "velocity_drop_rate"])
-def test_flips_of_the_velocity_alone_do_not_converge_with_the_papers_numbers(rule):
+def test_velocity_flip_rules_do_not_converge_with_paper_gains(rule):
     """With sigma T_p = 0.8 the spectral radius of a cycle is 0.993 or more."""
     stuck = heading_errors(REVERSALS[rule], 80, smoothing_s=2.0)
     assert np.all(np.abs(stuck[1:]) > 1)
@@ -245,7 +245,7 @@ def test_flips_of_the_velocity_alone_do_not_converge_with_the_papers_numbers(rul
     st.tuples(*[st.floats(-3, 3)] * 3),
     st.floats(-80, 80),
 )
-def test_the_error_model_holds_backward(name, v, phi, latitude_deg):
+def test_backward_error_model_is_reversed_forward_model(name, v, phi, latitude_deg):
     """Errors backward are T x, so that A backward is -T A T: one model for both directions."""
     model, dt = MODELS[name], 0.01
     here = place(WGS84, latitude_deg * DEG)
@@ -281,7 +281,7 @@ def dense(entries, n):
 @pytest.mark.parametrize(
     ("name", "planet", "position"), [("kalman5", EARTH, "fixed"), ("kalman10", WGS84, "integrated")]
 )
-def test_three_passes_of_a_filter_as_the_naive_loop(name, planet, position, turn, clock):
+def test_three_filter_passes_match_naive_loop(name, planet, position, turn, clock):
     """With feedback over the turn, a reset, biases fed back, and P carried, inflated or reset.
 
     Or all three forward, rewound from what biases and feedback leave at their ends.
@@ -330,7 +330,7 @@ def test_three_passes_of_a_filter_as_the_naive_loop(name, planet, position, turn
         )
 
 
-def test_gyro_biases_change_their_sign_with_time():
+def test_estimated_gyro_bias_changes_sign_at_each_turn():
     """kalman10 finds the bias of the north gyro, and over a turn goes on with its opposite."""
     rate, seconds, bias = 50, 60, np.array([0.0, 2.0, 0.0]) * DEG_PER_H
     rows = swing_increments(PAPER1, EARTH, LATITUDE, rate=rate, samples=rate * seconds)

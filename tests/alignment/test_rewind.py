@@ -46,7 +46,7 @@ def trail_of(name, rows, start, params, passes=1):
     return trail(static, environment, one_run(start, np.zeros(3), np.zeros(2), params))
 
 
-def test_an_aligned_run_without_noise_begins_again_where_it_began():
+def test_noise_free_rewound_passes_repeat_first_pass():
     rows = swing_increments(PAPER1, PAPER, LATITUDE, rate=RATE, samples=TAPE * EVERY)
     nav = trail_of("compass", rows, PAPER1.matrix(0.0), FREE, passes=3).nav
     first, *later = np.split(of_quaternion(np.stack(nav.q, axis=1)), 3)
@@ -69,7 +69,7 @@ def some_filter(name):
 
 @pytest.mark.representative("kalman5")
 @pytest.mark.parametrize("name", ["kalman5", "invariant", "ekf_azimuth", "unscented"])
-def test_a_pass_is_a_run_that_starts_with_the_attitude_wound_back(name):
+def test_rewound_pass_equals_run_started_at_rewound_attitude(name):
     """Its P, estimate and velocity are those of a start, and so are feedbacks after it."""
     rows, params = measured(PAPER, LATITUDE, TAPE * EVERY), some_filter(name)
     start = exp(np.array([1.0, -2.0, 15.0]) * DEG) @ PAPER1.matrix(0.0)
@@ -88,7 +88,7 @@ def test_a_pass_is_a_run_that_starts_with_the_attitude_wound_back(name):
 
 
 @pytest.mark.parametrize(("bias_deg_per_h", "left"), [(0.0, 1e-12), (1.0, 1e-8), (10.0, 1e-6)])
-def test_a_gyro_bias_is_taken_out_of_the_way_back(bias_deg_per_h, left):
+def test_rewound_attitude_corrects_known_gyro_bias(bias_deg_per_h, left):
     """To the second order in the angle that it makes over the record, 1e-4 rad for 1 deg/h."""
     bias = np.array([1.0, -0.5, 0.8]) * bias_deg_per_h * DEG_PER_H
     rows = measured(PAPER, LATITUDE, 20 * RATE)
@@ -107,7 +107,7 @@ def test_a_gyro_bias_is_taken_out_of_the_way_back(bias_deg_per_h, left):
 
 
 @pytest.mark.slow
-def test_forward_passes_over_one_record_find_the_heading():
+def test_repeated_rewound_passes_find_heading():
     """From a start of which the first pass makes nothing: it levels, the next ones start level."""
     study = small_study(
         study={"duration_s": 300.0, "window_s": [50, 300], "draws": 6, "settle_bands_arcmin": [90]},

@@ -51,7 +51,7 @@ def shares(times, width):
     return jax.vmap(lambda n: reset_due(windows, n))(1.0 + jnp.arange(1000.0))
 
 
-def test_hard_resets_come_after_their_samples_in_any_order():
+def test_hard_resets_are_due_at_their_samples_in_any_order():
     resets = Resets(np.array([7.0, np.inf, 3.0]), FULL)
     due = [bool(reset_due(resets, np.float64(n))) for n in range(1, 11)]
     assert [n for n, hit in enumerate(due, 1) if hit] == [3, 7]
@@ -59,7 +59,7 @@ def test_hard_resets_come_after_their_samples_in_any_order():
 
 
 @given(st.floats(300, 700), st.floats(0.5, 250))
-def test_a_window_is_as_wide_as_told_and_the_same_on_both_sides(time, width):
+def test_reset_window_has_given_width_and_is_symmetric(time, width):
     share = np.asarray(shares(np.array([time]), width))
     n = np.arange(1, 1001)
     assert np.all(share[np.abs(n - time) >= width] == 0)
@@ -70,7 +70,7 @@ def test_a_window_is_as_wide_as_told_and_the_same_on_both_sides(time, width):
 
 
 @given(st.floats(300, 700), st.floats(20, 250))
-def test_a_window_adds_up_to_a_whole_reset(time, width):
+def test_shares_of_reset_window_combine_to_full_reset(time, width):
     """What its shares leave is exp(-8), and a little more where few samples have much of it."""
     left = np.log1p(-np.asarray(shares(np.array([time]), width))).sum()
     # The sum of log(1 + 8 b) is 8 - 32 sum b^2 + ..., that of b^2 being 5/7 over the width.
@@ -80,7 +80,7 @@ def test_a_window_adds_up_to_a_whole_reset(time, width):
 
 
 @given(st.floats(300, 500), st.floats(0, 200), st.floats(20, 250))
-def test_windows_that_overlap_are_taken_one_after_the_other(time, apart, width):
+def test_overlapping_reset_windows_act_in_succession(time, apart, width):
     pair = np.array([time, time + apart])
     one, other = (1 - np.asarray(shares(pair[i : i + 1], width)) for i in (0, 1))
     np.testing.assert_allclose(1 - shares(pair, width), one * other, rtol=1e-12, atol=1e-15)
@@ -94,7 +94,7 @@ normal = st.floats(-1e3, 1e3, allow_subnormal=False)
 
 
 @given(st.floats(0, 1), normal, normal)
-def test_mix_is_between_its_ends(share, one, other):
+def test_mix_interpolates_between_its_ends(share, one, other):
     expected = share * one + (1 - share) * other
     assert float(mixed(share, one, other)) == pytest.approx(expected, rel=1e-12, abs=1e-10)
     assert float(mixed(0.0, one, other)) == other
@@ -102,7 +102,7 @@ def test_mix_is_between_its_ends(share, one, other):
     assert float(mixed(False, one, other)) == other
 
 
-def test_mix_takes_what_is_not_chosen_only_of_a_share():
+def test_mix_with_flag_ignores_infinity_of_unchosen_value():
     """An infinity that a flag does not choose leaves no trace."""
     assert float(mixed(True, 1.0, np.inf)) == 1
     assert float(mixed(False, np.inf, 2.0)) == 2
@@ -110,7 +110,7 @@ def test_mix_takes_what_is_not_chosen_only_of_a_share():
 
 @pytest.mark.parametrize("kind", KINDS)
 @given(st.integers(0, 2**32 - 1))
-def test_p_after_a_reset(kind, seed):
+def test_covariance_after_reset_of_each_kind(kind, seed):
     rng = np.random.default_rng(seed)
     half = rng.normal(size=(5, 5))
     p, to = half @ half.T, rng.random(5)
@@ -135,7 +135,7 @@ def renewed(shares, covariance_reset, p, to):
 
 @pytest.mark.parametrize("kind", ["full", "yaw"])
 @pytest.mark.parametrize("width", [60.0, 240.0])
-def test_the_renewals_of_a_window_make_one_reset(kind, width):
+def test_window_of_covariance_renewals_matches_hard_reset(kind, width):
     """One after the other they come to what the hard one does, as far as a window is a whole."""
     half = np.random.default_rng(3).normal(size=(5, 5))
     before = tuple((half @ half.T)[np.triu_indices(5)])
@@ -148,7 +148,7 @@ def test_the_renewals_of_a_window_make_one_reset(kind, width):
     assert left < 6e-4 and np.all(np.abs(off) <= left * np.abs(at_once) * (1 + 1e-9))
 
 
-def test_a_renewal_that_is_not_due_leaves_p():
+def test_covariance_reset_not_due_leaves_covariance_unchanged():
     for not_due in (jnp.asarray(False), jnp.asarray(0.0)):
         assert tuple(map(float, where_due(not_due, KINDS["scale"]))) == UNCHANGED
     assert tuple(map(float, where_due(jnp.asarray(True), KINDS["yaw"]))) == KINDS["yaw"]
@@ -195,7 +195,7 @@ def relaxed(times, width):
 
 
 @pytest.mark.parametrize("time", [150.0, 150.5])
-def test_a_relaxed_reset_tends_to_the_hard_one(time):
+def test_relaxed_reset_converges_to_hard_reset_as_window_narrows(time):
     """P, and attitude and x, are the nearer the narrower the window is."""
     hard = compiled(Resets(np.array([150.0]), FULL_RESET), start(), samples())
     none = compiled(Resets(np.array([np.inf]), FULL_RESET), start(), samples())
@@ -208,7 +208,7 @@ def test_a_relaxed_reset_tends_to_the_hard_one(time):
     assert off[-1, :5].max() < 2e-3
 
 
-def test_the_derivative_by_times_and_width_is_that_of_finite_differences():
+def test_derivative_by_reset_times_and_width_matches_finite_difference():
     """Of windows that overlap too; no sample is at the edge of one, where the slope has a bend."""
     point = (np.array([90.37, 130.41]), np.float64(30.3))
 

@@ -55,7 +55,7 @@ def rates_at_rest(a, tilt, v, planet, latitude):
 @pytest.mark.parametrize("planet", [WGS84, PAPER])
 @given(st.floats(-np.pi, np.pi), st.integers(0, 2**32 - 1))
 @settings(max_examples=30, deadline=None)
-def test_the_model_is_the_navigator_for_any_azimuth(planet, a, seed):
+def test_sincos_transition_matches_navigator_at_any_azimuth(planet, a, seed):
     """Exactly in the azimuth; to first order in velocity and tilt, by central differences."""
     model = np.zeros((6, 6))
     for entry, value in numbers_of(sincos.transition(place(planet, LATITUDE), 1.0)).items():
@@ -87,7 +87,7 @@ SCHEDULES = {
 
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
-def test_closed_loop_as_the_naive_one(schedule):
+def test_closed_loop_matches_naive_filter(schedule):
     filt = Filter(P0, Q, R, **SCHEDULES[schedule])
     start = exp(-PHI0) @ PAPER1.matrix(0.0)
     about = {"latitude": LATITUDE, "c": start, "v": V0, "filt": filt}
@@ -125,7 +125,7 @@ def assert_first_order(naive, covariance):
         np.testing.assert_allclose(covariance[:, k], upper, rtol=0.02, atol=0.02 * upper.max())
 
 
-def test_the_heading_of_the_start_holds_until_one_is_known():
+def test_initial_attitude_is_kept_with_uniform_sigma_and_finite_slope():
     """With its sigma and slope: there a root or an arc tangent would have none."""
     method, filt = METHODS["kalman_sincos"](Options(1 / RATE)), filter_params(Filter(P0, Q, R))
 
@@ -140,7 +140,7 @@ def test_the_heading_of_the_start_holds_until_one_is_known():
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(tangent))
 
 
-def test_a_reset_keeps_sine_and_cosine():
+def test_reset_keeps_sine_and_cosine_states():
     filt = filter_params(Filter(P0, Q, R, every=100, resets=(800,)))
     nav = navigation(exp(-PHI0) @ PAPER1.matrix(0.0), V0, LATITUDE)
     state, attitude, _ = runner("kalman_sincos")(
@@ -176,7 +176,7 @@ def heading_errors(results):
 
 @pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_the_heading_of_the_start_makes_no_difference():
+def test_converged_heading_does_not_depend_on_initial_heading():
     """From 30 s on, on the same noise."""
     study = matched(
         study={"draws": 4, "duration_s": 60.0, "window_s": [30, 60]},
@@ -191,7 +191,7 @@ def test_the_heading_of_the_start_makes_no_difference():
 
 @pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_what_it_believes_of_heading_and_drift_is_true():
+def test_north_drift_estimate_and_sigma_are_consistent():
     """Its sigmas cover its errors at the end, and the north drift comes out."""
     bias = 0.5
     study = matched(
@@ -208,7 +208,7 @@ def test_what_it_believes_of_heading_and_drift_is_true():
     assert np.mean(drift) == pytest.approx(bias, abs=4 * sigma[0] / len(drift) ** 0.5 + 0.01)
 
 
-def test_p_is_the_same_for_all_runs_of_a_variant():
+def test_covariance_does_not_depend_on_attitude_or_velocity():
     """Whatever the attitude and velocity, to the bit."""
     filt, here = filter_params(Filter(P0, Q, R, every=100)), site(PAPER, LATITUDE)
     run = runner("kalman_sincos")

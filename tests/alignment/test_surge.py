@@ -52,7 +52,7 @@ def run(name, filt):
     return runner(name)(params, site(PAPER, LATITUDE), nav, rows)
 
 
-def test_its_surge_is_that_of_a_base_about_its_place():
+def test_surge_model_autocovariance_matches_bounded_velocity():
     """Whose acceleration is bounded far above what the filter samples: its autocovariance."""
     a = np.zeros((10, 10))
     for entry, value in numbers_of(
@@ -89,7 +89,7 @@ def test_its_surge_is_that_of_a_base_about_its_place():
     ],
     ids=["every sample", "resets", "in part"],
 )
-def test_closed_loop_as_the_naive_one(schedule):
+def test_kalman_surge_matches_naive_closed_loop(schedule):
     filt = believing(0.1, **schedule)
     about = {"c": exp(-PHI0) @ PAPER1.matrix(0.0), "v": V0, "filt": filt, "latitude": LATITUDE}
     rows = measured(PAPER, LATITUDE, SAMPLES)
@@ -104,13 +104,13 @@ def test_closed_loop_as_the_naive_one(schedule):
     np.testing.assert_allclose(c, naive.corrected, rtol=0, atol=1e-7)
 
 
-def test_without_a_surge_it_is_the_filter_of_a_base_at_rest():
+def test_kalman_surge_without_surge_equals_kalman_sincos():
     _, still, _ = run("kalman_sincos", Filter(**STILL, every=100))
     _, found, _ = run("kalman_surge", believing(0.0, every=100))
     np.testing.assert_allclose(np.array(found), np.array(still), rtol=0, atol=1e-10)
 
 
-def test_what_a_study_says_of_the_surge():
+def test_surge_keys_of_study_set_filter_parameters():
     study = small_study(
         alignment={"method": "kalman_surge"},
         filter={"q_reading": "per_sample"},
@@ -124,7 +124,7 @@ def test_what_a_study_says_of_the_surge():
     assert params.own.rate == 0.25
 
 
-def test_p_is_the_same_for_all_runs_of_a_variant():
+def test_kalman_surge_covariance_does_not_depend_on_initial_state():
     filt = filter_params(believing(0.1, every=100))._replace(own=SurgeParams(np.float64(0.5)))
     here, rows = site(PAPER, LATITUDE), measured(PAPER, LATITUDE, SAMPLES)
     beliefs = [
@@ -134,7 +134,7 @@ def test_p_is_the_same_for_all_runs_of_a_variant():
     jax.tree.map(np.testing.assert_array_equal, *beliefs)
 
 
-def test_triggers_and_covariance_analysis_are_refused():
+def test_kalman_surge_refuses_triggers_and_covariance_analysis():
     line = refusal(
         alignment={"method": "kalman_surge"},
         resets={"reset_trigger": "nis", "trigger_threshold": 3.0},

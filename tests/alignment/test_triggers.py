@@ -50,7 +50,7 @@ NOISE = np.array([2e-4, 3e-4, 1e-4, 2e-4, 3e-4]), 0.04
 """Process noise and measurement noise of the random sequences."""
 
 
-def test_every_trigger_has_a_name_in_a_study():
+def test_every_trigger_has_study_name_and_naive_score():
     assert {*TRIGGERS, "none"} == {*get_args(TriggerName)}
     assert all(t.fades == (t.trigger.look is None) for t in TRIGGERS.values())
     assert {*SCORES, "strong_tracking", "fading"} == {*TRIGGERS}
@@ -237,7 +237,7 @@ def threshold_at(scores, share):
     every=st.sampled_from([1, 4, 7]),
 )
 @settings(max_examples=25)
-def test_a_trigger_scores_and_fires_as_the_naive_one(
+def test_trigger_scores_and_firing_match_naive_trigger(
     name, seed, share, window, refractory, most, until, scheduled, every
 ):
     """Every so many samples, too; all of its resets wait for that, scheduled ones as well."""
@@ -268,7 +268,7 @@ def test_a_trigger_scores_and_fires_as_the_naive_one(
     scheduled=st.sets(st.integers(1, 60), max_size=4),
 )
 @settings(max_examples=25)
-def test_what_fades_multiplies_p_and_never_resets(name, seed, threshold, scheduled):
+def test_fading_triggers_scale_covariance_and_never_reset(name, seed, threshold, scheduled):
     steps = sequence(seed, 60, scheduled)
     naive, factors = drive_naively(name, Numbers(threshold), steps)
     _, factor, trigger_counts, trigger_state = drive(name, Numbers(threshold), steps)
@@ -282,7 +282,7 @@ def fired_at(steps, name="nis", **trigger_params):
     return drive(name, Numbers(0.0, **trigger_params), steps)[2]
 
 
-def test_refractory_time_cap_and_end():
+def test_refractory_time_cap_and_end_limit_trigger_firing():
     """With a threshold of zero a trigger fires whenever it may."""
     steps = sequence(1, 60)
     assert fired_at(steps) == list(range(1, 61))
@@ -300,7 +300,7 @@ def test_refractory_time_cap_and_end():
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 3), st.floats(1.01, 3), st.floats(0.1, 2))
 @settings(max_examples=15)
-def test_a_linearisation_that_holds_scores_one_and_grows_with_corrections(seed, turn, more, tilt):
+def test_linearisation_score_is_one_at_rest_and_grows_with_corrections(seed, turn, more, tilt):
     """Where A(t) is that of a base at rest, corrections alone decide, and their signs do not."""
     step = jax.tree.map(lambda a: a[0], sequence(seed, 1)._replace(after_reset=np.zeros(1)))
     q, r = tuple(NOISE[0]), np.float64(NOISE[1])
@@ -465,7 +465,7 @@ NEAR = Numbers(np.inf, window=20, refractory=10, most=12, until=380)
         ("kalman5", "linearisation", 145, CLOSED | {"every": 31, "at_feedback": True}),
     ],
 )
-def test_a_filter_with_a_trigger_is_reset_where_the_naive_one_is(name, trigger, tape, changes):
+def test_triggered_filter_resets_match_naive_filter(name, trigger, tape, changes):
     """At a large misalignment, with scheduled resets between, and over turns of the tape."""
     n, _, position = FILTERS[name]
     filt = paper_filter(n, position=position, **changes)
@@ -475,7 +475,7 @@ def test_a_filter_with_a_trigger_is_reset_where_the_naive_one_is(name, trigger, 
         assert compare(name, trigger, trigger_params, filt, tape).trigger_counts
 
 
-def test_turns_leave_the_counts_alone():
+def test_trigger_counts_and_cap_persist_across_pass_turns():
     """Fired before them, after them, and no more often than it may in all passes together."""
     filt, trigger_params = paper_filter(5), NEAR._replace(threshold=0.0, most=9)
     trigger_counts = compare("kalman5", "tilt_drift", trigger_params, filt, 145).trigger_counts
@@ -490,7 +490,7 @@ def test_turns_leave_the_counts_alone():
 
 
 @pytest.mark.optimised(True)
-def test_a_filter_with_gravity_in_its_model_has_nothing_to_be_honest_about():
+def test_linearisation_covariance_equals_filter_covariance_with_gravity_force():
     """Its own covariance is that of a base at rest: the score is 1 but for corrections."""
     filt = paper_filter(5, force="gravity", **CLOSED)
     state, _, trigger_counts = engine_run("kalman5", "linearisation", Numbers(np.inf), filt, 145)
@@ -499,7 +499,7 @@ def test_a_filter_with_gravity_in_its_model_has_nothing_to_be_honest_about():
     assert not np.any(trigger_counts.count)
 
 
-def test_strong_tracking_as_the_naive_one():
+def test_strong_tracking_matches_naive_filter():
     filt = paper_filter(5, **CLOSED, r=1e-4, q=np.array([1e-6] * 2 + [1e-12] * 3))
     compare("kalman5", "strong_tracking", Numbers(0.7), filt, 150)
 
@@ -527,7 +527,7 @@ def of_variant(rows, number):
     return [row for row in rows if row["variant_id"] == number]
 
 
-def test_what_a_trigger_did_is_told(rows):
+def test_trigger_count_and_times_are_reported(rows):
     for row in rows:
         count, *times = (row[own.column.name] for own in TRIGGER_COUNTS)
         if row["variant_id"] == LOUD:
@@ -536,7 +536,7 @@ def test_what_a_trigger_did_is_told(rows):
             assert (count, times) == (0, [None, None])
 
 
-def test_a_trigger_that_never_fires_changes_nothing(rows):
+def test_trigger_that_never_fires_changes_nothing(rows):
     assert len(of_variant(rows, 0)) == 3
     for without, quiet in zip(of_variant(rows, 0), of_variant(rows, QUIET), strict=True):
         for name, value in without.items():
@@ -549,7 +549,7 @@ def test_a_trigger_that_never_fires_changes_nothing(rows):
                 assert type(quiet[name]) is type(value)
 
 
-def test_a_trigger_knows_nothing_of_the_runs_beside_it(rows):
+def test_trigger_results_are_independent_of_other_runs(rows):
     """Other neighbours, fewer draws: the same bits."""
     tables = ROWS | {"study": ROWS["study"] | {"draws": 2}}
     tables["axes"] = ROWS["axes"] | {"trigger_threshold": [0.0, 3e-4]}
@@ -558,7 +558,7 @@ def test_a_trigger_knows_nothing_of_the_runs_beside_it(rows):
     assert all(row["triggered_count"] for row in of_variant(alone, QUIET))
 
 
-def test_the_columns_of_a_trigger_come_with_it_alone(rows):
+def test_trigger_columns_exist_only_with_reset_trigger(rows):
     told = {own.column.name for own in TRIGGER_COUNTS}
     assert told <= rows[0].keys()
     for tables in ({}, {"axes": {"reset_count": [0, 1]}, "resets": {"reset_cycle_s": 1.0}}):
@@ -568,6 +568,6 @@ def test_the_columns_of_a_trigger_come_with_it_alone(rows):
         assert not told & names
 
 
-def test_the_sine_of_scores_is_that_of_the_library():
+def test_score_sine_matches_numpy_sine():
     angles = np.linspace(-30.0, 30.0, 10_001)
     np.testing.assert_allclose(jax.vmap(scores._sine)(angles), np.sin(angles), rtol=0, atol=4e-15)

@@ -121,7 +121,7 @@ SCHEDULES = {
     "feedback every 7 samples, full resets",
 )
 @pytest.mark.parametrize("schedule", SCHEDULES)
-def test_closed_loop_as_the_naive_one(schedule):
+def test_kalman5_closed_loop_matches_naive_filter(schedule):
     compare("kalman5", PAPER, 32.0, paper_filter(5, **SCHEDULES[schedule]))
 
 
@@ -138,7 +138,7 @@ def test_closed_loop_as_the_naive_one(schedule):
         ("kalman10", "measured", "integrated", "a reset where feedback is due, P times 10"),
     ],
 )
-def test_every_program_as_the_naive_one(name, force, position, schedule):
+def test_filters_with_integrated_position_match_naive_filter(name, force, position, schedule):
     n = {"kalman5": 5, "kalman10": 10}[name]
     filt = paper_filter(n, force=force, position=position, **SCHEDULES[schedule])
     naive = compare(name, WGS84, -41.0, filt)
@@ -146,13 +146,13 @@ def test_every_program_as_the_naive_one(name, force, position, schedule):
     assert moved == (position == "integrated")
 
 
-def test_q_is_added_before_the_update_and_acts_on_its_own_state():
+def test_q_per_state_is_added_before_update():
     filt = paper_filter(5, q=np.array([1e-3, 2e-3, 3e-5, 4e-5, 5e-5]))
     compare("kalman5", PAPER, 32.0, filt)
 
 
 @pytest.mark.parametrize("kind", ["full", "yaw", "scale"])
-def test_a_reset_sets_p_after_all_of_x_is_fed_back(kind):
+def test_reset_feeds_back_whole_state_and_then_sets_covariance(kind):
     k = 137
     run = runner("kalman5", "measured", "fixed")
     start, here = exp(-PHI0) @ PAPER1.matrix(0.0), site(PAPER, 0.5)
@@ -181,7 +181,7 @@ def test_a_reset_sets_p_after_all_of_x_is_fed_back(kind):
 
 
 @pytest.mark.parametrize(("name", "position"), [("kalman5", "fixed"), ("kalman10", "integrated")])
-def test_a_full_reset_sets_p_to_values_of_its_own(name, position):
+def test_reset_sets_covariance_to_given_reset_values(name, position):
     """As the study gives them, in the units of its keys; yaw resets take theirs."""
     data = {name: dict(table) for name, table in BASE.items()}
     data["alignment"] = {"method": name, "position": position}

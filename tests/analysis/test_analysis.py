@@ -28,7 +28,7 @@ def summary(n=12, **columns):
     return pa.table(base | columns)
 
 
-def test_paired_joins_on_the_draw():
+def test_paired_joins_on_draw_id():
     a = pa.table({"draw_id": [2, 0, 1], "x": [20, 0, None]})
     b = pa.table({"draw_id": [0, 1, 2], "x": [0.5, 1.5, 2.5]})
     first, second = analysis.paired(a, b, "x")
@@ -40,7 +40,7 @@ def test_paired_joins_on_the_draw():
     ("draws", "column", "message"),
     [([0, 0, 1], "x", "repeats"), ([0, 1, 3], "x", "differ"), ([0, 1, 2], "y", "column y")],
 )
-def test_paired_refuses(draws, column, message):
+def test_paired_refuses_repeated_or_differing_draws_and_missing_column(draws, column, message):
     a = pa.table({"draw_id": [0, 1, 2], "x": [1, 2, 3]})
     b = pa.table({"draw_id": draws, "x": [1, 2, 3]})
     with pytest.raises(InputError, match=message):
@@ -62,7 +62,7 @@ def keyed(dictionary=False):
 @pytest.mark.parametrize(
     "by", [["case"], ["reset_times_s"], ["case", "reset_times_s"], ["reset_times_s", "case"], []]
 )
-def test_groups_against_a_naive_loop(by, dictionary, monkeypatch):
+def test_groups_match_naive_loop(by, dictionary, monkeypatch):
     monkeypatch.setattr(tables, "_SLICE", 4)
     # Two chunks, as a dataset of several parts gives them.
     table = pa.concat_tables([keyed(dictionary).slice(0, 4), keyed(dictionary).slice(4)])
@@ -78,16 +78,16 @@ def test_groups_against_a_naive_loop(by, dictionary, monkeypatch):
     assert found == expected
 
 
-def test_groups_of_nothing():
+def test_groups_of_empty_table_are_empty():
     assert list(analysis.groups(keyed().slice(0, 0), ["case", "reset_times_s"])) == []
 
 
-def test_groups_refuses_an_unknown_key():
+def test_groups_refuses_unknown_key():
     with pytest.raises(InputError, match="column reset_cout is missing"):
         list(analysis.groups(keyed(), ["reset_cout"]))
 
 
-def test_summarise_one_row_a_group():
+def test_summarise_returns_one_row_per_group():
     status = ["ok"] * 6 + ["diverged"] * 3 + ["not_settled"] * 2 + ["nonfinite"]
     settle = [50.0, 60.0, 70.0, 80.0, 90.0, 100.0] + [None] * 6
     yaw = [-27.5, -26.5] * 5 + [-27.0, math.nan]
@@ -138,13 +138,13 @@ def test_summarise_one_row_a_group():
     assert second["success_rate"] == 1.0
 
 
-def test_no_end_of_an_interval_of_heading_errors_is_beyond_180_deg():
+def test_heading_error_interval_ends_are_capped_at_180_deg():
     errors = np.r_[np.full(11, 30.0), 8000.0]
     row = analysis.summarise(summary(12, phi_u_arcmin=errors), []).to_pylist()[0]
     assert analysis.rms(errors).high > 10_800.0 == row["phi_u_arcmin_rms_high"]
 
 
-def test_heading_errors_are_of_magnitudes_at_the_end_and_at_report_times():
+def test_heading_error_statistics_use_magnitudes_at_end_and_report_times():
     """Against NumPy; pooled variants of a draw count once, and headings do not cancel."""
     draw = np.repeat(np.arange(40), 2)
     error = 60.0 * np.random.default_rng(3).normal(size=80)
@@ -170,7 +170,7 @@ def test_heading_errors_are_of_magnitudes_at_the_end_and_at_report_times():
             assert ends[0] < row[f"{name}_{end}"] < ends[1]
 
 
-def test_summarise_a_single_run_and_every_band():
+def test_summarise_of_single_run_covers_every_settle_band():
     table = analysis.summarise(summary(1, settle_3_s=[None], settle_60_s=[20.0]), [])
     (row,) = table.to_pylist()
     assert row["settle_3_s_median"] == NEVER and row["settle_60_s_median"] == 20.0
@@ -180,7 +180,7 @@ def test_summarise_a_single_run_and_every_band():
     assert row["phi_u_mean_arcmin_mean_low"] is row["phi_u_mean_arcmin_std"] is None
 
 
-def test_summarise_without_truth_says_unknown():
+def test_summarise_without_truth_returns_nulls():
     nothing = pa.nulls(12, pa.float64())
     names = [name for name in summary().column_names if name not in ("draw_id", "status")]
     status = pa.nulls(12, pa.string())
@@ -191,7 +191,7 @@ def test_summarise_without_truth_says_unknown():
     assert {value for name, value in row.items() if name.endswith("_n")} == {0}
 
 
-def test_summarise_all_nonfinite_is_not_without_truth():
+def test_summarise_counts_nonfinite_runs_as_failed_and_unsettled():
     nothing = np.full(12, math.nan)
     table = summary(
         status=["nonfinite"] * 12, phi_u_arcmin=nothing, phi_u_mean_arcmin=nothing,
@@ -205,7 +205,7 @@ def test_summarise_all_nonfinite_is_not_without_truth():
     assert row["phi_u_arcmin_rms"] is row["phi_u_arcmin_abs_q90"] is None
 
 
-def test_summarise_of_chosen_statistics_needs_their_columns_alone():
+def test_summarise_of_chosen_statistics_needs_only_their_columns():
     whole = summary(case=["a", "b"] * 6)
     table = whole.select(["case", "status", "phi_u_arcmin", "settle_10_s"])
     names = ["never_settled_10", "success_rate", "settle_10_s_median"]
@@ -216,13 +216,13 @@ def test_summarise_of_chosen_statistics_needs_their_columns_alone():
     assert found.equals(analysis.summarise(whole, ["case"]).select(found.column_names))
 
 
-def test_data_columns_of_a_tape_have_no_count_of_their_own():
+def test_settle_data_columns_have_no_never_settled_count():
     names = analysis.summarise(summary(settle_10_data_s=np.full(12, 40.0)), []).column_names
     assert "settle_10_data_s_median" in names and "settle_10_data_s_mean_n" in names
     assert [name for name in names if name.startswith("never")] == ["never_settled_10"]
 
 
-def test_summarise_refuses():
+def test_summarise_refuses_no_runs_missing_column_and_unknown_statistic():
     with pytest.raises(InputError, match="no runs"):
         analysis.summarise(summary().slice(0, 0), [])
     with pytest.raises(InputError, match="column nees is missing"):
@@ -269,7 +269,7 @@ def test_compare_pairs_by_draw():
     assert ends == pytest.approx(list(error)) and first["n"] == 40
 
 
-def test_compare_without_truth_says_unknown():
+def test_compare_without_truth_returns_nulls():
     lost = pa.nulls(40, pa.float64())
     names = ("phi_u_arcmin", "phi_u_mean_arcmin", "floor_arcmin", "settle_10_s", "status")
     parts = [t.drop_columns(names) for t in variants()]
@@ -283,7 +283,7 @@ def test_compare_without_truth_says_unknown():
     assert {value for name, value in row.items() if name not in keys} == {None}
 
 
-def test_compare_refuses():
+def test_compare_refuses_missing_baseline_and_unpaired_draws():
     table = pa.concat_tables(variants())
     with pytest.raises(InputError, match="no runs of the baseline {'reset_times_s': \\[7.0\\]}"):
         analysis.compare(table, ["reset_times_s"], {"reset_times_s": [7.0]})

@@ -19,25 +19,25 @@ def pooled(values):
 
 
 @pytest.mark.parametrize("statistic", [analysis.mean, analysis.std, analysis.rms])
-def test_clusters_of_one_are_independent_values(statistic):
+def test_clusters_of_one_value_equal_independent_values(statistic):
     values = np.random.default_rng(1).normal(2.0, 1.0, 20)
     assert statistic(values, np.arange(20)[::-1]) == pytest.approx(statistic(values))
     assert analysis.quantile(values, 0.9, np.arange(20)) == analysis.quantile(values, 0.9)
     assert analysis.share(values > 2, np.arange(20)) == analysis.share(values > 2)
 
 
-def test_share_without_clusters_is_wilsons():
+def test_share_without_clusters_is_wilson_interval():
     assert analysis.share([True, False, True, True]) == analysis.proportion(3, 4)
 
 
-def test_mean_of_draws_of_equal_size_is_students_over_the_means_of_the_draws():
+def test_mean_of_equal_draws_is_student_interval_of_draw_means():
     values = np.random.default_rng(2).normal(size=(DRAWS, 1)) + np.zeros((DRAWS, VARIANTS))
     values += np.random.default_rng(3).normal(0, 0.3, values.shape)
     found, by_draw = analysis.mean(*pooled(values)), analysis.mean(values.mean(axis=1))
     assert found[:3] == pytest.approx(by_draw[:3]) and found.n == DRAWS * VARIANTS
 
 
-def test_mean_of_draws_that_differ_in_size_agrees_with_resampling_them():
+def test_mean_of_unequal_draws_agrees_with_bootstrap():
     random = np.random.default_rng(4)
     draw = np.repeat(np.arange(60), random.integers(1, 9, 60))
     values = random.normal(size=60)[draw] + random.normal(0, 0.5, draw.size)
@@ -49,13 +49,13 @@ def test_mean_of_draws_that_differ_in_size_agrees_with_resampling_them():
     assert found.high - found.low == pytest.approx(2 * 2.0 * np.std(drawn), rel=0.06)
 
 
-def test_infinite_values_and_their_clusters_are_left_out_together():
+def test_nonfinite_values_are_left_out_with_their_clusters():
     values, draws = pooled(np.random.default_rng(5).normal(size=(8, 3)))
     holed = np.append(values, [math.inf, math.nan])
     assert analysis.mean(holed, np.append(draws, [0, 99])) == analysis.mean(values, draws)
 
 
-def test_a_share_of_runs_that_are_alike_within_a_draw_is_that_of_draws():
+def test_share_of_identical_runs_per_draw_is_share_of_draws():
     whole = np.repeat(np.arange(DRAWS) < 5, VARIANTS).reshape(DRAWS, VARIANTS)
     found = analysis.share(*pooled(whole))
     share, worth = 5 / 16, DRAWS - 1  # the variance of a mean is told with n - 1
@@ -66,7 +66,7 @@ def test_a_share_of_runs_that_are_alike_within_a_draw_is_that_of_draws():
     assert found.high - found.low > 3 * (naive.high - naive.low)
 
 
-def test_a_share_of_none_counts_draws():
+def test_interval_of_zero_or_full_share_counts_draws():
     flags, draws = pooled(np.zeros((DRAWS, VARIANTS)))
     found = analysis.share(flags, draws)
     t = stats.t.ppf(0.975, DRAWS - 1)
@@ -77,7 +77,7 @@ def test_a_share_of_none_counts_draws():
 @pytest.mark.slow
 @pytest.mark.parametrize("alike", [0.0, 0.9])
 @pytest.mark.parametrize("draws", [8, 64])
-def test_clustered_statistics_cover(draws, alike):
+def test_clustered_intervals_cover_true_values(draws, alike):
     random = np.random.default_rng([draws, round(10 * alike)])
     hits = {0.5: 0, 0.9: 0}
     shares = []
@@ -116,7 +116,7 @@ def test_one_run_has_no_interval():
     assert found.value == 1.0 and found.n == 1 and np.isnan(found[1:3]).all()
 
 
-def test_clusters_and_values_go_together():
+def test_unequal_number_of_clusters_and_values_raises():
     with pytest.raises(ValueError, match="3 values need as many clusters, got 2"):
         analysis.mean([1.0, 2.0, 3.0], [0, 1])
 
@@ -125,7 +125,7 @@ def runs(draw, start):
     return pa.table({"draw_id": draw, "start_s": start, "x": np.arange(len(draw))})
 
 
-def test_clusters_are_draws_but_a_record_is_one():
+def test_clusters_are_draws_or_one_whole_record():
     simulated, recorded = runs([0, 0, 1], [0.0, 0.0, 0.0]), runs([0, 0, 1], [0.0, 0.0, 30.0])
     assert analysis.clusters_of(simulated).tolist() == [0, 0, 1]
     assert analysis.clusters_of(recorded).tolist() == [0, 0, 0]
@@ -151,7 +151,7 @@ def summary(draws, **columns):
     return pa.table(base | columns)
 
 
-def test_summarise_counts_draws_where_it_pools():
+def test_summarise_pools_runs_clustered_by_draw():
     draws = np.repeat(np.arange(12), 4)
     status = np.where(draws < 3, "not_settled", "ok")
     (row,) = analysis.summarise(summary(draws, status=status), []).to_pylist()
@@ -161,7 +161,7 @@ def test_summarise_counts_draws_where_it_pools():
     assert row["nees_mean"] and row["nees_mean_chi2_low"] is None  # a band of independent runs
 
 
-def test_on_a_record_nothing_has_an_interval():
+def test_summarise_and_compare_give_no_intervals_on_record():
     table = summary(np.arange(12), start_s=30.0 * np.arange(12))
     (row,) = analysis.summarise(table, []).to_pylist()
     assert row["success_rate"] == 1.0 and row["settle_10_s_median"] > 0

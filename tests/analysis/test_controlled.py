@@ -28,7 +28,7 @@ def pairs(n, correlation, seed=0):
 
 
 @given(FINITE, st.floats(-10, 10), st.floats(0, 1))
-def test_the_mean_is_that_of_a_regression_at_the_expectation(x, expected, error):
+def test_controlled_mean_is_regression_line_at_expectation(x, expected, error):
     x = np.asarray(x)
     y = 2 * x + np.sin(np.arange(x.size))
     if np.ptp(x) < 1e-3:
@@ -45,7 +45,7 @@ def test_the_mean_is_that_of_a_regression_at_the_expectation(x, expected, error)
     assert hidden > 0
 
 
-def test_the_interval_is_students_with_two_hidden_residuals():
+def test_controlled_interval_is_student_t_with_two_hidden_residuals():
     y, x = pairs(20, 0.9)
     found = controlled_mean(y, x, Expectation(0.3, 0.1)).controlled
     line = stats.linregress(x, y)
@@ -58,7 +58,7 @@ def test_the_interval_is_students_with_two_hidden_residuals():
     assert found.value - found.low == pytest.approx(found.high - found.value)
 
 
-def test_companions_save_up_to_half_as_many_draws_as_there_are():
+def test_saving_by_control_variates_is_at_most_half_draw_count():
     y, x = pairs(64, 0.9999)
     assert 25 < controlled_mean(y, x, Expectation(0.0)).saved < 32.5
     y, x = pairs(64, 0.0)
@@ -66,7 +66,7 @@ def test_companions_save_up_to_half_as_many_draws_as_there_are():
 
 
 @pytest.mark.parametrize("rare", [0.0, 0.03])
-def test_the_interval_covers_the_mean_where_few_leave_their_companions(rare):
+def test_controlled_interval_covers_mean_with_rare_outliers(rare):
     """Settling times go with their companions, but for a few that settle far apart."""
     random, covered = np.random.default_rng(5), []
     for _ in range(600):
@@ -79,7 +79,7 @@ def test_the_interval_covers_the_mean_where_few_leave_their_companions(rare):
 
 
 @pytest.mark.parametrize(("share", "apart"), [(0.9, 0.02), (0.999, 0.0), (0.5, 0.1), (0.05, 0.05)])
-def test_the_interval_of_a_share_covers_it(share, apart):
+def test_controlled_share_interval_covers_true_share(share, apart):
     random, covered, narrower = np.random.default_rng(6), [], []
     for _ in range(600):
         x = random.random(64) < share
@@ -92,7 +92,7 @@ def test_the_interval_of_a_share_covers_it(share, apart):
     assert np.mean(covered) > 0.93 and np.median(narrower) > 1.0
 
 
-def test_what_is_unknown_stays_unknown():
+def test_nonfinite_inputs_give_nan_controlled_mean():
     y, x = pairs(8, 0.5)
     for values, companions, expected in (
         ([*y[:-1], np.nan], x, Expectation(0.0)),
@@ -108,7 +108,7 @@ def test_what_is_unknown_stays_unknown():
         controlled_mean(y, x[1:], Expectation(0.0))
 
 
-def test_samples_are_enough_for_a_twentieth_of_the_variance():
+def test_samples_needed_limits_variance_increase_to_five_percent():
     y, x = pairs(32, 0.95)
     samples = samples_needed(y, x, 0.05)
     error = x.std(ddof=1) / math.sqrt(samples)

@@ -25,7 +25,7 @@ NEVER = math.inf
         (analysis.UNKNOWN, "", "unknown"),
     ],
 )
-def test_format(estimate, unit, text):
+def test_format_estimate_prints_value_interval_and_unit(estimate, unit, text):
     assert analysis.format_estimate(estimate, unit) == text
 
 
@@ -44,23 +44,23 @@ def test_format(estimate, unit, text):
         (estimates.UNKNOWN, "unknown"),
     ],
 )
-def test_a_difference_of_settling_times_in_words(estimate, text):
+def test_format_difference_names_side_that_never_settles(estimate, text):
     assert analysis.format_difference(estimate, "s", sides=("a", "b")) == text
 
 
-def test_a_difference_without_names_has_two_sides():
+def test_format_difference_without_names_prints_one_side():
     never = Estimate(-NEVER, -NEVER, -NEVER, 5)
     assert analysis.format_difference(never) == "one side never settles"
 
 
-def test_format_digits():
+def test_format_estimate_uses_requested_digits():
     assert (
         analysis.format_estimate(Estimate(0.5, 0.25, 0.75, 9), digits=3) == "0.500 [0.250, 0.750]"
     )
 
 
 @pytest.mark.parametrize(("k", "n"), [(0, 1), (1, 1), (0, 64), (61, 64), (64, 64), (500, 1000)])
-def test_proportion_is_wilsons_closed_form(k, n):
+def test_proportion_interval_matches_wilson_closed_form(k, n):
     z = stats.norm.ppf(0.975)
     share = k / n
     centre = (share + z * z / (2 * n)) / (1 + z * z / n)
@@ -71,7 +71,7 @@ def test_proportion_is_wilsons_closed_form(k, n):
 
 
 @pytest.mark.parametrize(("k", "n"), [(0, 0), (-1, 4), (5, 4)])
-def test_proportion_refuses(k, n):
+def test_proportion_refuses_invalid_counts(k, n):
     with pytest.raises(ValueError, match="a share needs"):
         analysis.proportion(k, n)
 
@@ -83,7 +83,7 @@ SHARES = st.sampled_from([0.1, 0.25, 0.5, 0.75, 0.9, 0.95])
 
 
 @given(VALUES, SHARES)
-def test_quantile_is_the_first_value_that_enough_reach(values, q):
+def test_quantile_is_smallest_value_covering_requested_share(values, q):
     data = sorted(NEVER if math.isnan(v) else v for v in values)
     found = analysis.quantile(values, q)
     assert found.value == next(v for v in data if sum(w <= v for w in data) >= q * len(data) - 1e-9)
@@ -99,7 +99,7 @@ def at_most(k, n, q):
 
 @pytest.mark.parametrize("n", [1, 2, 5, 6, 8, 13, 16, 33, 64])
 @pytest.mark.parametrize("q", [0.1, 0.5, 0.9])
-def test_quantile_interval_is_the_narrowest_that_the_binomial_law_allows(n, q):
+def test_quantile_interval_is_narrowest_allowed_by_binomial_law(n, q):
     values = np.random.default_rng(n).permutation([*np.arange(1.0, n), NEVER])
     ordered, share, tail = sorted(values), Fraction(str(q)), Fraction(25, 1000)
     lows = [k for k in range(1, n + 1) if at_most(k - 1, n, share) <= tail]
@@ -109,7 +109,7 @@ def test_quantile_interval_is_the_narrowest_that_the_binomial_law_allows(n, q):
     assert found.high == ordered[highs[0] - 1] if highs else math.isnan(found.high)
 
 
-def test_quantile_interval_of_many_values_is_that_of_the_order_statistics():
+def test_quantile_interval_of_many_values_matches_scipy():
     values = np.random.default_rng(10).normal(size=100_000)
     for q in (0.5, 0.9):
         found = analysis.quantile(values, q)
@@ -119,7 +119,7 @@ def test_quantile_interval_of_many_values_is_that_of_the_order_statistics():
 
 @pytest.mark.parametrize("n", [8, 13, 16, 32, 64, 256])
 @pytest.mark.parametrize("q", [0.1, 0.5, 0.9])
-def test_quantile_interval_covers(n, q):
+def test_quantile_interval_has_95_percent_coverage(n, q):
     # 8, 13 and 32 values covered their median in 93, 91 and 92 of 100 with the bootstrap.
     found = analysis.quantile(np.arange(1.0, n + 1), q)
     low = 0 if math.isnan(found.low) else int(found.low)
@@ -144,21 +144,21 @@ def test_quantile_does_not_depend_on_the_order(values, q):
     np.testing.assert_array_equal(one, other)
 
 
-def test_quantile_never():
+def test_quantile_counts_unsettled_runs_as_never():
     assert analysis.quantile([math.nan] * 64) == Estimate(NEVER, NEVER, NEVER, 64)
     half = analysis.quantile([10.0] * 32 + [math.nan] * 32)
     assert half == Estimate(10.0, 10.0, NEVER, 64)
     assert analysis.quantile([10.0] * 31 + [math.nan] * 33).value == NEVER
 
 
-def test_mean_is_students():
+def test_mean_interval_matches_student_t():
     values = np.random.default_rng(1).normal(3.0, 2.0, 20)
     found = analysis.mean(np.append(values, [math.nan, NEVER]))
     oracle = stats.ttest_1samp(values, 0.0).confidence_interval(0.95)
     assert found == pytest.approx((values.mean(), oracle.low, oracle.high, 20), rel=1e-12)
 
 
-def test_std_of_normal_values_is_that_of_chi_square():
+def test_std_interval_of_normal_values_matches_chi_square():
     values = np.random.default_rng(2).normal(3.0, 2.0, 24)
     found = analysis.std(np.append(values, math.nan), is_normal=True)
     ends = np.sqrt(23 * values.var(ddof=1) / stats.chi2.ppf([0.975, 0.025], 23))
@@ -180,7 +180,7 @@ def naive_root(squares, value):
 
 
 @pytest.mark.parametrize("n", [5, 8, 64])
-def test_std_and_rms_against_a_naive_loop(n):
+def test_std_and_rms_intervals_match_naive_loop(n):
     values = np.random.default_rng(n).standard_t(5, n) + 0.5
     found = analysis.rms(values)
     assert found[1:3] == pytest.approx(naive_root([x * x for x in values], found.value))
@@ -189,26 +189,26 @@ def test_std_and_rms_against_a_naive_loop(n):
 
 
 @pytest.mark.parametrize("statistic", [analysis.std, analysis.rms])
-def test_four_values_do_not_bound_a_root(statistic):
+def test_std_and_rms_intervals_need_five_values(statistic):
     assert np.isnan(statistic([1.0, 2.0, 4.0, 7.0])[1:3]).all()
     few, scaled = statistic([1.0, -2.0, 4.0, 7.0, 5.0]), statistic([10.0, -20.0, 40.0, 70.0, 50.0])
     assert scaled[:3] == pytest.approx([10 * x for x in few[:3]]) and few.low < few.high
 
 
-def test_bootstrap_in_small_blocks_is_the_same(monkeypatch):
+def test_bootstrap_result_is_independent_of_block_size(monkeypatch):
     a, b = np.random.default_rng(2).normal(size=(2, 30))
     whole = analysis.quantile_difference(a, b)
     monkeypatch.setattr(estimates, "_BLOCK", 700)
     assert analysis.quantile_difference(a, b) == whole
 
 
-def test_constant_values_have_an_interval_of_no_width():
+def test_constant_values_have_zero_width_interval():
     assert analysis.mean([2.0, 2.0, 2.0]) == Estimate(2.0, 2.0, 2.0, 3)
     assert analysis.std([2.0, 2.0, 2.0]) == Estimate(0.0, 0.0, 0.0, 3)
 
 
 @pytest.mark.parametrize("values", [[5.0], [math.nan, 5.0], [math.nan]])
-def test_too_few_values_are_unknown(values):
+def test_mean_interval_and_std_of_too_few_values_are_unknown(values):
     finite = [v for v in values if not math.isnan(v)]
     centre, spread = analysis.mean(values), analysis.std(values)
     assert centre.value == finite[0] if finite else math.isnan(centre.value)
@@ -218,7 +218,7 @@ def test_too_few_values_are_unknown(values):
 
 @pytest.mark.parametrize("statistic", [analysis.quantile, analysis.mean, analysis.std])
 @pytest.mark.parametrize("values", [[], [[1.0, 2.0]]])
-def test_statistics_refuse(statistic, values):
+def test_statistics_refuse_empty_or_nested_values(statistic, values):
     with pytest.raises(ValueError, match="one or more values"):
         statistic(values)
 
@@ -227,7 +227,7 @@ def test_statistics_refuse(statistic, values):
     "compare",
     [analysis.difference, analysis.quantile_difference, analysis.proportion_difference],
 )
-def test_differences_refuse(compare):
+def test_differences_refuse_unequal_lengths_or_empty_values(compare):
     with pytest.raises(ValueError, match="equal lengths"):
         compare([1.0, 2.0], [1.0])
     with pytest.raises(ValueError, match="one or more values"):
@@ -239,7 +239,7 @@ def test_quantile_out_of_range_is_refused():
         analysis.quantile([1.0, 2.0], 1.5)
 
 
-def test_difference_is_the_paired_t_test():
+def test_difference_matches_paired_t_test():
     random = np.random.default_rng(4)
     a = random.normal(size=30)
     b = a + random.normal(0.3, 0.1, 30)
@@ -261,7 +261,7 @@ def test_difference_is_the_paired_t_test():
         ((14, 5, 0, 22), (0.011, 0.226)),
     ],
 )
-def test_proportion_difference_is_newcombes(table, interval):
+def test_proportion_difference_interval_matches_newcombe_examples(table, interval):
     a = np.repeat([True, True, False, False], table)
     b = np.repeat([True, False, True, False], table)
     found = analysis.proportion_difference(a, b)
@@ -273,14 +273,14 @@ def test_proportion_difference_is_newcombes(table, interval):
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
-def test_proportion_difference_of_equals_has_a_width(share):
+def test_proportion_difference_of_equal_shares_has_nonzero_width(share):
     same = np.full(64, share)
     found = analysis.proportion_difference(same, same)
     reach = abs(analysis.proportion(int(64 * share), 64)[2 - int(share)] - share)
     assert found[:3] == pytest.approx((0.0, -reach, reach))
 
 
-def test_proportion_difference_covers():
+def test_proportion_difference_interval_has_95_percent_coverage():
     # Strongly paired: a run that settles in one variant mostly does in the other.
     random = np.random.default_rng(12)
     hits = 0
@@ -292,7 +292,7 @@ def test_proportion_difference_covers():
     assert 0.92 < hits / 400 < 0.99
 
 
-def test_quantile_difference_against_a_naive_loop():
+def test_quantile_difference_matches_naive_bootstrap():
     random = np.random.default_rng(6)
     b = random.uniform(50, 150, 40)
     a = b + random.uniform(0, 30, 40)
@@ -310,18 +310,18 @@ def test_quantile_difference_against_a_naive_loop():
     assert found[1:3] == pytest.approx(np.quantile(resampled, [0.025, 0.975]), abs=4.0)
 
 
-def test_quantile_difference_keeps_the_pairs():
+def test_quantile_difference_resamples_pairs_together():
     noise = np.random.default_rng(7).normal(0, 100, 50)
     assert analysis.quantile_difference(noise + 5.0, noise)[:3] == pytest.approx((5.0, 5.0, 5.0))
 
 
 @pytest.mark.parametrize(("a", "b", "expected"), [(None, 9.0, NEVER), (9.0, None, -NEVER)])
-def test_quantile_difference_of_never(a, b, expected):
+def test_quantile_difference_with_one_unsettled_side_is_infinite(a, b, expected):
     found = analysis.quantile_difference(np.full(20, a, float), np.full(20, b, float))
     assert found == Estimate(expected, expected, expected, 20)
 
 
-def test_infinite_minus_infinite_has_no_value():
+def test_quantile_difference_of_two_unsettled_sides_has_no_value():
     half = np.where(np.arange(20) < 9, 9.0, math.nan)  # one more, and the median is finite
     never = np.full(20, math.nan)
     for a, low in ((never, 0.0), (half, -NEVER)):
@@ -330,13 +330,13 @@ def test_infinite_minus_infinite_has_no_value():
         assert analysis.format_difference(found) == "neither settles"
 
 
-def test_one_pair_has_no_interval():
+def test_quantile_difference_of_one_pair_has_no_interval():
     found = analysis.quantile_difference([3.0], [1.0])
     assert (found.value, found.n) == (2.0, 1)
     assert np.isnan(found[1:3]).all()
 
 
-def test_rms_is_the_root_of_the_mean_square_and_its_interval_covers():
+def test_rms_matches_root_mean_square_and_interval_covers():
     random = np.random.default_rng(4)
     values = random.normal(size=40)
     found = analysis.rms(values)
@@ -346,13 +346,13 @@ def test_rms_is_the_root_of_the_mean_square_and_its_interval_covers():
     assert 0.93 < np.mean(hits) < 1
 
 
-def test_rms_leaves_out_what_is_not_finite():
+def test_rms_ignores_non_finite_values():
     values = np.array([3.0, np.nan, 4.0, np.inf])
     assert analysis.rms(values)[::3] == (pytest.approx(math.sqrt(12.5)), 2)
     assert analysis.rms([np.nan]).n == 0 and math.isnan(analysis.rms([2.0]).low)
 
 
-def test_the_interval_of_an_rms_ends_where_no_value_can_be():
+def test_rms_interval_is_capped_at_largest_possible_value():
     values = [*np.full(9, 30.0), 8000.0]
     free, bound = analysis.rms(values), analysis.rms(values, most=10_800.0)
     assert free.high > 1e4 and bound == free._replace(high=10_800.0)
@@ -361,7 +361,7 @@ def test_the_interval_of_an_rms_ends_where_no_value_can_be():
 
 
 @pytest.mark.parametrize(("freedom", "n"), [(1, 1), (3, 1), (3, 256), (1, 100_000)])
-def test_chi2_mean_band(freedom, n):
+def test_chi2_mean_band_matches_scipy_quantiles(freedom, n):
     band = analysis.chi2_mean_band(freedom, n)
     assert band == pytest.approx(tuple(stats.chi2.ppf([0.025, 0.975], freedom * n) / n), rel=1e-9)
     assert np.isnan(analysis.chi2_mean_band(freedom, 0)).all()

@@ -38,7 +38,7 @@ def grid_of(source, columns=("settle_10_s",)):
 
 
 @pytest.mark.parametrize("axes", [AXES, dict(reversed(AXES.items()))])
-def test_every_run_is_found_at_its_place(axes):
+def test_grid_places_every_run_at_its_axis_values(axes):
     settle = np.arange(24.0)
     settle[[3, 17]] = np.nan
     source = source_of(axes, settle_10_s=settle)
@@ -54,7 +54,7 @@ def test_every_run_is_found_at_its_place(axes):
         assert grid.at("settle_10_s", yaw=yaw, count=count).tolist() == expected
 
 
-def test_points_leave_the_other_axes_and_lists_keep_their_own():
+def test_grid_selection_drops_scalar_axes_and_keeps_list_axes():
     grid = grid_of(source_of())
     whole = grid.columns["settle_10_s"]
     assert whole.shape == (2, 3, 4)
@@ -62,7 +62,7 @@ def test_points_leave_the_other_axes_and_lists_keep_their_own():
     np.testing.assert_array_equal(grid.at("settle_10_s", count=[2, 0]), whole[:, [2, 0]])
 
 
-def test_axes_that_make_no_full_grid_are_refused():
+def test_axes_without_full_grid_are_refused():
     source = source_of()
     with pytest.raises(InputError, match="swing: is no full grid of count|is no full grid of"):
         source.grid(["settle_10_s"], count="reset_count")
@@ -95,14 +95,14 @@ def naive_held_out(settle):
         elements=st.sampled_from([10.0, 20.0, 30.0, NEVER]),
     )
 )
-def test_each_half_tells_what_the_other_chose(settle):
+def test_held_out_choice_matches_naive_cross_validation(settle):
     choice = held_out(settle, soonest)
     expected = naive_held_out(settle)
     np.testing.assert_array_equal(choice.places, expected)
     np.testing.assert_array_equal(choice.values, settle[expected, np.arange(settle.shape[1])])
 
 
-def test_a_choice_among_equals_gains_nothing():
+def test_held_out_choice_among_equal_settings_is_unbiased():
     settle = 100 + 20 * np.random.default_rng(0).standard_normal((100, 40, 8))
     each = [held_out(one, least_mean).values for one in settle]
     np.testing.assert_array_equal(held_out(settle, least_mean).values, each)
@@ -111,12 +111,12 @@ def test_a_choice_among_equals_gains_nothing():
     assert abs(told - 100) < 3 and flattered < 90
 
 
-def test_two_choices_are_both_named():
+def test_held_out_choice_names_settings_of_both_halves():
     settle = np.array([[1.0, 9.0, 1.0, 9.0], [9.0, 1.0, 9.0, 1.0]])
     assert held_out(settle, soonest).named(["a", "b"]) == "b / a"
 
 
-def test_pooled_runs_count_their_draws():
+def test_pooled_statistics_group_runs_by_draw():
     runs = np.random.default_rng(1).uniform(size=(3, 5, 8))
     draws = np.tile(np.arange(8), 15)
     assert shared(runs < 0.5) == analysis.share((runs < 0.5).ravel(), draws)
@@ -127,7 +127,7 @@ def test_pooled_runs_count_their_draws():
     ]
 
 
-def test_the_best_cell_has_most_successes_and_of_equals_the_soonest():
+def test_best_cell_has_most_successes_then_shortest_settling_time():
     ok = np.array([[[1, 1, 0]], [[1, 1, 1]]], bool)
     settle = np.array([[[9.0, 5.0, NEVER]], [[9.0, 5.0, 1.0]]])
     cells = Cells(ok, np.zeros_like(ok), settle)
@@ -137,7 +137,7 @@ def test_the_best_cell_has_most_successes_and_of_equals_the_soonest():
     assert Cells(np.zeros_like(ok), np.zeros_like(ok), settle).best is None
 
 
-def test_a_cell_has_not_converged_where_most_of_its_successes_are_off_their_limit():
+def test_cell_with_most_successes_off_bias_floor_is_not_converged():
     ok = np.array([[1, 1, 1, 0], [1, 1, 1, 0], [0, 1, 1, 0]], bool)[:, None]
     off = np.array([[1, 1, 0, 0], [0, 1, 0, 0], [0, 0, 0, 0]], bool)[:, None]
     found = Cells(ok, off, np.zeros(ok.shape)).not_converged

@@ -22,14 +22,14 @@ def differences(rows: list) -> dict:
     return {(row["reset_count"], row["phi_u0_deg"]): round(row[RATE]) for row in rows}
 
 
-def test_groups_are_compared_with_the_first_of_the_same_conditions() -> None:
+def test_groups_compare_with_first_group_of_same_conditions() -> None:
     first, rows = compare_with_first(summary(), ["reset_count", "phi_u0_deg"], ["phi_u0_deg"])
     assert first == {"reset_count": 0}
     assert differences(rows) == {(1, 5.0): -1, (2, 5.0): 0, (1, 30.0): 0, (2, 30.0): 1}
 
 
 @pytest.mark.parametrize("without", [(), (0, 30.0)])
-def test_without_a_first_of_each_condition_one_is_compared_with_all(without: tuple) -> None:
+def test_one_reference_serves_all_groups_without_first_per_condition(without: tuple) -> None:
     table, given = summary(), []
     if without:
         kept = [(r["reset_count"], r["phi_u0_deg"]) != without for r in table.to_pylist()]
@@ -39,7 +39,7 @@ def test_without_a_first_of_each_condition_one_is_compared_with_all(without: tup
     assert len(rows) == (4 if without else 5) and differences(rows)[(1, 30.0)] == -1
 
 
-def test_conditions_alone_are_compared_with_the_first_of_them() -> None:
+def test_conditions_alone_compare_with_first_condition() -> None:
     table = summary().slice(0, 2)
     first, rows = compare_with_first(table, ["phi_u0_deg"], ["phi_u0_deg"])
     assert first == {"phi_u0_deg": 5.0} and [row["phi_u0_deg"] for row in rows] == [30.0]

@@ -69,7 +69,7 @@ def gcc():
         pytest.skip(str(error))
 
 
-def test_cases_are_timed_in_turns_and_the_median_is_told():
+def test_cases_are_timed_in_turns_and_median_is_reported():
     calls: list[str] = []
     slow = fake("slow", [0.004, 0.1, 0.002], calls)
     fast = fake("fast", [0.001, 0.001, 0.003], calls, runs=1, dtype="float32", devices=2)
@@ -83,7 +83,7 @@ def test_cases_are_timed_in_turns_and_the_median_is_told():
     assert all(row["compile_s"] == 0.5 for row in rows)
 
 
-def test_a_ratio_is_the_median_over_turns_of_the_same_turn():
+def test_ratio_is_median_of_per_turn_ratios():
     base = fake("base", [1.0, 2.0, 4.0])
     other = fake("other", [3.0, 4.0, 20.0], runs=20)
     first, second = timing.measure_against(base, [other], 3)
@@ -93,7 +93,7 @@ def test_a_ratio_is_the_median_over_turns_of_the_same_turn():
     assert second["ratio_spread"] == pytest.approx(0.75)
 
 
-def test_conditions_say_what_a_row_holds_under():
+def test_conditions_list_machine_and_software():
     holds = bench.conditions()
     machine = "cpu family ghz instructions avx512 cores platform device"
     software = "sinsjax jax jaxlib python options fused_loop"
@@ -110,7 +110,7 @@ def test_conditions_say_what_a_row_holds_under():
         ({xla.wanted()[0].name: "other"}, None),
     ],
 )
-def test_options_in_force_are_told_in_a_word(values, told):
+def test_xla_options_in_force_are_summarised(values, told):
     options = {option.name: option.value for option in xla.wanted()} | values
     rest = " ".join(option.name.removeprefix("xla_cpu_") for option in xla.wanted()[1:])
     assert timing._in_force(options) == (told or rest)
@@ -128,7 +128,7 @@ def test_limit_kernel_runs(gcc, tmp_path):
     assert 0 < case.call() < 1
 
 
-def test_a_run_with_the_kernel_leaves_nothing_behind(gcc, quiet, tmp_path, capsys):
+def test_run_with_limit_kernel_leaves_no_temp_files(gcc, quiet, tmp_path, capsys):
     rows, said = timed(capsys, limit=True)
     assert [row["name"] for row in rows] == ["limit_kernel", *ROWS]
     assert all(HOLDS.items() <= row.items() for row in rows)
@@ -136,7 +136,7 @@ def test_a_run_with_the_kernel_leaves_nothing_behind(gcc, quiet, tmp_path, capsy
     assert not list(tmp_path.iterdir())
 
 
-def test_without_gcc_it_says_so_and_goes_on(quiet, capsys):
+def test_missing_gcc_warns_and_skips_limit_kernel(quiet, capsys):
     quiet.setattr(shutil, "which", lambda name: None)
     rows, said = timed(capsys, limit=True)
     without, silent = timed(capsys, limit=False)
@@ -152,7 +152,7 @@ def test_without_gcc_it_says_so_and_goes_on(quiet, capsys):
         ("pass", "a program built by gcc cannot be started: No such file or directory"),
     ],
 )
-def test_a_gcc_that_does_not_work_is_as_good_as_none(quiet, tmp_path, capsys, script, why):
+def test_broken_gcc_warns_and_skips_limit_kernel(quiet, tmp_path, capsys, script, why):
     tool(tmp_path / "gcc", script)
     quiet.setenv("PATH", str(tmp_path))
     rows, said = timed(capsys, limit=True)
@@ -160,14 +160,14 @@ def test_a_gcc_that_does_not_work_is_as_good_as_none(quiet, tmp_path, capsys, sc
     assert [row["name"] for row in rows] == ROWS
 
 
-def test_an_absent_fused_loop_is_warned_of_on_a_cpu_only(quiet, capsys):
+def test_missing_fused_loop_warns_only_on_cpu(quiet, capsys):
     for platform, warned in (("cpu", True), ("gpu", False)):
         holds = HOLDS | {"platform": platform, "fused_loop": False}
         quiet.setattr(bench, "conditions", lambda holds=holds: holds)
         assert ("fused loop" in timed(capsys, limit=False)[1]) == warned
 
 
-def test_the_table_shows_the_ratio_to_the_limit(gcc, quiet, capsys):
+def test_table_shows_ratio_to_limit_kernel(gcc, quiet, capsys):
     bench.run(Console(width=80), as_json=False, limit=True, repeats=1)
     told = capsys.readouterr().out
     assert "x limit" in told and "1.00" in told and "model X" in told
@@ -181,13 +181,13 @@ def test_the_table_shows_the_ratio_to_the_limit(gcc, quiet, capsys):
         ("raise SystemExit('no such option\\nmore')", "gcc failed: no such option"),
     ],
 )
-def test_a_failing_compiler_is_told_in_one_line(tmp_path, script, why):
+def test_failing_compiler_raises_one_line_error(tmp_path, script, why):
     with pytest.raises(InputError) as told:
         limit_kernel(tool(tmp_path / "gcc", script), str(tmp_path))
     assert str(told.value) == why
 
 
-def test_a_compiler_that_does_not_start_is_told(tmp_path):
+def test_missing_compiler_raises_input_error(tmp_path):
     with pytest.raises(InputError, match="^gcc cannot be started: "):
         limit_kernel(str(tmp_path / "none"), str(tmp_path))
 
@@ -196,7 +196,7 @@ def test_a_compiler_that_does_not_start_is_told(tmp_path):
     ("script", "why"),
     [("import os; os.kill(os.getpid(), 9)", "signal 9"), ("raise SystemExit(2)", "exit status 2")],
 )
-def test_a_kernel_that_dies_is_told_in_one_line(tmp_path, script, why):
+def test_failing_limit_kernel_raises_one_line_error(tmp_path, script, why):
     case = limit_kernel(tool(tmp_path / "gcc", ""), str(tmp_path))
     tool(tmp_path / "limit", script)
     with pytest.raises(InputError) as told:
@@ -204,13 +204,13 @@ def test_a_kernel_that_dies_is_told_in_one_line(tmp_path, script, why):
     assert str(told.value) == f"the limit kernel failed: {why}"
 
 
-def test_every_row_of_the_registry_has_the_name_it_is_listed_under(monkeypatch):
+def test_registry_rows_have_their_listed_names(monkeypatch):
     monkeypatch.setattr(cases, "engine", lambda name, group: fake(name, []))
     monkeypatch.setattr(cases, "numpy_baseline", lambda group: fake("numpy_baseline", []))
     assert {name: make().name for name, make in cases.SHORT.items()} == {n: n for n in cases.SHORT}
 
 
-def test_compass_rows_have_the_samples_and_the_shape_of_the_filters():
+def test_compass_groups_match_kalman_samples_and_sizes():
     kalman, compass, stored = cases.default_group(), *map(cases.compass_group, (None, 80.0))
     for group in (compass, stored):
         assert group.sizes == kalman.sizes
@@ -230,7 +230,7 @@ def small_group():
     return part.group
 
 
-def test_some_variants_are_the_last_with_draws_enough(small_group):
+def test_some_variants_picks_last_variants_with_enough_draws(small_group):
     group = cases.some_variants(small_group, 3, runs=1000)
     draws, variants = group.sizes
     assert variants == 3 and draws * variants >= 1000
@@ -238,7 +238,7 @@ def test_some_variants_are_the_last_with_draws_enough(small_group):
     np.testing.assert_array_equal(group.variants.phi[2], small_group.variants.phi[2][1:])
 
 
-def test_without_noise_only_the_noise_is_gone(small_group):
+def test_without_noise_removes_only_noise(small_group):
     quiet = cases.without_noise(small_group)
     assert (
         not quiet.environment.errors.gyro_noise.any()
@@ -252,7 +252,7 @@ def test_without_noise_only_the_noise_is_gone(small_group):
 
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize(("devices", "elapsed_s"), [(1, 100.0), (2, 1.0)])
-def test_the_engine_is_timed_on_whole_tiles(small_group, monkeypatch, devices, elapsed_s):
+def test_engine_is_timed_on_whole_tiles(small_group, monkeypatch, devices, elapsed_s):
     """One device in CPU time, several in wall time: here one second, in which 100 are computed."""
     wall, cpu = count(0.0), count(0.0, 100.0)
     clocks = SimpleNamespace(perf_counter=lambda: next(wall), process_time=lambda: next(cpu))
@@ -270,7 +270,7 @@ def test_idle_lanes_are_not_counted_as_runs(small_group):
     assert cases.engine("x", few, tiles=4, lanes=16).runs == 3 * 4 < 64
 
 
-def test_a_baseline_that_differs_from_the_engine_is_refused(small_group, monkeypatch):
+def test_baseline_that_differs_from_engine_is_refused(small_group, monkeypatch):
     wrong = lambda *_: (np.eye(3), np.zeros(5))  # noqa: E731
     monkeypatch.setattr(cases, "align", wrong)
     with pytest.raises(RuntimeError, match="the NumPy baseline and the engine differ"):

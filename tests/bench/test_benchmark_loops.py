@@ -32,7 +32,7 @@ def increments(samples, dt, c):
 
 
 @pytest.mark.parametrize("angles", [(0.1, -0.2, 0.7), (0.3, 0.2, 3.1), (0.2, 3.0, 0.1)])
-def test_numba_loop_is_the_numpy_baseline(angles):
+def test_numba_loop_matches_numpy_baseline(angles):
     dt = 0.01
     setting = Setting(
         dt=dt,

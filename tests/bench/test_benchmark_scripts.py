@@ -134,7 +134,7 @@ COMMITTED = {"AVX512": {"target": 1.4, "ratio": 2.0}, "AVX2": {"target": 1.0}}
         (1.26, "AVX2", 1, "gate failed: 1.26 x the limit with AVX2 is more than 1.25 times"),
     ],
 )
-def test_the_gate_judges(measured, instructions, status, line):
+def test_gate_passes_warns_or_fails_by_ratio(measured, instructions, status, line):
     verdict = gate.judge(measured, instructions, COMMITTED)
     assert verdict.status == status
     assert verdict.line.startswith(line)
@@ -160,7 +160,7 @@ def faked(monkeypatch, tmp_path):
     return monkeypatch, asked, path
 
 
-def test_the_gate_measures_each_set_that_the_machine_has(faked, capsys):
+def test_gate_measures_each_available_instruction_set(faked, capsys):
     patch, asked, path = faked
     assert [verdict.status for verdict in gate.gate(commit=False, path=path)] == [0, 1]
     assert asked == ["AVX512", "AVX2"]
@@ -170,7 +170,7 @@ def test_the_gate_measures_each_set_that_the_machine_has(faked, capsys):
     assert asked[2:] == ["AVX2"]
 
 
-def test_the_gate_ends_with_the_worst_status(faked, capsys):
+def test_gate_exits_with_worst_status(faked, capsys):
     patch, _, path = faked
     patch.setattr(gate, "COMMITTED", path)
     patch.setattr(gate.gate, "__kwdefaults__", gate.gate.__kwdefaults__ | {"path": path})
@@ -191,7 +191,7 @@ def test_the_gate_ends_with_the_worst_status(faked, capsys):
         ("instructions", "SSE4_2", "this processor has none of AVX512, AVX2"),
     ],
 )
-def test_where_the_kernel_cannot_be_built_nothing_is_timed(faked, tools, what, answer, why):
+def test_gate_is_skipped_if_limit_kernel_cannot_be_built(faked, tools, what, answer, why):
     patch, asked, path = faked
     if what == "gcc":
         patch.setattr(gate, "compiler", limit.compiler)
@@ -204,7 +204,7 @@ def test_where_the_kernel_cannot_be_built_nothing_is_timed(faked, tools, what, a
     assert asked == []
 
 
-def test_ratios_are_committed_and_targets_stay(faked):
+def test_gate_commit_stores_ratios_and_keeps_targets(faked):
     _, _, path = faked
     assert [verdict.status for verdict in gate.gate(commit=True, path=path)] == [0, 0]
     kept = json.loads(path.read_text())
@@ -217,14 +217,14 @@ def test_ratios_are_committed_and_targets_stay(faked):
     assert statuses == ["gate warning", "gate warning"]
 
 
-def test_a_set_that_cannot_be_measured_is_one_line(faked, monkeypatch):
+def test_gate_reports_failed_measurement_in_one_line(faked, monkeypatch):
     monkeypatch.undo()
     monkeypatch.setattr(sys, "executable", "false")
     with pytest.raises(InputError, match="no ratio with AVX2: exit status 1"):
         gate.measured("AVX2")
 
 
-def test_the_committed_file_has_a_target_for_each_set():
+def test_committed_gate_file_has_target_for_each_instruction_set():
     committed = json.loads(gate.COMMITTED.read_text())
     assert committed.keys() == set(gate.SETS)
     assert all(e["target"] > 0 and e.get("ratio", 1.0) > 0 for e in committed.values())
@@ -256,7 +256,7 @@ def unpinned(monkeypatch):
     monkeypatch.setattr(common, "conditions", lambda: HOLDS)
 
 
-def test_a_script_hands_its_flags_on_and_its_rows_carry_conditions(unpinned, capsys):
+def test_script_passes_flags_on_and_adds_conditions_to_rows(unpinned, capsys):
     asked = []
 
     def rows(quick: bool, repeats: int) -> list[Row]:
@@ -270,13 +270,13 @@ def test_a_script_hands_its_flags_on_and_its_rows_carry_conditions(unpinned, cap
     assert lines == [HOLDS | {"name": "a", "platform": "mine"}] * 2
 
 
-def test_a_script_prints_a_table(unpinned, capsys):
+def test_script_prints_table_of_rows(unpinned, capsys):
     common.main(lambda quick, repeats: [told("x", "one", 14.2, ratio=1.5, ratio_spread=0.1)], [])
     out = capsys.readouterr().out
     assert "one" in out and "1.5 +- 0.1" in out and HOLDS["cpu"] in out
 
 
-def test_a_users_mistake_in_a_script_is_one_line(unpinned, capsys):
+def test_input_error_in_script_is_reported_in_one_line(unpinned, capsys):
     def rows(quick: bool, repeats: int) -> list[Row]:
         raise InputError("no gcc here")
 
@@ -286,27 +286,27 @@ def test_a_users_mistake_in_a_script_is_one_line(unpinned, capsys):
     assert capsys.readouterr().err == "error: no gcc here\n"
 
 
-def test_without_a_gpu_the_script_says_so(capsys):
+def test_gpu_script_without_gpu_reports_no_gpu(capsys):
     assert gpu.rows(True, 1) == []
     assert capsys.readouterr().err == "no GPU: JAX has cpu only\n"
 
 
 @pytest.mark.parametrize(("script", "why"), [("", "gcc not found"), ("exit 1", "gcc failed")])
-def test_without_a_gcc_that_works_there_are_no_pairs(tools, script, why):
+def test_pairs_script_raises_without_working_gcc(tools, script, why):
     tools(gcc=script)
     with pytest.raises(InputError, match=why):
         pairs.rows(True, 1)
 
 
 @pytest.mark.parametrize("duration_s", [9.0, 90.0, 900.0])
-def test_the_sweep_of_another_length_keeps_its_shape(duration_s):
+def test_sweep_study_keeps_its_size_at_any_duration(duration_s):
     study = devices.sweep_study(duration_s, 32)
     assert study.n_draws * study.n_variants == 10240
     assert study.study.window_s[1] == pytest.approx(duration_s)
     assert len(set(study.values("reset_cycle_s"))) == 8
 
 
-def test_the_speed_up_is_over_one_device_in_the_same_turn(monkeypatch):
+def test_speedup_is_relative_to_one_device_in_same_repeat(monkeypatch):
     taken = {1: iter([8.0, 9.0, 8.0]), 2: iter([4.0, 6.0, 5.0])}
 
     def engine(name: str, group: Any, *, tiles: int, devices: int) -> Workload:
@@ -333,7 +333,7 @@ def quick_rows(script: ModuleType) -> list[Row]:
 @pytest.mark.parametrize(
     "script", [pairs, throughput, noise, methods, answer, devices, derivative, single_precision]
 )
-def test_a_script_runs_quickly(script):
+def test_quick_path_of_script_returns_valid_rows(script):
     if script is pairs and (why := gate.unable()):
         pytest.skip(why)
     rows = quick_rows(script)
@@ -345,7 +345,7 @@ def test_a_script_runs_quickly(script):
 
 
 @pytest.mark.slow
-def test_resolving_is_timed_and_judged(tmp_path):
+def test_resolve_script_is_timed_and_judged_against_targets(tmp_path):
     rows = resolve.rows(True, 1)
     assert [row["name"] for row in rows] == ["resolve_6000", "part_6000"]
     assert all(0 < row["median_s"] < 10 for row in rows)
@@ -359,14 +359,14 @@ def test_resolving_is_timed_and_judged(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_memory_is_asked_for_quickly():
+def test_memory_script_reports_bytes_per_run_and_peak():
     plain, curves, sweep = memory.rows(True, 1)
     assert 0 < plain["bytes_per_run"] < curves["bytes_per_run"]
     assert sweep["before_mib"] < sweep["peak_mib"] < 2000
 
 
 @pytest.mark.slow
-def test_instructions_are_counted_where_they_can_be(capsys):
+def test_instructions_script_reports_counts_if_available(capsys):
     rows = instructions.rows(True, 1)
     if not rows:
         pytest.skip(capsys.readouterr().err.strip())
@@ -390,7 +390,7 @@ PERFS = {
 
 
 @pytest.mark.parametrize(("script", "why"), PERFS.items())
-def test_a_perf_that_cannot_count_is_as_good_as_none(monkeypatch, tools, capsys, script, why):
+def test_perf_that_cannot_count_gives_warning_and_no_rows(monkeypatch, tools, capsys, script, why):
     monkeypatch.setattr(instructions.machine, "cpu", lambda: {"vendor_id": "AuthenticAMD"})
     monkeypatch.setattr(instructions, "compiler", lambda: "gcc")
     tools(perf=script)
@@ -398,21 +398,21 @@ def test_a_perf_that_cannot_count_is_as_good_as_none(monkeypatch, tools, capsys,
     assert capsys.readouterr().err == f"warning: nothing is counted: {why}\n"
 
 
-def test_counters_that_are_not_known_are_not_asked_for(monkeypatch, capsys):
+def test_unknown_cpu_vendor_gives_warning_and_no_rows(monkeypatch, capsys):
     monkeypatch.setattr(instructions.machine, "cpu", dict)
     assert instructions.rows(True, 1) == []
     expected = "warning: nothing is counted: only the counters of AMD and Intel are known\n"
     assert capsys.readouterr().err == expected
 
 
-def test_counts_are_those_of_the_longer_run_over_the_shorter():
+def test_counts_per_step_are_difference_of_long_and_short_run():
     few, many = {"instructions": 100, "stores": 30}, {"instructions": 400, "stores": 130}
     expected = {"name": "x", "step_runs": 50, "instructions": 6.0, "stores": 2.0}
     assert instructions.row("x", few, many, 50) == expected
 
 
 @pytest.mark.slow
-def test_a_script_starts_from_anywhere(tmp_path):
+def test_script_starts_from_any_directory(tmp_path):
     path = os.pathsep.join([str(FOLDER.parent), os.environ.get("PYTHONPATH", "")])
     ended = subprocess.run(
         [sys.executable, str(FOLDER / "gpu.py"), "--quick", "--json", "--repeats", "1"],
@@ -442,11 +442,11 @@ def test_a_script_starts_from_anywhere(tmp_path):
         ),
     ],
 )
-def test_a_row_belongs_to_a_version_and_a_machine(changes, name):
+def test_history_file_is_named_after_version_and_machine(changes, name):
     assert store.file_name(HOLDS | changes) == name
 
 
-def test_a_set_measured_again_replaces_its_rows_only(tmp_path):
+def test_repeated_measurement_replaces_only_rows_of_its_set(tmp_path):
     store.keep(history(), record.SETS, tmp_path)
     (path,) = store.keep([told("noise", "noise_off", 99.123456789)], record.SETS, tmp_path)
     rows = store.read(path)
@@ -459,26 +459,26 @@ def test_a_set_measured_again_replaces_its_rows_only(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["{", '["a"]', '[{"name": "x"}]', "3"])
-def test_a_history_that_is_none_is_told_by_its_name(tmp_path, text):
+def test_invalid_history_file_is_reported_by_name(tmp_path, text):
     path = tmp_path / "0.1.0_x.json"
     path.write_text(text)
     with pytest.raises(InputError, match=r"^0\.1\.0_x\.json: "):
         store.read(path)
 
 
-def test_machines_come_in_order_of_version(tmp_path):
+def test_machines_are_sorted_by_version(tmp_path):
     found = written(tmp_path, history("0.10.0"), history("0.9.0"), history("0.2.1", avx512=False))
     assert [machine.version for machine in found] == ["0.2.1", "0.9.0", "0.10.0"]
     assert [machine.x_limit for machine in found] == [1.42] * 3
 
 
-def test_without_pairs_the_short_set_tells_the_ratio(tmp_path):
+def test_ratio_without_pairs_is_read_from_short_set(tmp_path):
     rows = [row for row in history() if row["set"] == "short"]
     (machine,) = written(tmp_path, rows)
     assert machine.x_limit == pytest.approx(1.42)
 
 
-def test_recording_takes_version_date_and_set_along(tmp_path, monkeypatch, capsys):
+def test_record_script_stores_version_date_and_set(tmp_path, monkeypatch, capsys):
     commands = []
 
     def run(command, **_):
@@ -500,7 +500,7 @@ def test_recording_takes_version_date_and_set_along(tmp_path, monkeypatch, capsy
     assert all(re.fullmatch(r"\d{4}-\d\d-\d\d", row["date"]) for row in rows)
 
 
-def test_a_failing_set_does_not_stop_the_others(monkeypatch, capsys, tmp_path):
+def test_failing_set_does_not_stop_other_sets(monkeypatch, capsys, tmp_path):
     def measured(name, repeats):
         if name == "noise":
             raise InputError("noise: failed with exit status 1")
@@ -515,14 +515,14 @@ def test_a_failing_set_does_not_stop_the_others(monkeypatch, capsys, tmp_path):
     assert "gpu: 0 rows to nothing" in out
 
 
-def test_an_unknown_set_is_refused(capsys):
+def test_unknown_benchmark_set_is_refused(capsys):
     with pytest.raises(SystemExit) as ended:
         record.main(["--only", "noize"])
     assert ended.value.code == 2
     assert "no set noize" in capsys.readouterr().err
 
 
-def test_every_script_that_measures_is_a_set():
+def test_every_measuring_script_is_registered_as_set():
     scripts = [p.stem for p in FOLDER.glob("*.py") if "\n    common.main(rows" in p.read_text()]
     assert set(scripts) <= set(record.SCRIPTS)
 
@@ -530,7 +530,7 @@ def test_every_script_that_measures_is_a_set():
 # -- the page ------------------------------------------------------------------------------------
 
 
-def test_targets_are_judged_by_their_rows(tmp_path):
+def test_targets_are_judged_from_history_rows(tmp_path):
     (machine,) = written(tmp_path, history())
     found = {row.what: row for row in judged(machine)}
     reached = [row.reached for row in found.values()]
@@ -543,7 +543,7 @@ def test_targets_are_judged_by_their_rows(tmp_path):
 
 
 @pytest.mark.parametrize(("ratio", "reached"), [(0.99, True), (1.01, False)])
-def test_the_limits_target_is_that_of_the_instruction_set(tmp_path, ratio, reached):
+def test_target_of_limit_ratio_depends_on_instruction_set(tmp_path, ratio, reached):
     more = {"ratio": ratio, "ratio_spread": 0.01, "ratios": [ratio] * 7, "avx512": False}
     rows = [told("pairs", name, 15.0, **more) for name in ("kalman_shared_record",)]
     rows.append(told("pairs", "kalman_shared_covariance", 8.0, **more))  # has none for this set
@@ -553,7 +553,7 @@ def test_the_limits_target_is_that_of_the_instruction_set(tmp_path, ratio, reach
 
 
 @pytest.mark.parametrize(("operations", "most"), [(3.4, "4.1"), (2.0, "3.6")])
-def test_the_derivatives_target_is_the_larger_one(tmp_path, operations, most):
+def test_derivative_target_is_larger_of_two_bounds(tmp_path, operations, most):
     more = {"ratio": 4.0, "ratio_spread": 0.1, "operations_ratio": operations}
     (machine,) = written(tmp_path, [told("derivative", "derivative_p1", 57.0, **more)])
     (row,) = judged(machine)
@@ -562,7 +562,7 @@ def test_the_derivatives_target_is_the_larger_one(tmp_path, operations, most):
 
 
 @pytest.mark.parametrize(("ratio", "reached"), [(4.9, True), (5.1, False)])
-def test_a_tunings_gradient_may_take_what_is_counted(tmp_path, ratio, reached):
+def test_target_of_tuning_gradient_is_its_counted_cost(tmp_path, ratio, reached):
     more = {"ratio": ratio, "ratio_spread": 0.1, "operations_ratio": 4.0, "counted": 5}
     rows = [told("derivative", "tune_plain", 50.0)]
     rows.append(told("derivative", "tune_gradient_p2", 250.0, **more))
@@ -574,7 +574,7 @@ def test_a_tunings_gradient_may_take_what_is_counted(tmp_path, ratio, reached):
 
 
 @pytest.mark.parametrize(("ns", "reached"), [(119.0, True), (121.0, False)])
-def test_a_base_of_its_own_may_take_so_many_ns(tmp_path, ns, reached):
+def test_target_of_drawn_base_motion_is_120_ns(tmp_path, ns, reached):
     rows = [told("noise", "silent_2", 25.0), told("noise", "noise_2", 34.0)]
     row = told("noise", "base_2", ns, ratio=8.0, ratio_spread=0.1, variants=2)
     rows.append(row | noise.split([*rows, row]))
@@ -590,7 +590,7 @@ def test_a_base_of_its_own_may_take_so_many_ns(tmp_path, ns, reached):
 
 @pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_a_tunings_gradient_is_timed_beside_its_plain_runs():
+def test_tuning_gradient_is_timed_next_to_plain_runs():
     *_, plain, gradient = quick_rows(derivative)
     assert [row["name"] for row in (plain, gradient)] == ["tune_plain", "tune_gradient_p2"]
     assert (gradient["runs"], gradient["steps"]) == (plain["runs"], plain["steps"]) == (128, 400)
@@ -598,7 +598,7 @@ def test_a_tunings_gradient_is_timed_beside_its_plain_runs():
 
 
 @pytest.mark.parametrize(("ratio", "reached"), [(0.28, True), (0.29, False)])
-def test_an_operation_of_a_method_may_take_little_more_than_the_filters(tmp_path, ratio, reached):
+def test_target_of_time_per_operation_is_relative_to_kalman5(tmp_path, ratio, reached):
     beside = {"ratio": ratio, "ratio_spread": 0.02, "operations": 145.3, "operations_ratio": 0.228}
     rows = [told("methods", "kalman", 46.0, operations=638.1)]
     rows.append(told("methods", "compass", 10.0, **beside))
@@ -618,7 +618,7 @@ def test_an_operation_of_a_method_may_take_little_more_than_the_filters(tmp_path
 
 @pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_a_step_of_a_method_has_its_own_arithmetic():
+def test_operation_counts_of_methods_are_in_expected_ranges():
     """XLA does the same operations at either level; LLVM, which comes after it, is not counted."""
     assert {*methods.OTHERS} == {*METHODS} - {"kalman5", "compass"}
     rows = {row["name"]: row for row in quick_rows(methods)}
@@ -634,7 +634,7 @@ def test_a_step_of_a_method_has_its_own_arithmetic():
 
 
 @pytest.mark.parametrize(("double", "reached"), [(105e3, True), (200e3, False)])
-def test_a_derivatives_memory_may_not_grow_with_the_steps(tmp_path, double, reached):
+def test_derivative_memory_must_not_grow_with_steps(tmp_path, double, reached):
     more = {"ratio": 4.0, "ratio_spread": 0.1, "operations_ratio": 5.0}
     more |= {"temp_bytes_half": 100e3, "temp_bytes": 101e3, "temp_bytes_double": double}
     (machine,) = written(tmp_path, [told("derivative", "derivative_p4", 57.0, **more)])
@@ -643,7 +643,7 @@ def test_a_derivatives_memory_may_not_grow_with_the_steps(tmp_path, double, reac
     assert row.reached == reached
 
 
-def test_the_start_is_judged_and_told_by_phases(tmp_path):
+def test_cold_start_is_judged_and_listed_by_phase(tmp_path):
     told_row = told("cold_start", "cold_start_first_result", 0.0, median_s=5.91, spread_s=0.2)
     phase = told("cold_start", "cold_start_compile", 0.0, median_s=2.5, spread_s=0.1)
     for row in (told_row, phase):
@@ -656,7 +656,7 @@ def test_the_start_is_judged_and_told_by_phases(tmp_path):
     assert "| `cold_start_compile` | 2.50 ± 0.10 |" in (tmp_path / "p.md").read_text()
 
 
-def test_the_page_says_what_the_rows_say(tmp_path):
+def test_performance_page_shows_history_rows(tmp_path):
     machines = written(tmp_path / "history", history("0.0.9", 1.3), history())
     page.write(tmp_path / "performance.md", machines, "float32: the reason.")
     text = (tmp_path / "performance.md").read_text()
@@ -684,14 +684,14 @@ def test_the_page_says_what_the_rows_say(tmp_path):
         assert (tmp_path / name).stat().st_size < 300_000
 
 
-def test_what_was_not_measured_is_not_on_the_page(tmp_path):
+def test_page_omits_sections_without_measurements(tmp_path):
     rows = [row for row in history() if row["set"] == "short"]
     page.write(tmp_path / "p.md", written(tmp_path / "history", rows), "")
     headings = re.findall("^## (.*)$", (tmp_path / "p.md").read_text(), re.MULTILINE)
     assert headings == ["Targets", "Beside the limit", "History"]
 
 
-def test_a_gpu_has_its_section(tmp_path):
+def test_gpu_rows_get_page_section(tmp_path):
     row = told("gpu", "gpu_silent_1000", 0.9, lanes=1000, runs_per_s=12345)
     row |= {"platform": "gpu", "device": "NVIDIA H100"}
     page.write(tmp_path / "p.md", written(tmp_path / "history", history(), [row]), "")
@@ -699,7 +699,7 @@ def test_a_gpu_has_its_section(tmp_path):
     assert "## On a GPU" in text and "12,345" in text and "NVIDIA H100" in text
 
 
-def test_two_machines_share_the_figure(tmp_path):
+def test_two_machines_share_one_figure(tmp_path):
     machines = written(tmp_path / "history", history(), history(cpu="Other", avx512=False))
     page.write(tmp_path / "p.md", machines, "")
     text = (tmp_path / "p.md").read_text()
@@ -707,7 +707,7 @@ def test_two_machines_share_the_figure(tmp_path):
     assert text.count("bends.png)") == 1
 
 
-def test_an_empty_history_is_told(tmp_path):
+def test_empty_history_is_refused(tmp_path):
     with pytest.raises(InputError, match="run benchmarks/record.py first"):
         page.write(tmp_path / "p.md", [], "")
     assert not (tmp_path / "p.md").exists()

@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import covariance_accuracy as accuracy
 
 
-def test_the_interval_of_sigma_is_that_of_normal_draws() -> None:
+def test_bootstrap_interval_of_sigma_matches_normal_theory() -> None:
     draws = np.random.default_rng(3).normal(5.0, 2.0, (1024, 3))
     low, high = intervals(draws, 0.05, seed=1) / draws.std(axis=0, ddof=1)
     expected = np.sqrt(1023 / stats.chi2.ppf([0.975, 0.025], 1023))
@@ -23,7 +23,7 @@ def test_the_interval_of_sigma_is_that_of_normal_draws() -> None:
 
 
 @pytest.mark.parametrize(("share", "misses"), [(0.5, 0), (0.62, 0), (0.8, 2)])
-def test_a_share_misses_where_its_interval_is_beyond_the_bar(share: float, misses: int) -> None:
+def test_share_counts_as_miss_if_interval_lies_beyond_tolerance(share: float, misses: int) -> None:
     """Half of 64 draws of two variants are within, at the one time before the end and there."""
     size = accuracy.QUICK._replace(draws=64, times_s=(1, 2))
     error = np.tile([0.0, 0.0, 50.0, 50.0], 32)

@@ -32,39 +32,39 @@ ESTIMATORS = [
 @pytest.mark.parametrize(
     ("estimator", "population"), ESTIMATORS, ids=[f"{e.name}-{p.name}" for e, p in ESTIMATORS]
 )
-def test_intervals_cover(estimator, population, n):
+def test_estimator_intervals_reach_required_coverage(estimator, population, n):
     found = interval_coverage.coverage(estimator, population, n)
     assert found >= EXCEPTIONS.get((estimator.name, population.name, n), LEAST)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("n", interval_coverage.SIZES[::2])
-def test_shares_cover(n):
+def test_share_intervals_reach_required_coverage(n):
     found = interval_coverage.of_shares(n, 600)
     assert min(found.values()) >= LEAST, found
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("n", interval_coverage.SIZES[::2])
-def test_pooled_runs_cover(n):
+def test_pooled_run_intervals_reach_required_coverage(n):
     found = interval_coverage.by_draw(n, 600)
     assert min(found.values()) >= LEAST, found
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("n", interval_coverage.SIZES[::2])
-def test_paired_medians_cover(n):
+def test_paired_median_intervals_reach_required_coverage(n):
     found = interval_coverage.of_pairs(POPULATIONS[1], n, 200)
     assert min(found.values()) >= LEAST, found
 
 
-def test_the_percentile_bootstrap_of_a_standard_deviation_does_not():
+def test_percentile_bootstrap_of_standard_deviation_undercovers():
     (percentile,) = (e for e in interval_coverage.BESIDE if e.name == "std, percentile bootstrap")
     for population in POPULATIONS:
         assert interval_coverage.coverage(percentile, population, 13, 200) < 0.87
 
 
-def test_a_population_of_values_has_their_numbers():
+def test_population_from_values_has_their_statistics():
     values = np.random.default_rng(1).lognormal(size=501)
     found = interval_coverage.drawn("made", values)
     assert found.truth["median"] == np.median(values)
@@ -72,6 +72,6 @@ def test_a_population_of_values_has_their_numbers():
     assert found.truth["rms"] ** 2 == pytest.approx(values.mean() ** 2 + found.truth["std"] ** 2)
 
 
-def test_what_is_not_bounded_is_covered():
+def test_unbounded_interval_end_covers_any_value():
     assert interval_coverage.covers(interval_coverage.Estimate(1.0, float("nan"), 2.0, 3), -9.0)
     assert not interval_coverage.covers(interval_coverage.Estimate(1.0, float("nan"), 2.0, 3), 2.1)

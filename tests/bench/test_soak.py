@@ -57,7 +57,7 @@ state = "running" if fault == "manifest" and "--resume" in sys.argv else "comple
         ("report", "cannot be reported: no"),
     ],
 )
-def test_a_sound_command_passes_and_a_fault_is_found(
+def test_soak_passes_sound_command_and_detects_faults(
     fault: str,
     says: str,
     tmp_path: Path,
@@ -82,7 +82,7 @@ def test_a_sound_command_passes_and_a_fault_is_found(
         assert kept is not None and list(Path(kept[1]).rglob("*.parquet"))
 
 
-def test_what_is_killed_is_what_a_user_types(tmp_path: Path) -> None:
+def test_soak_cases_use_real_sweep_and_tune_commands(tmp_path: Path) -> None:
     """The three commands, whose studies load."""
     from sinsjax.study.load import load_study
 

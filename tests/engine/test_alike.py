@@ -35,7 +35,7 @@ def apart(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("curves", [False, True])
-def test_rows_are_those_of_all_variants_computed(
+def test_deduplicated_rows_equal_rows_of_all_variants_computed(
     study: Study, curves: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     together = study_run.run(study, curves=curves, chunk_runs=128)
@@ -46,7 +46,7 @@ def test_rows_are_those_of_all_variants_computed(
     assert len(together[0]) == study.n_draws * study.n_variants
 
 
-def test_fewer_runs_are_computed_and_all_are_counted(study: Study) -> None:
+def test_duplicate_variants_are_computed_once_but_all_runs_counted(study: Study) -> None:
     runner = TaskRunner(Job(study))
     (computed,) = [same.computed for same in runner._alike if same is not None]
     assert len(computed) == 2 * (1 + len(CYCLES))
@@ -56,19 +56,19 @@ def test_fewer_runs_are_computed_and_all_are_counted(study: Study) -> None:
         assert runner.do(task).tables["summary"].num_rows == task.runs
 
 
-def test_a_run_is_done_again_by_its_number(study: Study) -> None:
+def test_rerun_of_run_id_reproduces_stored_row(study: Study) -> None:
     stored = study_run.run(study).summary
     for run_id in (7, study.n_variants + 4):
         row = stored.filter(np.asarray(stored["run_id"]) == run_id)
         assert rerun(study, run_id).row.equals(row)
 
 
-def test_where_little_is_saved_all_are_computed() -> None:
+def test_all_variants_are_computed_if_few_are_duplicates() -> None:
     small = small_study(axes={"reset_cycle_s": [1.0, 2.0], "reset_count": [0, 1, 2]})
     assert TaskRunner(Job(small))._alike == [None]
 
 
-def test_alike_are_those_of_equal_numbers(study: Study) -> None:
+def test_duplicate_variants_have_equal_engine_parameters(study: Study) -> None:
     """Those by which the engine tells variants apart here: reset times and misalignment."""
     part = Scenario(study).part(0)
     params = part.group.variants

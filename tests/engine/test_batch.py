@@ -70,7 +70,7 @@ def test_results_have_the_same_bits_for_any_chunk_and_device_count(
 
 @pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_a_program_a_device_puts_each_threads_work_on_its_own(
+def test_program_per_device_runs_each_thread_on_separate_device(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """As on accelerators: the two virtual devices of the tests have a program each."""
@@ -109,7 +109,7 @@ def test_a_program_a_device_puts_each_threads_work_on_its_own(
 
 
 @pytest.mark.representative("measured")
-def test_every_run_equals_itself_alone(
+def test_every_run_matches_same_run_simulated_alone(
     six_variants: lane_layout.Group, reference: tuple
 ) -> None:
     """The unmapped function of one run gives what the tile gave, to rounding."""
@@ -125,7 +125,7 @@ def test_every_run_equals_itself_alone(
 
 
 @pytest.mark.slow
-def test_later_draws_leave_earlier_rows_alone(
+def test_later_draws_do_not_change_earlier_rows(
     six_variants: lane_layout.Group, reference: tuple
 ) -> None:
     fewer = 30
@@ -137,7 +137,7 @@ def test_later_draws_leave_earlier_rows_alone(
     assert_same_bits(got, jax.tree.map(lambda a: a[: fewer * 6], reference))
 
 
-def test_broken_runs_are_rows_and_leave_their_neighbours_alone(
+def test_broken_runs_give_nan_rows_without_changing_other_runs(
     six_variants: lane_layout.Group, reference: tuple
 ) -> None:
     phi = six_variants.variants.phi
@@ -150,14 +150,14 @@ def test_broken_runs_are_rows_and_leave_their_neighbours_alone(
     assert_same_bits(good, jax.tree.map(lambda a: a[variant != 2], reference[0]))
 
 
-def test_draws_differ_and_variants_share_their_noise(reference: tuple) -> None:
+def test_draws_have_different_noise(reference: tuple) -> None:
     """Without initial misalignment and resets, variants would be one and the same run."""
     phi = reference[0].last.phi.z.reshape(50, 6)
     assert np.unique(phi[:, 0]).size == 50
 
 
 @given(st.integers(1, 400))
-def test_a_tile_never_holds_more_draws_than_counted(variants: int) -> None:
+def test_distinct_draws_bounds_draws_per_tile(variants: int) -> None:
     draws = 130
     runs = np.arange(draws * variants // lane_layout.LANES * lane_layout.LANES).reshape(
         -1, lane_layout.LANES
@@ -170,7 +170,7 @@ def test_a_tile_never_holds_more_draws_than_counted(variants: int) -> None:
 
 
 @given(st.integers(1, 400), st.sampled_from([8, 16, 24, 32, 48, 64]))
-def test_a_tile_has_a_draw_a_lane_only_where_each_lane_takes_one(width: int, lanes: int) -> None:
+def test_tile_has_one_draw_per_lane_only_for_single_variant(width: int, lanes: int) -> None:
     """Then draws are not handed out at all."""
     assert (lane_layout.distinct_draws(width, lanes) == lanes) == (width == 1)
 
@@ -194,7 +194,7 @@ def some_group(
     st.sampled_from([None, 2, 40]),
 )
 @settings(max_examples=20)
-def test_every_run_has_one_lane(
+def test_every_run_occupies_exactly_one_lane(
     force: str, draws: int, variants: int, tiles_a_chunk: int | None
 ) -> None:
     """Calls of one size; each run once; its tile holds its draw; sets share variants."""
@@ -238,7 +238,7 @@ def test_every_run_has_one_lane(
         ("kalman10", {}, 1),
     ],
 )
-def test_only_a_covariance_that_no_draw_changes_is_shared(
+def test_covariance_is_shared_only_if_independent_of_draws(
     method: str, changes: dict[str, str], sets: int
 ) -> None:
     study = small_study(
@@ -250,7 +250,7 @@ def test_only_a_covariance_that_no_draw_changes_is_shared(
 
 @pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_a_shared_covariance_gives_the_results_of_a_computed_one() -> None:
+def test_shared_covariance_matches_covariance_computed_per_run() -> None:
     """To rounding, against tiles of the same program in which every run has its own."""
     variants = 70
     group = some_group("gravity", draws=9, variants=variants)
@@ -268,7 +268,7 @@ def test_a_shared_covariance_gives_the_results_of_a_computed_one() -> None:
 
 
 @pytest.mark.optimised(False)
-def test_the_record_interval_does_not_touch_the_noise() -> None:
+def test_record_interval_does_not_change_noise() -> None:
     """Final attitude after the same samples, to rounding: records only scale quaternions."""
     last, every = [], 0.07
     for interval in (every, 0.01 * round(every * 100) * 2):

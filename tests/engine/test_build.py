@@ -22,7 +22,7 @@ def group_of(**changes: object) -> Group:
     return part.group
 
 
-def test_papers_numbers_in_si() -> None:
+def test_paper_parameters_are_converted_to_si() -> None:
     group = group_of()
     environment, method = group.environment, group.variants.method
     np.testing.assert_allclose(environment.errors.gyro_bias, 0.1 * DEG_PER_H)
@@ -39,7 +39,7 @@ def test_papers_numbers_in_si() -> None:
     assert group.static.records == 6 and group.static.record_every == 100
 
 
-def test_densities_integrate_to_the_square_root_of_time() -> None:
+def test_noise_densities_scale_with_square_root_of_sample_time() -> None:
     data = BASE | {
         "sensors": {
             "gyro_arw_deg_per_sqrt_h": 0.003,
@@ -55,30 +55,30 @@ def test_densities_integrate_to_the_square_root_of_time() -> None:
 @pytest.mark.parametrize(
     ("reading", "factor"), [("per_step", 1.0), ("psd", 0.01), ("per_sample", 1e-4)]
 )
-def test_readings_of_q(reading: str, factor: float) -> None:
+def test_q_reading_scales_q(reading: str, factor: float) -> None:
     q = group_of(filter={"q_reading": reading}).variants.method.q
     np.testing.assert_allclose(q[0], (500e-6 * 9.8) ** 2 * factor)
     np.testing.assert_allclose(q[2], (0.1 * DEG_PER_H) ** 2 * factor)
 
 
-def test_r_as_a_density_is_divided_by_the_sample_time() -> None:
+def test_r_as_density_is_divided_by_sample_time() -> None:
     assert group_of(filter={"r_reading": "psd"}).variants.method.r == pytest.approx(1.0)
 
 
-def test_wgs84_counts_micro_g_in_standard_gravity() -> None:
+def test_wgs84_micro_g_uses_standard_gravity() -> None:
     group = group_of(earth={"earth": "wgs84"})
     np.testing.assert_allclose(group.environment.errors.accel_bias, 500e-6 * 9.80665)
     assert group.environment.site.place.gravity == pytest.approx(9.79484, abs=1e-5)
 
 
-def test_euler_misalignment_is_the_rotation_rz_rx_ry() -> None:
+def test_euler_misalignment_is_rotation_rz_rx_ry() -> None:
     """C_n'^n = Rz(U) Rx(E) Ry(N), [P1] section 1; phi is its rotation vector."""
     phi = group_of(alignment={"misalignment": "euler"}).variants.phi
     want = Rotation.from_euler("ZXY", [30, 5, 5], degrees=True).as_rotvec()
     np.testing.assert_allclose(np.array(phi).ravel(), want, atol=1e-15)
 
 
-def test_feedback_interval_and_time_constant() -> None:
+def test_feedback_interval_and_time_constant_set_every_and_gain() -> None:
     feedback = group_of(
         alignment={"feedback_interval_s": 0.5, "feedback_time_constant_s": 2.0}
     ).variants.method.feedback
@@ -87,7 +87,7 @@ def test_feedback_interval_and_time_constant() -> None:
     assert group_of().variants.method.feedback.gain == 1
 
 
-def test_resets_of_every_kind() -> None:
+def test_reset_times_and_kinds_become_schedule_arrays() -> None:
     group = group_of(
         axes={"reset_times_s": [[], [1.0], [0.5, 2.34]], "reset_kind": ["full", "yaw", "scale"]},
         resets={"reset_scale": 7.0},
@@ -100,7 +100,7 @@ def test_resets_of_every_kind() -> None:
     np.testing.assert_array_equal(got[:3], [[0, 0, 1, 1], [1, 0, 0, 1], [7, 7, 0, 0]])
 
 
-def test_worlds_and_programs_are_cut_apart_and_cover_every_variant() -> None:
+def test_parts_split_by_environment_and_program_cover_all_variants() -> None:
     study = small_study(
         axes={
             "phi_u0_deg": [0.0, 30.0],
@@ -117,7 +117,7 @@ def test_worlds_and_programs_are_cut_apart_and_cover_every_variant() -> None:
         assert part.group.static.options.specific_force in values["specific_force"]
 
 
-def test_tapes_are_cut_apart_and_their_parts_share_a_program() -> None:
+def test_parts_split_by_stored_length_share_one_program() -> None:
     """Variants that read the tape alike run together; truth is that of the place on the tape."""
     study = small_study(
         alignment={"method": "compass"},
@@ -146,7 +146,7 @@ def test_tapes_are_cut_apart_and_their_parts_share_a_program() -> None:
 
 
 @pytest.mark.optimised(False)
-def test_the_program_may_differ_with_the_length_of_the_passes() -> None:
+def test_record_count_follows_number_of_passes() -> None:
     study = small_study(
         study={"window_s": [0, 2]}, passes={"tape_s": 2.0}, axes={"passes": [1, 2, 3]}
     )
@@ -155,7 +155,7 @@ def test_the_program_may_differ_with_the_length_of_the_passes() -> None:
     assert [span.records for span in study.spans] == records
 
 
-def test_a_recorded_study_needs_its_record() -> None:
+def test_recorded_study_without_record_is_refused() -> None:
     study = study_from_dict(
         {"study": {"duration_s": 6.0, "rate_hz": 100.0}, "record": {"format": "psins"}}
     )
@@ -184,14 +184,14 @@ def attitude_at(times: list[float], *missing: tuple[float, float]) -> np.ndarray
         ((100, 106), [104, 120], 6),
     ],
 )
-def test_a_gap_at_either_end_of_what_is_needed_is_no_truth(missing, times, gap):
+def test_reference_gap_touching_needed_span_is_refused(missing, times, gap):
     """A sample within the span is not enough: the ends lie between two, which may be far apart."""
     with pytest.raises(InputError, match=f"has a gap of {gap} s where the study needs it"):
         attitude_at(times, missing)
 
 
 @pytest.mark.parametrize("times", [[110, 120], [80, 100], [20, 30], [0, 100], [110, 200]])
-def test_a_gap_beside_what_is_needed_does_no_harm(times):
+def test_reference_gap_outside_needed_span_is_accepted(times):
     turned = attitude_at(times, (100, 109.5), (5, 10))
     expected = Rotation.from_rotvec(np.outer(times, [0, 0, 6 * DEG]))
     left = expected.inv() * Rotation.from_quat(turned, scalar_first=True)

@@ -50,7 +50,7 @@ def assert_spread_is_that_of(drawn: pa.Table, made: pa.Table) -> None:
 
 
 @pytest.mark.parametrize("name", INPUTS)
-def test_sigma_is_that_of_draws(name: str) -> None:
+def test_covariance_sigma_matches_draws(name: str) -> None:
     """Of a filter by sine and cosine; that of `kalman5` with surge is compared below."""
     few = SETTINGS | {"estimate": "covariance", "estimate_samples": 16, "check_linearity": False}
     made, quiet = (
@@ -65,7 +65,7 @@ def test_sigma_is_that_of_draws(name: str) -> None:
     assert (sigma > 1.1 * without).any()
 
 
-def test_companions_and_their_expectation_know_of_surge() -> None:
+def test_controlled_estimates_with_surge_match_many_draws() -> None:
     """A controlled mean of few draws is that of many."""
     given = {"draws": 48, "estimate": "controlled"}, {"draws": DRAWS}
     few, many = (small_study(study=SETTINGS | one, **tables("surge", "kalman5")) for one in given)

@@ -105,7 +105,7 @@ def told(method: str) -> Spread:
 
 @pytest.mark.representative("kalman5")
 @pytest.mark.parametrize("name", METHODS)
-def test_a_companion_is_the_run_of_its_draw_where_errors_are_small(name: str) -> None:
+def test_companion_matches_run_of_its_draw_for_small_errors(name: str) -> None:
     group, companion, _ = made(name)
     # Sigma points follow the estimate, and gains with them.
     share = 0.35 if name == "unscented" else 0.05
@@ -120,7 +120,7 @@ def test_a_companion_is_the_run_of_its_draw_where_errors_are_small(name: str) ->
 
 @pytest.mark.representative("kalman5")
 @pytest.mark.parametrize("name", WATCHED)
-def test_companions_spread_as_the_covariance_says(name: str) -> None:
+def test_variance_of_companions_matches_covariance_analysis(name: str) -> None:
     """Within the chi-square interval of each, at 99.9 % over all that is compared."""
     spread, companion = told(name), made(name).phi
     records = [39, 49, 59]
@@ -133,7 +133,7 @@ def test_companions_spread_as_the_covariance_says(name: str) -> None:
 
 @pytest.mark.representative("kalman5")
 @pytest.mark.parametrize("name", WATCHED)
-def test_sampled_errors_settle_as_companions_do(name: str) -> None:
+def test_settling_times_of_sampled_errors_match_companions(name: str) -> None:
     """Means of settling times within four standard errors of both."""
     spread, outside = told(name), made(name).outside_until
     sampled = np.asarray(spread.outside_until)  # (variants, 2, B, samples)
@@ -142,7 +142,7 @@ def test_sampled_errors_settle_as_companions_do(name: str) -> None:
     assert (np.abs(a - b) <= 4 * spread_ + 1e-9).all(), (a, b, spread_)
 
 
-def test_the_noise_free_run_is_that_of_a_study_without_noise() -> None:
+def test_noise_free_run_equals_run_of_study_without_noise() -> None:
     group = group_of(study_of("kalman5"))
     plain = group_of(study_of("kalman5", sensors=SMALL | QUIET))
     spread, outcome = spread_of(group)
@@ -151,7 +151,7 @@ def test_the_noise_free_run_is_that_of_a_study_without_noise() -> None:
     np.testing.assert_array_equal(outcome.outside_until, first.outside_until[:2])
 
 
-def test_without_noise_nothing_is_spread() -> None:
+def test_error_covariance_without_noise_is_zero() -> None:
     spread, _ = spread_of(group_of(study_of("kalman5", sensors=SMALL | QUIET)))
     assert (np.asarray(spread.sigma) == 0).all()
     assert np.ptp(spread.outside_until, axis=-1).max() == 0

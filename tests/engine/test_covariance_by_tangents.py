@@ -51,7 +51,7 @@ def case(request: pytest.FixtureRequest) -> tuple[Group, tangents.Spread]:
 
 
 @pytest.mark.slow
-def test_sigma_of_linear_parts_is_that_of_tangents(case: tuple[Group, tangents.Spread]) -> None:
+def test_covariance_analysis_sigma_matches_tangents(case: tuple[Group, tangents.Spread]) -> None:
     """Where errors are small: blocks of noise tell 0.3 %, and the rest is what P makes of them."""
     group, expected = case
     one = group._replace(draws=jax.tree.map(lambda a: a[:1] if np.ndim(a) else a, group.draws))
@@ -62,7 +62,7 @@ def test_sigma_of_linear_parts_is_that_of_tangents(case: tuple[Group, tangents.S
 
 
 @pytest.mark.slow
-def test_tangents_tell_the_spread_of_draws(case: tuple[Group, tangents.Spread]) -> None:
+def test_tangent_sigma_matches_variance_of_draws(case: tuple[Group, tangents.Spread]) -> None:
     """Variances within the chi-square interval of each, at 99.9 % over all that is compared."""
     group, expected = case
     curves = np.zeros((*group.sizes, group.static.records, 3))

@@ -78,7 +78,7 @@ def all_runs(group, **options):
     ],
     ids=["three", "drawn", "passes", "drawn passes", "still"],
 )
-def test_every_run_equals_itself_alone_and_any_chunk_has_its_bits(changes):
+def test_disturbed_runs_match_single_runs_and_any_chunking(changes):
     study = disturbed(study={"draws": 70, "curves": True, "duration_s": 6.0}, **changes)
     group = group_of(study)
     whole = all_runs(group)
@@ -103,7 +103,7 @@ def rows(study: Study, draw: int = 0):
 
 @pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_what_disturbs_leaves_the_rest_of_the_noise_alone():
+def test_surge_and_sensor_disturbances_add_independently():
     """What surge adds is the same whatever else there is, and so is what the rest adds."""
     surge = {key: ALL["motion"][key] for key in ("surge_m_per_s", "lever_arm_m")}
     rest = {key: value for key, value in ALL["sensors"].items() if "quantisation" not in key}
@@ -118,7 +118,7 @@ def test_what_disturbs_leaves_the_rest_of_the_noise_alone():
 
 @pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_a_record_hangs_on_neither_its_length_nor_on_passes():
+def test_record_samples_are_independent_of_duration_and_passes():
     whole = rows(disturbed())
     np.testing.assert_array_equal(rows(disturbed(passes=PASSES)), whole[:200])
     np.testing.assert_array_equal(
@@ -126,7 +126,7 @@ def test_a_record_hangs_on_neither_its_length_nor_on_passes():
     )
 
 
-def test_keys_that_nothing_reads_have_no_part_in_a_program():
+def test_unused_disturbance_keys_are_absent_from_program():
     group = group_of(small_study(motion={"surge_time_s": 3.0, "lever_arm_m": 1.0} | STILL))
     assert group.environment.disturbances == Disturbances() and group.environment.axes is None
     assert group.environment.errors.gyro_quantum is None and not group.static.kept
@@ -231,7 +231,7 @@ def test_drift_of_each_draw_is_driven_by_independent_noise() -> None:
     ],
     ids=["white", "instability", "walk", "quanta"],
 )
-def test_allan_variances_are_the_closed_forms(keys, gyro, accel):
+def test_allan_variances_match_closed_forms(keys, gyro, accel):
     """128 draws of an hour at 12 averaging times, each within three standard errors.
 
     Of 24 true figures one is beyond in one seed of 15.
@@ -259,7 +259,7 @@ def test_allan_variances_are_the_closed_forms(keys, gyro, accel):
 
 @pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_surge_of_twice_the_rate_gives_the_same_errors():
+def test_surge_heading_errors_are_independent_of_sample_rate():
     """Heading errors of 128 draws at 100 and at 200 Hz: their means and spreads agree."""
     settings = {"duration_s": 60.0, "draws": 128, "window_s": [30, 60]}
     motion = {"surge_m_per_s": 0.1, "lever_arm_m": [1.0, 1.0, 1.0]}

@@ -78,7 +78,7 @@ def tables_of(method: str) -> dict[str, Any]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["invariant", "compass"])
-def test_without_noise_sigma_is_that_of_differences_of_runs(method: str) -> None:
+def test_noise_free_true_sigma_matches_finite_differences(method: str) -> None:
     """Of methods whose gains do not follow the error."""
     tables = tables_of(method) if method == "invariant" else {"alignment": {"method": method}}
     made = study_run.estimate(drawn_study(ESTIMATED, QUIET, normal(SIGMAS), **tables))
@@ -119,7 +119,7 @@ def assert_sigma_and_settling_are_those_of(drawn: pa.Table, made: pa.Table) -> N
 
 
 @pytest.mark.slow
-def test_sigma_and_settling_are_those_of_draws() -> None:
+def test_estimated_sigma_and_settling_match_draws() -> None:
     """Those of `kalman5` are compared below."""
     tables = tables_of("invariant")
     made = study_run.estimate(drawn_study(ESTIMATED, {}, normal(WIDE), **tables))
@@ -127,7 +127,7 @@ def test_sigma_and_settling_are_those_of_draws() -> None:
 
 
 @pytest.mark.slow
-def test_companions_have_the_starts_and_biases_of_their_draws() -> None:
+def test_controlled_estimates_match_many_draws() -> None:
     """A controlled rms of few draws is that of many, from the truth and from limits of draws."""
     given = {"estimate": "controlled", "draws": 48}
     made = study_run.estimate(drawn_study(given, {}, normal(WIDE), **tables_of("kalman5")))

@@ -68,7 +68,7 @@ def random_curves(seed):
     st.sampled_from([(10.0, 25.0), (0.0, 30.0), (29.0, 30.0), (9.9, 15.1)]),
     st.sampled_from([0.0, 4.9, 5.0]),
 )
-def test_metrics_as_from_whole_curves(seed, window, after):
+def test_streamed_metrics_match_whole_curve_metrics(seed, window, after):
     values, sigma, p = random_curves(seed)
     got = outcome(criteria(window, after, 20.0), values, sigma, p, FLOOR)
     expected = judge(
@@ -94,7 +94,7 @@ def test_metrics_as_from_whole_curves(seed, window, after):
     np.testing.assert_array_equal(got.last.sigma, sigma[-1])
 
 
-def test_reported_are_the_records_asked_for_and_none_before_its_time():
+def test_report_samples_give_requested_records_and_nan_after_end():
     values, sigma, p = random_curves(1)
     at = np.array([7.0, 1.0, N, N + 1])
     got = outcome(criteria()._replace(report_samples=at), values, sigma, p, FLOOR)
@@ -128,26 +128,26 @@ def curves(phi_u):
         (np.where(np.arange(N) == 4, np.nan, 0.0), (2.5, 2.5, 2.5)),
     ],
 )
-def test_settling(off_arcmin, until):
+def test_settling_time_ends_last_interval_outside_band(off_arcmin, until):
     got = outcome(criteria(), *curves(FLOOR + off_arcmin * ARCMIN), FLOOR)
     np.testing.assert_array_equal(got.outside_until[0], until)
     from_truth = outcome(criteria(), *curves(off_arcmin * ARCMIN), FLOOR)
     np.testing.assert_array_equal(from_truth.outside_until[1], until)
 
 
-def test_the_edge_of_a_band_is_inside():
+def test_error_on_band_edge_counts_as_inside():
     got = outcome(criteria(), *curves(np.full(N, BANDS[1])), 0.0)
     np.testing.assert_array_equal(got.outside_until, [(0.0, 0.0, 30.0)] * 2)
 
 
-def test_the_window_is_open_at_its_start_and_closed_at_its_end():
+def test_window_is_open_at_start_and_closed_at_end():
     phi = np.where(TIMES <= 10.0, 100.0, np.where(TIMES <= 25.0, 1.0, -100.0))
     got = outcome(criteria((10.0, 25.0)), *curves(phi / 1000), 0.0)
     np.testing.assert_allclose(got.mean[2], 1e-3, rtol=1e-12)
     np.testing.assert_allclose(got.std[2], 0.0, atol=1e-15)
 
 
-def test_a_small_spread_about_a_large_mean_keeps_its_digits():
+def test_small_std_about_large_mean_keeps_precision():
     values, sigma, p = curves(np.zeros(N))
     values[:, 5] = 3.0 + 1e-9 * np.where(np.arange(N) % 2, 1.0, -1.0)
     got = outcome(criteria((0.0, 30.0)), values, sigma, p, 0.0)
@@ -165,7 +165,7 @@ def test_yaw_statistics_across_180_deg(side):
     np.testing.assert_allclose(got.std[5], np.std(swing[12:], ddof=1), rtol=1e-12)
 
 
-def test_an_empty_window_and_nothing_judged_are_nan():
+def test_statistics_of_too_few_records_are_nan():
     got = outcome(criteria((30.0, 40.0), 30.0, 30.0), *curves(np.zeros(N)), 0.0)
     assert np.all(np.isnan([*got.mean, *got.std, *got.above_share]))
     one = outcome(criteria((29.5, 30.0)), *curves(np.full(N, 0.1)), 0.0)
@@ -173,7 +173,7 @@ def test_an_empty_window_and_nothing_judged_are_nan():
     assert np.isnan(one.std[2])
 
 
-def test_without_a_reference_phi_is_nan_and_attitude_is_judged():
+def test_missing_reference_gives_nan_phi_but_attitude_statistics():
     values, sigma, p = curves(np.zeros(N))
     values[:, :3], values[:, 5] = np.nan, np.linspace(0.1, 0.2, N)
     got = outcome(criteria(), values, sigma, p, 0.0)
@@ -185,14 +185,14 @@ def test_without_a_reference_phi_is_nan_and_attitude_is_judged():
     np.testing.assert_allclose(got.std[5], inside.std(ddof=1), rtol=1e-10)
 
 
-def test_a_nan_outside_the_window_does_not_reach_its_statistics():
+def test_nan_outside_window_does_not_affect_statistics():
     phi = np.where((TIMES > 10) & (TIMES <= 25), 0.1, np.nan)
     got = outcome(criteria((10.0, 25.0)), *curves(phi), 0.0)
     np.testing.assert_allclose(got.mean[2], 0.1, rtol=1e-14)
     np.testing.assert_allclose(got.std[2], 0.0, atol=1e-15)
 
 
-def test_a_method_without_covariance_has_no_consistency():
+def test_nees_and_nis_are_nan_without_covariance():
     values, sigma, p = curves(np.zeros(N))
     got = outcome(criteria(), values, np.nan * sigma, np.nan * p, 0.0)
     assert np.isnan(got.nees) and np.isnan(got.nis_u)
@@ -200,7 +200,7 @@ def test_a_method_without_covariance_has_no_consistency():
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_observation_compares_with_the_truth(seed):
+def test_observe_matches_rotation_vector_and_euler_angles(seed):
     rng = np.random.default_rng(seed)
     angles = rng.uniform([-1.4, -np.pi, -np.pi], [1.4, np.pi, np.pi])
     c_hat = Rotation.from_euler("ZXY", angles[[2, 0, 1]]).as_matrix()
@@ -229,7 +229,7 @@ def relaxed_until(off, sharpness):
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_relaxed_settling_times_as_from_whole_curves(seed):
+def test_relaxed_settling_times_match_whole_curve_formula(seed):
     """Each record is outside with a share of x^k / (1 + x^k), x being the error over the band."""
     off, k = random_curves(seed)[0][:, 2] - FLOOR, 5.0
     for band, got in zip(BANDS, relaxed_until(off, k), strict=True):
@@ -240,7 +240,7 @@ def test_relaxed_settling_times_as_from_whole_curves(seed):
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_relaxed_settling_times_tend_to_the_hard_ones(seed):
+def test_relaxed_settling_times_converge_to_hard_ones(seed):
     """With the sharpness, unless an error lies on the edge of a band."""
     off = random_curves(seed)[0][:, 2] - FLOOR
     hard = np.asarray(outcome(criteria(), *curves(FLOOR + off), FLOOR).outside_until[0])
@@ -253,7 +253,7 @@ def test_relaxed_settling_times_tend_to_the_hard_ones(seed):
 
 
 @pytest.mark.parametrize("sharpness", [2.0, 8.0])
-def test_the_derivative_of_a_settling_time_is_that_of_finite_differences(sharpness):
+def test_settling_time_derivative_matches_finite_differences(sharpness):
     off = (90 * np.exp(-TIMES / 6) * np.cos(TIMES) + 2) * ARCMIN
     k = np.float64(sharpness)
     for way in (np.cos(3 * TIMES) * ARCMIN, off):
@@ -265,7 +265,7 @@ def test_the_derivative_of_a_settling_time_is_that_of_finite_differences(sharpne
 
 
 @pytest.mark.parametrize("sharpness", [1.0, 2.0, 8.0])
-def test_an_error_of_zero_has_a_slope(sharpness):
+def test_relaxed_settling_time_slope_is_zero_at_zero_error(sharpness):
     off, k = np.zeros(N), np.float64(sharpness)
     until, slope = jax.jvp(lambda at: relaxed_until(at, k), (off,), (off + ARCMIN,))
     np.testing.assert_allclose(until, 0, atol=1e-9)

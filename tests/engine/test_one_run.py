@@ -61,7 +61,7 @@ OPTIMISED = [pytest.param("filter", marks=pytest.mark.optimised(True)), "compass
 
 @pytest.mark.representative("compass")
 @pytest.mark.parametrize("name", OPTIMISED)
-def test_it_has_the_bits_of_the_engine(name: str) -> None:
+def test_one_run_is_bit_identical_to_study_row(name: str) -> None:
     study = small_study(study=LENGTH, **CASES[name])
     variant_id = study.n_variants - 1
     run = sinsjax.one_run(study, variant_id=variant_id)
@@ -72,7 +72,7 @@ def test_it_has_the_bits_of_the_engine(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_it_may_be_mapped_over_draws() -> None:
+def test_one_run_can_be_vmapped_over_draws() -> None:
     """Which have noise and numbers of their own."""
     run = sinsjax.one_run(small_study(study=LENGTH, **CASES["drawn"]))
     mapped = jax.jit(jax.vmap(run, in_axes=(None, 0)))(run.params, run.draws)
@@ -83,7 +83,7 @@ def test_it_may_be_mapped_over_draws() -> None:
 
 
 @pytest.mark.slow
-def test_a_record_is_run_from_its_start_times(study: Any) -> None:
+def test_one_run_of_record_matches_study_at_each_start_time(study: Any) -> None:
     tape = sinsjax.simulated_record(small_study(study=LENGTH | {"duration_s": 30.0}))
     time = np.arange(1, len(tape.dv) + 1) / tape.rate_hz
     stored = sinsjax.record_from_arrays(
@@ -101,7 +101,7 @@ def test_a_record_is_run_from_its_start_times(study: Any) -> None:
 
 
 @pytest.mark.slow
-def test_derivatives_of_both_modes_by_r_are_the_slope(run: Any) -> None:
+def test_forward_and_reverse_derivatives_by_r_match_finite_difference(run: Any) -> None:
     """Through feedback and resets."""
 
     def error(r: Any) -> Any:
@@ -120,7 +120,7 @@ def test_derivatives_of_both_modes_by_r_are_the_slope(run: Any) -> None:
         np.testing.assert_allclose(found, apart, rtol=1e-5)
 
 
-def test_a_hard_reset_time_tells_that_its_gradient_is_zero(run: Any) -> None:
+def test_zero_gradient_by_reset_times_or_feedback_interval_warns(run: Any) -> None:
     samples = run.params.method.resets.samples
     text = r"gradient by hard reset times is zero.* \(one_run\(study, window_s=...\) spreads"
     with pytest.warns(UserWarning, match=text):
@@ -138,7 +138,7 @@ def test_a_hard_reset_time_tells_that_its_gradient_is_zero(run: Any) -> None:
 
 
 @pytest.mark.slow
-def test_windows_have_a_gradient_by_reset_times(study: Any, run: Any) -> None:
+def test_reset_windows_have_gradient_by_reset_times(study: Any, run: Any) -> None:
     soft = sinsjax.one_run(study, variant_id=1, window_s=0.5)
     samples = soft.params.method.resets.samples
     value, slope = jax.jit(jax.value_and_grad(partial(by_times, soft)))(samples)
@@ -147,7 +147,7 @@ def test_windows_have_a_gradient_by_reset_times(study: Any, run: Any) -> None:
     assert float(value) == pytest.approx(hard, rel=0.2)
 
 
-def test_settling_times_have_a_gradient_where_bands_are_soft(study: Any, run: Any) -> None:
+def test_settling_times_have_gradient_only_with_soft_bands(study: Any, run: Any) -> None:
     def settling(run: Any, r: Any) -> Any:
         return run(changed(run, r=r), run.draw(0)).outside_until.sum()
 
@@ -159,7 +159,7 @@ def test_settling_times_have_a_gradient_where_bands_are_soft(study: Any, run: An
     assert slopes[0] == 0 and slopes[1] != 0
 
 
-def test_what_cannot_be_had_is_one_line(study: Any, run: Any) -> None:
+def test_invalid_one_run_request_is_refused_in_one_line(study: Any, run: Any) -> None:
     for call, text in (
         (lambda: sinsjax.one_run(study, variant_id=2), "study: has no variant 2, of 2"),
         (lambda: run.draw(3), "draw 3: the study has 3 draws, from 0"),

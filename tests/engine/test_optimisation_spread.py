@@ -14,7 +14,7 @@ SETTINGS = {"duration_s": 200.0, "window_s": [100, 200], "report_times_s": [60.0
 STARTS = {"phi_e0_deg": [0.0, 20.0], "phi_n0_deg": [0.0, 20.0]}
 
 
-def test_sigma_is_that_of_draws() -> None:
+def test_optimisation_sigma_matches_draws() -> None:
     """On a swaying base with biases: the intervals of the ratios, corrected for all, meet the bar.
 
     No start enters, so that draws give the same numbers from each.

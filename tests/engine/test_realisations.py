@@ -88,7 +88,7 @@ THREE = {"axes": {"p0_yaw_deg": [40.0, 50.0, 80.0]}}
         (list(ALL), "sobol", EULER | THREE),
     ],
 )
-def test_a_drawn_value_is_a_given_value(
+def test_run_with_drawn_values_equals_run_with_fixed_values(
     keys: list[str], sampling: str, changes: dict[str, Any]
 ) -> None:
     data = drawn_study(keys, sampling, **changes)
@@ -112,7 +112,7 @@ def test_a_drawn_value_is_a_given_value(
 
 @pytest.mark.slow
 @pytest.mark.optimised(True)
-def test_rows_of_drawn_studies_have_the_same_bits_for_any_chunk_and_number_of_draws() -> None:
+def test_drawn_rows_do_not_depend_on_chunks_or_draw_count() -> None:
     data = drawn_study(list(ALL), "sobol", study={"draws": 130}, **EULER, **THREE)
     whole = run.run(study_from_dict(data)).summary
     assert run.run(study_from_dict(data), chunk_runs=64).summary.equals(whole)
@@ -120,7 +120,7 @@ def test_rows_of_drawn_studies_have_the_same_bits_for_any_chunk_and_number_of_dr
     assert run.run(fewer).summary.equals(whole.slice(0, 70 * 3))
 
 
-def test_draws_differ_in_what_is_drawn_and_share_the_rest() -> None:
+def test_draws_differ_only_in_drawn_keys() -> None:
     study = study_from_dict(drawn_study(AT_REST, motion=STILL, **THREE))
     table = run.run(study).summary
     for name in ("phi_u0_deg", "gyro_bias_deg_per_h", "floor_arcmin"):
@@ -131,14 +131,14 @@ def test_draws_differ_in_what_is_drawn_and_share_the_rest() -> None:
     assert len(set(table["phi_n0_deg"].to_pylist())) == 1
 
 
-def test_a_study_that_draws_only_noise_runs_the_program_it_always_did() -> None:
+def test_study_drawing_only_noise_has_no_extra_program_arguments() -> None:
     """What is not drawn takes no part in the program: its arguments are not even there."""
     (part,) = build.parts(small_study())
     assert len(jax.tree.leaves(part.group.draws)) == 3
     assert part.group.environment.times is None and part.group.variants.euler is None
 
 
-def test_noise_may_be_drawn() -> None:
+def test_noise_level_can_be_drawn() -> None:
     data = drawn_study([], axes=THREE["axes"], filter={"q_reading": "psd"})
     for key in NOISE:
         del data["sensors"][key]
@@ -152,7 +152,7 @@ def test_noise_may_be_drawn() -> None:
     assert set(NOISE) <= set(SensorsSection.model_fields)
 
 
-def test_a_run_taken_alone_is_that_of_its_tile() -> None:
+def test_single_run_with_drawn_motion_matches_run_in_tile() -> None:
     """Its increments are made sample by sample; in the tile, in a row with those of other draws."""
     (part,) = build.parts(study_from_dict(drawn_study(list(ALL), "sobol", **EULER, **THREE)))
     group, place = part.group, 1
@@ -165,7 +165,7 @@ def test_a_run_taken_alone_is_that_of_its_tile() -> None:
     np.testing.assert_allclose(one.last.yaw, many.last.yaw[run_id], rtol=0, atol=1e-11)
 
 
-def test_a_record_of_a_draw_is_what_its_sensors_put_out() -> None:
+def test_simulated_record_of_draw_matches_study_of_its_values() -> None:
     study = study_from_dict(drawn_study(["yaw_center_deg", "latitude_deg", "gyro_bias_deg_per_h"]))
     values = draw_sampling.values(study, DRAWS)
     record = build.simulated_record(study, draw_id=3)

@@ -117,7 +117,7 @@ def naive_measured():
     ("every", "records", "tape"),
     [(30, 23, None), (70, 9, None), (30, 23, 7), (30, 23, 23)],
 )
-def test_one_run_is_the_naive_loop_and_its_metrics(every, records, tape):
+def test_run_matches_naive_loop_and_metrics(every, records, tape):
     """Forward over the data once, or over a record of some records forward and backward."""
     filt = paper_filter(5, every=40, resets=(215, 400))
     here = environment(every, records, tape=tape)
@@ -162,7 +162,7 @@ def test_one_run_is_the_naive_loop_and_its_metrics(every, records, tape):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("replays", [False, True])
-def test_a_run_after_coarse_alignment_is_the_naive_loop_from_its_attitude(replays):
+def test_run_after_coarse_alignment_matches_naive_loop(replays):
     """At rest and with P0; before, its attitude is the coarse method's own."""
     every, records, first = 30, 23, 7
     begin = first * every
@@ -207,7 +207,7 @@ def test_a_run_after_coarse_alignment_is_the_naive_loop_from_its_attitude(replay
     np.testing.assert_array_equal(other.mean, outcome.mean)
 
 
-def test_measured_increments_do_not_depend_on_how_they_are_asked_for():
+def test_measured_increments_do_not_depend_on_requested_stretch():
     """Any stretch gives the same numbers; another draw or seed gives others."""
     here = environment(100, 9)
     whole = measure(here, draw(), 0, 900)
@@ -234,13 +234,13 @@ def _measure(here, draw, first, samples):
 
 @pytest.mark.parametrize("draws", [1, 6, 16, 64, 200])
 @pytest.mark.parametrize("every", [1, 7, 50, 97, 1000])
-def test_a_record_interval_is_cut_into_equal_pieces(draws, every):
+def test_record_interval_is_split_into_equal_pieces(draws, every):
     many = Draw(np.arange(draws), np.asarray(0), np.zeros(draws, int))
     noisy = piece(static(every, 9), many)
     assert every % noisy == 0 and noisy * draws <= max(SAMPLES_A_PIECE, draws)
 
 
-def test_sensors_without_noise_draw_none():
+def test_noiseless_sensors_draw_no_noise():
     program, here = static(100, 9)._replace(noisy=False), environment(100, 9)
     assert noise(program, here, draw(), np.arange(9)) is None
     nothing = nothing_read(here, draw())
@@ -249,7 +249,7 @@ def test_sensors_without_noise_draw_none():
     np.testing.assert_allclose([*now.dtheta, *now.dv], expected[:, None], rtol=0, atol=1e-17)
 
 
-def test_before_a_tape_there_is_nothing():
+def test_sample_before_stored_record_is_zero_when_repeating():
     """A first sample is compensated with zeros, that is not at all, on every pass."""
     here = environment(100, 9)
     nothing = nothing_read(here, draw())
@@ -258,14 +258,14 @@ def test_before_a_tape_there_is_nothing():
         assert np.any([*now.dtheta, *now.dv]) != repeats
 
 
-def test_a_single_noisy_axis_is_noisy():
+def test_noise_on_single_axis_stays_on_that_axis():
     only = np.zeros(6)
     only[4] = NOISE[4]
     off = measure(environment(100, 9, noise=only), draw(), 0, 900) - ideal()[2:] - BIAS / RATE
     np.testing.assert_allclose(np.std(off, axis=0), only, rtol=0.1, atol=1e-17)
 
 
-def test_curves_at_common_times_do_not_depend_on_record_interval_and_length():
+def test_curves_do_not_depend_on_record_interval():
     """To rounding: records only scale quaternions."""
     filt = paper_filter(5, every=40, resets=(215,))
     fine, coarse = (
@@ -279,7 +279,7 @@ def test_curves_at_common_times_do_not_depend_on_record_interval_and_length():
 
 @pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_derivatives_by_beliefs_as_secants():
+def test_derivatives_by_p0_and_q_match_secants():
     """Forward mode through the whole closed loop, by P0 of the yaw and by a scale of Q."""
     filt = paper_filter(5, every=40, resets=(215,))
     here, program = environment(50, 12), static(50, 12)

@@ -58,7 +58,7 @@ def by_sample(*given: Any, **_: Any) -> Any:
 @pytest.mark.parametrize(
     ("draws", "axes"), [(2, SCHEDULES), (130, {"reset_times_s": [(1.37, 4.0)]})]
 )
-def test_closing_at_events_and_at_every_sample_give_the_same_bits(draws, axes, monkeypatch):
+def test_event_stepping_is_bitwise_equal_to_sample_stepping(draws, axes, monkeypatch):
     """One draw and 64 a tile: their noise is made in pieces, or by sample.
 
     Schedules have what restarts the clock, and what waits for it.
@@ -71,7 +71,7 @@ def test_closing_at_events_and_at_every_sample_give_the_same_bits(draws, axes, m
 
 
 @pytest.mark.optimised(False)
-def test_resets_by_a_trigger_that_heed_feedback_are_closed_at_events_as_well(monkeypatch):
+def test_event_stepping_matches_sample_stepping_for_triggered_resets(monkeypatch):
     """To rounding: a trigger's samples are compiled anew."""
     given = {"filter": {"r_velocity_m_per_s": 1e-3}, "resets": NIS | {"reset_times_s": [1.37, 4.0]}}
     group = group_of(32, HEEDING, **given)
@@ -82,7 +82,7 @@ def test_resets_by_a_trigger_that_heed_feedback_are_closed_at_events_as_well(mon
 
 
 @pytest.mark.slow
-def test_other_schedules_in_the_tile_change_no_bit_of_a_run():
+def test_other_schedules_in_tile_do_not_change_run():
     """One of 64 schedules, and the same beside 63 others."""
     resets = [(0.3 + 0.11 * i, 4.5, 5.0) for i in range(15)]
     others = {"reset_times_s": [(1.37, 4.0), *resets], "feedback_interval_s": [0.07]} | HEEDING
@@ -99,7 +99,7 @@ def test_other_schedules_in_the_tile_change_no_bit_of_a_run():
     st.integers(1, 60),
     st.integers(0, 45),
 )
-def test_an_event_is_the_next_sample_at_which_anything_is_due(resets, feedback_at, n):
+def test_next_event_is_first_sample_with_due_feedback_or_reset(resets, feedback_at, n):
     schedule = Resets(np.array(resets, float).reshape(-1), None)
     if feedback_at <= n:  # it would have been closed
         feedback_at = n + 1
@@ -115,7 +115,7 @@ def test_an_event_is_the_next_sample_at_which_anything_is_due(resets, feedback_a
     st.lists(st.integers(1, 15), min_size=3, max_size=3),
     st.integers(0, 3),
 )
-def test_every_sample_is_taken_once_and_looks_back_at_the_one_before(sizes, events, told):
+def test_stepping_visits_every_sample_once_with_previous_sample(sizes, events, told):
     count, piece = sizes
     at = jnp.asarray(sorted(events))
     foreseen = at[:told]  # of the others the samples themselves tell

@@ -44,26 +44,26 @@ AT_THE_LIMIT = {
     ("judged_from", "status"),
     [("limit", ["ok", "not_settled"]), ("truth", ["not_settled", "ok"])],
 )
-def test_a_status_says_what_the_study_judges_from(judged_from: str, status: list[str]) -> None:
+def test_status_follows_judged_from(judged_from: str, status: list[str]) -> None:
     found = judged(draws_from=AT_THE_LIMIT, judged_from=judged_from)
     assert found["ok_limit"] == [True, False] and found["ok_truth"] == [False, True]
     assert found["status"] == status and found["has_limit"] == [True, True]
 
 
-def test_the_truth_is_the_default() -> None:
+def test_judged_from_defaults_to_truth() -> None:
     assert judged(draws_from=AT_THE_LIMIT)["status"] == ["not_settled", "ok"]
 
 
 @pytest.mark.parametrize(
     ("dwell_s", "ok"), [(0.0, True), (4.9, True), (5.0, True), (5.1, False), (5.9, False)]
 )
-def test_a_success_has_been_in_the_band_for_long_enough(dwell_s: float, ok: bool) -> None:
+def test_success_requires_dwell_in_band(dwell_s: float, ok: bool) -> None:
     """The first run is within 10' of its limit from 1 s to its end at 6 s."""
     assert judged(draws_from=AT_THE_LIMIT, dwell_s=dwell_s)["ok_limit"] == [ok, False]
 
 
 @pytest.mark.parametrize(("end_s", "dwell_s"), [(6.0, 0.6), (300.0, 30.0), (900.0, 30.0)])
-def test_how_long_by_default(end_s: float, dwell_s: float) -> None:
+def test_default_dwell_is_tenth_of_duration_up_to_30_s(end_s: float, dwell_s: float) -> None:
     assert success.success_of(small_study()).dwell(np.array([end_s])) == pytest.approx(dwell_s)
 
 
@@ -79,7 +79,7 @@ def test_how_long_by_default(end_s: float, dwell_s: float) -> None:
         (180.0, 170.0, True, True),
     ],
 )
-def test_a_level_error_outside_its_band_is_never_ok(
+def test_level_error_outside_band_is_not_ok(
     band: float, level_arcmin: float, ok_limit: bool, ok_truth: bool
 ) -> None:
     """The heading is right in the first run about the limit, in the second about the truth."""
@@ -87,21 +87,21 @@ def test_a_level_error_outside_its_band_is_never_ok(
     assert found["ok_limit"] == [ok_limit, False] and found["ok_truth"] == [False, ok_truth]
 
 
-def test_without_a_level_earth_rate_left_there_is_no_north() -> None:
+def test_no_north_run_fails_with_status_no_north() -> None:
     found = judged(draws_from=AT_THE_LIMIT | {"no_north": True})
     assert found["status"] == ["no_north"] * 2
     assert found["ok_limit"] == found["ok_truth"] == [False, False]
 
 
 @pytest.mark.parametrize(("diverged_deg", "status"), [(None, "diverged"), (12.0, "not_settled")])
-def test_a_run_has_diverged_from_its_limit(diverged_deg: float | None, status: str) -> None:
+def test_run_beyond_diverged_deg_is_diverged(diverged_deg: float | None, status: str) -> None:
     off = AT_THE_LIMIT | {"phi_u_arcmin": [-20.0 + 11 * 60, 0.0]}
     off["outside_until"] = off["from_truth"] = [[6.0] * 3] * 2
     settings = {} if diverged_deg is None else {"diverged_deg": diverged_deg}
     assert judged(draws_from=off, **settings)["status"][0] == status
 
 
-def test_the_success_band_is_a_band_of_its_own() -> None:
+def test_success_band_is_added_to_settling_bands() -> None:
     study = small_study(study={"success_band_arcmin": 30.0}, motion=STILL, axes=AXES)
     assert success.bands(study) == (60.0, 10.0, 3.0, 30.0)
     table = tables.Tables(study).summary(
@@ -118,7 +118,7 @@ def test_the_success_band_is_a_band_of_its_own() -> None:
 SWAYING = {"judged_from": "truth"}
 
 
-def test_what_counts_from_a_limit_is_null_where_there_is_none() -> None:
+def test_floor_columns_are_null_without_bias_floor() -> None:
     """A biased base that sways more slowly than the run is long; null is not never."""
     study = small_study(study=SWAYING, axes=AXES)
     table = tables.Tables(study).summary(chunk(**AT_THE_LIMIT), np.arange(2))
@@ -133,7 +133,7 @@ def test_what_counts_from_a_limit_is_null_where_there_is_none() -> None:
     assert row["never_settled_10_truth"] == 1 and row["settle_10_truth_s_median"] == 2.0
 
 
-def test_a_limit_is_not_judged_from_where_there_is_none() -> None:
+def test_judging_from_missing_bias_floor_is_refused() -> None:
     text = "judged_from: 'limit' cannot be judged: method 'kalman10' has no limit"
     study = small_study(study={"judged_from": "limit"}, alignment={"method": "kalman10"})
     with pytest.raises(InputError, match=text):
@@ -142,7 +142,7 @@ def test_a_limit_is_not_judged_from_where_there_is_none() -> None:
         run.run(small_study(study={"judged_from": "limit"}))
 
 
-def test_rates_of_both_are_shares_by_hand() -> None:
+def test_success_rates_match_hand_computed_shares() -> None:
     table = pa.table(
         {
             "status": ["ok"] * 4 + ["not_settled"] * 4,
@@ -159,7 +159,7 @@ def test_rates_of_both_are_shares_by_hand() -> None:
         assert (row[name], row[f"{name}_low"], row[f"{name}_high"]) == share[:3]
 
 
-def test_differences_of_both_are_paired() -> None:
+def test_success_rate_differences_are_paired() -> None:
     flags = {"ok_limit": [True] * 20, "ok_truth": [True] * 5 + [False] * 15}
     common = {"draw_id": np.arange(20), "phi_u_mean_arcmin": np.zeros(20)}
     common |= {"status": ["ok"] * 20, "phi_u_arcmin": np.zeros(20), "floor_arcmin": np.zeros(20)}
@@ -199,7 +199,7 @@ def stored(tmp_path: Any, schema: str) -> tuple[Study, Any]:
     return study, out
 
 
-def test_results_of_the_version_before_are_read_as_judged_from_the_limit(tmp_path: Any) -> None:
+def test_schema_1_results_are_read_as_judged_from_bias_floor(tmp_path: Any) -> None:
     study, out = stored(tmp_path, "1")
     table = tables.read_summary(out)
     assert table["ok_truth"].null_count == table["settle_10_truth_s"].null_count == table.num_rows
@@ -214,7 +214,7 @@ def test_results_of_the_version_before_are_read_as_judged_from_the_limit(tmp_pat
     assert [yard.truth for yard in source.yardsticks] == [False]
 
 
-def test_a_report_says_what_an_earlier_version_did_not_record(tmp_path: Any) -> None:
+def test_report_marks_values_missing_in_schema_1_as_not_recorded(tmp_path: Any) -> None:
     _, out = stored(tmp_path, "1")
     console = Console(width=400, file=io.StringIO())
     report.summarise([out], console)
@@ -222,7 +222,7 @@ def test_a_report_says_what_an_earlier_version_did_not_record(tmp_path: Any) -> 
     assert "within 10' of true north (%)" in text and "not recorded" in text
 
 
-def test_a_study_that_says_nothing_keeps_its_fingerprint_and_file(tmp_path: Any) -> None:
+def test_unset_success_keys_leave_toml_and_fingerprint_unchanged(tmp_path: Any) -> None:
     study = small_study()
     text = study_to_toml(study)
     assert not any(key in text for key in ("judged_from", "band_arcmin =", "dwell_s", "diverged"))

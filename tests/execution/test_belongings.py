@@ -11,7 +11,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import belongings
 
 
-def test_a_list_of_figures_leads_nowhere_else(tmp_path: Path) -> None:
+def test_figure_list_ignores_outside_paths_and_malformed_content(tmp_path: Path) -> None:
     """Nor does one that is none."""
     out = tmp_path / "out"
     (out / "figures").mkdir(parents=True)
@@ -27,7 +27,7 @@ def test_a_list_of_figures_leads_nowhere_else(tmp_path: Path) -> None:
         assert belongings.made_here(out) == [listed]
 
 
-def test_an_empty_name_is_not_the_current_directory(
+def test_empty_results_directory_name_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -53,7 +53,7 @@ def many() -> pa.Table:
     return study_run.run(study_of(study={"estimate": "draws", "draws": MANY})).summary
 
 
-def test_runs_are_those_of_draws(stored: Path, many: pa.Table) -> None:
+def test_controlled_runs_equal_plain_draws(stored: Path, many: pa.Table) -> None:
     few = read_summary(stored)
     own = [name for name in few.column_names if not name.startswith("companion_")]
     assert own == many.column_names
@@ -63,7 +63,7 @@ def test_runs_are_those_of_draws(stored: Path, many: pa.Table) -> None:
     assert told_["runs"] == told_["runs_done"] == 4 * DRAWS
 
 
-def test_companions_follow_their_runs(stored: Path) -> None:
+def test_companion_errors_correlate_with_runs(stored: Path) -> None:
     """The heading error at 20 s and at the end, each beside its run's."""
     few = read_summary(stored)
     for at in ("_at_20", ""):
@@ -75,7 +75,7 @@ def test_companions_follow_their_runs(stored: Path) -> None:
             assert np.corrcoef(run[:, variant], beside[:, variant])[0, 1] > 0.98
 
 
-def test_few_draws_estimate_what_many_do(stored: Path, many: pa.Table) -> None:
+def test_controlled_estimates_of_few_draws_match_many_draws(stored: Path, many: pa.Table) -> None:
     """Every controlled estimate within four standard errors of ten times as many draws."""
     study, made = study_of(), read_estimates(stored)
     floor = many["floor_arcmin"].to_numpy().reshape(MANY, 4)
@@ -100,7 +100,7 @@ def test_few_draws_estimate_what_many_do(stored: Path, many: pa.Table) -> None:
     assert (factors > 10).all()
 
 
-def test_plain_estimates_are_those_of_the_draws_alone(stored: Path) -> None:
+def test_plain_estimates_match_draw_averages(stored: Path) -> None:
     rows, made = read_summary(stored), read_estimates(stored)
     assert made["draws"].to_pylist() == [DRAWS] * 4
     seconds = rows["settle_10_truth_s"].fill_null(40.0).to_numpy().reshape(DRAWS, 4)
@@ -111,7 +111,7 @@ def test_plain_estimates_are_those_of_the_draws_alone(stored: Path) -> None:
         assert made.schema.field(column).metadata[b"meaning"]
 
 
-def test_what_is_missing_is_made_again_and_nothing_else(stored: Path, tmp_path: Path) -> None:
+def test_resume_rebuilds_only_missing_files(stored: Path, tmp_path: Path) -> None:
     shutil.copytree(stored, tmp_path, dirs_exist_ok=True)
     assert_complete(tmp_path, stored)
     before = times(tmp_path)
@@ -132,11 +132,11 @@ def test_what_is_missing_is_made_again_and_nothing_else(stored: Path, tmp_path: 
     ]
 
 
-def test_a_run_is_repeated_with_its_companion(stored: Path, tmp_path: Path) -> None:
+def test_rerun_repeats_run_with_companion(stored: Path, tmp_path: Path) -> None:
     assert rerun.rerun_into(stored, 5, Console(quiet=True), out=tmp_path / "again")
 
 
-def test_it_stops_sooner(tmp_path: Path) -> None:
+def test_controlled_study_stops_with_fewer_runs(tmp_path: Path) -> None:
     """At a half width that 64 draws reach with companions, and not alone."""
     axes = {"reset_times_s": [[10.0]], "phi_u0_deg": [28.0, 29.0, 30.0, 31.0]}
     until = {"statistic": "settle_20_s_mean", "half_width": 0.8}
@@ -147,13 +147,13 @@ def test_it_stops_sooner(tmp_path: Path) -> None:
     assert made.num_rows < plain.num_rows
 
 
-def test_the_report_tells_both(stored: Path) -> None:
+def test_report_shows_controlled_and_plain_estimates(stored: Path) -> None:
     said = told(stored)
     table = said.partition("with companions")[2]
     assert "times as many draws saved" in table and "draws alone" in table
 
 
-def test_what_does_not_go_together_is_refused() -> None:
+def test_invalid_controlled_settings_are_refused() -> None:
     few = {"estimate_samples": 512}
     assert refusal(study=SETTINGS | few, motion=STILL) == (
         "[study] estimate_samples: must be at least 4096 with estimate = 'controlled', got 512"
@@ -162,6 +162,6 @@ def test_what_does_not_go_together_is_refused() -> None:
     assert "knows no linear part of inertial (use estimate = 'draws')" in told_
 
 
-def test_the_forecast_counts_companions() -> None:
+def test_forecast_counts_companions() -> None:
     alone = forecast.of(study_of(study={"estimate": "draws"}))
     assert forecast.of(study_of()).run_s > 1.3 * alone.run_s

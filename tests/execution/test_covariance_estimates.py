@@ -74,7 +74,7 @@ def by_variant(summary: pa.Table, column: str) -> np.ndarray:
     return summary[column].to_numpy().reshape(DRAWS, -1)
 
 
-def test_mean_and_sigma_are_those_of_draws(pair: tuple[pa.Table, pa.Table]) -> None:
+def test_mean_and_sigma_match_monte_carlo_draws(pair: tuple[pa.Table, pa.Table]) -> None:
     """At each time: means within four standard errors, variances in their chi-square interval."""
     made, summary = pair
     assert made.num_rows == 8
@@ -95,7 +95,7 @@ def test_mean_and_sigma_are_those_of_draws(pair: tuple[pa.Table, pa.Table]) -> N
         assert (ratio > 0.7).all() and (ratio < 1.4).all(), (axis, ratio)
 
 
-def test_shares_and_settling_times_are_those_of_draws(pair: tuple[pa.Table, pa.Table]) -> None:
+def test_shares_and_settling_times_match_monte_carlo_draws(pair: tuple[pa.Table, pa.Table]) -> None:
     """Within four standard errors, never counting as the end of the run."""
     made, summary = pair
     floor = by_variant(summary, "floor_arcmin")
@@ -124,7 +124,7 @@ def made_of_short() -> pa.Table:
     return study_run.estimate(short(), chunk_runs=2)
 
 
-def test_columns_say_unit_and_meaning(made_of_short: pa.Table) -> None:
+def test_columns_have_unit_and_meaning_metadata(made_of_short: pa.Table) -> None:
     made = made_of_short
     for name in made.column_names:
         about = made.schema.field(name).metadata
@@ -137,7 +137,7 @@ def test_columns_say_unit_and_meaning(made_of_short: pa.Table) -> None:
     assert not {"run_id", "draw_id", "start_s"}.intersection(made.column_names)
 
 
-def test_a_variant_without_a_limit_is_estimated_about_the_truth_alone(
+def test_variant_without_bias_floor_has_truth_estimates_only(
     made_of_short: pa.Table,
 ) -> None:
     """A sway of 10 s has no limit in runs of two."""
@@ -148,7 +148,7 @@ def test_a_variant_without_a_limit_is_estimated_about_the_truth_alone(
         assert row["settle_10_truth_mean_s"] is not None
 
 
-def test_without_noise_the_estimate_is_the_run() -> None:
+def test_noise_free_estimate_equals_single_run() -> None:
     quiet = {"gyro_noise_deg_per_h": 0.0, "accel_noise_ug": 0.0}
     made = study_run.estimate(study_of(sensors=quiet))
     drawn = study_run.run(study_of(sensors=quiet, study={"estimate": "draws", "draws": 1})).summary
@@ -165,7 +165,7 @@ def test_without_noise_the_estimate_is_the_run() -> None:
 
 
 @pytest.mark.slow
-def test_curves_are_those_of_estimates_at_their_times(pair: tuple[pa.Table, pa.Table]) -> None:
+def test_estimated_curves_match_estimates_at_report_times(pair: tuple[pa.Table, pa.Table]) -> None:
     """Of a study without draws, or with any."""
     made = estimated_curves(study_of(study={"estimate": "draws", "draws": 2}))
     assert made["variant_id"].to_pylist() == np.repeat(range(8), int(RUN_S)).tolist()
@@ -194,7 +194,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_rows_are_the_same_for_any_chunk_and_as_stored(
+def test_estimates_are_equal_for_any_chunk_size_and_as_stored(
     whole: Path, made_of_short: pa.Table
 ) -> None:
     one, other = made_of_short, study_run.estimate(short(), chunk_runs=10**6)
@@ -208,7 +208,7 @@ def test_rows_are_the_same_for_any_chunk_and_as_stored(
     assert told_["runs"] == told_["runs_done"] == 260 and told_["state"] == "complete"
 
 
-def test_bytes_are_the_same_in_any_order_and_place(
+def test_stored_estimates_are_bytewise_equal_for_any_task_order(
     whole: Path, tmp_path: Path
 ) -> None:
     def elsewhere(_: TaskRunner, tasks: Any) -> Any:
@@ -221,7 +221,7 @@ def test_bytes_are_the_same_in_any_order_and_place(
     assert_complete(tmp_path, whole)
 
 
-def test_what_is_missing_or_broken_is_made_again_and_nothing_else(whole: Path, tmp_path: Path) -> None:
+def test_resume_recomputes_only_missing_or_broken_parts(whole: Path, tmp_path: Path) -> None:
     study_run.run_into(short(), tmp_path, chunk_runs=128)
     before = times(tmp_path)
     first, second, *kept = sorted(before)
@@ -238,7 +238,7 @@ def test_what_is_missing_or_broken_is_made_again_and_nothing_else(whole: Path, t
 
 @pytest.mark.slow
 @pytest.mark.parametrize("moment", ["half", "before", "after"])
-def test_a_killed_sweep_is_gone_on_with(moment: str, whole: Path, tmp_path: Path) -> None:
+def test_sweep_resumes_after_kill(moment: str, whole: Path, tmp_path: Path) -> None:
     config, out = tmp_path / "study.toml", tmp_path / "out"
     config.write_text(study_to_toml(short()))
     words = ["sweep", str(config), "-o", str(out), "--resume", "--chunk-runs", "128"]
@@ -252,7 +252,7 @@ def test_a_killed_sweep_is_gone_on_with(moment: str, whole: Path, tmp_path: Path
     assert_complete(out, whole)
 
 
-def test_a_study_of_draws_may_take_its_place(whole: Path, tmp_path: Path) -> None:
+def test_draws_study_replaces_estimates_only_with_overwrite(whole: Path, tmp_path: Path) -> None:
     study_run.run_into(short(), tmp_path, chunk_runs=128)
     drawn = study_of(study={"estimate": "draws", "draws": 2})
     with pytest.raises(InputError, match="holds results of another study"):
@@ -266,7 +266,7 @@ def test_a_study_of_draws_may_take_its_place(whole: Path, tmp_path: Path) -> Non
     )
 
 
-def test_what_needs_runs_says_that_there_are_none(whole: Path) -> None:
+def test_operations_that_need_runs_are_refused_for_estimates(whole: Path) -> None:
     with pytest.raises(InputError) as caught:
         tables.read_summary(whole)
     assert str(caught.value) == (
@@ -282,7 +282,7 @@ def test_what_needs_runs_says_that_there_are_none(whole: Path) -> None:
         read_estimates(whole, ["settle_7_s"])
 
 
-def test_the_forecast_counts_noise_free_runs() -> None:
+def test_forecast_counts_noise_free_runs() -> None:
     assert forecast.of(short()).describe(1).startswith("260 noise-free runs of up to 2 s")
 
 
@@ -290,7 +290,7 @@ def test_the_forecast_counts_noise_free_runs() -> None:
 
 
 @pytest.mark.usefixtures("drawn_on_request")
-def test_a_report_tells_the_soonest_settings_and_draws_the_axes(
+def test_report_lists_fastest_settings_and_plots_axes(
     tmp_path: Path,
 ) -> None:
     axes = {"reset_count": [0, 1], "reset_cycle_s": [5.0, 10.0], "phi_u0_deg": [0.0, 5.0]}
@@ -330,7 +330,7 @@ def test_report_prints_least_share_over_starts_of_each_setting(tmp_path: Path) -
     ("axes", "checked"),
     [({"phi_u0_deg": [*range(8)]}, True), ({"method": ["kalman5"]}, False)],
 )
-def test_a_report_of_any_axes_opens(
+def test_report_of_estimates_handles_any_axes(
     axes: dict[str, Any], checked: bool, tmp_path: Path
 ) -> None:
     resets, study = {"reset_times_s": [10.0]}, {"check_linearity": checked}
@@ -340,7 +340,7 @@ def test_a_report_of_any_axes_opens(
     assert columns.settle_estimates(10.0)[0].name in read_estimates(tmp_path).column_names
 
 
-def test_runs_and_estimates_are_asked_for_by_their_names() -> None:
+def test_run_and_estimate_refuse_study_of_other_kind() -> None:
     with pytest.raises(InputError, match="have no runs \\(use sinsjax.estimate\\)"):
         study_run.run(short())
     with pytest.raises(InputError, match="is 'draws' \\(use sinsjax.run\\)"):

@@ -106,7 +106,7 @@ class TestTwoWorkers:
             with dask_pool.executor(workers=2) as executor:
                 yield executor
 
-    def test_workers_give_the_bytes_of_this_process(
+    def test_workers_give_same_bytes_as_local_run(
         self, two: study_tasks.Executor, study: Study, here: Parts, tmp_path: Path
     ) -> None:
         run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=two)
@@ -116,7 +116,7 @@ class TestTwoWorkers:
         (session,) = result_tables.read_manifest(tmp_path)["sessions"]
         assert (session["workers"], session["scheduler"]) == (2, "local")
 
-    def test_the_filter_gives_the_bytes_of_this_process(
+    def test_filter_on_workers_gives_same_bytes_as_local_run(
         self, two: study_tasks.Executor, tmp_path: Path
     ) -> None:
         study = small_study(
@@ -127,7 +127,7 @@ class TestTwoWorkers:
         assert len(parts(tmp_path / "here")) == 2 * 4
         assert parts(tmp_path / "here") == parts(tmp_path / "there")
 
-    def test_every_worker_keeps_to_a_core_of_its_own(self, two: study_tasks.Executor) -> None:
+    def test_each_worker_is_pinned_to_separate_core(self, two: study_tasks.Executor) -> None:
         cores = []
         for process in worker_processes():
             of_threads = {frozenset(psutil.Process(t.id).cpu_affinity()) for t in process.threads()}
@@ -135,7 +135,7 @@ class TestTwoWorkers:
             cores.append(*of_threads.pop())
         assert len(cores) == len(set(cores)) == 2
 
-    def test_tasks_are_taken_when_there_is_a_place_for_them(
+    def test_number_of_tasks_taken_ahead_is_bounded(
         self, two: study_tasks.Executor, study: Study
     ) -> None:
         runner = study_tasks.TaskRunner(study_tasks.Job(study, chunk_runs=CHUNK))
@@ -153,7 +153,7 @@ class TestTwoWorkers:
             assert len(taken) - len(done) < 2 * dask_pool.AHEAD
         assert sorted(done) == taken == tasks[:9]
 
-    def test_one_that_is_killed_costs_no_row(
+    def test_killed_worker_loses_no_row(
         self, two: study_tasks.Executor, study: Study, here: Parts, tmp_path: Path
     ) -> None:
         killed: list[psutil.Process] = []
@@ -171,7 +171,7 @@ class TestTwoWorkers:
         assert rows(tmp_path)["run_id"].to_pylist() == list(range(2400))
 
 
-def test_a_task_that_workers_die_of_is_named(
+def test_task_that_kills_workers_is_named_in_error(
     study: Study, here: Parts, tmp_path: Path
 ) -> None:
     def tell(progress: run.RunProgress) -> None:
@@ -188,7 +188,7 @@ def test_a_task_that_workers_die_of_is_named(
     assert len(there) >= 2 and there.items() <= here.items()
 
 
-def test_a_task_that_fails_is_named(
+def test_failing_task_is_named_in_error(
     study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "file").write_text("")
@@ -271,7 +271,7 @@ class TestOneScheduler:
         begin("worker", address, "--nthreads", "1")
         return address
 
-    def test_it_gives_the_same_bytes(
+    def test_external_scheduler_with_late_worker_gives_same_bytes(
         self, begin: Begin, scheduler: str, study: Study, here: Parts, tmp_path: Path
     ) -> None:
         """Workers that come late are waited for, and take part."""
@@ -287,14 +287,14 @@ class TestOneScheduler:
         (session,) = result_tables.read_manifest(tmp_path)["sessions"]
         assert (session["workers"], session["scheduler"]) == (1, scheduler)
 
-    def test_its_worker_is_none(self, scheduler: str) -> None:
+    def test_worker_address_is_refused_as_scheduler(self, scheduler: str) -> None:
         with distributed.Client(scheduler, set_as_default=False) as client:
             client.wait_for_workers(1, timeout=60)
             worker_address, *_ = client.nthreads()
         told = refusal(scheduler=worker_address)
         assert told.endswith("no Dask scheduler answers there (found a Dask worker)")
 
-    def test_that_it_dies_is_told(
+    def test_lost_scheduler_is_reported_and_results_are_kept(
         self, scheduler: str, study: Study, here: Parts, tmp_path: Path
     ) -> None:
         (process,) = (
@@ -318,7 +318,7 @@ class TestOneScheduler:
         assert len(there) >= 3 and there.items() <= here.items()
 
 
-def test_workers_of_another_version_are_refused(
+def test_workers_with_other_package_version_are_refused(
     begin: Begin, scheduler: str, tmp_path: Path
 ) -> None:
     about = tmp_path / "pyarrow-18.0.dist-info"
@@ -329,7 +329,7 @@ def test_workers_of_another_version_are_refused(
     assert re.match(r"tcp://127\.0\.0\.1:\d+: .* pyarrow 18\.0, this process", told)
 
 
-def test_workers_of_two_instruction_sets_are_refused(begin: Begin, scheduler: str) -> None:
+def test_workers_with_differing_instruction_sets_are_refused(begin: Begin, scheduler: str) -> None:
     begin("worker", scheduler, "--nthreads", "1")
     with dask_pool.executor(scheduler=scheduler) as executor:
         assert executor.facts["instructions"] == xla.instructions()
@@ -341,7 +341,7 @@ def test_workers_of_two_instruction_sets_are_refused(begin: Begin, scheduler: st
     assert re.match(r"tcp://127\.0\.0\.1:\d+: the worker has instruction set ", told)
 
 
-def test_a_scheduler_without_workers_is_left_in_the_end(
+def test_scheduler_without_workers_is_refused_after_timeout(
     scheduler: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(dask_client, "CONNECT_S", 0.5)
@@ -353,7 +353,7 @@ def test_a_scheduler_without_workers_is_left_in_the_end(
 # --- What a person sees --------------------------------------------------------------------------
 
 
-def test_an_address_where_nobody_answers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unreachable_scheduler_address_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dask_client, "CONNECT_S", 3.0)
     for address, why in {
         "tcp://127.0.0.1:1": ": Connection ref",
@@ -372,7 +372,7 @@ class Mute(http.server.BaseHTTPRequestHandler):
 
 
 @pytest.mark.parametrize("kind", ["silent", "http"])
-def test_something_else_that_answers_is_told(
+def test_non_dask_server_at_scheduler_address_is_reported(
     kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(dask_client, "CONNECT_S", 1.0)
@@ -401,7 +401,7 @@ def test_more_workers_than_cores_are_refused() -> None:
     assert refusal(workers=4096).startswith("workers: 4096 exceeds the")
 
 
-def test_the_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_cluster_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert 'pip install "sinsjax[cluster]"' in refusal(workers=1)
 
@@ -447,7 +447,7 @@ class Far:
         raise AssertionError("nothing is left")
 
 
-def test_the_record_goes_to_every_worker_once(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_job_is_sent_to_each_worker_once(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dask_pool, "_LOOK_S", 0.0)
     tasks = [study_tasks.Task(f"part-0000-{i:06d}", 0, (0, 1), i, 1, 0) for i in range(40)]
     far = Far(["tcp://a:1", "tcp://b:1"])
@@ -481,7 +481,7 @@ def answer(**changes: Any) -> dask_worker.WorkerAnswer:
     return this._replace(**changes)
 
 
-def test_every_answer_is_checked_and_unlike_machines_are_told_once(
+def test_worker_answers_are_checked_and_other_cpu_warns_once(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     pool = dask_pool.DaskPool(None, "tcp://there:1")
@@ -504,7 +504,7 @@ def test_every_answer_is_checked_and_unlike_machines_are_told_once(
         pool.check(answer(versions=late))
 
 
-def test_a_worker_without_the_package_of_a_method_is_told_before_it_gets_the_job(
+def test_worker_without_plugin_package_is_refused_before_unpickling_job(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     worker = SimpleNamespace(address="tcp://far:1", state=SimpleNamespace(nthreads=2))
@@ -552,7 +552,7 @@ def begun(process: subprocess.Popen) -> str:
 
 
 @needs_two_cores
-def test_ctrl_c_lets_the_workers_finish_and_resume_goes_on(
+def test_ctrl_c_finishes_running_chunks_and_resume_completes_sweep(
     sweep: Sweep, here: Parts, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
@@ -578,7 +578,7 @@ def test_ctrl_c_lets_the_workers_finish_and_resume_goes_on(
     assert parts(out) == here
 
 
-def test_workers_die_with_the_process_that_asked(
+def test_workers_exit_when_sweep_process_is_killed(
     sweep: Sweep, here: Parts, study: Study, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"

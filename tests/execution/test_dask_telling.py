@@ -32,7 +32,7 @@ class Seen:
         return dict.fromkeys(self.workers, 2)
 
 
-def test_workers_that_leave_are_told_once(
+def test_lost_workers_are_reported_once(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(dask_client, "CONNECT_S", 0.0)
@@ -59,7 +59,7 @@ def test_workers_that_leave_are_told_once(
     assert said() == ""
 
 
-def test_a_scheduler_that_nobody_has_joined_waits_for_its_first_worker(
+def test_scheduler_without_workers_waits_for_first_worker(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(dask_client, "CONNECT_S", 0.0)
@@ -71,7 +71,7 @@ def test_a_scheduler_that_nobody_has_joined_waits_for_its_first_worker(
     )
 
 
-def test_a_scheduler_that_is_lost_is_told_with_the_reason() -> None:
+def test_lost_scheduler_raises_error_with_reason() -> None:
     client = Seen()
     client.workers = None
     with pytest.raises(InputError) as told:
@@ -83,7 +83,7 @@ def test_a_scheduler_that_is_lost_is_told_with_the_reason() -> None:
 
 
 @pytest.mark.parametrize("configured", [False, True])
-def test_only_the_log_that_dask_made_for_itself_is_silent(configured: bool) -> None:
+def test_only_default_dask_log_handler_is_silenced(configured: bool) -> None:
     """Not a handler of the user's, nor a log that the user has configured."""
     logger, streams = logging.getLogger("distributed.client"), (io.StringIO(), io.StringIO())
     assert distributed.__version__  # imported, or Dask knows no format of its log
@@ -104,7 +104,7 @@ def test_only_the_log_that_dask_made_for_itself_is_silent(configured: bool) -> N
     assert users == "within\nafter\n"
 
 
-def test_the_forecast_counts_threads_of_workers_and_what_is_left(
+def test_forecast_counts_worker_threads_and_remaining_runs(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     config, out = tmp_path / "study.toml", tmp_path / "out"

@@ -41,7 +41,7 @@ def assert_extended(
 
 
 @pytest.mark.parametrize("chunk_runs", [None, 128])
-def test_rows_equal_those_of_a_sweep_with_all_draws(tmp_path: Path, chunk_runs: int | None) -> None:
+def test_extended_rows_equal_sweep_with_all_draws(tmp_path: Path, chunk_runs: int | None) -> None:
     out = assert_extended(of(150), of(170), tmp_path, chunk_runs)
     told = tables.read_manifest(out)
     assert (told["state"], told["draws"], told["extended_at"]) == ("complete", 170, [150])
@@ -58,20 +58,20 @@ def test_rows_equal_those_of_a_sweep_with_all_draws(tmp_path: Path, chunk_runs: 
 
 
 @pytest.mark.slow
-def test_a_run_of_extended_results_is_repeated(tmp_path: Path) -> None:
+def test_rerun_works_on_extended_results(tmp_path: Path) -> None:
     """One of before and one of after; the manifest names the study that it began as."""
     out = assert_extended(of(40), of(50), tmp_path)
     for run_id in (0, 149):
         assert rerun.rerun_into(out, run_id, Console(quiet=True))
 
 
-def test_points_of_a_design_go_on(tmp_path: Path) -> None:
+def test_extension_continues_sobol_list_and_grid_draws(tmp_path: Path) -> None:
     """Sobol's, and a list and a grid that had begun again before."""
     assert_extended(study_of("drawn", 100), study_of("drawn", 140), tmp_path)
 
 
 @pytest.mark.parametrize("half_width", [0.001, 0.9])
-def test_a_study_stops_where_it_would_have_with_all_draws(tmp_path: Path, half_width: float) -> None:
+def test_extended_study_stops_at_same_draw_as_full_study(tmp_path: Path, half_width: float) -> None:
     """No interim analysis takes place where the first study ended."""
     rule = {"statistic": "success_rate", "half_width": half_width}
     tables_ = {"stop_when": rule}
@@ -84,13 +84,13 @@ def test_a_study_stops_where_it_would_have_with_all_draws(tmp_path: Path, half_w
 
 
 @pytest.mark.slow
-def test_variants_that_have_the_same_runs_stay_so(tmp_path: Path) -> None:
+def test_extension_keeps_duplicate_variants(tmp_path: Path) -> None:
     """Which are computed is settled once: with more draws it might be otherwise."""
     axes = {"method": ["compass", "kalman5"], "q_accel_ug": [1.0 * i for i in range(1, 40)]}
     assert_extended(of(20, axes=axes), of(300, axes=axes), tmp_path, chunk_runs=128)
 
 
-def test_parts_tell_what_the_manifest_told(tmp_path: Path) -> None:
+def test_extended_results_are_recovered_without_manifest(tmp_path: Path) -> None:
     out = assert_extended(of(80), of(100), tmp_path)
     told = tables.read_manifest(out)
     (out / "manifest.json").unlink()
@@ -102,7 +102,7 @@ def test_parts_tell_what_the_manifest_told(tmp_path: Path) -> None:
     assert before.keys() == {n for n in times(out) if "part" in n}
 
 
-def test_a_directory_of_before_extensions_is_extended(tmp_path: Path) -> None:
+def test_extension_of_manifest_without_extended_at_keeps_identity(tmp_path: Path) -> None:
     out = tmp_path / "out"
     run.run_into(of(80), out)
     manifest = json.loads((out / "manifest.json").read_text())
@@ -132,7 +132,7 @@ def test_a_directory_of_before_extensions_is_extended(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_what_cannot_be_extended_is_refused(
+def test_invalid_extension_is_refused_without_changes(
     there: Study, here: Study, told: str, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"

@@ -60,14 +60,14 @@ def test_896_million_runs_are_refused_without_listing_them(disk: Any, tmp_path: 
     )
 
 
-def test_what_the_memory_cannot_hold_is_refused(disk: Any, tmp_path: Path):
+def test_study_that_exceeds_memory_is_refused(disk: Any, tmp_path: Path):
     disk(memory=5e8)
     line = refused(huge(draws=1), tmp_path / "out")
     assert line.startswith("study: 896,000 runs need about ")
     assert line.endswith("MB of memory, but this machine has only 500 MB")
 
 
-def test_what_fits_is_not_refused(disk: Any, tmp_path: Path):
+def test_study_is_refused_only_if_disk_space_is_short(disk: Any, tmp_path: Path):
     expected = forecast.of(small_study())
     disk(free=3 * expected.run_bytes, memory=expected.memory)
     study = small_study()
@@ -77,7 +77,7 @@ def test_what_fits_is_not_refused(disk: Any, tmp_path: Path):
         forecast.require_room(study, expected, tmp_path, overwrite=False, resume=False)
 
 
-def test_only_what_is_missing_counts_where_results_are_gone_on_with(disk: Any, tmp_path: Path):
+def test_resume_needs_disk_space_for_missing_runs_only(disk: Any, tmp_path: Path):
     study, expected = small_study(), forecast.of(small_study())
     (tmp_path / "manifest.json").write_text(json.dumps({"runs_done": 2}))
     disk(free=1.1 * expected.run_bytes)
@@ -86,7 +86,7 @@ def test_only_what_is_missing_counts_where_results_are_gone_on_with(disk: Any, t
         forecast.require_room(study, expected, tmp_path, overwrite=False, resume=False)
 
 
-def test_what_is_replaced_leaves_its_room(disk: Any, tmp_path: Path):
+def test_overwrite_counts_replaced_files_as_free_space(disk: Any, tmp_path: Path):
     study, expected = small_study(), forecast.of(small_study())
     (tmp_path / "summary").mkdir()
     (tmp_path / "summary" / "part-0000-000000.parquet").write_bytes(b"0" * 10_000)
@@ -96,7 +96,7 @@ def test_what_is_replaced_leaves_its_room(disk: Any, tmp_path: Path):
         forecast.require_room(study, expected, tmp_path, overwrite=False, resume=False)
 
 
-def test_curves_are_counted():
+def test_forecast_counts_curves_in_disk_and_memory():
     without, with_ = (forecast.of(small_study(), curves=curves) for curves in (False, True))
     assert forecast.of(small_study(study={"curves": True})) == with_
     # Eleven numbers a second.
@@ -104,7 +104,7 @@ def test_curves_are_counted():
     assert with_.memory > without.memory
 
 
-def test_a_run_of_a_day_is_not_refused_where_it_has_room():
+def test_day_long_run_memory_hardly_grows_with_duration():
     """It takes 0.7 GB with its curves, and no more memory for another day but for these."""
     day, two = (
         forecast.of(small_study(study={"draws": 1, "duration_s": n * 86_400.0}), curves=True)
@@ -114,14 +114,14 @@ def test_a_run_of_a_day_is_not_refused_where_it_has_room():
     assert two.memory - day.memory < 0.1e9
 
 
-def test_resets_without_number_are_counted():
+def test_forecast_counts_memory_of_reset_times():
     study = {"duration_s": 9e5, "window_s": [0, 9e5]}
     resets = {"reset_count": 89_000_000, "reset_cycle_s": 0.01}
     once, often = (forecast.of(small_study(study=study, resets=r)) for r in ({}, resets))
     assert often.memory - once.memory > 3 * 8 * 89e6
 
 
-def test_a_stopped_study_needs_room_for_its_first_look(disk: Any, tmp_path: Path):
+def test_stop_when_study_needs_disk_space_for_first_check_only(disk: Any, tmp_path: Path):
     stop = {"statistic": "success_rate", "half_width": 0.01}
     study = small_study(study={"draws": 10**6}, stop_when=stop)
     expected = forecast.of(study)
@@ -130,7 +130,7 @@ def test_a_stopped_study_needs_room_for_its_first_look(disk: Any, tmp_path: Path
     forecast.require_room(study, expected, tmp_path, overwrite=False, resume=False)
 
 
-def test_a_tuning_is_asked_about_as_a_whole(disk: Any, tmp_path: Path):
+def test_tuning_is_refused_if_all_runs_exceed_disk_or_memory(disk: Any, tmp_path: Path):
     study = small_study(tune=TUNE)
     expected = forecast.of_tuning(study)
     assert [batch.runs for batch in expected.batches] == [5 * 4, 2 * 8]
@@ -153,7 +153,7 @@ def test_a_tuning_is_asked_about_as_a_whole(disk: Any, tmp_path: Path):
         (10**9, 1, "1,000,000,000 runs of up to 6 s: roughly 4 h on 1 core, "),
     ],
 )
-def test_what_is_told(draws: int, cores: int, text: str):
+def test_forecast_describes_run_count_time_and_cores(draws: int, cores: int, text: str):
     assert forecast.of(small_study(study={"draws": draws})).describe(cores).startswith(text)
 
 
@@ -175,7 +175,7 @@ def test_what_is_told(draws: int, cores: int, text: str):
         ({"axes": {"gyro_scale_ppm": [0, 10, 20]}}, 2),
     ],
 )
-def test_programs_are_counted_as_the_engine_makes_them(tables: Any, programs: int):
+def test_forecast_program_count_matches_engine(tables: Any, programs: int):
     study = small_study(**tables)
     assert forecast.of(study).programs == programs == len(set(Scenario(study).programs))
     line = forecast.of(study).describe(2)
@@ -185,7 +185,7 @@ def test_programs_are_counted_as_the_engine_makes_them(tables: Any, programs: in
     assert f"{told}{several}), " in line
 
 
-def test_what_is_left_is_told():
+def test_forecast_describes_remaining_runs_and_time():
     """Time and room of what is missing, on whatever computes it."""
     expected = forecast.of(small_study(study={"draws": 10**8}))
     line = expected.describe(1, 10**8 - 10**6)
@@ -197,26 +197,26 @@ def test_what_is_left_is_told():
     assert line.startswith("100,000,000 runs of up to 6 s: roughly 60 s on 20 worker threads, ")
 
 
-def test_nothing_is_forecast_where_nothing_is_left():
+def test_forecast_reports_nothing_left_to_run():
     expected = forecast.of(small_study(study={"draws": 192}))
     line = "192 runs of up to 6 s: nothing is left to run"
     assert expected.describe(2, 192) == expected.describe(2, 200, threads=True) == line
     assert "1 left: roughly" in expected.describe(2, 191)
 
 
-def test_compass_runs_take_less_than_filters():
+def test_compass_runs_are_forecast_faster_than_filter_runs():
     filters, loops = small_study(), small_study(alignment={"method": "compass"})
     assert forecast.of(loops).run_s < forecast.of(filters).run_s
 
 
-def test_this_machine_tells_its_memory_and_disk(tmp_path: Path):
+def test_machine_reports_memory_and_free_disk_space(tmp_path: Path):
     assert 1e8 < machine.memory_bytes()
     assert machine.free_bytes(tmp_path / "not" / "yet") == pytest.approx(
         machine.free_bytes(tmp_path), rel=0.1
     )
 
 
-def test_a_recorded_study_without_a_rate_is_asked_about_at_that_of_its_record():
+def test_recorded_study_without_rate_is_forecast_at_record_rate():
     section = {"format": "psins", "start_s": [0, 10]}
     data = {"study": {"duration_s": 6.0}, "record": section, "earth": {"latitude_deg": 32.0}}
     study = study_from_dict(data)
@@ -225,7 +225,7 @@ def test_a_recorded_study_without_a_rate_is_asked_about_at_that_of_its_record():
 
 
 @pytest.mark.parametrize("name", ["kalman5", "compass"])
-def test_an_estimate_takes_as_many_plain_runs_as_its_method_tells(name: str) -> None:
+def test_estimate_cost_is_estimate_runs_times_plain_run(name: str) -> None:
     plain = small_study(alignment={"method": name})
     settings = {"estimate": "covariance", "draws": None, "check_linearity": False}
     estimated = small_study(study=settings, alignment={"method": name})

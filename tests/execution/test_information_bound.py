@@ -21,7 +21,7 @@ def study_of(**changes):
     return small_study(**given)
 
 
-def test_variants_of_one_base_share_it():
+def test_variants_on_same_base_share_information_bound():
     study = study_of(axes={"latitude_deg": [0.0, 50.0], "phi_u0_deg": [1.0, 30.0]})
     table = information_bound(study)
     assert table["variant_id"].to_pylist() == np.repeat(range(4), 2).tolist()
@@ -41,7 +41,7 @@ def test_variants_of_one_base_share_it():
         np.testing.assert_allclose(own, closed / ARCMIN, rtol=0.03)
 
 
-def test_a_surge_raises_it_and_methods_do_not_enter():
+def test_surge_raises_information_bound_and_method_does_not_change_it():
     study = study_of(
         motion={"surge_time_s": 2.0},
         axes={"method": ["kalman5", "optimisation"], "surge_m_per_s": [0.0, 0.1]},
@@ -62,6 +62,6 @@ def test_a_surge_raises_it_and_methods_do_not_enter():
         ),
     ],
 )
-def test_what_it_is_not_known_of_is_refused(changes, message):
+def test_information_bound_refuses_zero_noise_passes_and_drawn_latitude(changes, message):
     with pytest.raises(InputError, match=message):
         information_bound(study_of(**changes))

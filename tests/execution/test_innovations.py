@@ -56,7 +56,7 @@ def summary(tape: StoredRecord) -> pa.Table:
     return run.run(recorded(cases=cases), tape).summary
 
 
-def test_they_are_columns_of_recorded_studies_alone(summary: pa.Table) -> None:
+def test_innovation_columns_exist_only_in_recorded_studies(summary: pa.Table) -> None:
     assert summary["innovation_freedom"].to_pylist() == [400.0, 400.0, 400.0, None] * 2
     mean = summary["innovation_nis"].to_pylist()
     assert mean[3] is None and mean[7] is None
@@ -64,7 +64,7 @@ def test_they_are_columns_of_recorded_studies_alone(summary: pa.Table) -> None:
     assert "innovation_nis" not in [column.name for column in Tables(small_study()).summary_columns]
 
 
-def test_r_scales_them(summary: pa.Table) -> None:
+def test_nis_scales_inversely_with_r(summary: pa.Table) -> None:
     """With P and Q next to nothing, S is R: a hundred times the variance, a hundredth of NIS."""
     one, other = summary["innovation_nis"].to_pylist()[1:3]
     assert one / other == pytest.approx(100, rel=1e-3)
@@ -78,7 +78,7 @@ def test_r_scales_them(summary: pa.Table) -> None:
         ([2.0, 2.01], "2 to 2.01 in 2 runs", " lie "),
     ],
 )
-def test_only_values_above_the_band_contradict(
+def test_only_nis_above_band_is_reported_as_contradiction(
     tmp_path: Any, mean: list[float], says: str, not_says: str
 ) -> None:
     table = pa.table({"innovation_nis": mean, "innovation_freedom": [2000.0, 2000.0]})
@@ -86,7 +86,7 @@ def test_only_values_above_the_band_contradict(
     assert says in text and not_says not in text
 
 
-def test_the_band_is_that_of_chi_square(tmp_path: Any) -> None:
+def test_nis_band_holds_95_percent_of_chi_square(tmp_path: Any) -> None:
     """Of sums of squares of 200 normal numbers, 95 % lie inside; to three digits of 1e5 sums."""
     sums = (np.random.default_rng(0).normal(size=(20_000, 200)) ** 2).sum(1) / 100
     table = pa.table({"innovation_nis": sums, "innovation_freedom": np.full(20_000, 200.0)})
@@ -95,6 +95,6 @@ def test_the_band_is_that_of_chi_square(tmp_path: Any) -> None:
     assert above == pytest.approx(500, abs=90) and below == pytest.approx(500, abs=90)
 
 
-def test_results_without_them_say_so(tmp_path: Any) -> None:
+def test_results_without_innovations_are_reported(tmp_path: Any) -> None:
     source = Source(tmp_path, recorded(), "x.toml", pa.table({"run_id": [0]}))
     assert innovations(source) == "Innovations: none are recorded."

@@ -47,7 +47,7 @@ def drawn() -> pa.Table:
 
 
 @pytest.mark.slow
-def test_the_index_is_what_runs_have_beyond_their_companions(made: pa.Table) -> None:
+def test_nonlinearity_index_is_rms_difference_from_companions_over_sigma(made: pa.Table) -> None:
     """In standard deviations of the true error, over the first eight draws."""
     summary = study_run.run(study_of(estimate="controlled", draws=8)).summary
     for at in ("_at_20", ""):
@@ -64,14 +64,14 @@ def test_the_index_is_what_runs_have_beyond_their_companions(made: pa.Table) -> 
 
 
 @pytest.mark.slow
-def test_small_errors_keep_their_estimate_and_large_ones_are_filled(made: pa.Table) -> None:
+def test_small_errors_keep_estimate_and_large_ones_use_draws(made: pa.Table) -> None:
     assert made["filled_by_draws"].to_pylist() == [False, False, True, True]
     index = np.maximum(made["nonlinearity"], made["nonlinearity_at_20"])
     assert (index[:2] < 0.3).all() and (index[2:] > 0.5).all()
 
 
 @pytest.mark.slow
-def test_what_is_filled_is_that_of_draws(made: pa.Table, drawn: pa.Table) -> None:
+def test_filled_columns_equal_statistics_of_draws(made: pa.Table, drawn: pa.Table) -> None:
     rows, limited = slice(2, 4), drawn["floor_arcmin"].to_numpy().reshape(DRAWS, 4)
     for at in ("_at_20", ""):
         phi = drawn[f"phi_u{at}_arcmin"].to_numpy().reshape(DRAWS, 4)[:, rows]
@@ -91,12 +91,12 @@ def test_what_is_filled_is_that_of_draws(made: pa.Table, drawn: pa.Table) -> Non
     np.testing.assert_allclose(made["settle_60_truth_mean_error_s"].to_numpy()[rows], error)
 
 
-def test_without_it_nothing_is_told_of_it() -> None:
+def test_nonlinearity_columns_absent_without_check_linearity() -> None:
     alone = study_run.estimate(study_of(estimate="covariance", check_linearity=False))
     assert not [name for name in alone.column_names if "linear" in name or "filled" in name]
 
 
-def test_the_report_marks_what_draws_fill(tmp_path: Any) -> None:
+def test_report_counts_variants_with_high_nonlinearity_index(tmp_path: Any) -> None:
     study_run.run_into(study_of(estimate="covariance", draws=DRAWS), tmp_path / "out")
     said = told(tmp_path / "out")
     assert "index of nonlinearity" in said

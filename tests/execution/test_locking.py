@@ -18,7 +18,7 @@ sys.stdin.read()
 """
 
 
-def test_another_process_is_named_until_it_dies(tmp_path: Path) -> None:
+def test_lock_names_other_writer_until_it_dies(tmp_path: Path) -> None:
     """Killed, it leaves both files, and neither blocks."""
     out = tmp_path / "out"
     locking.check_unlocked(out)

@@ -56,12 +56,12 @@ def refused(some: Record, **layout: Any) -> str:
 
 
 @pytest.mark.parametrize("base", BASES)
-def test_a_good_record_is_not_doubted(base: str) -> None:
+def test_plausible_record_has_no_findings(base: str) -> None:
     assert not found(record(base)) and not found(record(base), gyro=1.0)
 
 
 @pytest.mark.parametrize("base", BASES)
-def test_a_wrong_gyro_unit_is_refused_and_named(base: str) -> None:
+def test_wrong_gyro_unit_is_refused_and_named(base: str) -> None:
     some = record(base)
     wrong = some._replace(dtheta=some.dtheta / DEG)
     text = refused(wrong)
@@ -73,7 +73,7 @@ def test_a_wrong_gyro_unit_is_refused_and_named(base: str) -> None:
     assert refused(small, gyro_unit="deg_per_s").endswith("are these rad/s?")
 
 
-def test_a_wrong_accelerometer_unit_is_refused_and_named() -> None:
+def test_wrong_accelerometer_unit_is_refused_and_named() -> None:
     some = record()
     text = refused(some._replace(dv=some.dv / 9.80665))
     assert text.endswith("times gravity: are these g?")
@@ -81,14 +81,14 @@ def test_a_wrong_accelerometer_unit_is_refused_and_named() -> None:
     assert text.endswith("9.81 times gravity: are these m/s^2?")
 
 
-def test_a_vertical_that_points_down_is_refused() -> None:
+def test_downward_vertical_axis_is_refused() -> None:
     some = record()
     turned = [v[:, [1, 0, 2]] * [1, 1, -1] for v in (some.dtheta, some.dv)]
     assert "'yx-z' for front-right-down" in refused(some._replace(dtheta=turned[0], dv=turned[1]))
     assert "points down" in refused(some._replace(dv=-some.dv))
 
 
-def test_a_rate_about_the_vertical_of_another_latitude_is_a_warning() -> None:
+def test_vertical_rate_of_wrong_latitude_gives_warning() -> None:
     """At 32 N it is 7.97 deg/h; without it, or its sign, the size is still near Earth rate."""
     some = record("still")
     for part, asks in (
@@ -103,7 +103,7 @@ def test_a_rate_about_the_vertical_of_another_latitude_is_a_warning() -> None:
 
 @pytest.mark.parametrize("base", ["still", "swinging"])
 @pytest.mark.parametrize(("bias", "hard"), [(60.0, False), (700.0, True)])
-def test_a_bias_that_hides_earth_rate_is_no_unit_error(base: str, bias: float, hard: bool) -> None:
+def test_bias_that_hides_earth_rate_is_not_unit_error(base: str, bias: float, hard: bool) -> None:
     """860 deg/h would be Earth rate in other units, but not along the vertical."""
     some = record(base)
     biased = some._replace(dtheta=some.dtheta + np.array([bias, 0, 0]) * DEG_PER_H / 100)
@@ -112,7 +112,7 @@ def test_a_bias_that_hides_earth_rate_is_no_unit_error(base: str, bias: float, h
     assert one.hard == hard
 
 
-def test_small_biases_are_allowed_by_their_keys() -> None:
+def test_small_biases_are_allowed_up_to_configured_values() -> None:
     some = record("still")
     biased = some._replace(dtheta=some.dtheta + np.array([0, 4, 4]) * DEG_PER_H / 100)
     assert not found(biased)
@@ -125,7 +125,7 @@ def test_small_biases_are_allowed_by_their_keys() -> None:
 
 
 @pytest.mark.parametrize(("angle", "seconds"), [(3.0, 5), (90.0, 5), (60.0, 30)])
-def test_a_vehicle_that_turns_is_told(angle: float, seconds: int) -> None:
+def test_vehicle_turn_is_reported_with_its_angle(angle: float, seconds: int) -> None:
     some = record("still")
     dtheta = some.dtheta.copy()
     dtheta[9000 : 9000 + 100 * seconds, 2] += angle * DEG / 100 / seconds
@@ -135,7 +135,7 @@ def test_a_vehicle_that_turns_is_told(angle: float, seconds: int) -> None:
     assert told_deg == pytest.approx(angle, rel=0.4)
 
 
-def test_a_turn_that_the_gyros_did_not_feel_is_told() -> None:
+def test_turn_missing_from_gyros_is_reported() -> None:
     some = record("still")
     turn = Rotation.from_euler("z", 90, degrees=True).as_matrix()
     dtheta = np.concatenate([some.dtheta[:10_000], some.dtheta[10_000:] @ turn])
@@ -144,7 +144,7 @@ def test_a_turn_that_the_gyros_did_not_feel_is_told() -> None:
 
 
 @pytest.mark.parametrize("base", ["still", "swinging"])
-def test_a_long_span_is_judged_as_a_short_one(
+def test_merged_samples_give_same_findings_as_single_samples(
     base: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where samples are put together, a record of 200 s stands for one of a day."""
@@ -163,7 +163,7 @@ def test_a_long_span_is_judged_as_a_short_one(
     assert not whole[0] and whole[1] and whole[2]
 
 
-def test_attitudes_as_scipy_multiplies_them() -> None:
+def test_attitudes_match_scipy_rotation_product() -> None:
     """A swing of 20 deg over 60 s, without the coning terms: 1e-6."""
     dtheta = record("swinging by 20 deg").dtheta[:6000]
     whole = Rotation.identity()
@@ -188,7 +188,7 @@ def recorded(**changes: Any) -> Study:
     return study_from_dict(data)
 
 
-def test_hard_findings_are_refused_unless_the_study_trusts_the_record(tmp_path: Path) -> None:
+def test_hard_findings_are_refused_unless_record_is_trusted(tmp_path: Path) -> None:
     some = record()
     tape = StoredRecord(some._replace(dv=-some.dv, source="drive.imu"), None)
     with pytest.raises(InputError) as caught:
@@ -204,7 +204,7 @@ def test_hard_findings_are_refused_unless_the_study_trusts_the_record(tmp_path: 
     )
 
 
-def test_doubtful_findings_are_in_manifest_and_report(tmp_path: Path) -> None:
+def test_soft_findings_are_listed_in_manifest_and_report(tmp_path: Path) -> None:
     some = record("still")
     tape = StoredRecord(some._replace(dv=some.dv * 0.99, source="drive.imu", filled=3), None)
     study = recorded(
@@ -221,7 +221,7 @@ def test_doubtful_findings_are_in_manifest_and_report(tmp_path: Path) -> None:
     assert "Innovations: the mean of r' S^-1 r is" in report
 
 
-def test_coarse_alignment_is_told_where_a_record_is_too_short() -> None:
+def test_too_short_record_error_includes_coarse_alignment_time() -> None:
     with pytest.raises(InputError) as caught:
         run.made_ready(recorded(record={"start_s": [120.0]}), StoredRecord(record(), None))
     assert str(caught.value) == (
@@ -229,7 +229,7 @@ def test_coarse_alignment_is_told_where_a_record_is_too_short() -> None:
     )
 
 
-def test_nothing_beyond_to_s_is_used() -> None:
+def test_data_after_to_s_are_not_used() -> None:
     tape = StoredRecord(record(), None)
     study = recorded(record={"from_s": 100.0, "to_s": 190.0})
     assert not run.made_ready(study, tape)[1]
@@ -238,7 +238,7 @@ def test_nothing_beyond_to_s_is_used() -> None:
         run.made_ready(study, tape)
 
 
-def test_a_rate_that_is_no_whole_number_and_a_clock_that_starts_at_1000_s(tmp_path: Path) -> None:
+def test_fractional_rate_and_late_clock_use_record_times(tmp_path: Path) -> None:
     """Times are those of the record: 200 samples a record are 1.001 s."""
     rate = 199.8
     settings = {"duration_s": 25.1, "rate_hz": rate, "window_s": [0, 25]}
@@ -295,7 +295,7 @@ def test_a_rate_that_is_no_whole_number_and_a_clock_that_starts_at_1000_s(tmp_pa
 
 
 @pytest.mark.parametrize("name", ["car_test", "compass_car", "car_adaptive", "car_batch"])
-def test_no_shipped_study_of_the_real_record_warns(name: str, data_dir: Path) -> None:
+def test_shipped_studies_of_real_record_give_no_warnings(name: str, data_dir: Path) -> None:
     gc.collect()
     study = load_study(Path(__file__).parents[2] / "configs" / f"{name}.toml")
     assert study.is_recorded
@@ -306,7 +306,7 @@ def test_no_shipped_study_of_the_real_record_warns(name: str, data_dir: Path) ->
 # Simulations
 
 
-def test_a_first_order_surge_tells_its_acceleration() -> None:
+def test_gauss_markov_surge_warning_states_acceleration() -> None:
     """0.1 m/s and 5 s at 100 Hz: 0.1 sqrt(2 / (5 * 0.01)) to a thousandth."""
     surge = {"surge_m_per_s": [0.1, 0.05, 0.0], "surge_model": "gauss_markov"}
     (line,) = warnings_of(small_study(motion=surge))
@@ -317,7 +317,7 @@ def test_a_first_order_surge_tells_its_acceleration() -> None:
     assert not warnings_of(small_study(motion=surge | {"surge_model": "third_order"}))
 
 
-def test_a_sway_above_half_the_sample_rate_is_told(tmp_path: Path) -> None:
+def test_sway_above_half_sample_rate_is_reported_as_aliased(tmp_path: Path) -> None:
     study = small_study(motion={"roll_period_s": 0.0125})
     (line,) = warnings_of(study)
     assert line == (
@@ -359,7 +359,7 @@ def with_noise(sensors: dict[str, float], **sections: dict[str, Any]) -> Study:
         ),
     ],
 )
-def test_what_a_filter_takes_for_white_noise_is_told(
+def test_process_noise_is_reported_relative_to_white_sensor_noise(
     filter_: dict[str, Any], told: str
 ) -> None:
     """At 100 Hz, 0.1 deg/h a sample and 1000 ug/sqrt(Hz), which is 10,000 ug a sample."""
@@ -370,7 +370,7 @@ def test_what_a_filter_takes_for_white_noise_is_told(
     )
 
 
-def test_without_a_filter_or_white_noise_nothing_is_told_of_q() -> None:
+def test_process_noise_is_not_reported_without_filter_or_white_noise() -> None:
     assert process_noise(with_noise({"gyro_bias_deg_per_h": 0.1})) is None
     sensors = {"gyro_noise_deg_per_h": 0.1}
     assert process_noise(with_noise(sensors, alignment={"method": "inertial"})) is None

@@ -34,7 +34,7 @@ def plain() -> tuple[Console, io.StringIO]:
     return Console(file=file, width=40), file
 
 
-def test_plain_lines_come_every_tenth_and_tell_pace_and_failures(clock: Clock) -> None:
+def test_plain_progress_prints_every_tenth_with_pace_and_failures(clock: Clock) -> None:
     screen, file = plain()
     with progress.progress(screen, "swing") as tell:
         tell(RunProgress(0, 20_000, 0, 0))
@@ -52,7 +52,7 @@ def test_plain_lines_come_every_tenth_and_tell_pace_and_failures(clock: Clock) -
     ]
 
 
-def test_plain_lines_come_every_ten_seconds_where_a_tenth_takes_longer(clock: Clock) -> None:
+def test_plain_progress_prints_every_ten_seconds_if_slow(clock: Clock) -> None:
     screen, file = plain()
     with progress.progress(screen, "swing") as tell:
         tell(RunProgress(0, 1_000_000, 0, 0))
@@ -64,7 +64,7 @@ def test_plain_lines_come_every_ten_seconds_where_a_tenth_takes_longer(clock: Cl
     assert lines[-1] == "swing: 51 of 1,000,000 runs, 1 runs/s, 277:45:49 left, 0 failed"
 
 
-def test_a_pace_is_told_once_it_is_measured(clock: Clock) -> None:
+def test_pace_is_printed_only_once_measured(clock: Clock) -> None:
     """The threads end their first chunks at almost the same time."""
     screen, file = plain()
     with progress.progress(screen, "swing") as tell:
@@ -78,7 +78,7 @@ def test_a_pace_is_told_once_it_is_measured(clock: Clock) -> None:
     ]
 
 
-def test_what_was_there_before_is_told_and_does_not_make_the_pace(clock: Clock) -> None:
+def test_stored_runs_are_reported_and_excluded_from_pace(clock: Clock) -> None:
     screen, file = plain()
     with progress.progress(screen, "swing") as tell:
         tell(RunProgress(900, 1000, 0, 900))
@@ -92,7 +92,7 @@ def test_what_was_there_before_is_told_and_does_not_make_the_pace(clock: Clock) 
     ]
 
 
-def test_a_stage_that_counts_other_things_has_a_pace_of_its_own(clock: Clock) -> None:
+def test_pace_restarts_for_stage_with_other_unit(clock: Clock) -> None:
     screen, file = plain()
     with progress.progress(screen, "swing") as tell:
         tell(RunProgress(500, 500, 0, 0))
@@ -108,14 +108,14 @@ def test_a_stage_that_counts_other_things_has_a_pace_of_its_own(clock: Clock) ->
     ]
 
 
-def test_what_is_complete_already_says_so(clock: Clock) -> None:
+def test_complete_study_prints_one_progress_line(clock: Clock) -> None:
     screen, file = plain()
     with progress.progress(screen, "swing") as tell:
         tell(RunProgress(1000, 1000, 0, 1000))
     assert file.getvalue() == "swing: 1,000 of 1,000 runs already there\n"
 
 
-def test_a_terminal_has_a_bar(clock: Clock) -> None:
+def test_terminal_shows_progress_bar_with_pace_and_failures(clock: Clock) -> None:
     file = io.StringIO()
     screen = Console(file=file, force_terminal=True, width=120)
     with progress.progress(screen, "swing [tune]") as tell:
@@ -140,7 +140,7 @@ def handlers() -> Iterator[None]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_asks_for_a_stop_and_says_so(
+def test_first_signal_requests_stop_and_second_exits(
     handlers: None, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
     screen, file = plain()
@@ -159,7 +159,7 @@ def test_a_signal_asks_for_a_stop_and_says_so(
         assert ended == [128 + number]
 
 
-def test_a_signal_while_a_line_is_written_does_no_harm(handlers: None) -> None:
+def test_signal_during_console_write_is_safe(handlers: None) -> None:
     """A stream that is being written to must not be written to by a handler."""
 
     class Busy(io.StringIO):
@@ -181,6 +181,6 @@ def test_a_signal_while_a_line_is_written_does_no_harm(handlers: None) -> None:
         assert stop.is_set()
 
 
-def test_handlers_come_back_after_an_error(handlers: None) -> None:
+def test_signal_handlers_are_restored_after_error(handlers: None) -> None:
     with pytest.raises(ZeroDivisionError), progress.interruptible(plain()[0]):
         raise ZeroDivisionError

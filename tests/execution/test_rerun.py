@@ -52,7 +52,7 @@ def assert_alone_as_among_others(
 @pytest.mark.slow
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("name", STUDIES)
-def test_a_run_alone_is_the_run_among_others(name: str) -> None:
+def test_rerun_matches_run_of_whole_study(name: str) -> None:
     study = study_of(name)
     runs = study.n_draws * study.n_variants
     chosen = [0, 65, runs // 2 + 1, runs - 1]
@@ -61,14 +61,14 @@ def test_a_run_alone_is_the_run_among_others(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_keeping_curves_changes_no_row() -> None:
+def test_rerun_row_matches_study_run_without_curves() -> None:
     study = study_of("worlds")
     assert_alone_as_among_others(study, curves=False, runs=[7, 299])
 
 
 @pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_a_run_whose_resets_heed_feedback() -> None:
+def test_rerun_matches_with_resets_tied_to_feedback() -> None:
     """Of the schedule and of a trigger; the clock of some runs in a tile starts anew."""
     study = small_study(
         study={"draws": 20, "duration_s": 2.0, "window_s": [0, 2]},
@@ -90,7 +90,7 @@ def stopping_study() -> Study:
 
 
 @pytest.mark.slow
-def test_a_run_of_a_study_that_stopped_early() -> None:
+def test_rerun_matches_in_study_that_stopped_early() -> None:
     assert_alone_as_among_others(stopping_study(), curves=False, runs=[5, 383])
 
 
@@ -115,13 +115,13 @@ def tape() -> StoredRecord:
 
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("judged", [True, False])
-def test_a_run_of_a_record(tape: StoredRecord, judged: bool) -> None:
+def test_rerun_matches_for_recorded_study(tape: StoredRecord, judged: bool) -> None:
     given = tape if judged else tape._replace(reference=None)
     assert_alone_as_among_others(recorded_study(), given, curves=True, runs=[0, 6, 11])
 
 
 @pytest.mark.optimised(False)
-def test_a_run_of_a_record_with_drawn_errors(tape: StoredRecord) -> None:
+def test_rerun_matches_for_record_with_drawn_errors(tape: StoredRecord) -> None:
     study = recorded_study(
         alignment={"phi_e0_deg": 1.0},
         axes={"reset_times_s": [[], [1.0]]},
@@ -148,7 +148,7 @@ def rerun_into(directory: Path, run_id: int, **options: Any) -> str:
     return file.getvalue()
 
 
-def test_a_run_of_a_directory_is_told_and_kept(out: Path, tmp_path: Path) -> None:
+def test_rerun_from_directory_is_printed_and_stored(out: Path, tmp_path: Path) -> None:
     before = everything(out)
     told = rerun_into(out, 77, out=tmp_path / "one")
     stored = tables.read_summary(out, run_ids=[77])
@@ -189,7 +189,7 @@ def turned(out: Path, by: float) -> Iterator[int]:
         (out / "manifest.json").write_text(manifest)
 
 
-def test_a_row_that_differs_is_told_with_what_differs(out: Path, tmp_path: Path) -> None:
+def test_rerun_names_columns_that_differ_from_stored_row(out: Path, tmp_path: Path) -> None:
     with turned(out, 1e-13) as columns:
         told = rerun_into(out, 0, out=tmp_path / "one")
     assert f"1 of {columns} columns differ from the stored row: yaw_deg " in told
@@ -206,7 +206,7 @@ def test_rerun_command_exits_1_when_the_row_differs(
     assert sinsjax("rerun", out, "--run-id", 0, "-o", tmp_path / "two")[0] == 0
 
 
-def test_what_a_package_has_changed_is_told(
+def test_rerun_reports_changed_package_version_or_code(
     out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its version, or its code where the difference is too large for last bits."""
@@ -225,7 +225,7 @@ def test_what_a_package_has_changed_is_told(
     assert f" here. {why}\n" in told
 
 
-def test_what_cannot_be_done_again_is_one_clear_line(out: Path, tmp_path: Path, tape: StoredRecord) -> None:
+def test_invalid_rerun_raises_one_line_error(out: Path, tmp_path: Path, tape: StoredRecord) -> None:
     runs = STUDY.n_draws * STUDY.n_variants
     with pytest.raises(InputError, match=f"has no run {runs} .runs are numbered 0 to {runs - 1}"):
         rerun_into(out, runs)
@@ -239,14 +239,14 @@ def test_what_cannot_be_done_again_is_one_clear_line(out: Path, tmp_path: Path, 
         rerun_into(out, 0, files=(tmp_path / "swing.imu", None))
 
 
-def test_a_run_that_is_not_there_yet_is_one_clear_line(out: Path, tmp_path: Path) -> None:
+def test_rerun_of_run_without_row_is_refused(out: Path, tmp_path: Path) -> None:
     study_run.run_into(stopping_study(), tmp_path / "out")
     with pytest.raises(InputError, match="has no row of run 384 yet"):
         rerun_into(tmp_path / "out", 384)
 
 
 @pytest.mark.optimised(False)
-def test_a_recorded_run_needs_its_record(tmp_path: Path, tape: StoredRecord) -> None:
+def test_rerun_of_recorded_run_needs_same_record(tmp_path: Path, tape: StoredRecord) -> None:
     path, other = tmp_path / "swing.imu", tmp_path / "other.imu"
     write_psins(tape.record, path)
     write_psins(tape.record._replace(dv=tape.record.dv * 1.01), other)

@@ -50,14 +50,14 @@ ZIP = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 1.0, 2.0]}
         ),
     ],
 )
-def test_the_keys_that_differ_are_named(
+def test_differences_between_studies_name_changed_keys(
     there: dict[str, Any], here: dict[str, Any], told: list[str]
 ) -> None:
     assert resume.differences(small_study(**there), small_study(**here)) == told
 
 
 @pytest.mark.parametrize("name", ["jaxlib", "scipy"])
-def test_rows_of_other_versions_are_not_added(
+def test_resume_with_other_package_version_is_refused(
     name: str, tmp_path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     study, out = small_study(), tmp_path / "out"
@@ -70,7 +70,7 @@ def test_rows_of_other_versions_are_not_added(
     assert (out / "manifest.json").read_bytes() == before
 
 
-def test_rows_of_another_version_of_a_package_with_a_method_are_not_added(
+def test_resume_with_other_version_of_method_package_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Only where the study has that method; one that is not there is named where they are read."""
@@ -93,7 +93,7 @@ def test_rows_of_another_version_of_a_package_with_a_method_are_not_added(
 
 
 @pytest.mark.slow
-def test_rows_of_another_instruction_set_are_not_added(tmp_path: Path) -> None:
+def test_resume_with_other_instruction_set_is_refused(tmp_path: Path) -> None:
     """Made by another process, which XLA holds to a smaller set than this one has."""
     study, out = small_study(), tmp_path / "out"
     (tmp_path / "study.toml").write_text(study_to_toml(study))
@@ -121,7 +121,7 @@ def test_rows_of_another_instruction_set_are_not_added(tmp_path: Path) -> None:
     assert [s["instructions"] for s in read_manifest(out)["sessions"]] == ["SSE4_2"] * 2
 
 
-def test_a_manifest_that_names_no_instruction_set_is_gone_on_with(tmp_path: Path) -> None:
+def test_resume_of_manifest_without_instruction_set_is_accepted(tmp_path: Path) -> None:
     """As one that names no version: it is older."""
     study, out = small_study(), tmp_path / "out"
     run.run_into(study, out)

@@ -37,13 +37,13 @@ def study_of(
 
 
 @given(st.integers(1, 10**6))
-def test_it_looks_at_doubled_numbers_of_draws_and_at_the_cap(cap: int) -> None:
+def test_interim_analyses_double_draws_up_to_cap(cap: int) -> None:
     looks = stopping.interim_draws(study_of(draws=cap))
     doubled = [64 * 2**i for i in range(20)]
     assert looks == [n for n in doubled if n < cap] + [cap]
 
 
-def test_without_the_section_there_is_one_look() -> None:
+def test_study_without_stop_when_has_single_analysis() -> None:
     assert stopping.interim_draws(small_study(study={"draws": 1000})) == [1000]
 
 
@@ -67,7 +67,7 @@ def student(values: list[float]) -> float:
     st.randoms(use_true_random=False),
     st.sampled_from(["limit", "truth"]),
 )
-def test_a_look_is_a_naive_count(
+def test_interim_analysis_matches_naive_count(
     settle: list[float | None], variants: int, later: int, wanted: float, random: Any, judged: str
 ) -> None:
     """Of all runs of the first draws, in any order, and of no later one; as the study judges."""
@@ -127,7 +127,7 @@ def sweep_of(name: str) -> Study:
 
 @pytest.mark.representative("settling time")
 @pytest.mark.parametrize("name", CASES)
-def test_it_stops_at_the_same_place_for_any_chunk_order_and_kill(
+def test_sweep_stops_at_same_draw_despite_chunk_order_or_interruption(
     name: str, tmp_path: Path
 ) -> None:
     study = sweep_of(name)

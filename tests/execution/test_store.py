@@ -72,13 +72,13 @@ def chunk(number: int) -> str:
 # --- parts --------------------------------------------------------------------------------------
 
 
-def test_parts_are_the_same_bytes_at_another_time_and_place(whole: Path, tmp_path: Path) -> None:
+def test_parts_are_bytewise_equal_in_repeated_sweeps(whole: Path, tmp_path: Path) -> None:
     other = tmp_path / "elsewhere" / "out"
     sweep(other)
     assert_complete(other, whole)
 
 
-def test_a_part_says_whose_it_is_and_neither_when_nor_where(whole: Path) -> None:
+def test_part_metadata_identify_study_and_chunk_only(whole: Path) -> None:
     for name in parts(whole):
         about = pq.ParquetFile(whole / name)
         said = about.schema_arrow.metadata
@@ -99,7 +99,7 @@ def test_a_part_says_whose_it_is_and_neither_when_nor_where(whole: Path) -> None
             assert field.metadata.keys() <= {b"unit", b"meaning"}
 
 
-def test_no_row_is_lost_or_doubled(whole: Path) -> None:
+def test_every_run_is_stored_exactly_once(whole: Path) -> None:
     runs = STUDY.n_draws * STUDY.n_variants
     assert tables.count_runs(whole) == runs == CHUNKS * CHUNK_RUNS
     assert tables.read_summary(whole)["run_id"].to_pylist() == list(range(runs))
@@ -176,7 +176,7 @@ MANIFESTS: dict[str, Callable[[Path], Any]] = {
 
 @pytest.mark.parametrize("told", ["there", "deleted"])
 @pytest.mark.parametrize("name", BEFALL)
-def test_a_part_that_is_not_whole_is_found_and_made_again(
+def test_damaged_part_is_detected_and_recomputed(
     whole: Path, out: Path, name: str, told: str
 ) -> None:
     before = times(out)
@@ -189,7 +189,7 @@ def test_a_part_that_is_not_whole_is_found_and_made_again(
     assert {key for key in before if chunk(2) in key or chunk(7) in key} == before.keys() - kept
 
 
-def test_a_part_that_no_manifest_knows_is_checked_to_the_last_bit(tmp_path: Path) -> None:
+def test_flipped_footer_bit_is_detected_without_manifest(tmp_path: Path) -> None:
     """Pages have checksums in the format, all else in a part has none: statistics, names, units."""
     runner = TaskRunner(Job(STUDY, None, None, CHUNK_RUNS))
     ((task, *_),) = runner.tasks()
@@ -211,7 +211,7 @@ def test_a_part_that_no_manifest_knows_is_checked_to_the_last_bit(tmp_path: Path
 
 
 @pytest.mark.parametrize("told", MANIFESTS)
-def test_what_is_whole_is_trusted_over_the_manifest(whole: Path, out: Path, told: str) -> None:
+def test_intact_parts_are_kept_for_any_manifest_state(whole: Path, out: Path, told: str) -> None:
     before = times(out)
     MANIFESTS[told](out)
     assert sweep(out, resume=True) == []
@@ -219,7 +219,7 @@ def test_what_is_whole_is_trusted_over_the_manifest(whole: Path, out: Path, told
     assert_complete(out, whole)
 
 
-def test_a_wrong_checksum_of_a_whole_part_is_put_right(whole: Path, out: Path) -> None:
+def test_wrong_manifest_checksum_of_intact_part_is_corrected(whole: Path, out: Path) -> None:
     told, before = manifest(out), times(out)
     told["chunks"][4]["files"][0]["sha256"] = "0" * 64
     (out / "manifest.json").write_text(json.dumps(told))
@@ -229,7 +229,7 @@ def test_a_wrong_checksum_of_a_whole_part_is_put_right(whole: Path, out: Path) -
 
 
 @pytest.mark.parametrize("name", ["chunk_runs", "all of it", "study.toml too"])
-def test_parts_know_their_chunks_where_no_manifest_does(
+def test_chunk_size_is_recovered_from_parts_without_manifest(
     whole: Path, out: Path, name: str
 ) -> None:
     """The default would cut this study into other chunks, none of which is there."""
@@ -242,7 +242,7 @@ def test_parts_know_their_chunks_where_no_manifest_does(
     assert_complete(out, whole)
 
 
-def test_a_directory_keeps_its_chunks_and_curves(whole: Path, out: Path) -> None:
+def test_resume_keeps_chunk_size_and_curves_of_directory(whole: Path, out: Path) -> None:
     shutil.rmtree(out / "curves")
     made = sweep(out, resume=True, chunk_runs=None, curves=False)
     assert len(made) == CHUNKS
@@ -257,7 +257,7 @@ def test_a_directory_keeps_its_chunks_and_curves(whole: Path, out: Path) -> None
 
 
 @pytest.mark.parametrize("dataset", ["summary", "curves"])
-def test_a_directory_in_the_place_of_a_part_is_one_clear_line(out: Path, dataset: str) -> None:
+def test_directory_in_place_of_part_raises_input_error(out: Path, dataset: str) -> None:
     as_a_directory(out / dataset / f"{chunk(3)}.parquet")
     with pytest.raises(InputError, match=f"{chunk(3)}.parquet: cannot be written: Is a directory"):
         sweep(out, resume=True)
@@ -305,7 +305,7 @@ def changed(**changes: Any) -> Study:
 
 
 @pytest.mark.parametrize("name", DIFFERING)
-def test_another_study_is_refused_with_the_keys_that_differ(out: Path, name: str) -> None:
+def test_resume_with_other_study_reports_differing_keys(out: Path, name: str) -> None:
     changes, named = DIFFERING[name]
     before = everything(out)
     with pytest.raises(InputError, match=r"out: holds results of another study: \[") as told:
@@ -316,7 +316,7 @@ def test_another_study_is_refused_with_the_keys_that_differ(out: Path, name: str
     assert everything(out) == before
 
 
-def test_the_order_of_axes_numbers_the_variants(out: Path) -> None:
+def test_resume_with_reordered_axes_is_refused(out: Path) -> None:
     before = everything(out)
     data = STUDY.model_dump(exclude_none=True)
     axes = dict(reversed(STUDY.axes.items()))
@@ -326,7 +326,7 @@ def test_the_order_of_axes_numbers_the_variants(out: Path) -> None:
     assert everything(out) == before
 
 
-def test_name_report_and_statements_may_differ(whole: Path, out: Path) -> None:
+def test_resume_allows_changed_name_report_and_statements(whole: Path, out: Path) -> None:
     before = times(out)
     study = changed(
         study={"name": "renamed"},
@@ -340,7 +340,7 @@ def test_name_report_and_statements_may_differ(whole: Path, out: Path) -> None:
     assert_complete(out, whole)
 
 
-def test_another_study_is_refused_by_the_parts_alone(out: Path) -> None:
+def test_other_study_is_refused_from_parts_alone(out: Path) -> None:
     """Nothing but the parts is left to tell whose they are."""
     (out / "manifest.json").write_bytes(b"\x00\xff")
     (out / "study.toml").write_text("[study")
@@ -370,7 +370,7 @@ GARBLED = {
 
 
 @pytest.mark.parametrize("name", GARBLED)
-def test_a_garbled_manifest_costs_nothing(whole: Path, out: Path, name: str) -> None:
+def test_garbled_manifest_requires_no_recomputation(whole: Path, out: Path, name: str) -> None:
     path = out / "manifest.json"
     path.write_bytes(GARBLED[name] or path.read_bytes()[: path.stat().st_size // 2])
     before = times(out)
@@ -382,7 +382,7 @@ def test_a_garbled_manifest_costs_nothing(whole: Path, out: Path, name: str) -> 
 
 
 @pytest.mark.parametrize(("edited", "said"), [(256, "256"), (None, "none"), (1, "1")])
-def test_chunks_of_another_size_cost_no_part(
+def test_changed_chunk_runs_in_manifest_is_refused(
     out: Path, edited: int | None, said: str
 ) -> None:
     """Cut otherwise, no part that is there would be one of the study's."""
@@ -396,7 +396,7 @@ def test_chunks_of_another_size_cost_no_part(
 
 
 @pytest.mark.parametrize("edited", ["0", "-128", "1.5", '"many"'])
-def test_chunks_of_no_size_are_told_by_the_parts(
+def test_invalid_chunk_runs_in_manifest_is_recovered_from_parts(
     whole: Path, out: Path, edited: str
 ) -> None:
     text = (out / "manifest.json").read_text()
@@ -407,7 +407,7 @@ def test_chunks_of_no_size_are_told_by_the_parts(
 
 
 @pytest.mark.parametrize("text", ["", "[study", "[study]\nduration_s = -1", "a = " + "[" * 20_000])
-def test_a_garbled_study_file_costs_nothing(whole: Path, out: Path, text: str) -> None:
+def test_garbled_study_file_is_restored_on_resume(whole: Path, out: Path, text: str) -> None:
     (out / "study.toml").write_text(text)
     assert sweep(out, resume=True) == []
     assert_complete(out, whole)
@@ -430,7 +430,7 @@ def test_results_of_a_version_without_checksums_are_refused(tmp_path: Path) -> N
 
 @pytest.mark.parametrize("name", ["summary", "curves", "figures", "study.toml", "manifest.json"])
 @pytest.mark.parametrize("options", [{}, {"resume": True}, {"overwrite": True}])
-def test_what_is_not_ours_is_never_touched(
+def test_foreign_files_are_refused_and_left_unchanged(
     tmp_path: Path, name: str, options: dict[str, bool]
 ) -> None:
     mine = tmp_path / name
@@ -491,7 +491,7 @@ def test_another_record_or_reference_is_refused(
 # --- the writer ---------------------------------------------------------------------------------
 
 
-def test_there_is_one_writer(out: Path) -> None:
+def test_second_writer_of_directory_is_refused(out: Path) -> None:
     runner = TaskRunner(resume.resumed(out, Job(STUDY, None, None, CHUNK_RUNS)))
     held = store.Store(out, runner, resume=True)
     before = everything(out)
@@ -503,7 +503,7 @@ def test_there_is_one_writer(out: Path) -> None:
     assert sweep(out, resume=True) == []
 
 
-def test_a_writer_that_cannot_begin_lets_go(
+def test_writer_releases_lock_after_failed_start(
     out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as broken:
@@ -513,13 +513,13 @@ def test_a_writer_that_cannot_begin_lets_go(
     assert sweep(out, resume=True) == []
 
 
-def test_a_lock_that_cannot_be_taken_is_one_clear_line(tmp_path: Path) -> None:
+def test_directory_in_place_of_lock_raises_input_error(tmp_path: Path) -> None:
     (tmp_path / "out" / ".lock").mkdir(parents=True)
     with pytest.raises(InputError, match="out: cannot be written: Is a directory"):
         sweep(tmp_path / "out")
 
 
-def test_what_came_before_the_lock_was_taken_is_not_lost(out: Path, whole: Path, tmp_path: Path) -> None:
+def test_results_written_before_lock_are_not_lost(out: Path, whole: Path, tmp_path: Path) -> None:
     """Two starts at a time on a new directory, of which one had ended when the other took hold."""
     for study, chunk_runs in ((STUDY, None), (sweep_study(study={"seed": 2}), CHUNK_RUNS)):
         late = TaskRunner(resume.resumed(tmp_path / "new", Job(study, None, None, chunk_runs)))
@@ -528,7 +528,7 @@ def test_what_came_before_the_lock_was_taken_is_not_lost(out: Path, whole: Path,
     assert parts(out) == parts(whole)
 
 
-def test_what_a_killed_process_left_half_done_goes(whole: Path, out: Path) -> None:
+def test_stale_temporary_files_are_removed_and_others_kept(whole: Path, out: Path) -> None:
     left = [
         ".manifest.json.77.tmp",
         ".study.toml.78.tmp",
@@ -561,7 +561,7 @@ def assert_complete_but(out: Path, whole: Path, mine: list[str]) -> None:
     assert parts(out) == parts(whole)
 
 
-def test_overwriting_leaves_what_a_person_put_there(whole: Path, out: Path) -> None:
+def test_overwrite_keeps_user_files(whole: Path, out: Path) -> None:
     mine = [
         "summary/part-notes.txt",
         "summary/part-best.parquet",
@@ -591,7 +591,7 @@ def test_overwriting_leaves_what_a_person_put_there(whole: Path, out: Path) -> N
     assert {n: b for n, b in parts(out).items() if n not in mine} == parts(whole)
 
 
-def test_overwriting_leaves_nothing_of_what_was_there(out: Path) -> None:
+def test_overwrite_removes_all_previous_results(out: Path) -> None:
     (out / "reruns" / "3").mkdir(parents=True)
     for name in ("summary.parquet", "curve.parquet", "curve.png"):
         (out / "reruns" / "3" / name).write_bytes(b"old")
@@ -604,7 +604,7 @@ def test_overwriting_leaves_nothing_of_what_was_there(out: Path) -> None:
 
 
 @pytest.mark.parametrize("removed", [1, 7, 23])
-def test_overwriting_that_is_killed_leaves_what_can_be_gone_on_with(
+def test_killed_overwrite_leaves_resumable_results(
     whole: Path, out: Path, monkeypatch: pytest.MonkeyPatch, removed: int
 ) -> None:
     other = sweep_study(study={"seed": 2})
@@ -638,7 +638,7 @@ def test_resuming_a_complete_directory_does_nothing(whole: Path, out: Path) -> N
     assert_complete(out, whole)
 
 
-def test_resuming_nothing_begins(whole: Path, tmp_path: Path) -> None:
+def test_resume_of_empty_directory_starts_sweep(whole: Path, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "locked").mkdir()
     (tmp_path / "locked" / ".lock").touch()
@@ -651,7 +651,7 @@ def test_resuming_nothing_begins(whole: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("chunks", [0, 1, 5, CHUNKS - 4])
-def test_a_stop_keeps_what_is_done_and_says_so(
+def test_stopped_sweep_keeps_finished_chunks_and_resumes(
     whole: Path, tmp_path: Path, chunks: int
 ) -> None:
     stop, seen = threading.Event(), []
@@ -682,7 +682,7 @@ def test_a_stop_keeps_what_is_done_and_says_so(
     assert_complete(out, whole)
 
 
-def test_a_stop_after_the_last_chunk_is_none(whole: Path, tmp_path: Path) -> None:
+def test_stop_after_last_chunk_is_ignored(whole: Path, tmp_path: Path) -> None:
     stop = threading.Event()
 
     def tell(now: study_run.RunProgress) -> None:
@@ -694,7 +694,7 @@ def test_a_stop_after_the_last_chunk_is_none(whole: Path, tmp_path: Path) -> Non
     assert_complete(tmp_path / "out", whole)
 
 
-def test_resuming_what_is_complete_cannot_be_interrupted(out: Path) -> None:
+def test_stop_during_resume_of_complete_results_is_ignored(out: Path) -> None:
     stop = threading.Event()
     stop.set()
     assert sweep(out, resume=True, stop=stop) == []
@@ -705,7 +705,7 @@ def test_resuming_what_is_complete_cannot_be_interrupted(out: Path) -> None:
 
 
 @pytest.mark.parametrize("failing", range(2, 27, 5))
-def test_a_write_that_fails_is_one_clear_line_and_costs_nothing_else(
+def test_failed_write_raises_input_error_and_keeps_finished_parts(
     whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing: int
 ) -> None:
     """The n-th file that is to be synced finds the disk full; the first two are no parts."""
@@ -733,7 +733,7 @@ def test_a_write_that_fails_is_one_clear_line_and_costs_nothing_else(
     assert_complete(out, whole)
 
 
-def test_a_failing_chunk_leaves_the_directory_free(whole: Path, tmp_path: Path) -> None:
+def test_failed_chunk_releases_directory_for_resume(whole: Path, tmp_path: Path) -> None:
     def do(runner: TaskRunner, tasks: Any) -> Any:
         yield runner.pack(next(iter(tasks)))
         raise MemoryError
@@ -749,7 +749,7 @@ def test_a_failing_chunk_leaves_the_directory_free(whole: Path, tmp_path: Path) 
 # --- the manifest -------------------------------------------------------------------------------
 
 
-def test_the_manifest_tells_what_made_the_results(whole: Path, out: Path) -> None:
+def test_manifest_records_study_identity_and_timing(whole: Path, out: Path) -> None:
     told = manifest(whole)
     assert told["fingerprint"] == store.fingerprint(STUDY)
     assert told["identity"] == Job(STUDY).identity
@@ -768,7 +768,7 @@ def test_the_manifest_tells_what_made_the_results(whole: Path, out: Path) -> Non
     assert again["wall_s"] == pytest.approx(sum(s["wall_s"] for s in again["sessions"]), abs=0.01)
 
 
-def test_writing_manifests_takes_a_small_share_of_the_time(
+def test_manifest_writing_uses_small_share_of_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """However many chunks there are: here each takes no time, and a manifest a second."""
@@ -796,7 +796,7 @@ def test_writing_manifests_takes_a_small_share_of_the_time(
     assert len(written) >= 5
 
 
-def test_the_room_that_is_asked_for_is_about_what_is_taken(whole: Path) -> None:
+def test_forecast_disk_space_is_near_actual_size(whole: Path) -> None:
     """At 128 runs a part, of which some 20 kB say how it is laid out, more is taken."""
     expected = forecast.of(STUDY)
     taken = sum(len(content) for content in parts(whole).values()) - 2 * CHUNKS * 20_000

@@ -38,7 +38,7 @@ LIMIT = {"judged_from": "limit", "dwell_s": 0.0}
 """A study that judges from the limit."""
 
 
-def test_the_contract_columns_are_there_with_every_axis() -> None:
+def test_summary_has_contract_columns_and_axis_columns() -> None:
     study = small_study(
         axes={"q_reading": ["psd", "per_step"], "p0_yaw_deg": [40.0, 80.0], "reset_count": [0, 2]},
         resets={"reset_cycle_s": 2.0},
@@ -55,13 +55,13 @@ def test_the_contract_columns_are_there_with_every_axis() -> None:
 
 
 @pytest.mark.parametrize("values", [[1, 2], [1.5, 2], ["a", "b"], [(), (1.0, 2.0)]])
-def test_axis_columns_take_the_type_of_their_values(values: list) -> None:
+def test_axis_column_has_type_of_its_values(values: list) -> None:
     column = columns.axis_column("key", values, "")
     array = pa.array([list(v) if isinstance(v, tuple) else v for v in values], column.dtype)
     assert array.null_count == 0
 
 
-def test_a_vector_key_may_be_swept_by_numbers_and_lists() -> None:
+def test_vector_key_can_be_swept_by_numbers_and_lists() -> None:
     study = small_study(axes={"gyro_bias_deg_per_h": [0.1, [0.1, 0.0, 0.0]]})
     table = tables.Tables(study).summary(chunk([0.0] * 2, [[0.0] * 3] * 2), np.arange(2))
     assert table["gyro_bias_deg_per_h"].to_pylist() == [[0.1], [0.1, 0.0, 0.0]]
@@ -99,7 +99,7 @@ SAID = {
 """Unit and meaning of columns of keys."""
 
 
-def test_columns_of_keys_have_their_unit_and_meaning() -> None:
+def test_key_columns_carry_unit_and_meaning() -> None:
     normal = ("gyro_bias_deg_per_h", "gyro_scale_ppm", "gyro_misalignment_arcsec", "accel_bias_ug")
     drawn = {key: {"normal": [0, 1]} for key in (*normal, "ve0_m_per_s")}
     sweep = {
@@ -119,13 +119,13 @@ def test_columns_of_keys_have_their_unit_and_meaning() -> None:
 
 
 @pytest.mark.parametrize("key", [k for name in SWEEPABLE for k in SECTIONS[name].model_fields])
-def test_a_description_names_the_unit_of_its_key(key: str) -> None:
+def test_meaning_of_key_names_its_unit(key: str) -> None:
     """Every key that may be a column has a meaning, and a unit in its name stands in it."""
     _, unit = split_unit(key)
     assert unit in meaning(key) != ""
 
 
-def test_settling_status_and_floor() -> None:
+def test_summary_gives_settling_times_and_status_per_run() -> None:
     study = small_study(
         study=LIMIT, motion=STILL, axes={"phi_u0_deg": [float(i) for i in range(4)]}
     )
@@ -144,7 +144,7 @@ def test_settling_status_and_floor() -> None:
     assert broken["status"].to_pylist() == ["nonfinite"]
 
 
-def test_settling_is_told_in_update_time_and_in_data() -> None:
+def test_settling_time_is_reported_in_update_time_and_data_time() -> None:
     """The data that was there: what had been recorded by then, and no more than the tape."""
     axes = {"passes": [1, 3], "phi_u0_deg": [0.0, 1.0]}
     study = small_study(study=LIMIT, motion=STILL, passes={"tape_s": 2.0}, axes=axes)
@@ -165,7 +165,7 @@ def test_settling_is_told_in_update_time_and_in_data() -> None:
 
 
 @pytest.mark.optimised(False)
-def test_compass_loops_believe_nothing() -> None:
+def test_compass_rows_have_null_sigma_and_consistency() -> None:
     """No sigma and no consistency; the keys that filters read are there, and null."""
     schedules = [([1.0], []), ([2.0, 1.0], [3.0])]
     study = small_study(
@@ -186,7 +186,7 @@ def test_compass_loops_believe_nothing() -> None:
     assert table["phi_u_arcmin"].null_count == table["status"].null_count == 0
 
 
-def test_without_truth_attitude_and_sigma_are_what_is_left() -> None:
+def test_summary_without_truth_has_attitude_and_sigma_only() -> None:
     made = tables.Tables(small_study(), has_truth=False)
     table = made.summary(chunk([0.0], [[0.0, 0.0, 0.0]]), np.arange(1))
     left = {name for name in CONTRACT if table[name].null_count == 0}
@@ -195,7 +195,7 @@ def test_without_truth_attitude_and_sigma_are_what_is_left() -> None:
     assert not left & set(needing)
 
 
-def test_bands_always_hold_the_one_that_decides_the_status() -> None:
+def test_settling_bands_always_include_status_band() -> None:
     study = small_study(study={"settle_bands_arcmin": [30.0]})
     names = [c.name for c in tables.Tables(study).summary_columns]
     assert {"settle_30_s", "settle_10_s"} <= set(names)
@@ -203,7 +203,7 @@ def test_bands_always_hold_the_one_that_decides_the_status() -> None:
     np.testing.assert_allclose(part.group.environment.criteria.bands, np.array([30, 10]) * ARCMIN)
 
 
-def test_drawn_keys_are_columns() -> None:
+def test_drawn_keys_become_summary_columns() -> None:
     """A number, or one for each axis of a vector key, of the draw that a run belongs to."""
     drawn = {
         "yaw_period_s": {"values": [9.0, 10.0]},
@@ -226,7 +226,7 @@ def test_drawn_keys_are_columns() -> None:
 
 
 @pytest.mark.optimised(False)
-def test_single_precision_is_refused_before_earlier_results_go(tmp_path: Path) -> None:
+def test_single_precision_is_refused_without_deleting_results(tmp_path: Path) -> None:
     study = small_study()
     run.run_into(study, tmp_path / "out")
     before = everything(tmp_path / "out")
@@ -261,7 +261,7 @@ def stored(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_rows_come_by_run_and_time(stored: Path) -> None:
+def test_rows_are_sorted_by_run_and_time(stored: Path) -> None:
     assert tables.read_summary(stored)["run_id"].to_pylist() == [0, 1, 2, 3]
     curves = tables.read_curves(stored)
     assert curves["run_id"].to_pylist() == [0, 0, 1, 1, 2, 2, 3, 3]
@@ -275,7 +275,7 @@ def test_rows_come_by_run_and_time(stored: Path) -> None:
     }
 
 
-def test_some_columns_and_runs(stored: Path) -> None:
+def test_read_summary_selects_columns_and_runs(stored: Path) -> None:
     table = tables.read_summary(stored, ["status", "nees"])
     assert table.column_names == ["status", "nees"]
     assert table["nees"].to_pylist() == [0.0, None, 2.0, None]
@@ -285,7 +285,7 @@ def test_some_columns_and_runs(stored: Path) -> None:
         tables.read_summary(stored, ["nees", "nees_u"])
 
 
-def test_only_parts_are_read(stored: Path) -> None:
+def test_reading_ignores_files_that_are_not_parts(stored: Path) -> None:
     """Not what a killed process left half written, nor what a person put there."""
     (stored / "summary" / ".part-0000-000002.parquet.77.tmp").write_bytes(b"PAR1")
     (stored / "summary" / "notes.txt").write_text("mine")
@@ -294,7 +294,7 @@ def test_only_parts_are_read(stored: Path) -> None:
 
 
 @pytest.mark.parametrize("left", ["no directory", "an empty one", "one that holds no part"])
-def test_what_holds_no_part_yet_is_one_clear_line(tmp_path: Path, left: str) -> None:
+def test_directory_without_parts_is_refused_in_one_line(tmp_path: Path, left: str) -> None:
     out = tmp_path / "out"
     if left != "no directory":
         for dataset in ("summary", "curves"):
@@ -314,7 +314,7 @@ def test_what_holds_no_part_yet_is_one_clear_line(tmp_path: Path, left: str) -> 
 
 
 @pytest.mark.parametrize("damage", ["a page", "the end"])
-def test_a_broken_part_is_one_clear_line(stored: Path, damage: str) -> None:
+def test_corrupt_part_is_refused_in_one_line(stored: Path, damage: str) -> None:
     """A bit in a page is seen by its checksum: no row comes out wrong."""
     path = stored / "summary" / "part-0000-000001.parquet"
     content = bytearray(path.read_bytes())
@@ -327,7 +327,7 @@ def test_a_broken_part_is_one_clear_line(stored: Path, damage: str) -> None:
 
 
 @pytest.mark.parametrize("content", [None, b"", b"{", b"\x80", b"[]", b"null", b"3"])
-def test_a_manifest_that_is_none_is_one_clear_line(tmp_path: Path, content: bytes | None) -> None:
+def test_unreadable_manifest_is_refused_in_one_line(tmp_path: Path, content: bytes | None) -> None:
     if content is not None:
         (tmp_path / "manifest.json").write_bytes(content)
     with pytest.raises(InputError, match="holds no readable manifest.json"):
@@ -354,7 +354,7 @@ READERS: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("dataset", READERS)
-def test_no_bit_of_a_part_turns_unseen(stored: Path, dataset: str) -> None:
+def test_any_flipped_bit_in_part_is_detected(stored: Path, dataset: str) -> None:
     """Checksums of pages leave footers and page headers out: a flip there can read as nulls."""
     manifest_of(stored)
     path = stored / dataset / "part-0000-000001.parquet"
@@ -373,7 +373,7 @@ def test_no_bit_of_a_part_turns_unseen(stored: Path, dataset: str) -> None:
     assert READERS[dataset](stored)
 
 
-def test_reading_may_be_trusting(stored: Path) -> None:
+def test_reading_with_verify_false_skips_checksums(stored: Path) -> None:
     manifest_of(stored)
     path = stored / "summary" / "part-0000-000001.parquet"
     table = pq.read_table(path)
@@ -389,7 +389,7 @@ def test_reading_may_be_trusting(stored: Path) -> None:
     assert tables.read_curves(stored, verify=False).num_rows == 4
 
 
-def test_a_part_that_the_manifest_does_not_know_yet_is_read(stored: Path) -> None:
+def test_part_not_yet_in_manifest_is_read(stored: Path) -> None:
     """A sweep writes its manifest less often than its parts."""
     manifest_of(stored)
     told = json.loads((stored / "manifest.json").read_text())
@@ -400,7 +400,7 @@ def test_a_part_that_the_manifest_does_not_know_yet_is_read(stored: Path) -> Non
 
 
 @pytest.mark.parametrize("name", ["summary", "curves"])
-def test_parts_that_are_all_lost_are_named(stored: Path, name: str) -> None:
+def test_missing_parts_are_reported_by_name(stored: Path, name: str) -> None:
     manifest_of(stored)
     read = tables.read_summary if name == "summary" else tables.read_curves
     lost = sorted((stored / name).glob("*.parquet"))
@@ -414,7 +414,7 @@ def test_parts_that_are_all_lost_are_named(stored: Path, name: str) -> None:
         assert read(stored, verify=False).num_rows == 0
 
 
-def test_a_part_that_comes_while_it_is_looked_for_is_not_missing(
+def test_part_written_during_reading_is_not_reported_missing(
     stored: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Parts are listed before the manifest is read, which may know of one more by then."""
@@ -424,7 +424,7 @@ def test_a_part_that_comes_while_it_is_looked_for_is_not_missing(
     assert 0 < tables.read_summary(stored).num_rows < 4
 
 
-def test_a_part_is_hashed_once_a_process(stored: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_part_is_hashed_once_per_process(stored: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     manifest_of(stored)
     for path in stored.rglob("*.*"):
         os.utime(path, (1e9, 1e9))
@@ -434,7 +434,7 @@ def test_a_part_is_hashed_once_a_process(stored: Path, monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("chunks", ["3", "[3]", '[{"files": [{}]}]', '[{"files": 3}]'])
-def test_a_manifest_of_another_shape_is_one_clear_line(stored: Path, chunks: str) -> None:
+def test_manifest_with_invalid_chunks_is_refused_in_one_line(stored: Path, chunks: str) -> None:
     (stored / "manifest.json").write_text(f'{{"chunks": {chunks}}}')
     with pytest.raises(InputError, match="manifest.json: invalid chunks"):
         tables.read_summary(stored)

@@ -45,14 +45,14 @@ def assert_same(one: study_run.Results, other: study_run.Results) -> None:
 
 
 @pytest.mark.representative("worlds", "passes", "drawn")
-def test_rows_are_the_same_for_any_chunk(name: str, reference: study_run.Results) -> None:
+def test_rows_do_not_depend_on_chunk_size(name: str, reference: study_run.Results) -> None:
     """The smallest, and one that holds all runs."""
     assert_same(study_run.run(study_of(name), chunk_runs=2), reference)
     if name == "worlds":
         assert_same(study_run.run(study_of(name), chunk_runs=10**6), reference)
 
 
-def test_bytes_are_the_same_in_any_order_and_place(
+def test_result_bytes_do_not_depend_on_task_order_or_runner(
     name: str, reference: study_run.Results, tmp_path: Path
 ) -> None:
     """Every task is done by a workshop of its own, which knows of no other."""
@@ -75,7 +75,7 @@ def test_bytes_are_the_same_in_any_order_and_place(
         assert a.cast(b.schema).equals(b)
 
 
-def test_draws_added_later_leave_earlier_rows_alone(
+def test_additional_draws_leave_earlier_rows_unchanged(
     name: str, reference: study_run.Results
 ) -> None:
     study = study_of(name)
@@ -88,7 +88,7 @@ def test_draws_added_later_leave_earlier_rows_alone(
     )
 
 
-def test_every_run_is_there_once(name: str, reference: study_run.Results) -> None:
+def test_summary_and_curves_contain_every_run_once(name: str, reference: study_run.Results) -> None:
     study = study_of(name)
     runs = np.arange(study.n_draws * study.n_variants)
     np.testing.assert_array_equal(reference.summary["run_id"], runs)
@@ -103,7 +103,7 @@ def test_every_run_is_there_once(name: str, reference: study_run.Results) -> Non
 
 @settings(max_examples=15)
 @given(st.integers(1, 3000), st.integers(1, 30), st.none() | st.integers(1, 5000))
-def test_tasks_depend_on_the_study_alone_and_hold_every_run(
+def test_tasks_are_deterministic_and_cover_every_run(
     draws: int, variants: int, chunk_runs: int | None
 ) -> None:
     study = small_study(
@@ -118,7 +118,7 @@ def test_tasks_depend_on_the_study_alone_and_hold_every_run(
         assert all(task.runs <= max(2 * LANES, chunk_runs + LANES) for task in tasks)
 
 
-def test_a_job_knows_study_record_and_reference() -> None:
+def test_job_identity_depends_on_study_record_and_reference() -> None:
     study = study_from_dict(
         {
             "study": {"duration_s": 2.0, "rate_hz": 100.0, "window_s": [0, 2]},
@@ -149,7 +149,7 @@ def test_a_job_knows_study_record_and_reference() -> None:
     assert Job(small_study(study={"name": "other"}), None, True, 64).identity == known[-2]
 
 
-def test_many_threads_compile_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_threads_compile_each_part_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whoever comes first compiles a part; the others wait for it."""
     made: list[int] = []
     compile_part = TaskRunner._compile
@@ -169,11 +169,11 @@ def test_many_threads_compile_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert sorted(made) == [0, 1]
 
 
-def test_failures_are_counted_as_they_are_called() -> None:
+def test_failures_count_diverged_and_nonfinite_runs() -> None:
     status = ["ok", "diverged", "not_settled", "nonfinite", None, "diverged"]
     assert runs.failures(pa.table({"status": status})) == 3
 
 
-def test_a_study_and_a_record_must_go_together() -> None:
+def test_record_for_simulated_study_is_refused() -> None:
     with pytest.raises(InputError, match="reads no record"):
         TaskRunner(Job(small_study(), StoredRecord(build.simulated_record(small_study()), None)))

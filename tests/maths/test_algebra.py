@@ -11,7 +11,7 @@ vectors = st.builds(Vec3, number, number, number)
 
 
 @given(vectors, vectors, number)
-def test_vectors_as_numpy(a, b, factor):
+def test_vector_operations_match_numpy(a, b, factor):
     x, y = np.array(a), np.array(b)
     np.testing.assert_allclose(algebra.add(a, b), x + y)
     np.testing.assert_allclose(algebra.scale(factor, a), factor * x)
@@ -20,7 +20,7 @@ def test_vectors_as_numpy(a, b, factor):
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 10])
-def test_triangle_is_the_upper_one_row_by_row(n):
+def test_triangle_index_is_row_major_upper_triangle(n):
     index = algebra.triangle_index(n)
     for k, (i, j) in enumerate(zip(*np.triu_indices(n), strict=True)):
         assert index[i, j] == index[j, i] == k
@@ -32,7 +32,7 @@ def symmetric(triangle, n):
     return np.array([[triangle[index[i, j]] for j in range(n)] for i in range(n)])
 
 
-def test_diagonal_triangle():
+def test_diagonal_triangle_is_diagonal_matrix():
     np.testing.assert_array_equal(
         symmetric(algebra.diagonal_triangle([1.0, 2.0, 3.0]), 3), np.diag([1.0, 2.0, 3.0])
     )
@@ -50,7 +50,7 @@ def sparse_matrices(draw):
 
 
 @given(sparse_matrices())
-def test_sparse_products_as_dense(case):
+def test_sparse_products_match_dense_products(case):
     n, entries, dense, seed = case
     rng = np.random.default_rng(seed)
     x, half = rng.normal(size=n), rng.normal(size=(n, n))
@@ -61,12 +61,12 @@ def test_sparse_products_as_dense(case):
     np.testing.assert_allclose(symmetric(out, n), dense @ p @ dense.T, rtol=1e-12, atol=1e-10)
 
 
-def test_a_plain_zero_costs_nothing_even_beside_what_is_not_finite():
+def test_zero_entry_ignores_infinite_operand():
     assert algebra.times_plus_identity({(0, 1): 0.0}, [1.0, np.inf]) == (1.0, np.inf)
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_solve3(seed):
+def test_solve3_matches_numpy_solve(seed):
     rng = np.random.default_rng(seed)
     # Variances as unequal as those of level and yaw.
     spread = 10.0 ** rng.uniform(-4, 0, 3)

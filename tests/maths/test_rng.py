@@ -32,13 +32,13 @@ ONES, PI = (2**32 - 1,) * 2, ((0x13198A2E, 0x03707344), (0x243F6A88, 0x85A308D3)
         (20, *PI, (0xC4923A9C, 0x483DF7A0)),
     ],
 )
-def test_threefry_gives_the_authors_test_vectors(rounds, key, counter, expected):
+def test_threefry_matches_random123_test_vectors(rounds, key, counter, expected):
     """From the file kat_vectors of Random123."""
     assert tuple(map(int, threefry(word(*key), word(*counter), rounds))) == expected
 
 
 @given(words, words, words, words)
-def test_threefry_with_20_rounds_is_that_of_jax(k0, k1, c0, c1):
+def test_threefry_with_20_rounds_matches_jax(k0, k1, c0, c1):
     ours = threefry(word(k0, k1), word(c0, c1), 20)
     theirs = threefry_2x32(jnp.array([k0, k1], jnp.uint32), jnp.array([c0, c1], jnp.uint32))
     np.testing.assert_array_equal(jnp.stack(ours), theirs)
@@ -53,12 +53,12 @@ def box_muller(a, b):
 
 
 @given(words, words)
-def test_a_pair_is_box_and_mullers(a, b):
+def test_normal_pair_matches_box_muller(a, b):
     x, y = normal_pair(word(a, b))
     np.testing.assert_allclose([x, y], box_muller(a, b), rtol=0, atol=SINGLE)
 
 
-def test_the_extreme_words_give_finite_numbers():
+def test_normal_pair_is_finite_for_extreme_words():
     ends = np.array([0, 2**8 - 1, 2**31, 2**32 - 1])
     a, b = map(np.ravel, np.meshgrid(ends, ends))
     pairs = np.stack(jax.vmap(lambda *w: normal_pair(w))(*word(a, b)))
@@ -66,7 +66,7 @@ def test_the_extreme_words_give_finite_numbers():
     assert np.abs(pairs).max() < 5.89
 
 
-def test_tails_are_normal():
+def test_normal_pair_tail_counts_match_normal_distribution():
     """Counts beyond 3, 4 and 4.5 sigma of 12 million numbers, on both sides."""
     draw = jax.jit(jax.vmap(lambda n: normal_pair(threefry(word(1, 2), (n, jnp.uint32(3))))))
     bounds, million = np.array([3.0, 4.0, 4.5]), np.arange(1_000_000, dtype=np.uint32)

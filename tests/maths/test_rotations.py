@@ -35,7 +35,7 @@ def rows(q):
 
 
 @given(lengths, seeds)
-def test_exp_as_scipy_up_to_a_full_turn(length, seed):
+def test_exp_matches_half_angle_formula_up_to_full_turn(length, seed):
     v = length * direction(seed)
     q = np.array(rotations.exp(vec(v)))
     np.testing.assert_allclose(np.linalg.norm(q), 1, atol=1e-14)
@@ -45,7 +45,7 @@ def test_exp_as_scipy_up_to_a_full_turn(length, seed):
 
 
 @given(st.floats(0, 2), seeds)
-def test_exp_of_a_sample_is_exp_where_samples_are(length, seed):
+def test_exp_of_sample_equals_exp_for_small_rotations(length, seed):
     """The same bits up to 0.3 rad in a sample, 1,700 deg/s at 100 Hz."""
     v = vec(length * direction(seed))
     q, whole = np.array(rotations.exp_of_sample(v)), np.array(rotations.exp(v))
@@ -54,7 +54,7 @@ def test_exp_of_a_sample_is_exp_where_samples_are(length, seed):
 
 
 @given(st.floats(0, np.pi) | lengths.filter(lambda a: a <= np.pi), seeds, st.booleans())
-def test_log_inverts_exp_and_does_not_mind_the_sign(length, seed, negative):
+def test_log_inverts_exp_for_either_quaternion_sign(length, seed, negative):
     v = length * direction(seed)
     q = rotations.exp(vec(v))
     back = np.array(rotations.log(Quat(*(-c for c in q)) if negative else q))
@@ -65,7 +65,7 @@ def test_log_inverts_exp_and_does_not_mind_the_sign(length, seed, negative):
 
 
 @given(seeds)
-def test_log_takes_the_short_way_beyond_half_a_turn(seed):
+def test_log_returns_shorter_rotation_beyond_half_turn(seed):
     v = 1.2 * np.pi * direction(seed)
     np.testing.assert_allclose(
         rotations.log(rotations.exp(vec(v))), -0.8 * np.pi * direction(seed), rtol=1e-13
@@ -89,13 +89,13 @@ def there_and_back_derivative(v):
 
 
 @pytest.mark.parametrize("length", [1e-9, 0.99e-8, 2.01e-8, 1e-3, 3.0])
-def test_log_has_the_right_derivative_on_both_sides_of_its_small_branch(length):
+def test_log_derivative_is_correct_around_small_angle_branch(length):
     jacobian = there_and_back_derivative(length * direction(3))
     np.testing.assert_allclose(jacobian, np.eye(3), atol=1e-7)
 
 
 @given(seeds, seeds)
-def test_products_rotate_as_matrices(one, two):
+def test_quaternion_operations_match_rotation_matrices(one, two):
     a, b = random_quat(one), random_quat(two)
     ca, cb = of_quaternion(a), of_quaternion(b)
     np.testing.assert_allclose(rows(a), ca, atol=1e-15)
@@ -106,13 +106,13 @@ def test_products_rotate_as_matrices(one, two):
 
 
 @given(seeds, st.floats(1e-3, 1e3))
-def test_normalise(seed, length):
+def test_normalise_recovers_unit_quaternion(seed, length):
     q = random_quat(seed)
     np.testing.assert_allclose(rotations.normalise(Quat(*(length * c for c in q))), q, atol=1e-15)
 
 
 @given(seeds, seeds)
-def test_rotate_small_is_a_rotation_to_the_third_order(one, two):
+def test_rotate_small_matches_exact_rotation_to_third_order(one, two):
     h, q = 1e-4 * direction(one), random_quat(two)
     turned = rotations.rotate_small(Vec3(*h), q)
     np.testing.assert_allclose(np.linalg.norm(turned), 1, rtol=0, atol=1e-15)
@@ -128,7 +128,7 @@ pitches = st.floats(-1.57, 1.57)
 @given(pitches, angle, angle)
 @example(0.3, np.pi, -np.pi)
 @example(-0.3, 0.0, np.pi)
-def test_euler_angles_both_ways(pitch, roll, yaw):
+def test_euler_angles_match_scipy_and_round_trip(pitch, roll, yaw):
     q = rotations.from_euler(pitch, roll, yaw)
     c = Rotation.from_euler("ZXY", [yaw, pitch, roll]).as_matrix()
     np.testing.assert_allclose(rows(q), c, atol=2e-15)
@@ -140,25 +140,25 @@ def test_euler_angles_both_ways(pitch, roll, yaw):
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_to_euler_stays_finite_when_it_points_straight_up(sign):
+def test_to_euler_is_finite_at_vertical_pitch(sign):
     pitch, roll, yaw = rotations.to_euler(rotations.from_euler(sign * np.pi / 2, 0.2, 0.5))
     np.testing.assert_allclose(pitch, sign * np.pi / 2, atol=1e-7)
     assert np.isfinite(roll) and np.isfinite(yaw)
 
 
-def test_positive_yaw_turns_the_nose_from_north_to_west():
+def test_positive_yaw_turns_nose_from_north_to_west():
     nose = rotations.rotate(rotations.from_euler(0.0, 0.0, np.pi / 2), Vec3(0.0, 1.0, 0.0))
     np.testing.assert_allclose(nose, [-1, 0, 0], atol=1e-15)
 
 
-def test_positive_pitch_lifts_the_nose_and_positive_roll_lowers_the_right_side():
+def test_positive_pitch_lifts_nose_and_roll_lowers_right_side():
     nose = rotations.rotate(rotations.from_euler(0.1, 0.0, 0.0), Vec3(0.0, 1.0, 0.0))
     right = rotations.rotate(rotations.from_euler(0.0, 0.1, 0.0), Vec3(1.0, 0.0, 0.0))
     np.testing.assert_allclose((nose.z, right.z), [np.sin(0.1), -np.sin(0.1)], atol=1e-15)
 
 
 @given(lengths.filter(lambda a: a < 3.14), seeds, seeds)
-def test_misalignment_convention(length, one, two):
+def test_misalign_applies_exp_minus_phi_and_correct_inverts_it(length, one, two):
     phi, q = length * direction(one), random_quat(two)
     off = rotations.misalign(vec(phi), q)
     np.testing.assert_allclose(rows(off), exp(-phi) @ of_quaternion(q), atol=5e-15)
@@ -167,14 +167,14 @@ def test_misalignment_convention(length, one, two):
 
 
 @given(seeds, seeds)
-def test_misalignment_is_the_rotation_vector_of_true_times_computed_transposed(one, two):
+def test_misalignment_is_rotation_vector_of_true_times_computed_transposed(one, two):
     a, b = random_quat(one), random_quat(two)
     expected = Rotation.from_matrix(of_quaternion(a) @ of_quaternion(b).T).as_rotvec()
     np.testing.assert_allclose(rotations.misalignment(a, b), expected, atol=1e-7)
 
 
 @pytest.mark.parametrize(("most", "error"), [(np.pi / 4, 2.3e-16), (1.0, 1e-12)])
-def test_sines_near_zero(most, error):
+def test_sin_cos_near_zero_matches_numpy(most, error):
     x = np.linspace(-most, most, 2001)
     sin, cos = jax.jit(jax.vmap(rotations.sin_cos_near_zero))(x)
     np.testing.assert_allclose(sin, np.sin(x), rtol=0, atol=error)

@@ -64,7 +64,7 @@ def start(tmp_path: Path) -> Iterator[Start]:
         process.communicate("\n", timeout=60)
 
 
-def test_every_process_has_a_core_of_its_own_until_it_ends(start: Start) -> None:
+def test_each_process_holds_separate_core_until_it_ends(start: Start) -> None:
     first, process = start()
     assert first == f"[{CORES[0]}]"
     others = [start()[0] for _ in CORES[1:]]
@@ -76,15 +76,15 @@ def test_every_process_has_a_core_of_its_own_until_it_ends(start: Start) -> None
     assert start()[0] == first
 
 
-def test_import_takes_a_core_before_jax_has_threads(start: Start) -> None:
+def test_import_pins_process_before_jax_starts_threads(start: Start) -> None:
     assert start(bare=False)[0] == f"[{CORES[0]}]"
 
 
-def test_without_being_asked_a_process_is_left_alone(start: Start) -> None:
+def test_affinity_is_unchanged_unless_requested(start: Start) -> None:
     assert start(asked="0")[0] == str(CORES)
 
 
-def test_a_folder_that_others_can_write_to_is_not_used(start: Start, tmp_path: Path) -> None:
+def test_world_writable_lock_folder_is_not_used(start: Start, tmp_path: Path) -> None:
     folder = tmp_path / f"sinsjax-{os.getuid()}"
     folder.mkdir()
     folder.chmod(0o777)
@@ -92,7 +92,7 @@ def test_a_folder_that_others_can_write_to_is_not_used(start: Start, tmp_path: P
     assert not list(folder.iterdir())
 
 
-def test_threads_that_start_meanwhile_are_kept_too(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_threads_started_during_pinning_are_pinned_too(monkeypatch: pytest.MonkeyPatch) -> None:
     """By one that has not its core yet, they have not theirs."""
     seen, kept = iter([{1, 2}, {1, 2, 3}, {1, 3, 4}, {1, 3, 4}]), list[int]()
     monkeypatch.setattr(affinity, "_threads", lambda: next(seen))

@@ -34,7 +34,7 @@ def unchanged(monkeypatch, tmp_path):
         jax.config.update(key, value)
 
 
-def test_nothing_is_kept_where_it_is_not_wanted(unchanged, tmp_path):
+def test_cache_is_off_when_variable_is_zero(unchanged, tmp_path):
     unchanged.setenv(compile_cache.VARIABLE, "0")
     assert compile_cache.enable() is None
     assert compile_cache.why_off() == "SINSJAX_COMPILE_CACHE=0"
@@ -43,7 +43,7 @@ def test_nothing_is_kept_where_it_is_not_wanted(unchanged, tmp_path):
 
 
 @pytest.mark.parametrize("asked", ["", " "])
-def test_it_is_on_by_default_and_bounded(unchanged, tmp_path, asked):
+def test_cache_is_on_by_default_with_bounded_size(unchanged, tmp_path, asked):
     unchanged.setenv(compile_cache.VARIABLE, asked)
     unchanged.setattr(compile_cache, "SAFE_JAXLIB", {importlib.metadata.version("jaxlib")})
     here = compile_cache.enable()
@@ -51,7 +51,7 @@ def test_it_is_on_by_default_and_bounded(unchanged, tmp_path, asked):
     assert jax.config.values["jax_compilation_cache_max_size"] == compile_cache.MOST_BYTES
 
 
-def test_by_default_it_is_off_with_a_jaxlib_that_was_not_tried(unchanged, tmp_path):
+def test_cache_is_off_by_default_with_untested_jaxlib(unchanged, tmp_path):
     unchanged.setattr(compile_cache, "SAFE_JAXLIB", frozenset())
     assert compile_cache.enable() is None
     assert compile_cache.why_off().startswith("not tested with jaxlib")
@@ -59,7 +59,7 @@ def test_by_default_it_is_off_with_a_jaxlib_that_was_not_tried(unchanged, tmp_pa
     assert compile_cache.enable().is_relative_to(tmp_path)
 
 
-def test_by_default_a_folder_of_jaxs_own_stays(unchanged, tmp_path):
+def test_existing_jax_cache_folder_is_kept_by_default(unchanged, tmp_path):
     jax.config.update("jax_compilation_cache_dir", str(tmp_path / "users"))
     assert compile_cache.enable() is None
     assert compile_cache.why_off() == "JAX already has a compilation cache"
@@ -76,7 +76,7 @@ def test_by_default_a_folder_of_jaxs_own_stays(unchanged, tmp_path):
         (lambda home: (home / "sinsjax").write_text(""), "Not a directory"),
     ],
 )
-def test_by_default_a_folder_that_cannot_be_had_stops_nothing(unchanged, tmp_path, spoil, told):
+def test_unusable_default_folder_turns_cache_off(unchanged, tmp_path, spoil, told):
     unchanged.setattr(compile_cache, "SAFE_JAXLIB", {importlib.metadata.version("jaxlib")})
     spoil(tmp_path)
     assert compile_cache.enable() is None
@@ -84,7 +84,7 @@ def test_by_default_a_folder_that_cannot_be_had_stops_nothing(unchanged, tmp_pat
     assert jax.config.values["jax_compilation_cache_dir"] is None
 
 
-def test_the_folder_is_this_users_alone_and_has_one_for_each_jaxlib_and_cpu(unchanged, tmp_path):
+def test_cache_folder_is_private_and_separate_per_jaxlib_and_cpu(unchanged, tmp_path):
     unchanged.setenv(compile_cache.VARIABLE, "1")
     here = compile_cache.enable()
     assert str(here) == jax.config.values["jax_compilation_cache_dir"]
@@ -100,7 +100,7 @@ def test_the_folder_is_this_users_alone_and_has_one_for_each_jaxlib_and_cpu(unch
     assert here.parent == other_cpu.parent == other_jaxlib.parent
 
 
-def test_a_folder_that_others_can_write_to_is_refused(unchanged, tmp_path):
+def test_cache_folder_writable_by_others_is_refused(unchanged, tmp_path):
     unchanged.setenv(compile_cache.VARIABLE, str(tmp_path / "mine"))
     folder = compile_cache.enable()
     folder.chmod(0o707)
@@ -108,7 +108,7 @@ def test_a_folder_that_others_can_write_to_is_refused(unchanged, tmp_path):
         compile_cache.enable()
 
 
-def test_a_folder_above_that_others_can_write_to_is_refused(unchanged, tmp_path):
+def test_parent_folder_writable_by_others_is_refused(unchanged, tmp_path):
     """They rename the leaf as soon as it is there, and put their own in its place."""
     (tmp_path / "theirs").mkdir()
     (tmp_path / "theirs").chmod(0o777)
@@ -132,7 +132,7 @@ def test_a_folder_above_that_others_can_write_to_is_refused(unchanged, tmp_path)
         ("~nosuchuser/x", "~nosuchuser/x: no such user"),
     ],
 )
-def test_a_folder_that_cannot_be_made_is_named(unchanged, tmp_path, asked, told):
+def test_cache_folder_that_cannot_be_created_raises_input_error(unchanged, tmp_path, asked, told):
     (tmp_path / "file").write_text("")
     (tmp_path / "loop").symlink_to("loop")
     unchanged.setenv(compile_cache.VARIABLE, asked.format(tmp_path))
@@ -190,7 +190,7 @@ def filled(first):
     return folder / "cache", inner, bits
 
 
-def test_a_second_process_finds_what_the_first_compiled(filled):
+def test_second_process_reuses_compiled_programs_of_first(filled):
     """And gives the same bits."""
     folder, _, bits = filled
     assert told(start(folder)) == (bits, True)
@@ -228,7 +228,7 @@ def replace(inner: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("spoil", [cut, flip, orphan, forget, replace])
-def test_a_spoiled_cache_changes_no_bit_and_is_whole_again(filled, spoil):
+def test_corrupt_cache_entry_is_recompiled_with_same_result(filled, spoil):
     folder, inner, bits = filled
     spoil(inner)
     assert told(start(folder)) == (bits, False)
@@ -236,13 +236,13 @@ def test_a_spoiled_cache_changes_no_bit_and_is_whole_again(filled, spoil):
 
 
 @pytest.mark.slow
-def test_first_starts_at_once(tmp_path, first):
+def test_simultaneous_first_starts_give_same_result(tmp_path, first):
     processes = [start(tmp_path / "new") for _ in range(3)]
     assert [told(process)[0] for process in processes] == 3 * [first[1]]
     assert told(start(tmp_path / "new")) == (first[1], True)
 
 
-def test_an_entry_that_is_cut_short_is_not_recorded(filled):
+def test_truncated_cache_entry_is_not_recorded(filled):
     _, inner, _ = filled
     (entry,) = inner.glob("*-cache")
     short = entry.with_name(f"short{entry.name}")
@@ -252,7 +252,7 @@ def test_an_entry_that_is_cut_short_is_not_recorded(filled):
     assert list(json.loads((inner / "sums.json").read_text())) == [entry.name]
 
 
-def test_a_lock_that_another_process_keeps_turns_it_off(unchanged, filled):
+def test_lock_held_by_other_process_turns_cache_off(unchanged, filled):
     folder, _, _ = filled
     unchanged.setenv(compile_cache.VARIABLE, str(folder))
     unchanged.setattr(compile_cache, "_PATIENCE_S", 0.05)
@@ -263,7 +263,7 @@ def test_a_lock_that_another_process_keeps_turns_it_off(unchanged, filled):
     assert compile_cache.why_off().startswith("another process holds the lock")
 
 
-def test_folders_of_other_machines_are_not_kept_for_ever(unchanged, tmp_path):
+def test_old_cache_folders_are_removed(unchanged, tmp_path):
     unchanged.setenv(compile_cache.VARIABLE, "1")
     here = compile_cache.enable()
     for age in range(compile_cache.MOST_FOLDERS + 3):

@@ -80,12 +80,12 @@ def test_every_innermost_loop_must_be_fused(text, fused):
 
 
 @pytest.mark.skipif(xla.opted_out(), reason="the XLA options are opted out of")
-def test_options_are_at_work_in_this_process():
+def test_xla_options_are_active_in_this_process():
     assert options_seen() == {"fused_loop": True, "multi_output_fusion": True}
 
 
 @pytest.mark.skipif(xla.opted_out(), reason="the XLA options are opted out of")
-def test_a_real_program_tells_a_fused_loop_from_one_that_cannot_be():
+def test_compiled_program_with_unfusable_loop_is_detected():
     def nested(x, inner):
         def record(x, _):
             return jax.lax.scan(lambda x, _: (inner(x), None), x, length=5)[0], x

@@ -32,7 +32,7 @@ X86 = "fpu sse4_2 avx f16c"
         ({}, "AVX2", "x86_64 to AVX2"),
     ],
 )
-def test_the_instruction_set_is_the_machines_as_far_as_xla_may_use_it(
+def test_instruction_set_follows_cpu_flags_and_xla_limit(
     monkeypatch: pytest.MonkeyPatch, told: dict[str, str], limit: str, expected: str
 ) -> None:
     monkeypatch.setattr(machine, "cpu", lambda: told)
@@ -58,7 +58,7 @@ def refused(folder: Path) -> tuple[str, str]:
 
 
 @modes
-def test_what_is_missing_is_made_for_this_user_alone(tmp_path: Path) -> None:
+def test_missing_folders_are_created_private_to_user(tmp_path: Path) -> None:
     before = os.umask(0)
     try:
         assert machine.private_folder(tmp_path / "a" / "b") == (tmp_path / "a" / "b").resolve()
@@ -70,7 +70,7 @@ def test_what_is_missing_is_made_for_this_user_alone(tmp_path: Path) -> None:
 
 @modes
 @pytest.mark.parametrize("between", ["", "deep/"])
-def test_a_folder_above_that_others_can_write_to_is_refused(tmp_path: Path, between: str) -> None:
+def test_folder_below_world_writable_parent_is_refused(tmp_path: Path, between: str) -> None:
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o777)
     leaf = tmp_path / "open" / f"{between}leaf"
@@ -81,7 +81,7 @@ def test_a_folder_above_that_others_can_write_to_is_refused(tmp_path: Path, betw
 
 
 @modes
-def test_a_sticky_folder_is_one_to_be_safe_in_only_if_the_superusers(
+def test_sticky_parent_is_accepted_only_if_owned_by_root(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sticky = tmp_path / "sticky"
@@ -97,7 +97,7 @@ def test_a_sticky_folder_is_one_to_be_safe_in_only_if_the_superusers(
 
 
 @modes
-def test_the_folder_itself_has_to_be_this_users(
+def test_folder_owned_by_another_user_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "mine").mkdir()
@@ -107,7 +107,7 @@ def test_the_folder_itself_has_to_be_this_users(
 
 @modes
 @pytest.mark.skipif(not hasattr(os, "chown") or os.geteuid() != 0, reason="needs a second user")
-def test_a_folder_above_that_is_somebody_elses_is_refused(tmp_path: Path) -> None:
+def test_folder_below_parent_of_another_user_is_refused(tmp_path: Path) -> None:
     """As closed as it is: its owner opens it when it pays."""
     theirs = tmp_path / "theirs"
     theirs.mkdir(mode=0o700)
@@ -116,7 +116,7 @@ def test_a_folder_above_that_is_somebody_elses_is_refused(tmp_path: Path) -> Non
 
 
 @modes
-def test_a_link_is_followed_once_and_what_it_led_to_is_checked(tmp_path: Path) -> None:
+def test_links_are_followed_once_and_their_targets_checked(tmp_path: Path) -> None:
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o777)
     (tmp_path / "mine").mkdir()
@@ -131,7 +131,7 @@ def test_a_link_is_followed_once_and_what_it_led_to_is_checked(tmp_path: Path) -
 
 
 @modes
-def test_whoever_makes_it_first_is_noticed(
+def test_folder_replaced_by_link_during_creation_raises(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     make = Path.mkdir
@@ -160,7 +160,7 @@ GROUPS = [
 
 @modes
 @pytest.mark.parametrize(("group", "accounts", "members", "alone"), GROUPS)
-def test_a_group_without_other_members_is_not_others(
+def test_group_writable_parent_is_accepted_only_without_other_members(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     group: str,
@@ -190,7 +190,7 @@ def test_a_group_without_other_members_is_not_others(
 
 
 @modes
-def test_without_a_home_there_is_no_cache_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cache_folder_without_home_raises(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(platformdirs, "user_cache_path", lambda *_, **__: Path("~/.cache/sinsjax"))
     with pytest.raises(OSError, match="this user has no cache folder"):
         machine.cache_folder()

@@ -28,7 +28,7 @@ def python(script: str, **environment: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_configure_when_jax_has_started():
+def test_configure_after_jax_start_refuses_other_device_count():
     assert len(jax.devices()) == 2
     runtime.configure(devices=2)
     runtime.configure()
@@ -38,7 +38,7 @@ def test_configure_when_jax_has_started():
         runtime.configure(devices=0)
 
 
-def test_import_changes_nothing_but_the_options_and_configure_does_the_rest():
+def test_import_sets_only_xla_flags_and_configure_sets_precision():
     told = python(
         """
 import json, os
@@ -63,7 +63,7 @@ print(json.dumps([changed, precision, count, sinsjax.platform.runtime.info()]))
     assert told.stderr == ""
 
 
-def test_without_the_options_the_loop_is_not_fused_and_the_default_is_the_users_device_count():
+def test_opt_out_disables_loop_fusion_and_keeps_user_device_count():
     told = python(
         """
 import json, sinsjax
@@ -80,13 +80,13 @@ print(json.dumps(sinsjax.platform.runtime.info()))
     assert (info["x64"], len(info["devices"])) == (False, 4)
 
 
-def test_a_late_import_warns_and_says_what_to_do():
+def test_import_after_jax_start_warns_with_remedy():
     told = python("import jax; jax.devices(); import sinsjax")
     assert "OptionsWarning: sinsjax's XLA options are not in force" in told.stderr
     assert f"set XLA_FLAGS={merge_options('')}" in told.stderr
 
 
-def test_info_names_what_is_installed():
+def test_info_reports_versions_and_hardware():
     info = runtime.info()
     assert info["python"] == ".".join(map(str, sys.version_info[:3]))
     assert info["jax"] == jax.__version__
@@ -96,7 +96,7 @@ def test_info_names_what_is_installed():
     json.dumps(info)
 
 
-def test_importing_the_package_loads_nothing_that_takes_long() -> None:
+def test_package_import_loads_no_heavy_modules() -> None:
     """Not even JAX, whose options it sets; each name is imported when it is first used."""
     code = "import sys, sinsjax; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -67,7 +67,7 @@ def no_process(monkeypatch):
         ),
     ],
 )
-def test_merge_extends_what_the_user_has_set(flags, merged):
+def test_merge_options_extends_user_flags(flags, merged):
     assert merge_options(flags) == merged
 
 
@@ -90,7 +90,7 @@ def user_flags(draw):
 
 
 @given(user_flags())
-def test_merge_keeps_every_value_of_the_user_and_adds_the_rest_once(flags):
+def test_merge_options_keeps_user_values_and_adds_rest_once(flags):
     merged = merge_options(flags)
     assert flag_values(merged) == ALL | flag_values(flags)
     assert merge_options(merged) == merged
@@ -105,13 +105,13 @@ def test_merge_leaves_out_refused_flags():
     }
 
 
-def test_apply_sets_the_options_without_starting_a_process(unset, no_process):
+def test_apply_options_sets_flags_without_starting_process(unset, no_process):
     unset.setattr(xla, "_jaxlib", lambda: "0.10.2")
     xla.apply_options()
     assert os.environ["XLA_FLAGS"] == merge_options("")
 
 
-def test_apply_respects_the_opt_out(unset):
+def test_apply_options_respects_opt_out(unset):
     unset.setenv(xla.OPT_OUT, "0")
     xla.apply_options()
     assert "XLA_FLAGS" not in os.environ
@@ -126,7 +126,7 @@ def test_apply_warns_when_jax_has_started(unset):
     xla.apply_options()
 
 
-def test_apply_leaves_a_flag_file_alone(unset):
+def test_apply_warns_and_leaves_flag_file_unchanged(unset):
     unset.setenv("XLA_FLAGS", "flags.txt")
     with pytest.warns(OptionsWarning, match="names the file flags.txt"):
         xla.apply_options()
@@ -134,7 +134,7 @@ def test_apply_leaves_a_flag_file_alone(unset):
 
 
 @pytest.mark.slow
-def test_an_unknown_jaxlib_is_tried_once_and_remembered(unset):
+def test_unknown_jaxlib_is_tried_once_and_cached(unset):
     """XLA says so when it starts, LLVM when it compiles."""
     unknown = Option("xla_no_such_flag", "1", extra=False), Option("--no-such-option", "1")
     unset.setattr(xla, "OPTIONS", (*unknown, *OPTIONS))
@@ -149,7 +149,7 @@ def test_an_unknown_jaxlib_is_tried_once_and_remembered(unset):
     assert xla.refused_flags("99.0") == refused
 
 
-def test_a_damaged_cache_is_written_anew(unset, tmp_path):
+def test_damaged_options_cache_is_rewritten(unset, tmp_path):
     unset.setattr(xla_trial, "attempt", lambda flags: Trial(frozenset(), None))
     cache = tmp_path / "sinsjax" / "xla_options.json"
     cache.parent.mkdir()
@@ -160,7 +160,7 @@ def test_a_damaged_cache_is_written_anew(unset, tmp_path):
         assert json.loads(cache.read_text()) == {"99.0": flags}
 
 
-def test_a_trial_without_an_answer_refuses_all_and_is_not_remembered(unset, tmp_path):
+def test_failed_trial_refuses_all_options_and_is_not_cached(unset, tmp_path):
     unset.setattr(sys, "executable", str(tmp_path / "missing"))
     refused = xla.refused_flags("99.0")
     assert refused == {option.flag for option in xla.wanted()}
@@ -168,13 +168,13 @@ def test_a_trial_without_an_answer_refuses_all_and_is_not_remembered(unset, tmp_
     assert not list(tmp_path.rglob("*.json"))
 
 
-def test_a_cache_that_cannot_be_written_does_no_harm(unset, tmp_path):
+def test_unwritable_options_cache_is_ignored(unset, tmp_path):
     unset.setattr(xla_trial, "attempt", lambda flags: Trial(frozenset(), None))
     (tmp_path / "sinsjax").write_text("a file where the folder should be")
     assert xla.refused_flags("99.0") == frozenset()
 
 
-def test_the_instruction_set_in_force_is_what_the_flags_leave(unset, tmp_path):
+def test_instruction_set_in_use_follows_xla_flags(unset, tmp_path):
     unset.setattr(xla.machine, "instructions", lambda limit: limit)
     assert xla.instructions() == ""
     unset.setenv("XLA_FLAGS", "--xla_cpu_max_isa=AVX --xla_cpu_max_isa=AVX2")
@@ -184,7 +184,7 @@ def test_the_instruction_set_in_force_is_what_the_flags_leave(unset, tmp_path):
     assert xla.instructions() == "AVX"
 
 
-def test_a_file_of_flags_is_read_for_what_it_sets(unset, tmp_path):
+def test_flags_are_read_from_flag_file(unset, tmp_path):
     file = tmp_path / "flags"
     file.write_text("--xla_cpu_max_isa=AVX2\n--xla_backend_extra_options=--force-vector-width=4\n")
     unset.setenv("XLA_FLAGS", str(file))
@@ -197,14 +197,14 @@ def test_a_file_of_flags_is_read_for_what_it_sets(unset, tmp_path):
     ("instructions", "width"),
     [("AVX512", "8"), ("AVX2", "4"), ("AVX", "4"), ("SSE4_2", "4"), ("SVE", None), ("s390x", None)],
 )
-def test_the_width_of_loops_follows_the_instruction_set(unset, instructions, width):
+def test_loop_vector_width_follows_instruction_set(unset, instructions, width):
     unset.setattr(xla, "instructions", lambda: instructions)
     set_ = {option.name: option.value for option in xla.loop_options()}
     assert set_.get("--force-vector-width") == width
     assert set_.get("--force-vector-interleave") == (width and "1")
 
 
-def test_options_of_loops_are_added_to_what_stands_until_jax_has_started(unset):
+def test_loop_options_are_added_only_before_jax_starts(unset):
     unset.setattr(xla, "_jaxlib", lambda: "0.10.2")
     xla.apply_options()
     unset.setattr(xla, "instructions", lambda: "AVX2")
@@ -236,7 +236,7 @@ exit_b: ; preds = %loop_b
 """
 
 
-def test_a_loop_with_a_vectorised_twin_counts_as_vectorised():
+def test_loop_with_vectorised_twin_counts_as_vectorised():
     assert vectorised_share(LLVM) == pytest.approx(2 / 3)
     assert vectorised_share(LLVM.replace("fsub double", "fsub <4 x double>")) == 1.0
     assert vectorised_share(LLVM.replace("<8 x double>", "<8 x float>")) == 0.0
@@ -245,12 +245,12 @@ def test_a_loop_with_a_vectorised_twin_counts_as_vectorised():
 
 @pytest.mark.slow
 @pytest.mark.skipif(not xla.loop_options(), reason="no loop options for this instruction set")
-def test_the_options_vectorise_every_loop_of_a_step():
+def test_options_vectorise_every_loop_of_step():
     assert attempt(merge_options("", options=xla.wanted())) == Trial(frozenset(), 1.0)
     plain = tuple(option for option in OPTIONS if not option.name.startswith("--"))
     without = attempt(merge_options("", options=plain))
     assert without.vectorised < 0.9
 
 
-def test_what_ends_the_process_otherwise_is_no_answer():
+def test_trial_with_invalid_flag_value_returns_none():
     assert attempt("--xla_cpu_prefer_vector_width=wide") is None

@@ -9,7 +9,7 @@ from sinsjax.plots.cells import Class, ratio_maps
 NEVER = math.inf
 
 
-def test_a_class_has_its_limit():
+def test_ratio_map_class_includes_its_upper_bound():
     """1.1 itself is within, as in the counts."""
     classes = [Class(1.1, "within", "#ffffff"), Class(math.inf, "beyond", "#000000", dark=True)]
     values = np.array([[1.1, np.nextafter(1.1, 2)], [NEVER, 0.0]])
@@ -29,7 +29,7 @@ def test_a_class_has_its_limit():
     assert [t.get_text() for t in figure.axes[0].texts] == ["1.10", "1.10", "*"]
 
 
-def test_panels_that_are_not_there_are_hidden():
+def test_ratio_map_hides_unused_panels():
     one = np.ones((2, 3))
     figure = ratio_maps(
         [(name, one) for name in "abc"],

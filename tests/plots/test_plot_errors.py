@@ -13,7 +13,7 @@ def line(label, level, colour="C0"):
 
 
 @pytest.mark.parametrize(("floor", "scale"), [(None, "linear"), (1e-3, "log")])
-def test_lines_over_time(floor, scale):
+def test_over_time_sets_panel_titles_scale_and_label(floor, scale):
     panels = {"one": [line("a", 1.0)], "two": [line("a", 2.0), line("b", 3.0, "C1")]}
     figure = plots.over_time(panels, "Title", quantity="size (deg)", floor=floor)
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["one", "two"]

@@ -8,7 +8,7 @@ def legend_of(figure):
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
-def test_strips_have_a_dot_a_start_and_a_line_at_the_median():
+def test_strips_show_one_dot_per_start_and_median_line():
     rows = {"a": np.array([1.0, -2.0, 30.0]), "b": np.array([0.5, 0.6, 0.7]), "c": np.zeros(3)}
     figure = starts.strips(rows, "T", "error (arcmin)", kinds=["x", "y", "x"])
     (axes,) = figure.axes

@@ -21,7 +21,7 @@ def maps(values, *, log=True, contours=None, low=0.1, high=100.0):
     )
 
 
-def test_colours_by_the_logarithm_and_two_digits_in_a_cell():
+def test_heat_map_uses_log_colours_and_two_digits_per_cell():
     figure = maps([[0.123, 4.56], [78.9, 1234.0], [0.0, np.inf]])
     axes = figure.axes[0]
     assert [t.get_text() for t in axes.texts] == ["0.12", "4.6", "79", "1234", "0"]
@@ -33,7 +33,7 @@ def test_colours_by_the_logarithm_and_two_digits_in_a_cell():
     assert plots.png(figure)
 
 
-def test_contours_lie_where_the_values_are():
+def test_heat_map_contours_lie_at_their_values():
     # Values that grow from the left edge (0) to the right edge (1) of two cells.
     values = np.tile(np.linspace(0.0, 1.0, 21), (11, 1))
     contours = Contours("radius", (0.25, 0.5), [values, values])
@@ -47,13 +47,13 @@ def test_contours_lie_where_the_values_are():
     assert plots.png(figure)
 
 
-def test_a_spread_passes_through_the_middles_and_goes_on_to_the_edges():
+def test_spread_interpolates_cell_centres_and_extends_to_edges():
     found = plots.spread([1.0, 4.0, 64.0], 7)
     np.testing.assert_allclose(found[1::2], [1.0, 4.0, 64.0])
     np.testing.assert_allclose(found[::2], [0.5, 2.0, 16.0, 256.0])
 
 
-def test_who_has_not_settled():
+def test_survival_plot_shows_share_of_unsettled_runs():
     times = np.array([30.0, np.inf, 10.0, np.nan])
     figure = plots.survival(
         {"6": {"a": times}, "1": {"a": np.full(2, np.inf)}},

@@ -46,12 +46,12 @@ def solid(axes):
         ("reset_count", "number of resets", "number of resets 30"),
     ],
 )
-def test_units_are_named(column, label, setting):
+def test_labels_and_settings_show_units(column, label, setting):
     assert plots.label(column) == label
     assert plots.setting(column, "30") == setting
 
 
-def test_a_word_has_no_unit():
+def test_setting_with_word_value_has_no_unit():
     assert plots.setting("reset_times_s", "none") == "resets at none"
 
 
@@ -66,7 +66,7 @@ def test_ensembles_arrange_runs_by_record():
     np.testing.assert_array_equal(made[1].columns["phi_u_arcmin"], [[501, 502]])
 
 
-def test_a_line_is_the_mean_and_the_band_holds_95_percent():
+def test_line_is_mean_and_band_covers_95_percent():
     axes = Figure().subplots()
     values = np.random.default_rng(1).normal(size=(200, TIME.size))
     extent = plots.draw(axes, Line("x", TIME, values, "#000000"))
@@ -76,7 +76,7 @@ def test_a_line_is_the_mean_and_the_band_holds_95_percent():
     assert len(axes.collections) == 1
 
 
-def test_a_record_without_a_value_is_left_out():
+def test_line_skips_records_with_missing_values():
     axes = Figure().subplots()
     values = np.ones((3, TIME.size))
     values[1, 4] = np.nan
@@ -84,13 +84,13 @@ def test_a_record_without_a_value_is_left_out():
     np.testing.assert_array_equal(axes.get_lines()[0].get_xdata(), np.delete(TIME, 4))
 
 
-def test_one_run_has_no_band():
+def test_single_run_has_no_band():
     axes = Figure().subplots()
     plots.draw(axes, Line("x", TIME, np.ones((1, TIME.size)), "#000000"))
     assert not axes.collections
 
 
-def test_misalignment():
+def test_misalignment_figure_has_panels_labels_and_legend():
     shown = [ensemble("a"), ensemble("b", size=900.0)]
     figure = plots.misalignment(
         shown, "Title", limits={"u": -27.0}, resets_s=[3.0, 6.0], zoom_s=(5.0, 10.0)
@@ -118,13 +118,13 @@ def test_misalignment():
     ]
 
 
-def test_a_narrow_range_stays_linear():
+def test_misalignment_axis_is_linear_for_narrow_range():
     figure = plots.misalignment([ensemble("a")], "Title")
     assert [axes.get_yscale() for axes in figure.axes] == ["linear"] * 3
 
 
 @pytest.mark.parametrize("size", [0.03, 0.4, 5.0, 60.0])
-def test_a_wide_range_has_ticks_of_two_decades_or_more_on_each_side(size):
+def test_wide_misalignment_axis_has_ticks_on_both_sides(size):
     """A level error that begins at P0 and ends small, and a heading error that begins far off."""
     course = size * np.geomspace(40.0, 1.0, TIME.size)
     columns = {f"{kind}_{axis}_arcmin": course[None] for kind in ("phi", "sigma") for axis in "enu"}
@@ -138,14 +138,14 @@ def test_a_wide_range_has_ticks_of_two_decades_or_more_on_each_side(size):
     assert "±1 sigma of the filter" in words(figure)
 
 
-def test_sigma_is_dashed_on_both_sides():
+def test_misalignment_sigma_is_dashed_on_both_sides():
     figure = plots.misalignment([ensemble("a", sigma=5.0)], "Title", with_sigma=True)
     dashed = [line for line in figure.axes[2].get_lines() if line.get_linestyle() == "--"]
     ends = [line.get_ydata()[0] for line in dashed if len(line.get_ydata())]
     assert sorted(ends) == [-5.0, 5.0]
 
 
-def test_enlargement_shows_the_whole_band():
+def test_enlarged_panel_shows_whole_band():
     wide = ensemble("a", runs=40)
     figure = plots.misalignment([wide], "Title", zoom_s=(4.0, 10.0))
     inside = wide.columns["phi_u_arcmin"][:, TIME >= 4.0]
@@ -154,7 +154,7 @@ def test_enlargement_shows_the_whole_band():
     assert high > np.quantile(inside, 0.975, axis=0).max()
 
 
-def test_enlargement_has_room_for_the_line_where_sigma_begins_at_a_reset():
+def test_enlarged_panel_range_ignores_sigma_jump_at_reset():
     sigma = np.array([2.0] * 4 + [500.0, 20.0] + [2.0] * 4)[None]
     columns = {f"phi_{axis}_arcmin": np.linspace(1.0, 3.0, TIME.size)[None] for axis in "enu"}
     columns |= {f"sigma_{axis}_arcmin": sigma for axis in "enu"}
@@ -165,7 +165,7 @@ def test_enlargement_has_room_for_the_line_where_sigma_begins_at_a_reset():
     assert -2.5 < low < -2.0 and 3.0 < high < 3.5
 
 
-def test_attitude_in_degrees_with_sigma():
+def test_attitude_figure_shows_degrees_and_sigma_band():
     figure = plots.attitude([ensemble("a", sigma=60.0), ensemble("b")], "Title")
     assert [axes.get_ylabel() for axes in figure.axes] == ["pitch (deg)", "roll (deg)", "yaw (deg)"]
     path = figure.axes[2].collections[0].get_paths()[0]
@@ -173,7 +173,7 @@ def test_attitude_in_degrees_with_sigma():
     assert path.vertices[:, 1].max() == pytest.approx(middle.max() + 1.0)  # 60 arcmin are 1 deg
 
 
-def test_squares():
+def test_squares_figure_uses_log_axes_in_square_arcmin():
     values = np.full((3, TIME.size), 9.0)
     panels = {"one": [Line("P", TIME, values, "#000000", "--")], "two": []}
     figure = plots.squares(panels, "Title", resets_s=[2.0])
@@ -184,7 +184,7 @@ def test_squares():
     assert figure.axes[0].get_lines()[0].get_linestyle() == "--"
 
 
-def test_yaw_errors_have_a_panel_each():
+def test_yaw_errors_have_one_panel_per_name():
     panels = {name: [ensemble("s1"), ensemble("s2", size=800.0)] for name in "abc"}
     figure = plots.yaw_errors(panels, "Title")
     visible = [axes for axes in figure.axes if axes.get_visible()]
@@ -194,7 +194,7 @@ def test_yaw_errors_have_a_panel_each():
     assert plots.png(figure)
 
 
-def test_heat_maps_show_values_and_hatch_never():
+def test_heat_maps_show_values_and_hatch_infinite_cells():
     values = np.array([[10.0, 20.0, np.inf], [30.0, np.nan, 40.0]])
     figure = plots.heat_maps(
         [("first", values), ("second", values[:, ::-1])],
@@ -228,7 +228,7 @@ def marked(values, alike, hatched):
     )
 
 
-def test_heat_maps_hatch_cells_and_say_why():
+def test_heat_maps_hatch_marked_cells_and_name_reason():
     figure = marked([[10.0, 90.0, np.inf]], [[0, 1, 2]], [[True, False, True]])
     (patch,) = figure.axes[0].patches  # what is never there has a hatch of its own
     assert patch.get_xy() == (-0.5, -0.5) and patch.get_hatch() and "not so" in words(figure)
@@ -238,14 +238,14 @@ def test_heat_maps_hatch_cells_and_say_why():
     assert not any(text.get_bbox_patch() for text in plain.axes[0].texts)  # may hide contours
 
 
-def test_heat_maps_write_the_value_of_equal_cells_once_in_their_middle():
+def test_heat_maps_write_value_of_equal_cells_once():
     figure = marked([[10.0, 10.0], [30.0, 10.0], [50.0, 50.0]], [[0, 0], [2, 0], [4, 4]], [[0]])
     written = {text.get_text(): text.get_position() for text in figure.axes[0].texts}
     assert written == {"10": (0, 0), "30": (0, 1), "50": (0.5, 2)}  # 10: no rectangle
     assert len(figure.axes[0].texts) == 3
 
 
-def test_heat_maps_where_nothing_is_known():
+def test_heat_maps_draw_without_finite_values():
     figure = plots.heat_maps(
         [("all", np.full((2, 2), np.inf))],
         "Title",
@@ -256,7 +256,7 @@ def test_heat_maps_where_nothing_is_known():
     assert plots.png(figure)
 
 
-def test_numbers_on_heat_maps_stand_out():
+def test_heat_map_numbers_contrast_with_cell_colour():
     figure = plots.heat_maps(
         [("all", np.array([[0.0, 100.0]]))],
         "Title",
@@ -270,7 +270,7 @@ def test_numbers_on_heat_maps_stand_out():
     assert sum(colours(0.0)[:3]) < 1.0 < 1.5 < sum(colours(1.0)[:3])
 
 
-def test_verdict_matrix():
+def test_verdict_matrix_shows_counts_and_marks_best_reading():
     verdicts = Verdicts(
         readings=["a", "b"],
         statements=["S1", "S2", "S3"],
@@ -297,14 +297,14 @@ def height_of(high, *, others=12.0, last=20.0):
     return plots.along_axis("k", range(4), {"x": line}, title="Title").axes[0].get_ylim()[1]
 
 
-def test_the_axis_follows_the_points_where_one_bar_is_huge():
+def test_axis_range_ignores_single_huge_error_bar():
     assert 20 < height_of(10800.0) < 40  # the bar goes on beyond the panel
     assert height_of(26.0) > 26.0  # a longer one than the others is whole
     assert height_of(600.0, others=500.0) > 600.0  # as are bars that are all long
     assert height_of(10800.0, last=2500.0) > 2500.0  # points are all there
 
 
-def test_along_axis_marks_never():
+def test_along_axis_marks_infinite_values_as_never():
     lines = {
         "a": [Estimate(1.0, 0.5, 2.0, 8), Estimate(math.inf, 3.0, math.inf, 8)],
         "b": [Estimate(2.0, math.nan, math.nan, 8), Estimate(3.0, 2.0, math.inf, 8)],
@@ -327,14 +327,14 @@ def test_along_axis_marks_never():
 @pytest.mark.parametrize(
     ("values", "marks"), [([0.0, 1.0, 2.0], ["0", "1", "2"]), ([0.0, 0.1, 9.0], None)]
 )
-def test_an_axis_is_marked_at_its_values_where_they_have_room(values, marks):
+def test_axis_ticks_are_at_values_when_spaced_apart(values, marks):
     lines = {"a": [Estimate(1.0, 0.5, 2.0, 8)] * 3}
     axes = plots.along_axis("reset_count", values, {"x": lines}, title="Title").axes[0]
     found = [t.get_text() for t in axes.get_xticklabels()]
     assert found == marks if marks else len(found) > 3
 
 
-def test_a_staircase_of_many_values_keeps_its_shape():
+def test_steps_thin_many_values_without_changing_shape():
     values = np.random.default_rng(3).normal(size=100_000)
     values[:20_000] = np.nan
     x, share = steps(values)
@@ -344,7 +344,7 @@ def test_a_staircase_of_many_values_keeps_its_shape():
     np.testing.assert_allclose(np.searchsorted(known, x[1:], side="right") / 100_000, share[1:])
 
 
-def test_beliefs():
+def test_beliefs_figure_shows_nees_distribution_and_shares():
     nees = np.array([0.5, 2.0, np.nan, 8.0])
     shares = {"a": Estimate(0.7, 0.6, 0.8, 4), "b": Estimate(0.4, math.nan, math.nan, 4)}
     shown = [BeliefPanel("x", nees, shares), BeliefPanel("y", 4 * nees, shares)]
@@ -363,7 +363,7 @@ def test_beliefs():
 
 
 @pytest.mark.parametrize("lines", [1, 7])
-def test_a_name_among_beliefs_is_clear_of_its_marks_and_of_the_edge(lines):
+def test_belief_names_do_not_overlap_marks_or_edge(lines):
     shares = {name: Estimate(0.1, 0.05, 0.15, 4) for name in ("from truth", "from the limit")}
     shown = [BeliefPanel(f"resets {i}", np.arange(1.0, 5.0), shares) for i in range(lines)]
     figure = plots.beliefs(shown, "Title")
@@ -381,7 +381,7 @@ def test_a_name_among_beliefs_is_clear_of_its_marks_and_of_the_edge(lines):
         assert i == 0 or box.y1 < points[2 * i - 1, 1] - radius
 
 
-def test_beliefs_where_nothing_is_known():
+def test_beliefs_figure_draws_without_known_values():
     shown = [BeliefPanel("x", np.full(3, np.nan), {"a": Estimate(*[math.nan] * 3, 0)})]
     assert plots.png(plots.beliefs(shown, "Title"))
 
@@ -391,7 +391,7 @@ def course(label: str, *, resets_s=()) -> Course:
     return Course(label, TIME, mean, own / 4, own, resets_s, limit=-25.0)
 
 
-def test_true_errors_stand_beside_what_the_filter_believes():
+def test_believed_figure_compares_true_error_with_filter_sigma():
     figure = plots.believed([course("plain"), course("reset", resets_s=[4.0, 6.0])], "Title")
     above, resets, ratio, _ = figure.axes
     own, true = (band.get_paths()[0].get_extents() for band in above.collections)
@@ -408,7 +408,7 @@ def test_true_errors_stand_beside_what_the_filter_believes():
     assert plots.png(figure)
 
 
-def test_panels_go_side_by_side_as_asked_and_long_names_wrap():
+def test_heat_maps_use_requested_columns_and_wrap_long_names():
     name = "feedback_interval 0.5 s, reset_kind full, q_reading per_step"
     figure = plots.heat_maps(
         [(name, np.ones((2, 2)))] * 6,
@@ -430,7 +430,7 @@ def image(content):
     return np.asarray(Image.open(io.BytesIO(content)))
 
 
-def test_a_footer_stands_on_a_strip_below_the_figure():
+def test_footer_is_added_as_strip_below_figure():
     figure = plots.misalignment([ensemble("a")], "Title")
     plain, signed = (image(plots.png(figure, text)) for text in ("", "swing: 3 draws"))
     height = plain.shape[0]
@@ -442,7 +442,7 @@ def test_a_footer_stands_on_a_strip_below_the_figure():
     assert (other[height:] != strip).any()
 
 
-def test_letters_are_large_enough_for_a_slide():
+def test_text_is_large_enough_for_slide():
     figure = plots.misalignment([ensemble("a")], "Title", zoom_s=(2.0, 6.0))
     plots.png(figure)
     # A figure fills a slide of 13.3 in.
@@ -451,7 +451,7 @@ def test_letters_are_large_enough_for_a_slide():
     assert min(t.get_fontsize() for t in texts) * scale > 15
 
 
-def test_png_depends_on_the_figure_alone(monkeypatch):
+def test_png_does_not_depend_on_rc_params(monkeypatch):
     def draw():
         return plots.png(plots.misalignment([ensemble("a")], "Title"))
 
@@ -465,6 +465,6 @@ def test_png_depends_on_the_figure_alone(monkeypatch):
     assert set(Image.open(io.BytesIO(first)).info) == {"dpi"}
 
 
-def test_colours_repeat_beyond_the_palette():
+def test_colours_repeat_beyond_palette():
     assert plots.colour(0) == plots.colour(len(plots.COLOURS)) == plots.COLOURS[0]
     assert len(set(plots.COLOURS)) == len(plots.COLOURS)

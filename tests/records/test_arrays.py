@@ -64,7 +64,7 @@ def refused(*given: Any, **more: Any) -> str:
 
 @pytest.mark.parametrize(("gyro_unit", "accel_unit"), PAIRS)
 @pytest.mark.parametrize(("axes", "order"), [("rfu", "xyz"), ("frd", "yx-z"), ("flu", "-yxz")])
-def test_units_and_axes(
+def test_array_units_and_axes_are_converted(
     gyro_unit: str, accel_unit: str, axes: str, order: str
 ) -> None:
     gyro, accel = (from_body(values, order) for values in (GYRO, ACCEL))
@@ -78,7 +78,7 @@ def test_units_and_axes(
     assert (gyro == before).all()
 
 
-def test_named_axes_point_where_they_say() -> None:
+def test_frd_and_flu_axes_map_to_right_front_up() -> None:
     """Of a box with x front, y right, z down; and of one with x front, y left, z up."""
     front, right, up = 1.0, 2.0, 3.0
     for axes, sensed in (("frd", [front, right, -up]), ("flu", [front, -right, up])):
@@ -87,13 +87,13 @@ def test_named_axes_point_where_they_say() -> None:
 
 
 @pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
-def test_units_of_time(unit: str) -> None:
+def test_time_units_are_converted_to_seconds(unit: str) -> None:
     factor = {"s": 1, "ms": 1e3, "us": 1e6, "ns": 1e9}[unit]
     record = made((TIME + 5) * factor, time_unit=unit).record
     assert record.rate_hz == RATE and record.t0_s == pytest.approx(5.0)
 
 
-def test_dates() -> None:
+def test_datetime64_times_give_rate_and_start() -> None:
     dates = np.datetime64("2024-05-01T12:00:00", "ns") + np.arange(1, T + 1) * np.timedelta64(
         10_000_000, "ns"
     )
@@ -128,7 +128,7 @@ def zoned() -> dict[str, Any]:
     return found
 
 
-def test_dates_with_a_zone_are_those_without_to_the_last_bit() -> None:
+def test_zoned_dates_match_plain_dates_exactly() -> None:
     plain = made(zoned()["Arrow"].to_numpy(zero_copy_only=False)).record
     assert plain.rate_hz == pytest.approx(RATE) and plain.t0_s == pytest.approx(1714564800.0)
     for name, dates in zoned().items():
@@ -137,7 +137,7 @@ def test_dates_with_a_zone_are_those_without_to_the_last_bit() -> None:
         assert (record.dtheta == plain.dtheta).all(), name
 
 
-def test_a_date_that_is_missing_is_a_missing_sample() -> None:
+def test_missing_date_is_missing_sample() -> None:
     dates: list[Any] = zoned()["datetime"]
     dates[20] = None
     assert [flaw[:2] for flaw in made(dates).record.flaws] == [(20, 21)]
@@ -145,7 +145,7 @@ def test_a_date_that_is_missing_is_a_missing_sample() -> None:
     assert "arrays: time: no dates with time: " in refused(dates)
 
 
-def test_a_reference_may_have_dates() -> None:
+def test_reference_accepts_dates() -> None:
     dates = zoned()["datetime"]
     level = [0.0, 0.0]
     table = {"time_s": [dates[0], dates[-1]], "pitch_deg": level, "roll_deg": level}
@@ -153,7 +153,7 @@ def test_a_reference_may_have_dates() -> None:
     assert reference.time_s == pytest.approx([0.01, 0.5], abs=1e-6)
 
 
-def test_na_of_pandas_is_a_missing_sample() -> None:
+def test_pandas_na_is_missing_sample() -> None:
     pandas = pytest.importorskip("pandas")
     frame = pandas.DataFrame(GYRO).astype(object)
     frame.iloc[10, 1] = pandas.NA
@@ -165,17 +165,17 @@ def test_na_of_pandas_is_a_missing_sample() -> None:
     assert [flaw[:2] for flaw in made(times).record.flaws] == [(10, 11)]
 
 
-def test_stamps_since_1970_tell_a_whole_rate() -> None:
+def test_epoch_timestamps_give_whole_rate() -> None:
     time = 1.763e9 + np.arange(1, 3001) / 100
     rates = np.ones((3000, 3))
     assert sinsjax.record_from_arrays(time, rates, rates).record.rate_hz == 100.0
 
 
-def test_rate_without_times() -> None:
+def test_rate_hz_is_used_without_times() -> None:
     assert made(None, rate_hz=200.0).record.rate_hz == 200.0
 
 
-def test_gaps_are_interpolated_or_flaws() -> None:
+def test_gaps_are_interpolated_or_reported_as_flaws() -> None:
     gyro = GYRO.copy()
     gyro[10] = np.nan
     record = made(gyro=gyro, max_gap_s=0.02).record
@@ -192,7 +192,7 @@ def test_gaps_are_interpolated_or_flaws() -> None:
     assert made(late, *rest, max_gap_s=0.05).record.filled == 3
 
 
-def test_tables_of_every_library() -> None:
+def test_tables_of_every_library_give_same_record() -> None:
     plain = made(reference=REFERENCE)
     tables = {"pa": pa.table(REFERENCE)}
     for name in ("pandas", "polars"):
@@ -214,7 +214,7 @@ def test_tables_of_every_library() -> None:
     assert plain.reference.attitude_deg[0].tolist() == [1.0, 2.0, -30.0]
 
 
-def test_a_reference_is_on_the_clock_of_the_record() -> None:
+def test_reference_times_become_relative_to_record_start() -> None:
     own = Reference(np.array([100.0, 110.0]), np.zeros((2, 3)), None)
     assert made(TIME + 100, reference=own).reference.time_s.tolist() == [0.0, 10.0]
 
@@ -255,7 +255,7 @@ def test_a_reference_is_on_the_clock_of_the_record() -> None:
         ({"reference": REFERENCE | {"roll_deg": [1]}}, "its columns must have one number for each"),
     ],
 )
-def test_a_mistake_is_one_line(change: dict[str, Any], says: str) -> None:
+def test_invalid_array_input_raises_one_line_error(change: dict[str, Any], says: str) -> None:
     assert says in refused(**change)
 
 
@@ -290,7 +290,7 @@ def recorded(**changes: Any) -> Any:
 
 
 @pytest.mark.optimised(False)
-def test_a_study_runs_on_arrays(drive: tuple[Any, Any]) -> None:
+def test_study_runs_on_arrays(drive: tuple[Any, Any]) -> None:
     record = drive[1]
     time = 100 + np.arange(1, len(record.dv) + 1) / record.rate_hz
     gyro, accel = (from_body(v * record.rate_hz, "yx-z") for v in (record.dtheta, record.dv))
@@ -314,7 +314,7 @@ def test_a_study_runs_on_arrays(drive: tuple[Any, Any]) -> None:
         assert abs(row["pitch_deg"]) < 0.1
 
 
-def test_findings_about_arrays_name_arguments(drive: tuple[Any, Any]) -> None:
+def test_gravity_pointing_down_error_names_axes_argument(drive: tuple[Any, Any]) -> None:
     record = drive[1]
     rates = record.dtheta * record.rate_hz, -record.dv * record.rate_hz
     tape = sinsjax.record_from_arrays(None, *rates, rate_hz=record.rate_hz)
@@ -322,7 +322,7 @@ def test_findings_about_arrays_name_arguments(drive: tuple[Any, Any]) -> None:
         sinsjax.run(recorded(), tape)
 
 
-def test_wrong_units_of_arrays_are_told(drive: tuple[Any, Any]) -> None:
+def test_wrong_accelerometer_unit_is_refused(drive: tuple[Any, Any]) -> None:
     record = drive[1]
     time = np.arange(1, len(record.dv) + 1) / record.rate_hz
     rates = record.dtheta * record.rate_hz, record.dv * record.rate_hz
@@ -338,7 +338,7 @@ def test_wrong_units_of_arrays_are_told(drive: tuple[Any, Any]) -> None:
         (1.0, "ns", "more than 100000000 samples a run (is time_unit right?)"),
     ],
 )
-def test_a_wrong_unit_of_time_is_told(
+def test_wrong_time_unit_is_refused(
     drive: tuple[Any, Any], scale: float, unit: str, says: str
 ) -> None:
     record = drive[1]
@@ -350,7 +350,7 @@ def test_a_wrong_unit_of_time_is_told(
 
 
 @pytest.mark.optimised(False)
-def test_rounded_stamps_move_no_start(drive: tuple[Any, Any]) -> None:
+def test_rounded_timestamps_keep_start_times(drive: tuple[Any, Any]) -> None:
     record = drive[1]
     time = np.round(1e-9 + np.arange(1, len(record.dv) + 1) / record.rate_hz * (1 + 1e-9), 9)
     tape = sinsjax.record_from_arrays(
@@ -360,7 +360,7 @@ def test_rounded_stamps_move_no_start(drive: tuple[Any, Any]) -> None:
     assert sinsjax.run(recorded(), tape).summary["start_s"].to_pylist() == [0.0, 10.0]
 
 
-def test_interpolated_samples_of_arrays_are_told(drive: tuple[Any, Any]) -> None:
+def test_interpolated_samples_are_reported(drive: tuple[Any, Any]) -> None:
     record = drive[1]
     time = np.arange(1, len(record.dv) + 1) / record.rate_hz
     gyro = record.dtheta * record.rate_hz
@@ -371,18 +371,18 @@ def test_interpolated_samples_of_arrays_are_told(drive: tuple[Any, Any]) -> None
     ]
 
 
-def test_keys_of_files_do_not_apply_to_arrays() -> None:
+def test_file_keys_are_refused_for_arrays() -> None:
     for key, value in (("gyro_unit", "rad"), ("axes_order", "frd"), ("time_column", "t")):
         with pytest.raises(InputError, match=f"{key}: does not apply to format 'arrays'"):
             recorded(record={key: value})
 
 
-def test_arrays_are_read_from_no_file() -> None:
+def test_loading_arrays_format_from_file_is_refused() -> None:
     with pytest.raises(InputError, match="'arrays' are given to sinsjax.run, not read from x.csv"):
         sinsjax.load_tape(recorded(), "x.csv")
 
 
-def test_a_path_is_no_record() -> None:
+def test_path_instead_of_record_is_refused() -> None:
     """Unwrapped, because the tests' own checks of types would come first."""
     with pytest.raises(InputError, match=r"tape: must be what sinsjax\.load_tape or .* not a str$"):
         inspect.unwrap(at_rate)(recorded(), "x.csv")

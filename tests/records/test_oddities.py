@@ -47,7 +47,7 @@ def study(**record: Any) -> Any:
     )
 
 
-def test_samples_beyond_any_range_are_named_and_refused() -> None:
+def test_samples_beyond_sensor_range_are_named_and_refused() -> None:
     accel = changed(ACCEL, slice(500, 510), 0, -9999 * 9.80665)
     accel[700, 1] = 250.0
     tape = made(accel=accel)
@@ -64,11 +64,11 @@ def test_samples_beyond_any_range_are_named_and_refused() -> None:
     assert text.startswith("row 7: column 'gyro[:, 2]': 50 is 2865 deg/s")
 
 
-def test_a_wrong_unit_is_no_outlier() -> None:
+def test_wrong_unit_is_not_reported_as_outlier() -> None:
     assert not texts(accel=ACCEL * 100) and not texts(gyro=GYRO * 206265 * 60)
 
 
-def test_dead_and_stuck_channels_are_told() -> None:
+def test_dead_and_stuck_channels_are_reported() -> None:
     assert texts(gyro=changed(GYRO, slice(None), 0, 0.0)) == [
         "column 'gyro[:, 0]' holds 0 in every row: is that sensor dead?"
     ]
@@ -86,7 +86,7 @@ def test_dead_and_stuck_channels_are_told() -> None:
     assert warning.startswith("arrays: rows 1000 to 1099: all six")
 
 
-def test_a_refusal_names_the_dead_channel_that_may_have_caused_it() -> None:
+def test_refusal_names_dead_channel_as_possible_cause() -> None:
     tape = made(changed(GYRO, slice(None), 0, 0.1))
     with pytest.raises(InputError) as caught:
         made_ready(study(), tape)
@@ -97,7 +97,7 @@ def test_a_refusal_names_the_dead_channel_that_may_have_caused_it() -> None:
 
 
 @pytest.mark.parametrize("unit", ["rad_per_s", "deg_per_h"])
-def test_a_mean_of_the_whole_log_that_was_subtracted_is_told(unit: str) -> None:
+def test_subtracted_mean_of_whole_log_is_reported(unit: str) -> None:
     """A sway that the log cuts short: over the part that is aligned the mean is not zero."""
     sway = 2e-4 * np.cos(np.arange(T)[:, None] / T * [3.0, 4.0, 5.0])
     sensed = GYRO + sway
@@ -113,7 +113,7 @@ def test_a_mean_of_the_whole_log_that_was_subtracted_is_told(unit: str) -> None:
         assert not texts(gyro, gyro_unit=unit, max_gap_s=0.1)
 
 
-def test_rows_are_those_of_the_file(tmp_path: Path) -> None:
+def test_reported_row_numbers_match_file_rows(tmp_path: Path) -> None:
     accel = changed(ACCEL, 20, 2, 1e4)
     record = Record(GYRO / RATE, accel / RATE, RATE, latitude_deg=45.0, gravity_m_per_s2=9.8)
     write_csv(record, tmp_path / "a.csv", LAYOUT)

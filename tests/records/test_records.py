@@ -79,7 +79,7 @@ def read_whole(path: Path, layout: Layout) -> Record:
     order=st.sampled_from(AXES),
     timed=st.booleans(),
 )
-def test_increments_come_back_bit_for_bit(folder, record, kind, order, timed):
+def test_increments_survive_round_trip_bit_for_bit(folder, record, kind, order, timed):
     layout = CSV._replace(format=kind, axes_order=order, rate_hz=record.rate_hz)
     if not timed:
         layout = layout._replace(time_column="")
@@ -99,7 +99,7 @@ def test_increments_come_back_bit_for_bit(folder, record, kind, order, timed):
     quantity=st.sampled_from(["increments", "rates"]),
     pick=st.tuples(st.integers(0, 2), st.integers(0, 2)),
 )
-def test_every_unit_comes_back(folder, record, quantity, pick):
+def test_every_unit_survives_csv_round_trip(folder, record, quantity, pick):
     gyro_unit = list(records.GYRO_UNITS[quantity])[pick[0]]
     accel_unit = list(records.ACCEL_UNITS[quantity])[pick[1]]
     layout = NO_TIME._replace(
@@ -117,7 +117,7 @@ def test_every_unit_comes_back(folder, record, quantity, pick):
     dv=hnp.arrays(np.float64, (200, 3), elements=st.floats(-0.5, 0.5)),
     scale=st.tuples(st.floats(1e-3, 10.0), st.floats(1.0, 1e4)),
 )
-def test_psins_sums_stay_within_half_a_count(folder, dtheta, dv, scale):
+def test_psins_cumulative_error_stays_within_half_count(folder, dtheta, dv, scale):
     record = Record(dtheta, dv, 200.0, 3.25, 34.2, 380.0, (1.0, 2.0, -90.6), 9.8)
     path = folder / "sums.imu"
     records.write_psins(record, path, *scale)
@@ -129,7 +129,7 @@ def test_psins_sums_stay_within_half_a_count(folder, dtheta, dv, scale):
     assert back._replace(**others) == record._replace(**others)
 
 
-def test_psins_keeps_what_is_not_known(tmp_path):
+def test_psins_round_trip_keeps_unknown_fields_none(tmp_path):
     record = Record(np.zeros((3, 3)), np.full((3, 3), 0.098), 100.0)
     records.write_psins(record, tmp_path / "a.imu")
     back = records.read_psins(tmp_path / "a.imu")
@@ -140,7 +140,7 @@ def test_psins_keeps_what_is_not_known(tmp_path):
 # --- what the numbers mean
 
 
-def test_psins_counts_scale_and_header(tmp_path):
+def test_psins_reader_applies_scale_header_and_axes_order(tmp_path):
     path = tmp_path / "a.imu"
     path.write_text(HEADER + "\n" + SAMPLE + "% late comment\r\n" + "+1 -1  1\t10 20 30 \n")
     record = records.read_psins(path)
@@ -164,7 +164,7 @@ def test_psins_counts_scale_and_header(tmp_path):
         ("rates", "rad_per_s", "m_per_s2", 0.01, 0.01),
     ],
 )
-def test_units(
+def test_units_are_converted_to_si_increments(
     tmp_path, quantity, gyro_unit, accel_unit, dtheta, dv
 ):
     layout = NO_TIME._replace(quantity=quantity, gyro_unit=gyro_unit, accel_unit=accel_unit)
@@ -175,7 +175,7 @@ def test_units(
 
 
 @pytest.mark.parametrize("rate_hz", [None, 100.0])
-def test_time_column_gives_rate_and_beginning(tmp_path, rate_hz):
+def test_time_column_gives_rate_and_start(tmp_path, rate_hz):
     jitter = 0.002 * np.random.default_rng(1).uniform(-1, 1, 500)
     jitter[[0, -1]] = 0
     time_s = 20 + 0.01 * np.arange(500) + jitter
@@ -232,7 +232,7 @@ def batches(request, monkeypatch) -> None:
         ("PK\x03\x04\n\0\0", "row 2: not a text file"),
     ],
 )
-def test_bad_psins(tmp_path, text, says):
+def test_invalid_psins_file_is_refused(tmp_path, text, says):
     path = tmp_path / "bad.imu"
     path.write_bytes(text.encode())
     line = refused(records.read_psins, path)
@@ -273,7 +273,7 @@ ROWS = "".join(f"{k / 100},1,2,3,4,5,6\n" for k in range(1, 5))
         ("\x89PNG\r\n\x1a\n\0\0", "row 3: not a text file"),
     ],
 )
-def test_bad_csv(tmp_path, text, says):
+def test_invalid_csv_file_is_refused(tmp_path, text, says):
     path = tmp_path / "bad.csv"
     path.write_text(text, newline="")
     line = refused(read_whole, path, CSV)
@@ -282,7 +282,7 @@ def test_bad_csv(tmp_path, text, says):
 
 @quick
 @given(steps=st.lists(st.floats(0.001, 0.02), min_size=1, max_size=5))
-def test_steps_may_differ_by_half_a_sample(folder, steps):
+def test_time_steps_may_deviate_by_half_sample(folder, steps):
     step_s = np.array([0.01] * 300 + steps)
     # The rate is the record's own mean, so a step this near to the limit may fall either way.
     assume(np.abs(np.abs(step_s - 0.01) - 0.005).min() > 1e-4)
@@ -301,7 +301,7 @@ def test_steps_may_differ_by_half_a_sample(folder, steps):
         assert any(f"row {k + 3}: " in line for k in named), line
 
 
-def test_a_short_step_is_refused_before_the_gap_that_it_follows(tmp_path):
+def test_short_step_is_reported_before_preceding_gap(tmp_path):
     steps = [0.01] * 300 + [0.02, 0.0117, 0.0039]
     path = table_csv(tmp_path, np.cumsum([1.0, *steps]))
     assert "row 305: a short step" in refused(read_whole, path, CSV._replace(rate_hz=None))
@@ -315,7 +315,7 @@ def test_a_short_step_is_refused_before_the_gap_that_it_follows(tmp_path):
     | st.sampled_from([b"nan", b"1e999", b'"', b"\xff", b"\r", b"9" * 30]),
     removed=st.integers(0, 40),
 )
-def test_a_damaged_file_is_read_or_refused(folder, kind, place, new, removed):
+def test_damaged_file_is_read_or_refused(folder, kind, place, new, removed):
     path, layout = folder / f"damaged.{kind}", CSV._replace(format=kind)
     if kind == "imu":
         layout = records.PSINS_LAYOUT
@@ -340,7 +340,7 @@ def test_a_damaged_file_is_read_or_refused(folder, kind, place, new, removed):
         np.testing.assert_array_equal(missing, told)
 
 
-def test_rate_disagrees(tmp_path):
+def test_rate_mismatch_is_refused(tmp_path):
     path = table_csv(tmp_path, np.arange(1, 100) / 50)
     assert "gives 50 Hz, but rate_hz is 100" in refused(records.read_csv, path, CSV)
     (tmp_path / "a.imu").write_text(HEADER + SAMPLE)
@@ -348,7 +348,7 @@ def test_rate_disagrees(tmp_path):
     assert "row 3: the header gives 100 Hz, but rate_hz is 50" in line
 
 
-def test_bad_parquet(tmp_path):
+def test_invalid_parquet_file_is_refused(tmp_path):
     path, layout = tmp_path / "bad.parquet", NO_TIME._replace(format="parquet")
     columns = {name: pa.array([1.0, 2.0, 3.0]) for name in GYRO + ACCEL}
     for change, says in (
@@ -388,13 +388,13 @@ def test_bad_parquet(tmp_path):
         ({"format": "psins", "quantity": "rates"}, "quantity: PSINS text holds increments"),
     ],
 )
-def test_bad_layout(change, says):
+def test_invalid_layout_is_refused(change, says):
     line = refused(records.check_layout, CSV._replace(**change), "study.toml")
     assert line.startswith(f"study.toml: {says}")
 
 
 @pytest.mark.parametrize("layout", [records.PSINS_LAYOUT, CSV, CSV._replace(format="parquet")])
-def test_unreadable_and_unwritable(tmp_path, layout):
+def test_unreadable_and_unwritable_paths_are_refused(tmp_path, layout):
     record = Record(np.zeros((3, 3)), np.zeros((3, 3)), 100.0)
     for path in (tmp_path, tmp_path / "absent"):
         assert refused(records.read_record, path, layout).startswith(f"{path}: cannot be read")
@@ -415,13 +415,13 @@ def test_unreadable_and_unwritable(tmp_path, layout):
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-def test_psins_writer_refuses_a_bad_header(tmp_path):
+def test_psins_writer_refuses_zero_scale_factor(tmp_path):
     record = Record(np.zeros((3, 3)), np.zeros((3, 3)), 100.0)
     line = refused(records.write_psins, record, tmp_path / "a.imu", 0.0)
     assert "scale factor of gyro x must be positive" in line
 
 
-def test_require_span():
+def test_require_span_refuses_span_outside_record():
     record = Record(np.zeros((900, 3)), np.zeros((900, 3)), 100.0, source="drive.csv")
     records.require_span(record, 0.1 + 0.2, 8.7)
     line = refused(records.require_span, record, 0.3, 8.71)
@@ -433,7 +433,7 @@ def test_require_span():
 
 
 @pytest.mark.parametrize("late", [[0.007], [0.007, 0.004], [0.012, 0.006], [0.016]])
-def test_late_stamps_are_no_gap_where_the_next_ones_are_in_time(tmp_path, late):
+def test_late_stamps_followed_by_timely_ones_are_no_gap(tmp_path, late):
     time_s = np.arange(1, 401) / 100
     time_s[200 : 200 + len(late)] += late
     record = read_whole(table_csv(tmp_path, time_s), CSV)
@@ -451,7 +451,7 @@ def scattered_stamps(count: int = 6000, begin: float = 0.0) -> np.ndarray:
 
 @pytest.mark.parametrize("begin", [0.0, 1.7e9])
 @pytest.mark.parametrize("rate_hz", [None, 200.0])
-def test_stamps_that_scatter_about_a_line_have_its_rate(tmp_path, begin, rate_hz):
+def test_scattered_stamps_give_rate_of_fitted_line(tmp_path, begin, rate_hz):
     time_s = scattered_stamps(begin=begin)
     record = read_whole(table_csv(tmp_path, time_s), CSV._replace(rate_hz=rate_hz))
     assert len(record.dtheta) == 6000 and record.rate_hz == 200.0
@@ -461,14 +461,14 @@ def test_stamps_that_scatter_about_a_line_have_its_rate(tmp_path, begin, rate_hz
     assert read_whole(path, CSV._replace(rate_hz=None)).rate_hz == pytest.approx(200 / 1.0001, 5e-6)
 
 
-def test_uniform_scatter_of_half_a_sample_is_read(tmp_path):
+def test_uniform_scatter_of_half_sample_is_accepted(tmp_path):
     time_s = np.arange(1, 3001) / 100 + np.random.default_rng(1).uniform(-0.005, 0.005, 3000)
     record = read_whole(table_csv(tmp_path, time_s), CSV._replace(rate_hz=None))
     assert len(record.dtheta) == 3000 and record.rate_hz == pytest.approx(100.0, rel=1e-5)
 
 
 @pytest.mark.parametrize("missing", [[3000], [300, 301, 5000], [2000, 2020, *range(4000, 4300)]])
-def test_samples_that_lack_among_scattered_stamps_are_found(tmp_path, missing):
+def test_missing_samples_among_scattered_stamps_are_found(tmp_path, missing):
     time_s = np.delete(scattered_stamps(), missing)
     record = records.read_csv(table_csv(tmp_path, time_s), CSV._replace(rate_hz=None))
     assert len(record.dtheta) == 6000 and record.rate_hz == 200.0
@@ -493,7 +493,7 @@ def test_samples_that_lack_among_scattered_stamps_are_found(tmp_path, missing):
         (lambda t: np.where(np.arange(6000) == 100, -9999.0, t), "row 102: time runs backward"),
     ],
 )
-def test_a_clock_that_is_wrong_is_found_among_scattered_stamps(tmp_path, change, says):
+def test_clock_faults_among_scattered_stamps_are_refused(tmp_path, change, says):
     path = table_csv(tmp_path, change(scattered_stamps()))
     line = refused(records.read_csv, path, CSV._replace(rate_hz=None))
     assert says in line
@@ -519,7 +519,7 @@ def lacking(folder: Path, missing: list[int], kind: str) -> tuple[Path, np.ndarr
 
 @pytest.mark.usefixtures("batches")
 @pytest.mark.parametrize("kind", ["gap", "empty", "nan", "-inf"])
-def test_what_is_missing_refuses_the_spans_it_lies_in(tmp_path, kind):
+def test_spans_over_missing_samples_are_refused(tmp_path, kind):
     path, time_s = lacking(tmp_path, [200, 201, 202], kind)
     record = records.read_csv(path, CSV)
     whole = np.delete(np.arange(400), [200, 201, 202])
@@ -545,7 +545,7 @@ def test_short_gaps_are_interpolated_and_counted(tmp_path, kind):
 
 @pytest.mark.parametrize("kind", ["gap", "empty"])
 @pytest.mark.parametrize(("count", "offered"), [(1, "0.02"), (31, "0.32"), (99, "1"), (100, None)])
-def test_what_is_offered_for_a_short_gap_interpolates_it(tmp_path, kind, count, offered):
+def test_suggested_max_gap_s_interpolates_gap(tmp_path, kind, count, offered):
     path, _ = lacking(tmp_path, list(range(100, 100 + count)), kind)
     (flaw,) = records.read_csv(path, CSV).flaws
     found = re.search(r" \(max_gap_s = (.*) would interpolate it\)$", flaw.text)
@@ -555,14 +555,14 @@ def test_what_is_offered_for_a_short_gap_interpolates_it(tmp_path, kind, count, 
         assert record.filled == count
 
 
-def test_missing_ends_are_not_interpolated(tmp_path):
+def test_missing_first_and_last_samples_are_not_interpolated(tmp_path):
     path, _ = lacking(tmp_path, [0, 399], "empty")
     record = records.read_csv(path, CSV._replace(max_gap_s=1.0))
     assert [flaw[:2] for flaw in record.flaws] == [(0, 1), (399, 400)] and not record.filled
     assert not any("interpolate" in flaw.text for flaw in record.flaws)
 
 
-def test_a_clock_that_was_set_makes_no_record_of_years(tmp_path):
+def test_large_clock_jump_is_refused_as_gap(tmp_path):
     path = table_csv(tmp_path, np.r_[np.arange(1, 401) / 100, 1e9])
     assert "row 402: a gap at 100 Hz, from 4.0 to 1000000000.0 s" in refused(
         records.read_csv, path, CSV
@@ -580,7 +580,7 @@ STAMPS = {
 
 @pytest.mark.usefixtures("batches")
 @pytest.mark.parametrize("unit", STAMPS)
-def test_units_of_time_with_semicolons_and_comments(tmp_path, unit):
+def test_csv_time_units_with_semicolons_and_comments_are_read(tmp_path, unit):
     rows = [f"{STAMPS[unit](k)};1;2;3;4;5;6" for k in range(1, 301)]
     rows.insert(100, "# 2;a;comment")
     text = "\n".join(["% made by hand", "time_s;gx;gy;gz;ax;ay;az", "#", *rows])
@@ -592,7 +592,7 @@ def test_units_of_time_with_semicolons_and_comments(tmp_path, unit):
     np.testing.assert_array_equal(record.dv[99:101], [[4, 5, 6]] * 2)
 
 
-def test_dates_in_parquet(tmp_path):
+def test_parquet_dates_give_rate_and_start(tmp_path):
     stamps = np.datetime64("1970-01-01T00:16:40") + np.arange(1, 301) * np.timedelta64(10, "ms")
     columns = {name: np.ones(300) for name in GYRO + ACCEL}
     layout = CSV._replace(format="parquet", time_unit="iso", rate_hz=None)
@@ -604,7 +604,7 @@ def test_dates_in_parquet(tmp_path):
     assert "column 'time_s' holds string, not numbers" in line
 
 
-def test_a_date_that_is_none(tmp_path):
+def test_invalid_iso_date_is_refused(tmp_path):
     (tmp_path / "a.csv").write_text(HEAD + "2024-13-01T00:00:00,1,2,3,4,5,6\n")
     line = refused(records.read_csv, tmp_path / "a.csv", CSV._replace(time_unit="iso"))
     assert "row 2: column 'time_s': '2024-13-01T00:00:00' is not an ISO 8601 date and time" in line
@@ -618,7 +618,7 @@ lines_of_text = st.lists(st.sampled_from([b"1,2", b"\n", b"\r", b"\r\n", b"", b"
 
 @quick
 @given(pieces=lines_of_text.filter(any), size=st.integers(1, 9))
-def test_lines_in_batches_are_those_of_the_whole(folder, pieces, size):
+def test_line_batches_match_splitlines_of_whole_text(folder, pieces, size):
     text, path = b"".join(pieces), folder / "lines.txt"
     path.write_bytes(b"\xef\xbb\xbf" * (size > 3) + text)
     batches = list(files.line_batches(path, size + 2))
@@ -630,7 +630,7 @@ def test_lines_in_batches_are_those_of_the_whole(folder, pieces, size):
 
 
 @pytest.mark.parametrize("kind", ["csv", "iso", "psins", "parquet"])
-def test_a_record_in_batches_is_the_whole_to_the_last_bit(tmp_path, monkeypatch, kind):
+def test_record_read_in_batches_is_bit_identical(tmp_path, monkeypatch, kind):
     random, path = np.random.default_rng(3), tmp_path / "long"
     record = Record(random.normal(size=(999, 3)), random.normal(size=(999, 3)), 100.0)
     layout = CSV._replace(max_gap_s=0.1, axes_order="y-xz")
@@ -675,7 +675,7 @@ print((peak() - before) / len(record.dv))
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no /proc to read a peak from")
-def test_a_long_record_is_read_in_little_memory(tmp_path):
+def test_long_csv_record_is_read_in_little_memory(tmp_path):
     """Bytes a sample, of which 48 are the result; the text and its lines at once took 670."""
     random, path = np.random.default_rng(3), tmp_path / "long.csv"
     record = Record(random.normal(size=(500_000, 3)), random.normal(size=(500_000, 3)), 200.0)
@@ -689,7 +689,7 @@ def test_a_long_record_is_read_in_little_memory(tmp_path):
 # --- reference
 
 
-def test_a_reference_may_have_headings_and_the_record_s_own_time(tmp_path):
+def test_reference_accepts_headings_and_record_time_column(tmp_path):
     rows = "".join(f"{1000 * k};1;2;{350 + k}\n" for k in range(3))
     (tmp_path / "r.csv").write_text("stamp;pitch_deg;roll_deg;heading_deg\n" + rows)
     layout = CSV._replace(time_column="stamp", time_unit="ms")
@@ -721,12 +721,12 @@ def test_a_reference_may_have_headings_and_the_record_s_own_time(tmp_path):
         ),
     ],
 )
-def test_bad_reference(tmp_path, text, says):
+def test_invalid_reference_is_refused(tmp_path, text, says):
     (tmp_path / "r.csv").write_text(text)
     assert says in refused(records.read_reference, tmp_path / "r.csv")
 
 
-def test_reference_parquet(tmp_path):
+def test_reference_is_read_from_parquet(tmp_path):
     columns = {"time_s": [0, 1], "yaw_deg": [5.0, 6.0], "pitch_deg": [1.0, 2.0]}
     pq.write_table(pa.table(columns | {"roll_deg": [3.0, 4.0]}), tmp_path / "r.parquet")
     reference = records.read_reference(tmp_path / "r.parquet")
@@ -739,7 +739,7 @@ def test_reference_parquet(tmp_path):
 
 
 @needs_data
-def test_real_record(tmp_path):
+def test_real_psins_record_survives_round_trip(tmp_path):
     record = records.read_record(REAL, records.PSINS_LAYOUT)
     assert record.dtheta.shape == record.dv.shape == (90_000, 3)
     assert (record.rate_hz, record.latitude_deg) == (100.0, 34.246048)
@@ -750,7 +750,7 @@ def test_real_record(tmp_path):
 
 
 @needs_data
-def test_real_reference():
+def test_real_reference_has_expected_times_and_attitude():
     reference = records.read_reference(DATA / "lasergyro_0_900_reference.csv")
     np.testing.assert_array_equal(reference.time_s, np.arange(901.0))
     np.testing.assert_array_equal(reference.attitude_deg[0], [0.897249, 0.166239, -90.588884])

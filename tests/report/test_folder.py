@@ -61,7 +61,7 @@ def results(tmp_path):
     return store(tmp_path / "results", study, summary_of(study))
 
 
-def test_a_page_is_prose_with_what_its_script_computed(page_of, results, tmp_path):
+def test_page_renders_prose_with_script_values(page_of, results, tmp_path):
     said = told(results, page=page_of())
     text = (tmp_path / "docs" / "two_words.md").read_text()
     assert "two_words.md and 1 figures" in said and "ok:" not in said
@@ -87,36 +87,36 @@ def test_a_page_is_prose_with_what_its_script_computed(page_of, results, tmp_pat
         (PROSE.replace("{{ runs }}", "{{ runs"), "page.md.j2"),
     ],
 )
-def test_prose_and_numbers_have_to_meet(page_of, results, prose, message):
+def test_unused_or_undefined_names_in_prose_are_refused(page_of, results, prose, message):
     with pytest.raises(InputError, match="page.md.j2: ") as caught:
         told(results, page=page_of(prose))
     assert message in str(caught.value)
 
 
-def test_a_claim_that_no_longer_holds_is_named(page_of, results):
+def test_false_claim_in_page_is_reported(page_of, results):
     script = SCRIPT.replace("runs > 0", "runs > 3")
     with pytest.raises(InputError, match="not so in these results: there are runs"):
         told(results, page=page_of(script=script))
 
 
-def test_results_that_a_page_needs_are_named(page_of, tmp_path):
+def test_missing_results_of_page_are_reported(page_of, tmp_path):
     study = small_study(study={"name": "sway"})
     with pytest.raises(InputError, match="needs results of swing: add their directory"):
         told(store(tmp_path / "sway", study, summary_of(study)), page=page_of())
 
 
-def test_a_folder_that_is_no_page_is_named(results, tmp_path):
+def test_folder_without_page_script_is_refused(results, tmp_path):
     with pytest.raises(InputError, match=r"holds no page.py, .* a page \(--page takes"):
         told(results, page=tmp_path)
 
 
-def test_claims_are_only_looked_at_where_they_are_not_enforced(page_of):
+def test_false_claims_are_ignored_when_not_enforced(page_of):
     page = Page({}, {}, {}, {"so": False})
     at = page_of("{{ claim('so') }}said")
     assert folder.render(at, page, enforced=False) == "said"
 
 
-def test_a_users_study_is_never_known_by_its_name(tmp_path):
+def test_study_name_does_not_select_report_layout(tmp_path):
     study = small_study(study={"name": "consistency"})
     page = tmp_path / "mine.md"
     told(store(tmp_path / "results", study, summary_of(study)), page=page)

@@ -64,7 +64,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("name", NASTY)
-def test_a_name_is_read_letter_by_letter_from_markdown(name: str) -> None:
+def test_escaped_name_renders_unchanged_in_markdown(name: str) -> None:
     read = MarkdownIt("commonmark").enable(["table", "strikethrough"])
     shown = read.renderInline(escaped(name)).replace("&lt;", "<").replace("&gt;", ">")
     assert shown.replace("&amp;", "&") == name
@@ -81,7 +81,7 @@ def test_only_names_are_escaped() -> None:
     assert NO_NAMES.markdown("*never* 1 < 2, <b>") == "*never* 1 < 2, &lt;b>"
 
 
-def test_pages_of_shipped_studies_are_as_they_were() -> None:
+def test_shipped_pages_are_unchanged_by_name_escaping() -> None:
     """Nothing that stands on a committed page is changed on its way there."""
     root = Path(__file__).parents[2]
     configs = sorted(root.glob("configs/*.toml"))
@@ -94,7 +94,7 @@ def test_pages_of_shipped_studies_are_as_they_were() -> None:
 
 
 @pytest.mark.usefixtures("drawn_on_request")
-def test_a_report_shows_names_as_they_are(results: Path, tmp_path: Path) -> None:
+def test_report_shows_special_characters_in_names_literally(results: Path, tmp_path: Path) -> None:
     page, html = tmp_path / "docs" / "page.md", tmp_path / "page.html"
     page.parent.mkdir()
     said = told(results, page=page, html=html)
@@ -110,7 +110,7 @@ def test_a_report_shows_names_as_they_are(results: Path, tmp_path: Path) -> None
     assert {path.parent for path in tmp_path.rglob("*.png")} == {page.parent / "figures"}
 
 
-def test_a_figure_shows_names_as_they_are_and_its_decades_without_mathematics() -> None:
+def test_figure_shows_names_and_decades_without_mathtext() -> None:
     @styled
     def draw() -> Figure:
         figure = Figure(figsize=(3, 3))
@@ -131,7 +131,7 @@ def test_a_figure_shows_names_as_they_are_and_its_decades_without_mathematics() 
     assert "3×10⁰" in {label.get_text() for label in up}
 
 
-def test_a_terminal_that_reads_markup_is_told_text() -> None:
+def test_console_output_shows_markup_in_names_literally() -> None:
     file = io.StringIO()
     shown = Console(file=file, width=40)
     screen.say(shown, "[/b] reset [fast] :smile:")
@@ -144,7 +144,7 @@ def test_a_terminal_that_reads_markup_is_told_text() -> None:
 
 
 @pytest.mark.parametrize("letter", ["\x1b", "\n", "\x00", "\x85", "\u2028", "\u202e"])
-def test_letters_that_nobody_sees_are_refused(letter: str) -> None:
+def test_control_characters_in_names_are_refused(letter: str) -> None:
     for place, changes in {
         "[study] name": {"study": {"name": f"a{letter}b"}},
         "[cases] case[1]": {"cases": [{"case": "a"}, {"case": f"b{letter}"}]},
@@ -156,7 +156,7 @@ def test_letters_that_nobody_sees_are_refused(letter: str) -> None:
         assert letter not in line and line.isprintable()
 
 
-def test_a_report_that_fails_leaves_finished_results_finished(
+def test_failed_report_keeps_results_complete(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def finished(study: Any, directory: Path, *_: Any, **options: Any) -> None:

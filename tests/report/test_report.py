@@ -36,7 +36,7 @@ def recorded_study(**changes):
 # --- any study ----------------------------------------------------------------------------------
 
 
-def test_the_table_holds_the_statistics(tmp_path):
+def test_table_shows_success_settling_and_heading_statistics(tmp_path):
     study = small_study(study={"draws": 40}, axes={"phi_u0_deg": [0.0, 30.0]})
     settle = np.where(np.arange(80) % 4 == 1, np.nan, 20.0 + np.arange(80))
     ok = np.where(np.isnan(settle), "not_settled", "ok")
@@ -57,7 +57,7 @@ def test_the_table_holds_the_statistics(tmp_path):
     assert f"Of these {list(ok).count('ok')} within" in text
 
 
-def test_lines_are_whole_where_the_console_is_no_terminal(tmp_path, monkeypatch):
+def test_report_lines_are_not_cut_off_outside_terminal(tmp_path, monkeypatch):
     study = small_study(axes={"phi_u0_deg": [0.0, 30.0]})
     lines = told(store(tmp_path, study, summary_of(study))).splitlines()
     assert any("phi_u0_deg" in line and "from its limit" in line for line in lines)
@@ -68,7 +68,7 @@ def test_lines_are_whole_where_the_console_is_no_terminal(tmp_path, monkeypatch)
     assert "\N{HORIZONTAL ELLIPSIS}" not in told(tmp_path)
 
 
-def test_many_variants_are_pooled_and_their_intervals_count_draws(tmp_path):
+def test_pooled_variants_have_intervals_counted_by_draws(tmp_path):
     axes = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 2.0], "phi_u0_deg": [0, 5, 10, 20]}
     study = small_study(axes=axes, resets={})
     text = told(store(tmp_path, study, summary_of(study)))
@@ -91,7 +91,7 @@ def test_many_variants_are_pooled_and_their_intervals_count_draws(tmp_path):
     }
 
 
-def test_the_best_schedule_settles_most_runs_and_first(tmp_path):
+def test_best_schedule_has_most_successes_then_fastest_settling(tmp_path):
     study = small_study(axes={"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]})
     settle = np.tile([5.0, 4.0, 3.0, 2.0], 3)
     settle[3] = np.nan  # the fastest one fails once
@@ -103,7 +103,7 @@ def test_the_best_schedule_settles_most_runs_and_first(tmp_path):
     assert row[5] == "3"  # three draws do not bound their median
 
 
-def test_variants_are_compared_with_the_first_on_the_same_noise(tmp_path):
+def test_variants_are_compared_with_first_on_same_noise(tmp_path):
     study = small_study(study={"draws": 40}, axes={"phi_u0_deg": [0.0, 30.0]})
     settle = 50.0 + np.repeat(np.arange(40.0), 2) + np.tile([0.0, 7.0], 40)
     status = ["ok"] * 79 + ["diverged"]
@@ -119,7 +119,7 @@ def test_variants_are_compared_with_the_first_on_the_same_noise(tmp_path):
     assert "is a reference only: variants also differ from it in phi_u0_deg, the" in text
 
 
-def test_variants_are_compared_under_the_same_conditions(tmp_path):
+def test_variants_are_compared_under_same_conditions(tmp_path):
     """From 30 deg every run takes 100 s longer, and a second reset 7 s longer."""
     axes = {"reset_count": [1, 2], "phi_u0_deg": [0.0, 30.0]}
     study = small_study(study={"draws": 40}, axes=axes, resets={"reset_cycle_s": 1.0})
@@ -133,7 +133,7 @@ def test_variants_are_compared_under_the_same_conditions(tmp_path):
     assert "is a reference only" not in text
 
 
-def test_conditions_of_cases_are_told(tmp_path):
+def test_differing_conditions_of_cases_are_reported(tmp_path):
     level = {"phi_e0_deg": 2.0, "reset_count": 0}  # the same in both
     cases = [{"case": name, "phi_u0_deg": u, **level} for name, u in (("near", 1.0), ("far", 9.0))]
     study = small_study(study={"draws": 8}, cases=cases)
@@ -143,12 +143,12 @@ def test_conditions_of_cases_are_told(tmp_path):
 
 
 @pytest.mark.parametrize("changes", [{"study": {"draws": 1}}, {}])
-def test_one_draw_or_one_variant_is_compared_with_nothing(tmp_path, changes):
+def test_single_draw_or_variant_has_no_comparison(tmp_path, changes):
     study = small_study(axes={"phi_u0_deg": [0.0, 30.0]} if changes else {}, **changes)
     assert "Against" not in told(store(tmp_path, study, summary_of(study)))
 
 
-def test_axes_that_go_together_are_one(tmp_path):
+def test_zipped_axes_are_plotted_as_one_axis(tmp_path):
     level = {"phi_e0_deg": [0.0, 5.0, 10.0], "phi_n0_deg": [0.0, 5.0, 5.0]}
     study = small_study(axes={"level": level, "phi_u0_deg": [0.0, 30.0]})
     assert swept(study) == {("phi_e0_deg",): (0.0, 5.0, 10.0), ("phi_u0_deg",): (0.0, 30.0)}
@@ -163,14 +163,14 @@ def test_axes_that_go_together_are_one(tmp_path):
     np.testing.assert_allclose(axes.get_images()[0].get_array(), settle[:6].reshape(3, 2))
 
 
-def test_an_axis_whose_first_key_repeats_is_told_by_all_of_its_keys():
+def test_zipped_axis_with_repeated_first_key_shows_all_keys():
     both = {"phi_e0_deg": [0.0, 0.0], "phi_n0_deg": [0.0, 5.0]}
     study = small_study(axes={"level": both})
     assert swept(study) == {("phi_e0_deg", "phi_n0_deg"): ((0.0, 0.0), (0.0, 5.0))}
     assert shown_keys(study) == ("phi_e0_deg", "phi_n0_deg")
 
 
-def test_a_study_that_stopped_early_has_the_draws_that_it_has(tmp_path):
+def test_report_of_stopped_study_counts_its_actual_draws(tmp_path):
     stop = {"statistic": "success_rate", "half_width": 0.2}
     axes = {"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]}
     study = small_study(study={"draws": 100}, stop_when=stop, axes=axes)
@@ -179,7 +179,7 @@ def test_a_study_that_stopped_early_has_the_draws_that_it_has(tmp_path):
     assert "256 runs: 4 variants, 64 draws." in text
 
 
-def test_no_column_is_read_that_is_not_told(tmp_path, monkeypatch):
+def test_report_reads_only_needed_summary_columns(tmp_path, monkeypatch):
     study = small_study(axes={"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]})
     directory = store(tmp_path, study, summary_of(study), curves_of(study))
     seen = []
@@ -195,7 +195,7 @@ def test_no_column_is_read_that_is_not_told(tmp_path, monkeypatch):
     assert seen and max(map(len, seen)) < 14
 
 
-def test_rows_are_some_columns_by_run(tmp_path):
+def test_source_rows_returns_selected_columns_sorted_by_run(tmp_path):
     study = small_study(axes={"phi_u0_deg": [0.0, 30.0]})
     whole = summary_of(study)
     source = Source.read(store(tmp_path, study, whole.take([5, 1, 3, 0, 2, 4])))
@@ -217,33 +217,33 @@ def test_rows_are_some_columns_by_run(tmp_path):
         ({}, 1, "swing: 1 Monte Carlo run"),
     ],
 )
-def test_figures_say_what_they_rest_on(tmp_path, axes, draws, text):
+def test_counted_label_states_variants_and_monte_carlo_runs(tmp_path, axes, draws, text):
     study = small_study(study={"name": "swing", "draws": draws}, axes=axes)
     source = Source(tmp_path, study, "x.toml", summary_of(study))
     assert source.counted == text
 
 
-def test_figures_of_a_record_count_its_start_times(tmp_path):
+def test_counted_label_of_record_states_start_times(tmp_path):
     study = recorded_study()
     source = Source(tmp_path, study, "x.toml", summary_of(study))
     assert source.counted == "car: 3 start times"
 
 
-def test_incomplete_results_are_told(tmp_path):
+def test_incomplete_results_are_refused(tmp_path):
     study = small_study(axes={"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]})
     summary = summary_of(study).slice(0, 11)
     with pytest.raises(InputError, match="11 runs where the study has 12"):
         told(store(tmp_path, study, summary))
 
 
-def test_curves_are_drawn_where_they_were_stored(tmp_path):
+def test_misalignment_figure_is_drawn_from_stored_curves(tmp_path):
     study = small_study()
     told(store(tmp_path, study, summary_of(study), curves_of(study)))
     names = {path.name for path in (tmp_path / "figures").iterdir()}
     assert names == {"misalignment.png", "consistency.png"}
 
 
-def test_a_record_without_reference_tells_attitude_and_sigma(tmp_path):
+def test_record_without_reference_reports_attitude_and_sigma(tmp_path):
     study = recorded_study()
     summary = summary_of(study, truth=False, yaw_deg=[-90.1234, 1.0, 2.0])
     text = told(store(tmp_path, study, summary, curves_of(study, truth=False)))
@@ -251,7 +251,7 @@ def test_a_record_without_reference_tells_attitude_and_sigma(tmp_path):
     assert {path.name for path in (tmp_path / "figures").iterdir()} == {"attitude.png"}
 
 
-def test_results_that_are_missing(tmp_path):
+def test_missing_results_are_refused(tmp_path):
     with pytest.raises(InputError, match="holds no results"):
         told(tmp_path / "nothing")
 
@@ -260,7 +260,7 @@ def test_results_that_are_missing(tmp_path):
 
 
 @pytest.mark.usefixtures("drawn")
-def test_a_page(tmp_path):
+def test_page_has_header_figures_and_tables(tmp_path):
     study = small_study(study={"name": "swing"}, axes={"phi_u0_deg": [0.0, 30.0]})
     results_at = store(tmp_path / "results", study, summary_of(study))
     page = tmp_path / "docs" / "swing.md"
@@ -284,7 +284,7 @@ def test_a_page(tmp_path):
 
 
 @pytest.mark.usefixtures("drawn")
-def test_a_page_is_written_the_same_again(tmp_path):
+def test_page_is_written_identically_twice(tmp_path):
     study = small_study(axes={"phi_u0_deg": [0.0, 30.0]})
     directory = store(tmp_path / "results", study, summary_of(study))
     content = []
@@ -295,7 +295,7 @@ def test_a_page_is_written_the_same_again(tmp_path):
     assert content[0] == content[1]
 
 
-def test_a_page_that_cannot_be_written(tmp_path):
+def test_unwritable_page_is_refused(tmp_path):
     study = small_study()
     directory = store(tmp_path / "results", study, summary_of(study))
     (tmp_path / "file").write_text("")
@@ -304,7 +304,7 @@ def test_a_page_that_cannot_be_written(tmp_path):
 
 
 @pytest.mark.parametrize("option", ["page", "html"])
-def test_what_cannot_be_written_is_refused_before_anything_is_told(tmp_path, monkeypatch, option):
+def test_unwritable_output_is_refused_before_report_is_made(tmp_path, monkeypatch, option):
     study = small_study()
     directory = store(tmp_path / "results", study, summary_of(study))
     (tmp_path / "file").write_text("")
@@ -317,7 +317,7 @@ def test_what_cannot_be_written_is_refused_before_anything_is_told(tmp_path, mon
             told(directory, **{option: tmp_path / name})
 
 
-def test_the_folder_of_a_page_is_made(tmp_path):
+def test_missing_page_folder_is_created(tmp_path):
     study = small_study()
     directory = store(tmp_path / "results", study, summary_of(study))
     files = [tmp_path / kind / f"page.{kind}" for kind in ("md", "html")]
@@ -325,7 +325,7 @@ def test_the_folder_of_a_page_is_made(tmp_path):
     assert all(file.is_file() for file in files)
 
 
-def test_cells_and_folds():
+def test_markdown_escapes_cells_and_folds_tables():
     table = base.Table("T", ["a|b"], [["|x|"]], "note", folded=True)
     text = report.output.markdown(table)
     assert text.startswith("<details>") and "\\|x\\|" in text and "note" in text
@@ -333,7 +333,7 @@ def test_cells_and_folds():
     assert "](figures/p_fig.png)" in report.output.markdown(picture, "p_")
 
 
-def test_a_study_whose_file_is_not_known_is_named_by_its_results(tmp_path):
+def test_source_without_config_file_is_labelled_by_study_name(tmp_path):
     study = small_study(study={"name": "swing"})
     directory = store(tmp_path, study, summary_of(study))
     manifest = json.loads((directory / "manifest.json").read_text())
@@ -344,7 +344,7 @@ def test_a_study_whose_file_is_not_known_is_named_by_its_results(tmp_path):
 # --- the readings -------------------------------------------------------------------------------
 
 
-def test_the_yardstick_is_said_once_a_page_and_names_what_is_judged_against(tmp_path):
+def test_page_states_success_criteria_and_their_reference(tmp_path):
     study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
     page = tmp_path / "page.md"
     told(store(tmp_path / "out", study, summary_of(study)), page=page)
@@ -357,7 +357,7 @@ def test_the_yardstick_is_said_once_a_page_and_names_what_is_judged_against(tmp_
     assert "of the reference's heading" in base.yardstick(recorded_study())
 
 
-def test_both_yardsticks_stand_in_words_in_table_figure_and_page(tmp_path):
+def test_success_from_truth_and_bias_floor_appears_in_all_outputs(tmp_path):
     study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
     flags = {"ok_truth": [True, False] * 8, "ok_limit": [True] * 16}
     summary = summary_of(study, **flags, phi_u_arcmin=np.tile([9.0, 11.0], 8))
@@ -386,7 +386,7 @@ def test_headings_too_far_east_are_not_within_the_band_at_the_end(tmp_path):
     assert "Within 10' of true north at the end: 0 [" in text
 
 
-def test_the_heading_error_is_told_time_by_time_whatever_its_sign(tmp_path):
+def test_heading_error_table_shows_rms_and_quantile_per_time(tmp_path):
     """Headings to the left and to the right do not cancel, and the window mean is not told."""
     sign = np.tile([1.0, -1.0], 32)
     size = np.linspace(200.0, 400.0, 64)
@@ -410,7 +410,7 @@ def test_the_heading_error_is_told_time_by_time_whatever_its_sign(tmp_path):
     )
 
 
-def test_runs_that_are_near_north_without_having_converged_are_told(tmp_path):
+def test_runs_near_north_but_not_converged_are_reported(tmp_path):
     """One axis lies at its limit, and one at north, 25.9' from it."""
     axes = {"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]}
     study = small_study(study={"draws": 8}, axes=axes)
@@ -433,7 +433,7 @@ def test_runs_that_are_near_north_without_having_converged_are_told(tmp_path):
     assert "from their limit" not in text and ", not converged" not in text
 
 
-def test_numbers_of_one_are_told_as_one(tmp_path):
+def test_counts_of_one_use_singular(tmp_path):
     study = small_study(study={"draws": 1})
     flags = {"ok_truth": [True], "ok_limit": [False]}
     text = told(store(tmp_path, study, summary_of(study, **flags, phi_u_arcmin=np.zeros(1))))
@@ -450,7 +450,7 @@ def test_numbers_of_one_are_told_as_one(tmp_path):
     ("floors", "drawn"),
     [([FLOOR, np.nan], True), ([FLOOR, FLOOR + 1e-6], True), ([FLOOR, FLOOR + 5.0], False)],
 )
-def test_a_limit_that_is_one_number_is_a_line(tmp_path, floors, drawn):
+def test_constant_bias_floor_is_drawn_as_line(tmp_path, floors, drawn):
     study = small_study(study={"draws": 2, "curves": True}, axes={"phi_u0_deg": [0.0, 30.0]})
     summary = summary_of(study, floor_arcmin=np.tile(floors, 2))
     source = Source.read(store(tmp_path, study, summary, curves_of(study)))
@@ -459,7 +459,7 @@ def test_a_limit_that_is_one_number_is_a_line(tmp_path, floors, drawn):
     assert ("limit" in [text.get_text() for text in figure.legends[0].get_texts()]) == drawn
 
 
-def test_none_is_best_where_no_run_is_ok(tmp_path):
+def test_no_schedule_is_best_without_successful_run(tmp_path):
     axes = {"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0], "phi_u0_deg": [5.0, 30.0]}
     study = small_study(study={"draws": 8}, axes=axes)
     ok = np.tile([True, False], 32)  # from 5 deg alone
@@ -473,14 +473,14 @@ def test_none_is_best_where_no_run_is_ok(tmp_path):
     assert "-: no run is ok, so none is best." in best
 
 
-def test_the_limit_has_one_name_that_is_explained_first(tmp_path):
+def test_heading_limit_is_explained_before_first_use(tmp_path):
     study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
     text = told(store(tmp_path, study, summary_of(study)))
     assert text.index("Limit: the heading error that a run's own") < text.index("of its limit")
     assert "allow" not in text and "floor" not in text
 
 
-def test_words_are_explained_once_under_every_report(tmp_path):
+def test_glossary_terms_are_explained_once_per_report(tmp_path):
     study = small_study()
     page, html = tmp_path / "page.md", tmp_path / "page.html"
     text = told(store(tmp_path / "out", study, summary_of(study)), page=page, html=html)
@@ -490,7 +490,7 @@ def test_words_are_explained_once_under_every_report(tmp_path):
         assert html.read_text().count(f"<em>{word}</em>: ") == 1
 
 
-def test_biases_that_a_filter_does_not_know_explain_its_nees(tmp_path):
+def test_unmodelled_biases_explain_high_nees(tmp_path):
     axes = {"phi_u0_deg": [0.0, 30.0]}
     biased = small_study(study={"draws": 8}, axes=axes, sensors={"accel_bias_ug": 500.0})
     text = told(store(tmp_path / "a", biased, summary_of(biased, nees=np.full(16, 9.0))))
@@ -502,7 +502,7 @@ def test_biases_that_a_filter_does_not_know_explain_its_nees(tmp_path):
 
 
 @pytest.mark.parametrize(("method", "told_of"), [("kalman5", True), ("kalman10", False)])
-def test_drawn_biases_explain_a_nees_too_and_what_to_add(tmp_path, method, told_of):
+def test_drawn_unmodelled_biases_explain_high_nees(tmp_path, method, told_of):
     drawn = {"gyro_bias_deg_per_h": {"normal": [0.0, 0.5]}}
     study = small_study(
         study={"draws": 8},
@@ -524,7 +524,7 @@ def test_drawn_biases_explain_a_nees_too_and_what_to_add(tmp_path, method, told_
 # --- the car test -------------------------------------------------------------------------------
 
 
-def test_a_study_that_stops_by_itself_tells_why(tmp_path):
+def test_stopped_study_reports_reason_for_stopping(tmp_path):
     """From the rows alone, and with the numbers of the rule."""
     study = small_study(
         study={"draws": 100},
@@ -537,7 +537,7 @@ def test_a_study_that_stops_by_itself_tells_why(tmp_path):
     assert "after 64 draws" in why and ", narrow enough" in why and "0.9" in why
 
 
-def test_a_stopped_study_that_lacks_a_part_is_told(tmp_path):
+def test_missing_part_of_stopped_study_is_refused(tmp_path):
     """Variants that are not there must not pass for fewer draws."""
     study = small_study(
         study={"draws": 65},

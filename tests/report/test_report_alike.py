@@ -25,7 +25,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Source:
     return Source.read(directory)
 
 
-def test_rows_are_those_of_variants_that_differ(source: Source) -> None:
+def test_distinct_rows_exclude_duplicate_variants(source: Source) -> None:
     table = source.distinct(["reset_count", "reset_cycle_s", "draw_id", "phi_u_arcmin"])
     assert table.column_names == ["reset_count", "reset_cycle_s", "draw_id", "phi_u_arcmin"]
     keys = [(row["reset_count"], row["reset_cycle_s"]) for row in table.to_pylist()]
@@ -36,7 +36,7 @@ def test_rows_are_those_of_variants_that_differ(source: Source) -> None:
     np.testing.assert_array_equal(analysis.numbers(table, "phi_u_arcmin"), expected)
 
 
-def test_the_table_of_variants_has_each_once(source: Source) -> None:
+def test_variant_table_lists_duplicate_variants_once(source: Source) -> None:
     table = auto.statistics(source, ["reset_count", "reset_cycle_s"], "Every variant")
     assert [row[:3] for row in table.rows] == [
         ["0", "-", "3"],
@@ -46,7 +46,7 @@ def test_the_table_of_variants_has_each_once(source: Source) -> None:
     ]
 
 
-def test_the_tables_begin_with_how_repeated_runs_count(source: Source) -> None:
+def test_tables_section_explains_how_duplicate_variants_count(source: Source) -> None:
     (chapter,) = (one for one in auto.report(source).sections if one.heading == "Tables")
     assert chapter.blocks[0] == Text(
         "2 of the 6 variants repeat another one, because reset_cycle_s does not act there. The"
@@ -55,13 +55,13 @@ def test_the_tables_begin_with_how_repeated_runs_count(source: Source) -> None:
     )
 
 
-def test_keys_that_tell_no_runs_apart_are_named() -> None:
+def test_idle_keys_lists_keys_that_differ_between_duplicate_variants() -> None:
     axes = {"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]}
     assert idle_keys(small_study(axes=axes)) == ["reset_cycle_s"]
     assert idle_keys(small_study(axes=axes | {"reset_count": [1, 2]})) == []
 
 
-def test_a_map_writes_their_number_once(source: Source) -> None:
+def test_heat_map_writes_number_of_duplicate_variants_once(source: Source) -> None:
     table = source.summary
     for name in ("settle_10_s", "settle_10_truth_s"):  # short runs never settle
         place = table.column_names.index(name)
@@ -76,7 +76,7 @@ def test_a_map_writes_their_number_once(source: Source) -> None:
     assert all(isinstance(block, Table | Picture) for block in blocks)
 
 
-def test_methods_with_and_without_a_covariance_are_drawn_side_by_side(tmp_path: Path) -> None:
+def test_report_draws_methods_with_and_without_covariance_together(tmp_path: Path) -> None:
     study = small_study(
         study={"curves": True, "draws": 2}, axes={"alignment": {"method": ["kalman5", "compass"]}}
     )

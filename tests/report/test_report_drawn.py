@@ -40,7 +40,7 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> Source:
     return Source.read(out)
 
 
-def test_bins_hold_about_as_many_and_few_values_are_bins_of_their_own() -> None:
+def test_bins_have_equal_counts_and_few_values_stay_separate() -> None:
     values = np.random.default_rng(0).normal(size=1001)
     medians = bin_medians(values, 8)
     found, sizes = np.unique(medians, return_counts=True)
@@ -53,7 +53,7 @@ def test_bins_hold_about_as_many_and_few_values_are_bins_of_their_own() -> None:
     assert bin_medians(few, 3).tolist() == few.tolist()
 
 
-def test_every_drawn_number_has_bins_and_its_statistics_are_of_their_runs(drawn: Source) -> None:
+def test_drawn_scalars_are_binned_with_statistics_per_bin(drawn: Source) -> None:
     found = binned(drawn)
     assert found.keys() == {"phi_u0_deg", "yaw_center_deg"}  # a vector has no order
     assert found["yaw_center_deg"][1] == (0.0, 90.0, 180.0)
@@ -73,7 +73,7 @@ def test_every_drawn_number_has_bins_and_its_statistics_are_of_their_runs(drawn:
         assert estimate.low < estimate.value < estimate.high
 
 
-def test_the_report_has_a_figure_and_a_table_over_each(drawn: Source) -> None:
+def test_report_has_figure_and_table_per_drawn_key(drawn: Source) -> None:
     figures = {block.name: block for block in over_axes.over_axes(drawn)}
     assert figures.keys() == {"along_axis", "over_phi_u0_deg", "over_yaw_center_deg"}
     over = figures["over_yaw_center_deg"]
@@ -87,7 +87,7 @@ def test_the_report_has_a_figure_and_a_table_over_each(drawn: Source) -> None:
     assert [row[2] for row in table.rows] == ["10"] * 12
 
 
-def test_a_panel_without_a_number_is_left_out_and_yaw_is_not_called_heading(drawn: Source) -> None:
+def test_panel_without_values_is_omitted_and_yaw_axis_is_labelled(drawn: Source) -> None:
     over = {block.name: block for block in over_axes.over_axes(drawn)}["over_yaw_center_deg"]
     titles = [axes.get_title(loc="left") for axes in over.figure.axes]
     assert "heading error at the end, rms (arcmin)" in titles
@@ -101,7 +101,7 @@ def test_a_panel_without_a_number_is_left_out_and_yaw_is_not_called_heading(draw
     assert line.lines[0].get_ydata()[1] == pytest.approx(np.sqrt(np.mean(mine**2)))
 
 
-def test_lists_are_an_axis_side_by_side(tmp_path: Path) -> None:
+def test_list_valued_axis_is_plotted_as_categories(tmp_path: Path) -> None:
     times = [[], [0.5], [0.5, 1.0]]
     study = small_study(study=SHORT | {"draws": 4}, axes={"reset_times_s": times})
     assert shown_axes(study) == ({"reset_times_s": ((), (0.5,), (0.5, 1.0))}, [])
@@ -112,7 +112,7 @@ def test_lists_are_an_axis_side_by_side(tmp_path: Path) -> None:
     assert axes.get_xlabel() == "resets at (s)"
 
 
-def test_a_number_goes_before_a_list() -> None:
+def test_numeric_axis_is_shown_before_list_axis() -> None:
     axes = {"reset_times_s": [[], [0.5]], "p0_yaw_deg": [1.0, 2.0]}
     shown, others = shown_axes(small_study(study=SHORT, axes=axes))
     assert (shown, others) == ({"p0_yaw_deg": (1.0, 2.0)}, ["reset_times_s"])

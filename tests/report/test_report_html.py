@@ -58,7 +58,7 @@ def page(tmp_path, *parts, title="Title"):
     return path.read_text(encoding="utf-8")
 
 
-def test_a_page_holds_all_of_a_report(tmp_path):
+def test_html_page_contains_whole_report(tmp_path):
     table = base.Table("A *table*", ["a", "b"], [["1", "`2`"], ["3", "4"]], "a note")
     picture = base.Picture("fig", 'what is "seen"', Figure())
     picture.figure.suptitle('what is "drawn"')
@@ -77,7 +77,7 @@ def test_a_page_holds_all_of_a_report(tmp_path):
     assert ("img", "alt", 'what is "drawn"') in read.attributes
 
 
-def test_a_page_needs_nothing_else(tmp_path):
+def test_html_page_is_self_contained(tmp_path):
     text = page(tmp_path, made(base.Picture("fig", "c", Figure()), base.Text("http://a.b/c")))
     places = [value for _, name, value in Reader(text).attributes if name in ("src", "href")]
     assert len(places) == 1 and places[0].startswith("data:")
@@ -85,7 +85,7 @@ def test_a_page_needs_nothing_else(tmp_path):
     assert not re.search(r"url\(|@import", text)
 
 
-def test_what_is_said_is_text_and_not_markup(tmp_path):
+def test_html_page_escapes_markup_in_text(tmp_path):
     nasty = "<b>&amp;</b> 1 < 2 [a](http://x) ![b](http://y) <http://z> phi_u0_deg a_b_c"
     table = base.Table(nasty, [nasty], [[nasty]], nasty)
     picture = base.Picture("fig", nasty, Figure())
@@ -101,7 +101,7 @@ def test_what_is_said_is_text_and_not_markup(tmp_path):
     assert "a<b.toml; computed by sinsjax " in said and "configs/" not in said
 
 
-def test_a_folded_table_is_folded(tmp_path):
+def test_folded_table_is_inside_details(tmp_path):
     table = base.Table("All of it", ["a"], [["1"]], "note", folded=True)
     text = page(tmp_path, made(table))
     paths = Reader(text).seen
@@ -109,13 +109,13 @@ def test_a_folded_table_is_folded(tmp_path):
     assert "<summary>All of it</summary>" in text and "<caption>" not in text
 
 
-def test_a_page_that_cannot_be_written(tmp_path):
+def test_unwritable_html_page_raises_input_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
         write_html(tmp_path / "file" / "page.html", "T", [made()])
 
 
-def test_both_pages_of_a_study_say_the_same(tmp_path):
+def test_html_and_markdown_pages_have_same_content(tmp_path):
     study = small_study(study={"name": "swing"}, axes={"phi_u0_deg": [0.0, 30.0]})
     names = [c.name for c in (*columns.IDENTITY, *columns.OBSERVED, *columns.JUDGED)]
     names += ["settle_10_s", "settle_10_truth_s"]

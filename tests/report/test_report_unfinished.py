@@ -39,7 +39,7 @@ def told(out: Path, page: Path | None = None) -> list[str]:
     return console.file.getvalue().splitlines()
 
 
-def test_the_first_line_says_what_share_of_the_runs_it_sees(tmp_path: Path) -> None:
+def test_unfinished_report_warns_with_share_of_runs(tmp_path: Path) -> None:
     out = interrupted(tmp_path / "out", axes={"p0_yaw_deg": [10.0, 40.0, 60.0]})
     page = tmp_path / "page.md"
     lines = [line for line in told(out, page) if line]
@@ -59,14 +59,14 @@ def test_the_first_line_says_what_share_of_the_runs_it_sees(tmp_path: Path) -> N
         _ = Source.read(out).draws
 
 
-def test_without_a_whole_draw_there_is_nothing_to_compare(tmp_path: Path) -> None:
+def test_report_without_complete_draw_is_refused(tmp_path: Path) -> None:
     out = interrupted(tmp_path / "out", axes={"specific_force": ["measured", "gravity"]})
     with pytest.raises(InputError, match=r"unfinished: .* and no draw that every variant has") as e:
         told(out)
     assert "\n" not in str(e.value)
 
 
-def test_a_finished_study_says_nothing_of_it(tmp_path: Path) -> None:
+def test_finished_report_has_no_unfinished_warning(tmp_path: Path) -> None:
     study = small_study(study=SHORT | {"draws": 4})
     run.run_into(study, tmp_path / "out")
     assert not any("unfinished" in line for line in told(tmp_path / "out"))

@@ -11,11 +11,11 @@ DOCS = Path(__file__).parents[2] / "docs"
 PACKAGE = Path(sinsjax.__file__).parent
 
 
-def test_the_page_of_commands_is_up_to_date() -> None:
+def test_commands_page_is_up_to_date() -> None:
     assert (DOCS / "commands.md").read_text(encoding="utf-8") == page.page()
 
 
-def test_the_messages_told_are_messages_of_the_package() -> None:
+def test_documented_messages_exist_in_package_source() -> None:
     """What stands between the gaps of a message stands in this order in one text of the source."""
     told = re.findall(r"^\| `(.+?)`", (DOCS / "messages.md").read_text(encoding="utf-8"), re.M)
     assert len(told) > 40

@@ -88,7 +88,7 @@ def entries(index: dict[str, Any]) -> Iterator[tuple[str, list[str]]]:
 
 
 @pytest.mark.slow
-def test_every_link_leads_to_a_page_and_an_anchor(
+def test_site_links_lead_to_existing_pages_and_anchors(
     site: Path, pages: dict[Path, Shown]
 ) -> None:
     followed = 0
@@ -109,7 +109,7 @@ def test_every_link_leads_to_a_page_and_an_anchor(
     assert len(pages) > 25 and followed > 1000
 
 
-def test_a_figure_leads_to_itself_in_full_size(site: Path, pages: dict[Path, Shown]) -> None:
+def test_figures_link_to_full_size_image(site: Path, pages: dict[Path, Shown]) -> None:
     figures = [
         (path, file)
         for path, page in pages.items()
@@ -121,24 +121,24 @@ def test_a_figure_leads_to_itself_in_full_size(site: Path, pages: dict[Path, Sho
         assert file in pages[path].links, f"{path.relative_to(site)}: {file}"
 
 
-def test_nothing_is_loaded_from_elsewhere(site: Path, pages: dict[Path, Shown]) -> None:
+def test_pages_and_styles_load_no_external_files(site: Path, pages: dict[Path, Shown]) -> None:
     for path, page in pages.items():
         assert not [file for file in page.files if urlsplit(file).netloc], path
     for style in site.rglob("*.css"):
         assert not re.search(r"url\(['\"]?(https?:)?//", style.read_text(encoding="utf-8")), style
 
 
-def test_sources_of_the_studies_are_not_on_the_site(site: Path) -> None:
+def test_site_contains_no_study_sources(site: Path) -> None:
     assert not {path.suffix for path in site.rglob("*")} & {".j2", ".py", ".pyc"}
 
 
-def test_the_page_of_python_has_all_that_is_public(site: Path, pages: dict[Path, Shown]) -> None:
+def test_python_page_describes_all_public_names(site: Path, pages: dict[Path, Shown]) -> None:
     anchors = pages[(site / "python.html").resolve()].anchors
     described = {re.sub(r"^sinsjax\.", "", a) for a in anchors if re.match(r"sinsjax\.\w+$", a)}
     assert described == set(sinsjax.__all__)
 
 
-def test_the_page_of_extending_has_all_that_the_example_imports(
+def test_extending_page_describes_names_imported_by_example(
     site: Path, pages: dict[Path, Shown]
 ) -> None:
     anchors = pages[(site / "extending.html").resolve()].anchors
@@ -171,7 +171,7 @@ def test_the_page_of_extending_has_all_that_the_example_imports(
         ("gyro bias", "which_alignment.html"),
     ],
 )
-def test_the_search_finds(words: str, page: str, index: dict[str, Any]) -> None:
+def test_search_finds_expected_page(words: str, page: str, index: dict[str, Any]) -> None:
     """A page is found that has all the words, as the index cuts them, under one heading."""
     wanted = {word.lower() for word in cut(words, index)}
     found = {at for at, known in entries(index) if wanted <= {word.lower() for word in known}}
@@ -186,7 +186,7 @@ def test_the_search_finds(words: str, page: str, index: dict[str, Any]) -> None:
         ("read_history", "python.html"),
     ],
 )
-def test_a_name_in_code_is_one_word(
+def test_search_index_keeps_code_names_as_one_word(
     name: str, page: str, index: dict[str, Any]
 ) -> None:
     """Cut at its underscores it would find all pages with averages, times and seconds."""

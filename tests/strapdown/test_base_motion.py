@@ -38,7 +38,7 @@ def swings(draw):
 
 
 @pytest.mark.parametrize("with_axes", [False, True])
-def test_blocks_have_the_bits_of_a_whole_record(with_axes):
+def test_increments_in_blocks_match_whole_record_bit_for_bit(with_axes):
     n, block = 5001, 4000
     given = motion(ODD), place(WGS84, 0.5), 100.0
     plain = base_motion.increments_and_axes if with_axes else base_motion.increments
@@ -49,7 +49,7 @@ def test_blocks_have_the_bits_of_a_whole_record(with_axes):
 
 @given(swings(), st.floats(-85, 85), st.floats(0, 1000))
 @settings(max_examples=100)
-def test_attitude_rate_and_force_as_differentiated_matrices(swing, latitude_deg, t):
+def test_attitude_rate_and_force_match_differentiated_matrices(swing, latitude_deg, t):
     latitude = latitude_deg * DEG
     q = attitude(motion(swing), t)
     pitch, roll, yaw = swing.center + swing.amplitude * np.sin(
@@ -95,7 +95,7 @@ def test_increments_are_integrals_over_each_sample(swing, planet, latitude_deg, 
 
 
 @given(angles, angles, st.floats(-7, 7), st.floats(-85, 85))
-def test_a_static_base_in_closed_form(pitch, roll, yaw, latitude_deg):
+def test_static_base_increments_match_closed_form(pitch, roll, yaw, latitude_deg):
     swing = Swing(np.array([pitch, roll, yaw]), np.zeros(3), np.ones(3), np.zeros(3))
     latitude = latitude_deg * DEG
     rows = np.array(increments(motion(swing), place(WGS84, latitude), 100.0, 3))
@@ -106,12 +106,12 @@ def test_a_static_base_in_closed_form(pitch, roll, yaw, latitude_deg):
     np.testing.assert_allclose(rows[:, 3:], [c.T @ up / 100] * 3, rtol=0, atol=1e-12)
 
 
-def test_a_longer_run_begins_with_the_shorter_one():
+def test_longer_run_starts_with_increments_of_shorter_run():
     args = motion(ODD), place(PAPER, 0.5), 100.0
     np.testing.assert_array_equal(increments(*args, 2003)[:700], increments(*args, 700))
 
 
-def test_increments_differentiate_with_respect_to_the_motion():
+def test_increment_derivative_matches_finite_difference():
     here = place(PAPER, 0.5)
 
     def total(amplitude):

@@ -32,7 +32,7 @@ ACCELERATION = jax.jit(jax.jacfwd(jax.jacfwd(position, argnums=1), argnums=1))
 
 
 @pytest.mark.parametrize(("swing", "planet"), [(PAPER1, PAPER), (PAPER2, WGS84)])
-def test_a_lever_arm_feels_the_second_derivative_of_its_place(swing, planet):
+def test_lever_arm_force_matches_second_derivative_of_position(swing, planet):
     here, moving, t = place(planet, 0.6), with_lever(swing), 3.21
     rate, force = base_motion.rate_and_force(moving, here, t)
     rate0, force0 = base_motion.rate_and_force(motion(swing), here, t)
@@ -66,7 +66,7 @@ def navigated(rows, q, v, here, rate, seconds):
     return jax.lax.scan(one_second, Navigation(q, v[0], v[1], zero, zero), samples)[1]
 
 
-def test_free_navigation_at_a_lever_arm_goes_where_the_arm_goes():
+def test_free_navigation_follows_lever_arm_motion():
     """60 s at 200 Hz: 5e-5 m/s of 0.1 m/s, and 0.1 arcsec."""
     here, moving, rate, seconds = place(PAPER, 32 * DEG), with_lever(PAPER1), 200, 60
     rows = base_motion.increments(moving, here, rate * 1.0, rate * seconds)
@@ -110,7 +110,7 @@ def surging(rate, seconds, model):
 
 
 @pytest.mark.parametrize("model", ["third_order", "gauss_markov"])
-def test_free_navigation_on_a_surging_base_has_its_velocity(model):
+def test_free_navigation_follows_surge_velocity(model):
     """Sway and surge together, 60 s at 200 Hz: 5e-5 m/s of 0.3 m/s, and 0.1 arcsec."""
     rate, seconds = 200, 60
     here, moving, rows, speeds = surging(rate, seconds, model)
@@ -127,7 +127,7 @@ def test_free_navigation_on_a_surging_base_has_its_velocity(model):
     assert np.abs(np.stack(off)).max() < 0.1 * DEG / 3600
 
 
-def test_vibration_drift_and_nothing():
+def test_vibration_and_drift_are_added_to_matching_increments():
     """Every part goes where it belongs, and what there is not costs no sum."""
     three = [Vec3(*np.arange(3.0) + i) for i in range(4)]
     still = base_motion.Sensed(Increments(three[0], three[1]), None)
@@ -144,7 +144,7 @@ def test_vibration_drift_and_nothing():
     assert not any(jax.tree.leaves((states, none)))
 
 
-def test_quanta_leave_nothing_out():
+def test_quantised_increment_sums_stay_within_half_quantum():
     """Sums of quantised increments are those of the exact ones to half a quantum."""
     rows = np.random.default_rng(1).normal(size=(500, 6)) * 3e-6
     errors = sensors.perfect()._replace(

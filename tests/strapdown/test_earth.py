@@ -16,7 +16,7 @@ latitudes = st.floats(-89.9, 89.9).map(lambda degrees: round(degrees, 9))
     # NIMA TR8350.2 table 3.4 (equator, pole) and WGS-84 normal gravity at 45 deg.
     [(0.0, 9.7803253359), (90.0, 9.8321849378), (-90.0, 9.8321849378), (45.0, 9.8061977694)],
 )
-def test_normal_gravity_is_the_published_one(latitude_deg, published):
+def test_normal_gravity_matches_published_values(latitude_deg, published):
     place = earth.place(earth.wgs84(), latitude_deg * DEG)
     np.testing.assert_allclose(place.gravity, published, rtol=0, atol=1e-10)
 
@@ -26,14 +26,14 @@ def test_normal_gravity_is_the_published_one(latitude_deg, published):
     # a (1 - e^2) = b^2/a and a at the equator, the polar radius a^2/b = 6399593.6258 m at the pole.
     [(0.0, 6335439.3273, 6378137.0), (90.0, 6399593.6258, 6399593.6258)],
 )
-def test_radii_of_curvature_are_the_published_ones(latitude_deg, meridian, prime_vertical):
+def test_radii_of_curvature_match_published_values(latitude_deg, meridian, prime_vertical):
     place = earth.place(earth.wgs84(), latitude_deg * DEG)
     radii = 1 / place.curvature_n, 1 / place.curvature_e
     np.testing.assert_allclose(radii, (meridian, prime_vertical), rtol=0, atol=1e-4)
 
 
 @given(latitudes)
-def test_wgs84_in_semi_axes(latitude_deg):
+def test_wgs84_radii_and_gravity_match_naive_formulas(latitude_deg):
     latitude = latitude_deg * DEG
     place = earth.place(earth.wgs84(), latitude)
     radii = 1 / place.curvature_n, 1 / place.curvature_e
@@ -42,7 +42,7 @@ def test_wgs84_in_semi_axes(latitude_deg):
 
 
 @given(latitudes, st.sampled_from(["wgs84", "sphere"]))
-def test_earth_rate_points_to_the_pole_star_north_and_below_the_ground_south(latitude_deg, model):
+def test_earth_rate_points_north_and_up_by_latitude(latitude_deg, model):
     rate = 7.292115e-5
     planet = earth.wgs84() if model == "wgs84" else earth.sphere(rate, 6378165.0, 9.8)
     place = earth.place(planet, latitude_deg * DEG)
@@ -54,21 +54,21 @@ def test_earth_rate_points_to_the_pole_star_north_and_below_the_ground_south(lat
 
 
 @given(latitudes)
-def test_the_papers_earth_is_the_same_everywhere(latitude_deg):
+def test_sphere_has_constant_gravity_and_radii(latitude_deg):
     place = earth.place(earth.sphere(7e-5, 6378165.0, 9.8, 1000.0), latitude_deg * DEG)
     np.testing.assert_allclose(place.gravity, 9.8, rtol=0)
     np.testing.assert_allclose(1 / place.curvature_n, 6379165.0, rtol=1e-14)
     np.testing.assert_allclose(1 / place.curvature_e, 6379165.0, rtol=1e-14)
 
 
-def test_gravity_falls_with_height_as_the_free_air_gradient():
+def test_gravity_gradient_with_height_matches_free_air_value():
     gravity = jax.grad(lambda h: earth.place(earth.wgs84(h), 45 * DEG).gravity)
     # -0.3086 mGal/m at 45 deg (free-air correction), -0.30877 at the equator.
     np.testing.assert_allclose(gravity(0.0) * 1e5, -0.3086, atol=5e-5)
 
 
 @given(latitudes, st.floats(-400.0, 20000.0))
-def test_gravity_with_height_in_the_ellipsoids_closed_form(latitude_deg, height):
+def test_gravity_with_height_matches_exact_ellipsoid_potential(latitude_deg, height):
     """Against gravity of the level ellipsoid by its exact potential (spheroidal coordinates)."""
     latitude = latitude_deg * DEG
     exact = ellipsoid_gravity(latitude, height)

@@ -67,7 +67,7 @@ SIZES = np.array([10.0] * 2 + [1e-5] * 3 + [1e-3] * 2 + [1e-6] * 3)
 @pytest.mark.parametrize(
     ("v", "turn"), [((12.0, -7.0), (0.3, -0.4, 2.2)), ((-250.0, 180.0), (-0.1, 0.2, -0.9))]
 )
-def test_a_is_the_derivative_of_the_nonlinear_navigator(planet, latitude_deg, v, turn):
+def test_error_matrix_is_derivative_of_nonlinear_navigator(planet, latitude_deg, v, turn):
     c, v, latitude = exp(turn), np.array(v), latitude_deg * DEG
     f = c @ FORCE_B
     numeric = np.zeros((5, 10))
@@ -89,7 +89,7 @@ def test_a_is_the_derivative_of_the_nonlinear_navigator(planet, latitude_deg, v,
     np.testing.assert_array_equal(ten[:5, :5], five)
 
 
-def test_transition_is_the_derivative_of_the_engines_own_step():
+def test_transition_is_derivative_of_engine_step():
     """The step differentiated by JAX: I + A dt to first order in dt."""
     c, v, latitude = exp([0.3, -0.4, 2.2]), np.array([12.0, -7.0]), 32 * DEG
     here, q = place(WGS84, latitude), Quat(*map(jnp.asarray, quaternion(c)))
@@ -128,7 +128,7 @@ angles = st.floats(-3, 3)
 
 
 @given(angles, angles, angles, st.floats(-300, 300), st.floats(-300, 300), st.floats(-80, 80))
-def test_entries_are_those_of_the_printed_matrix(a, b, c, ve, vn, latitude_deg):
+def test_error_matrix_matches_printed_matrix(a, b, c, ve, vn, latitude_deg):
     attitude, v, latitude = exp([a, b, c]), np.array([ve, vn]), latitude_deg * DEG
     f = attitude @ FORCE_B
     printed = error_matrix(v, f, WGS84, latitude)
@@ -141,7 +141,7 @@ def test_entries_are_those_of_the_printed_matrix(a, b, c, ve, vn, latitude_deg):
 
 @given(st.lists(st.floats(-1, 1), min_size=3, max_size=3))
 @settings(max_examples=10)
-def test_phi_has_the_sign_of_exp_minus_phi(direction):
+def test_tilt_enters_acceleration_with_sign_of_exp_minus_phi(direction):
     """A tilt of the navigator by phi shows in its level acceleration as f x phi."""
     phi = 1e-6 * np.array(direction)
     c, f = exp([0.1, 0.2, 0.3]), np.array([0.5, -0.4, 9.8])
@@ -151,12 +151,12 @@ def test_phi_has_the_sign_of_exp_minus_phi(direction):
     np.testing.assert_allclose(seen[:2], a[:2, 2:] @ phi, rtol=0, atol=1e-11)
 
 
-def test_a_model_without_biases_leaves_the_sample_alone():
+def test_model_without_biases_leaves_sample_unchanged():
     sample = Sample(Quat(1.0, 0.0, 0.0, 0.0), Vec3(0.0, 0.0, 0.1))
     assert MODELS["kalman5"].correct_sample(sample, (), DT) is sample
 
 
-def test_known_biases_are_taken_out_of_a_sample():
+def test_correct_sample_removes_known_biases():
     """As increments that never had them, but for half a step's turn of dv: eps g dt / 2."""
     rng = np.random.default_rng(5)
     clean = np.concatenate([RATE_B, FORCE_B]) * DT + rng.normal(scale=1e-4, size=(50, 6))
@@ -174,7 +174,7 @@ def test_known_biases_are_taken_out_of_a_sample():
     np.testing.assert_allclose(2 * np.array(uncorrected[1:]).T, [eps * DT] * 50, atol=1e-11)
 
 
-def test_names_of_the_states():
+def test_error_models_list_their_state_names():
     five = MODELS["kalman5"].states
     assert five == ("dve", "dvn", "phi_e", "phi_n", "phi_u")
     ten = (*five, "nabla_x", "nabla_y", "eps_x", "eps_y", "eps_z")

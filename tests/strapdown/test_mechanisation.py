@@ -74,7 +74,7 @@ def free_runs(swing, here, *, rate, seconds):
         (PAPER2, WGS84, 32.057313, 200, 600),
     ],
 )
-def test_without_errors_the_papers_swings_stay_at_truth(swing, planet, latitude_deg, rate, seconds):
+def test_error_free_runs_on_paper_swings_stay_at_truth(swing, planet, latitude_deg, rate, seconds):
     here = place(planet, latitude_deg * DEG)
     (angle, speed), (_, crude) = free_runs(motion(swing), here, rate=rate, seconds=seconds)
     assert len(angle) == seconds
@@ -91,7 +91,7 @@ three = st.tuples(*[st.floats(-np.pi, np.pi)] * 3)
 
 @given(angles, angles, st.floats(-np.pi, np.pi), st.floats(-80, 80), three)
 @settings(max_examples=12)
-def test_without_errors_any_heading_latitude_and_phase_stays_at_truth(pitch, roll, yaw, latitude_deg, phase):
+def test_error_free_runs_stay_at_truth_for_any_start(pitch, roll, yaw, latitude_deg, phase):
     swing = PAPER1._replace(center=np.array([pitch, roll, yaw]), phase=np.array(phase))
     here = place(WGS84, latitude_deg * DEG)
     (angle, speed), _ = free_runs(motion(swing), here, rate=100, seconds=60)
@@ -174,7 +174,7 @@ FAST = Planet(7.292115e-3, 6378137.0, 6378137.0, 9.8)
 
 @pytest.mark.parametrize("moves", [False, True])
 @pytest.mark.parametrize(("planet", "latitude_deg"), [(WGS84, 57.0), (PAPER, -32.0), (FAST, 40.0)])
-def test_velocity_attitude_and_position_under_way(
+def test_moving_vehicle_navigation_matches_ode_integration(
     flight_increments, planet, latitude_deg, moves
 ):
     start, v, latitude = exp([0.2, -0.1, 2.0]), np.array([220.0, -170.0]), latitude_deg * DEG
@@ -206,7 +206,7 @@ def meridian_arc(latitude):
 
 @given(st.floats(-60, 60), st.sampled_from([-250.0, 250.0]))
 @settings(max_examples=10)
-def test_a_way_along_the_meridian_has_the_length_of_its_arc(latitude_deg, speed):
+def test_travel_along_meridian_matches_arc_length(latitude_deg, speed):
     latitude, dt, n = latitude_deg * DEG, 0.1, 4000
     end = meridian_run(latitude, speed, dt, n)
     length = meridian_arc(float(end.latitude)) - meridian_arc(latitude)
@@ -227,7 +227,7 @@ def meridian_run(latitude, speed, dt, n):
 
 @given(st.floats(-80, 80), st.floats(0, 20000))
 @settings(max_examples=10)
-def test_a_way_along_the_parallel_has_the_length_of_its_arc(latitude_deg, height):
+def test_travel_along_parallel_matches_arc_length(latitude_deg, height):
     latitude = latitude_deg * DEG
     numbers = [jnp.asarray(x) for x in (120.0, 0.0, latitude, 0.3)]
     here = earth.place(earth.wgs84(height), latitude)
@@ -239,7 +239,7 @@ def test_a_way_along_the_parallel_has_the_length_of_its_arc(latitude_deg, height
 
 @given(st.floats(-80, 80), three)
 @settings(max_examples=10)
-def test_a_body_at_rest_in_inertial_space_turns_backwards_with_the_earth(latitude_deg, phi):
+def test_attitude_without_increments_rotates_back_with_earth_rate(latitude_deg, phi):
     """Without any increment the attitude is exp(-w_ie t) C and the velocity stays zero."""
     here, c = place(WGS84, latitude_deg * DEG), exp(phi)
     zero = jnp.zeros(())
@@ -251,7 +251,7 @@ def test_a_body_at_rest_in_inertial_space_turns_backwards_with_the_earth(latitud
     np.testing.assert_array_equal((nav.ve, nav.vn, *f_dt), 0.0)
 
 
-def test_correct_velocity_takes_the_error_out():
+def test_correct_velocity_subtracts_error():
     numbers = [jnp.asarray(x) for x in (1.0, 2.0, 0.5, 0.3)]
     nav = Navigation(Quat(1.0, 0.0, 0.0, 0.0), *numbers)
     out = mechanisation.correct_velocity(nav, 0.25, -0.5)

@@ -41,7 +41,7 @@ def test_gauss_markov_keeps_its_variance_and_correlation(time, rate):
 
 
 @pytest.mark.parametrize("ratio", [1e-6, 1e-3, 0.0099, 0.0101, 0.3, 4.0])
-def test_means_of_gauss_markov_are_integrals_of_its_covariance(ratio):
+def test_mean_gauss_markov_covariance_matches_integrals(ratio):
     """Of sample times up to four times the correlation time."""
     process = processes.mean_gauss_markov(RMS, np.asarray(1.0), ratio)
     assert_stationary(process)
@@ -59,7 +59,7 @@ def test_means_of_gauss_markov_are_integrals_of_its_covariance(ratio):
     assert found == pytest.approx(steps, rel=1e-5)
 
 
-def test_means_of_a_random_walk_grow_as_its_integral():
+def test_mean_random_walk_variance_grows_as_its_integral():
     """Var of the difference of two means k samples apart: (k - 1/3) times that of a sample."""
     process = processes.mean_random_walk(RMS, 0.1)
     (a, d) = process.drive[0], process.direct
@@ -70,7 +70,7 @@ def test_means_of_a_random_walk_grow_as_its_integral():
 
 
 @pytest.mark.parametrize("rate", [100.0, 200.0, 400.0])
-def test_surge_has_velocity_acceleration_and_bounds_at_any_rate(rate):
+def test_surge_velocity_acceleration_and_position_rms_at_any_rate(rate):
     """The third-order process of 0.1 m/s, 5 s, 1 Hz: 0.114 m/s^2, of which a sample has the mean.
 
     Of y''' + a2 y'' + a1 y' + a0 y = white: var y'' / var y' = a1, var y / var y' = a2 / a0.
@@ -96,7 +96,7 @@ def test_surge_has_velocity_acceleration_and_bounds_at_any_rate(rate):
 
 
 @given(st.floats(0.01, 0.9).map(np.asarray), st.floats(0.1, 40).map(np.asarray))
-def test_a_resonance_has_its_variance_and_rings_at_its_frequency(damping, frequency):
+def test_resonance_has_given_variance_and_frequency(damping, frequency):
     process = processes.resonance(RMS, frequency, damping, 1 / 400)
     assert_stationary(process)
     found, omega = covariances(process, 4), 2 * np.pi * frequency
@@ -109,7 +109,7 @@ def test_a_resonance_has_its_variance_and_rings_at_its_frequency(damping, freque
     np.testing.assert_allclose(found, expected, atol=0.1 * (omega / 400) ** 2)
 
 
-def test_axes_and_draws_have_their_own_numbers():
+def test_batched_process_parameters_match_single_draw():
     many = processes.mean_gauss_markov(np.ones((5, 3)), np.array([1.0, 2, 3, 4, 5]), 0.1)
     one = processes.mean_gauss_markov(np.ones(3), np.asarray(3.0), 0.1)
     for a, b in zip(jax.tree.map(lambda a: a[2], many), one, strict=True):
@@ -124,7 +124,7 @@ def drawn(seed, draws, samples, triads):
     return {triad: np.stack(axes) for triad, axes in made.items()}
 
 
-def test_driving_numbers_hang_on_seed_draw_sample_and_triad_alone():
+def test_driving_noise_depends_only_on_seed_draw_sample_and_triad():
     many = drawn(7, np.arange(4), np.arange(9), (0, 2, 3, 7))
     for triad, axes in many.items():
         alone = drawn(7, 3, [5], (triad,))[triad]
@@ -134,7 +134,7 @@ def test_driving_numbers_hang_on_seed_draw_sample_and_triad_alone():
     assert not np.array_equal(drawn(8, np.arange(4), np.arange(9), (0,))[0], many[0])
 
 
-def test_driving_numbers_are_white_and_of_variance_one():
+def test_driving_noise_is_white_with_unit_variance():
     count = 400_000
     rows = drawn(3, 1, np.arange(count), (0, 3))
     rows = np.concatenate([rows[0], rows[3]])
@@ -147,14 +147,14 @@ def test_driving_numbers_are_white_and_of_variance_one():
     assert (rows**4).mean(axis=1) == pytest.approx(3 - 2 / 16, abs=0.03)
 
 
-def test_three_numbers_are_sums_of_sixteen_bits():
+def test_binomial_triad_sums_sixteen_bits_per_number():
     words = np.array([0xF000_0003, 0x00FF_1234], np.uint32)
     made = rng.binomial_triad((jnp.asarray(words[0]), jnp.asarray(words[1])))
     assert [float(a) for a in made] == [0.5 * (bits - 8) for bits in (2, 4, 8)]
 
 
 @pytest.mark.parametrize("order", [1, 3])
-def test_a_run_begins_stationary_and_stays_so(order):
+def test_process_is_stationary_from_first_sample(order):
     """By 4000 draws: the variance of the first sample is that of the last."""
     if order == 1:
         process = processes.gauss_markov(RMS, np.asarray(2.0), 0.1)

@@ -18,7 +18,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 @given(seeds)
-def test_measured_is_scaled_misaligned_biased_and_noisy(seed):
+def test_measure_applies_scale_misalignment_bias_and_noise(seed):
     rng = np.random.default_rng(seed)
     ideal, normal = rng.normal(size=6), rng.normal(size=6).astype(np.float32)
     errors = sensors.SensorErrors(
@@ -34,7 +34,7 @@ def test_measured_is_scaled_misaligned_biased_and_noisy(seed):
     np.testing.assert_allclose(joined(noisy), [*gyro, *accel] + blur, atol=1e-13)
 
 
-def test_perfect_sensors_change_no_bit():
+def test_perfect_sensors_leave_increments_unchanged():
     ideal = np.random.default_rng(1).normal(size=6)
     normal = np.ones(6, np.float32)
     got = sensors.measure(sensors.split(ideal), sensors.perfect(), sensors.split(normal), 0.01)
@@ -77,7 +77,7 @@ def test_noise_is_white_and_differs_between_axes_and_draws(normal):
     assert np.abs(correlation).max() < 5 / np.sqrt(rows.shape[1])
 
 
-def test_noise_is_a_function_of_seed_draw_and_sample_alone():
+def test_noise_depends_only_on_seed_draw_and_sample():
     noise = jax.jit(sensors.noise)
 
     def once(seed, draw, sample):
@@ -98,7 +98,7 @@ def test_noise_is_a_function_of_seed_draw_and_sample_alone():
         assert not np.any(here == once(*other))
 
 
-def test_noise_takes_three_counters_a_sample():
+def test_noise_uses_three_counters_per_sample():
     """Pair k of a sample is the pair of counter 3 sample + k."""
     word = jnp.uint32
     now = sensors.noise(*map(jnp.asarray, (3 + 2**32 * 9, 5, [8])))
@@ -106,7 +106,7 @@ def test_noise_takes_three_counters_a_sample():
     np.testing.assert_allclose(joined(now)[0], np.ravel(pairs), rtol=0, atol=1e-6)
 
 
-def test_compensation_term_by_term():
+def test_compensation_matches_naive_term_by_term():
     increments = np.random.default_rng(2).normal(scale=[0.01] * 3 + [0.1] * 3, size=(50, 6))
     sample = sensors.compensate_record(increments, increments[0])
     turn, dv = naive_compensate(increments)
@@ -115,7 +115,7 @@ def test_compensation_term_by_term():
     np.testing.assert_allclose(matrices, Rotation.from_rotvec(turn).as_matrix(), atol=1e-15)
 
 
-def test_a_record_may_be_cut_anywhere():
+def test_compensation_of_split_record_equals_whole_record():
     increments = np.random.default_rng(3).normal(scale=0.01, size=(50, 6))
     whole = sensors.compensate_record(increments, increments[0])
     first = sensors.compensate_record(increments[:17], increments[0])
@@ -159,7 +159,7 @@ def test_coning_and_sculling_are_compensated_to_fourth_order():
     assert np.all(coarse / fine > 2**3.6)
 
 
-def test_steady_rotation_and_force_leave_the_fourth_order_alone():
+def test_steady_rotation_and_force_leave_only_fourth_order_error():
     theta, dv = np.array([0.02, -0.03, 0.01]), np.array([0.1, 0.2, 0.3])
     sample = sensors.compensate_record(
         np.concatenate([theta, dv])[None], np.concatenate([theta, dv])

@@ -8,7 +8,7 @@ from support.studies import small_study
 from docs.studies.loops.runs import limits_of
 
 
-def test_limit_accuracy_is_the_closed_form():
+def test_bias_floor_matches_closed_form():
     study = small_study(motion={"yaw_center_deg": 0.0})
     found = limits_of(study)
     arcmin = math.pi / 180 / 60
@@ -21,7 +21,7 @@ def test_limit_accuracy_is_the_closed_form():
     assert limits_of(study, 15.0).gyro == pytest.approx(-27.02478, abs=1e-5)
 
 
-def test_limit_accuracy_turns_the_biases_to_n():
+def test_bias_floor_rotates_body_biases_to_navigation_frame():
     study = small_study(
         motion={"yaw_center_deg": 90.0},
         sensors={"gyro_bias_deg_per_h": [0.0, 0.1, 0.0], "accel_bias_ug": [300.0, 0.0, 0.0]},

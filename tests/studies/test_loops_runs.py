@@ -18,7 +18,7 @@ def compass_study(**changes):
     return small_study(**sections)
 
 
-def test_the_bound_is_the_closed_form():
+def test_heading_bound_matches_closed_form():
     study = compass_study(
         earth={"gravity_m_per_s2": 9.8, "earth": "constants"},
         sensors={"gyro_noise_deg_per_h": 0.0, "accel_noise_ug": 500.0},
@@ -30,7 +30,7 @@ def test_the_bound_is_the_closed_form():
     assert found[0] / found[1] == pytest.approx((300 / 80) ** 1.5)
 
 
-def test_the_bound_takes_a_density_for_what_it_is():
+def test_heading_bound_agrees_for_density_and_per_sample_noise():
     per_sample = compass_study(sensors={"accel_noise_ug": 50.0})
     data = copy.deepcopy(BASE) | COMPASS | {"passes": {"tape_s": 2.0}}
     del data["sensors"]["accel_noise_ug"]
@@ -40,7 +40,7 @@ def test_the_bound_takes_a_density_for_what_it_is():
     assert bound_arcmin(density, 80.0) == pytest.approx(bound_arcmin(per_sample, 80.0))
 
 
-def test_the_bound_is_of_the_axes_that_tell_the_heading():
+def test_heading_bound_uses_noise_of_axes_that_sense_heading():
     # Heading west: the right axis looks north, the front axis west.
     turned = {"yaw_center_deg": 90.0}
     quiet = {"gyro_noise_deg_per_h": [9.0, 0.0, 9.0], "accel_noise_ug": [1.0, 800.0, 800.0]}

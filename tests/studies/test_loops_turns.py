@@ -83,7 +83,7 @@ def integrated(study, times, turn, *, level_s, tape_s, sigma_az):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("turn", TURNS)
-def test_the_engine_without_noise_is_the_north_channel_integrated(turn):
+def test_noise_free_engine_run_matches_integrated_north_channel(turn):
     factors = {"level_time_s": 40.0, "sigma_factors": [1.0, 2.0], "sigma_times_s": [100.0]}
     study = compass_study(turn=turn, compass=factors, study={"record_interval_s": 4.0})
     run = study_run.run(study, curves=True)
@@ -102,7 +102,7 @@ def test_the_engine_without_noise_is_the_north_channel_integrated(turn):
     assert np.ptp(simulated) > 0.2
 
 
-def test_limits_are_the_closed_forms():
+def test_bias_floors_match_closed_forms():
     study = compass_study(sensors={"gyro_bias_deg_per_h": [0.02, 0.0, 0.0]})
     limits = limits_of(study)
     assert limits.e == pytest.approx(-60 * math.degrees(50e-6))
@@ -112,7 +112,7 @@ def test_limits_are_the_closed_forms():
     assert limits.u == pytest.approx(limits.gyro + limits.accel)
 
 
-def test_one_variant_of_a_sweep():
+def test_one_variant_of_sweep_keeps_its_values():
     axes = {"phi_u0_deg": [1.0, 2.0], "azimuth_sigma_per_s": [0.01, 0.03]}
     cases = [{"case": "a", "tape_s": 60.0}, {"case": "b", "tape_s": 120.0}]
     one = one_variant(compass_study(axes=axes, cases=cases), 6)  # case b, phi_u0 2, sigma 0.01
@@ -121,7 +121,7 @@ def test_one_variant_of_a_sweep():
     assert one.values("tape_s") == [120.0] and one.values("azimuth_sigma_per_s") == [0.01]
 
 
-def test_one_variant_of_axes_that_go_together():
+def test_one_variant_of_zipped_axes_keeps_its_values():
     together = {"tape_s": [60.0, 120.0], "level_time_s": [40.0, 80.0]}
     one = one_variant(compass_study(axes={"phi_u0_deg": [1.0, 2.0], "passes": together}), 3)
     assert one.n_variants == 1
@@ -129,7 +129,7 @@ def test_one_variant_of_axes_that_go_together():
 
 
 @pytest.mark.parametrize("turn", ["velocity", "velocity_drop_rate"])
-def test_a_turn_that_reflects_nothing_has_the_radius_of_the_loops(turn):
+def test_cycle_radius_without_reflection_matches_loop_design(turn):
     made = REVERSALS[turn]
     sigma, tape_s = np.array([[0.01], [0.03]]), np.array([40.0, 80.0, 200.0])
     expected = loops.cycle_radius(sigma, tape_s, loops.turn_matrix(-1, 1, made.rate))
@@ -137,7 +137,7 @@ def test_a_turn_that_reflects_nothing_has_the_radius_of_the_loops(turn):
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
-def test_a_reflection_that_lags_is_slower_than_an_exact_one():
+def test_lagged_reflection_converges_slower_than_exact_one():
     exact = math.exp(-2 * 0.01 * 80)
     delays = np.array([0.01, 5.0, 20.0])
     found = cycle_radius(compass_study(), "reflect", 0.01, 80.0, delays)

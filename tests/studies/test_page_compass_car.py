@@ -68,7 +68,7 @@ def source_of(study, errors):
 # --- the shipped study --------------------------------------------------------------------------
 
 
-def test_stored_tapes_end_forward_and_no_run_is_longer_than_the_record():
+def test_stored_passes_end_forward_and_fit_within_record():
     study = load_study(CONFIGS / "compass_car.toml")
     spans = study.spans
     assert all(span.records % span.pass_records == 0 for span in spans)
@@ -78,7 +78,7 @@ def test_stored_tapes_end_forward_and_no_run_is_longer_than_the_record():
     assert np.diff(study.record.start_s).tolist() == [20.0] * 12
 
 
-def test_the_best_schedule_is_the_one_that_was_found(data):
+def test_shipped_schedule_equals_tuned_best_schedule(data):
     found = load_study(CONFIGS / "compass_80s_best.toml")
     (best,) = (c for c in found.cases if c["case"].startswith("80 s tape, best"))
     loaded = load_study(CONFIGS / "compass_car.toml").cases
@@ -92,7 +92,7 @@ def test_the_best_schedule_is_the_one_that_was_found(data):
 # --- cases --------------------------------------------------------------------------------------
 
 
-def test_a_case_is_known_by_its_keys(data):
+def test_cases_are_classified_by_study_keys(data):
     study = study_of(data, *SMALL)
     errors = errors_of(study)
     cases = compass_cases.cases_of(source_of(study, errors))
@@ -118,7 +118,7 @@ def test_a_case_is_known_by_its_keys(data):
 
 @pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_a_careful_turn_does_as_well_as_a_filter_on_the_real_record(data, data_dir, tmp_path):
+def test_reflected_compass_matches_kalman_filter_on_real_record(data, data_dir, tmp_path):
     """On a base that sways, 7 passes over 80 s end as well as a filter does."""
     hasty, careful, flipped, kalman = (
         "80 s tape, reflected, delay 2 s",

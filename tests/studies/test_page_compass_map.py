@@ -5,7 +5,7 @@ from sinsjax.study.load import load_study
 CONFIG = Path(__file__).parents[2] / "configs" / "paper2_map.toml"
 
 
-def test_the_shipped_study_is_the_one_of_the_issue():
+def test_shipped_map_study_covers_required_axes_and_cases():
     study = load_study(CONFIG)
     assert {"velocity", "velocity_and_rate", "reflect"} <= set(study.axes["turn"])
     tapes = study.axes["tape_s"]

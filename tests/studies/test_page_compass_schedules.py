@@ -22,37 +22,37 @@ def ordered(*schedules):
     return [names[i] for i in order], tied
 
 
-def test_the_fastest_to_the_narrow_band_wins():
+def test_rank_prefers_fastest_settling_to_narrow_band():
     names = ordered(("a", 90.0, 300.0), ("b", 200.0, 250.0), ("c", 50.0, 400.0))
     assert names == (["b", "a", "c"], 1)
 
 
-def test_ties_go_to_the_fastest_to_the_wide_band():
+def test_rank_breaks_ties_by_settling_to_wide_band():
     spread = np.linspace(200, 400, DRAWS)  # medians 298 and 308, and wide intervals
     assert analysis.quantile(spread).high > analysis.quantile(spread + 10).low
     schedules = ("a", 90.0, spread), ("b", 80.0, spread + 10), ("c", 10.0, spread + 500)
     assert ordered(*schedules) == (["b", "a", "c"], 2)
 
 
-def test_then_to_the_narrow_band_again_and_then_to_the_order():
+def test_rank_breaks_remaining_ties_by_narrow_band_then_order():
     spread = np.linspace(200, 400, DRAWS)
     schedules = ((n, 90.0, spread + more) for n, more in (("a", 10), ("b", 0), ("c", 0)))
     assert ordered(*schedules)[0] == ["b", "c", "a"]
 
 
-def test_never_counts_as_infinite():
+def test_rank_counts_unsettled_runs_as_infinite():
     most_never = np.where(np.arange(DRAWS) < DRAWS * 0.8, NEVER, 10.0)
     assert ordered(("a", 90.0, most_never), ("b", 90.0, 590.0)) == (["b", "a"], 1)
     assert ordered(("a", 9.0, NEVER), ("b", 8.0, NEVER)) == (["b", "a"], 2)
 
 
-def test_an_unknown_end_of_an_interval_is_no_bound():
+def test_rank_ties_schedules_with_unknown_interval_end():
     wide, narrow = np.array([[90.0], [80.0]]), np.array([[100.0], [900.0]])
     assert math.isnan(analysis.quantile(narrow[0]).low)
     assert rank(wide, narrow) == ([1, 0], 2)
 
 
-def test_settling_times_are_those_of_their_variant():
+def test_settling_times_are_grouped_by_variant():
     data = tomllib.loads((CONFIGS / "compass_80s_search.toml").read_text())
     data["study"]["draws"] = 3
     data["cases"] = data["cases"][:1]
@@ -69,7 +69,7 @@ def test_settling_times_are_those_of_their_variant():
     np.testing.assert_array_equal(found[1], np.full((6, 3), NEVER))
 
 
-def test_the_best_schedule_is_a_point_of_the_search():
+def test_best_schedule_study_uses_point_of_search():
     search, best = (load_study(CONFIGS / f"compass_80s_{name}.toml") for name in ("search", "best"))
     keys = [*search.axes, "sigma_factors", "sigma_times_s"]
     points = set(zip(*map(search.values, keys), strict=True))

@@ -17,7 +17,7 @@ DRAWS = 128
 
 @pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_the_filter_is_consistent_where_its_belief_is_true_and_only_there():
+def test_filter_is_consistent_only_if_its_model_is_true():
     data = tomllib.loads((ROOT / "configs" / "consistency.toml").read_text(encoding="utf-8"))
     data["study"]["draws"] = DRAWS
     study = study_from_dict(data)

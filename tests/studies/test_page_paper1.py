@@ -58,7 +58,7 @@ def replaced(name, column, values):
     return judge(runs)
 
 
-def test_the_papers_world_holds_throughout():
+def test_all_statements_hold_for_runs_matching_paper():
     verdicts = judge(as_the_paper())
     assert list(verdicts) == list(STATEMENTS)
     for name, verdict in verdicts.items():
@@ -66,7 +66,7 @@ def test_the_papers_world_holds_throughout():
         assert verdict.number.n == DRAWS
 
 
-def test_numbers_are_the_analysis_ones():
+def test_statement_numbers_match_analysis_functions():
     runs = as_the_paper()
     found = {name: one.number for name, one in judge(runs).items()}
     settle = {name: table["settle_10_s"].to_numpy() for name, table in runs.items()}
@@ -82,7 +82,7 @@ def test_numbers_are_the_analysis_ones():
     assert found["S14"].value == pytest.approx(41 / 40, rel=1e-4)
 
 
-def test_the_opposite_world_holds_nowhere():
+def test_no_statement_holds_for_contradicting_runs():
     runs = {
         "1": condition(None, above=0.1, sigma=5.0, error=50.0),
         "2": condition(None, error=50.0),
@@ -101,7 +101,7 @@ def test_the_opposite_world_holds_nowhere():
     ("settled", "holds", "straddles"),
     [(128, True, False), (123, True, True), (121, False, True), (110, False, False)],
 )
-def test_converges_by_the_share(settled, holds, straddles):
+def test_convergence_statement_uses_settled_share(settled, holds, straddles):
     values = np.where(np.arange(DRAWS) < settled, 60.0, np.nan)
     verdict = replaced("3", "settle_10_s", values)["S3"]
     assert (verdict.holds, verdict.straddles) == (holds, straddles)
@@ -112,24 +112,24 @@ def test_converges_by_the_share(settled, holds, straddles):
     ("settled", "holds", "straddles"),
     [(0, True, False), (6, True, True), (7, False, True), (20, False, False)],
 )
-def test_cannot_by_the_share(settled, holds, straddles):
+def test_non_convergence_statement_uses_settled_share(settled, holds, straddles):
     values = np.where(np.arange(DRAWS) < settled, 60.0, np.nan)
     verdict = replaced("5", "settle_10_s", values)["S8"]
     assert (verdict.holds, verdict.straddles) == (holds, straddles)
 
 
-def test_64_draws_cannot_settle_a_share_of_95_percent():
+def test_share_interval_of_64_draws_straddles_95_percent():
     runs = {name: table.slice(0, 64) for name, table in as_the_paper().items()}
     found = judge(runs)
     assert found["S1a"].holds and found["S1a"].straddles
 
 
-def test_short_time_at_its_threshold():
+def test_short_time_statement_holds_up_to_threshold():
     assert replaced("2", "settle_10_s", np.full(DRAWS, 200.0))["S2b"].holds
     assert not replaced("2", "settle_10_s", np.full(DRAWS, 201.0))["S2b"].holds
 
 
-def test_longer_needs_the_interval():
+def test_longer_settling_requires_interval_above_zero():
     settle = as_the_paper()["2"]["settle_10_s"].to_numpy()
     slower = np.where(np.arange(DRAWS) % 2, settle + 0.5, settle - 0.4)
     verdict = replaced("3", "settle_10_s", slower)["S4a"]
@@ -142,28 +142,28 @@ def test_longer_needs_the_interval():
     ("shift", "holds", "straddles"),
     [(0.99, True, False), (-0.99, True, False), (1.2, False, False), (-1.2, False, False)],
 )
-def test_as_precise_by_the_interval(shift, holds, straddles):
+def test_as_precise_statement_holds_within_threshold(shift, holds, straddles):
     yaw = as_the_paper()["1"]["phi_u_mean_arcmin"].to_numpy()
     verdict = replaced(RESET, "phi_u_mean_arcmin", yaw + shift)["S12"]
     assert (verdict.holds, verdict.straddles) == (holds, straddles)
     assert verdict.number[:3] == pytest.approx((shift,) * 3)
 
 
-def test_as_precise_with_a_wide_interval():
+def test_as_precise_statement_fails_with_wide_interval():
     yaw = as_the_paper()["1"]["phi_u_mean_arcmin"].to_numpy()
     spread = np.random.default_rng(9).normal(0.9, 5.0, DRAWS)
     verdict = replaced(RESET, "phi_u_mean_arcmin", yaw + spread)["S12"]
     assert not verdict.holds and verdict.straddles
 
 
-def test_a_run_without_a_number_is_not_precise():
+def test_as_precise_statement_fails_with_missing_value():
     yaw = as_the_paper()[RESET]["phi_u_mean_arcmin"].to_numpy().copy()
     yaw[0] = np.nan
     verdict = replaced(RESET, "phi_u_mean_arcmin", yaw)["S12"]
     assert not verdict.holds and verdict.number.n == DRAWS - 1
 
 
-def test_covariance_share_is_of_all_records():
+def test_covariance_share_counts_all_records():
     share = np.where(np.arange(DRAWS) % 4, 1.0, 0.9)
     verdict = replaced("1", "p_above_error_share", share)["S9"]
     assert verdict.holds and verdict.number.value == pytest.approx(0.975)
@@ -177,33 +177,33 @@ def test_covariance_share_is_of_all_records():
     ("share", "holds", "straddles"),
     [(0.0, True, False), (0.04, True, False), (0.06, False, False), (np.nan, False, False)],
 )
-def test_smaller_when_steady(share, holds, straddles):
+def test_smaller_when_steady_statement_holds_below_five_percent(share, holds, straddles):
     verdict = replaced("5", "p_above_error_steady_share", np.full(DRAWS, share))["S10"]
     assert (verdict.holds, verdict.straddles) == (holds, straddles)
     assert verdict.number.value == pytest.approx(np.nan_to_num(share, nan=1.0))
 
 
-def test_smaller_when_steady_is_of_all_records():
+def test_smaller_when_steady_share_counts_all_records():
     share = np.where(np.arange(DRAWS) % 16, 0.0, 0.8)
     verdict = replaced("5", "p_above_error_steady_share", share)["S10"]
     assert verdict.holds and verdict.straddles and verdict.number.value == pytest.approx(0.05)
 
 
 @pytest.mark.parametrize(("ratio", "holds"), [(0.91, True), (1.09, True), (0.89, False), (1.2, 0)])
-def test_equal_at_the_end(ratio, holds):
+def test_equal_final_sigma_holds_within_ten_percent(ratio, holds):
     sigma = as_the_paper()["1"]["sigma_u_arcmin"].to_numpy()
     verdict = replaced(RESET, "sigma_u_arcmin", ratio * sigma)["S14"]
     assert verdict.holds == bool(holds) and not verdict.straddles
 
 
-def test_one_draw_judges_with_unknown_intervals():
+def test_single_draw_findings_are_marked_as_straddling():
     runs = {name: table.slice(0, 1) for name, table in as_the_paper().items()}
     found = judge(runs)
     assert not found["S4a"].holds and found["S4a"].straddles
     assert found["S9"].holds and found["S9"].straddles
 
 
-def test_refuses():
+def test_judge_refuses_missing_conditions_draws_or_columns():
     runs = as_the_paper()
     for name in CONDITIONS:
         with pytest.raises(InputError, match=f"condition {name}$"):
@@ -221,7 +221,7 @@ def verdicts(held, clear=()):
     return {name: Finding(name in held, name not in clear, number) for name in STATEMENTS}
 
 
-def test_ties_go_to_the_conclusions_then_to_clear_intervals_then_to_the_first():
+def test_best_of_breaks_ties_by_conclusions_intervals_and_order():
     plain = Judged({"n": 0}, verdicts(["S1a", "S1b"]))
     concluding = Judged({"n": 1}, verdicts(["S1a", CONCLUSIONS[0]]))
     clear = Judged({"n": 2}, verdicts(["S2a", CONCLUSIONS[1]], clear=["S3"]))

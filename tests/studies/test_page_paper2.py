@@ -76,7 +76,7 @@ def variant_of(study, label, drift=0.02):
 # --- the studies --------------------------------------------------------------------------------
 
 
-def test_the_configs_are_what_the_paper_prints():
+def test_paper2_configs_match_printed_conditions():
     static, swing = (load_study(CONFIGS / f"paper2_{base}.toml") for base in ("static", "swing"))
     for study, name in ((static, "static"), (swing, "swing")):
         assert study.name == f"paper2_{name}"
@@ -96,7 +96,7 @@ def test_the_configs_are_what_the_paper_prints():
     assert all(case in static.cases for case in swing.cases)
 
 
-def test_levelling_gains_are_the_formulas_but_for_the_printed_k3():
+def test_level_gains_follow_formula_except_printed_k3():
     formula = loops.level_gains(0.02, math.sqrt(0.5), gravity=9.8, radius=6378165.0)
     study = load_study(CONFIGS / "paper2_static.toml")
     for case in study.cases:
@@ -111,7 +111,7 @@ def test_levelling_gains_are_the_formulas_but_for_the_printed_k3():
 # --- the layout ---------------------------------------------------------------------------------
 
 
-def test_errors_are_minus_phi(tmp_path):
+def test_page_errors_are_minus_phi(tmp_path):
     study = study_of("static")
     source = Source.read(write(tmp_path, study))
     case = paper2.cases_of(source)[0]

@@ -15,11 +15,11 @@ from sinsjax.alignment.compass import design
         ("1040.33306122", 1040.33224, False),
     ],
 )
-def test_agrees_to_the_last_printed_digit(text, value, same):
+def test_agrees_compares_to_last_printed_digit(text, value, same):
     assert paper2.agrees(text, value) is same
 
 
-def test_the_printed_k3_makes_the_levelling_loop_unstable():
+def test_printed_k3_makes_level_loop_unstable():
     earth = {"gravity": 9.8, "radius": paper2.RADIUS}
     formula = design.level_gains(0.02, design.PAPER_DAMPING, **earth)
     printed = formula._replace(k3=float(paper2.LEVEL_K3))

@@ -16,7 +16,7 @@ def scores(tmp_path_factory):
     return adaptive.Scores(made_up(tmp_path_factory.mktemp("r"), "adaptive_resets"))
 
 
-def test_alarms_are_those_of_the_definition(scores):
+def test_alarm_share_matches_plain_definition(scores):
     """Each healthy run by itself, with settling times that no engine made."""
     grid, random = scores.grid, np.random.default_rng(3)
     shape = grid.columns["settle_10_s"].shape
@@ -38,7 +38,7 @@ def test_alarms_are_those_of_the_definition(scores):
     assert scores.alarms(policy) == analysis.share(false, draws)
 
 
-def test_cells_within_are_counted_with_their_intervals(scores):
+def test_cells_within_ratio_are_counted_with_interval(scores):
     policy = scores.triggered[0]
     ratios, (low, high) = scores.ratios(policy), scores.intervals(policy)
     found = scores.within(policy)
@@ -52,7 +52,7 @@ def test_cells_within_are_counted_with_their_intervals(scores):
 
 
 @pytest.mark.parametrize("name", ["reset_cycle_study", "reset_phase", "adaptive_resets"])
-def test_sensors_motion_and_filter_are_those_of_the_default_sweep(name):
+def test_reset_study_settings_match_default_sweep(name):
     configs = Path(ROOT / "configs")
     study, default = (load_study(configs / f"{one}.toml") for one in (name, "reset_sweep"))
     swept = {*study.axis_keys, *default.axis_keys}

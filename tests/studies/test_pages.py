@@ -87,7 +87,7 @@ def made_up(directory: Path, name: str) -> Source:
     return source
 
 
-def test_every_page_is_looked_at():
+def test_every_study_page_is_tested():
     prose = (ROOT / "docs" / "studies").glob("*/page.md.j2")
     assert {path.parent.name for path in prose} == set(PAGES)
 
@@ -143,7 +143,7 @@ def bounds(monkeypatch):
 @pytest.mark.representative("paper1", "reset_sweep", "tuning", "compass_map", "adaptive")
 @pytest.mark.usefixtures("tunings", "few_resamples", "bounds")
 @pytest.mark.parametrize("name", PAGES)
-def test_a_page_names_all_that_its_script_computes(name, tmp_path):
+def test_page_renders_and_uses_all_computed_values(name, tmp_path):
     """Claims are looked at, but made-up numbers need not hold to them."""
     at = ROOT / "docs" / "studies" / name
     page = folder.compute(at, [made_up(tmp_path, study) for study in PAGES[name]])
@@ -152,7 +152,7 @@ def test_a_page_names_all_that_its_script_computes(name, tmp_path):
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_a_page_is_short(name):
+def test_page_has_fewer_than_2500_words(name):
     """The committed page, outside its folded tables."""
     text = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
     parts = [part.partition("</details>")[2] for part in ("</details>" + text).split("<details>")]

@@ -16,17 +16,17 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.toml")), ids=lambda path: path.stem)
-def test_every_shipped_study_loads_and_is_named_as_its_file(path: Path) -> None:
+def test_shipped_study_loads_and_is_named_after_its_file(path: Path) -> None:
     assert load_study(path).study.name == path.stem
 
 
-def test_one_study_holds_every_method() -> None:
+def test_methods_study_contains_every_method() -> None:
     assert set(load_study(CONFIGS / "methods.toml").methods) == METHODS.keys()
 
 
 @pytest.mark.slow
 @pytest.mark.optimised(False)
-def test_surge_hurts_resets_most() -> None:
+def test_surge_degrades_resets_more_than_kalman_sincos() -> None:
     """0.1 m/s rms for 300 s at (5, 5, 30) deg: three resets against `kalman_sincos`.
 
     Over 256 draws at 100 Hz the rms error of three resets was 38 [34, 42] times that of
@@ -47,7 +47,7 @@ def test_surge_hurts_resets_most() -> None:
 
 
 @pytest.mark.slow
-def test_resets_rescue_condition_5_and_gravity_needs_none() -> None:
+def test_condition_5_converges_only_with_resets_or_gravity_model() -> None:
     """[P1] Figs 2 and 5: at (5, 5, 30) deg the filter fails, with three resets it converges.
 
     With gravity in A(t) in place of the measured specific force it converges unaided: what fails
@@ -80,7 +80,7 @@ def car(data_dir: Path) -> pa.Table:
 
 
 @pytest.mark.slow
-def test_scheme_1_agrees_with_the_reference_from_every_start(car: pa.Table) -> None:
+def test_scheme_1_agrees_with_reference_from_every_start(car: pa.Table) -> None:
     """Within 0.02 deg in yaw at the end, within 0.03 deg as mean over 300-500 s."""
     rows = car.filter(pc.starts_with(car["case"], "scheme 1"))
     assert len(set(rows["start_s"].to_pylist())) >= 10
@@ -89,7 +89,7 @@ def test_scheme_1_agrees_with_the_reference_from_every_start(car: pa.Table) -> N
 
 
 @pytest.mark.slow
-def test_resets_forget_the_added_misalignment_on_the_real_record(car: pa.Table) -> None:
+def test_resets_remove_added_misalignment_on_real_record(car: pa.Table) -> None:
     """Scheme 3 ends where scheme 1 does, scheme 2 with slow feedback far off ([P1] Fig. 8)."""
     slow = car.filter(pc.equal(car["feedback_interval_s"], 1.0))
 

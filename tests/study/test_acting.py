@@ -115,7 +115,7 @@ def outcomes(tables: dict[str, Any], key: str, values: list[Any]) -> list[Any]:
     "period of no sway",
 )
 @pytest.mark.parametrize("name", SILENT)
-def test_a_key_that_does_not_act_changes_nothing(name: str) -> None:
+def test_inactive_key_changes_no_outcome(name: str) -> None:
     tables, key, values = SILENT[name]
     assert len(set(first_alike(small_study(**tables, axes={key: values})))) == 1
     one, other = outcomes(tables, key, values)
@@ -124,14 +124,14 @@ def test_a_key_that_does_not_act_changes_nothing(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ACTING)
-def test_a_key_that_acts_changes_something(name: str) -> None:
+def test_active_key_changes_outcome(name: str) -> None:
     tables, key, values = ACTING[name]
     assert len(set(first_alike(small_study(**tables, axes={key: values})))) == 2
     one, other = outcomes(tables, key, values)
     assert any(not np.array_equal(a, b, equal_nan=True) for a, b in zip(one, other, strict=True))
 
 
-def test_conditions_name_keys_of_their_own_section() -> None:
+def test_conditions_name_only_keys_of_same_section() -> None:
     for section in SECTIONS.values():
         for condition in section.conditions:
             assert {*condition.keys, *condition.given} <= section.model_fields.keys()
@@ -139,7 +139,7 @@ def test_conditions_name_keys_of_their_own_section() -> None:
             assert {*pair} <= section.model_fields.keys()
 
 
-def test_a_method_reads_its_own_sections_and_no_others() -> None:
+def test_level_damping_acts_only_for_compass_without_level_gains() -> None:
     assert not acts("level_damping", {"method": "kalman5", "level_gains": None})
     assert acts("level_damping", {"method": "compass", "level_gains": None})
     assert not acts("level_damping", {"method": "compass", "level_gains": (1.0, 1.0, 1.0)})
@@ -147,6 +147,6 @@ def test_a_method_reads_its_own_sections_and_no_others() -> None:
     assert deciding("latitude_deg") == () and conditions("latitude_deg") == ()
 
 
-def test_silent_keys_are_keys_of_the_method() -> None:
+def test_silent_keys_belong_to_their_method() -> None:
     for method in METHODS.values():
         assert {*method.silent} <= method.keys

@@ -20,7 +20,7 @@ def q_of(**filter_: float | str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("key", GYRO)
-def test_densities_are_the_old_numbers_by_their_true_units(key: str) -> None:
+def test_density_keys_give_same_q_as_psd_units(key: str) -> None:
     """An angle random walk of N deg/sqrt(h) adds N^2 t/3600 deg^2 in t seconds."""
     new = q_of(q_reading="psd", q_accel_ug_per_sqrt_hz=60.0, **{key: GYRO[key]})
     np.testing.assert_allclose(new, q_of(**OLD), rtol=1e-12)
@@ -28,7 +28,7 @@ def test_densities_are_the_old_numbers_by_their_true_units(key: str) -> None:
     np.testing.assert_allclose(new[:2], (60e-6 * 9.8) ** 2 * 0.01, rtol=1e-12)
 
 
-def test_a_density_and_the_noise_of_a_sample_make_the_same_q() -> None:
+def test_psd_and_per_sample_noise_give_same_q() -> None:
     """At 100 Hz a sample has ten times the density; as it is, it has a hundred times the sigma."""
     sample = {"q_gyro_deg_per_h": 1.8, "q_accel_ug": 600.0}
     of_a_sample = q_of(q_reading="per_sample", **sample)
@@ -36,7 +36,7 @@ def test_a_density_and_the_noise_of_a_sample_make_the_same_q() -> None:
     np.testing.assert_allclose(q_of(q_reading="per_step", **sample), 100.0**2 * of_a_sample)
 
 
-def test_densities_are_swept_as_other_keys() -> None:
+def test_density_key_can_be_swept() -> None:
     values = [0.001, 0.003]
     study = small_study(filter={"q_reading": "psd"}, axes={"q_gyro_arw_deg_per_sqrt_h": values})
     (part,) = build.parts(study)
@@ -45,7 +45,7 @@ def test_densities_are_swept_as_other_keys() -> None:
     )
 
 
-def test_a_study_with_densities_is_read_again_as_it_is_told() -> None:
+def test_study_with_densities_round_trips_with_same_fingerprint() -> None:
     study = small_study(filter={"q_reading": "psd", "q_gyro_arw_deg_per_sqrt_h": 0.003})
     assert study.filter is not None and study.filter.q_gyro_deg_per_h is None
     assert fingerprint(study_from_dict(tables_of(study))) == fingerprint(study)
@@ -73,7 +73,7 @@ def test_a_study_with_densities_is_read_again_as_it_is_told() -> None:
         ),
     ],
 )
-def test_densities_out_of_place(changes: dict, line: str) -> None:
+def test_conflicting_or_misplaced_density_keys_are_refused(changes: dict, line: str) -> None:
     with pytest.raises(InputError) as caught:
         small_study(**changes)
     assert str(caught.value) == line
@@ -90,7 +90,7 @@ def test_heading_is_clockwise_from_north() -> None:
     assert set(np.round(np.array(made.summary["heading_deg"]), -1)) == {350.0, 100.0}
 
 
-def test_a_heading_just_left_of_north_is_not_360() -> None:
+def test_heading_just_west_of_north_is_zero_not_360() -> None:
     from sinsjax.engine.metrics import Observation
     from sinsjax.execution import tables
     from sinsjax.types import Vec3

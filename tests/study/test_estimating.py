@@ -60,7 +60,7 @@ WHY: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("place", WHY)
-def test_what_the_covariance_does_not_hold_is_refused_with_the_reason(place: str) -> None:
+def test_covariance_estimate_refuses_unsupported_settings_with_reason(place: str) -> None:
     changes, why = WHY[place]
     small_study(**changes)  # with draws it runs
     changes = changes | {"study": ESTIMATED | changes.get("study", {})}
@@ -68,7 +68,7 @@ def test_what_the_covariance_does_not_hold_is_refused_with_the_reason(place: str
     assert refusal(**changes) == told
 
 
-def test_a_search_by_covariance_is_refused_where_the_study_is_read() -> None:
+def test_covariance_search_without_linear_part_is_refused_at_load() -> None:
     tune = {
         "searches": ["sobol", "covariance"],
         "variables": {"phi_u0_deg": {"low": 1.0, "high": 9.0}},
@@ -100,14 +100,14 @@ UNREAD: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("place", UNREAD)
-def test_what_is_not_read_without_draws_is_refused(place: str) -> None:
+def test_covariance_estimate_refuses_settings_that_need_draws(place: str) -> None:
     changes, why = UNREAD[place]
     changes = changes | {"study": ESTIMATED | changes.get("study", {})}
     told = f"{place}: is not read beside estimate = 'covariance' ({why})"
     assert refusal(**changes) == told
 
 
-def test_recorded_data_are_refused() -> None:
+def test_covariance_estimate_refuses_recorded_data() -> None:
     recorded = small_tables(study=ESTIMATED)
     del recorded["motion"], recorded["sensors"]
     recorded["record"] = {"format": "psins", "start_s": [0.0]}
@@ -119,7 +119,7 @@ def test_recorded_data_are_refused() -> None:
     )
 
 
-def test_samples_are_an_even_number_and_for_estimates_alone() -> None:
+def test_estimate_samples_must_be_even_and_require_estimate() -> None:
     told = "[study] estimate_samples: requires estimate = 'covariance' or 'controlled'"
     assert refusal(study={"estimate_samples": 64}) == told
     told = "[study] check_linearity: requires estimate = 'covariance'"
@@ -128,12 +128,12 @@ def test_samples_are_an_even_number_and_for_estimates_alone() -> None:
 
 
 @pytest.mark.parametrize("estimate", ["covariance", "controlled"])
-def test_starts_and_biases_may_be_drawn_normally(estimate: str) -> None:
+def test_estimates_accept_normally_drawn_starts_and_biases(estimate: str) -> None:
     laws = {"vn0_m_per_s": {"normal": [0, 1]}, "accel_bias_ug": {"normal": [0, 100]}}
     small_study(study={"estimate": estimate}, sensors={"accel_bias_ug": None}, drawn=laws)
 
 
-def test_defaults_are_written_out_and_read_again() -> None:
+def test_estimate_defaults_survive_round_trip() -> None:
     study = small_study(study=ESTIMATED)
     assert (study.study.estimate_samples, study.study.draws, study.n_draws) == (256, 64, 1)
     assert study.checks_linearity
@@ -141,7 +141,7 @@ def test_defaults_are_written_out_and_read_again() -> None:
     assert small_study().study.estimate_samples is None
 
 
-def test_a_study_of_draws_keeps_its_fingerprint() -> None:
+def test_fingerprint_changes_with_covariance_estimate_but_not_with_draws() -> None:
     plain = fingerprint(small_study())
     assert fingerprint(small_study(study={"estimate": "draws"})) == plain
     estimated = [ESTIMATED, ESTIMATED | {"estimate_samples": 64}]
@@ -150,6 +150,6 @@ def test_a_study_of_draws_keeps_its_fingerprint() -> None:
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_a_description_says_whether_steps_tell_their_linear_part(name: str) -> None:
+def test_has_error_step_flag_matches_method(name: str) -> None:
     method = METHODS[name](Options(0.01))
     assert METHODS[name].has_error_step == (method.error_step is not None)

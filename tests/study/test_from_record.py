@@ -165,7 +165,7 @@ LOGS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
 
 @pytest.mark.representative("RFU increments, ms, tabs", "FRD in rad/s, semicolons, comments")
 @pytest.mark.parametrize("name", LOGS)
-def test_a_log_becomes_a_study_that_runs(
+def test_log_becomes_study_that_runs(
     name: str, rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
 ) -> None:
     make, expected = LOGS[name]
@@ -189,7 +189,7 @@ def test_a_log_becomes_a_study_that_runs(
         assert abs(row["yaw_deg"] - 10) < 1.5
 
 
-def test_reasons_and_doubts_stand_beside_their_keys(
+def test_reasons_and_doubts_are_written_next_to_their_keys(
     rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
 ) -> None:
     path = write(tmp_path / "log.csv", columns(rates, "flu", DEG, G, 0.01), NAMES)
@@ -205,7 +205,7 @@ def test_reasons_and_doubts_stand_beside_their_keys(
     assert all(len(line) <= 100 for line in lines)
 
 
-def test_a_nominal_rate_says_that_it_is_one(
+def test_nominal_rate_is_marked_in_study(
     rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
 ) -> None:
     path = write(tmp_path / "log.csv", columns(rates, "flu", DEG, G, 0.0100003), NAMES)
@@ -216,7 +216,7 @@ def test_a_nominal_rate_says_that_it_is_one(
     assert "nominal" not in study_of(path, Path("its.toml"))
 
 
-def test_gaps_are_interpolated_if_short(
+def test_short_gaps_are_interpolated_and_long_gap_moves_start(
     rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
 ) -> None:
     table = columns(rates, "rfu", 1.0, 1.0, 0.01)
@@ -233,7 +233,7 @@ def test_gaps_are_interpolated_if_short(
     assert abs((runs(sinsjax, path)["yaw_deg"] - 10 + 45) % 90 - 45) < 4
 
 
-def test_parquet_with_dates(
+def test_parquet_log_with_dates_becomes_study_that_runs(
     rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
 ) -> None:
     table = columns(rates, "frd", DEG, G, 10_000_000)
@@ -246,7 +246,7 @@ def test_parquet_with_dates(
     assert abs(runs(sinsjax, path)["yaw_deg"] - 10) < 1.5
 
 
-def test_a_reference_that_ends_a_little_earlier_than_the_log_is_enough(
+def test_reference_ending_slightly_before_log_is_accepted(
     rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
 ) -> None:
     path = write(tmp_path / "log.csv", columns(rates, "rfu", 1.0, 1.0, 0.01))
@@ -262,7 +262,7 @@ def test_a_reference_that_ends_a_little_earlier_than_the_log_is_enough(
     assert package.read_summary("out")["phi_u_arcmin"].null_count == 0
 
 
-def test_psins_text(
+def test_psins_log_becomes_study_that_runs(
     rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
 ) -> None:
     record = Record(rates[0] / RATE, rates[1] / RATE, RATE)
@@ -275,7 +275,7 @@ def test_psins_text(
     assert abs(runs(sinsjax, path)["yaw_deg"] - 10) < 1.5
 
 
-def test_dates_in_text_and_odd_rates(
+def test_log_with_odd_rate_or_text_dates_is_read(
     rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
 ) -> None:
     table = columns(rates, "rfu", 1.0, 1.0, 1 / 102.4)
@@ -325,7 +325,7 @@ def test_dates_in_text_and_odd_rates(
         ),
     ],
 )
-def test_what_cannot_be_known_is_a_doubt(
+def test_ambiguous_log_is_marked_with_doubt(
     make: Any, doubt: str, rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
 ) -> None:
     path = write(tmp_path / "log.csv", *make(columns(rates, "rfu", 1.0, 1.0, 0.01)))
@@ -335,7 +335,7 @@ def test_what_cannot_be_known_is_a_doubt(
 @pytest.mark.representative("deg_per_s-0.017453292519943295-1", "deg_per_h-4.84813681109536e-06-2")
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize(("unit", "factor"), GYRO.items())
-def test_a_dead_gyro_does_not_tell_the_unit(
+def test_dead_gyro_is_ignored_in_choice_of_unit(
     axis: int, unit: str, factor: float, rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
 ) -> None:
     for value in (0.0, 0.0062, -3.0):
@@ -347,7 +347,7 @@ def test_a_dead_gyro_does_not_tell_the_unit(
         assert "the gyros do not tell the latitude: put the true one here" in doubts
 
 
-def test_marks_of_missing_samples_bring_one_doubt_and_its_cure(
+def test_missing_sample_marks_give_one_doubt_with_remedy(
     rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
 ) -> None:
     table = columns(rates, "rfu", 1.0, 1.0, 0.01)
@@ -387,7 +387,7 @@ def test_marks_of_missing_samples_bring_one_doubt_and_its_cure(
         (lambda t: (t[:, :5], NAMES[:5]), "row 1: 5 columns between commas"),
     ],
 )
-def test_what_is_no_record_is_refused_in_one_line(
+def test_unusable_log_is_refused_in_one_line(
     make: Any,
     line: str,
     rates: tuple[np.ndarray, np.ndarray],
@@ -401,7 +401,7 @@ def test_what_is_no_record_is_refused_in_one_line(
     assert not Path("log.toml").exists()
 
 
-def test_a_clock_that_runs_backward_is_refused_with_its_row(
+def test_backward_time_stamps_are_refused_with_row(
     rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
 ) -> None:
     table = columns(rates, "rfu", 1.0, 1.0, 0.01)
@@ -417,7 +417,7 @@ def test_a_clock_that_runs_backward_is_refused_with_its_row(
 
 
 @pytest.mark.parametrize("resolution_s", [0.02, 1.0])
-def test_stamps_too_coarse_to_read_tell_the_mean_rate(
+def test_coarse_time_stamps_give_mean_rate(
     resolution_s: float,
     rates: tuple[np.ndarray, np.ndarray],
     sinsjax: Command,
@@ -438,7 +438,7 @@ def test_stamps_too_coarse_to_read_tell_the_mean_rate(
     runs(sinsjax, path)
 
 
-def test_no_study_runs_at_a_rate_that_nothing_tells(
+def test_study_without_known_rate_is_refused(
     rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
 ) -> None:
     table = columns(rates, "rfu", 1.0, 1.0, 1e4)
@@ -464,7 +464,7 @@ def test_no_study_runs_at_a_rate_that_nothing_tells(
         (("RollRate [deg/s]", "PitchRate [deg/s]", "YawRate [deg/s]"), "deg_per_s", ""),
     ],
 )
-def test_names_of_gyros(
+def test_gyro_column_names_give_unit_and_axes(
     names: tuple[str, str, str], unit: str, ways: str
 ) -> None:
     (found,) = triads(["roll", "pitch", "yaw", *names], "gyro")
@@ -472,7 +472,7 @@ def test_names_of_gyros(
     assert not triads(names, "accel")
 
 
-def test_a_warning_is_told_once_on_the_standard_error(
+def test_warning_is_printed_once_on_standard_error(
     rates: tuple[np.ndarray, np.ndarray], sinsjax: Command, tmp_path: Path
 ) -> None:
     light = columns(rates, "rfu", 1.0, 1.0, 0.01) * [1, 1, 1, 1, 0.99, 0.99, 0.99]
@@ -484,7 +484,7 @@ def test_a_warning_is_told_once_on_the_standard_error(
     assert error.count("\n") == error.count("Warning") == 1
 
 
-def test_a_column_of_text_in_parquet_is_named(
+def test_text_column_in_parquet_is_refused_by_name(
     rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
 ) -> None:
     table = dict(zip(NAMES, columns(rates, "rfu", 1.0, 1.0, 0.01).T, strict=True))
@@ -494,7 +494,7 @@ def test_a_column_of_text_in_parquet_is_named(
         study_of(path, Path("x.toml"))
 
 
-def test_names_in_a_comment_are_pointed_at(
+def test_column_names_in_comment_are_refused_with_hint(
     rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
 ) -> None:
     table = columns(rates, "rfu", 1.0, 1.0, 0.01)
@@ -504,7 +504,7 @@ def test_names_in_a_comment_are_pointed_at(
         study_of(path, Path("x.toml"))
 
 
-def test_the_first_rows_may_lack_samples_but_hold_no_words(
+def test_first_row_may_have_empty_cells_but_no_text(
     rates: tuple[np.ndarray, np.ndarray], tmp_path: Path
 ) -> None:
     path = write(tmp_path / "log.csv", columns(rates, "rfu", 1.0, 1.0, 0.01))
@@ -522,7 +522,7 @@ def test_the_first_rows_may_lack_samples_but_hold_no_words(
         assert str(caught.value).startswith(f"{path}: row 2: column 'gyro_x': {hint}")
 
 
-def test_from_goes_with_record_alone(sinsjax: Command) -> None:
+def test_from_option_is_accepted_only_with_init_record(sinsjax: Command) -> None:
     code, _, error = sinsjax("init", "sweep", "--from", "log.csv")
     assert code == 2 and error.startswith("error: --from: goes with `init record`")
     code, _, error = sinsjax("init", "record", "--from", "log.csv")

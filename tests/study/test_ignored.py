@@ -52,7 +52,7 @@ TRIGGER = {"reset_trigger": "nis", "trigger_threshold": 9.0}
         ),
     ],
 )
-def test_a_time_that_no_run_comes_to(tables: dict[str, Any], line: str):
+def test_time_after_end_of_all_runs_is_refused(tables: dict[str, Any], line: str):
     assert refusal(**tables) == line
 
 
@@ -69,11 +69,11 @@ def test_a_time_that_no_run_comes_to(tables: dict[str, Any], line: str):
     ],
     ids=["at the end", "of one of two lengths", "of one method", "where there is no trigger"],
 )  # fmt: skip
-def test_a_time_that_a_run_comes_to_or_that_is_not_read(tables: dict[str, Any]):
+def test_reachable_or_unread_time_is_accepted(tables: dict[str, Any]):
     small_study(**tables)
 
 
-def test_defaults_stand_in_any_study():
+def test_default_time_after_end_of_study_is_accepted():
     """What a study of 6 s resolves to loads again: 150 s of levelling is the default."""
     study = small_study(**COMPASS)
     assert study.compass and study.compass.level_time_s == 150
@@ -81,7 +81,7 @@ def test_defaults_stand_in_any_study():
 
 
 @pytest.mark.parametrize("loop", ["level", "azimuth"])
-def test_damping_is_read_by_nobody_beside_gains(loop: str):
+def test_damping_given_with_gains_is_refused(loop: str):
     gains = {"level": [1.0, 2.0, 3.0], "azimuth": [1.0, 2.0, 3.0, 4.0]}[loop]
     compass = {f"{loop}_gains": gains, f"{loop}_damping": 0.6}
     text = f"{loop}_damping: is ignored beside {loop}_gains in"
@@ -118,7 +118,7 @@ def drawing(laws: dict[str, Any], **changes: Any) -> Any:
         ),
     ],
 )
-def test_lists_longer_than_the_draws(laws: dict[str, Any], text: str):
+def test_drawn_lists_longer_than_draws_are_refused(laws: dict[str, Any], text: str):
     with pytest.raises(InputError) as caught:
         drawing(laws)
     assert str(caught.value) == f"study: [drawn] {text}"

@@ -12,11 +12,11 @@ from sinsjax.study import files, json_schema, key_table
 ROOT = Path(__file__).parents[2]
 
 
-def test_the_page_of_keys_is_up_to_date():
+def test_keys_page_is_up_to_date():
     assert (ROOT / "docs" / "keys.md").read_text(encoding="utf-8") == key_table.page()
 
 
-def test_the_schema_is_up_to_date():
+def test_json_schema_is_up_to_date():
     stored = (ROOT / "configs" / "schema.json").read_text(encoding="utf-8")
     assert json.loads(stored) == json_schema.schema()
 
@@ -32,14 +32,14 @@ def test_the_schema_is_up_to_date():
         ("level_sigma_per_s", "1/s", None, "compass"),
     ],
 )
-def test_what_a_key_is_told_as(key, unit, default, read_by):
+def test_key_table_shows_unit_default_and_methods(key, unit, default, read_by):
     (told,) = key_table.keys(key)
     assert told.unit == unit
     assert default is None or told.default == default
     assert read_by is None or told.read_by == read_by
 
 
-def test_keys_that_a_method_takes_without_effect_are_not_told_as_read():
+def test_about_method_separates_read_keys_from_ignored_keys():
     _, _, reads, silent = key_table.about_method("inertial")
     assert reads.endswith("it reads nothing")
     assert silent.startswith("    takes without effect: phi_e0_deg, phi_n0_deg, phi_u0_deg, ")
@@ -47,7 +47,7 @@ def test_keys_that_a_method_takes_without_effect_are_not_told_as_read():
     assert "it reads phi_e0_deg, " in reads
 
 
-def test_words_that_a_key_takes_are_told():
+def test_key_meaning_lists_allowed_words():
     (told,) = key_table.keys("resets.reset_kind")
     assert told.meaning.endswith('("full" | "yaw" | "scale")')
 
@@ -56,7 +56,7 @@ def test_every_key_has_a_meaning():
     assert all(key.meaning for key in key_table.keys())
 
 
-def test_the_schema_takes_every_shipped_study_and_no_unknown_key():
+def test_schema_accepts_shipped_studies_and_rejects_mistakes():
     known = jsonschema.Draft7Validator(json_schema.schema())
     for path in (*files.studies().values(), *files.templates().values()):
         assert not list(known.iter_errors(tomllib.loads(path.read_text("utf-8")))), path.name

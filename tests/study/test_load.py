@@ -148,13 +148,13 @@ def test_defaults_are_filled_in():
     assert (study.record, study.coarse, study.is_recorded) == (None, None, False)
 
 
-def test_a_value_has_the_type_of_its_key():
+def test_values_are_converted_to_key_types():
     study = built(sensors={"gyro_bias_deg_per_h": [1, 2, 3]})
     assert type(study.duration_s) is float
     assert study.sensors is not None and study.sensors.gyro_bias_deg_per_h == (1.0, 2.0, 3.0)
 
 
-def test_recorded_study():
+def test_recorded_study_has_one_draw_per_start_time():
     study = built(RECORDED)
     assert study.is_recorded and study.n_draws == 1
     assert study.record is not None and study.record.start_s == (0.0,)
@@ -167,18 +167,18 @@ def test_recorded_study():
 
 
 @pytest.mark.parametrize("order", ["xyz", "y-xz", "-x-yz", "zxy", "+yx-z"])
-def test_right_handed_axes_orders(order: str):
+def test_right_handed_axes_orders_are_accepted(order: str):
     study = built(RECORDED, record={"axes_order": order})
     assert study.record is not None and study.record.axes_order == order
 
 
-def test_input_is_left_as_it_is():
+def test_input_tables_are_not_modified():
     data = copy.deepcopy(SIMULATED)
     study_from_dict(data)
     assert data == SIMULATED
 
 
-def test_a_study_is_frozen():
+def test_study_fields_cannot_be_assigned():
     study = built()
     with pytest.raises(ValueError, match="frozen"):
         study.seed = 2
@@ -212,7 +212,7 @@ def test_variant_order_is_cases_then_axes_last_fastest():
     assert list(zip(*values.values(), strict=True)) == expected
 
 
-def test_values_are_swept_or_constant():
+def test_values_list_swept_and_constant_keys_per_variant():
     study = study_from_dict(tomllib.loads(FULL))
     assert study.values("phi_u0_deg") == [0.0] * 6 + [30.0] * 6
     assert study.values("phi_e0_deg") == [5.0] * 12
@@ -224,7 +224,7 @@ def test_values_are_swept_or_constant():
         built(RECORDED).values("gyro_bias_deg_per_h")
 
 
-def test_unlabelled_cases_and_an_axis_of_vectors():
+def test_unlabelled_cases_combine_with_vector_axes():
     study = built(
         cases=[{"phi_e0_deg": 1, "phi_n0_deg": 2}, {"phi_n0_deg": 2, "phi_e0_deg": 3}],
         axes={"gyro_bias_deg_per_h": [0, [1, 2, 3]], "reset_times_s": [[], [10, 20]]},
@@ -235,7 +235,7 @@ def test_unlabelled_cases_and_an_axis_of_vectors():
     assert study.values("reset_times_s") == [(), (10.0, 20.0)] * 4
 
 
-def test_combinations_are_those_of_the_variants():
+def test_combinations_are_distinct_values_of_variants():
     study = built(
         cases=[{"phi_e0_deg": e, "reset_cycle_s": c} for e, c in ((1, 50), (2, 50), (3, 60))],
         axes={"phi_u0_deg": [0, 10], "reset_count": [0, 1]},
@@ -246,7 +246,7 @@ def test_combinations_are_those_of_the_variants():
     assert len(list(study.combinations(*keys))) == len(met) == 4
 
 
-def test_zips_go_together_between_cases_and_axes():
+def test_zipped_axes_vary_together_between_cases_and_axes():
     study = built(
         axes={
             "reset_kind": ["full", "yaw"],
@@ -295,7 +295,7 @@ def sweeps(draw: st.DrawFn) -> tuple[list[dict], list[dict], dict]:
 
 
 @given(sweep=sweeps(), data=st.data())
-def test_variants_are_numbered_as_a_product_is(sweep: tuple, data: st.DataObject):
+def test_variants_are_numbered_like_itertools_product(sweep: tuple, data: st.DataObject):
     cases, zips, axes = sweep
     tables = {
         f"zip {i}": {k: [row[k] for row in rows] for k in rows[0]} for i, rows in enumerate(zips)
@@ -327,7 +327,7 @@ def test_required_keys_may_be_swept():
     assert study_from_dict(tomllib.loads(study_to_toml(study))) == study
 
 
-def test_a_hundred_thousand_variants_are_cheap():
+def test_values_of_200_thousand_variants_are_listed():
     study = built(
         axes={
             "phi_u0_deg": [i / 10 for i in range(1000)],
@@ -341,7 +341,7 @@ def test_a_hundred_thousand_variants_are_cheap():
 # Files
 
 
-def test_load_reads_a_file(tmp_path: Path):
+def test_load_study_reads_file_with_or_without_bom(tmp_path: Path):
     path = tmp_path / "swing.toml"
     path.write_text(FULL.replace('name = "example"\n', ""))
     assert load_study(path).study.name == "swing"
@@ -356,7 +356,7 @@ def assert_load_refused(path: Path, text: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_files_that_cannot_be_read(tmp_path: Path):
+def test_unreadable_files_are_refused(tmp_path: Path):
     assert_load_refused(tmp_path / "missing.toml", "cannot be read: No such file")
     assert_load_refused(tmp_path, "cannot be read: Is a directory")
     path = tmp_path / "s.toml"
@@ -373,7 +373,7 @@ def test_syntax_errors_name_the_line(tmp_path: Path, text: str):
     assert_load_refused(path, r"no TOML: .*line \d")
 
 
-def test_a_file_of_any_value_is_refused_with_its_name(tmp_path: Path):
+def test_invalid_values_in_file_are_refused_with_file_name(tmp_path: Path):
     path = tmp_path / "s.toml"
     path.write_text("[study]\nduration_s = nan\nrate_hz = 100")
     assert_load_refused(path, r"\[study\] duration_s: must be finite, not nan")
@@ -427,7 +427,7 @@ def test_a_file_of_any_value_is_refused_with_its_name(tmp_path: Path):
         ),
     ],
 )
-def test_resolved_study_loads_equal(data: dict[str, Any], tmp_path: Path):
+def test_resolved_study_reloads_equal(data: dict[str, Any], tmp_path: Path):
     study = study_from_dict(data)
     text = study_to_toml(study)
     path = tmp_path / "study.toml"
@@ -453,7 +453,7 @@ letters = st.characters(codec="utf-8").filter(lambda letter: not is_control(lett
     name=st.text(letters, min_size=1),
     methods=st.permutations(["kalman5", "kalman10", "compass"]),
 )
-def test_any_resolved_study_loads_equal(duration, phi, bias, p0, name, methods):
+def test_random_resolved_study_reloads_equal(duration, phi, bias, p0, name, methods):
     study = built(
         study={"duration_s": duration, "name": name, "unchecked": True},
         sensors={"gyro_bias_deg_per_h": bias},
@@ -474,7 +474,7 @@ def reversed_keys(data: Any) -> Any:
     return data
 
 
-def test_fingerprint_forgets_what_does_not_compute():
+def test_fingerprint_ignores_name_key_order_and_explicit_defaults():
     data = tomllib.loads(FULL)
     print_ = fingerprint(study_from_dict(data))
     assert re.fullmatch("[0-9a-f]{16}", print_)
@@ -509,7 +509,7 @@ def test_fingerprint_changes_with_any_value(change: dict[str, Any]):
     )
 
 
-def test_fingerprint_changes_with_the_order_of_the_axes():
+def test_fingerprint_changes_with_axis_order():
     # It numbers the variants.
     data = tomllib.loads(FULL)
     other = data | {"axes": reversed_keys(data["axes"])}
@@ -525,7 +525,7 @@ OLD = {
 
 
 @pytest.mark.parametrize("name", OLD)
-def test_fingerprints_of_stored_results_stay(name: str):
+def test_fingerprints_of_stored_results_are_unchanged(name: str):
     """What a version adds changes none that does not use it: results of 0.3.0 remain readable."""
     path = Path(__file__).parents[2] / "configs" / f"{name}.toml"
     data = tomllib.loads(path.read_text())
@@ -534,7 +534,7 @@ def test_fingerprints_of_stored_results_stay(name: str):
     assert fingerprint(study_from_dict(data)) == OLD[name]
 
 
-def test_fingerprint_changes_with_what_is_zipped_drawn_or_stopped():
+def test_fingerprint_changes_with_zips_drawn_keys_and_stop_rule():
     drawn = [
         DRAWN,
         DRAWN | {"sampling": "random"},
@@ -626,7 +626,7 @@ def test_fingerprint_changes_with_what_is_zipped_drawn_or_stopped():
         ),
     ],
 )
-def test_unknown_names(tables: dict[str, Any], line: str):
+def test_unknown_and_misplaced_names_are_refused(tables: dict[str, Any], line: str):
     assert refusal(**tables) == line
 
 
@@ -708,13 +708,13 @@ def test_unknown_names(tables: dict[str, Any], line: str):
         ("resets", "reset_scale", 0, "must be greater than 0"),
     ],
 )
-def test_values_of_single_keys(section: str, key: str, value: Any, text: str):
+def test_invalid_values_of_single_keys_are_refused(section: str, key: str, value: Any, text: str):
     line = refusal(**{section: {key: value}})
     assert re.match(rf"\[{section}\] {key}(\[\d\])?: ", line)
     assert text in line
 
 
-def test_entries_of_lists_are_named_by_place():
+def test_invalid_list_entries_are_named_by_index():
     line = refusal(study={"settle_bands_arcmin": [60, 10, 0]})
     assert line.startswith("[study] settle_bands_arcmin[2]: must be greater than 0, not 0")
     assert refusal(sensors={"accel_bias_ug": [1, 2, "3"]}).startswith(
@@ -723,7 +723,7 @@ def test_entries_of_lists_are_named_by_place():
     assert refusal(sensors={"accel_bias_ug": [1, 2]}) == "[sensors] accel_bias_ug[2]: required"
 
 
-def test_long_values_are_cut():
+def test_long_values_are_shortened_in_messages():
     assert len(refusal(study={"duration_s": "x" * 1000})) < 120
 
 
@@ -738,7 +738,7 @@ NUMBERS = [
 
 @pytest.mark.parametrize(("section", "key"), NUMBERS, ids=".".join)
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, True, "1"], ids=str)
-def test_no_number_takes_nan_inf_bool_or_text(section: str, key: str, value: Any):
+def test_number_keys_refuse_nan_inf_bool_and_text(section: str, key: str, value: Any):
     given = STOP if section == "stop_when" else {}
     assert refusal(**{section: given | {key: value}}).startswith(f"[{section}] {key}: must be ")
     if section in SWEEPABLE:
@@ -748,14 +748,14 @@ def test_no_number_takes_nan_inf_bool_or_text(section: str, key: str, value: Any
 
 
 @pytest.mark.parametrize("key", ["duration_s", "rate_hz"])
-def test_missing_study_keys(key: str):
+def test_missing_required_study_keys_are_refused(key: str):
     data = copy.deepcopy(SIMULATED)
     del data["study"][key]
     assert refusal(data).startswith(f"[study] {key}: required (")
     assert refusal({}).startswith("[study] duration_s: required (length")
 
 
-def test_missing_latitude_and_heading():
+def test_missing_latitude_and_heading_are_refused():
     assert refusal(SIMULATED, earth={}, motion=3).startswith("[motion]")
     data = copy.deepcopy(SIMULATED)
     del data["motion"]
@@ -812,7 +812,7 @@ def test_missing_latitude_and_heading():
         ),
     ],
 )
-def test_axis_values(axes: dict[str, Any], start: str):
+def test_invalid_axis_values_are_refused(axes: dict[str, Any], start: str):
     assert refusal(axes=axes).startswith(start)
 
 
@@ -842,7 +842,7 @@ def test_axis_values(axes: dict[str, Any], start: str):
         ([{"reset_kind": "full"}], "[cases] reset_kind: is an axis already"),
     ],
 )
-def test_case_values(cases: Any, start: str):
+def test_invalid_case_values_are_refused(cases: Any, start: str):
     assert refusal(cases=cases, axes={"reset_kind": ["full"]}).startswith(start)
     assert refusal(cases=cases, axes={"zip": {"reset_kind": ["full"]}}).startswith(start)
 
@@ -857,7 +857,7 @@ def test_case_values(cases: Any, start: str):
         ("accel_noise_ug", "accel_vrw_ug_per_sqrt_hz"),
     ],
 )
-def test_noise_is_given_in_one_way(one: str, other: str):
+def test_noise_given_in_two_units_is_refused(one: str, other: str):
     expected = f"{one}: conflicts with {other} in [sensors] (give one of them)"
     assert refusal(sensors={one: 1, other: 1}) == f"[sensors] {expected}"
     assert refusal(sensors={other: 1}, axes={one: [1]}) == f"[axes] {expected}"
@@ -976,11 +976,11 @@ def test_noise_is_given_in_one_way(one: str, other: str):
         ),
     ],
 )
-def test_resets(resets: dict[str, Any], axes: dict[str, Any], line: str):
+def test_invalid_resets_are_refused(resets: dict[str, Any], axes: dict[str, Any], line: str):
     assert refusal(resets=resets, axes=axes) == line
 
 
-def test_resets_that_are_fine():
+def test_valid_resets_are_accepted():
     built(resets={"reset_count": 3, "reset_cycle_s": 300})  # the last one exactly at the end
     built(resets={"reset_times_s": [0.01, 0.02, 900]})
     built(resets={"reset_count": 0, "reset_cycle_s": 1e6})
@@ -997,7 +997,7 @@ def test_resets_that_are_fine():
     built(cases=pairs)
 
 
-def test_times_of_counted_resets():
+def test_reset_times_follow_count_first_time_and_cycle():
     """A first one of its own; without it the cycle's multiples, as exactly as ever."""
     cycle = {"reset_cycle_s": 0.1}
     study = built(resets=cycle, axes={"reset_count": [0, 1, 3], "reset_first_s": [25, 7.5]})
@@ -1019,7 +1019,7 @@ def test_times_of_counted_resets():
 
 
 @pytest.mark.parametrize("statistic", ["success_rate", "settle_60_s_mean", "settle_10_s_mean"])
-def test_statistics_that_stop_a_study(statistic: str):
+def test_supported_stop_statistics_are_accepted(statistic: str):
     stop = built(
         study={"settle_bands_arcmin": [60]}, stop_when=STOP | {"statistic": statistic}
     ).stop_when
@@ -1044,11 +1044,11 @@ def test_statistics_that_stop_a_study(statistic: str):
         (STOP | {"until": 3}, "[stop_when] until: unknown key"),
     ],
 )
-def test_rules_for_stopping(stop: dict[str, Any], line: str):
+def test_invalid_stop_rules_are_refused(stop: dict[str, Any], line: str):
     assert refusal(study={"settle_bands_arcmin": [60]}, stop_when=stop).startswith(line)
 
 
-def test_a_mean_time_may_be_known_to_more_than_a_second():
+def test_stop_half_width_of_mean_time_may_exceed_one_second():
     built(stop_when={"statistic": "settle_10_s_mean", "half_width": 5})
 
 
@@ -1081,7 +1081,7 @@ def test_a_mean_time_may_be_known_to_more_than_a_second():
         ),
     ],
 )
-def test_intervals(tables: dict[str, Any], line: str):
+def test_invalid_intervals_are_refused(tables: dict[str, Any], line: str):
     assert refusal(**tables) == line
 
 
@@ -1113,7 +1113,7 @@ def test_intervals(tables: dict[str, Any], line: str):
         ),
     ],
 )
-def test_times_in_a_record(
+def test_invalid_record_times_are_refused(
     record: dict[str, Any], coarse: dict[str, Any], line: str
 ):
     assert refusal(RECORDED, record=record, coarse=coarse) == line
@@ -1121,7 +1121,7 @@ def test_times_in_a_record(
     assert built(RECORDED, record={"from_s": 30}).record.start_s == (30.0,)
 
 
-def test_a_record_s_intervals_are_its_nearest_samples():
+def test_record_intervals_round_to_nearest_samples():
     """A simulation has the rate that it is given: there it is a mistake."""
     study = built(RECORDED, study={"rate_hz": 199.8}, record={"start_s": [0, 0.004]})
     assert study.record_every == 200
@@ -1129,7 +1129,7 @@ def test_a_record_s_intervals_are_its_nearest_samples():
     assert refusal(study={"rate_hz": 199.8}).startswith(line)
 
 
-def test_a_record_may_tell_the_rate():
+def test_record_may_supply_sample_rate():
     study = study_from_dict({"study": {"duration_s": 300.0}, "record": {"format": "psins"}})
     assert not study.study.rate_hz
     for rate in (100.0, 199.8):
@@ -1198,20 +1198,20 @@ def test_a_record_may_tell_the_rate():
         ),
     ],
 )
-def test_a_key_that_no_method_reads(tables: dict[str, Any], key: str, method: str):
+def test_keys_read_by_no_method_are_refused(tables: dict[str, Any], key: str, method: str):
     place, _, name = key.partition(" ")
     drop = f" (drop it, as by --set axes.{name}={{}})" if place == "[axes]" else ""
     assert refusal(**tables) == f"{key}: does not apply to method {method}{drop}"
     built(merged(SIMULATED, **tables), axes={"method": ["kalman5", "compass"]})
 
 
-def test_a_section_that_no_method_reads_is_one_line():
+def test_section_read_by_no_method_is_refused_in_one_line():
     tables = {"alignment": {"method": "inertial"}, "filter": {"p0_yaw_deg": 9.0, "p0_level_deg": 9}}
     text = "does not apply to method inertial (drop it, as by --set filter={}: "
     assert refusal(**tables) == f"[filter]: {text}p0_yaw_deg, p0_level_deg)"
 
 
-def test_sections_and_defaults_are_those_of_the_methods():
+def test_sections_and_defaults_depend_on_methods():
     filters, loops, both = built(), built(COMPASS), built(axes={"method": ["kalman5", "compass"]})
     assert filters.compass is None and filters.filter and filters.resets
     assert loops.filter is None and loops.resets is None
@@ -1243,7 +1243,7 @@ def test_sections_and_defaults_are_those_of_the_methods():
         ("sigma_passes", ("sigma_times_s",)),
     ],
 )
-def test_loops_are_given_in_one_way(one: str, others: tuple[str, ...]):
+def test_loop_settings_given_in_two_ways_are_refused(one: str, others: tuple[str, ...]):
     values = {"level_gains": [1.0, 2.0, 3.0], "azimuth_gains": [1.0, 2.0, 3.0, 4.0]}
     values |= {"level_passes": 1, "sigma_passes": [1], "sigma_times_s": [80.0]}
     values["sigma_factors"] = [2.0, 1.0]
@@ -1290,11 +1290,11 @@ def test_loops_are_given_in_one_way(one: str, others: tuple[str, ...]):
         ),
     ],
 )
-def test_passes_that_do_not_fit(passes: dict[str, Any], line: str):
+def test_invalid_passes_are_refused(passes: dict[str, Any], line: str):
     assert refusal(COMPASS, passes=passes) == f"[passes] {line}"
 
 
-def test_passes_are_checked_as_they_meet():
+def test_passes_are_checked_per_variant():
     axes = {"tape_s": [80, 100], "passes": [3, 10]}
     line = "[axes] passes: 10 over a record of 100 s last 1000 s, longer than the study"
     assert refusal(axes=axes).startswith(line)
@@ -1320,7 +1320,7 @@ def test_passes_are_checked_as_they_meet():
         ({"tape_s": 80, "passes": 4, "ending": "forward", "direction": "rewind"}, (320, 80)),
     ],
 )
-def test_how_long_passes_last(
+def test_run_and_pass_lengths_follow_passes_settings(
     passes: dict[str, Any], spans: tuple[int, int]
 ):
     (span,) = built(study={"window_s": [0, 200]}, passes=passes).spans
@@ -1363,11 +1363,11 @@ def test_how_long_passes_last(
         ({"allow_unstable": 1}, "allow_unstable: must be true or false, not 1"),
     ],
 )
-def test_loops_that_do_not_fit(compass: dict[str, Any], line: str):
+def test_invalid_compass_loops_are_refused(compass: dict[str, Any], line: str):
     assert refusal(COMPASS, compass=compass) == f"[compass] {line}"
 
 
-def test_every_piece_of_sigma_has_its_beginning_in_every_variant():
+def test_sigma_times_must_match_sigma_factors_in_every_variant():
     factors, times = [[1.0], [2.0, 1.0]], [[], [100.0]]
     line = "[axes] sigma_times_s: needs 0 entries for 1 sigma_factors, not 1"
     assert refusal(COMPASS, axes={"sigma_factors": factors, "sigma_times_s": times}) == line
@@ -1398,12 +1398,12 @@ PARTIAL = {"duration_s": 900.5, "window_s": [600, 900]}
         ),
     ],
 )
-def test_a_last_partial_record_interval_is_not_run(tables: dict[str, Any], start: str):
+def test_events_in_last_partial_record_interval_are_refused(tables: dict[str, Any], start: str):
     end = "duration_s = 900.5; the last partial record interval, after 900 s, is not run)"
     assert refusal(merged(SIMULATED, study=PARTIAL), **tables) == start + end
 
 
-def test_the_end_of_what_is_run():
+def test_run_ends_at_last_whole_record_interval():
     study = built(study=PARTIAL, resets={"reset_times_s": [900]})
     assert (study.run_s, study.dropped_s) == (900.0, 0.5)
     built(study=PARTIAL | {"window_s": [898, 900.5]})
@@ -1417,7 +1417,7 @@ def test_the_end_of_what_is_run():
     rate=st.sampled_from([3.0, 7.0, 100.0, 333.3]),
     ends=st.tuples(st.integers(0, 400), st.integers(1, 400)).filter(lambda ab: ab[0] < ab[1]),
 )
-def test_a_window_holds_two_record_times(every: int, rate: float, ends: tuple[int, int]):
+def test_window_must_contain_two_record_times(every: int, rate: float, ends: tuple[int, int]):
     start, end = (n / rate for n in ends)
     study = {"rate_hz": rate, "duration_s": 400 / rate, "record_interval_s": every / rate}
     times = [k * every / rate for k in range(1, 400 // every + 1)]
@@ -1429,7 +1429,7 @@ def test_a_window_holds_two_record_times(every: int, rate: float, ends: tuple[in
         built(**tables)
 
 
-def test_sizes_that_no_machine_could_run():
+def test_oversized_studies_are_refused():
     line = "[study] duration_s: 1000010 s at rate_hz = 100 is more than 100000000 samples a run"
     assert refusal(study={"duration_s": 1000010}) == line
     built(study={"duration_s": 1000000})
@@ -1443,7 +1443,7 @@ def test_sizes_that_no_machine_could_run():
     )
 
 
-def test_sections_that_nothing_reads_any_more(tmp_path: Path):
+def test_retired_sections_are_ignored_and_reported(tmp_path: Path):
     """Of 0.5.0, and of the study.toml beside its results."""
     old = {"report": {"layout": "paper2"}, "statements": {"short_time_s": 1.0}}
     assert built(**old) == built()
@@ -1457,13 +1457,13 @@ def test_sections_that_nothing_reads_any_more(tmp_path: Path):
 
 
 @given(samples=st.integers(1, 100_000), rate=st.floats(1, 1e4))
-def test_whole_numbers_of_samples_pass(samples: int, rate: float):
+def test_whole_numbers_of_samples_are_accepted(samples: int, rate: float):
     study = {"rate_hz": rate, "duration_s": 1e3, "record_interval_s": 1 / rate, "unchecked": True}
     built(study=study, alignment={"feedback_interval_s": samples / rate})
 
 
 @given(samples=st.floats(0.01, 1e5).filter(lambda x: 0.01 < x % 1 < 0.99), rate=st.floats(1, 1e4))
-def test_the_nearest_intervals_that_are_named_pass(samples: float, rate: float):
+def test_suggested_nearest_intervals_are_accepted(samples: float, rate: float):
     study = {"rate_hz": rate, "duration_s": 1e3, "record_interval_s": 1 / rate, "unchecked": True}
     line = refusal(study=study, alignment={"feedback_interval_s": samples / rate})
     for near in line.rsplit("nearest: ")[1].rstrip(")").split(" or "):
@@ -1471,7 +1471,7 @@ def test_the_nearest_intervals_that_are_named_pass(samples: float, rate: float):
 
 
 @pytest.mark.parametrize("key", ["gravity_m_per_s2", "radius_m", "earth_rate_deg_per_h"])
-def test_constants_have_no_place_with_wgs84(key: str):
+def test_earth_constants_are_refused_with_wgs84(key: str):
     text = f"{key}: requires earth = 'constants'"
     assert refusal(earth={"earth": "wgs84", key: 1}) == f"[earth] {text}"
     assert refusal(earth={"earth": "wgs84"}, axes={key: [1, 2]}) == f"[axes] {text}"
@@ -1482,7 +1482,7 @@ def test_constants_have_no_place_with_wgs84(key: str):
     assert both.values(key) == [1.0, 1.0]
 
 
-def test_an_amplitude_needs_its_period():
+def test_sway_amplitude_requires_period():
     line = "[motion] roll_period_s: required where roll_amplitude_deg > 0"
     assert refusal(motion={"roll_amplitude_deg": 1}) == line
     assert refusal(axes={"roll_amplitude_deg": [0, 1]}) == line
@@ -1542,11 +1542,11 @@ def test_an_amplitude_needs_its_period():
         ),
     ],
 )
-def test_recorded_refusals(tables: dict[str, Any], line: str):
+def test_invalid_recorded_studies_are_refused(tables: dict[str, Any], line: str):
     assert refusal(RECORDED, **tables).startswith(line)
 
 
-def test_record_keys_by_format():
+def test_record_keys_depend_on_format():
     for key in (*TABULAR, "time_column"):
         if key != "format":
             value = TABULAR.get(key, "t")
@@ -1585,10 +1585,10 @@ def test_record_keys_by_format():
         ({"time_column": "gx"}, "gyro_columns: column 'gx' is already used in time_column"),
     ],
 )
-def test_tabular_records(change: dict[str, Any], line: str):
+def test_invalid_tabular_record_keys_are_refused(change: dict[str, Any], line: str):
     assert refusal(RECORDED, record=TABULAR | change).startswith(f"[record] {line}")
 
 
-def test_a_recorded_study_draws_what_it_has():
+def test_stop_when_is_refused_for_recorded_study():
     line = "[stop_when]: does not apply to a recorded study (drop it or [record])"
     assert refusal(RECORDED, stop_when=STOP) == line

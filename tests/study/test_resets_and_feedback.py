@@ -41,7 +41,7 @@ def rows(**tables: Any) -> list[list[dict[str, Any]]]:
 # What a study computes
 
 
-def test_a_reset_that_waits_for_feedback_does_not_tell_its_phase() -> None:
+def test_waiting_reset_equals_reset_scheduled_at_next_feedback() -> None:
     """To the bit that of a schedule on the feedbacks themselves."""
     phases = [[0.71, 1.41], [0.8, 1.77], [1.05, 2.05], [1.05, 2.1]]
     waiting = rows(
@@ -62,7 +62,7 @@ def test_a_reset_that_waits_for_feedback_does_not_tell_its_phase() -> None:
 @pytest.mark.parametrize(
     "method", [pytest.param("kalman5", marks=pytest.mark.optimised(True)), "kalman_sincos"]
 )
-def test_either_leaves_the_runs_beside_it_alone(method: str) -> None:
+def test_reset_feedback_keys_do_not_affect_other_variants(method: str) -> None:
     """With a covariance for each run, and with one for all draws."""
     tables = {"alignment": {"method": method, "feedback_interval_s": 0.6}}
     own = rows(**tables, resets={"reset_times_s": [1.0, 1.9]}, axes={"keys": KEYS})
@@ -72,13 +72,13 @@ def test_either_leaves_the_runs_beside_it_alone(method: str) -> None:
     assert own[PLAIN] != own[WAITING] != own[RESTARTING] != own[PLAIN]
 
 
-def test_with_feedback_after_every_sample_neither_does_anything() -> None:
+def test_reset_feedback_keys_have_no_effect_with_feedback_every_sample() -> None:
     tables = {"alignment": {"feedback_interval_s": 0.01}, "axes": {"keys": KEYS}}
     plain, *others = rows(**tables, resets={"reset_times_s": [1.0, 1.9]})
     assert all(other == plain for other in others)
 
 
-def test_resets_of_a_trigger_wait_for_feedback_as_those_of_the_schedule_do() -> None:
+def test_triggered_resets_wait_for_next_feedback() -> None:
     found = rows(
         alignment={"feedback_interval_s": 0.25},
         filter={"r_velocity_m_per_s": 1e-3},
@@ -103,7 +103,7 @@ def test_resets_of_a_trigger_wait_for_feedback_as_those_of_the_schedule_do() -> 
     st.sampled_from([100.0, 125.0, 199.8]),
 )
 @settings(max_examples=50)
-def test_resets_are_put_off_to_the_next_feedback_and_no_further(samples, every, rate_hz) -> None:
+def test_resets_are_delayed_to_next_feedback_only(samples, every, rate_hz) -> None:
     written = tuple(sample / rate_hz for sample in sorted(samples))
     later = times_of_resets(rate_hz, written, None, None, None, True, every / rate_hz)
     for sample, time in zip(sorted(samples), later, strict=True):
@@ -113,7 +113,7 @@ def test_resets_are_put_off_to_the_next_feedback_and_no_further(samples, every, 
     assert times_of_resets(rate_hz, written, None, None, None, False, every / rate_hz) == written
 
 
-def test_the_last_reset_is_that_which_is_carried_out() -> None:
+def test_scheduled_last_reset_includes_delay_to_feedback() -> None:
     """The columns tell the schedule as it is written, its axes among them."""
     study = small_study(
         alignment={"feedback_interval_s": 2.0}, resets={AT: True}, axes={"reset_times_s": [[], [3]]}
@@ -127,20 +127,20 @@ def test_the_last_reset_is_that_which_is_carried_out() -> None:
 
 
 @pytest.mark.parametrize("given_keys", [{}, {AT: False}, {RESTARTS: False}])
-def test_a_study_without_them_has_the_program_and_fingerprint_of_before(given_keys: Any) -> None:
+def test_default_reset_feedback_keys_keep_program_and_fingerprint(given_keys: Any) -> None:
     study = small_study(resets=NIS | {"reset_times_s": [1.0]} | given_keys)
     assert fingerprint(study) == fingerprint(small_study(resets=NIS | {"reset_times_s": [1.0]}))
     params = Scenario(study, curves=False).part(0, range(1)).group.variants.method
     assert params.feedback.restarts is None and params.trigger.at_feedback is None
 
 
-def test_each_tells_studies_apart() -> None:
+def test_reset_feedback_keys_change_fingerprint() -> None:
     base = {"reset_times_s": [1.0]}
     tables = [base, base | {AT: True}, base | {RESTARTS: True}, base | {AT: True, RESTARTS: True}]
     assert len({fingerprint(small_study(resets=own)) for own in tables}) == 4
 
 
-def test_both_may_be_cases_and_one_hides_the_other() -> None:
+def test_reset_at_feedback_makes_reset_restarts_feedback_irrelevant() -> None:
     cases = [{AT: False, RESTARTS: True}, {AT: True, RESTARTS: False}, {AT: True, RESTARTS: True}]
     study = small_study(resets={"reset_times_s": [1.0]}, cases=cases)
     assert first_alike(study).tolist() == [0, 1, 1]
@@ -180,11 +180,11 @@ def test_both_may_be_cases_and_one_hides_the_other() -> None:
         ),
     ],
 )
-def test_what_cannot_be_is_refused(tables: dict[str, Any], line: str) -> None:
+def test_invalid_reset_feedback_keys_are_refused(tables: dict[str, Any], line: str) -> None:
     assert refusal(**tables) == line
 
 
-def test_coarse_alignment_of_whole_feedback_intervals_or_replayed_is_fine() -> None:
+def test_coarse_alignment_of_whole_intervals_or_replayed_is_accepted() -> None:
     for coarse, interval in (({}, 1.0), ({"coarse_then": "replay"}, 1.5)):
         small_study(
             coarse={"coarse_duration_s": 2.0} | coarse,

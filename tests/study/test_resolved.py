@@ -38,7 +38,7 @@ def written_out(sweep: list[Dimension]) -> list[dict[str, Any]]:
 
 
 @given(sweeps())
-def test_columns_are_those_of_the_product(sweep):
+def test_columns_match_product_of_dimensions(sweep):
     resolved, variants = Resolved(sweep, {"z": 7}.__getitem__), written_out(sweep)
     assert resolved.n_variants == len(variants)
     for key in variants[0]:
@@ -50,7 +50,7 @@ def test_columns_are_those_of_the_product(sweep):
 
 
 @given(sweeps(), st.randoms(use_true_random=False))
-def test_joint_columns_have_the_combinations_taken_and_no_others(sweep, random):
+def test_joint_columns_have_only_occurring_combinations(sweep, random):
     resolved, variants = Resolved(sweep, {"z": 7}.__getitem__), written_out(sweep)
     keys = random.sample(sorted(variants[0]), random.randint(1, len(variants[0])))
     keys = keys if len(keys) > 1 else [*keys, "z"]
@@ -59,14 +59,14 @@ def test_joint_columns_have_the_combinations_taken_and_no_others(sweep, random):
     assert sorted(map(repr, column.choices)) == sorted(map(repr, set(whole)))
 
 
-def test_combinations_beyond_counting_are_found_by_sorting():
+def test_joint_column_handles_millions_of_possible_combinations():
     numbers = tuple(map(float, range(40)))
     zipped = {key: numbers for key in "abcd"}  # 40 of 2,560,000 combinations
     column = Resolved([zipped], lambda key: None).column(*"abcd")
     assert column.to_list() == [(n,) * 4 for n in numbers]
 
 
-def test_a_function_is_called_once_for_each_value():
+def test_column_function_is_called_once_per_value():
     called = []
     column = Coded(np.array([1, 0, 1, 1]), ("a", "b"))
     made = column.each(lambda value: called.append(value) or len(called))
@@ -75,7 +75,7 @@ def test_a_function_is_called_once_for_each_value():
     assert lists.tolist() == 3 * [[1.0, 2.0]]
 
 
-def test_variants_take_their_part_of_the_columns():
+def test_variants_select_rows_of_study_columns():
     study = small_study(axes={"phi_u0_deg": [0, 10, 20], "feedback_interval_s": [1, 2]})
     some = Variants(study, np.array([1, 2, 5]))
     assert some.raw("feedback_interval_s") == [2, 1, 2]
@@ -83,7 +83,7 @@ def test_variants_take_their_part_of_the_columns():
     assert some.common("phi_e0_deg") == study.values("phi_e0_deg")[0]
 
 
-def test_a_changed_copy_of_a_study_has_columns_of_its_own():
+def test_changed_study_copy_recomputes_columns():
     study = small_study(axes={"phi_u0_deg": [0, 10, 20]})
     assert study.values("phi_u0_deg") == [0.0, 10.0, 20.0]
     other = study.model_copy(update={"axes": {"phi_u0_deg": (5.0,)}})

@@ -54,13 +54,13 @@ def sobol(laws: dict[str, Any]) -> dict[str, Any]:
 BOTH = pytest.mark.parametrize("laws", [LAWS, sobol(LAWS)], ids=["random", "sobol"])
 
 
-def test_nothing_drawn():
+def test_study_without_drawn_keys_has_no_values():
     assert sampling.values(study_of(None), 5) == {}
 
 
 @BOTH
 @pytest.mark.parametrize("count", [0, 1, 3, 64])
-def test_shapes(laws: dict[str, Any], count: int):
+def test_drawn_values_have_expected_order_and_shapes(laws: dict[str, Any], count: int):
     values = drawn(laws, count)
     assert list(values) == list(LAWS)
     assert all(v.dtype == np.float64 for v in values.values())
@@ -68,7 +68,7 @@ def test_shapes(laws: dict[str, Any], count: int):
     assert shapes == [(count,), (count,), (count,), (count, 3), (count, 6), (count,)]
 
 
-def test_a_key_has_as_many_numbers_as_its_section_takes():
+def test_drawn_keys_need_as_many_numbers_as_their_section():
     for key, numbers in NUMBERS_DRAWN.items():
         one = study_of({key: {"values": [[0.5] * numbers if numbers > 1 else 0.5]}}, **periods(key))
         assert sampling.values(one, 2)[key].shape == ((2, numbers) if numbers > 1 else (2,))
@@ -92,7 +92,7 @@ def periods(key: str) -> dict[str, Any]:
 
 
 @BOTH
-def test_distributions(laws: dict[str, Any]):
+def test_drawn_values_follow_their_distributions(laws: dict[str, Any]):
     values = drawn(laws)
     for key in ("phi_e0_deg", "phi_n0_deg"):
         assert stats.kstest(values[key], stats.uniform(-5, 10).cdf).pvalue > 1e-3
@@ -105,7 +105,7 @@ def test_distributions(laws: dict[str, Any]):
 
 
 @BOTH
-def test_numbers_are_independent(laws: dict[str, Any]):
+def test_drawn_values_are_uncorrelated_across_keys_axes_and_draws(laws: dict[str, Any]):
     """Of other keys, of the other axes of a vector, and of the draw before."""
     values = drawn(laws)
     columns = np.column_stack([rows for key, rows in values.items() if key != "yaw_center_deg"])
@@ -116,13 +116,13 @@ def test_numbers_are_independent(laws: dict[str, Any]):
     assert np.abs(found).max() < 4.5 / np.sqrt(MANY)
 
 
-def test_constant_laws():
+def test_zero_width_distributions_give_constant_values():
     values = drawn({"phi_e0_deg": {"uniform": [3, 3]}, "phi_n0_deg": {"normal": [2, 0]}}, 50)
     np.testing.assert_array_equal(values["phi_e0_deg"], 3.0)
     np.testing.assert_array_equal(values["phi_n0_deg"], 2.0)
 
 
-def test_sobol_points_fill_the_square_more_evenly_than_random_ones():
+def test_sobol_points_have_lower_discrepancy_than_random():
     keys = ("phi_e0_deg", "phi_n0_deg")
     laws = {key: {"uniform": [0, 1]} for key in keys}
 
@@ -143,7 +143,7 @@ def test_every_dyadic_interval_holds_one_sobol_point():
 
 
 @pytest.mark.parametrize("end", [0.0, 1 - 2.0**-30])
-def test_points_on_the_ends_give_finite_numbers(end: float, monkeypatch: pytest.MonkeyPatch):
+def test_extreme_sobol_points_give_finite_values(end: float, monkeypatch: pytest.MonkeyPatch):
     """The lowest and the highest point that the sequence has."""
     monkeypatch.setattr(stats.qmc.Sobol, "random", lambda self, n: np.full((n, self.d), end))
     values = drawn(sobol(LAWS), 4)
@@ -156,7 +156,7 @@ def test_points_on_the_ends_give_finite_numbers(end: float, monkeypatch: pytest.
 
 @BOTH
 @given(first=st.integers(0, 70), count=st.integers(0, 70))
-def test_a_draw_is_the_same_in_any_block(laws: dict[str, Any], first: int, count: int):
+def test_draws_do_not_depend_on_block(laws: dict[str, Any], first: int, count: int):
     study = study_of(
         laws | {"pitch_center_deg": {"grid": [0, 1]}, "roll_center_deg": {"grid": [0, 10, 20]}},
         study={"draws": 6},
@@ -166,14 +166,14 @@ def test_a_draw_is_the_same_in_any_block(laws: dict[str, Any], first: int, count
         np.testing.assert_array_equal(rows, whole[key][first : first + count])
 
 
-def test_a_key_keeps_its_values_when_others_come():
+def test_adding_drawn_keys_keeps_values_of_others():
     alone = drawn({"phi_e0_deg": LAWS["phi_e0_deg"]}, 100)["phi_e0_deg"]
     later = dict(reversed(LAWS.items()))
     np.testing.assert_array_equal(drawn(later, 100)["phi_e0_deg"], alone)
 
 
 @BOTH
-def test_the_seed_decides(laws: dict[str, Any]):
+def test_seed_determines_drawn_values(laws: dict[str, Any]):
     one, same, other = (drawn(laws, 100, seed=seed) for seed in (1, 1, 2**63 - 1))
     for key in LAWS:
         np.testing.assert_array_equal(one[key], same[key])
@@ -196,7 +196,7 @@ def test_the_seed_decides(laws: dict[str, Any]):
     ],
     ids=["random", "sobol"],
 )
-def test_values_are_as_they_always_were(
+def test_drawn_values_match_frozen_reference(
     laws: dict[str, Any], level: list[float], heading: list[float]
 ):
     """Stored results rest on them."""
@@ -208,7 +208,7 @@ def test_values_are_as_they_always_were(
 # Lists and grids
 
 
-def test_a_list_is_gone_through_again_and_again():
+def test_value_list_is_cycled_over_draws():
     values = drawn({"yaw_center_deg": {"values": [0, 90, 180]}}, 8)
     np.testing.assert_array_equal(values["yaw_center_deg"], [0, 90, 180, 0, 90, 180, 0, 90])
     laws = {"gyro_bias_deg_per_h": {"values": [0.5, [1, 2, 3]]}}
@@ -217,7 +217,7 @@ def test_a_list_is_gone_through_again_and_again():
 
 
 @given(lengths=st.lists(st.integers(1, 4), min_size=1, max_size=4), count=st.integers(1, 300))
-def test_grids_run_through_their_product(lengths: list[int], count: int):
+def test_grids_cycle_through_their_product(lengths: list[int], count: int):
     keys = ("latitude_deg", "roll_center_deg", "phi_u0_deg", "accel_bias_ug")
     grids = {key: [float(i) for i in range(n)] for key, n in zip(keys, lengths, strict=False)}
     laws: dict[str, Any] = {key: {"grid": grid} for key, grid in grids.items()}
@@ -253,7 +253,7 @@ def refusal(laws: Any, **changes: Any) -> str:
     return line.removeprefix("s.toml: ")
 
 
-def test_drawn_is_given_nowhere_else():
+def test_drawn_key_given_elsewhere_is_refused():
     law = {"phi_e0_deg": {"uniform": [0, 1]}}
     again = "already (drop one of them)"
     assert (
@@ -360,11 +360,11 @@ def test_drawn_is_given_nowhere_else():
         ),
     ],
 )
-def test_tables_of_drawn_keys(laws: Any, line: str):
+def test_invalid_drawn_tables_are_refused(laws: Any, line: str):
     assert refusal(laws).startswith(line)
 
 
-def test_rivals_of_a_drawn_key():
+def test_drawn_key_with_conflicting_sensor_key_is_refused():
     line = "[drawn] accel_noise_ug: conflicts with accel_vrw_ug_per_sqrt_hz in [sensors]"
     sensors = {"accel_vrw_ug_per_sqrt_hz": 1.0}
     assert refusal({"accel_noise_ug": {"values": [1]}}, sensors=sensors).startswith(line)
@@ -382,7 +382,7 @@ def test_rivals_of_a_drawn_key():
         ("accel_scale_ppm", {"normal": [1e12, 1]}, "must be less than or equal to 1000000000000"),
     ],
 )
-def test_a_draw_out_of_bounds(
+def test_draw_out_of_bounds_is_refused(
     laws: dict[str, Any], key: str, law: dict[str, Any], text: str
 ):
     table = {"sampling": laws.get("sampling", "random"), key: law}
@@ -390,7 +390,7 @@ def test_a_draw_out_of_bounds(
     assert re.fullmatch(rf"\[drawn\] {key}: draw \d+ gives \S+: {text}", line)
 
 
-def test_the_worst_draw_is_named_in_whatever_block_it_lies(monkeypatch: pytest.MonkeyPatch):
+def test_worst_draw_out_of_bounds_is_named_in_any_block(monkeypatch: pytest.MonkeyPatch):
     law = {"yaw_phase_deg": {"normal": [0, 95]}}
     values = drawn({"yaw_phase_deg": {"normal": [0, 1]}}, 40_000)["yaw_phase_deg"] * 95
     out = int(np.argmax(np.abs(values) > 360))
@@ -401,7 +401,7 @@ def test_the_worst_draw_is_named_in_whatever_block_it_lies(monkeypatch: pytest.M
     assert refusal(law, study={"draws": out + 1}).startswith(line)
 
 
-def test_the_worst_draw_of_a_vector_is_named():
+def test_worst_draw_of_vector_key_is_named():
     key = "gyro_noise_deg_per_h"
     worst = drawn({key: {"uniform": [0, 2]}}, 100, seed=2)[key].min(axis=1).argmin()
     assert worst > 0
@@ -409,7 +409,7 @@ def test_the_worst_draw_of_a_vector_is_named():
     assert line.startswith(f"[drawn] {key}: draw {worst} gives -0.9")
 
 
-def test_a_million_draws_are_cheap():
+def test_study_with_million_draws_is_sampled():
     study = study_of(sobol(LAWS), study={"draws": 1_000_000})
     assert len(sampling.values(study, study.n_draws)["phi_u0_deg"]) == 1_000_000
 
@@ -417,7 +417,7 @@ def test_a_million_draws_are_cheap():
 # What a drawn key is to the rest of the study
 
 
-def test_a_drawn_key_counts_as_given():
+def test_drawn_key_counts_as_given():
     data: dict[str, Any] = {"study": dict(BASE["study"])}
     laws: dict[str, Any] = {
         "latitude_deg": {"uniform": [20, 60]},
@@ -441,7 +441,7 @@ def test_a_drawn_key_counts_as_given():
 RECORDED = {"study": {"duration_s": 300.0, "rate_hz": 100.0}, "record": {"format": "psins"}}
 
 
-def test_what_a_recorded_study_may_draw():
+def test_recorded_study_may_draw_only_initial_keys():
     laws = {key: {"normal": [0, 1]} for key in INITIAL_KEYS}
     record = {"format": "psins", "start_s": [0, 10, 20]}
     study = study_from_dict(RECORDED | {"record": record, "drawn": laws})

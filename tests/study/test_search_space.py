@@ -160,7 +160,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("name", MISTAKES)
-def test_a_mistake_in_the_variables_is_told(name: str) -> None:
+def test_invalid_tuning_variables_are_refused_with_place(name: str) -> None:
     given, text = MISTAKES[name]
     with pytest.raises(InputError) as error:
         tuned(given)
@@ -279,7 +279,7 @@ OTHERS: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_a_mistake_between_sections_is_told(name: str) -> None:
+def test_invalid_tune_sections_are_refused_with_place(name: str) -> None:
     changes, tune, text = OTHERS[name]
     tables = {key: dict(table) for key, table in tables_of(small_study()).items() if table}
     for key, change in changes.items():
@@ -295,14 +295,14 @@ def test_a_mistake_between_sections_is_told(name: str) -> None:
     assert str(error.value) == f"study: {text}"
 
 
-def test_the_gains_of_a_loop_are_all_ranges() -> None:
+def test_loop_gains_require_one_range_per_entry() -> None:
     gain = {"low": 0.1, "high": 1.0}
     with pytest.raises(InputError, match=r"level_gains: must have 3 ranges, not 2"):
         tuned({"level_gains": [gain, gain]}, changes=COMPASS)
 
 
 @pytest.mark.parametrize("key", ["tune_draws", "evaluation_draws"])
-def test_a_recorded_study_has_start_times_for_draws(key: str) -> None:
+def test_recorded_tuning_uses_start_times_as_draws(key: str) -> None:
     tune: dict[str, Any] = {"variables": {"p0_yaw_deg": YAW}, "searches": ["grid"]}
     study = study_from_dict(RECORDED | {"tune": tune})
     assert study.tune is not None and study.tune.tune_draws is None
@@ -327,18 +327,18 @@ EVERYTHING: dict[str, Any] = {
 }
 
 
-def test_a_tuning_goes_through_its_file() -> None:
+def test_tuning_survives_toml_round_trip() -> None:
     study = tuned(EVERYTHING, baseline={"reset_times_s": [1.0]}, objective="settle_quantile")
     assert study_from_dict(tomllib.loads(study_to_toml(study))) == study
     assert study.tune is not None
     assert (study.tune.tune_draws, study.tune.evaluation_draws) == (16, 64)
 
 
-def test_what_a_study_computes_does_not_depend_on_its_tuning() -> None:
+def test_fingerprint_ignores_tuning_section() -> None:
     assert fingerprint(tuned(EVERYTHING)) == fingerprint(small_study())
 
 
-def test_variables_and_combinations_stand_in_the_order_written() -> None:
+def test_variables_and_combinations_keep_written_order() -> None:
     space = SearchSpace.of(tuned(EVERYTHING))
     names = ["reset_times_s[0]", "reset_times_s[1]", "feedback_time_constant_s"]
     assert [variable.name for variable in space.variables] == names
@@ -348,12 +348,12 @@ def test_variables_and_combinations_stand_in_the_order_written() -> None:
     assert used == [[2], [0, 2], [0, 1, 2]]
 
 
-def test_a_study_without_candidates_has_one_combination() -> None:
+def test_study_without_candidates_has_one_combination() -> None:
     assert SearchSpace.of(tuned({"p0_yaw_deg": YAW})).combinations == ({},)
 
 
 @given(box=st.lists(st.floats(0, 1), min_size=3, max_size=3))
-def test_values_go_there_and_back(box: list[float]) -> None:
+def test_box_and_values_round_trip(box: list[float]) -> None:
     space = SearchSpace.of(tuned(EVERYTHING))
     values = space.values(box)
     assert space.box(values) == pytest.approx(box, abs=1e-12)
@@ -364,7 +364,7 @@ def test_values_go_there_and_back(box: list[float]) -> None:
     np.testing.assert_allclose(np.array(many)[:, 0], values, rtol=1e-15)
 
 
-def test_a_point_has_ascending_times_on_samples() -> None:
+def test_point_has_ascending_reset_times_on_samples() -> None:
     space = SearchSpace.of(tuned(EVERYTHING))
     last = space.combinations[-1]
     assert space.point([2.9999, 2.123456, 11.0], last) == {
@@ -378,7 +378,7 @@ def test_a_point_has_ascending_times_on_samples() -> None:
     assert space.point([2.5, 2.6, 1.0], space.combinations[0])["reset_times_s"] == ()
 
 
-def test_pieces_of_sigma_never_fall_together() -> None:
+def test_sigma_times_never_coincide() -> None:
     given = {
         "sigma_times_s": [{"low": 1.0, "high": 3.0}] * 2,
         "sigma_factors": {"fixed": [4.0, 2.0, 1.0]},
@@ -391,7 +391,7 @@ def test_pieces_of_sigma_never_fall_together() -> None:
     assert space.point([2.0, 2.0], space.combinations[0])["sigma_times_s"] == (2.0, 2.01)
 
 
-def test_lengths_that_must_be_whole_are() -> None:
+def test_tuned_lengths_are_rounded_to_samples_and_records() -> None:
     changes = {"passes": {"tape_s": 3.0}}
     study = tuned(
         {"feedback_interval_s": {"low": 0.1, "high": 1}, "tape_s": {"low": 1, "high": 3}},
@@ -402,7 +402,7 @@ def test_lengths_that_must_be_whole_are() -> None:
     assert point == {"feedback_interval_s": 0.33, "tape_s": 2.0}
 
 
-def test_a_point_is_put_into_a_study() -> None:
+def test_with_point_applies_values_without_changing_study() -> None:
     study = tuned({"reset_times_s": TIMES}, changes={"resets": {"reset_cycle_s": 2.0}})
     before = study_to_toml(study)
     point = {"reset_times_s": (1.0, 2.5), "p0_yaw_deg": 33.0}
@@ -414,7 +414,7 @@ def test_a_point_is_put_into_a_study() -> None:
         with_point(study, {"reset_times_s": (9.0,)})
 
 
-def test_the_baseline_stands_beside_all_points() -> None:
+def test_comparable_lists_same_keys_for_baseline_and_points() -> None:
     baseline = {"reset_count": 2, "reset_cycle_s": 2.0, "r_velocity_m_per_s": 0.3}
     study = tuned(
         {"reset_times_s": TIMES, "reset_yaw_deg": YAW, "q_scale": {"low": 0.1, "high": 2.0}},
@@ -433,7 +433,7 @@ def test_the_baseline_stands_beside_all_points() -> None:
     }
 
 
-def test_a_baseline_with_a_key_of_its_own_needs_it_in_the_study() -> None:
+def test_baseline_only_key_requires_value_in_study() -> None:
     resets = {"reset_trigger": "nis", "trigger_threshold": 9.0}
     with pytest.raises(InputError) as error:
         tuned(
@@ -445,7 +445,7 @@ def test_a_baseline_with_a_key_of_its_own_needs_it_in_the_study() -> None:
     assert str(error.value) == f"study: {text}"
 
 
-def test_logarithmic_places_are_those_of_the_logarithm() -> None:
+def test_log_scale_variable_maps_logarithmically() -> None:
     variable = search_space.Variable("p0_yaw_deg", None, 1.0, 100.0, True)
     assert (variable.value(0.5), variable.place(10.0)) == pytest.approx((10.0, 0.5))
     assert math.isclose(variable._replace(log=False).value(0.5), 50.5)

@@ -89,14 +89,14 @@ def refusal(**tables: Any) -> str:
         {"cases": [{"reset_trigger": "none"}, {"reset_trigger": "nis"}]},
     ],
 )
-def test_a_trigger_needs_a_threshold(tables: dict[str, Any]) -> None:
+def test_reset_trigger_without_threshold_is_refused(tables: dict[str, Any]) -> None:
     line = "[resets] trigger_threshold: required with reset_trigger = 'nis'"
     assert refusal(**tables) == line
 
 
 @pytest.mark.parametrize("key", OF_TRIGGERS)
 @pytest.mark.parametrize("trigger", [{}, {"reset_trigger": "none"}])
-def test_numbers_of_a_trigger_need_one(key: str, trigger: dict[str, str]) -> None:
+def test_trigger_keys_without_reset_trigger_are_refused(key: str, trigger: dict[str, str]) -> None:
     value = OF_TRIGGERS[key]
     told = f"{key}: requires a reset_trigger"
     assert refusal(resets=trigger | {key: value}) == f"[resets] {told}"
@@ -117,17 +117,17 @@ def test_numbers_of_a_trigger_need_one(key: str, trigger: dict[str, str]) -> Non
         *((key, 0.0) for key in NEW["resets"] if key.startswith("reset_") and "_trig" not in key),
     ],
 )
-def test_values_that_are_refused(key: str, value: Any) -> None:
+def test_invalid_reset_values_are_refused(key: str, value: Any) -> None:
     assert refusal(resets=NIS | {key: value}).startswith(f"[resets] {key}: must be ")
 
 
 @pytest.mark.parametrize("key", ["q_scale", "r_scale"])
-def test_scales_are_positive(key: str) -> None:
+def test_zero_q_and_r_scales_are_refused(key: str) -> None:
     assert refusal(filter={key: 0.0}).startswith(f"[filter] {key}: must be ")
 
 
 @pytest.mark.parametrize("section", NEW)
-def test_compass_loops_have_none_of_this(section: str) -> None:
+def test_filter_and_reset_keys_are_refused_for_compass(section: str) -> None:
     for key, value in NEW[section].items():
         line = refusal(alignment={"method": "compass"}, **{section: {key: value}})
         assert line == f"[{section}] {key}: does not apply to method compass"
@@ -138,7 +138,7 @@ def test_compass_loops_have_none_of_this(section: str) -> None:
 # What is filled in
 
 
-def test_a_trigger_has_defaults() -> None:
+def test_trigger_keys_have_defaults() -> None:
     resets = built(resets=NIS).resets
     assert resets is not None
     assert (resets.trigger_window_s, resets.trigger_refractory_s) == (10.0, 5.0)
@@ -149,7 +149,7 @@ def test_a_trigger_has_defaults() -> None:
         assert {getattr(alone, key) for key in OF_TRIGGERS} == {None}
 
 
-def test_what_is_given_stays() -> None:
+def test_given_reset_and_trigger_values_are_kept() -> None:
     resets = built(resets=NEW["resets"]).resets
     assert resets is not None
     assert {key: getattr(resets, key) for key in NEW["resets"]} == NEW["resets"]
@@ -158,7 +158,7 @@ def test_what_is_given_stays() -> None:
     assert (swept.resets.trigger_window_s, swept.resets.trigger_most) == (None, 10)
 
 
-def test_a_trigger_may_be_swept_beside_none() -> None:
+def test_reset_trigger_may_be_swept_together_with_none() -> None:
     for tables in (
         {"resets": {"trigger_threshold": 9.0}, "axes": {"reset_trigger": ["none", "nis"]}},
         {"axes": {"reset_trigger": ["none", "nis"], "trigger_threshold": [1.0, 9.0]}},
@@ -183,7 +183,7 @@ def test_a_trigger_may_be_swept_beside_none() -> None:
         {"cases": [NIS, NIS | {"reset_trigger": "none"}]},
     ],
 )
-def test_a_resolved_study_loads_equal(tables: dict[str, Any]) -> None:
+def test_resolved_study_loads_equal(tables: dict[str, Any]) -> None:
     study = built(**tables)
     text = study_to_toml(study)
     again = study_from_dict(tomllib.loads(text))
@@ -203,7 +203,7 @@ def test_a_resolved_study_loads_equal(tables: dict[str, Any]) -> None:
         {"alignment": {"method": "compass"}},
     ],
 )
-def test_a_study_without_these_keys_is_told_as_before(tables: dict[str, Any]) -> None:
+def test_fingerprint_without_later_keys_is_unchanged(tables: dict[str, Any]) -> None:
     """Its fingerprint is that of a study that has never heard of them."""
     study = built(**tables)
     unused = {"study": {"name", "unchecked"}}
@@ -228,7 +228,7 @@ def test_a_study_without_these_keys_is_told_as_before(tables: dict[str, Any]) ->
     assert fingerprint(study) == hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def test_each_of_these_keys_tells_studies_apart() -> None:
+def test_each_trigger_reset_and_scale_key_changes_fingerprint() -> None:
     studies = [built(), built(resets=NIS)]
     for section, keys in NEW.items():
         for key, value in keys.items():

@@ -27,7 +27,7 @@ def insisted(**tables: Any) -> Study:
     return small_study(**tables | {"study": tables.get("study", {}) | {"unchecked": True}})
 
 
-def test_the_place_of_a_value_is_that_in_the_file():
+def test_refusal_names_value_position_in_file():
     """Also where others before it are given twice."""
     heights = {"z": {"height_m": [0, 0, 1e12], "ve0_m_per_s": [1, 2, 3]}}
     assert refusal(axes=heights).startswith("[axes.z] height_m[2]: 1e+12 is outside")
@@ -36,7 +36,7 @@ def test_the_place_of_a_value_is_that_in_the_file():
 
 
 @pytest.mark.parametrize("draws", [4_100_000, 4_300_000, 40_000_000])
-def test_many_draws_are_taken_as_long_as_none_is_likely_to_be_refused(draws):
+def test_many_draws_are_accepted_unless_law_exceeds_usual_range(draws):
     def of(deviation: float) -> Study:
         data = copy.deepcopy(BASE) | {"drawn": {"phi_u0_deg": {"normal": [0, deviation]}}}
         del data["alignment"]["phi_u0_deg"]
@@ -48,14 +48,14 @@ def test_many_draws_are_taken_as_long_as_none_is_likely_to_be_refused(draws):
         of(60)
 
 
-def test_every_quantity_with_a_unit_says_what_is_usual():
+def test_every_key_with_unit_has_usual_range():
     for section, model in SECTIONS.items():
         for key in model.model_fields:
             if columns.split_unit(key)[1] and key not in BOUNDED:
                 assert usual.range_of(section, key), f"[{section}] {key}"
 
 
-def test_defaults_are_usual():
+def test_defaults_lie_in_usual_range():
     for section, model in SECTIONS.items():
         for key, field in model.model_fields.items():
             if usual.range_of(section, key):
@@ -77,7 +77,7 @@ def test_defaults_are_usual():
         ("study", "success_band_arcmin", 1e6),
     ],
 )
-def test_nonsense_is_asked_about_and_can_be_insisted_on(section: str, key: str, value: float):
+def test_unusual_value_is_refused_unless_unchecked(section: str, key: str, value: float):
     low, high = usual.range_of(section, key)
     line = f"[{section}] {key}: {value:.12g} is outside the usual {low:g} to {high:g}"
     line += " ([study] unchecked = true insists on it)"
@@ -97,7 +97,7 @@ def test_nonsense_is_asked_about_and_can_be_insisted_on(section: str, key: str, 
         ({"resets": {"reset_times_s": [1e-12, 1.0]}}, "[resets] reset_times_s"),
     ],
 )  # fmt: skip
-def test_it_is_asked_wherever_a_value_is_given(tables: dict[str, Any], place: str):
+def test_unusual_value_is_refused_in_lists_axes_and_cases(tables: dict[str, Any], place: str):
     assert refusal(**tables).startswith(place)
 
 
@@ -112,7 +112,7 @@ def test_it_is_asked_wherever_a_value_is_given(tables: dict[str, Any], place: st
         {"values": [0, [0, 1e9, 0]]},
     ],
 )
-def test_drawn_values_are_asked_about(law: dict[str, Any]):
+def test_unusual_drawn_value_is_refused_unless_unchecked(law: dict[str, Any]):
     tables = {"drawn": {"accel_bias_ug": law}, "sensors": {}}
     data = {name: dict(table) for name, table in BASE.items()} | {"drawn": tables["drawn"]}
     del data["sensors"]["accel_bias_ug"]
@@ -144,14 +144,14 @@ def test_law_of_huge_draw_count_is_checked_without_listing_draws(
         ({"candidates": [1.0, 1e6]}, "with these values: "),
     ],
 )
-def test_what_is_tuned_is_asked_about(kind: dict[str, Any], place: str):
+def test_unusual_tuning_value_is_refused_unless_unchecked(kind: dict[str, Any], place: str):
     tune = {"variables": {"p0_yaw_deg": kind}, "searches": ["grid"]}
     line = refusal(tune=tune)
     assert line.startswith(f"[tune.variables] {place}") and "p0_yaw_deg: 1000000 is" in line
     insisted(tune=tune)
 
 
-def test_a_feedback_that_never_comes_is_asked_about():
+def test_feedback_interval_longer_than_run_is_refused_unless_unchecked():
     line = refusal(alignment={"feedback_interval_s": 7.0})
     assert line == (
         "[alignment] feedback_interval_s: 7 s is longer than a run of 6 s: nothing would be fed"
@@ -162,16 +162,16 @@ def test_a_feedback_that_never_comes_is_asked_about():
 
 
 @pytest.mark.parametrize("earth", ["constants", "wgs84"])
-def test_nobody_stands_below_the_centre_of_the_earth(earth: str):
+def test_height_below_earth_centre_is_always_refused(earth: str):
     line = refusal(earth={"height_m": -6378137.0, "earth": earth}, study={"unchecked": True})
     assert line == "[earth] height_m: -6378137 m is at the centre of the Earth or below it"
 
 
-def test_the_default_feedback_stands_in_a_shorter_study():
+def test_default_feedback_interval_is_accepted_in_short_study():
     study = small_study(study={"duration_s": 0.5, "record_interval_s": 0.1, "window_s": [0, 0.5]})
     assert study_from_dict(tomllib.loads(study_to_toml(study))) == study
 
 
-def test_insisting_leaves_the_fingerprint():
+def test_unchecked_does_not_change_fingerprint():
     assert insisted() != small_study() and fingerprint(insisted()) == fingerprint(small_study())
     assert "unchecked" not in study_to_toml(small_study())

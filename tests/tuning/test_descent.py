@@ -160,7 +160,7 @@ VARIABLES = [
 ]
 
 
-def test_every_variable_with_a_gradient_is_tried() -> None:
+def test_studies_cover_every_variable_with_gradient() -> None:
     tried = {variable.partition("[")[0] for _, variable in VARIABLES}
     relaxed = [method.implementation.relaxed for method in METHODS.values()]
     assert tried == {key for one in relaxed if one for key in one.changes} | {"reset_times_s"}
@@ -199,7 +199,7 @@ def gradients(name: str) -> dict[str, tuple[float, float]]:
     "counted-reset_cycle_s",
 )
 @pytest.mark.parametrize(("name", "variable"), VARIABLES)
-def test_gradients_agree_with_differences(name: str, variable: str) -> None:
+def test_gradients_match_finite_differences(name: str, variable: str) -> None:
     ours, theirs = gradients(name)[variable]
     assert theirs != 0 and ours == pytest.approx(theirs, rel=1e-4)
 
@@ -215,7 +215,7 @@ WAYS = [
 
 
 @pytest.mark.parametrize(("what", "across"), WAYS)
-def test_the_relaxed_objective_and_its_slope(
+def test_relaxed_score_is_near_hard_score_and_slope_matches_differences(
     what: str, across: str
 ) -> None:
     """Beside the hard one of the same numbers, and beside differences."""
@@ -271,12 +271,12 @@ def assert_moved(study: Study, places: dict[str, float], combination: int = 0) -
 
 
 @pytest.mark.parametrize(("name", "variable"), VARIABLES)
-def test_a_variable_does_what_its_key_does(name: str, variable: str) -> None:
+def test_relaxed_variable_matches_setting_study_key(name: str, variable: str) -> None:
     assert_moved(STUDIES[name], {variable: 0.75})
 
 
 @pytest.mark.parametrize("name", STUDIES)
-def test_variables_do_all_that_their_keys_do(name: str) -> None:
+def test_all_relaxed_variables_match_setting_study_keys(name: str) -> None:
     assert_moved(STUDIES[name], {v.name: 0.75 for v in SearchSpace.of(STUDIES[name]).variables})
 
 
@@ -285,7 +285,7 @@ P0 = [key for key in METHODS["kalman5"].implementation.relaxed.changes if key.st
 
 
 @pytest.mark.parametrize("key", P0)
-def test_what_p_is_reset_to_follows_what_it_is_at_the_start(key: str) -> None:
+def test_reset_covariance_follows_initial_covariance_unless_given(key: str) -> None:
     """Unless it is given, be it as an axis."""
     sections = COUNTED | {"alignment": {"method": "kalman10"}}
     assert_moved(tuned({key: log(1.0, 100.0)}, sections), {key: 0.75})
@@ -293,7 +293,7 @@ def test_what_p_is_reset_to_follows_what_it_is_at_the_start(key: str) -> None:
     assert_moved(tuned({key: log(1.0, 100.0)}, sections), {key: 0.75})
 
 
-def test_the_first_of_counted_resets_follows_the_cycle() -> None:
+def test_first_reset_follows_reset_cycle_unless_given() -> None:
     """Unless it is given. Where there are no resets, none is moved."""
     cycle = {"reset_cycle_s": linear(8.0, 16.0), "reset_count": {"candidates": [0, 1, 3]}}
     for combination in range(3):
@@ -302,7 +302,7 @@ def test_the_first_of_counted_resets_follows_the_cycle() -> None:
     assert_moved(tuned(cycle, COUNTED | {"resets": given}), {"reset_cycle_s": 0.75}, 2)
 
 
-def test_times_are_as_many_as_the_candidate_says() -> None:
+def test_reset_times_match_candidate_reset_count() -> None:
     ranges = [linear(4.0, 12.0), {"fixed": 20.0}, linear(24.0, 32.0)]
     variables = {"reset_times_s": ranges, "reset_count": {"candidates": [0, 1, 2, 3]}}
     study = tuned(variables, {"study": SHORT, "resets": {"reset_times_s": [5.0]}})
@@ -314,7 +314,7 @@ def test_times_are_as_many_as_the_candidate_says() -> None:
 
 
 @pytest.mark.slow
-def test_the_relaxed_objective_tends_to_the_hard_one() -> None:
+def test_relaxed_objective_converges_to_hard_objective() -> None:
     """Of three descents and two variants; with gravity the draws share a covariance."""
     study = tuned(
         {"reset_times_s": [linear(6.0, 18.0)], "q_scale": log(0.1, 10.0)},
@@ -345,7 +345,7 @@ def test_the_relaxed_objective_tends_to_the_hard_one() -> None:
 
 
 @pytest.mark.slow
-def test_memory_does_not_grow_with_the_length_of_runs() -> None:
+def test_memory_barely_grows_with_run_duration() -> None:
     """But by the true attitudes at the record times, which a draw's runs share."""
     needed = []
     for duration_s in (20.0, 80.0):
@@ -387,7 +387,7 @@ def smooth_slope(*, starts: int, draws: int, samples: int) -> Slope:
 
 
 @pytest.mark.slow
-def test_gradients_by_covariance_agree_with_differences() -> None:
+def test_covariance_gradients_match_finite_differences() -> None:
     """F and W are in single precision, which differences feel more than derivatives do."""
     p, step = 2, 4e-3
     box = np.tile([0.4, 0.45], (1 + 4 * p, 1))
@@ -401,7 +401,7 @@ def test_gradients_by_covariance_agree_with_differences() -> None:
 
 
 @pytest.mark.slow
-def test_descents_by_covariance_end_in_better_runs_than_they_begin_with(
+def test_covariance_descents_improve_simulated_runs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Their points are estimates, at nearly a hard edge those of hard ones; their ends are not."""
@@ -434,7 +434,7 @@ def test_descents_by_covariance_end_in_better_runs_than_they_begin_with(
 @pytest.mark.parametrize("from_limit", [None, 1.3])
 @pytest.mark.parametrize("truth", [False, True])
 @pytest.mark.parametrize("what", ["settle_mean", "final_error", "failure_rate"])
-def test_estimates_of_spreads_known_in_closed_form(
+def test_relaxed_estimates_match_closed_form(
     what: str, truth: bool, from_limit: float | None
 ) -> None:
     """Of two runs, arcmin: means 5 and -1, limit 2, sigma 4, about the limit possibly another."""
@@ -468,7 +468,7 @@ def test_estimates_of_spreads_known_in_closed_form(
         ({"motion": {"vibration_ug_rms": 10.0}}, False),
     ],
 )
-def test_what_moves_no_reset_goes_through_covariance_analysis_where_that_holds(
+def test_fixed_resets_use_covariance_analysis_only_if_valid(
     sections: dict[str, Any], holds: bool
 ) -> None:
     key = "azimuth_sigma_per_s" if "compass" in sections else "p0_yaw_deg"
@@ -505,7 +505,7 @@ def down() -> tuple[Study, history.Found]:
 
 
 @pytest.mark.slow
-def test_descents_go_down_and_stay_in_the_box(down: tuple[Study, history.Found]) -> None:
+def test_descents_decrease_objective_and_stay_in_bounds(down: tuple[Study, history.Found]) -> None:
     """One ends in the least objective of all, one at the edge, which is a least one of its own."""
     study, found = down
     space = SearchSpace.of(study)
@@ -523,7 +523,7 @@ def test_descents_go_down_and_stay_in_the_box(down: tuple[Study, history.Found])
 
 
 @pytest.mark.slow
-def test_descents_are_told_as_they_were_made(down: tuple[Study, history.Found]) -> None:
+def test_descent_history_records_cost_step_and_sharpness(down: tuple[Study, history.Found]) -> None:
     """Softness by step; cost: the screening, 1 + 2 p runs a start, draw and variant, the ends."""
     study, found = down
     assert TANGENT_STEPS == 2 and study.tune is not None
@@ -540,7 +540,7 @@ def test_descents_are_told_as_they_were_made(down: tuple[Study, history.Found]) 
 
 
 @pytest.mark.slow
-def test_descents_are_the_same_again(down: tuple[Study, history.Found]) -> None:
+def test_repeated_descent_gives_same_result(down: tuple[Study, history.Found]) -> None:
     study, found = down
     assert descent.descend(study) == found
 
@@ -589,7 +589,7 @@ def test_resumed_tuning_takes_each_search_from_its_own_points() -> None:
 
 
 @pytest.mark.slow
-def test_candidates_are_tried_one_by_one() -> None:
+def test_descent_runs_each_candidate_in_turn() -> None:
     """What a candidate does not use has no value; one that uses nothing is scored, once."""
     variables = {
         "reset_times_s": [linear(5.0, 15.0), linear(18.0, 30.0)],
@@ -667,7 +667,7 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_has_no_gradient_is_refused_before_anything_runs(name: str, tmp_path: Path) -> None:
+def test_study_without_gradient_is_refused_before_running(name: str, tmp_path: Path) -> None:
     variables, sections, what = REFUSED[name]
     study = tuned(variables, sections, searches=["sobol", "gradient"])
     with pytest.raises(InputError) as refused:

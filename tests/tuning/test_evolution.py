@@ -61,7 +61,7 @@ def summary() -> pa.Table:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["settle_mean", "settle_quantile", "failure_rate", "final_error"])
-def test_what_is_estimated_is_what_draws_give(kind: str, summary: pa.Table) -> None:
+def test_estimated_objective_matches_draws(kind: str, summary: pa.Table) -> None:
     """Within four standard errors of 256 draws, at each of four points."""
     study, derived = at_points(objective=kind)
     assert study.tune is not None
@@ -76,7 +76,7 @@ def test_what_is_estimated_is_what_draws_give(kind: str, summary: pa.Table) -> N
         assert abs(got - objective.score(study.tune, other[None])) < 4 * spread + 0.3, kind
 
 
-def test_a_shift_is_of_all_resets_and_on_whole_samples() -> None:
+def test_shift_moves_all_resets_to_whole_samples() -> None:
     study = tuned()
     point = {"reset_times_s": (5.0, 12.34), "q_scale": 0.5}
     assert evolution.shifted(study, point, 0.0) is point
@@ -86,7 +86,7 @@ def test_a_shift_is_of_all_resets_and_on_whole_samples() -> None:
     assert evolution.shifted(study, {"q_scale": 0.5}, 0.5) == {"q_scale": 0.5}
 
 
-def test_the_best_are_judged_by_the_tuning_draws(found: history.Found) -> None:
+def test_finalists_are_evaluated_with_tuning_draws(found: history.Found) -> None:
     study = tuned()
     assert study.tune is not None
     space = SearchSpace.of(study)
@@ -108,7 +108,7 @@ def test_the_best_are_judged_by_the_tuning_draws(found: history.Found) -> None:
     assert costs == sorted(costs) and costs[0] > 0
 
 
-def test_the_same_seed_finds_the_same(found: history.Found) -> None:
+def test_same_seed_gives_same_search_result(found: history.Found) -> None:
     assert evolution.evolve(tuned()) == found
 
 
@@ -125,7 +125,7 @@ def test_the_same_seed_finds_the_same(found: history.Found) -> None:
         ({"q_scale": {"candidates": [0.5, 2.0]}}, {}, 3),  # of none
     ],
 )
-def test_any_number_of_variables(
+def test_covariance_search_works_with_any_number_of_variables(
     variables: dict[str, Any], changes: dict[str, Any], finalists: int
 ) -> None:
     study = tuned(changes, variables=variables, evolution_finalists=finalists)
@@ -137,7 +137,7 @@ def test_any_number_of_variables(
         assert search.derive(study, {"one": point}, name="one").n_variants == 1
 
 
-def test_a_tuning_by_covariance_is_kept_and_told(
+def test_covariance_tuning_history_is_stored_and_resumed(
     found: history.Found, tmp_path: Path
 ) -> None:
     study = tuned()
@@ -171,7 +171,7 @@ def test_a_tuning_by_covariance_is_kept_and_told(
         ),
     ],
 )
-def test_what_is_not_modelled_is_refused(
+def test_features_outside_covariance_analysis_are_refused(
     tmp_path: Path, changes: dict[str, Any], line: str
 ) -> None:
     variables: dict[str, Any] = {"p0_level_deg": {"low": 1.0, "high": 10.0}}

@@ -40,7 +40,7 @@ def seed(study: Study, name: str = "sobol") -> np.random.SeedSequence:
     return search.seed_of(study, name)
 
 
-def test_a_grid_has_every_point_of_every_combination() -> None:
+def test_grid_has_every_point_of_every_combination() -> None:
     candidate, box = search.grid(SearchSpace.of(COUNTED), 3)
     assert candidate.tolist() == [0, *[1] * 3, *[2] * 9]
     np.testing.assert_array_equal(box[0], [np.nan, np.nan])
@@ -50,7 +50,7 @@ def test_a_grid_has_every_point_of_every_combination() -> None:
 
 
 @pytest.mark.parametrize("draw", [search.sobol, search.random])
-def test_drawn_points_are_those_of_the_seed(draw: Any) -> None:
+def test_search_points_are_determined_by_seed(draw: Any) -> None:
     space = SearchSpace.of(COUNTED)
     candidate, box = draw(space, [4, 3, 5], seed(COUNTED))
     assert candidate.tolist() == [0, *[1] * 3, *[2] * 5]
@@ -71,7 +71,7 @@ def test_sobol_points_are_spread_evenly() -> None:
     assert len({tuple(cell) for cell in cells}) == 64
 
 
-def test_a_search_is_a_study_of_its_points() -> None:
+def test_derived_study_runs_all_variants_per_search_point() -> None:
     study = tuned(
         {"reset_times_s": TIMES},
         changes={
@@ -97,14 +97,14 @@ def test_a_search_is_a_study_of_its_points() -> None:
     assert (judging.n_draws, judging.study.seed) == (5, study.seed + 1)
 
 
-def test_labels_alone_leave_nothing_to_sweep() -> None:
+def test_cases_with_labels_only_add_no_zipped_axis() -> None:
     changes = {"cases": [{"case": "only"}]}
     study = tuned({"reset_times_s": TIMES}, changes=changes)
     derived = search.derive(study, {"a": {"reset_times_s": ()}}, name="own")
     assert (derived.cases, derived.zips) == (({"case": "a", "reset_times_s": ()},), {})
 
 
-def test_a_record_is_tuned_and_judged_from_other_start_times() -> None:
+def test_record_is_tuned_and_evaluated_on_different_start_times() -> None:
     study = study_from_dict(
         {
             "study": {"duration_s": 6.0, "rate_hz": 100.0},
@@ -117,12 +117,12 @@ def test_a_record_is_tuned_and_judged_from_other_start_times() -> None:
         assert derived.record is not None and derived.record.start_s == starts
 
 
-def test_the_last_seed_has_one_after_it() -> None:
+def test_evaluation_seed_wraps_after_largest_seed() -> None:
     study = tuned({"p0_yaw_deg": YAW}, changes={"study": {"seed": 2**63 - 1}})
     assert search.derive(study, {"a": {"p0_yaw_deg": 1.0}}, name="x", judging=True).study.seed == 0
 
 
-def test_cost_is_steps_of_all_runs() -> None:
+def test_cost_counts_steps_of_all_runs() -> None:
     changes = {"axes": {"phi_u0_deg": [0.0, 5.0]}}
     assert search.cost(small_study(**changes)) == 2 * 3 * 600
     repeated = {"passes": {"tape_s": 4.0, "passes": 1}}
@@ -160,7 +160,7 @@ ROWS = pa.table(
         ),
     ],
 )
-def test_the_objective_of_rows(
+def test_objective_is_computed_from_summary_rows(
     tune: dict[str, Any], values: list[Any], score: float, judged: str
 ) -> None:
     """Two variants, three draws of a study of 6 s; the rows in no order, judged as it says."""
@@ -198,7 +198,7 @@ FOUND = [
 ]
 
 
-def test_a_history_is_read_as_it_was_written(tmp_path: Path) -> None:
+def test_history_round_trips_through_parquet(tmp_path: Path) -> None:
     space = SearchSpace.of(COUNTED)
     history.write(tmp_path, space, FOUND)
     again = history.read(tmp_path, space)
@@ -225,7 +225,7 @@ def test_a_history_is_read_as_it_was_written(tmp_path: Path) -> None:
         history.read(tmp_path, space)
 
 
-def test_only_what_is_not_relaxed_can_be_best() -> None:
+def test_only_unrelaxed_evaluations_can_be_best() -> None:
     space = SearchSpace.of(COUNTED)
     grid, gradient = FOUND
     assert (grid.best.step, grid.cost, grid.point(space)) == (0, 14, {"reset_times_s": ()})
@@ -233,7 +233,7 @@ def test_only_what_is_not_relaxed_can_be_best() -> None:
     assert gradient.point(space) == {"reset_times_s": (1.0, 2.5)}
 
 
-def test_a_search_looks_at_every_point_once(tmp_path: Path) -> None:
+def test_grid_search_evaluates_mirrored_reset_times_once(tmp_path: Path) -> None:
     """A grid over two reset times with the same range: pairs and their mirror images are one."""
     study = tuned(
         {"reset_times_s": TIMES},
@@ -268,5 +268,5 @@ def test_a_search_looks_at_every_point_once(tmp_path: Path) -> None:
     assert len({look.objective for look in found.looks}) == 6
 
 
-def test_tables_of_a_study_make_it_again() -> None:
+def test_study_round_trips_through_tables() -> None:
     assert study_from_dict(tables_of(COUNTED)) == COUNTED
