@@ -34,6 +34,8 @@ from faults.patches import HERE, Fault, load  # noqa: E402
 COLUMNS = ("fault", "killed_by", "tier", "stage", "seconds")
 OUTCOME = HERE / "outcome.csv"
 TIERS = {"fast": "not slow", "slow": "slow"}
+DATA = HERE.parents[2] / "shared" / "data"
+"""Recorded data; a copy has none beside it."""
 HANGS_S = 3600  # a fault may make a test wait for ever
 
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+(?: \S+)*?)(?: - .*)?$", re.MULTILINE)
@@ -60,7 +62,7 @@ class Plan:
 
 
 def copy_tree(tree: Path, to: Path) -> None:
-    """Copy what git tracks or would track, and link the recorded data beside it."""
+    """Copy the files that git tracks or would track."""
     listed = subprocess.run(
         ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
         cwd=tree, check=True, capture_output=True, text=True,
@@ -74,7 +76,10 @@ def copy_tree(tree: Path, to: Path) -> None:
 def first_failure(copy: Path, selected: list[str]) -> str | None:
     """Run tests until one fails; its name, or None."""
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-rfE", "--tb=no", "--no-header"]
-    environment = os.environ | {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": ""}
+    paths = filter(None, [str(copy), os.environ.get("PYTHONPATH")])
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
+    if DATA.is_dir():
+        environment.setdefault("SINSJAX_DATA", str(DATA))
     try:
         done = subprocess.run(
             [*command, "-p", "no:cacheprovider", *selected],

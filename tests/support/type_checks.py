@@ -56,7 +56,9 @@ class _Decorated(ast.NodeTransformer):
 
 
 class _Loader(SourceFileLoader):
-    def source_to_code(self, data: Any, path: Any, *, _optimize: int = -1) -> CodeType:
+    def source_to_code(
+        self, data: Any, path: Any, fullname: str | None = None, *, _optimize: int = -1
+    ) -> CodeType:  # Python 3.15 passes the name as well
         tree = ast.fix_missing_locations(_Decorated().visit(ast.parse(data)))
         return compile(tree, path, "exec", dont_inherit=True, optimize=_optimize)
 
