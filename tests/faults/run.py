@@ -82,7 +82,7 @@ def first_failure(copy: Path, selected: list[str]) -> str | None:
         environment.setdefault("SINSJAX_DATA", str(DATA))
     try:
         done = subprocess.run(
-            [*command, "-p", "no:cacheprovider", *selected],
+            [*command, "-p", "no:cacheprovider", "-m", "", *selected],
             cwd=copy, env=environment, capture_output=True, text=True, timeout=HANGS_S,
         )  # fmt: skip
     except subprocess.TimeoutExpired:

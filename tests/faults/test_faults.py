@@ -15,7 +15,7 @@ REPOSITORY = Path(__file__).parents[2]
 FAULTS = load()
 OUTCOMES = run.known_outcomes(run.OUTCOME)
 
-SPOT_CHECKS = 3
+SPOT_CHECKS = 2
 """Faults tried again in CI, drawn by a fixed seed; `run.py` tries all."""
 
 
@@ -53,15 +53,17 @@ def test_recorded_killers_exist() -> None:
 
 
 @pytest.mark.slow
-def test_recorded_killers_still_kill() -> None:
-    """Which takes a fault that was applied in vain, and a test that passes without it, apart."""
-    killed = [fault for fault in FAULTS if "::" in OUTCOMES[fault.name]["killed_by"]]
+def test_recorded_killers_pass_without_their_fault_and_fail_with_it() -> None:
+    killers = {fault: OUTCOMES[fault.name]["killed_by"] for fault in FAULTS}
+    faults = [fault for fault, killer in killers.items() if "::" in killer]
+    drawn = random.Random(7).sample(faults, SPOT_CHECKS)
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder)
         run.copy_tree(REPOSITORY, copy)
-        for fault in random.Random(7).sample(killed, SPOT_CHECKS):
-            killer = OUTCOMES[fault.name]["killed_by"]
-            assert run.first_failure(copy, [killer, "-m", ""]) is None, fault.name
-            (copy / fault.file).write_text(fault.patched((copy / fault.file).read_text()))
-            assert run.first_failure(copy, [killer, "-m", ""]) == killer, fault.name
-            (copy / fault.file).write_bytes((REPOSITORY / fault.file).read_bytes())
+        assert run.first_failure(copy, [killers[fault] for fault in drawn]) is None
+        for fault in drawn:
+            file = copy / fault.file
+            sound = file.read_text()
+            file.write_text(fault.patched(sound))
+            assert run.first_failure(copy, [killers[fault]]) == killers[fault]
+            file.write_text(sound)
