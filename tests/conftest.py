@@ -37,8 +37,12 @@ hypothesis.settings.load_profile("sinsjax")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """A program that another process is just writing is compiled here instead; JAX warns of it."""
+    """Ignore two warnings; all others are errors."""
+    # A program that another process is just writing is compiled here instead.
     line = "ignore:Error reading persistent compilation cache entry:UserWarning"
+    config.addinivalue_line("filterwarnings", line)
+    # A false alarm from Python 3.14 on, where references are counted otherwise.
+    line = "ignore:It looks like `register_random` was passed"
     config.addinivalue_line("filterwarnings", line)
 
 

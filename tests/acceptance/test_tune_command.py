@@ -377,8 +377,9 @@ def test_tune_input_error_is_one_line(name: str, tmp_path: Path, sinsjax_: Comma
 
 
 def test_too_long_output_path_raises_input_error(tmp_path: Path) -> None:
+    study = load_study(write(tmp_path / "swing.toml"))
     with pytest.raises(InputError, match="n: cannot be written: File name too long"):
-        carry_out.check_free(tmp_path / ("n" * 5000), overwrite=False)
+        carry_out.tune(study, tmp_path / ("n" * 5000))
 
 
 def test_tune_refuses_output_path_with_foreign_files(tmp_path: Path, sinsjax_: Command) -> None:

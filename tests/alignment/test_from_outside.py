@@ -23,6 +23,8 @@ from sinsjax.study.variants import Variants
 from sinsjax.types import Quat
 from sinsjax.value_types import Default, Seconds, Section
 
+pytestmark = pytest.mark.slow
+
 METHOD = Method(*[lambda *given: None] * 7)
 
 
