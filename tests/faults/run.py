@@ -62,15 +62,13 @@ class Plan:
 
 
 def copy_tree(tree: Path, to: Path) -> None:
-    """Copy the files that git tracks or would track."""
-    listed = subprocess.run(
-        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
-        cwd=tree, check=True, capture_output=True, text=True,
-    ).stdout  # fmt: skip
-    for name in filter(None, listed.split("\0")):
-        if (tree / name).is_file():
-            (to / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(tree / name, to / name)
+    """Copy a repository without what is generated or cached."""
+    left_out = shutil.ignore_patterns(".*_cache", ".git", ".venv", "__pycache__", "out*", "site")
+
+    def ignore(folder: str, names: list[str]) -> set[str]:
+        return left_out(folder, names) if Path(folder) == tree else {"__pycache__"} & {*names}
+
+    shutil.copytree(tree, to, ignore=ignore, dirs_exist_ok=True)
 
 
 def first_failure(copy: Path, selected: list[str]) -> str | None:
