@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hypothesis import strategies as st
+from support.memory import process_bytes
 
 import sinsjax
 from fuzzing import manifests, records, studies
@@ -217,10 +218,10 @@ def measured(check: Callable[[Any], None], case: Any) -> None:
         Broken: it took too long, or too much memory.
     """
     _forget_peak()
-    before, since = _memory("VmRSS"), time.process_time()
+    before, since = process_bytes("VmRSS"), time.process_time()
     with in_time(10 * MOST_S):
         check(case)
-    taken, grown = time.process_time() - since, _memory("VmHWM") - before
+    taken, grown = time.process_time() - since, process_bytes("VmHWM") - before
     if taken > MOST_S:
         raise Broken(f"takes {taken:.1f} s of a core")
     if grown > MOST_BYTES:
@@ -230,12 +231,3 @@ def measured(check: Callable[[Any], None], case: Any) -> None:
 def _forget_peak() -> None:
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
-
-
-def _memory(name: str) -> int:
-    """Bytes of memory of this process, by a line of what Linux tells; 0 elsewhere."""
-    with contextlib.suppress(OSError):
-        for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
-            if line.startswith(f"{name}:"):
-                return int(line.split()[1]) * 1024
-    return 0

@@ -26,10 +26,11 @@ from jax._src import compiler  # no public setting says what is compiled everywh
 
 from sinsjax.engine import batch
 from sinsjax.platform import compile_cache, machine
+from support.memory import process_bytes
 
 _LEAST = "jax_disable_most_optimizations"
 
-LARGE_MB = 700.0
+LARGE_BYTES = 700 * 2**20
 """Memory of a process above which it drops its programs after a module of tests."""
 
 SPARED = {
@@ -67,21 +68,12 @@ def drop_programs() -> None:
 
 
 def drop_programs_if_large() -> None:
-    """Forget them if this process has grown beyond `LARGE_MB`."""
-    if resident_mb() > LARGE_MB:
+    """Forget them if this process has grown beyond `LARGE_BYTES`."""
+    if process_bytes("VmRSS") > LARGE_BYTES:
         drop_programs()
         gc.collect()
         with suppress(OSError, AttributeError):  # another libc, which gives memory back by itself
             ctypes.CDLL("libc.so.6").malloc_trim(0)
-
-
-def resident_mb() -> float:
-    """Return the resident memory of this process, MB; 0 where there is no ``/proc``."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
-    except OSError:
-        return 0.0
-    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 def share_cache(repository: Path) -> None:
