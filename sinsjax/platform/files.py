@@ -1,14 +1,22 @@
 """Atomic writing of files, and names for them."""
 
+import errno
 import hashlib
 import os
 import re
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
 from sinsjax.errors import InputError
+
+MOST_BYTES = 2**30
+"""Largest file that `read_regular` reads."""
+
+
+_NO_LINK, _NO_WAIT = getattr(os, "O_NOFOLLOW", 0), getattr(os, "O_NONBLOCK", 0)
 
 
 @contextmanager
@@ -21,7 +29,8 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
     target = Path(path)
     temporary = target.parent / f".{target.name}.{os.getpid()}.tmp"
     try:
-        with open(temporary, "wb") as file:
+        temporary.unlink(missing_ok=True)  # of a process that had the same number
+        with open(temporary, "xb") as file:  # through no link that somebody has put there
             yield file
             file.flush()
             os.fsync(file.fileno())
@@ -32,6 +41,31 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def read_regular(path: Path) -> bytes:
+    """Read a regular file of at most `MOST_BYTES`; nothing is read through a link or from a pipe.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        InputError: it is no regular file, too large, or cannot be read.
+    """
+    try:
+        # Without waiting for the writer of a named pipe.
+        handle = os.open(path, os.O_RDONLY | _NO_LINK | _NO_WAIT)
+        with open(handle, "rb") as file:
+            about = os.fstat(file.fileno())
+            if not stat.S_ISREG(about.st_mode):
+                raise InputError(f"{path}: is no regular file (remove it)")
+            if about.st_size > MOST_BYTES:
+                raise InputError(f"{path}: is larger than {MOST_BYTES >> 20} MiB")
+            return file.read()
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            raise InputError(f"{path}: is a symbolic link (replace it by the file)") from None
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
 def make_folder(path: Path) -> None:
