@@ -242,37 +242,6 @@ def settle_estimates(band_arcmin: float, *, truth: bool = False) -> tuple[Column
     return tuple(Column(f"{settled}_{k}_s", _F, "s", text) for k, text in meanings.items())
 
 
-def companion(column: Column) -> Column:
-    """A column of the linear error of a run's own noise about the noise-free run of its variant."""
-    name = f"companion_{column.name}"
-    return column._replace(name=name, meaning=f"of the run's companion: {column.meaning}")
-
-
-DRAWS = Column("draws", _I, "", "draws that the statistics of the variant rest on")
-
-
-def controlled(name: str, unit: str, meaning: str) -> tuple[Column, ...]:
-    """Columns of an estimate from draws alone, the same with companions, and the factor saved.
-
-    Args:
-        name: of the statistic, without its unit.
-        unit: the end of the columns' names, which is their unit too where it is one.
-        meaning: of the statistic.
-    """
-    told = "" if unit == "share" else unit
-    ways = {"plain": "from the draws alone", "controlled": "from the draws and their companions"}
-    ends = {"": "", "_low": ", lower end of the 95 % interval", "_high": ", upper end of it"}
-    times = "how many times as many draws the plain estimate needs for the same interval"
-    return (
-        *(
-            Column(f"{way}_{name}{end}_{unit}", _F, told, f"{meaning}, {how}{which}")
-            for way, how in ways.items()
-            for end, which in ends.items()
-        ),
-        Column(f"saved_{name}", _F, "", f"{meaning}: {times}"),
-    )
-
-
 def nonlinearity(time_s: float | None = None) -> Column:
     """The index of nonlinearity of an estimate at one time; None for the end."""
     at, when = ("", "at the end") if time_s is None else (f"_at_{time_s:g}", f"at {time_s:g} s")

@@ -268,19 +268,12 @@ class Calls:
         ordered: Chunk = jax.tree.map(lambda a: a[order], made)
         return ordered
 
-    def chunk(self, number: int, round_: int = 0) -> Chunk:
-        """Run one of the plan's calls, on the device of the thread that asks.
-
-        Args:
-            number: of the call.
-            round_: of sampled errors, each of which has noise of its own.
-        """
+    def chunk(self, number: int) -> Chunk:
+        """Run one of the plan's calls, on the device of the thread that asks."""
         group, places = self._group, self.plan[number]
         draws, variants = group.sizes
         home = _thread.number % len(self._programs)
         call, environment = self._programs[home].compiled(), self._environments[home]
-        if round_:
-            environment = environment._replace(seed=_seed_of(group.environment.seed, round_))
         outcome, curves = jax.device_get(call(environment, tiles_of(group, places)))
         draw, variant = places.draw.ravel(), places.variant.ravel()
         busy = np.flatnonzero((draw < draws) & (variant < variants))
@@ -297,12 +290,6 @@ class Calls:
             jax.tree.map(lambda a: a[tile, lane], outcome),
             jax.tree.map(lambda a: a[tile, ..., lane], curves),
         )
-
-
-def _seed_of(seed: np.ndarray, round_: int) -> np.ndarray:
-    """A seed for the sampled errors of another round."""
-    mixed = np.random.SeedSequence([int(seed), round_]).generate_state(1, np.uint64)[0]
-    return np.asarray(mixed >> 1).astype(np.asarray(seed).dtype)
 
 
 def chunks(group: Group, *, devices: int = 1, tiles_a_chunk: int | None = None) -> Iterator[Chunk]:

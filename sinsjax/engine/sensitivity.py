@@ -119,16 +119,6 @@ def starts_beyond(drawn: DrawnNormally, draws: Draw) -> Array:
     return jnp.stack([none if a is None or b is None else a - b for a, b in pairs])
 
 
-def limits_beyond(found: Sensitivity, drawn: DrawnNormally, draws: Draw) -> Array:
-    """(lanes, draws) what the biases of draws add to the limit of phi_u, to first order, rad."""
-    if found.limit is None:
-        return jnp.zeros((len(found.start), 1))
-    assert drawn.errors is not None and draws.errors is not None
-    pairs = ((own.gyro_bias, own.accel_bias) for own in (draws.errors, drawn.errors))
-    own, mean = (jnp.concatenate(pair, axis=-1) for pair in pairs)
-    return found.limit @ (own - mean[None]).T
-
-
 def limit_by_states(found: Sensitivity, drawn: DrawnNormally, states: int) -> Array | None:
     """(lanes, states) of the limit by the processes' states, the drawn biases last; or None."""
     if found.limit is None:

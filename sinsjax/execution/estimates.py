@@ -43,13 +43,13 @@ class Estimates:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        """Take a study that is estimated by covariance, alone or beside its draws.
+        """Take a study that is estimated by covariance.
 
         Raises:
             InputError: curves are asked for where there are no runs.
         """
         study = scenario.study
-        if scenario.curves and study.is_estimated:
+        if scenario.curves:
             raise InputError(f"{study.name}: a covariance estimate has no runs with curves to keep")
         assert study.study.estimate_samples is not None
         self.layouts: Mapping[str, tuple[Column, ...]] = {DATASET: layouts.estimates(study)}
@@ -70,7 +70,7 @@ class Estimates:
         return watched(group, self._samples, self._records)
 
     def plan(self, static: Static, draws: int, count: int, tiles: int | None) -> Plan:
-        """See `Output`; the many samples of an expectation would fill the memory."""
+        """See `Output`; many samples would fill the memory."""
         few = FEW_TILES if self._samples > MOST_TOGETHER else tiles
         return Plan(static, draws, count, tiles_a_chunk=few)
 
@@ -108,7 +108,7 @@ class Estimates:
                 cells = (nullable(np.where(known, value, np.nan)) for value in settled)
                 values |= zip(names, cells, strict=True)
         values |= {"has_limit": pa.array(limited), "floor_arcmin": nullable(floor / ARCMIN)}
-        # Those of companions wait for the draws.
+        # Those of the check of linearity are still to come.
         for column in self.layouts[DATASET]:
             values.setdefault(column.name, pa.nulls(len(variant), column.dtype))
         return {DATASET: table_of(self.layouts[DATASET], values)}

@@ -44,9 +44,6 @@ _SWITCHES = {*NOISES, *DISTORTIONS, *AMPLITUDES, *OF_DISTURBANCES}
 _CHECK = 12.0
 """Cost of the draws that tell how far covariance analysis holds for a variant, in plain runs."""
 
-_COMPANION, _EXPECTATION = 1.4, 12.0
-"""Cost of a run with its companion, and of a variant's companions' expectation, likewise."""
-
 _A_MEASUREMENT = 48  # bytes, of the draws of a call whose records are kept
 
 _A_POINT = 2000  # bytes for each point of a search
@@ -212,8 +209,6 @@ def _forecast(study: Study, batches: Sequence[Batch], curves: bool) -> Forecast:
     if study.is_estimated:
         checks = _CHECK * study.checks_linearity
         step_s = max(method.step_s * (method.estimate_runs + checks) for method in methods)
-    if study.is_controlled:
-        step_s *= _COMPANION + _EXPECTATION / study.n_draws
     layout = layouts.estimates(study) if study.is_estimated else layouts.summary(study)
     run_bytes = _row_bytes(study, layout)
     # Longer simulations do not keep their increments.
@@ -251,7 +246,7 @@ def _forecast(study: Study, batches: Sequence[Batch], curves: bool) -> Forecast:
 def _programs(study: Study) -> int:
     """Number of programs, by what is swept of the keys that decide them, or do so by being zero."""
     kinds = {(span.records, span.rewinds) for span in study.distinct_spans}
-    count = len(kinds) * (2 if study.is_controlled else 1)
+    count = len(kinds)
     for dimension in study.dimensions:
         columns = [
             values if key in PROGRAM_KEYS else map(np.any, values)

@@ -1,7 +1,6 @@
 """Columns of a study's results."""
 
 from collections.abc import Iterable
-from typing import Literal, NamedTuple
 
 import pyarrow as pa
 
@@ -18,12 +17,7 @@ from sinsjax.study.times import report_times
 
 
 def summary(study: Study) -> tuple[Column, ...]:
-    """Columns of the summary: those of runs, and of their companions where they have any."""
-    return (*of_runs(study), *(of_companions(study) if study.is_controlled else ()))
-
-
-def of_runs(study: Study) -> tuple[Column, ...]:
-    """Columns of runs; the cost is proportional to the total length of the axes."""
+    """Columns of the summary; the cost is proportional to the total length of the axes."""
     return (
         *columns.IDENTITY,
         *_of_keys(study),
@@ -33,13 +27,6 @@ def of_runs(study: Study) -> tuple[Column, ...]:
         *columns.JUDGED,
         *(own.column for own in of_methods(study).values()),
     )
-
-
-def of_companions(study: Study) -> tuple[Column, ...]:
-    """Columns of the companions of runs: misalignment about up and settling times."""
-    (at_the_end,) = (c for c in columns.OBSERVED if c.name == "phi_u_arcmin")
-    at_times = (columns.report_columns(time_s)[0] for time_s in report_times(study))
-    return tuple(map(columns.companion, (*at_times, at_the_end, *_settling(study))))
 
 
 def draws_limits(study: Study) -> bool:
@@ -66,68 +53,8 @@ def estimates(study: Study) -> tuple[Column, ...]:
             for c in columns.settle_estimates(band, truth=truth)
         ),
         *columns.LIMIT,
-        *((columns.DRAWS,) if study.is_controlled else ()),
-        *(c for one in controlled(study) for c in one.columns),
         *(map(columns.nonlinearity, times) if study.checks_linearity else ()),
         *((columns.FILLED,) if study.checks_linearity else ()),
-    )
-
-
-class Statistic(NamedTuple):
-    """What is estimated from draws and their companions.
-
-    Attributes:
-        kind: mean settling time, share within a band, or rms heading error.
-        truth: whether from the truth, else from the limit.
-        band_arcmin: of the heading; None for an rms.
-        time_s: from the first sample of data; None for the end.
-    """
-
-    kind: Literal["settle", "within", "rms"]
-    truth: bool
-    band_arcmin: float | None = None
-    time_s: float | None = None
-
-    @property
-    def at(self) -> str:
-        """The end of names of columns of its time."""
-        return "" if self.time_s is None else f"_at_{self.time_s:g}"
-
-    @property
-    def column(self) -> str:
-        """Of the summary: the settling time that its mean is of."""
-        assert self.band_arcmin is not None
-        return columns.settle_column(self.band_arcmin, truth=self.truth).name
-
-    @property
-    def settled(self) -> str:
-        """The same without its unit, which names of statistics begin with."""
-        return self.column.removesuffix("_s")
-
-    @property
-    def columns(self) -> tuple[Column, ...]:
-        """Plain and controlled estimate, and the factor saved."""
-        side, when = "_truth" if self.truth else "", self.at.replace("_at_", " at ")
-        error = "|phi_u|" if self.truth else "|phi_u - floor|"
-        if self.kind == "settle":
-            text = f"mean of {self.settled}_s, never counted as the end of the run"
-            return columns.controlled(f"{self.settled}_mean", "s", text)
-        if self.kind == "within":
-            text = f"share of runs with {error} <= {self.band_arcmin:g} arcmin{when}"
-            return columns.controlled(f"within_{self.band_arcmin:g}{side}{self.at}", "share", text)
-        return columns.controlled(f"error_rms{side}{self.at}", "arcmin", f"rms of {error}{when}")
-
-
-def controlled(study: Study) -> tuple[Statistic, ...]:
-    """The statistics that companions control; none where a study has no companions."""
-    if not study.is_controlled:
-        return ()
-    times: list[float | None] = [*report_times(study), None]
-    sides, wide = (False, True), bands(study)
-    return (
-        *(Statistic("settle", truth, band) for truth in sides for band in wide),
-        *(Statistic("within", s, b, time_s) for time_s in times for s in sides for b in wide),
-        *(Statistic("rms", truth, None, time_s) for time_s in times for truth in sides),
     )
 
 

@@ -13,11 +13,10 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax import columns
+from sinsjax.engine import companions
 from sinsjax.engine.batch import Calls
 from sinsjax.engine.build import Scenario
-from sinsjax.engine.companions import FEW_DRAWS, FEW_VARIANTS
 from sinsjax.engine.lanes import Group
-from sinsjax.engine.paired import PairedCalls, PairedChunk
 from sinsjax.engine.verdicts import LIMIT, TRUTH
 from sinsjax.execution.estimates import settled_of, told_records
 from sinsjax.execution.tables import nullable, with_column
@@ -25,13 +24,15 @@ from sinsjax.study.success import bands
 from sinsjax.study.times import report_times, spans_s
 from sinsjax.units import ARCMIN
 
-CHECKED = FEW_DRAWS.draws
+CHECKED = 8
 """Draws that the index is made of."""
 
 MOST = 0.5
 """Of the index; beyond it covariance analysis does not hold."""
 
 _PARTS_READY = 2
+_VARIANTS_CHECKED = 64  # per call: the errors of a lane's draws stay in the first-level cache
+_VARIANTS_FILLED = 8  # per call of many draws
 
 
 class Linearity:
@@ -54,23 +55,23 @@ class Linearity:
         """
         ids = self._scenario.variant_ids[number]
         places = np.searchsorted(ids, table["variant_id"].to_numpy())
+        cuts = range(0, len(places), _VARIANTS_CHECKED)
+        blocks = [slice(first, first + _VARIANTS_CHECKED) for first in cuts]
+        width = len(places[blocks[0]])
         with self._lock:  # otherwise every thread would make the part and compile
             group = self._runs(number)
-            calls = PairedCalls(group.some(np.arange(CHECKED), places), self._records, FEW_DRAWS)
-            calls.compile()
+            runs, wide = (_few(group, places[blocks[0]], n) for n in (width, _VARIANTS_CHECKED))
+            Calls(runs).compile()
+            companions.program(wide, self._records).compiled()
         index = np.concatenate(
-            [
-                self._index(table.take(pa.array(calls.plan[call][1])), calls.chunk(call))
-                for call in range(len(calls.plan))
-            ],
-            axis=1,
+            [self._index(table[some], group, places[some], width) for some in blocks], axis=1
         )
         for end, values in zip(self._ends, index, strict=True):
             table = with_column(table, f"nonlinearity{end}", nullable(values))
         beyond = ~(index.max(axis=0) <= MOST) & ~np.isnan(index).all(axis=0)
         table = with_column(table, "filled_by_draws", pa.array(beyond))
-        for first in range(0, int(beyond.sum()), FEW_VARIANTS.variants):
-            rows = np.flatnonzero(beyond)[first : first + FEW_VARIANTS.variants]
+        for first in range(0, int(beyond.sum()), _VARIANTS_FILLED):
+            rows = np.flatnonzero(beyond)[first : first + _VARIANTS_FILLED]
             table = self._filled(table, group, rows, places[rows])
         return table
 
@@ -78,14 +79,21 @@ class Linearity:
         draws = self._study.study.draws or CHECKED
         return self._scenario.part(number, range(max(draws, CHECKED))).group
 
-    def _index(self, table: pa.Table, chunk: PairedChunk) -> NDArray:
-        """(times, variants) from the runs of a few draws, of the variants of these rows."""
-        variants = table.num_rows
-        out = chunk.runs.outcome
+    def _index(self, table: pa.Table, group: Group, places: NDArray, width: int) -> NDArray:
+        """Return the index of a few variants, (times, variants).
+
+        Args:
+            table: their rows.
+            group: all variants of the part.
+            places: their places in it.
+            width: variants per call of the runs, so that all calls share a program.
+        """
+        out = Calls(_few(group, places, width)).whole().outcome
+        beside = companions.of_group(_few(group, places, _VARIANTS_CHECKED), self._records)
         at_times = () if out.at_times is None else np.asarray(out.at_times)[..., 0].T
-        phi = np.stack([*at_times, out.last.phi.z])
-        beyond = (phi - chunk.companions.phi[2]) / ARCMIN
-        beyond = beyond.reshape(len(self._ends), -1, variants)
+        phi = np.stack([*at_times, out.last.phi.z]).reshape(len(self._ends), CHECKED, width)
+        count = len(places)
+        beyond = (phi[..., :count] - beside[2, :, :count].swapaxes(1, 2)) / ARCMIN
         names = (f"true_sigma_u{end}_arcmin" for end in self._ends)
         sigma = np.stack([table[name].to_numpy(zero_copy_only=False) for name in names])
         with np.errstate(divide="ignore", invalid="ignore"):  # without noise there is none
@@ -93,9 +101,8 @@ class Linearity:
 
     def _filled(self, table: pa.Table, group: Group, rows: NDArray, places: NDArray) -> pa.Table:
         """The table with what the draws of some rows give of the heading."""
-        width = FEW_VARIANTS.variants
-        filled = np.pad(places, (0, width - len(places)), mode="edge")
-        made = Calls(group.some(np.arange(group.sizes[0]), filled)).whole()
+        width = _VARIANTS_FILLED
+        made = Calls(_few(group, places, width, draws=group.sizes[0])).whole()
 
         def of(leaf: Any) -> NDArray:
             """(variants, draws, ...)."""
@@ -133,3 +140,9 @@ class Linearity:
             whole[rows] = own
             table = with_column(table, name, nullable(whole))
         return table
+
+
+def _few(group: Group, places: NDArray, width: int, draws: int = CHECKED) -> Group:
+    """The first draws of a few variants, the last one repeated up to so many."""
+    filled = np.pad(places, (0, width - len(places)), mode="edge")
+    return group.some(np.arange(draws), filled)

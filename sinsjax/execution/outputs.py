@@ -1,28 +1,18 @@
-"""What the tasks of a study give: tables of its runs, or estimates of its variants, or both."""
+"""The output of a study's tasks: tables of its runs, or estimates of its variants."""
 
 from collections.abc import Mapping
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax.columns import Column
+from sinsjax.engine.batch import Calls, Chunk, Plan
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.realisations import Static
 from sinsjax.execution.estimates import Estimates
-from sinsjax.execution.runs import PairedRuns, Runs
-
-
-@runtime_checkable
-class Plan(Protocol):
-    """How the runs of a part fall into calls."""
-
-    def __len__(self) -> int: ...
-
-    def runs(self, call: int) -> int:
-        """How many runs a call has."""
-        ...
+from sinsjax.execution.runs import Runs
 
 
 @runtime_checkable
@@ -48,11 +38,11 @@ class Output(Protocol):
         """How some draws of so many variants are cut, into calls of so many tiles."""
         ...
 
-    def calls(self, group: Group, tiles: int | None) -> Any:
-        """The calls of such a plan: ``compile()`` and ``chunk(number)``."""
+    def calls(self, group: Group, tiles: int | None) -> Calls:
+        """Return the calls of such a plan."""
         ...
 
-    def tables(self, chunk: Any, variant_ids: NDArray) -> dict[str, pa.Table]:
+    def tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
         """Tables by dataset, of a chunk of the variants of a part."""
         ...
 
@@ -61,14 +51,10 @@ class Output(Protocol):
         ...
 
 
-def outputs_of(scenario: Scenario) -> list[Output]:
-    """What a study asks for: one after another, the last for what the others have made.
+def output_of(scenario: Scenario) -> Output:
+    """Return the output that a study asks for.
 
     Raises:
         InputError: curves are asked for where there are no runs.
     """
-    if scenario.study.is_estimated:
-        return [Estimates(scenario)]
-    if scenario.study.is_controlled:
-        return [PairedRuns(scenario), Estimates(scenario)]
-    return [Runs(scenario)]
+    return Estimates(scenario) if scenario.study.is_estimated else Runs(scenario)

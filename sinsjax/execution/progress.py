@@ -58,12 +58,12 @@ def progress(console: Console, name: str) -> Iterator[Tell]:
 
 
 def _plainly(console: Console, name: str, pace: "_Pace") -> Tell:
-    shown, last = ("", -1), time.monotonic()
+    shown, last = -1, time.monotonic()
 
     def tell(now: RunProgress) -> None:
         nonlocal shown, last
         text = pace.text(now)
-        tenth, clock = (now.counted, now.done * 10 // now.total), time.monotonic()
+        tenth, clock = now.done * 10 // now.total, time.monotonic()
         began = now.done == now.before
         due = now.before > 0 if began else tenth != shown or clock >= last + _PLAIN_EVERY_S
         if not due:
@@ -79,15 +79,12 @@ class _Pace:
     """Runs per second since the first chunk finished; the time before is mostly compilation."""
 
     def __init__(self) -> None:
-        self._counted = ""
         self._first: tuple[float, int] | None = None
 
     def text(self, now: RunProgress) -> str:
         """The pace as text; empty before the first chunk."""
         if now.done == now.before:
             return ""
-        if now.counted != self._counted:
-            self._counted, self._first = now.counted, None
         clock = time.monotonic()
         since, done = self._first = self._first or (clock, now.done)
         if clock < since + _MEASURED_S or now.done == done:

@@ -17,7 +17,7 @@ from sinsjax.execution import resume
 from sinsjax.execution import tables as result_tables
 from sinsjax.execution.belongings import RERUN
 from sinsjax.execution.kept_study import kept_study
-from sinsjax.execution.outputs import outputs_of
+from sinsjax.execution.outputs import output_of
 from sinsjax.execution.run import load_tape
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import one_line
@@ -54,7 +54,7 @@ def rerun(study: Study, run_id: int, stored_record: StoredRecord | None = None) 
     number = next(i for i, ids in enumerate(scenario.variant_ids) if variant in ids)
     ids = scenario.variant_ids[number]
     place = int(np.flatnonzero(ids == variant)[0])
-    output, *_ = outputs_of(scenario)
+    output = output_of(scenario)
     group = output.group(scenario.part(number, range(draw, draw + 1)).group)
     # The smallest possible call: a run's bits do not depend on its lane or call.
     calls = output.calls(group, 1)

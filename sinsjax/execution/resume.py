@@ -166,7 +166,7 @@ def _check_extension(directory: Path, kept: Study, study: Study) -> None:
     Estimates conclude from all draws at once. A list with an entry for every draw would begin
     again, which nobody meant who wrote it.
     """
-    if kept.is_estimated or kept.is_controlled:
+    if kept.is_estimated:
         raise InputError(
             f"{directory}: [study] draws: {kept.study.draws} there, {study.study.draws} here:"
             " estimates of all draws cannot be extended (give another directory)"

@@ -37,14 +37,14 @@ class Results(NamedTuple):
 
 
 class RunProgress(NamedTuple):
-    """Progress of a study, or of one of its stages.
+    """Progress of a study.
 
     Attributes:
         done: completed runs.
         total: number of runs; with [stop_when], at most.
         failures: runs of this session that diverged or became non-finite.
         before: runs completed before this session.
-        counted: what is counted, if not runs; another word than before begins another stage.
+        counted: what is counted, if not runs.
     """
 
     done: int
@@ -53,8 +53,6 @@ class RunProgress(NamedTuple):
     before: int
     counted: str = "runs"
 
-
-_ESTIMATES = "estimates"
 
 Tell = Callable[[RunProgress], None]
 """Progress callback, called before the first chunk and after every one."""
@@ -141,10 +139,10 @@ def run(
 
 
 def estimate(study: Study, *, chunk_runs: int | None = None, tell: Tell | None = None) -> pa.Table:
-    """Estimate the errors of a study's variants in memory, without draws or with few.
+    """Estimate the errors of a study's variants in memory, by linear covariance analysis.
 
     Args:
-        study: checked study with ``estimate = "covariance"`` or ``"controlled"``.
+        study: checked study with ``estimate = "covariance"``.
         chunk_runs: variants per chunk; does not affect the rows.
         tell: called with the progress after every chunk.
 
@@ -171,17 +169,9 @@ def _tables(job: Job, tell: Tell | None) -> dict[str, pa.Table]:
         for piece in in_threads(runner.do, tasks, len(jax.devices())):
             for name, table in piece.tables.items():
                 made.setdefault(name, []).append(table)
-            count.add(piece.task, runner.failures(piece.task, piece.tables))
+            count.add(piece.task, runner.failures(piece.tables))
         if _enough(study, lambda names: pa.concat_tables(made["summary"]).select(names), draws):
             break
-    if concluding := runner.concluding_tasks():
-        from sinsjax.execution.conclusion import Conclusion  # late, for scipy
-
-        end = Conclusion(runner, lambda n: pa.concat_tables(made["summary"]).select(n))
-        count.conclude([])
-        for piece in in_threads(runner.do, map(end.asked, concluding), len(jax.devices())):
-            made.setdefault("estimates", []).append(end.of(piece).tables["estimates"])
-            count.add(piece.task, runner.failures(piece.task, piece.tables))
     return {name: pa.concat_tables(tables) for name, tables in made.items()}
 
 
@@ -259,8 +249,8 @@ def _carry_out(
     count: "_ProgressCounter",
     stop: threading.Event,
 ) -> None:
-    study, staged, concluding = runner.job.study, runner.tasks(), runner.concluding_tasks()
-    missing = set(held.missing([*(task for tasks in staged for task in tasks), *concluding]))
+    study, staged = runner.job.study, runner.tasks()
+    missing = set(held.missing(task for tasks in staged for task in tasks))
     count.begin(task for tasks in staged for task in tasks if task not in missing)
     for draws, tasks in zip(runner.stages, staged, strict=True):
         todo = [task for task in tasks if task in missing]
@@ -269,28 +259,13 @@ def _carry_out(
             missing.remove(encoded.task)
             count.add(encoded.task, encoded.failures)
         if not missing.isdisjoint(todo):
-            raise _interrupted(held, count)
+            held.finish("interrupted")
+            now = count.progress
+            text = f"{now.done:,} of {now.total:,} {now.counted} are in {held.directory}"
+            raise StudyInterrupted(text)
         if _enough(study, held.summary, draws):
             break
-    if todo := [task for task in concluding if task in missing]:
-        from sinsjax.execution.conclusion import Conclusion  # late, for scipy
-
-        end = Conclusion(runner, held.summary)
-        going = takewhile(lambda _: not stop.is_set(), todo)
-        count.conclude(task for task in concluding if task not in missing)
-        for encoded in executor.do(runner, map(end.asked, going)):
-            held.write(runner.encoded(end.of(runner.decoded(encoded))))
-            count.add(encoded.task, encoded.failures)
-        if count.progress.done < count.progress.total:
-            raise _interrupted(held, count)
     held.finish("complete", draws=draws.stop, runs=draws.stop * study.n_variants)
-
-
-def _interrupted(held: store.Store, count: "_ProgressCounter") -> StudyInterrupted:
-    held.finish("interrupted")
-    now = count.progress
-    text = f"{now.done:,} of {now.total:,} {now.counted} are in {held.directory}"
-    return StudyInterrupted(text)
 
 
 def _enough(study: Study, select: Callable[[list[str]], pa.Table], draws: range) -> bool:
@@ -303,27 +278,16 @@ class _ProgressCounter:
     """Track progress."""
 
     def __init__(self, study: Study, tell: Tell | None) -> None:
-        counted = _ESTIMATES if study.is_estimated else "runs"
+        counted = "estimates" if study.is_estimated else "runs"
         self.progress = RunProgress(0, study.n_draws * study.n_variants, 0, 0, counted)
-        self._variants = study.n_variants
         self._tell = tell or (lambda progress: None)
 
     def begin(self, there: Iterable[Task]) -> None:
-        before = sum(map(_size, there))
+        before = sum(task.runs for task in there)
         self.progress = self.progress._replace(done=before, before=before)
         self._tell(self.progress)
 
-    def conclude(self, there: Iterable[Task]) -> None:
-        """Begin the stage of concluding tasks."""
-        self.progress = RunProgress(0, self._variants, 0, 0, _ESTIMATES)
-        self.begin(there)
-
     def add(self, task: Task, failures: int) -> None:
-        done, failed = self.progress.done + _size(task), self.progress.failures + failures
+        done, failed = self.progress.done + task.runs, self.progress.failures + failures
         self.progress = self.progress._replace(done=done, failures=failed)
         self._tell(self.progress)
-
-
-def _size(task: Task) -> int:
-    """Runs of a task, or the estimates of one that concludes."""
-    return task.runs or dict(task.rows)[_ESTIMATES]

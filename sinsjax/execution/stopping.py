@@ -48,16 +48,7 @@ def interim_draws(study: Study) -> list[int]:
 def columns(study: Study) -> list[str]:
     """Columns of the summary that an interim analysis needs."""
     assert study.stop_when is not None
-    found = ["run_id", "draw_id", "variant_id", _needed(study)]
-    if _is_controlled(study):
-        found.append(f"companion_{_needed(study)}")
-    return found
-
-
-def _is_controlled(study: Study) -> bool:
-    """Whether the statistic is a settling time that companions control."""
-    assert study.stop_when is not None
-    return study.is_controlled and study.stop_when.statistic != "success_rate"
+    return ["run_id", "draw_id", "variant_id", _needed(study)]
 
 
 def _needed(study: Study) -> str:
@@ -84,16 +75,13 @@ def analyse_interim(study: Study, table: pa.Table, draws: int) -> InterimAnalysi
     """
     # Late: scipy takes a quarter of a second, and few studies need it.
     from sinsjax import analysis
-    from sinsjax.execution import controlled
 
     assert study.stop_when is not None
     rows = table.filter(pa.compute.less(table["draw_id"], draws)).sort_by("run_id")
     name = study.stop_when.statistic
     widths = []
     for _, own in analysis.groups(rows, ["variant_id"]):
-        if _is_controlled(study):
-            found = controlled.before_the_end(study, _needed(study), own)
-        elif name == "success_rate":
+        if name == "success_rate":
             found = analysis.proportion(own["status"].to_pylist().count("ok"), own.num_rows)
         else:
             found = analysis.mean(analysis.numbers(own, _needed(study)))

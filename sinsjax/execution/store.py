@@ -158,7 +158,7 @@ class Store:
 
     def summary(self, names: list[str]) -> pa.Table:
         """Some columns of all stored rows of the summary."""
-        done = (t for t in self._planned if t.name in self._chunks and "summary" in dict(t.rows))
+        done = (task for task in self._planned if task.name in self._chunks)
         paths = [self._path("summary", task) for task in done]
         return pa.concat_tables([pq.ParquetFile(path).read(columns=names) for path in paths])
 

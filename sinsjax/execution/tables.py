@@ -61,7 +61,7 @@ class Tables:
         self._judge = Judge(study, has_truth=has_truth)
         self._end_s, self._pass_s = spans_s(study).T
         self._last_reset_s = scheduled_last_s(study)
-        self.summary_columns = layouts.of_runs(study)
+        self.summary_columns = layouts.summary(study)
         self.curve_columns = layouts.curves(study)
         self._tells_data = layouts.tells_data(study)
         self._before_s = _before_s(study)

@@ -21,12 +21,12 @@ import pyarrow.parquet as pq
 
 from sinsjax import columns
 from sinsjax.engine.alike import find_alike
-from sinsjax.engine.batch import Plan, in_threads, targets
+from sinsjax.engine.batch import Calls, in_threads, targets
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.lanes import LANES, Group
 from sinsjax.execution import stopping
 from sinsjax.execution.linearity import Linearity
-from sinsjax.execution.outputs import Output, outputs_of
+from sinsjax.execution.outputs import output_of
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.acting import first_alike
 from sinsjax.study.fingerprint import fingerprint, with_draws
@@ -83,9 +83,8 @@ class Task(NamedTuple):
         part: number of the part, see `TaskRunner`.
         draws: first draw of its group and the one after the last.
         call: number of the call in the group's plan.
-        runs: number of runs; 0 where it concludes from those of others.
+        runs: number of runs.
         rows: names of the datasets that it writes and their rows, in that order.
-        rounds: of sampled errors that an expectation is made of.
     """
 
     name: str
@@ -94,7 +93,6 @@ class Task(NamedTuple):
     call: int
     runs: int
     rows: tuple[tuple[str, int], ...]
-    rounds: int = 1
 
 
 class TaskResult(NamedTuple):
@@ -127,17 +125,10 @@ class EncodedResult(NamedTuple):
     seconds: float
 
 
-class _Part(NamedTuple):
-    """A part of the study, and what becomes of it."""
-
-    output: Output
-    number: int
-
-
 class TaskRunner:
     """Thread-safe runner of a job's tasks.
 
-    Its parts are those of the study (`build`) for each of the study's outputs.
+    Its parts are those of the study (`build`).
 
     Attributes:
         job: the job.
@@ -155,21 +146,17 @@ class TaskRunner:
         """
         self.job = job
         self.scenario = Scenario(job.study, job.stored, curves=job.curves)
-        outputs, programs = outputs_of(self.scenario), self.scenario.programs
-        self.layouts = {name: layout for o in outputs for name, layout in o.layouts.items()}
-        self._parts = [_Part(o, n) for o in outputs for n in range(len(programs))]
-        self._concluding = len(programs) if len(outputs) > 1 else 0
-        self._programs = [part.output.program(programs[part.number]) for part in self._parts]
+        self._output = output_of(self.scenario)
+        self.layouts = self._output.layouts
+        self._programs = [self._output.program(static) for static in self.scenario.programs]
         self._linearity = Linearity(self.scenario) if job.study.checks_linearity else None
         self._tiles = None if job.chunk_runs is None else -(-job.chunk_runs // LANES)
         self.identity = job.identity
         self._lock = threading.Lock()
         kinds = first_alike(job.study)
         self._alike = [
-            None
-            if self._concluding  # runs of blocks, and few estimates
-            else find_alike(static, job.first_draws, kinds[self._ids(number)])
-            for number, static in enumerate(self._programs)
+            find_alike(static, job.first_draws, kinds[ids])
+            for static, ids in zip(self._programs, self.scenario.variant_ids, strict=True)
         ]
         self._part = lru_cache(_PARTS_READY)(self._made)
         self._blank = lru_cache(1)(partial(self._made, blank=True))
@@ -188,12 +175,11 @@ class TaskRunner:
 
     def tasks(self) -> list[list[Task]]:
         """The tasks of every stage."""
-        study, before = self.job.study, [0] * len(self._parts)
+        study, before = self.job.study, [0] * len(self._programs)
         staged = []
         for stage in self.stages:
             tasks: list[Task] = []
-            parts = range(len(self._parts) - self._concluding)
-            for part, draws in product(parts, self._blocks(stage)):
+            for part, draws in product(range(len(self._programs)), self._blocks(stage)):
                 new = self._cut(part, draws, before[part])
                 before[part] += len(new)
                 tasks += new
@@ -201,32 +187,19 @@ class TaskRunner:
         assert sum(t.runs for tasks in staged for t in tasks) == study.n_draws * study.n_variants
         return staged
 
-    def concluding_tasks(self) -> list[Task]:
-        """The tasks that conclude from the runs of all others, see `conclusion`."""
-        parts = range(len(self._parts) - self._concluding, len(self._parts))
-        tasks = (task for part in parts for task in self._cut(part, range(1), 0))
-        return [task._replace(runs=0) for task in tasks]
-
     def _cut(self, part: int, draws: range, before: int) -> list[Task]:
         """Tasks of some draws of a part, after so many."""
-        output, alike = self._parts[part].output, self._alike[part]
-        count = len(self._ids(part)) if alike is None else len(alike.computed)
+        alike, ids = self._alike[part], self.scenario.variant_ids[part]
+        count = len(ids) if alike is None else len(alike.computed)
         static, tasks = self._programs[part], []
-        plan = output.plan(static, len(draws), count, self._tiles)
+        plan = self._output.plan(static, len(draws), count, self._tiles)
         for call in range(len(plan)):
-            runs = plan.runs(call)
-            if alike is not None:
-                assert isinstance(plan, Plan)
-                runs = alike.runs(plan, call)
-            records = {name: static.records if name == "curves" else 1 for name in output.layouts}
+            runs = plan.runs(call) if alike is None else alike.runs(plan, call)
+            records = {name: static.records if name == "curves" else 1 for name in self.layouts}
             rows = tuple((name, runs * each) for name, each in records.items())
             name = f"part-{part:04d}-{before + call:06d}"
             tasks.append(Task(name, part, (draws.start, draws.stop), call, runs, rows))
         return tasks
-
-    def _ids(self, part: int) -> np.ndarray:
-        """Numbers of a part's variants in the study."""
-        return self.scenario.variant_ids[self._parts[part].number]
 
     def _blocks(self, stage: range) -> list[range]:
         """The draws of a stage in groups that fit in memory with their drawn values."""
@@ -239,49 +212,24 @@ class TaskRunner:
         """Compute the tables of one task."""
         with self._lock:  # otherwise every thread would compile
             calls = self._calls(task.part, range(*task.draws))
-        ids, output = self._ids(task.part), self._parts[task.part].output
         since = time.perf_counter()
         chunk = calls.chunk(task.call)
         if alike := self._alike[task.part]:
             chunk = alike.spread(chunk)
-        tables = output.tables(chunk, ids)
-        if task.rounds > 1:
-            from sinsjax.execution import controlled  # late, as all that needs scipy
-
-            more = (calls.chunk(task.call, round_) for round_ in range(1, task.rounds))
-            made = [tables["estimates"], *(output.tables(c, ids)["estimates"] for c in more)]
-            tables = {"estimates": controlled.pooled(self.job.study, made)}
+        tables = self._output.tables(chunk, self.scenario.variant_ids[task.part])
         if self._linearity:
-            number = self._parts[task.part].number
-            tables = {"estimates": self._linearity.checked(number, tables["estimates"])}
+            tables = {"estimates": self._linearity.checked(task.part, tables["estimates"])}
         return TaskResult(task, tables, time.perf_counter() - since)
 
-    def failures(self, task: Task, tables: Mapping[str, pa.Table]) -> int:
-        """Number of runs of a task that diverged or became non-finite."""
-        return self._parts[task.part].output.failures(tables)
-
-    def variants(self, task: Task) -> np.ndarray:
-        """Numbers of the variants of a concluding task."""
-        output, ids = self._parts[task.part].output, self._ids(task.part)
-        plan = output.plan(self._programs[task.part], 1, len(ids), self._tiles)
-        assert isinstance(plan, Plan)
-        return ids[plan.busy(task.call)[1]]
+    def failures(self, tables: Mapping[str, pa.Table]) -> int:
+        """Return the number of runs in these tables that diverged or became non-finite."""
+        return self._output.failures(tables)
 
     def pack(self, task: Task) -> EncodedResult:
         """Compute the Parquet files of one task: the same bytes on any machine."""
-        return self.encoded(self.do(task))
-
-    def encoded(self, result: TaskResult) -> EncodedResult:
-        """The Parquet files of a result."""
-        task, tables = result.task, result.tables
+        _, tables, seconds = self.do(task)
         files = {name: self.parquet(name, table, task) for name, table in tables.items()}
-        return EncodedResult(task, files, self.failures(task, tables), result.seconds)
-
-    def decoded(self, encoded: EncodedResult) -> TaskResult:
-        """The tables of Parquet files."""
-        files = encoded.files.items()
-        tables = {name: pq.read_table(pa.BufferReader(content)) for name, content in files}
-        return TaskResult(encoded.task, tables, encoded.seconds)
+        return EncodedResult(task, files, self.failures(tables), seconds)
 
     def parquet(self, dataset: str, table: pa.Table, task: Task) -> bytes:
         """A table of a task as a Parquet file: the same rows give the same bytes.
@@ -300,7 +248,7 @@ class TaskRunner:
     def _marks(self, task: Task) -> dict[bytes, bytes]:
         """Metadata of a part, without time or host name, which would change its bytes."""
         chunk = {**task._asdict(), "chunk_runs": self.job.chunk_runs}
-        del chunk["rows"], chunk["rounds"]
+        del chunk["rows"]
         if before := [end for end in self.job.extended_at if end <= task.draws[0]]:
             chunk["extended_at"] = before
         return {
@@ -311,12 +259,11 @@ class TaskRunner:
     def _made(self, number: int, draws: range, *, blank: bool = False) -> Group:
         alike = self._alike[number]
         variants = None if alike is None else alike.computed
-        output, of_study = self._parts[number]
-        part = self.scenario.part(of_study, draws, variants=variants, blank=blank)
-        return output.group(part.group)
+        part = self.scenario.part(number, draws, variants=variants, blank=blank)
+        return self._output.group(part.group)
 
-    def _compile(self, part: int, draws: range) -> Any:
-        output = self._parts[part].output
+    def _compile(self, part: int, draws: range) -> Calls:
+        output = self._output
         if self.scenario.stored is not None:
             return output.calls(self._part(part, draws), self._tiles)
         engine = output.calls(self._blank(part, draws), self._tiles)

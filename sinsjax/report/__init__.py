@@ -15,7 +15,7 @@ from sinsjax.execution.belongings import list_figures
 from sinsjax.execution.source import Source
 from sinsjax.messages import shortened
 from sinsjax.platform.files import require_writable
-from sinsjax.report import auto, controlled, estimated, folder, tuned
+from sinsjax.report import auto, estimated, folder, tuned
 from sinsjax.report.base import Chapter, Report, Text, at_the_end
 from sinsjax.report.markup import template
 from sinsjax.report.names import NO_NAMES
@@ -78,9 +78,6 @@ def _summarise(
             told = tuned.report(source)
         else:
             told = (estimated if source.study.is_estimated else auto).report(source)
-            if source.study.is_controlled:
-                first = Chapter("With companions", list(controlled.tables(source)))
-                told = told._replace(sections=[first, *told.sections])
             doubtful = [] if warned else [f"Warning: {line}" for line in source.warnings]
             told = told._replace(headline=[*doubtful, *told.headline, *at_the_end(source)])
         made.append(_tell(told, source, console))

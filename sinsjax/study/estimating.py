@@ -10,9 +10,6 @@ from sinsjax.study.in_turn import keys_in_turn
 from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.study import Study
 
-LEAST_CONTROLLED = 4096
-"""Fewest sampled errors of the expectation of companions."""
-
 
 def require_modelled(study: Study) -> None:
     """Refuses what covariance analysis does not hold for.
@@ -44,31 +41,23 @@ def check(study: Study, where: Mapping[str, str]) -> None:
         if told := next(_unmodelled(study, where), None):
             text = f"'covariance' cannot be one of them (use 'sobol'): {told}"
             raise InputError(f"[tune] searches: {text}")
-    samples, estimate = study.study.estimate_samples, study.study.estimate
-    if not study.is_estimated and study.study.check_linearity is not None:
-        raise InputError("[study] check_linearity: requires estimate = 'covariance'")
-    if estimate == "draws":
-        if samples is not None:
-            raise InputError(
-                "[study] estimate_samples: requires estimate = 'covariance' or 'controlled'"
-            )
+    if not study.is_estimated:
+        for key in ("check_linearity", "estimate_samples"):
+            if getattr(study.study, key) is not None:
+                raise InputError(f"[study] {key}: requires estimate = 'covariance'")
         return
     told = next(_unmodelled(study, where), None)
     if told is not None:
         raise InputError(f"{told} (use estimate = 'draws')")
-    if study.is_controlled and samples is not None and samples < LEAST_CONTROLLED:
-        text = f"must be at least {LEAST_CONTROLLED} with estimate = 'controlled'"
-        raise InputError(f"[study] estimate_samples: {text}, got {samples}")
     search = "a search by covariance analysis is one of its searches"
-    unread = {"[tune]": (study.has("tune"), search)}
-    if study.is_estimated:
-        unread |= {
-            "[study] curves": (study.study.curves, "there are no runs to have any"),
-            "[stop_when]": (study.has("stop_when"), "there are no draws to stop"),
-        }
+    unread = {
+        "[tune]": (study.has("tune"), search),
+        "[study] curves": (study.study.curves, "there are no runs to have any"),
+        "[stop_when]": (study.has("stop_when"), "there are no draws to stop"),
+    }
     for place, (given, why) in unread.items():
         if given:
-            raise InputError(f"{place}: is not read beside estimate = {estimate!r} ({why})")
+            raise InputError(f"{place}: is not read beside estimate = 'covariance' ({why})")
 
 
 def _unmodelled(study: Study, where: Mapping[str, str]) -> Iterator[str]:

@@ -43,9 +43,10 @@ __all__ = [
 ]
 
 _DEFAULT_DRAWS = 64
-_SAMPLES = {"covariance": 256, "controlled": 4096}
+_DEFAULT_SAMPLES = 256
 _FILLED = EARTH_CONSTANTS | {
     "draws": _DEFAULT_DRAWS,
+    "estimate_samples": _DEFAULT_SAMPLES,
     "height_m": 0.0,
     **{white: 0.0 for white, _ in SECTIONS["sensors"].exclusive},
 }
@@ -156,8 +157,7 @@ def replaced(study: Study, changes: Mapping[str, Any]) -> Study:
     Raises:
         InputError: that is no study.
     """
-    filled = _FILLED | {"estimate_samples": _SAMPLES.get(study.study.estimate)}
-    tables = changing.without_defaults(tables_of(study), filled)
+    tables = changing.without_defaults(tables_of(study), _FILLED)
     return study_from_dict(with_changes(tables, changes, study.name), study.name)
 
 
@@ -299,12 +299,9 @@ def _filled(tables: TomlTable, sweep: axes.Sweep, where: Where, name: str) -> To
     sections = {key: dict(tables.get(key, {})) for key in SECTIONS if key not in unused}
     sections["study"].setdefault("name", name)
     if not recorded:
-        estimate = sections["study"].get("estimate", "draws")
-        if estimate == "covariance":
+        if sections["study"].get("estimate") == "covariance":
             sections["study"].setdefault("check_linearity", True)
-        for kind, samples in _SAMPLES.items():
-            if estimate == kind:
-                sections["study"].setdefault("estimate_samples", samples)
+            sections["study"].setdefault("estimate_samples", _DEFAULT_SAMPLES)
         sections["study"].setdefault("draws", _DEFAULT_DRAWS)
         sections["earth"].setdefault("height_m", 0.0)
         for white, density in SECTIONS["sensors"].exclusive:

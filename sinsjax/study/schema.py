@@ -8,7 +8,7 @@ an axis and a result column. Rules that hold inside one section live here, those
 from typing import Annotated, Any, Literal, cast
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from sinsjax.value_types import (
     ActsWhere,
@@ -56,16 +56,16 @@ class StudySection(Section):
         " 'covariance' of variants that it does not hold for; default 64 where the sensors are"
         " simulated",
     )
-    estimate: Literal["draws", "covariance", "controlled"] = Field(
+    estimate: Literal["draws", "covariance"] = Field(
         "draws",
-        description="where statistics come from: draws, each with runs of its own (`summary/`); the"
-        " covariance of the true error beside one noise-free run of a variant (`estimates/`); or"
-        " draws whose scatter that covariance takes off (both)",
+        description="source of the statistics: Monte Carlo over draws, with one run per draw"
+        " (`summary/`), or linear covariance analysis, with one noise-free run per variant"
+        " (`estimates/`)",
     )
     estimate_samples: Annotated[int, Field(ge=4, le=2**16, multiple_of=2)] | None = Field(
         None,
         description="sampled errors that settling times are estimated from, an even number;"
-        " default 256 with estimate = 'covariance' and 4096, the least, with 'controlled'",
+        " default 256 with estimate = 'covariance'",
     )
     check_linearity: bool | None = Field(
         None,
@@ -120,6 +120,14 @@ class StudySection(Section):
     unchecked: bool | None = Field(
         None, description="whether numbers beyond what is usual are run; default false"
     )
+
+    @field_validator("estimate", mode="before")
+    @classmethod
+    def _refuse_controlled(cls, value: Any) -> Any:
+        if value == "controlled":
+            text = "leave the key out for Monte Carlo, or use 'covariance'"
+            raise invalid(f"'controlled' was dropped ({text})")
+        return value
 
     @model_validator(mode="after")
     def _window_inside(self) -> "StudySection":

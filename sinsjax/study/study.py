@@ -147,11 +147,6 @@ class Study(_SectionsOfMethods):
         return self.is_estimated and bool(self.study.check_linearity)
 
     @property
-    def is_controlled(self) -> bool:
-        """Whether its runs have companions, and estimates of variants that these control."""
-        return self.study.estimate == "controlled"
-
-    @property
     def is_recorded(self) -> bool:
         """Whether the sensors come from a record and not from a simulation."""
         return self.record is not None
