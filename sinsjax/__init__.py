@@ -51,16 +51,17 @@ if TYPE_CHECKING:
     from sinsjax.engine.build import simulated_record
     from sinsjax.engine.one_run import one_run
     from sinsjax.errors import InputError
-    from sinsjax.execution.estimated_curves import estimated_curves
-    from sinsjax.execution.estimates import read_estimates
+    from sinsjax.execution.directory import read_manifest
+    from sinsjax.execution.estimates import estimated_curves
     from sinsjax.execution.information import information_bound
-    from sinsjax.execution.run import Results, estimate, load_tape, run, run_into
-    from sinsjax.execution.tables import read_curves, read_manifest, read_summary
+    from sinsjax.execution.prepare import load_tape
+    from sinsjax.execution.results import read_curves, read_estimates, read_summary
+    from sinsjax.execution.run import Results, align, estimate, run, run_into
     from sinsjax.platform.runtime import configure, info
     from sinsjax.records import read_record, read_reference, record_from_arrays
     from sinsjax.study.load import Study, load_study, study_from_dict
-    from sinsjax.tuning.carry_out import tune
     from sinsjax.tuning.history import read_history
+    from sinsjax.tuning.run_tuning import tune
 
 __version__ = runtime.package_version()
 
@@ -68,6 +69,7 @@ __all__ = [
     "InputError",
     "Results",
     "Study",
+    "align",
     "configure",
     "estimate",
     "estimated_curves",
@@ -97,16 +99,17 @@ _HOMES = {
     "engine.build": ("simulated_record",),
     "engine.one_run": ("one_run",),
     "errors": ("InputError",),
-    "execution.estimated_curves": ("estimated_curves",),
-    "execution.estimates": ("read_estimates",),
+    "execution.directory": ("read_manifest",),
+    "execution.estimates": ("estimated_curves",),
     "execution.information": ("information_bound",),
-    "execution.run": ("Results", "estimate", "load_tape", "run", "run_into"),
-    "execution.tables": ("read_curves", "read_manifest", "read_summary"),
+    "execution.prepare": ("load_tape",),
+    "execution.results": ("read_curves", "read_estimates", "read_summary"),
+    "execution.run": ("Results", "align", "estimate", "run", "run_into"),
     "platform.runtime": ("configure", "info"),
     "records": ("read_record", "read_reference", "record_from_arrays"),
     "study.load": ("Study", "load_study", "study_from_dict"),
-    "tuning.carry_out": ("tune",),
     "tuning.history": ("read_history",),
+    "tuning.run_tuning": ("tune",),
 }
 
 

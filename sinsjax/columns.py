@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from sinsjax.units import split_unit
 
-SCHEMA_VERSION = "2"
+SCHEMA_VERSION = "3"
 """Incremented whenever a column is removed or changes its meaning."""
 
 STATUSES = ("ok", "not_settled", "diverged", "nonfinite", "no_north")

@@ -24,8 +24,8 @@ from sinsjax.cli.options import (
     Resume,
     with_draws,
 )
-from sinsjax.cli.study import check_options, configure, loaded, made_ready, named, run_study
-from sinsjax.console import lasting, plain_console, say
+from sinsjax.cli.study import check_options, configure, print_job, run_study, source_label
+from sinsjax.console import lasting, plain_console
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.messages import one_line
 from sinsjax.platform import runtime
@@ -78,7 +78,7 @@ def run(
         overwrite=overwrite,
         resume=resume,
         devices=devices,
-        curves=True,
+        every_curve=True,
     )
 
 
@@ -127,7 +127,7 @@ def sweep(
         overwrite=overwrite,
         resume=resume,
         devices=devices,
-        curves=None,
+        every_curve=False,
         chunk_runs=chunk_runs,
         cluster=(workers, scheduler),
     )
@@ -160,7 +160,7 @@ def align(
         overwrite=overwrite,
         resume=resume,
         devices=devices,
-        curves=True,
+        every_curve=True,
         files=(record, reference),
     )
 
@@ -180,42 +180,26 @@ def tune(
 
     Example: sinsjax tune tune_condition5 -o out
     """
-    from sinsjax.execution import forecast, locking, progress
-    from sinsjax.execution import resume as resuming
-    from sinsjax.execution import run as study_run
-    from sinsjax.tuning import carry_out
+    from sinsjax.cli.progress import interruptible, progress
+    from sinsjax.execution.prepare import Options
+    from sinsjax.study.changes import parsed
+    from sinsjax.tuning import run_tuning
 
-    out = resuming.named(given)
-    study = loaded(config, changes)
-    carry_out.require_tune(study)
-    if study.is_recorded and record is None:
-        raise InputError(f"{config}: [record]: the study needs a record (give it with --record)")
-    for file in (record, reference):
-        if file is not None and not study.is_recorded:
-            raise InputError(f"{config}: has no [record] section to read {file} with")
     check_options(overwrite=overwrite, resume=resume, devices=devices)
-    locking.check_unlocked(out)
-    carry_out.check_free(out, overwrite=overwrite or resume)
     configure(devices)
-    stored = None if record is None else study_run.load_tape(study, record, reference)
+    options = Options(
+        given, overwrite=overwrite, resume=resume, source=source_label(config, changes)
+    )
+    job = run_tuning.prepare_tuning(config, parsed(changes or ()), record, reference, options)
+    assert job.directory is not None and job.forecast is not None
     terminal = plain_console()
-    study = study_run.at_rate(study, stored)
-    expected = forecast.of_tuning(study)
-    forecast.require_room(study, expected, out, overwrite=overwrite, resume=resume)
-    say(terminal, f"{expected.describe(runtime.usable_cores() if devices is None else devices)}.")
-    study = made_ready(study, stored)
-    with progress.interruptible(terminal) as stop:
-        carry_out.tune(
-            study,
-            out,
-            stored,
-            overwrite=overwrite,
-            resume=resume,
-            watch=lambda name: progress.progress(terminal, f"{study.name}: {name}"),
-            stop=stop,
-            source=named(config, changes),
+    cores = runtime.usable_cores() if devices is None else devices
+    print_job(terminal, job, job.forecast.describe(cores))
+    with interruptible(terminal) as stop:
+        run_tuning.run_tuning(
+            job, watch=lambda name: progress(terminal, f"{job.study.name}: {name}"), stop=stop
         )
-    import_module("sinsjax.report").summarise([out], terminal, warned=True)
+    import_module("sinsjax.report").summarise([job.directory], terminal, warned=True)
 
 
 @command()
@@ -243,11 +227,11 @@ def rerun(
     Example: sinsjax rerun out --run-id 17
     """
     from sinsjax.execution import rerun as rerunning
-    from sinsjax.execution import resume as resuming
+    from sinsjax.execution.directory import results_path
 
     runtime.configure()
     runtime.require_backend()
-    out = None if given is None else resuming.named(given)
+    out = None if given is None else results_path(given)
     terminal, files = plain_console(), (record, reference)
     if not rerunning.rerun_into(directory, run_id, terminal, out=out, files=files):
         raise typer.Exit(1)

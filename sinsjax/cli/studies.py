@@ -90,7 +90,7 @@ def validate(config: Config, changes: Changes = None) -> None:
 
     Example: sinsjax validate reset_sweep --set study.draws=64
     """
-    from sinsjax.cli.study import foreseen
+    from sinsjax.cli.study import describe_plan
     from sinsjax.study.changes import parsed
     from sinsjax.study.problems import problems
 
@@ -99,7 +99,7 @@ def validate(config: Config, changes: Changes = None) -> None:
         typer.echo(f"error: {line}", err=True)
     if wrong:
         raise typer.Exit(2)
-    for line in foreseen(config, changes):
+    for line in describe_plan(config, changes):
         say(plain_console(), line)
 
 

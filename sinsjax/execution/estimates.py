@@ -1,11 +1,10 @@
-"""Estimates of a study's variants without draws: their tables, and reading them from Parquet.
+"""Estimates of a study's variants without draws, as tables and as curves over time.
 
 One noise-free run of a variant, and the covariance of the true error beside it, stand for all draws
 (`engine.covariance`). Rows depend only on the study, as those of runs do.
 """
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from sinsjax import columns
 from sinsjax.columns import Column
+from sinsjax.engine import batch
 from sinsjax.engine.batch import Calls, Chunk, Plan
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.covariance import MOST_TOGETHER, Spread, watched, watched_program
@@ -23,8 +23,8 @@ from sinsjax.engine.study_limits import limited_variants
 from sinsjax.engine.verdicts import LIMIT, TRUTH
 from sinsjax.errors import InputError
 from sinsjax.execution import layouts
-from sinsjax.execution.parts import query
 from sinsjax.execution.tables import nullable, table_of
+from sinsjax.study.estimating import require_modelled
 from sinsjax.study.study import Study
 from sinsjax.study.success import bands
 from sinsjax.study.times import report_times, spans_s
@@ -33,6 +33,8 @@ from sinsjax.units import ARCMIN
 DATASET = "estimates"
 FEW_TILES = 2
 _QUANTILES = {"q10": 0.1, "median": 0.5, "q90": 0.9}
+_CURVE_SAMPLES = 2
+"""Sampled errors of a run, none of which curves show: the fewest."""
 
 
 class Estimates:
@@ -172,26 +174,38 @@ def settled_of(until_s: NDArray, end_s: NDArray, *, opposite: bool = True) -> tu
     return (until_s.mean(axis=1), error, *quantiles)
 
 
-def read_estimates(
-    directory: str | Path, names: Sequence[str] | None = None, *, verify: bool = True
-) -> pa.Table:
-    """Read the estimates of a study's variants, ordered by variant_id.
+def estimated_curves(study: Study) -> pa.Table:
+    """Covariance analysis of a study's variants over time, in memory.
 
     Args:
-        directory: results directory.
-        names: columns to read, in this order; None for all.
-        verify: whether to compare every part with the manifest's SHA-256, once per process.
+        study: checked study for which covariance analysis holds, with draws of its own or without.
+
+    Returns:
+        One row per variant and record time: the misalignment of the noise-free run, its 1 sigma
+        over the noise, and the method's own sigma. The schema has units and meanings.
 
     Raises:
-        InputError: the directory holds no estimates, a part has changed, or a column is missing.
+        InputError: covariance analysis does not hold for the study.
+        RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
-    directory = Path(directory)
-    there = query(directory, DATASET, lambda dataset: dataset.schema.names, verify=verify)
-    wanted = there if names is None else list(names)
-    if missing := [name for name in wanted if name not in there]:
-        raise InputError(f"{directory}: estimates: column {missing[0]} is missing")
-    read = sorted({"variant_id", *wanted})
-    table = query(directory, DATASET, lambda d: d.to_table(columns=read), verify=verify)
-    # The metadata of the first part does not apply to the others.
-    table = table.replace_schema_metadata({"sinsjax.schema": columns.SCHEMA_VERSION})
-    return table.sort_by("variant_id").select(wanted)
+    require_modelled(study)
+    scenario = Scenario(study)
+    tables = []
+    for number, ids in enumerate(scenario.variant_ids):
+        group = watched(scenario.part(number, range(1)).group, _CURVE_SAMPLES)
+        tables += [_curve_table(study, chunk, ids[chunk.variant]) for chunk in batch.chunks(group)]
+    order = [("variant_id", "ascending"), ("time_s", "ascending")]
+    return pa.concat_tables(tables).sort_by(order)
+
+
+def _curve_table(study: Study, chunk: Chunk, variant: NDArray) -> pa.Table:
+    spread = chunk.curves
+    assert isinstance(spread, Spread)
+    runs, _, records = np.shape(spread.phi)
+    times = np.arange(1, records + 1) * (study.record_every / study.rate_hz)
+    angles = np.concatenate(spread[:3], axis=1) / ARCMIN  # (runs, 9, records)
+    layout = columns.ESTIMATED_CURVES
+    names = (c.name for c in layout[2:])
+    values = {"variant_id": np.repeat(variant, records), "time_s": np.tile(times, runs)}
+    values |= zip(names, (nullable(one.ravel()) for one in np.moveaxis(angles, 1, 0)), strict=True)
+    return table_of(layout, values)

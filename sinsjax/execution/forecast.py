@@ -7,7 +7,7 @@ forecast, and rejected, as fast as one of three.
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -21,7 +21,7 @@ from sinsjax.engine.simulator import AMPLITUDES, DISTORTIONS, NOISES, OF_DISTURB
 from sinsjax.engine.truth import MOST_STORED_SAMPLES
 from sinsjax.errors import InputError
 from sinsjax.execution import layouts, stopping
-from sinsjax.execution.parts import read_manifest
+from sinsjax.execution.directory import find_manifest
 from sinsjax.messages import counted
 from sinsjax.platform import machine, runtime
 from sinsjax.study.distributions import NUMBERS_DRAWN
@@ -122,7 +122,7 @@ class Forecast(NamedTuple):
         )
 
 
-def of(study: Study, *, curves: bool | None = None) -> Forecast:
+def of(study: Study, curves: bool | None = None) -> Forecast:
     """Forecast of a sweep.
 
     Args:
@@ -135,8 +135,11 @@ def of(study: Study, *, curves: bool | None = None) -> Forecast:
     return _forecast(study, [batch], study.study.curves if curves is None else curves)
 
 
-def of_tuning(study: Study) -> Forecast:
-    """Forecast of a tuning run; the cost of a descent's steps is only a guess."""
+def of_tuning(study: Study, curves: bool | None = None) -> Forecast:
+    """Return the forecast of a tuning run, which keeps no curves.
+
+    The cost of a descent's steps is only a guess.
+    """
     tune = study.tune
     assert tune is not None
     if study.record:
@@ -167,20 +170,31 @@ def of_tuning(study: Study) -> Forecast:
 
 
 def require_room(
-    study: Study, forecast: Forecast, directory: Path, *, overwrite: bool, resume: bool
+    study: Study, forecast: Forecast, directory: Path | None, *, overwrite: bool, resume: bool
 ) -> None:
     """Reject a study that exceeds the disk or the memory; a resumed one needs only missing runs.
 
     Args:
         study: checked study.
         forecast: forecast of the study.
-        directory: results directory.
+        directory: results directory; None for tables in memory.
         overwrite: whether existing results are removed first.
         resume: whether existing results are kept.
 
     Raises:
         InputError: states what is needed and what is available.
     """
+    if directory is not None:
+        _require_disk(forecast, directory, overwrite=overwrite, resume=resume)
+    there = machine.memory_bytes()
+    if forecast.memory > there:
+        raise InputError(
+            f"{study.name}: {forecast.runs:,} runs need about {_size(forecast.memory)} of memory,"
+            f" but this machine has only {_size(there)}"
+        )
+
+
+def _require_disk(forecast: Forecast, directory: Path, *, overwrite: bool, resume: bool) -> None:
     need = 0.0
     for batch in forecast.batches:
         done = runs_done(directory / batch.name) if resume else 0
@@ -192,12 +206,6 @@ def require_room(
         raise InputError(
             f"{directory}: the results of {forecast.runs:,} runs need about {_size(need)}, but the"
             f" disk has only {_size(free)} free"
-        )
-    there = machine.memory_bytes()
-    if forecast.memory > there:
-        raise InputError(
-            f"{study.name}: {forecast.runs:,} runs need about {_size(forecast.memory)} of memory,"
-            f" but this machine has only {_size(there)}"
         )
 
 
@@ -269,12 +277,9 @@ def _row_bytes(study: Study, columns: Iterable[Column]) -> float:
 
 
 def runs_done(directory: Path) -> int:
-    """Number of runs with stored results."""
-    try:
-        done: Any = read_manifest(directory).get("runs_done")
-    except InputError:
-        return 0
-    return done if isinstance(done, int) else 0
+    """Return the number of runs with stored results."""
+    known = find_manifest(directory)
+    return known.runs_done if known else 0
 
 
 def _size_of_parts(directories: Iterable[Path]) -> int:

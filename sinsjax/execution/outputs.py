@@ -12,7 +12,7 @@ from sinsjax.engine.build import Scenario
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.realisations import Static
 from sinsjax.execution.estimates import Estimates
-from sinsjax.execution.runs import Runs
+from sinsjax.execution.tables import Tables
 
 
 @runtime_checkable
@@ -49,6 +49,50 @@ class Output(Protocol):
     def failures(self, tables: Mapping[str, pa.Table]) -> int:
         """Number of runs in these tables that diverged or became non-finite."""
         ...
+
+
+class Runs:
+    """Summary and curves of all runs, see `Output`.
+
+    Attributes:
+        layouts: columns by dataset.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._made = Tables(scenario.study, has_truth=scenario.has_truth)
+        curves = {"curves": self._made.curve_columns} if scenario.curves else {}
+        self.layouts: Mapping[str, tuple[Column, ...]] = {
+            **curves,
+            "summary": self._made.summary_columns,
+        }
+
+    def program(self, static: Static) -> Static:
+        """Return the program of the runs."""
+        return static
+
+    def group(self, group: Group) -> Group:
+        """Return the runs."""
+        return group
+
+    def plan(self, static: Static, draws: int, count: int, tiles: int | None) -> Plan:
+        """Return how some draws of so many variants are cut, into calls of so many tiles."""
+        return Plan(static, draws, count, tiles_a_chunk=tiles)
+
+    def calls(self, group: Group, tiles: int | None) -> Calls:
+        """Return the calls of such a plan."""
+        return Calls(group, tiles_a_chunk=tiles)
+
+    def tables(self, chunk: Chunk, variant_ids: NDArray) -> dict[str, pa.Table]:
+        """Return one row per run, and one per run and record time if curves are kept."""
+        made = {"summary": self._made.summary(chunk, variant_ids)}
+        if "curves" in self.layouts:
+            made["curves"] = self._made.curves(chunk, variant_ids)
+        return made
+
+    def failures(self, tables: Mapping[str, pa.Table]) -> int:
+        """Return the number of runs that diverged or became non-finite, by their status."""
+        status = tables["summary"]["status"].to_pylist()
+        return status.count("diverged") + status.count("nonfinite")
 
 
 def output_of(scenario: Scenario) -> Output:

@@ -13,12 +13,11 @@ from sinsjax import plots
 from sinsjax.alignment.methods import packages_of
 from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
-from sinsjax.execution import resume
-from sinsjax.execution import tables as result_tables
-from sinsjax.execution.belongings import RERUN
-from sinsjax.execution.kept_study import kept_study
+from sinsjax.execution import directory as places
+from sinsjax.execution import results
+from sinsjax.execution.directory import RERUN
 from sinsjax.execution.outputs import output_of
-from sinsjax.execution.run import load_tape
+from sinsjax.execution.prepare import load_tape
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import one_line
 from sinsjax.platform.files import make_folder, replacing
@@ -96,28 +95,28 @@ def rerun_into(
         InputError: there are no results or no such run, the record is a different one, or the
             files cannot be written.
     """
-    study = kept_study(directory)
+    places.check_entries(directory)
+    study = results.load_stored_study(directory)
     if files[0] is None and files[1] is not None:
         raise InputError("--reference: requires --record")
     if study.is_recorded and files[0] is None:
         raise InputError(f"{directory}: its study needs a record (give it with --record)")
     stored_record = None if files[0] is None else load_tape(study, files[0], files[1])
-    known = resume.manifest(directory)
+    known = places.find_manifest(directory)
     extended_at = () if known is None else known.extended_at
-    identity = result_tables.read_manifest(directory).get("identity")
-    if identity not in (None, Job(study, stored_record, extended_at=extended_at).identity):
+    job = Job(study, stored_record, extended_at=extended_at)
+    if known is not None and known.identity != job.identity:
         raise InputError(f"{directory}: the results are of another record or reference")
     _check_number(study, run_id, directory)
-    stored = result_tables.read_summary(directory, run_ids=[run_id])
+    stored = results.read_summary(directory, run_ids=[run_id])
     if not stored.num_rows:
         raise InputError(f"{directory}: has no row of run {run_id} yet")
-    if stored.num_rows > 1:
-        text = f"has {stored.num_rows} rows of run {run_id}: a part is not of a summary"
-        raise InputError(f"{directory / 'summary'}: {text} (of the curves?)")
     if out is not None and (there := [name for name in RERUN if (out / name).exists()]):
         raise InputError(f"{out}: already holds a {there[0]} (give another directory)")
-    made = rerun(study, run_id, stored_record)
     target = directory / "reruns" / str(run_id) if out is None else out
+    if target.is_symlink() and out is None:
+        raise InputError(f"{target}: is a symbolic link (remove it, or give another directory)")
+    made = rerun(study, run_id, stored_record)
     _write(target, made, study)
     differ = _differing(stored, made.row)
     for line in [
@@ -177,7 +176,7 @@ def _why(directory: Path, stored: pa.Table, again: pa.Table) -> str:
         again: the same run's row made here.
     """
     packages = packages_of(again["method"].to_pylist())
-    versions = result_tables.read_manifest(directory).get("versions")
+    versions = places.read_manifest(directory).get("versions")
     told = versions if isinstance(versions, dict) else {}
     for name, here in packages.items():
         there = one_line(str(told.get(name, here)))

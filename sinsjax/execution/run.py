@@ -1,26 +1,22 @@
-"""Running all tasks of a study, into tables in memory or into a directory."""
+"""Running a prepared study, into tables in memory or into a directory."""
 
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from itertools import takewhile
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import jax
 import pyarrow as pa
 
 from sinsjax import columns
-from sinsjax.engine.batch import in_threads
 from sinsjax.errors import InputError, StudyInterrupted
-from sinsjax.execution import forecast, layouts, stopping, store
-from sinsjax.execution import resume as resuming
+from sinsjax.execution import layouts, resume, stopping
 from sinsjax.execution import tasks as study_tasks
-from sinsjax.execution.preflight import check_methods, layout_of, warnings_of
+from sinsjax.execution.prepare import Options, prepare
+from sinsjax.execution.store import MemoryStore, Sink, Store
 from sinsjax.execution.tasks import Executor, Job, Task, TaskRunner
 from sinsjax.platform import runtime
-from sinsjax.records import read_record, read_reference
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.load import with_rate
 from sinsjax.study.study import Study
 
 
@@ -58,52 +54,6 @@ Tell = Callable[[RunProgress], None]
 """Progress callback, called before the first chunk and after every one."""
 
 
-def load_tape(
-    study: Study, record: str | Path, reference: str | Path | None = None
-) -> StoredRecord:
-    """Read the record of a recorded study, and the reference attitude if given.
-
-    Raises:
-        InputError: a file cannot be used, or the study has no [record].
-    """
-    if study.record is None:
-        raise InputError(f"{study.name}: has no [record] section")
-    if study.record.format == "arrays":
-        text = f"[record] format: 'arrays' are given to sinsjax.run, not read from {record}"
-        raise InputError(f"{study.name}: {text} (see sinsjax.record_from_arrays)")
-    layout = layout_of(study)
-    read = read_record(record, layout)
-    return StoredRecord.of(read, None if reference is None else read_reference(reference, layout))
-
-
-def at_rate(study: Study, tape: StoredRecord | None) -> Study:
-    """The study at the rate of its record.
-
-    Raises:
-        InputError: the study is invalid at this rate, or the tape is something else.
-    """
-    if tape is not None and not isinstance(tape, StoredRecord):
-        raise InputError(
-            f"{study.name}: tape: must be what sinsjax.load_tape or sinsjax.record_from_arrays"
-            f" gives, not a {type(tape).__name__}"
-        )
-    if tape is not None and study.is_recorded:
-        return with_rate(study, tape.record.rate_hz)
-    return study
-
-
-def made_ready(study: Study, tape: StoredRecord | None) -> tuple[Study, list[str]]:
-    """The study at the rate of its record, and warnings about it, one line each.
-
-    Raises:
-        InputError: the record does not fit the study, or is certainly wrong.
-    """
-    study = at_rate(study, tape)
-    if study.is_recorded != (tape is not None):  # rejected when it is run
-        return study, []
-    return study, [*check_methods(study, tape), *warnings_of(study, tape)]
-
-
 def run(
     study: Study,
     tape: StoredRecord | None = None,
@@ -131,15 +81,49 @@ def run(
     if study.is_estimated:
         text = "covariance estimates have no runs (use sinsjax.estimate)"
         raise InputError(f"{study.name}: [study] estimate: {text}")
-    study, _ = made_ready(study, tape)
-    made = _tables(Job(study, tape, curves, chunk_runs), tell)
-    order = [("run_id", "ascending"), ("time_s", "ascending")]
-    kept = made.get("curves", columns.schema(layouts.curves(study)).empty_table())
-    return Results(made["summary"].sort_by("run_id"), kept.sort_by(order))
+    options = Options(curves=curves, chunk_runs=chunk_runs)
+    return _results(prepare(study, None, tape, None, options), tell)
+
+
+def align(
+    record: StoredRecord | str | Path,
+    study: Study | str | Path,
+    reference: str | Path | None = None,
+    *,
+    overrides: Mapping[str, Any] | None = None,
+    curves: bool | None = None,
+    tell: Tell | None = None,
+) -> Results:
+    """Align recorded data in memory, from every start time of the study.
+
+    Args:
+        record: inertial record: a file, or what `record_from_arrays` or `load_tape` return.
+        study: study with [record], or its file.
+        reference: file of a reference attitude to compare with, if the record is a file.
+        overrides: values of the study by ``section.key`` to change, see `Study.replace`.
+        curves: whether to keep curves; None keeps them for up to 1,024 runs.
+        tell: called with the progress after every chunk.
+
+    Returns:
+        Tables with one row per start time and variant, and per record time: attitude, 1 sigma, and
+        errors if there is a reference.
+
+    Raises:
+        InputError: the study has no [record], a file cannot be read, the record is certainly wrong,
+            or does not cover the span that the study reads.
+        RuntimeError: double precision is off (`runtime.configure` turns it on).
+    """
+    most = MOST_CURVES if curves is None else None
+    options = Options(curves=curves, most_curves=most)
+    return _results(prepare(study, overrides, record, reference, options), tell)
+
+
+MOST_CURVES = 1024
+"""Most runs of which every curve is kept unless the study says otherwise."""
 
 
 def estimate(study: Study, *, chunk_runs: int | None = None, tell: Tell | None = None) -> pa.Table:
-    """Estimate the errors of a study's variants in memory, by linear covariance analysis.
+    """Estimate the errors of a study's variants in memory, by covariance analysis.
 
     Args:
         study: checked study with ``estimate = "covariance"``.
@@ -153,26 +137,10 @@ def estimate(study: Study, *, chunk_runs: int | None = None, tell: Tell | None =
         InputError: the study asks for draws, or covariance analysis does not hold for it.
         RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
-    if study.study.estimate == "draws":
+    if not study.is_estimated:
         raise InputError(f"{study.name}: [study] estimate: is 'draws' (use sinsjax.run)")
-    study, _ = made_ready(study, None)
-    return _tables(Job(study, chunk_runs=chunk_runs), tell)["estimates"].sort_by("variant_id")
-
-
-def _tables(job: Job, tell: Tell | None) -> dict[str, pa.Table]:
-    """The rows of all tasks of a job, by dataset, in any order."""
-    study, runner = job.study, TaskRunner(job)
-    count = _ProgressCounter(study, tell)
-    count.begin([])
-    made: dict[str, list[pa.Table]] = {}
-    for draws, tasks in zip(runner.stages, runner.tasks(), strict=True):
-        for piece in in_threads(runner.do, tasks, len(jax.devices())):
-            for name, table in piece.tables.items():
-                made.setdefault(name, []).append(table)
-            count.add(piece.task, runner.failures(piece.tables))
-        if _enough(study, lambda names: pa.concat_tables(made["summary"]).select(names), draws):
-            break
-    return {name: pa.concat_tables(tables) for name, tables in made.items()}
+    job = prepare(study, options=Options(chunk_runs=chunk_runs))
+    return run_in_memory(job, tell)["estimates"].sort_by("variant_id")
 
 
 def run_into(
@@ -202,8 +170,7 @@ def run_into(
         executor: runs the tasks; None for all devices of this process.
         tell: called with the progress before the first chunk and after every one.
         stop: event that ends the study after the running chunks.
-        source: the study's file, or words for it, named in the manifest; an absolute path is
-            shortened to the file name, since it means nothing on another machine.
+        source: the study's file, or words for it, named in the manifest.
 
     Raises:
         InputError: the record does not fit, or the directory cannot be used; both are checked
@@ -212,66 +179,100 @@ def run_into(
         StudyInterrupted: ``stop`` was set; the running chunks have been stored.
         RuntimeError: double precision is off.
     """
-    directory = resuming.named(directory)
-    resuming.check_free(directory, overwrite=overwrite or resume)
-    study = at_rate(study, tape)
-    if study.study.rate_hz:
-        expected = forecast.of(study, curves=curves)
-        forecast.require_room(study, expected, directory, overwrite=overwrite, resume=resume)
-    study, warnings = made_ready(study, tape)
-    job = Job(study, tape, curves, chunk_runs)
+    options = Options(
+        directory, curves, None, chunk_runs, overwrite=overwrite, resume=resume, source=source
+    )
+    run_job(prepare(study, None, tape, None, options), executor=executor, tell=tell, stop=stop)
+
+
+def run_job(
+    job: Job,
+    *,
+    executor: Executor | None = None,
+    tell: Tell | None = None,
+    stop: threading.Event | None = None,
+) -> None:
+    """Run a prepared job into its directory.
+
+    Args:
+        job: prepared job with a directory.
+        executor: runs the tasks; None for all devices of this process.
+        tell: called with the progress before the first chunk and after every one.
+        stop: event that ends the job after the running chunks.
+
+    Raises:
+        InputError: the directory cannot be written, or results there were computed with another
+            instruction set.
+        StudyInterrupted: ``stop`` was set; the running chunks have been stored.
+        RuntimeError: double precision is off.
+    """
+    assert job.directory is not None
     executor = executor or study_tasks.on_this_machine()
     session = runtime.session() | executor.facts
-    if resume:
-        job = resuming.resumed(directory, job, session["instructions"])
+    if job.resume:
+        resume.check_instructions(job.directory, session["instructions"])
     runner = TaskRunner(job)
-    facts = {
-        "config": _told(source) if isinstance(source, Path) else source,
-        "record": None if tape is None else Path(tape.record.source).name,
-        "warnings": warnings,
-        "session": session,
-    }
-    held = store.Store(directory, runner, resume=resume, overwrite=overwrite, facts=facts)
+    store = Store(runner, session)
     try:
-        _carry_out(runner, held, executor, _ProgressCounter(study, tell), stop or threading.Event())
+        _run(runner, store, executor, tell, stop or threading.Event())
     finally:
-        held.release()
+        store.release()
 
 
-def _told(file: Path) -> str:
-    return file.name if file.is_absolute() else file.as_posix()
+def run_in_memory(job: Job, tell: Tell | None = None) -> dict[str, pa.Table]:
+    """Run a job in memory.
+
+    Args:
+        job: prepared job.
+        tell: called with the progress before the first chunk and after every one.
+
+    Returns:
+        The rows of all tasks by dataset, in any order.
+
+    Raises:
+        RuntimeError: double precision is off.
+    """
+    store = MemoryStore()
+    _run(TaskRunner(job), store, study_tasks.in_memory(), tell, threading.Event())
+    return store.tables()
 
 
-def _carry_out(
-    runner: TaskRunner,
-    held: store.Store,
-    executor: Executor,
-    count: "_ProgressCounter",
-    stop: threading.Event,
+def _results(job: Job, tell: Tell | None) -> Results:
+    tables = run_in_memory(job, tell)
+    order = [("run_id", "ascending"), ("time_s", "ascending")]
+    curves = tables.get("curves", columns.schema(layouts.curves(job.study)).empty_table())
+    return Results(tables["summary"].sort_by("run_id"), curves.sort_by(order))
+
+
+def _run(
+    runner: TaskRunner, sink: Sink, executor: Executor, tell: Tell | None, stop: threading.Event
 ) -> None:
+    """Run the tasks that a sink misses, stage by stage."""
     study, staged = runner.job.study, runner.tasks()
-    missing = set(held.missing(task for tasks in staged for task in tasks))
+    missing = set(sink.missing(task for tasks in staged for task in tasks))
+    count = _ProgressCounter(study, tell)
     count.begin(task for tasks in staged for task in tasks if task not in missing)
     for draws, tasks in zip(runner.stages, staged, strict=True):
         todo = [task for task in tasks if task in missing]
-        for encoded in executor.do(runner, takewhile(lambda _: not stop.is_set(), todo)):
-            held.write(encoded)
-            missing.remove(encoded.task)
-            count.add(encoded.task, encoded.failures)
+        for result in executor.do(runner, takewhile(lambda _: not stop.is_set(), todo)):
+            sink.add(result)
+            missing.remove(result.task)
+            count.add(result.task, result.failures)
         if not missing.isdisjoint(todo):
-            held.finish("interrupted")
+            sink.finish("interrupted")
             now = count.progress
-            text = f"{now.done:,} of {now.total:,} {now.counted} are in {held.directory}"
+            text = f"{now.done:,} of {now.total:,} {now.counted} are in {sink.place}"
             raise StudyInterrupted(text)
-        if _enough(study, held.summary, draws):
+        if _is_enough(study, sink, draws):
             break
-    held.finish("complete", draws=draws.stop, runs=draws.stop * study.n_variants)
+    sink.finish("complete", draws=draws.stop, runs=draws.stop * study.n_variants)
 
 
-def _enough(study: Study, select: Callable[[list[str]], pa.Table], draws: range) -> bool:
+def _is_enough(study: Study, sink: Sink, draws: range) -> bool:
     if study.stop_when is None or draws.stop not in stopping.interim_draws(study):
         return False
-    return stopping.analyse_interim(study, select(stopping.columns(study)), draws.stop).enough
+    rows = sink.summary(stopping.columns(study))
+    return stopping.analyse_interim(study, rows, draws.stop).enough
 
 
 class _ProgressCounter:
@@ -282,8 +283,8 @@ class _ProgressCounter:
         self.progress = RunProgress(0, study.n_draws * study.n_variants, 0, 0, counted)
         self._tell = tell or (lambda progress: None)
 
-    def begin(self, there: Iterable[Task]) -> None:
-        before = sum(task.runs for task in there)
+    def begin(self, stored: Iterable[Task]) -> None:
+        before = sum(task.runs for task in stored)
         self.progress = self.progress._replace(done=before, before=before)
         self._tell(self.progress)
 

@@ -10,16 +10,15 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from sinsjax import analysis, columns
+from sinsjax import analysis
 from sinsjax.analysis.grids import Grid
 from sinsjax.errors import InputError
-from sinsjax.execution import estimates, tables
-from sinsjax.execution.kept_study import kept_study
-from sinsjax.execution.parts import is_there
+from sinsjax.execution import directory as places
+from sinsjax.execution import results
 from sinsjax.messages import counted
 from sinsjax.study.acting import first_alike, silent
 from sinsjax.study.study import Study
-from sinsjax.study.success import Yardstick, as_of_schema_1, yardsticks
+from sinsjax.study.success import Yardstick, yardsticks
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +30,6 @@ class Source:
         study: the resolved study.
         config: what a page names as the study's file.
         table: the summary by run_id, where it need not be read; the estimates by variant_id.
-        schema: version of the results' columns.
         warnings: what was doubtful before the study ran, a line each.
         version: of the package that computed them.
         whole_draws: of an unfinished study, the draws that all variants have; no others are read.
@@ -41,7 +39,6 @@ class Source:
     study: Study
     config: str
     table: pa.Table | None = None
-    schema: str = columns.SCHEMA_VERSION
     warnings: tuple[str, ...] = ()
     version: str = "unknown"
     whole_draws: np.ndarray | None = None
@@ -59,21 +56,20 @@ class Source:
             InputError: it holds none, or its study cannot be read, or no draw is whole yet.
         """
         table = None
-        if is_there(directory, estimates.DATASET) and not is_there(directory, "summary"):
-            table = estimates.read_estimates(directory)
+        places.check_entries(directory)
+        manifest = places.read_manifest(directory)
+        has_estimates = results.has_dataset(directory, "estimates")
+        if has_estimates and not results.has_dataset(directory, "summary"):
+            table = results.read_estimates(directory)
         else:
-            tables.count_runs(directory)
-        study = kept_study(directory)
-        manifest = tables.read_manifest(directory)
-        schema = str(manifest.get("schema"))
-        if schema == "1":
-            study = as_of_schema_1(study)
+            results.count_runs(directory)
+        study = results.load_stored_study(directory)
         name = manifest.get("config") or f"study.toml of {study.name}"
         told = manifest.get("warnings")
         warnings = tuple(map(str, told if isinstance(told, list) else ()))
         versions = manifest.get("versions")
         version = str((versions if isinstance(versions, dict) else {}).get("sinsjax", "unknown"))
-        source = cls(directory, study, str(name), table, schema, warnings, version)
+        source = cls(directory, study, str(name), table, warnings, version)
         is_going_on = unfinished and manifest.get("state") in ("running", "interrupted")
         return source._of_what_is_there() if is_going_on else source
 
@@ -82,7 +78,7 @@ class Source:
         study, runs = self.study, self.runs
         whole, shown = None, ""
         if self.table is None:
-            draws = analysis.numbers(tables.read_summary(self.directory, ["draw_id"]), "draw_id")
+            draws = analysis.numbers(results.read_summary(self.directory, ["draw_id"]), "draw_id")
             number, count = np.unique(draws.astype(int), return_counts=True)
             whole = number[count == study.n_variants]
             shown = f"; shown are the {len(whole):,} draws that every variant has"
@@ -104,7 +100,7 @@ class Source:
         """Number of rows: of runs, or of variants where these are estimated."""
         if self.whole_draws is not None:
             return len(self.whole_draws) * self.study.n_variants
-        return tables.count_runs(self.directory) if self.table is None else self.table.num_rows
+        return results.count_runs(self.directory) if self.table is None else self.table.num_rows
 
     @property
     def counted(self) -> str:
@@ -145,9 +141,9 @@ class Source:
     def _whole(self, names: list[str] | None) -> pa.Table:
         """Columns of the runs that are read; None for all columns."""
         if self.whole_draws is None:
-            return tables.read_summary(self.directory, names)
+            return results.read_summary(self.directory, names)
         more = None if names is None else [*names, *({"draw_id"} - {*names})]
-        rows = tables.read_summary(self.directory, more)
+        rows = results.read_summary(self.directory, more)
         rows = rows.filter(pc.is_in(rows["draw_id"], pa.array(self.whole_draws)))
         return rows if names is None else rows.select(names)
 
@@ -230,4 +226,4 @@ class Source:
         """Curves of some runs, or of all that are read; empty where none were stored."""
         if run_ids is None and self.whole_draws is not None:
             run_ids = self.rows(["run_id"])["run_id"].to_pylist()
-        return tables.read_curves(self.directory, None if run_ids is None else sorted(run_ids))
+        return results.read_curves(self.directory, None if run_ids is None else sorted(run_ids))

@@ -1,28 +1,28 @@
-"""Streaming of a study's results to a directory, without losing or duplicating any.
+"""The results of a job as its chunks are computed: a directory of Parquet parts, or tables.
 
-Every file is written under a temporary name, synced and renamed, so a sweep killed at any point
-leaves only complete parts. A part is verified by its own metadata and page checksums, which take
-precedence over the manifest. The operating system releases the lock when the process ends.
+Every file of a directory is written under a temporary name, synced and renamed, so a sweep killed
+at any point leaves only complete parts. A part carries its own checksum, study and chunk: it counts
+whether or not the manifest lists it yet.
 """
 
-import hashlib
-import json
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from sinsjax import columns
 from sinsjax.errors import InputError
-from sinsjax.execution import belongings, locking
+from sinsjax.execution import directory as places
 from sinsjax.execution import resume as resuming
-from sinsjax.execution.belongings import DATASETS
-from sinsjax.execution.parts import MANIFEST
-from sinsjax.execution.tasks import EncodedResult, Job, Task, TaskRunner
-from sinsjax.platform.files import replacing, unwritable
+from sinsjax.execution.directory import DATASETS, MANIFEST, STUDY, find_manifest
+from sinsjax.execution.results import part_marks
+from sinsjax.execution.sealed import sealed_json
+from sinsjax.execution.tasks import EncodedResult, Task, TaskResult, TaskRunner
+from sinsjax.platform.files import read_regular, replacing, unwritable
+from sinsjax.study.differences import sections_of
 from sinsjax.study.fingerprint import fingerprint
 from sinsjax.study.load import study_to_toml
 
@@ -32,60 +32,107 @@ _OF_ALL = ("versions", "instructions", "devices", "devices_are")
 """Entries of the last session that are repeated for the whole directory."""
 
 
+@runtime_checkable
+class Sink(Protocol):
+    """Where the results of a job are put."""
+
+    place: str
+
+    def missing(self, tasks: Iterable[Task]) -> list[Task]:
+        """Return the tasks whose results are not stored yet."""
+        ...
+
+    def add(self, result: Any) -> None:
+        """Add the result of one task."""
+        ...
+
+    def summary(self, names: list[str]) -> pa.Table:
+        """Return some columns of all stored rows of the summary."""
+        ...
+
+    def finish(self, state: str, **facts: Any) -> None:
+        """Record that the job is "complete" or "interrupted"."""
+        ...
+
+
+class MemoryStore:
+    """The tables of a job in memory.
+
+    Attributes:
+        place: words for where results are.
+    """
+
+    place = "memory"
+
+    def __init__(self) -> None:
+        self._tables: dict[str, list[pa.Table]] = {}
+
+    def missing(self, tasks: Iterable[Task]) -> list[Task]:
+        """Return all tasks."""
+        return list(tasks)
+
+    def add(self, result: TaskResult) -> None:
+        """Add the tables of one task."""
+        for name, table in result.tables.items():
+            self._tables.setdefault(name, []).append(table)
+
+    def summary(self, names: list[str]) -> pa.Table:
+        """Return some columns of all rows of the summary."""
+        return self.tables()["summary"].select(names)
+
+    def finish(self, state: str, **facts: Any) -> None:
+        """Nothing remains to be done."""
+
+    def tables(self) -> dict[str, pa.Table]:
+        """Return the rows of all tasks by dataset, in any order."""
+        return {name: pa.concat_tables(tables) for name, tables in self._tables.items()}
+
+
 class Store:
     """The only writer of a results directory.
 
     Attributes:
         directory: results directory.
+        place: words for where results are.
     """
 
-    def __init__(
-        self,
-        directory: Path,
-        runner: TaskRunner,
-        *,
-        resume: bool = False,
-        overwrite: bool = False,
-        facts: dict[str, Any] | None = None,
-    ) -> None:
-        """Lock and prepare a directory.
+    def __init__(self, runner: TaskRunner, facts: dict[str, Any] | None = None) -> None:
+        """Lock and prepare the directory of a job.
 
         Args:
-            directory: results directory, created if missing.
             runner: task runner of the job.
-            resume: whether to keep results of the same job and add to them.
-            overwrite: whether to remove existing results.
-            facts: manifest entries of the job, and of this process under ``session``.
+            facts: manifest entries about the machines of this session.
 
         Raises:
-            InputError: the directory holds results, cannot be written, or has another writer.
+            InputError: the directory cannot be written, has another writer, or had one since the
+                job was prepared.
         """
-        self.directory = directory
-        self._runner, self._facts = runner, dict(facts or {})
-        self._session = self._facts.pop("session", {}) | {"started_unix_s": round(time.time(), 3)}
+        job = runner.job
+        assert job.directory is not None
+        self.directory, self.place = job.directory, str(job.directory)
+        self._runner = runner
+        self._session = {**(facts or {}), "started_unix_s": round(time.time(), 3)}
         self._since = time.monotonic()
+        self._facts: dict[str, Any] = {}
         self._chunks: dict[str, dict[str, Any]] = {}
         self._sessions: list[dict[str, Any]] = []
         self._planned: list[Task] = []
         self._next_manifest = 0.0
-        resuming.check_free(directory, overwrite=overwrite or resume)
-        self._lock = locking.locked(directory)
+        self._lock = places.lock(self.directory)
         try:
-            self._begin(resume=resume, overwrite=overwrite)
+            self._begin()
         except BaseException:
             self.release()
             raise
 
-    def _begin(self, *, resume: bool, overwrite: bool) -> None:
-        # Again, since the directory may have changed before it was locked.
-        resuming.check_free(self.directory, overwrite=overwrite or resume)
+    def _begin(self) -> None:
         job = self._runner.job
-        if resume and self._resumed()[2:] != job[2:]:
+        if resuming.state_of(self.directory) != job.seen:
             raise InputError(f"{self.directory}: another process has just written there")
-        _remove(belongings.left_behind(self.directory))
-        if not resume:
-            _remove(belongings.made_here(self.directory))
-        if resume and (known := resuming.manifest(self.directory)):
+        _remove(places.stale_temporary_files(self.directory))
+        if not job.resume:
+            _remove(places.owned_files(self.directory))
+        if job.resume and (known := find_manifest(self.directory)):
             self._sessions = [session.model_dump() for session in known.sessions]
             self._chunks = {c.name: c.model_dump() for c in known.chunks if c.state == "done"}
         else:
@@ -94,18 +141,14 @@ class Store:
             self._write_study()
 
     def _write_study(self) -> None:
-        _write(self.directory / "study.toml", study_to_toml(self._runner.job.study).encode())
-
-    def _resumed(self) -> Job:
-        instructions = self._session.get("instructions")
-        return resuming.resumed(self.directory, self._runner.job, instructions)
+        _write(self.directory / STUDY, study_to_toml(self._runner.job.study).encode())
 
     def release(self) -> None:
         """Unlock the directory."""
         self._lock.release()
 
     def missing(self, tasks: Iterable[Task]) -> list[Task]:
-        """Tasks without complete parts; parts of unknown or incomplete tasks are removed.
+        """Return the tasks without complete parts; remove parts of unknown or incomplete tasks.
 
         Args:
             tasks: all tasks of the study.
@@ -116,48 +159,39 @@ class Store:
         self._planned = list(tasks)
         missing = []
         for task in self._planned:
-            found = self._found(task)
-            if found is None:
+            if self._is_stored(task):
+                seconds = self._chunks.get(task.name, {}).get("seconds")
+                self._chunks[task.name] = self._entry(task, seconds)
+            else:
                 self._chunks.pop(task.name, None)
                 missing.append(task)
-            else:
-                self._chunks[task.name] = found
         known = {task.name for task in self._planned}
         self._chunks = {name: c for name, c in self._chunks.items() if name in known}
-        there = (p for name in DATASETS for p in self.directory.glob(f"{name}/*.parquet"))
-        _remove(p for p in there if belongings.is_part(p) and p.stem not in self._chunks)
+        parts = (path for name in DATASETS for path in places.list_parts(self.directory, name))
+        _remove(path for path in parts if path.stem not in self._chunks)
         self._write_manifest("running")
-        self._write_study()  # last: an extension that is not yet in the manifest can be asked again
+        self._write_study()  # last: an extension not yet in the manifest can be requested again
         return missing
 
-    def write(self, encoded: EncodedResult) -> None:
+    def add(self, result: EncodedResult) -> None:
         """Write the parts of one task.
 
         Raises:
             InputError: the directory cannot be written.
         """
-        files = []
-        for dataset, rows in encoded.task.rows:
-            content = encoded.files[dataset]
-            path = self._path(dataset, encoded.task)
+        for dataset, _ in result.task.rows:
+            path = self._path(dataset, result.task)
             try:
                 path.parent.mkdir(exist_ok=True)
             except OSError as error:
                 raise InputError(unwritable(path, error)) from error
-            _write(path, content)
-            files.append(self._entry(path, rows, content))
-        self._chunks[encoded.task.name] = {
-            "name": encoded.task.name,
-            "state": "done",
-            "runs": encoded.task.runs,
-            "seconds": round(encoded.seconds, 4),
-            "files": files,
-        }
+            _write(path, result.files[dataset])
+        self._chunks[result.task.name] = self._entry(result.task, round(result.seconds, 4))
         if time.monotonic() >= self._next_manifest:
             self._write_manifest("running")
 
     def summary(self, names: list[str]) -> pa.Table:
-        """Some columns of all stored rows of the summary."""
+        """Return some columns of all stored rows of the summary."""
         done = (task for task in self._planned if task.name in self._chunks)
         paths = [self._path("summary", task) for task in done]
         return pa.concat_tables([pq.ParquetFile(path).read(columns=names) for path in paths])
@@ -177,43 +211,24 @@ class Store:
     def _path(self, dataset: str, task: Task) -> Path:
         return self.directory / dataset / f"{task.name}.parquet"
 
-    def _entry(self, path: Path, rows: int, content: bytes) -> dict[str, Any]:
-        return {
-            "file": path.relative_to(self.directory).as_posix(),
-            "rows": rows,
-            "sha256": hashlib.sha256(content).hexdigest(),
-        }
+    def _entry(self, task: Task, seconds: float | None) -> dict[str, Any]:
+        """Manifest entry of a task with complete parts."""
+        files = [
+            {"file": f"{dataset}/{task.name}.parquet", "rows": rows} for dataset, rows in task.rows
+        ]
+        done = {"name": task.name, "state": "done", "runs": task.runs, "seconds": seconds}
+        return done | {"files": files}
 
-    def _found(self, task: Task) -> dict[str, Any] | None:
-        """Manifest entry of a task with complete parts; None if they are not."""
-        known = self._chunks.get(task.name, {})
-        recorded = {entry["file"]: entry for entry in known.get("files", [])}
-        files = []
-        for dataset, rows in task.rows:
-            path = self._path(dataset, task)
+    def _is_stored(self, task: Task) -> bool:
+        """Whether all parts of a task are complete and intact."""
+        for dataset, _ in task.rows:
             try:
-                content = path.read_bytes()
-            except OSError:
-                return None
-            entry = self._entry(path, rows, content)
-            same = recorded.get(entry["file"]) == entry
-            if not same and not self._is_whole(dataset, content, rows, task):
-                return None
-            files.append(entry)
-        seconds = known.get("seconds")
-        return {"name": task.name, "state": "done", "runs": task.runs, "seconds": seconds} | {
-            "files": files
-        }
-
-    def _is_whole(self, dataset: str, content: bytes, rows: int, task: Task) -> bool:
-        """Whether a part with unknown checksum is identical to its table written again."""
-        try:
-            part = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
-            table = part.read()
-            # Pages have their own checksums, the footer has none.
-            return table.num_rows == rows and self._runner.parquet(dataset, table, task) == content
-        except (OSError, ValueError, pa.ArrowException):
-            return False
+                content = read_regular(self._path(dataset, task))
+            except (OSError, InputError):
+                return False
+            if part_marks(content) != self._runner.marks(dataset, task):
+                return False
+        return True
 
     def _write_manifest(self, state: str) -> None:
         began = time.monotonic()
@@ -225,27 +240,31 @@ class Store:
             self._chunks.get(t.name, {"name": t.name, "state": "missing", "runs": t.runs})
             for t in self._planned
         ]
-        manifest = {
-            "schema": columns.SCHEMA_VERSION,
-            "state": state,
-            "fingerprint": fingerprint(study),
-            "identity": self._runner.identity,
-            "seed": study.seed,
-            "runs": study.n_draws * study.n_variants,
-            "runs_done": sum(chunk["runs"] for chunk in self._chunks.values()),
-            "curves": self._runner.scenario.curves,
-            "chunk_runs": job.chunk_runs,
-            **({"extended_at": job.extended_at} if job.extended_at else {}),
-            **self._facts,
-            "started_unix_s": sessions[0]["started_unix_s"],
-            "wall_s": round(sum(session["wall_s"] for session in sessions), 3),
-            **{key: this[key] for key in _OF_ALL if key in this},
-            "sessions": sessions,
-            "study": study.model_dump(mode="json", exclude_none=True),
-            "chunks": chunks,
-        }
-        text = json.dumps(manifest, indent=1, allow_nan=False) + "\n"
-        _write(self.directory / MANIFEST, text.encode())
+        content = sealed_json(
+            {
+                "schema": columns.SCHEMA_VERSION,
+                "state": state,
+                "fingerprint": fingerprint(study),
+                "identity": self._runner.identity,
+                "seed": study.seed,
+                "runs": study.n_draws * study.n_variants,
+                "runs_done": sum(chunk["runs"] for chunk in self._chunks.values()),
+                "curves": self._runner.scenario.curves,
+                "chunk_runs": job.chunk_runs,
+                **({"extended_at": job.extended_at} if job.extended_at else {}),
+                "config": job.source,
+                "record": None if job.stored is None else Path(job.stored.record.source).name,
+                "warnings": job.warnings,
+                **self._facts,
+                "started_unix_s": sessions[0]["started_unix_s"],
+                "wall_s": round(sum(session["wall_s"] for session in sessions), 3),
+                **{key: this[key] for key in _OF_ALL if key in this},
+                "sessions": sessions,
+                "study": sections_of(study),
+                "chunks": chunks,
+            }
+        )
+        _write(self.directory / MANIFEST, content)
         ended = time.monotonic()
         wait_s = max(_MANIFEST_EVERY_S, (ended - began) / _MANIFEST_SHARE)
         self._next_manifest = ended + wait_s

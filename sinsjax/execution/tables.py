@@ -1,20 +1,11 @@
-"""Result tables: conversion of the engine's arrays to Arrow, and reading from Parquet.
+"""Conversion of the engine's arrays to result tables; rows depend only on the study."""
 
-A results directory holds ``summary/`` and optionally ``curves/`` (Parquet datasets, one part per
-chunk), ``study.toml`` (the resolved study) and ``manifest.json`` (versions, parts, timing); `store`
-writes it. Parts, like rows, depend only on the study.
-"""
-
-import re
-from collections.abc import Sequence
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.dataset as ds
 
 from sinsjax import columns
 from sinsjax.alignment.description import Description
@@ -25,10 +16,7 @@ from sinsjax.engine.metrics import Observation, Outcome
 from sinsjax.engine.study_limits import has_limit, limited_variants, scheduled_last_s
 from sinsjax.engine.truth import starts_of
 from sinsjax.engine.verdicts import LIMIT, TRUTH, Judge, Verdict
-from sinsjax.errors import InputError
 from sinsjax.execution import layouts
-from sinsjax.execution.parts import is_there, query
-from sinsjax.execution.parts import read_manifest as read_manifest
 from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS
 from sinsjax.study.study import Study
@@ -242,93 +230,3 @@ def table_of(layout: tuple[Column, ...], values: dict[str, Any]) -> pa.Table:
     """A table of some columns, from their values by name."""
     arrays = [pa.array(values[c.name]).cast(c.dtype) for c in layout]
     return pa.Table.from_arrays(arrays, schema=columns.schema(layout))
-
-
-def read_summary(
-    directory: str | Path,
-    names: Sequence[str] | None = None,
-    *,
-    run_ids: list[int] | None = None,
-    verify: bool = True,
-) -> pa.Table:
-    """Read rows of the summary, ordered by run_id.
-
-    Args:
-        directory: results directory.
-        names: columns to read, in this order; None for all.
-        run_ids: runs to read; None for all.
-        verify: whether to compare every part with the manifest's SHA-256, once per process.
-
-    Raises:
-        InputError: the directory holds no results, a part has changed, or a column is missing.
-    """
-    directory = Path(directory)
-    rows = None if run_ids is None else ds.field("run_id").isin(run_ids)
-    there = query(directory, "summary", lambda dataset: dataset.schema, verify=verify)
-    later = _later(there)
-    wanted = [*there.names, *later] if names is None else list(names)
-    if missing := [name for name in wanted if name not in there.names and name not in later]:
-        raise InputError(f"{directory}: summary: column {missing[0]} is missing")
-    needed = {"run_id", *wanted, *filter(None, map(later.get, wanted))}
-    names = sorted(needed - later.keys())
-    table = _read(directory, "summary", verify=verify, columns=names, filter=rows)
-    table = table.sort_by("run_id")
-    for name in needed & later.keys():
-        source = later[name]
-        dtype = pa.bool_() if name in _FLAGS else pa.float64()
-        values = pc.is_valid(table[source]) if source else pa.nulls(table.num_rows, dtype)
-        table = table.append_column(name, values)
-    return table.select(wanted)
-
-
-_FLAGS = {"has_limit": "floor_arcmin", "ok_limit": "settle_10_s", "ok_truth": None}
-"""Flags added in schema 2, and the columns of schema 1 that are not null where a flag is true."""
-
-
-def _later(there: pa.Schema) -> dict[str, str | None]:
-    """Columns missing from a summary of schema 1, with the source column of flags as in `_FLAGS`.
-
-    Settling times about the truth were not recorded and are null.
-    """
-    if (there.metadata or {}).get(b"sinsjax.schema") != b"1":
-        return {}
-    settling = [name for name in there.names if name.startswith("settle_")]
-    ends = (re.sub(r"^(settle_[^_]+)", r"\1_truth", name) for name in settling)
-    return _FLAGS | dict.fromkeys(ends)
-
-
-def count_runs(directory: str | Path) -> int:
-    """Number of rows of the summary, after comparing every part with the manifest.
-
-    Raises:
-        InputError: the directory holds no results, or a part has changed.
-    """
-    return query(Path(directory), "summary", lambda dataset: dataset.count_rows())
-
-
-def read_curves(
-    directory: str | Path, run_ids: list[int] | None = None, *, verify: bool = True
-) -> pa.Table:
-    """Read rows of the curves, ordered by run_id and time; empty if none were stored.
-
-    Args:
-        directory: results directory.
-        run_ids: runs to read; None for all.
-        verify: whether to compare every part with the manifest's SHA-256, once per process.
-
-    Raises:
-        InputError: a part has changed or cannot be read.
-    """
-    directory = Path(directory)
-    if not is_there(directory, "curves", verify=verify):
-        return columns.schema(columns.CURVES).empty_table()
-    wanted = None if run_ids is None else ds.field("run_id").isin(run_ids)
-    table = _read(directory, "curves", verify=verify, filter=wanted)
-    return table.sort_by([("run_id", "ascending"), ("time_s", "ascending")])
-
-
-def _read(directory: Path, name: str, *, verify: bool, **options: Any) -> pa.Table:
-    """Rows of a dataset."""
-    table = query(directory, name, lambda dataset: dataset.to_table(**options), verify=verify)
-    # The metadata of the first part does not apply to the others.
-    return table.replace_schema_metadata({"sinsjax.schema": columns.SCHEMA_VERSION})

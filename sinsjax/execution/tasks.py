@@ -8,23 +8,25 @@ import hashlib
 import json
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
 from itertools import product
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from sinsjax import columns
 from sinsjax.engine.alike import find_alike
 from sinsjax.engine.batch import Calls, in_threads, targets
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.lanes import LANES, Group
-from sinsjax.execution import stopping
+from sinsjax.execution import results, sealed, stopping
+from sinsjax.execution.directory import FileState
+from sinsjax.execution.forecast import Forecast
 from sinsjax.execution.linearity import Linearity
 from sinsjax.execution.outputs import output_of
 from sinsjax.records.reference import StoredRecord
@@ -37,14 +39,22 @@ _PARTS_READY = 3  # a part has its own increments; threads at the border of two 
 
 
 class Job(NamedTuple):
-    """All that a worker needs to run a study.
+    """A study that is ready to run, see `prepare.prepare`.
 
     Attributes:
-        study: checked study.
+        study: checked study, at the rate of its record.
         stored: the record of a recorded study.
         curves: whether to keep curves; None follows the study.
         chunk_runs: runs per chunk, rounded to two or more whole tiles; None for the default.
         extended_at: numbers of draws that its results had before each extension, ascending.
+        directory: results directory; None for tables in memory.
+        overwrite: whether existing results are removed.
+        resume: whether existing results are continued.
+        seen: state of the directory's manifest when it was checked.
+        source: the study's file, or words for it.
+        warnings: doubts about the study or its record, one line each.
+        notes: what a user should know beside that, one line each.
+        forecast: expected runs, time, memory and disk space.
     """
 
     study: Study
@@ -52,6 +62,14 @@ class Job(NamedTuple):
     curves: bool | None = None
     chunk_runs: int | None = None
     extended_at: tuple[int, ...] = ()
+    directory: Path | None = None
+    overwrite: bool = False
+    resume: bool = False
+    seen: FileState | None = None
+    source: str | None = None
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    forecast: Forecast | None = None
 
     @property
     def first_draws(self) -> int:
@@ -101,11 +119,13 @@ class TaskResult(NamedTuple):
     Attributes:
         task: the task.
         tables: by dataset.
+        failures: runs that diverged or became non-finite.
         seconds: time taken without compilation, s.
     """
 
     task: Task
     tables: dict[str, pa.Table]
+    failures: int
     seconds: float
 
 
@@ -219,42 +239,31 @@ class TaskRunner:
         tables = self._output.tables(chunk, self.scenario.variant_ids[task.part])
         if self._linearity:
             tables = {"estimates": self._linearity.checked(task.part, tables["estimates"])}
-        return TaskResult(task, tables, time.perf_counter() - since)
-
-    def failures(self, tables: Mapping[str, pa.Table]) -> int:
-        """Return the number of runs in these tables that diverged or became non-finite."""
-        return self._output.failures(tables)
+        seconds = time.perf_counter() - since
+        return TaskResult(task, tables, self._output.failures(tables), seconds)
 
     def pack(self, task: Task) -> EncodedResult:
         """Compute the Parquet files of one task: the same bytes on any machine."""
-        _, tables, seconds = self.do(task)
+        _, tables, failures, seconds = self.do(task)
         files = {name: self.parquet(name, table, task) for name, table in tables.items()}
-        return EncodedResult(task, files, self.failures(tables), seconds)
+        return EncodedResult(task, files, failures, seconds)
 
     def parquet(self, dataset: str, table: pa.Table, task: Task) -> bytes:
-        """A table of a task as a Parquet file: the same rows give the same bytes.
+        """Return a table of a task as a sealed Parquet file: the same rows give the same bytes.
 
         Raises:
             ValueError: the table lacks columns of the dataset.
         """
         schema = columns.schema(self.layouts[dataset])
-        marked = table.cast(schema.with_metadata(schema.metadata | self._marks(task)))
-        sink = pa.BufferOutputStream()
-        # Numbers seldom repeat: a dictionary would make them larger and three times as slow.
-        encoded = {"compression": "zstd", "use_dictionary": False, "write_page_checksum": True}
-        pq.write_table(marked, sink, **encoded)
-        return sink.getvalue().to_pybytes()
+        return sealed.sealed_parquet(table.cast(schema), self.marks(dataset, task))
 
-    def _marks(self, task: Task) -> dict[bytes, bytes]:
-        """Metadata of a part, without time or host name, which would change its bytes."""
-        chunk = {**task._asdict(), "chunk_runs": self.job.chunk_runs}
-        del chunk["rows"]
+    def marks(self, dataset: str, task: Task) -> dict[str, str]:
+        """Return the metadata of a part, without time or host, which would change its bytes."""
+        chunk: dict[str, Any] = {"dataset": dataset, **task._asdict()}
+        chunk |= {"rows": dict(task.rows)[dataset], "chunk_runs": self.job.chunk_runs}
         if before := [end for end in self.job.extended_at if end <= task.draws[0]]:
             chunk["extended_at"] = before
-        return {
-            b"sinsjax.study": self.identity.encode(),
-            b"sinsjax.chunk": json.dumps(chunk).encode(),
-        }
+        return {results.STUDY_MARK: self.identity, results.CHUNK_MARK: json.dumps(chunk)}
 
     def _made(self, number: int, draws: range, *, blank: bool = False) -> Group:
         alike = self._alike[number]
@@ -278,12 +287,12 @@ class Executor(NamedTuple):
     """A means of running tasks.
 
     Attributes:
-        do: yields results in any order. It takes the next task from the iterable only when it has
-            room for it, so that the caller can stop early.
+        do: yields results in any order, as Parquet files for a directory. It takes the next task
+            from the iterable only when it has room for it, so that the caller can stop early.
         facts: manifest entries about the machines of this session.
     """
 
-    do: Callable[[TaskRunner, Iterable[Task]], Iterator[EncodedResult]]
+    do: Callable[[TaskRunner, Iterable[Task]], Iterator[Any]]
     facts: dict[str, Any]
 
 
@@ -295,3 +304,8 @@ def on_this_machine() -> Executor:
         lambda runner, tasks: in_threads(runner.pack, tasks, devices),
         {"devices": devices, "devices_are": are},
     )
+
+
+def in_memory() -> Executor:
+    """Return an executor on all devices of this process whose results are tables."""
+    return Executor(lambda runner, tasks: in_threads(runner.do, tasks, len(jax.devices())), {})

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from sinsjax import console as screen
 from sinsjax.errors import InputError
-from sinsjax.execution.belongings import list_figures
+from sinsjax.execution.directory import list_figures
 from sinsjax.execution.source import Source
 from sinsjax.messages import shortened
 from sinsjax.platform.files import require_writable
@@ -21,7 +21,7 @@ from sinsjax.report.markup import template
 from sinsjax.report.names import NO_NAMES
 from sinsjax.report.output import FIGURES, Made, print_report, save_figures, write_html, write_page
 from sinsjax.tuning import results
-from sinsjax.tuning.carry_out import is_tuning
+from sinsjax.tuning.run_tuning import is_tuning
 
 
 def summarise(

@@ -13,12 +13,12 @@ from sinsjax.analysis.summaries import NEEDED, estimate_of
 from sinsjax.analysis.words import heading, percent
 from sinsjax.columns import report_columns
 from sinsjax.execution import stopping
-from sinsjax.execution.groupings import BINS, binned
 from sinsjax.execution.source import Source
 from sinsjax.messages import counted
 from sinsjax.plots.words import name_of
 from sinsjax.report.attitudes import attitudes
 from sinsjax.report.base import MOST_ROWS, Block, Picture, Report, Table, Text, intervals, table_of
+from sinsjax.report.groupings import BINS, binned
 from sinsjax.report.markup import said
 from sinsjax.report.over_axes import over_axes, repeats
 from sinsjax.report.spreads import spreads
@@ -78,10 +78,9 @@ def _shown(source: Source) -> list[_Shown]:
     yards = source.yardsticks
     missing = [yard for yard in yardsticks(source.study) if yard not in yards]
     aim = "the reference" if source.study.is_recorded else "its limit"
-    lost = "not recorded" if source.schema == "1" else "no limit"
     return [
         *(_Shown(f"ok: {y.words} (%)", y.rate, percent, not y.truth) for y in yards),
-        *(_Shown(f"ok: {y.words} (%)", y.rate, lambda _: lost) for y in missing),
+        *(_Shown(f"ok: {y.words} (%)", y.rate, lambda _: "no limit") for y in missing),
         *(
             _Shown(f"time to {y.words}, median (s)", f"{y.settle}_median", seconds, not y.truth)
             for y in yards

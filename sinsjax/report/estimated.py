@@ -7,11 +7,11 @@ import numpy as np
 
 from sinsjax import analysis, columns, plots
 from sinsjax.analysis import UNKNOWN, Estimate, format_estimate, format_number
-from sinsjax.execution.groupings import lines_of
 from sinsjax.execution.source import Source
 from sinsjax.messages import counted
 from sinsjax.plots import Shown
 from sinsjax.report.base import Block, Picture, Report, Table, table_of
+from sinsjax.report.groupings import lines_of
 from sinsjax.report.markup import said
 from sinsjax.report.over_axes import Maps, repeats
 from sinsjax.study.keys import is_chosen

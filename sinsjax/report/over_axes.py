@@ -11,12 +11,12 @@ from sinsjax.analysis import format_estimate
 from sinsjax.analysis.grids import Cells, Panel
 from sinsjax.analysis.summaries import NEEDED, estimate_of
 from sinsjax.analysis.words import percent
-from sinsjax.execution.groupings import BINS, binned, lines_of
 from sinsjax.execution.source import Source
 from sinsjax.messages import counted
 from sinsjax.plots import Shown
 from sinsjax.plots.words import name_of, value_text
 from sinsjax.report.base import Block, Picture, Table, Text, intervals
+from sinsjax.report.groupings import BINS, binned, lines_of
 from sinsjax.report.markup import said
 from sinsjax.study.acting import first_alike, idle_keys
 from sinsjax.study.keys import is_chosen

@@ -7,11 +7,11 @@ import numpy as np
 from sinsjax import analysis, plots
 from sinsjax.alignment.filters.description import OF_BIASES
 from sinsjax.alignment.methods import METHODS
-from sinsjax.execution.groupings import keys_of_lines
 from sinsjax.execution.source import Source
 from sinsjax.plots.beliefs import SHARES, BeliefPanel
 from sinsjax.plots.words import name_of
 from sinsjax.report.base import Picture, Text
+from sinsjax.report.groupings import keys_of_lines
 from sinsjax.report.markup import said
 from sinsjax.study.distributions import BIASES
 from sinsjax.units import ARCMIN, MICRO

@@ -15,8 +15,8 @@ from sinsjax.study.search_space import Variable
 from sinsjax.study.success import yardsticks
 from sinsjax.study.tuned_keys import TIMES
 from sinsjax.tuning import objective
-from sinsjax.tuning.carry_out import GRADIENT
 from sinsjax.tuning.results import Tuning, words
+from sinsjax.tuning.run_tuning import GRADIENT
 
 NEAR_S = 1.0
 """Resets closer than this are told as a double one, s."""

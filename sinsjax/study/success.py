@@ -140,11 +140,5 @@ def _yardstick(study: Study, band: float, truth: bool) -> Yardstick:
     )
 
 
-def as_of_schema_1(study: Study) -> Study:
-    """A study of results of the first schema, whose runs were judged from their limit alone."""
-    settings = study.study.model_copy(update={"judged_from": "limit", "dwell_s": 0.0})
-    return study.model_copy(update={"study": settings})
-
-
 def _or(value: float | None, default: float) -> float:
     return default if value is None else value

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.execution import run as study_run
-from sinsjax.execution.run import RunProgress, Tell
+from sinsjax.execution.run import RunProgress, Tell, run_in_memory
+from sinsjax.execution.tasks import Job
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
@@ -118,7 +118,7 @@ class _Evolution:
         looks, points = zip(*list(best.values())[: self._tune.evolution_finalists], strict=True)
         derived, cases = self._derived(points)
         found = search.run_values(
-            self._study, derived, study_run.run(derived, curves=False).summary
+            self._study, derived, run_in_memory(Job(derived, curves=False))["summary"]
         )
         scores = self._scores(derived, cases, found)
         for look, score in zip(looks, scores, strict=True):

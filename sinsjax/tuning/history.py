@@ -1,23 +1,26 @@
 """History of a tuning run: one row per evaluated point, in order of evaluation."""
 
+import tomllib
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from sinsjax.columns import Column, schema
+from sinsjax.columns import SCHEMA_VERSION, Column, schema
 from sinsjax.errors import InputError
-from sinsjax.messages import first_line
+from sinsjax.execution import sealed
 from sinsjax.platform.files import replacing
 from sinsjax.study.keys import TomlTable, meaning
+from sinsjax.study.load import study_from_dict, study_to_toml
 from sinsjax.study.search_space import SearchSpace
+from sinsjax.study.study import Study
 from sinsjax.units import split_unit
 
 FILE = "history.parquet"
+_STUDY_MARK = "sinsjax.tuning"
 _F, _I, _S = pa.float64(), pa.int64(), pa.string()
 
 
@@ -116,10 +119,29 @@ def columns_of(space: SearchSpace) -> tuple[Column, ...]:
     )
 
 
-def write(directory: Path, space: SearchSpace, found: Iterable[Found]) -> None:
-    """Write the history of some searches atomically."""
+def write(directory: Path, study: Study, found: Iterable[Found]) -> None:
+    """Write the history of some searches atomically, sealed and with the study that they tune.
+
+    Args:
+        directory: directory of the tuning run.
+        study: study with [tune].
+        found: searches.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    table = _table(SearchSpace.of(study), found)
     with replacing(directory / FILE) as file:
-        pq.write_table(_table(space, found), file, compression="zstd")
+        file.write(sealed.sealed_parquet(table, {_STUDY_MARK: study_to_toml(study)}))
+
+
+def read_study(directory: Path) -> Study | None:
+    """Return the study that a history tunes; None if there is no intact history."""
+    try:
+        text = (_read(directory).schema.metadata or {})[_STUDY_MARK.encode()].decode()
+        return study_from_dict(tomllib.loads(text), str(directory / FILE))
+    except (InputError, KeyError, ValueError):
+        return None
 
 
 def _table(space: SearchSpace, found: Iterable[Found]) -> pa.Table:
@@ -151,27 +173,36 @@ def read_history(directory: str | Path) -> pa.Table:
     Returns:
         One row per evaluated point, in order of evaluation: ``search``, ``step``, ``start``,
         ``candidate``, ``objective``, one column per variable, ``cost``, ``window_s``,
-        ``sharpness``, and since 0.6.0 ``estimated``; the schema has units and meanings.
+        ``sharpness`` and ``estimated``; the schema has units and meanings.
 
     Raises:
-        InputError: there is no history, or it cannot be read.
+        InputError: there is no history, or it has changed since it was written.
     """
-    path = Path(directory) / FILE
+    table = _read(Path(directory))
+    return table.replace_schema_metadata({"sinsjax.schema": SCHEMA_VERSION})
+
+
+def _read(directory: Path) -> pa.Table:
+    path = directory / FILE
     try:
-        return pq.read_table(path)
-    except (OSError, pa.ArrowException) as error:
-        raise InputError(f"{path}: cannot be read: {first_line(error)}") from error
+        return sealed.read_parquet(path)
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file") from None
+    except sealed.Damaged as error:
+        raise sealed.Damaged(f"{error} (`sinsjax tune --resume` makes it again)") from None
 
 
 def read(directory: Path, space: SearchSpace) -> list[Found]:
     """Read the searches of a history, in their order.
 
+    Args:
+        directory: directory of the tuning run.
+        space: search space of its study.
+
     Raises:
         InputError: the history cannot be read, or is of other variables.
     """
     table = read_history(directory)
-    if "estimated" not in table.column_names:  # before 0.6.0, which estimated nothing
-        table = table.append_column("estimated", pa.array([False] * table.num_rows))
     missing = {column.name for column in columns_of(space)}.difference(table.column_names)
     if missing:
         raise InputError(f"{directory / FILE}: column {sorted(missing)[0]} is missing")

@@ -13,14 +13,19 @@ from sinsjax.analysis import Estimate
 from sinsjax.analysis.estimates import bootstrap
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
-from sinsjax.study.load import load_study
 from sinsjax.study.ranges import TuneSection
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
-from sinsjax.study.success import as_of_schema_1, yardsticks
+from sinsjax.study.success import yardsticks
 from sinsjax.tuning import history, objective, search
-from sinsjax.tuning.carry_out import COVARIANCE, EVALUATION, GRADIENT, STUDY, require_tune
 from sinsjax.tuning.history import Evaluation, Found
+from sinsjax.tuning.run_tuning import (
+    COVARIANCE,
+    EVALUATION,
+    GRADIENT,
+    load_tuned_study,
+    require_tune,
+)
 
 SEARCHES = {
     "grid": "grid",
@@ -75,9 +80,7 @@ class Tuning:
     @classmethod
     def of(cls, source: Source) -> "Tuning":
         """Read a completed tuning run."""
-        study = load_study(source.directory / STUDY)
-        if source.schema == "1":
-            study = as_of_schema_1(study)
+        study = load_tuned_study(source.directory)
         found = history.read(source.directory, SearchSpace.of(study))
         return cls(
             study, source.study, source, {one.search.replace("_", " "): one for one in found}

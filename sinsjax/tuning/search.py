@@ -15,10 +15,10 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from sinsjax.execution import run as study_run
-from sinsjax.execution import tables as result_tables
-from sinsjax.execution.run import Tell
-from sinsjax.records.reference import StoredRecord
+from sinsjax.execution import results
+from sinsjax.execution.prepare import subordinate
+from sinsjax.execution.run import Tell, run_job
+from sinsjax.execution.tasks import Job
 from sinsjax.study import sampling, search_space
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import study_from_dict, tables_of
@@ -35,37 +35,25 @@ class SearchSession(NamedTuple):
     """Settings for running the searches of a tuning run.
 
     Attributes:
-        directory: directory of the tuning run.
-        stored: the record of a recorded study.
-        overwrite: whether to remove earlier results.
-        resume: whether to keep complete results.
+        job: prepared job of the tuning run.
         watch: gives the progress callback for the name of a search.
         stop: event that ends the tuning run.
-        source: the study's file, named in manifests.
     """
 
-    directory: Path
-    stored: StoredRecord | None
-    overwrite: bool
-    resume: bool
+    job: Job
     watch: Callable[[str], AbstractContextManager[Tell | None]]
     stop: threading.Event
-    source: Path | str | None
+
+    @property
+    def directory(self) -> Path:
+        """Directory of the tuning run."""
+        assert self.job.directory is not None
+        return self.job.directory
 
     def run(self, study: Study, name: str) -> Path:
         """Run a study without curves into a subdirectory; gives its path."""
         with self.watch(name) as tell:
-            study_run.run_into(
-                study,
-                self.directory / name,
-                self.stored,
-                curves=False,
-                overwrite=self.overwrite,
-                resume=self.resume,
-                tell=tell,
-                stop=self.stop,
-                source=self.source,
-            )
+            run_job(subordinate(self.job, study, name), tell=tell, stop=self.stop)
         return self.directory / name
 
 
@@ -170,7 +158,7 @@ def evaluate(study: Study, name: str, design: Design, session: SearchSession) ->
         study,
         name,
         points,
-        lambda derived: result_tables.read_summary(session.run(derived, name), names),
+        lambda derived: results.read_summary(session.run(derived, name), names),
     )
     paid = np.maximum.accumulate(taken) + 1
     return Found(

@@ -20,7 +20,7 @@ from support.studies import BASE, small_study, swing_deg
 
 from sinsjax import cli
 from sinsjax.engine import build
-from sinsjax.execution import tables
+from sinsjax.execution.results import read_curves, read_summary
 from sinsjax.records import PSINS_LAYOUT, Layout, read_psins, write_csv, write_parquet, write_psins
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
@@ -75,7 +75,7 @@ def test_run_writes_results_and_figures_and_prints_table(sinsjax: Command, tmp_p
     out = tmp_path / "out"
     code, told, _ = sinsjax("run", config, "-o", out)
     assert code == 0
-    summary, curves = tables.read_summary(out), tables.read_curves(out)
+    summary, curves = read_summary(out), read_curves(out)
     assert summary["run_id"].to_pylist() == list(range(6))
     assert summary["phi_u0_deg"].to_pylist() == [0.0, 30.0] * 3
     assert curves.num_rows == 6 * 6
@@ -215,7 +215,7 @@ def test_rerun_reproduces_stored_run(sinsjax: Command, tmp_path: Path) -> None:
     assert (code, error) == (0, "")
     assert "identical to the stored one" in told
     curve = pq.read_table(out / "reruns" / "3" / "curve.parquet")
-    row = tables.read_summary(out, run_ids=[3])
+    row = read_summary(out, run_ids=[3])
     assert curve["phi_u_arcmin"].to_pylist()[-1] == row["phi_u_arcmin"].to_pylist()[0]
     assert_refused(sinsjax("rerun", out, "--run-id", 6), tmp_path / "none", "run 6", "0 to 5")
     told = sinsjax("rerun", tmp_path / "nothing", "--run-id", 0)
@@ -274,7 +274,7 @@ def test_align_without_reference_gives_attitude_and_sigma_only(
     config, out = write_study(tmp_path, **RECORDED), tmp_path / "out"
     code, _, error = sinsjax("align", tmp_path / "swing.imu", config, "-o", out)
     assert (code, error) == (0, "")
-    summary = tables.read_summary(out)
+    summary = read_summary(out)
     assert summary["start_s"].to_pylist() == [0.0, 1.0]
     for name in ("phi_u_arcmin", "settle_10_s", "nees", "floor_arcmin", "status"):
         assert summary[name].null_count == 2
@@ -294,7 +294,7 @@ def test_align_with_reference_reports_true_misalignment(
     config, out = write_study(tmp_path, **RECORDED), tmp_path / "out"
     words = ("align", tmp_path / "swing.imu", config, "--reference", tmp_path / "true.csv")
     assert sinsjax(*words, "-o", out)[0] == 0
-    summary = tables.read_summary(out)
+    summary = read_summary(out)
     truth = 10 + 2.8 * np.sin(2 * np.pi * np.array([5.0, 6.0]) / 10)
     error = np.array(summary["yaw_deg"]) - truth
     # phi is the vector of C_true C_hat^T: about minus the error in yaw for small level angles.
@@ -332,7 +332,7 @@ def test_record_gives_same_heading_in_every_format(
         config = write_study(tmp_path, **changes)
         out = tmp_path / f"out-{name}"
         assert sinsjax("align", path, config, "-o", out)[0] == 0
-        yaw[name] = tables.read_summary(out)["yaw_deg"].to_pylist()[0]
+        yaw[name] = read_summary(out)["yaw_deg"].to_pylist()[0]
     assert yaw["a"] == yaw["b"]
     assert yaw["c"] == pytest.approx(yaw["a"], rel=1e-9)
     assert yaw["d"] == pytest.approx(yaw["a"], rel=1e-9)

@@ -16,7 +16,7 @@ from support.dying import Dying
 from support.kept import CHUNK_RUNS, assert_complete, manifest, parts, times
 from support.studies import small_study
 
-from sinsjax.execution import tables
+from sinsjax.execution.results import count_runs, read_curves, read_summary
 from sinsjax.platform import compile_cache
 from sinsjax.study.load import study_to_toml
 
@@ -155,11 +155,11 @@ def assert_sound(out: Path, whole: Path, made: dict[str, int]) -> None:
     done = summaries | {name.replace("summary", "curves") for name in summaries}
     made |= {name: now[name] for name in done}
     if summaries:
-        rows = tables.read_summary(out)
-        all_rows = tables.read_summary(whole)
-        assert rows.num_rows == CHUNK_RUNS * len(summaries) == tables.count_runs(out)
+        rows = read_summary(out)
+        all_rows = read_summary(whole)
+        assert rows.num_rows == CHUNK_RUNS * len(summaries) == count_runs(out)
         assert rows.equals(all_rows.take(rows["run_id"]))
-        curves = tables.read_curves(out, rows["run_id"].to_pylist())
+        curves = read_curves(out, rows["run_id"].to_pylist())
         assert curves.num_rows == RECORDS * rows.num_rows
     if (out / "manifest.json").exists():
         for chunk in manifest(out)["chunks"]:
@@ -199,8 +199,8 @@ def test_sweep_resumes_after_twenty_kills_without_loss(sweeps: Sweeps, whole: Pa
     assert "runs already there" in told
     assert_sound(out, whole, made)
     assert_complete(out, whole)
-    assert tables.read_summary(out).equals(tables.read_summary(whole))
-    assert tables.read_curves(out).equals(tables.read_curves(whole))
+    assert read_summary(out).equals(read_summary(whole))
+    assert read_curves(out).equals(read_curves(whole))
 
 
 def test_second_writer_is_refused_until_first_process_dies(sweeps: Sweeps, whole: Path) -> None:
@@ -332,11 +332,11 @@ def test_killed_extension_keeps_existing_results(
     process = sweeps.ready(point, "--draws", str(MORE)).go()
     assert exit_code(process) == -signal.SIGKILL, process.said()
     assert {name: times(out)[name] for name in there} == there
-    rows = tables.read_summary(out)
+    rows = read_summary(out)
     assert rows["draw_id"].to_numpy().max() >= STUDY.n_draws - 1
     assert (rows.num_rows > CHUNKS * CHUNK_RUNS) <= began
     code, _, error = sweeps.sweep("--draws", str(MORE))
     assert (code, error) == (0, "")
     assert {name: content for name, content in parts(out).items() if name in before} == before
-    rows = tables.read_summary(out)
+    rows = read_summary(out)
     assert rows["run_id"].to_pylist() == list(range(MORE * STUDY.n_variants))

@@ -11,7 +11,7 @@ import pytest
 from support.studies import small_study
 
 from sinsjax.execution import run
-from sinsjax.execution.tables import read_summary
+from sinsjax.execution.results import read_summary
 from sinsjax.platform import xla
 from sinsjax.study.load import study_to_toml
 

@@ -21,14 +21,15 @@ from support.studies import BASE, small_study
 import sinsjax.tuning
 from sinsjax.engine.build import simulated_record
 from sinsjax.errors import InputError, StudyInterrupted
-from sinsjax.execution import locking, tables
+from sinsjax.execution.directory import lock, read_manifest
+from sinsjax.execution.results import read_summary
 from sinsjax.execution.run import RunProgress
 from sinsjax.plots import descents
 from sinsjax.records import write_psins
 from sinsjax.report import tuned
 from sinsjax.study.load import Study, load_study, study_from_dict, with_point
 from sinsjax.study.search_space import SearchSpace, Variable
-from sinsjax.tuning import carry_out, history, objective, results, search
+from sinsjax.tuning import history, objective, results, run_tuning, search
 from sinsjax.tuning.history import Evaluation, Found
 from sinsjax.tuning.results import Tuning
 
@@ -98,7 +99,7 @@ def made(faked: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) ->
     """A tuning by grid and gradient; its study is beside it."""
     folder = tmp_path_factory.mktemp("tune")
     config = write(folder / "swing.toml")
-    carry_out.tune(load_study(config), folder / "out", source=config)
+    run_tuning.tune(load_study(config), folder / "out", source=config)
     return folder / "out"
 
 
@@ -112,14 +113,14 @@ def test_tuning_writes_study_history_and_evaluation(made: Path) -> None:
     assert [look.candidate for look in grid.looks] == [0] * 3 + [1] * 9
     assert grid.cost == 12 * COST and equal.cost == gradient.cost == 5 * COST
     np.testing.assert_array_equal([look.candidate for look in equal.looks], [0, 0, 0, 1, 1])
-    evaluation = tables.read_summary(made / "evaluation")
+    evaluation = read_summary(made / "evaluation")
     own = load_study(made / "evaluation" / "study.toml")
     assert (own.study.seed, own.n_draws, own.tune) == (2, 4, None)
     times = {row["case"]: row["reset_times_s"] for row in evaluation.to_pylist()}
     assert list(times) == ["baseline", "grid", "gradient", "equal cost"]
     assert times["baseline"] == [5.0, 10.0]
     assert times["gradient"] == [6.0, 12.0]
-    assert tables.read_manifest(made / "grid")["config"] == "swing.toml"
+    assert read_manifest(made / "grid")["config"] == "swing.toml"
 
 
 def test_tuned_study_has_best_point_of_tuning_draws(made: Path) -> None:
@@ -191,7 +192,7 @@ def test_report_refuses_evaluation_with_missing_runs(made: Path, tmp_path: Path)
 def test_scores_and_differences_use_common_draws(made: Path) -> None:
     tuning = Tuning.of(results.read(made))
     own, other = (tuning.runs[tuning.places[name]] for name in ("gradient", "grid"))
-    rows = tables.read_summary(made / "evaluation").to_pylist()
+    rows = read_summary(made / "evaluation").to_pylist()
     errors = [abs(row["phi_u_arcmin"]) for row in rows if row["case"] == "gradient"]
     assert own.shape == (2, 4) and sorted(own.ravel()) == pytest.approx(sorted(errors))
     worst = [np.sqrt(np.mean(runs**2, axis=1)).max() for runs in (own, other)]
@@ -220,7 +221,7 @@ def test_resumed_tuning_repeats_only_missing_parts(made: Path, tmp_path: Path, f
             runs[directory.name] = seen[-1]
 
         patch.setattr(search.study_run, "run_into", counted)
-        carry_out.tune(study, out, resume=True)
+        run_tuning.tune(study, out, resume=True)
     assert runs == {"grid": 0, "equal_cost": 5 * 6, "evaluation": 0}
     assert {name: everything(out / name / "summary") for name in whole} == whole
     assert (out / "tuned.toml").read_bytes() == (made / "tuned.toml").read_bytes()
@@ -263,9 +264,9 @@ def test_overwrite_removes_previous_tuning_results(
 
     monkeypatch.setattr(search.study_run, "run_into", stopped)
     with pytest.raises(StudyInterrupted):
-        carry_out.tune(load_study(out / "study.toml"), out, overwrite=True)
+        run_tuning.tune(load_study(out / "study.toml"), out, overwrite=True)
     assert not (out / "tuned.toml").exists() and not (out / "history.parquet").exists()
-    assert carry_out.is_tuning(out)
+    assert run_tuning.is_tuning(out)
 
 
 def test_resume_removes_temporary_files_of_killed_tuning(
@@ -282,7 +283,7 @@ def test_resume_removes_temporary_files_of_killed_tuning(
 
     monkeypatch.setattr(search.study_run, "run_into", stopped)
     with pytest.raises(StudyInterrupted):
-        carry_out.tune(load_study(out / "study.toml"), out, resume=True)
+        run_tuning.tune(load_study(out / "study.toml"), out, resume=True)
     left = {path.name for path in out.glob("*.tmp")}
     assert left == {"notes.tmp", ".tuned.toml.mine.tmp"}
 
@@ -293,13 +294,13 @@ def test_concurrent_tunings_in_one_directory_are_refused(
 ) -> None:
     """Not even between two searches, where no results are written."""
     out = shutil.copytree(made, tmp_path / "out")
-    held = locking.locked(out)
+    held = lock(out)
     before = everything(out)
     try:
         with pytest.raises(
             InputError, match=r"out: another process is writing there: pid \d+ on .+"
         ):
-            carry_out.tune(load_study(out / "study.toml"), out, **{how: True})
+            run_tuning.tune(load_study(out / "study.toml"), out, **{how: True})
     finally:
         held.release()
     assert everything(out) == before
@@ -309,7 +310,7 @@ def test_interrupted_tuning_raises_study_interrupted(tmp_path: Path, faked: Any)
     study, stop = load_study(write(tmp_path / "swing.toml")), threading.Event()
     stop.set()
     with pytest.raises(StudyInterrupted, match=r"0 of 72 runs are in .*grid"):
-        carry_out.tune(study, tmp_path / "out", stop=stop)
+        run_tuning.tune(study, tmp_path / "out", stop=stop)
     with pytest.raises(InputError, match=r"out: holds a tuning that is not complete \(`sinsjax tu"):
         told(tmp_path / "out")
     alone = load_study(write(tmp_path / "swing.toml", tune=TUNE | {"searches": ["gradient"]}))
@@ -317,7 +318,7 @@ def test_interrupted_tuning_raises_study_interrupted(tmp_path: Path, faked: Any)
         fake = sys.modules["sinsjax.tuning.descent"]
         patch.setattr(fake, "descend", lambda study, tape, tell: tell(RunProgress(0, 1, 0, 0)))
         with pytest.raises(StudyInterrupted, match="the complete searches are in"):
-            carry_out.tune(alone, tmp_path / "alone", stop=stop)
+            run_tuning.tune(alone, tmp_path / "alone", stop=stop)
 
 
 MISTAKES: dict[str, tuple[dict[str, Any], list[str], str]] = {
@@ -379,7 +380,7 @@ def test_tune_input_error_is_one_line(name: str, tmp_path: Path, sinsjax_: Comma
 def test_too_long_output_path_raises_input_error(tmp_path: Path) -> None:
     study = load_study(write(tmp_path / "swing.toml"))
     with pytest.raises(InputError, match="n: cannot be written: File name too long"):
-        carry_out.tune(study, tmp_path / ("n" * 5000))
+        run_tuning.tune(study, tmp_path / ("n" * 5000))
 
 
 def test_tune_refuses_output_path_with_foreign_files(tmp_path: Path, sinsjax_: Command) -> None:
@@ -405,7 +406,7 @@ def test_equal_points_are_evaluated_once_under_joined_names(
     monkeypatch.setattr(search.study_run, "run_into", run_into)
     monkeypatch.setattr(search.result_tables, "read_summary", lambda *_: pa.table({}))
     monkeypatch.setattr(objective, "values", lambda tune, own, _: np.ones((own.n_variants, 2)))
-    carry_out.tune(study, tmp_path / "out")
+    run_tuning.tune(study, tmp_path / "out")
     assert [case["case"] for case in seen[-1].cases] == ["baseline, grid"]
 
 
@@ -436,9 +437,9 @@ def test_tune_on_stored_record_splits_start_times(tmp_path: Path, sinsjax_: Comm
     code, said, error = sinsjax_(*words, "--reference", tmp_path / "true.csv")
     assert (code, error) == (0, "")
     assert "Tuned on 2 start times, judged on 1 others" in said
-    grid = tables.read_summary(tmp_path / "out" / "grid")
+    grid = read_summary(tmp_path / "out" / "grid")
     assert sorted(set(grid["start_s"].to_pylist())) == [0.0, 1.0]
-    judged = tables.read_summary(tmp_path / "out" / "evaluation")
+    judged = read_summary(tmp_path / "out" / "evaluation")
     assert set(judged["start_s"].to_pylist()) == {0.5}
     tuned_study = load_study(tmp_path / "out" / "tuned.toml")
     assert tuned_study.record is not None and len(tuned_study.record.start_s) == 3

@@ -15,6 +15,7 @@ from support.studies import STILL, small_study
 from sinsjax import analysis, report
 from sinsjax.errors import InputError
 from sinsjax.execution import run, tables
+from sinsjax.execution.results import read_summary
 from sinsjax.execution.source import Source
 from sinsjax.study import success
 from sinsjax.study.fingerprint import fingerprint
@@ -201,14 +202,14 @@ def stored(tmp_path: Any, schema: str) -> tuple[Study, Any]:
 
 def test_schema_1_results_are_read_as_judged_from_bias_floor(tmp_path: Any) -> None:
     study, out = stored(tmp_path, "1")
-    table = tables.read_summary(out)
+    table = read_summary(out)
     assert table["ok_truth"].null_count == table["settle_10_truth_s"].null_count == table.num_rows
     assert table["has_limit"].to_pylist() == [True] * table.num_rows
     settled = [time is not None for time in table["settle_10_s"].to_pylist()]
     assert table["ok_limit"].to_pylist() == settled
-    assert tables.read_summary(out, ["ok_limit", "run_id"]).column_names == ["ok_limit", "run_id"]
+    assert read_summary(out, ["ok_limit", "run_id"]).column_names == ["ok_limit", "run_id"]
     with pytest.raises(InputError, match="column ok_never is missing"):
-        tables.read_summary(out, ["ok_never"])
+        read_summary(out, ["ok_never"])
     source = Source.read(out)
     assert success.success_of(source.study).judged_from == "limit"
     assert [yard.truth for yard in source.yardsticks] == [False]

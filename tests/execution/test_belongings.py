@@ -8,7 +8,7 @@ from support.studies import small_study
 import sinsjax
 from sinsjax import cli
 from sinsjax.errors import InputError
-from sinsjax.execution import belongings
+from sinsjax.execution.directory import list_figures, owned_files
 
 
 def test_figure_list_ignores_outside_paths_and_malformed_content(tmp_path: Path) -> None:
@@ -16,15 +16,15 @@ def test_figure_list_ignores_outside_paths_and_malformed_content(tmp_path: Path)
     out = tmp_path / "out"
     (out / "figures").mkdir(parents=True)
     (tmp_path / "mine.png").write_bytes(b"mine")
-    belongings.list_figures({"../../mine.png": b"mine", "a.png": b"a"}, out)
+    list_figures({"../../mine.png": b"mine", "a.png": b"a"}, out)
     (out / "figures" / "a.png").write_bytes(b"a")
     listed = out / ".figures.json"
-    assert belongings.made_here(out) == [out / "figures" / "a.png", listed]
-    belongings.list_figures({"b.png": b"b"}, out)
-    assert belongings.made_here(out) == [out / "figures" / "a.png", listed]
+    assert owned_files(out) == [out / "figures" / "a.png", listed]
+    list_figures({"b.png": b"b"}, out)
+    assert owned_files(out) == [out / "figures" / "a.png", listed]
     for content in ("[]", "{", "3", "[" * 100_000):
         listed.write_text(content)
-        assert belongings.made_here(out) == [listed]
+        assert owned_files(out) == [listed]
 
 
 def test_empty_results_directory_name_is_refused(

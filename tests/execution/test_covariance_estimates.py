@@ -19,10 +19,10 @@ from support.studies import STILL, small_study
 
 from sinsjax import columns
 from sinsjax.errors import InputError
-from sinsjax.execution import forecast, rerun, resume, tables
+from sinsjax.execution import forecast, rerun, resume
 from sinsjax.execution import run as study_run
-from sinsjax.execution.estimated_curves import estimated_curves
-from sinsjax.execution.estimates import read_estimates
+from sinsjax.execution.estimates import estimated_curves
+from sinsjax.execution.results import read_estimates, read_summary
 from sinsjax.execution.tasks import Executor, Job, TaskRunner
 from sinsjax.study.load import Study, study_to_toml
 
@@ -268,7 +268,7 @@ def test_draws_study_replaces_estimates_only_with_overwrite(whole: Path, tmp_pat
 
 def test_operations_that_need_runs_are_refused_for_estimates(whole: Path) -> None:
     with pytest.raises(InputError) as caught:
-        tables.read_summary(whole)
+        read_summary(whole)
     assert str(caught.value) == (
         f"{whole}: holds estimates of variants, and no runs (`read_estimates` reads them)"
     )

@@ -28,9 +28,9 @@ from support.studies import BASE, small_study
 
 from sinsjax.errors import InputError
 from sinsjax.execution import dask_client, dask_pool, dask_worker, run
-from sinsjax.execution import tables as result_tables
 from sinsjax.execution import tasks as study_tasks
 from sinsjax.execution.dask_worker import SentJob
+from sinsjax.execution.directory import read_manifest
 from sinsjax.platform import compile_cache, runtime, xla
 from sinsjax.study.load import Study, study_from_dict
 
@@ -113,7 +113,7 @@ class TestTwoWorkers:
         assert len(here) == 19
         assert "ok" in rows(tmp_path)["status"].to_pylist()
         assert parts(tmp_path) == here
-        (session,) = result_tables.read_manifest(tmp_path)["sessions"]
+        (session,) = read_manifest(tmp_path)["sessions"]
         assert (session["workers"], session["scheduler"]) == (2, "local")
 
     def test_filter_on_workers_gives_same_bytes_as_local_run(
@@ -284,7 +284,7 @@ class TestOneScheduler:
         with dask_pool.executor(scheduler=scheduler) as executor:
             run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
         assert parts(tmp_path) == here
-        (session,) = result_tables.read_manifest(tmp_path)["sessions"]
+        (session,) = read_manifest(tmp_path)["sessions"]
         assert (session["workers"], session["scheduler"]) == (1, scheduler)
 
     def test_worker_address_is_refused_as_scheduler(self, scheduler: str) -> None:
@@ -567,7 +567,7 @@ def test_ctrl_c_finishes_running_chunks_and_resume_completes_sweep(
     assert len(children) == 2 and not psutil.wait_procs(children, timeout=60)[1]
     there = parts(out)
     assert there.items() < here.items()
-    chunks = result_tables.read_manifest(out)["chunks"]
+    chunks = read_manifest(out)["chunks"]
     assert sum(chunk["state"] == "done" for chunk in chunks) == len(there)
 
     process = sweep(out, "--workers", "1", "--resume")

@@ -10,7 +10,9 @@ from support.kept import study_of, times
 from support.studies import small_study
 
 from sinsjax.errors import InputError
-from sinsjax.execution import rerun, resume, run, tables
+from sinsjax.execution import rerun, resume, run
+from sinsjax.execution.directory import read_manifest
+from sinsjax.execution.results import read_summary
 from sinsjax.study.study import Study
 
 pytestmark = pytest.mark.optimised(False)
@@ -36,14 +38,14 @@ def assert_extended(
     parts = {name for name in before if name.endswith(".parquet")}
     assert parts and {name: after[name] for name in parts} == {n: before[n] for n in parts}
     at_once = run.run(second, chunk_runs=chunk_runs)
-    assert tables.read_summary(out).equals(at_once.summary.cast(tables.read_summary(out).schema))
+    assert read_summary(out).equals(at_once.summary.cast(read_summary(out).schema))
     return out
 
 
 @pytest.mark.parametrize("chunk_runs", [None, 128])
 def test_extended_rows_equal_sweep_with_all_draws(tmp_path: Path, chunk_runs: int | None) -> None:
     out = assert_extended(of(150), of(170), tmp_path, chunk_runs)
-    told = tables.read_manifest(out)
+    told = read_manifest(out)
     assert (told["state"], told["draws"], told["extended_at"]) == ("complete", 170, [150])
     before = times(out)
     run.run_into(of(170), out, resume=True)  # and gone on with as any other
@@ -51,10 +53,8 @@ def test_extended_rows_equal_sweep_with_all_draws(tmp_path: Path, chunk_runs: in
         n: t for n, t in before.items() if "part" in n
     }
     run.run_into(of(200), out, resume=True)
-    assert tables.read_manifest(out)["extended_at"] == [150, 170]
-    assert tables.read_summary(out).equals(
-        run.run(of(200)).summary.cast(tables.read_summary(out).schema)
-    )
+    assert read_manifest(out)["extended_at"] == [150, 170]
+    assert read_summary(out).equals(run.run(of(200)).summary.cast(read_summary(out).schema))
 
 
 @pytest.mark.slow
@@ -80,7 +80,7 @@ def test_extended_study_stops_at_same_draw_as_full_study(tmp_path: Path, half_wi
     run.run_into(of(140, **tables_), out, resume=True)
     at_once = run.run(of(140, **tables_)).summary
     assert at_once.num_rows == 3 * (140 if half_width < 0.5 else 64)
-    assert tables.read_summary(out).equals(at_once.cast(tables.read_summary(out).schema))
+    assert read_summary(out).equals(at_once.cast(read_summary(out).schema))
 
 
 @pytest.mark.slow
@@ -92,13 +92,13 @@ def test_extension_keeps_duplicate_variants(tmp_path: Path) -> None:
 
 def test_extended_results_are_recovered_without_manifest(tmp_path: Path) -> None:
     out = assert_extended(of(80), of(100), tmp_path)
-    told = tables.read_manifest(out)
+    told = read_manifest(out)
     (out / "manifest.json").unlink()
     before = {n: t for n, t in times(out).items() if "part" in n}
     run.run_into(of(100), out, resume=True)
-    again = tables.read_manifest(out)
+    again = read_manifest(out)
     assert (again["identity"], again["extended_at"]) == (told["identity"], [80])
-    assert tables.read_summary(out).num_rows == 300
+    assert read_summary(out).num_rows == 300
     assert before.keys() == {n for n in times(out) if "part" in n}
 
 

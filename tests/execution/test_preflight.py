@@ -15,8 +15,9 @@ from support.studies import small_study
 
 from sinsjax.engine import build
 from sinsjax.errors import InputError
-from sinsjax.execution import run, tables
-from sinsjax.execution.preflight import process_noise, warnings_of
+from sinsjax.execution import prepare, run
+from sinsjax.execution.checks import process_noise, study_warnings
+from sinsjax.execution.directory import read_manifest
 from sinsjax.records import Layout, Record, Reference, means, write_csv
 from sinsjax.records.plausible import Finding, StationaryValues, findings
 from sinsjax.records.reference import StoredRecord
@@ -200,7 +201,7 @@ def test_hard_findings_are_refused_unless_record_is_trusted(tmp_path: Path) -> N
         run.run(recorded(), tape)
     assert (
         "points down"
-        in warnings_of(run.made_ready(recorded(record={"trust": True}), tape)[0], tape)[0]
+        in study_warnings(run.made_ready(recorded(record={"trust": True}), tape)[0], tape)[0]
     )
 
 
@@ -263,7 +264,7 @@ def test_fractional_rate_and_late_clock_use_record_times(tmp_path: Path) -> None
         coarse={"coarse_duration_s": 10.0},
         alignment={"feedback_interval_s": 0.1},
     )
-    tape = run.load_tape(study, tmp_path / "drive.csv", tmp_path / "r.csv")
+    tape = prepare.load_tape(study, tmp_path / "drive.csv", tmp_path / "r.csv")
     assert tape.record.rate_hz == pytest.approx(rate, rel=1e-9)
     made = run.run(study, tape, curves=True)
     times = made.curves["time_s"].to_pylist()[:4]
@@ -299,7 +300,7 @@ def test_shipped_studies_of_real_record_give_no_warnings(name: str, data_dir: Pa
     gc.collect()
     study = load_study(Path(__file__).parents[2] / "configs" / f"{name}.toml")
     assert study.is_recorded
-    tape = run.load_tape(study, data_dir / "lasergyro_0_900.imu")
+    tape = prepare.load_tape(study, data_dir / "lasergyro_0_900.imu")
     assert run.made_ready(study, tape)[1] == []
 
 
@@ -309,27 +310,29 @@ def test_shipped_studies_of_real_record_give_no_warnings(name: str, data_dir: Pa
 def test_gauss_markov_surge_warning_states_acceleration() -> None:
     """0.1 m/s and 5 s at 100 Hz: 0.1 sqrt(2 / (5 * 0.01)) to a thousandth."""
     surge = {"surge_m_per_s": [0.1, 0.05, 0.0], "surge_model": "gauss_markov"}
-    (line,) = warnings_of(small_study(motion=surge))
+    (line,) = study_warnings(small_study(motion=surge))
     assert line == (
         "[motion] surge_model: the acceleration of a 'gauss_markov' surge grows with the rate,"
         " 0.632 m/s^2 rms at 100 Hz"
     )
-    assert not warnings_of(small_study(motion=surge | {"surge_model": "third_order"}))
+    assert not study_warnings(small_study(motion=surge | {"surge_model": "third_order"}))
 
 
 def test_sway_above_half_sample_rate_is_reported_as_aliased(tmp_path: Path) -> None:
     study = small_study(motion={"roll_period_s": 0.0125})
-    (line,) = warnings_of(study)
+    (line,) = study_warnings(study)
     assert line == (
         "[motion] roll_period_s: a sway of 80 Hz is above half of rate_hz = 100, so it is"
         " aliased to a slower one"
     )
     run.run_into(study, tmp_path / "out")
-    assert tables.read_manifest(tmp_path / "out")["warnings"] == [line]
-    assert not warnings_of(small_study(motion={"roll_period_s": 0.0125, "roll_amplitude_deg": 0.0}))
-    assert not warnings_of(small_study()) and not warnings_of(small_study(motion=STILL))
+    assert read_manifest(tmp_path / "out")["warnings"] == [line]
+    assert not study_warnings(
+        small_study(motion={"roll_period_s": 0.0125, "roll_amplitude_deg": 0.0})
+    )
+    assert not study_warnings(small_study()) and not study_warnings(small_study(motion=STILL))
     swept = small_study(axes={"yaw_period_s": [10.0, 0.015]})
-    assert "66.67 Hz" in warnings_of(swept)[0]
+    assert "66.67 Hz" in study_warnings(swept)[0]
 
 
 def with_noise(sensors: dict[str, float], **sections: dict[str, Any]) -> Study:

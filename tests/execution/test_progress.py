@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import pytest
 from rich.console import Console
 
-from sinsjax.execution import progress
+from sinsjax.cli import progress
 from sinsjax.execution.run import RunProgress
 
 

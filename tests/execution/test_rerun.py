@@ -19,8 +19,9 @@ from support.studies import small_study, with_truth
 from sinsjax.alignment import methods
 from sinsjax.engine import build
 from sinsjax.errors import InputError
-from sinsjax.execution import rerun, tables
+from sinsjax.execution import rerun
 from sinsjax.execution import run as study_run
+from sinsjax.execution.results import count_runs, read_summary
 from sinsjax.records import PSINS_LAYOUT, read_psins, write_psins
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import Study, study_from_dict
@@ -151,7 +152,7 @@ def rerun_into(directory: Path, run_id: int, **options: Any) -> str:
 def test_rerun_from_directory_is_printed_and_stored(out: Path, tmp_path: Path) -> None:
     before = everything(out)
     told = rerun_into(out, 77, out=tmp_path / "one")
-    stored = tables.read_summary(out, run_ids=[77])
+    stored = read_summary(out, run_ids=[77])
     assert f"The row is identical to the stored one in all {stored.num_columns} columns." in told
     assert f"phi_u_arcmin  {stored['phi_u_arcmin'][0].as_py()}\n" in told
     assert pq.read_table(tmp_path / "one" / "summary.parquet").to_pylist() == stored.to_pylist()
@@ -166,7 +167,7 @@ def test_rerun_from_directory_is_printed_and_stored(out: Path, tmp_path: Path) -
         "curve.parquet",
         "curve.png",
     }
-    assert tables.count_runs(out) == STUDY.n_draws * STUDY.n_variants
+    assert count_runs(out) == STUDY.n_draws * STUDY.n_variants
     study_run.run_into(STUDY, out, resume=True)
     assert (out / "reruns" / "78" / "curve.parquet").exists()
 

@@ -12,11 +12,12 @@ from support.studies import small_study
 
 from sinsjax.alignment import methods
 from sinsjax.errors import InputError
-from sinsjax.execution import resume, run, tasks
-from sinsjax.execution.kept_study import kept_study
+from sinsjax.execution import run, tasks
+from sinsjax.execution.directory import read_manifest
+from sinsjax.execution.results import load_stored_study
 from sinsjax.execution.source import Source
-from sinsjax.execution.tables import read_manifest
 from sinsjax.platform import runtime, xla
+from sinsjax.study.differences import differences
 from sinsjax.study.load import study_to_toml
 
 pytestmark = pytest.mark.optimised(False)
@@ -53,7 +54,7 @@ ZIP = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 1.0, 2.0]}
 def test_differences_between_studies_name_changed_keys(
     there: dict[str, Any], here: dict[str, Any], told: list[str]
 ) -> None:
-    assert resume.differences(small_study(**there), small_study(**here)) == told
+    assert differences(small_study(**there), small_study(**here)) == told
 
 
 @pytest.mark.parametrize("name", ["jaxlib", "scipy"])
@@ -83,7 +84,7 @@ def test_resume_with_other_version_of_method_package_is_refused(
     monkeypatch.setitem(methods.PACKAGES, "kalman5", ("bringing", "1.1"))
     with pytest.raises(InputError, match=r"computed with bringing 1\.0, but here is 1\.1 \("):
         run.run_into(study, out, resume=True)
-    assert kept_study(out) == study
+    assert load_stored_study(out) == study
     text = (out / "study.toml").read_text()
     (out / "study.toml").write_text(text.replace("kalman5", "brought"))
     with pytest.raises(InputError) as caught:

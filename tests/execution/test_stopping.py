@@ -17,7 +17,8 @@ from support.studies import STILL, small_study
 from sinsjax.engine.batch import in_threads
 from sinsjax.errors import StudyInterrupted
 from sinsjax.execution import run as study_run
-from sinsjax.execution import stopping, tables
+from sinsjax.execution import stopping
+from sinsjax.execution.results import read_summary
 from sinsjax.execution.tasks import Executor, Job, TaskRunner
 from sinsjax.study.load import Study
 
@@ -141,7 +142,7 @@ def test_sweep_stops_at_same_draw_despite_chunk_order_or_interruption(
     study_run.run_into(study, tmp_path / "back", chunk_runs=128, executor=backwards)
     interrupted(study, tmp_path / "out")
     assert parts(tmp_path / "out") == parts(tmp_path / "back")
-    assert tables.read_summary(tmp_path / "out").equals(whole.summary)
+    assert read_summary(tmp_path / "out").equals(whole.summary)
     told = manifest(tmp_path / "out")
     assert (told["state"], told["draws"], told["runs"]) == ("complete", draws, 2 * draws)
     assert {chunk["state"] for chunk in told["chunks"]} == {"done"}

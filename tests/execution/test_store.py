@@ -30,8 +30,10 @@ from support.studies import small_study
 
 from sinsjax.engine import build
 from sinsjax.errors import InputError, StudyInterrupted
-from sinsjax.execution import belongings, forecast, resume, store, tables
+from sinsjax.execution import forecast, resume, store, tables
 from sinsjax.execution import run as study_run
+from sinsjax.execution.directory import list_figures
+from sinsjax.execution.results import count_runs, read_curves, read_summary
 from sinsjax.execution.tasks import Job, TaskRunner
 from sinsjax.platform import files
 from sinsjax.records import Reference
@@ -101,9 +103,9 @@ def test_part_metadata_identify_study_and_chunk_only(whole: Path) -> None:
 
 def test_every_run_is_stored_exactly_once(whole: Path) -> None:
     runs = STUDY.n_draws * STUDY.n_variants
-    assert tables.count_runs(whole) == runs == CHUNKS * CHUNK_RUNS
-    assert tables.read_summary(whole)["run_id"].to_pylist() == list(range(runs))
-    curves = tables.read_curves(whole)
+    assert count_runs(whole) == runs == CHUNKS * CHUNK_RUNS
+    assert read_summary(whole)["run_id"].to_pylist() == list(range(runs))
+    curves = read_curves(whole)
     assert curves["run_id"].to_pylist() == [run for run in range(runs) for _ in range(2)]
 
 
@@ -541,7 +543,7 @@ def test_stale_temporary_files_are_removed_and_others_kept(whole: Path, out: Pat
     (out / "figures").mkdir()
     for name in left + mine:
         (out / name).write_bytes(b"PAR1")
-    assert tables.count_runs(out) == CHUNKS * CHUNK_RUNS
+    assert count_runs(out) == CHUNKS * CHUNK_RUNS
     assert sweep(out, resume=True) == []
     assert_complete_but(out, whole, mine)
     for name in left:
@@ -580,14 +582,14 @@ def test_overwrite_keeps_user_files(whole: Path, out: Path) -> None:
         (out / name).write_bytes(b"mine")
     drawn = {"misalignment.png": b"drawn", "distribution.png": b"drawn"}
     (out / "figures" / "distribution.png").write_bytes(b"drawn")
-    belongings.list_figures(drawn, out)  # one of which the person drew anew
-    assert tables.count_runs(out) == CHUNKS * CHUNK_RUNS
+    list_figures(drawn, out)  # one of which the person drew anew
+    assert count_runs(out) == CHUNKS * CHUNK_RUNS
     assert sweep(out, resume=True) == []
     assert len(sweep(out, overwrite=True)) == CHUNKS
     assert all((out / name).read_bytes() == b"mine" for name in mine)
     left = {path.relative_to(out).as_posix() for path in (out / "figures").iterdir()}
     assert left == {name for name in mine if name.startswith("figures/")}
-    assert tables.read_summary(out).num_rows == CHUNKS * CHUNK_RUNS
+    assert read_summary(out).num_rows == CHUNKS * CHUNK_RUNS
     assert {n: b for n, b in parts(out).items() if n not in mine} == parts(whole)
 
 
@@ -598,8 +600,8 @@ def test_overwrite_removes_all_previous_results(out: Path) -> None:
     study = sweep_study(study={"seed": 2, "curves": False, "draws": 24})
     assert len(sweep(out, study, overwrite=True)) == CHUNKS // 2
     assert not list(out.glob("curves/*")) and not list(out.glob("reruns/3/*"))
-    assert tables.count_runs(out) == CHUNKS * CHUNK_RUNS // 2
-    assert tables.read_curves(out).num_rows == 0
+    assert count_runs(out) == CHUNKS * CHUNK_RUNS // 2
+    assert read_curves(out).num_rows == 0
     assert_checksums(out)
 
 
@@ -726,7 +728,7 @@ def test_failed_write_raises_input_error_and_keeps_finished_parts(
     assert there == {name: content for name, content in parts(whole).items() if name in there}
     assert not list(out.rglob("*.tmp"))
     if any("summary" in name for name in there):
-        assert tables.count_runs(out) == CHUNK_RUNS * sum("summary" in name for name in there)
+        assert count_runs(out) == CHUNK_RUNS * sum("summary" in name for name in there)
     before = {k: t for k, t in times(out).items() if k.replace("curves", "summary") in there}
     sweep(out, resume=True)
     assert before.items() <= times(out).items()

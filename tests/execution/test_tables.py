@@ -19,6 +19,8 @@ from sinsjax import columns
 from sinsjax.engine import build
 from sinsjax.errors import InputError
 from sinsjax.execution import run, tables
+from sinsjax.execution.directory import read_manifest
+from sinsjax.execution.results import count_runs, read_curves, read_summary
 from sinsjax.study import sampling
 from sinsjax.study.keys import SECTIONS, SWEEPABLE, meaning
 from sinsjax.study.load import study_from_dict
@@ -262,35 +264,35 @@ def stored(tmp_path: Path) -> Path:
 
 
 def test_rows_are_sorted_by_run_and_time(stored: Path) -> None:
-    assert tables.read_summary(stored)["run_id"].to_pylist() == [0, 1, 2, 3]
-    curves = tables.read_curves(stored)
+    assert read_summary(stored)["run_id"].to_pylist() == [0, 1, 2, 3]
+    curves = read_curves(stored)
     assert curves["run_id"].to_pylist() == [0, 0, 1, 1, 2, 2, 3, 3]
     assert curves["time_s"].to_pylist() == [1.0, 2.0] * 4
-    assert tables.read_curves(stored, [1, 2])["run_id"].to_pylist() == [1, 1, 2, 2]
-    assert tables.read_curves(stored, []).num_rows == 0
-    assert tables.count_runs(stored) == 4
+    assert read_curves(stored, [1, 2])["run_id"].to_pylist() == [1, 1, 2, 2]
+    assert read_curves(stored, []).num_rows == 0
+    assert count_runs(stored) == 4
     # What a part says of itself does not hold for all rows.
-    assert tables.read_summary(stored).schema.metadata == {
+    assert read_summary(stored).schema.metadata == {
         b"sinsjax.schema": columns.SCHEMA_VERSION.encode()
     }
 
 
 def test_read_summary_selects_columns_and_runs(stored: Path) -> None:
-    table = tables.read_summary(stored, ["status", "nees"])
+    table = read_summary(stored, ["status", "nees"])
     assert table.column_names == ["status", "nees"]
     assert table["nees"].to_pylist() == [0.0, None, 2.0, None]
-    table = tables.read_summary(stored, ["nees", "run_id"], run_ids=[2, 0, 9])
+    table = read_summary(stored, ["nees", "run_id"], run_ids=[2, 0, 9])
     assert table.to_pylist() == [{"nees": 0.0, "run_id": 0}, {"nees": 2.0, "run_id": 2}]
     with pytest.raises(InputError, match="summary: column nees_u is missing"):
-        tables.read_summary(stored, ["nees", "nees_u"])
+        read_summary(stored, ["nees", "nees_u"])
 
 
 def test_reading_ignores_files_that_are_not_parts(stored: Path) -> None:
     """Not what a killed process left half written, nor what a person put there."""
     (stored / "summary" / ".part-0000-000002.parquet.77.tmp").write_bytes(b"PAR1")
     (stored / "summary" / "notes.txt").write_text("mine")
-    assert tables.count_runs(stored) == 4
-    assert tables.read_summary(stored).num_rows == 4
+    assert count_runs(stored) == 4
+    assert read_summary(stored).num_rows == 4
 
 
 @pytest.mark.parametrize("left", ["no directory", "an empty one", "one that holds no part"])
@@ -302,15 +304,15 @@ def test_directory_without_parts_is_refused_in_one_line(tmp_path: Path, left: st
     if left == "one that holds no part":
         (out / "summary" / ".part-0000-000000.parquet.77.tmp").write_bytes(b"PAR1")
     for read in (
-        lambda: tables.read_summary(out),
-        lambda: tables.read_summary(out, ["status"]),
-        lambda: tables.read_summary(out, run_ids=[1]),
-        lambda: tables.count_runs(out),
+        lambda: read_summary(out),
+        lambda: read_summary(out, ["status"]),
+        lambda: read_summary(out, run_ids=[1]),
+        lambda: count_runs(out),
     ):
         with pytest.raises(InputError, match="out: holds no results"):
             read()
     for run_ids in (None, [1]):
-        assert tables.read_curves(out, run_ids).num_rows == 0
+        assert read_curves(out, run_ids).num_rows == 0
 
 
 @pytest.mark.parametrize("damage", ["a page", "the end"])
@@ -322,7 +324,7 @@ def test_corrupt_part_is_refused_in_one_line(stored: Path, damage: str) -> None:
         content[content.index(np.float64(0.0).tobytes())] ^= 1
     path.write_bytes(content if damage == "a page" else content[:-9])
     with pytest.raises(InputError, match="summary: cannot be read: .*--resume") as told:
-        tables.read_summary(stored)
+        read_summary(stored)
     assert "\n" not in str(told.value)
 
 
@@ -331,7 +333,7 @@ def test_unreadable_manifest_is_refused_in_one_line(tmp_path: Path, content: byt
     if content is not None:
         (tmp_path / "manifest.json").write_bytes(content)
     with pytest.raises(InputError, match="holds no readable manifest.json"):
-        tables.read_manifest(tmp_path)
+        read_manifest(tmp_path)
 
 
 # --- what is read is what was written -------------------------------------------------------------
@@ -348,8 +350,8 @@ def manifest_of(directory: Path) -> None:
 
 
 READERS: dict[str, Callable[[Path], object]] = {
-    "summary": tables.read_summary,
-    "curves": tables.read_curves,
+    "summary": read_summary,
+    "curves": read_curves,
 }
 
 
@@ -379,14 +381,14 @@ def test_reading_with_verify_false_skips_checksums(stored: Path) -> None:
     table = pq.read_table(path)
     pq.write_table(table, path)
     with pytest.raises(InputError, match="has changed: its SHA-256"):
-        tables.count_runs(stored)
-    assert tables.read_summary(stored, verify=False)["run_id"].to_pylist() == [0, 1, 2, 3]
+        count_runs(stored)
+    assert read_summary(stored, verify=False)["run_id"].to_pylist() == [0, 1, 2, 3]
     (stored / "curves" / path.name).unlink()
     with pytest.raises(
         InputError, match=r"part-0000-000001.parquet: listed in the manifest but missing"
     ):
-        tables.read_curves(stored)
-    assert tables.read_curves(stored, verify=False).num_rows == 4
+        read_curves(stored)
+    assert read_curves(stored, verify=False).num_rows == 4
 
 
 def test_part_not_yet_in_manifest_is_read(stored: Path) -> None:
@@ -395,14 +397,14 @@ def test_part_not_yet_in_manifest_is_read(stored: Path) -> None:
     told = json.loads((stored / "manifest.json").read_text())
     told["chunks"][0]["files"] = told["chunks"][0]["files"][:1]
     (stored / "manifest.json").write_text(json.dumps(told))
-    assert tables.read_summary(stored).num_rows == 4
-    assert tables.read_curves(stored).num_rows == 8
+    assert read_summary(stored).num_rows == 4
+    assert read_curves(stored).num_rows == 8
 
 
 @pytest.mark.parametrize("name", ["summary", "curves"])
 def test_missing_parts_are_reported_by_name(stored: Path, name: str) -> None:
     manifest_of(stored)
-    read = tables.read_summary if name == "summary" else tables.read_curves
+    read = read_summary if name == "summary" else read_curves
     lost = sorted((stored / name).glob("*.parquet"))
     for path in lost:
         path.unlink()
@@ -421,21 +423,21 @@ def test_part_written_during_reading_is_not_reported_missing(
     manifest_of(stored)
     first, *_ = sorted((stored / "summary").glob("*.parquet"))
     monkeypatch.setattr("sinsjax.execution.parts.find", lambda directory, name: iter([first]))
-    assert 0 < tables.read_summary(stored).num_rows < 4
+    assert 0 < read_summary(stored).num_rows < 4
 
 
 def test_part_is_hashed_once_per_process(stored: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     manifest_of(stored)
     for path in stored.rglob("*.*"):
         os.utime(path, (1e9, 1e9))
-    assert tables.read_summary(stored)
+    assert read_summary(stored)
     monkeypatch.setattr("hashlib.file_digest", lambda *_: pytest.fail("read again"))
-    assert tables.read_summary(stored) and tables.count_runs(stored) == 4
+    assert read_summary(stored) and count_runs(stored) == 4
 
 
 @pytest.mark.parametrize("chunks", ["3", "[3]", '[{"files": [{}]}]', '[{"files": 3}]'])
 def test_manifest_with_invalid_chunks_is_refused_in_one_line(stored: Path, chunks: str) -> None:
     (stored / "manifest.json").write_text(f'{{"chunks": {chunks}}}')
     with pytest.raises(InputError, match="manifest.json: invalid chunks"):
-        tables.read_summary(stored)
-    assert tables.read_summary(stored, verify=False).num_rows == 4
+        read_summary(stored)
+    assert read_summary(stored, verify=False).num_rows == 4

@@ -17,7 +17,7 @@ from sinsjax.engine import build
 from sinsjax.engine.lanes import LANES
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
-from sinsjax.execution import runs, tables
+from sinsjax.execution.results import read_curves, read_summary
 from sinsjax.execution.tasks import Executor, Job, TaskRunner
 from sinsjax.records import Reference
 from sinsjax.records.reference import StoredRecord
@@ -68,9 +68,7 @@ def test_result_bytes_do_not_depend_on_task_order_or_runner(
     executor = Executor(elsewhere, {})
     study_run.run_into(study, tmp_path / "here", chunk_runs=chunk_runs, executor=executor)
     assert parts(tmp_path / "here") == parts(tmp_path / "there")
-    read = study_run.Results(
-        tables.read_summary(tmp_path / "here"), tables.read_curves(tmp_path / "here")
-    )
+    read = study_run.Results(read_summary(tmp_path / "here"), read_curves(tmp_path / "here"))
     for a, b in zip(read, reference, strict=True):
         assert a.cast(b.schema).equals(b)
 

@@ -17,14 +17,16 @@ from fuzzing import manifests, records, studies
 from fuzzing.edits import Quiet
 from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
-from sinsjax.execution import forecast, resume, run, tables
+from sinsjax.execution import forecast, prepare, resume, run
+from sinsjax.execution.directory import read_manifest
+from sinsjax.execution.results import count_runs, read_curves, read_summary
 from sinsjax.execution.source import Source
 from sinsjax.execution.tables import Tables
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import is_control
 from sinsjax.study.fingerprint import fingerprint
 from sinsjax.study.load import Study, load_study, study_from_dict, study_to_toml
-from sinsjax.tuning import carry_out
+from sinsjax.tuning import run_tuning
 
 MOST_S = 2.0
 """The longest that a case may take."""
@@ -161,15 +163,15 @@ def check_directory(directory: Path, files: dict[str, bytes], case: manifests.Ca
         (directory / name).unlink() if content is None else (directory / name).write_bytes(content)
     run_ids = [0, 1]
     questions: list[Callable[[], Any]] = [
-        lambda: tables.read_manifest(directory),
-        lambda: tables.read_summary(directory),
-        lambda: tables.read_summary(directory, ["run_id", "status"], run_ids=run_ids),
-        lambda: tables.read_curves(directory, run_ids),
-        lambda: tables.count_runs(directory),
+        lambda: read_manifest(directory),
+        lambda: read_summary(directory),
+        lambda: read_summary(directory, ["run_id", "status"], run_ids=run_ids),
+        lambda: read_curves(directory, run_ids),
+        lambda: count_runs(directory),
         lambda: resume.check_free(directory, overwrite=False),
         lambda: resume.check_free(directory, overwrite=True),
         lambda: resume.resumed(directory, Job(manifests.STUDY)),
-        lambda: carry_out.is_tuning(directory),
+        lambda: run_tuning.is_tuning(directory),
         lambda: Source.read(directory),
         lambda: forecast.require_room(
             manifests.STUDY,
@@ -203,7 +205,7 @@ def check_record(folder: Path, case: records.Case) -> None:
         line_of(error, "align: ")
         return
     try:
-        tape = run.load_tape(study, record, None if case.reference is None else reference)
+        tape = prepare.load_tape(study, record, None if case.reference is None else reference)
         study, warnings = run.made_ready(study, tape)
         for line in warnings:
             line_of(InputError(line))

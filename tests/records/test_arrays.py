@@ -12,7 +12,7 @@ from support.studies import STILL, small_study, small_tables
 
 import sinsjax
 from sinsjax.errors import InputError
-from sinsjax.execution.run import at_rate, made_ready
+from sinsjax.execution.prepare import prepare
 from sinsjax.records.layout import from_body
 from sinsjax.records.reference import Reference, StoredRecord
 from sinsjax.study.load import study_from_dict
@@ -366,7 +366,7 @@ def test_interpolated_samples_are_reported(drive: tuple[Any, Any]) -> None:
     gyro = record.dtheta * record.rate_hz
     gyro[700, 1] = np.nan
     tape = sinsjax.record_from_arrays(time, gyro, record.dv * record.rate_hz, max_gap_s=0.05)
-    assert made_ready(recorded(), tape)[1] == [
+    assert list(prepare(recorded(), record=tape).warnings) == [
         "arrays: 1 missing samples are interpolated (gaps up to max_gap_s = 0.05 s)"
     ]
 
@@ -385,4 +385,4 @@ def test_loading_arrays_format_from_file_is_refused() -> None:
 def test_path_instead_of_record_is_refused() -> None:
     """Unwrapped, because the tests' own checks of types would come first."""
     with pytest.raises(InputError, match=r"tape: must be what sinsjax\.load_tape or .* not a str$"):
-        inspect.unwrap(at_rate)(recorded(), "x.csv")
+        inspect.unwrap(prepare)(recorded(), record=3)

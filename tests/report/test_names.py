@@ -18,8 +18,9 @@ from support.studies import BASE, small_study
 
 from sinsjax import cli, columns, report
 from sinsjax import console as screen
+from sinsjax.cli import progress
 from sinsjax.errors import InputError
-from sinsjax.execution import progress, run
+from sinsjax.execution import run
 from sinsjax.execution.run import RunProgress
 from sinsjax.platform.files import file_stem
 from sinsjax.plots import png

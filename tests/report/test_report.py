@@ -14,7 +14,7 @@ from sinsjax import analysis, report
 from sinsjax.analysis.words import percent
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
-from sinsjax.execution import tables as result_tables
+from sinsjax.execution.results import read_summary
 from sinsjax.execution.source import Source
 from sinsjax.report import base, over_axes
 from sinsjax.study.load import study_from_dict
@@ -189,8 +189,7 @@ def test_report_reads_only_needed_summary_columns(tmp_path, monkeypatch):
         seen.append(names)
         return read_summary(directory, names)
 
-    read_summary = result_tables.read_summary
-    monkeypatch.setattr(result_tables, "read_summary", read)
+    monkeypatch.setattr("sinsjax.execution.results.read_summary", read)
     told(directory)
     assert seen and max(map(len, seen)) < 14
 

@@ -9,10 +9,10 @@ from support.studies import small_study
 from sinsjax import analysis
 from sinsjax.analysis.summaries import estimate_of
 from sinsjax.execution import run
-from sinsjax.execution.groupings import bin_medians, binned
 from sinsjax.execution.source import Source
 from sinsjax.report import auto, over_axes
 from sinsjax.report.base import Table
+from sinsjax.report.groupings import bin_medians, binned
 from sinsjax.study.swept import shown_axes
 
 pytestmark = pytest.mark.optimised(False)

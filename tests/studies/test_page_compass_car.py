@@ -9,6 +9,7 @@ import pytest
 
 from docs.studies.compass_car import page as compass_cases
 from sinsjax.analysis import rms
+from sinsjax.execution import prepare
 from sinsjax.execution import run as study_run
 from sinsjax.execution.source import Source
 from sinsjax.study.load import load_study, study_from_dict
@@ -129,7 +130,7 @@ def test_reflected_compass_matches_kalman_filter_on_real_record(data, data_dir, 
     record = data["record"] | {"start_s": [0, 40, 80, 120, 180]}
     study = study_of(data, hasty, careful, flipped, kalman, record=record)
     files = (data_dir / f"lasergyro_0_900{end}" for end in (".imu", "_reference.csv"))
-    study_run.run_into(study, tmp_path, study_run.load_tape(study, *files))
+    study_run.run_into(study, tmp_path, prepare.load_tape(study, *files))
     source = Source.read(tmp_path)
     cases = compass_cases.cases_of(source)
     errors = {case.name: case.errors for case in cases}

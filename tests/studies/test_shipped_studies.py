@@ -9,7 +9,7 @@ import pyarrow.compute as pc
 import pytest
 
 from sinsjax.alignment.methods import METHODS
-from sinsjax.execution import run
+from sinsjax.execution import prepare, run
 from sinsjax.study.load import load_study, study_from_dict
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -75,7 +75,7 @@ def test_condition_5_converges_only_with_resets_or_gravity_model() -> None:
 def car(data_dir: Path) -> pa.Table:
     study = load_study(CONFIGS / "car_test.toml")
     record = data_dir / "lasergyro_0_900.imu"
-    tape = run.load_tape(study, record, data_dir / "lasergyro_0_900_reference.csv")
+    tape = prepare.load_tape(study, record, data_dir / "lasergyro_0_900_reference.csv")
     return run.run(study, tape).summary
 
 

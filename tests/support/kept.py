@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from sinsjax.engine.batch import in_threads
-from sinsjax.execution.belongings import DATASETS
+from sinsjax.execution.directory import DATASETS
 from sinsjax.execution.tasks import EncodedResult, Executor, Task, TaskRunner
 from sinsjax.study.load import Study, study_from_dict
 from support.studies import BASE, small_study

@@ -24,7 +24,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.study.load import Study
 from sinsjax.study.search_space import SearchSpace
-from sinsjax.tuning import carry_out, descent, estimates, history, objective, search
+from sinsjax.tuning import descent, estimates, history, objective, run_tuning, search
 from sinsjax.tuning.relaxation import Relaxation
 from sinsjax.tuning.slopes import TANGENT_STEPS, Slope, Softness
 from sinsjax.types import Vec3
@@ -584,7 +584,7 @@ def test_resumed_tuning_takes_each_search_from_its_own_points() -> None:
         Path("unused"), None, False, True, lambda _: nullcontext(), threading.Event(), None
     )
     for one in known:
-        found = carry_out._search(study, SearchSpace.of(study), one.search, session, known)
+        found = run_tuning._search(study, SearchSpace.of(study), one.search, session, known)
         assert found.search == one.search
 
 
@@ -671,7 +671,7 @@ def test_study_without_gradient_is_refused_before_running(name: str, tmp_path: P
     variables, sections, what = REFUSED[name]
     study = tuned(variables, sections, searches=["sobol", "gradient"])
     with pytest.raises(InputError) as refused:
-        carry_out.tune(study, tmp_path / "out")
+        run_tuning.tune(study, tmp_path / "out")
     text = f"study: {what}: has no gradient (use 'sobol' instead of 'gradient')"
     assert str(refused.value) == text
     assert not (tmp_path / "out").exists()

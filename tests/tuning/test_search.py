@@ -13,7 +13,7 @@ from support.studies import STILL, small_study
 
 import sinsjax
 from sinsjax.errors import InputError
-from sinsjax.execution import tables
+from sinsjax.execution.results import read_summary
 from sinsjax.study.load import Study, study_from_dict, tables_of
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.tuning import history, objective, search
@@ -253,7 +253,7 @@ def test_grid_search_evaluates_mirrored_reset_times_once(tmp_path: Path) -> None
     pairs = [(a, b) for a in places for b in places]
     assert [tuple(look.values) for look in found.looks] == pairs
     assert [look.cost // (2 * 2 * 120) for look in found.looks] == [1, 2, 3, 3, 4, 5, 5, 5, 6]
-    table = tables.read_summary(tmp_path / "grid")
+    table = read_summary(tmp_path / "grid")
     assert sorted(set(table["case"].to_pylist())) == [f"grid {n}" for n in (0, 1, 2, 4, 5, 8)]
     for look in found.looks:
         times = sorted({*look.values})

@@ -16,8 +16,8 @@ from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
 from sinsjax.study.study import Study
 from sinsjax.tuning import results
-from sinsjax.tuning.carry_out import COVARIANCE, GRADIENT
 from sinsjax.tuning.results import Tuning
+from sinsjax.tuning.run_tuning import COVARIANCE, GRADIENT
 
 STUDIES = {
     "small": "tune_condition5",

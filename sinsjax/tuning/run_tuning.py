@@ -6,20 +6,25 @@ tuning draws. Complete stages are kept when a tuning run is resumed.
 """
 
 import threading
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
+from typing import Any
 
 from sinsjax.errors import InputError, StudyInterrupted
-from sinsjax.execution import belongings, forecast, locking
-from sinsjax.execution import resume as resuming
-from sinsjax.execution.parts import MANIFEST
+from sinsjax.execution import directory as places
+from sinsjax.execution import forecast
+from sinsjax.execution.directory import MANIFEST, STUDY
+from sinsjax.execution.prepare import Kind, Options, prepare
 from sinsjax.execution.run import RunProgress, Tell
+from sinsjax.execution.sealed import Damaged
+from sinsjax.execution.tasks import Job
 from sinsjax.platform.files import replacing, unwritable
 from sinsjax.records.reference import StoredRecord
+from sinsjax.study.differences import differences
 from sinsjax.study.fingerprint import fingerprint
 from sinsjax.study.keys import TomlTable
-from sinsjax.study.load import load_study, study_to_toml, with_point, with_rate
+from sinsjax.study.load import load_study, study_to_toml, with_point
 from sinsjax.study.ranges import TuneSection
 from sinsjax.study.search_space import SearchSpace, comparable
 from sinsjax.study.study import Study
@@ -28,9 +33,10 @@ from sinsjax.tuning.history import Found
 from sinsjax.tuning.relaxation import Relaxation
 from sinsjax.tuning.search import SearchSession
 
-STUDY, TUNED, EVALUATION = "study.toml", "tuned.toml", "evaluation"
+TUNED, EVALUATION = "tuned.toml", "evaluation"
 GRADIENT, EQUAL_COST, COVARIANCE = "gradient", "equal_cost", evolution.NAME
-_NAMES = (STUDY, TUNED, history.FILE, "figures", "grid", "sobol", "random", EQUAL_COST, EVALUATION)
+_SEARCHES = ("grid", "sobol", "random", EQUAL_COST, EVALUATION)
+_NAMES = (STUDY, TUNED, history.FILE, "figures", *_SEARCHES)
 
 Watch = Callable[[str], AbstractContextManager[Tell | None]]
 
@@ -54,7 +60,7 @@ def tune(
     Args:
         study: study with [tune].
         directory: must hold no tuning run unless ``overwrite`` or ``resume``.
-        tape: the record of a recorded study, with a reference (`run.load_tape`).
+        tape: the record of a recorded study, with a reference (`prepare.load_tape`).
         overwrite: whether to replace an earlier tuning run.
         resume: whether to keep complete searches of the same tuning run and do only the rest.
         watch: gives the progress callback for the name of a search.
@@ -67,33 +73,51 @@ def tune(
         StudyInterrupted: ``stop`` was set.
         RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
-    directory = resuming.named(directory)
-    require_tune(study)
-    if tape is not None and study.is_recorded:
-        study = with_rate(study, tape.record.rate_hz)
-    if tape is not None and tape.reference is None:
+    options = Options(directory, overwrite=overwrite, resume=resume, source=source)
+    run_tuning(prepare_tuning(study, None, tape, None, options), watch=watch, stop=stop)
+
+
+def prepare_tuning(
+    source: Path | str | Study,
+    overrides: Mapping[str, Any] | None,
+    record: StoredRecord | Path | str | None,
+    reference: Path | str | None,
+    options: Options,
+) -> Job:
+    """Check a tuning run and forecast what it takes, see `prepare.prepare`.
+
+    Raises:
+        InputError: as `tune`.
+    """
+    kind = Kind(check_free, forecast.of_tuning, _check_same, require_tune)
+    job = prepare(source, overrides, record, reference, options, kind=kind)
+    if job.stored is not None and job.stored.reference is None:
         text = "tuning on a record needs a reference (give it with --reference)"
-        raise InputError(f"{study.name}: [tune]: {text}")
-    space = SearchSpace.of(study)
-    check_free(directory, overwrite=overwrite or resume)
-    if study.study.rate_hz:
-        expected = forecast.of_tuning(study)
-        forecast.require_room(study, expected, directory, overwrite=overwrite, resume=resume)
-    check_searches(study, tape)
-    session = SearchSession(
-        directory,
-        tape,
-        overwrite,
-        resume,
-        watch or (lambda name: nullcontext()),
-        stop or threading.Event(),
-        source,
-    )
-    lock = locking.locked(directory)
+        raise InputError(f"{job.study.name}: [tune]: {text}")
+    check_searches(job.study, job.stored)
+    return job
+
+
+def run_tuning(
+    job: Job, *, watch: Watch | None = None, stop: threading.Event | None = None
+) -> None:
+    """Run the searches of a prepared tuning run, evaluate them, and write the tuned study.
+
+    Args:
+        job: from `prepare_tuning`.
+        watch: gives the progress callback for the name of a search.
+        stop: event that ends the tuning run; complete stages are kept.
+
+    Raises:
+        InputError: the directory cannot be written, or another process has written there.
+        StudyInterrupted: ``stop`` was set.
+    """
+    session = SearchSession(job, watch or (lambda name: nullcontext()), stop or threading.Event())
+    lock = places.lock(session.directory)
     try:
         # Again, since the directory may have changed before it was locked.
-        check_free(directory, overwrite=overwrite or resume)
-        _carry_out(study, space, session)
+        check_free(session.directory, overwrite=job.overwrite, resume=job.resume)
+        _search_and_evaluate(job.study, session)
     finally:
         lock.release()
 
@@ -119,18 +143,18 @@ def check_searches(study: Study, tape: StoredRecord | None = None) -> None:
                 relaxation.check_changes(tape)
 
 
-def _carry_out(study: Study, space: SearchSpace, session: SearchSession) -> None:
-    directory = session.directory
+def _search_and_evaluate(study: Study, session: SearchSession) -> None:
+    directory, space = session.directory, SearchSpace.of(study)
     known = _begin(study, space, session)
     found: list[Found] = []
     for name in require_tune(study).searches:
         found.append(_search(study, space, name, session, known))
-        history.write(directory, space, found)
+        history.write(directory, study, found)
         if name == GRADIENT:
             counts = _counts(study, space, found[-1].cost)
             design = search.sobol(space, counts, search.seed_of(study, EQUAL_COST))
             found.append(search.evaluate(study, EQUAL_COST, design, session))
-            history.write(directory, space, found)
+            history.write(directory, study, found)
     _evaluate(study, space, found, session)
     best = min(found, key=lambda one: one.best.objective)
     tuned = study_to_toml(with_point(study, best.point(space)))
@@ -149,18 +173,23 @@ def require_tune(study: Study) -> TuneSection:
     return study.tune
 
 
-def check_free(directory: Path, *, overwrite: bool) -> None:
+def check_free(directory: Path, *, overwrite: bool, resume: bool) -> None:
     """Reject a directory that holds a tuning run, unless it may be used, or foreign files.
+
+    Args:
+        directory: directory of the tuning run, which may be missing.
+        overwrite: whether a tuning run may be replaced.
+        resume: whether a tuning run may be continued.
 
     Raises:
         InputError: the directory cannot be used.
     """
-    taken = resuming.names_taken(directory, _NAMES)
+    taken = places.present_names(directory, _NAMES)
     if taken and not is_tuning(directory):
         raise InputError(
             f"{directory}: holds a {taken[0]} that is not of a tuning run (give another directory)"
         )
-    if taken and not overwrite:
+    if taken and not (overwrite or resume):
         raise InputError(
             f"{directory}: already holds a tuning run (give --resume to continue it, or --overwrite"
             " to replace it; in Python resume=True or overwrite=True)"
@@ -171,40 +200,73 @@ def is_tuning(directory: Path) -> bool:
     """Whether a directory holds a tuning run, complete or not."""
     if (directory / MANIFEST).exists():  # plain results of a study with [tune]
         return False
+    return _stored_study(directory) is not None
+
+
+def load_tuned_study(directory: Path) -> Study:
+    """Load the study with [tune] of a tuning run.
+
+    Raises:
+        InputError: it cannot be read, or is not the study of the history.
+    """
+    remedy = "(delete it: `sinsjax tune --resume` writes it again)"
+    tuned = history.read_study(directory)
     try:
-        return load_study(directory / STUDY).tune is not None
+        study = load_study(directory / STUDY)
+    except InputError as error:
+        raise InputError(f"{error} {remedy}" if tuned else str(error)) from None
+    if tuned is not None and study_to_toml(tuned) != study_to_toml(study):
+        differing = "; ".join(differences(tuned, study, ("in the history", "in the file")))
+        path = directory / STUDY
+        raise InputError(f"{path}: is not the study of the history: {differing} {remedy}")
+    return study
+
+
+def _stored_study(directory: Path) -> Study | None:
+    """The study of a tuning run, from its history or else its file; None if there is none."""
+    if (study := history.read_study(directory)) is not None:
+        return study
+    try:
+        study = load_study(directory / STUDY)
     except InputError:
-        return False
+        return None
+    return study if study.tune else None
 
 
 def _begin(study: Study, space: SearchSpace, session: SearchSession) -> list[Found]:
     """Prepare a directory; gives the complete searches when resuming."""
     directory, known = session.directory, []
     try:
-        for path in belongings.left_behind(directory):
+        for path in places.stale_temporary_files(directory):
             path.unlink()
-        if session.resume and (directory / STUDY).exists():
-            _check_same(load_study(directory / STUDY), study, directory)
-            if (directory / history.FILE).exists():
+        if session.job.resume and (directory / history.FILE).exists():
+            with suppress(Damaged):  # its searches are made again, from the stored parts
                 known = history.read(directory, space)
-        else:
+        elif not session.job.resume:
             for name in (TUNED, history.FILE):
                 (directory / name).unlink(missing_ok=True)
     except OSError as error:
         raise InputError(unwritable(directory, error)) from error
+    history.write(directory, study, known)
     with replacing(directory / STUDY) as file:
         file.write(study_to_toml(study).encode())
     return known
 
 
-def _check_same(there: Study, here: Study, directory: Path) -> None:
+def _check_same(job: Job) -> Job:
     """Reject resuming the tuning run of another study."""
-    old, new = (require_tune(study).model_dump() for study in (there, here))
+    assert job.directory is not None
+    stored = _stored_study(job.directory)
+    if stored is None:
+        return job
+    old, new = (require_tune(study).model_dump() for study in (stored, job.study))
     differ = [f"[tune] {key}" for key in old if old[key] != new[key]]
-    if fingerprint(there) != fingerprint(here):
-        differ += resuming.differences(there, here)
+    if fingerprint(stored) != fingerprint(job.study):
+        differ += differences(stored, job.study)
     if differ:
-        raise InputError(f"{directory}: holds a tuning run of another study: {'; '.join(differ)}")
+        text = "; ".join(differ)
+        raise InputError(f"{job.directory}: holds a tuning run of another study: {text}")
+    return job
 
 
 def _search(
@@ -238,7 +300,7 @@ def _watched(name: str, study: Study, session: SearchSession) -> Found:
         # Optax is slow to import, and only this search needs it.
         from sinsjax.tuning import descent
 
-        return descent.descend(study, session.stored, tell=tell_or_stop)
+        return descent.descend(study, session.job.stored, tell=tell_or_stop)
 
 
 def _counts(study: Study, space: SearchSpace, cost: int) -> list[int]:

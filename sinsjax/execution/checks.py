@@ -38,7 +38,7 @@ _NOISE = {
 _DRAWS = 1024  # draws in which a drawn period is checked
 
 
-def warnings_of(study: Study, stored: StoredRecord | None = None) -> list[str]:
+def study_warnings(study: Study, stored: StoredRecord | None = None) -> list[str]:
     """Warnings for the user before a study runs, one line each.
 
     Args:

@@ -1,0 +1,232 @@
+"""Preparation of a study before it runs: every check, forecast and warning, once.
+
+The command line and the functions of Python prepare a `Job` here and hand it to `run.run_job`;
+nothing is asked again. Nothing is created or changed.
+"""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from sinsjax.errors import InputError
+from sinsjax.execution import checks, directory, forecast, resume
+from sinsjax.execution.forecast import Forecast
+from sinsjax.execution.tasks import Job
+from sinsjax.records import read_record, read_reference
+from sinsjax.records.reference import StoredRecord
+from sinsjax.study.load import load_study, unread_sections, with_rate
+from sinsjax.study.study import Study
+
+
+class Options(NamedTuple):
+    """How a study is to run.
+
+    Attributes:
+        directory: results directory; None for tables in memory.
+        curves: whether to keep curves; None follows the study.
+        most_curves: number of runs up to which curves of all runs are kept; None for no limit.
+        chunk_runs: runs per chunk; None for the default.
+        overwrite: whether to replace existing results.
+        resume: whether to continue existing results.
+        source: words for the study in the manifest; None for its file, if it has one.
+    """
+
+    directory: str | Path | None = None
+    curves: bool | None = None
+    most_curves: int | None = None
+    chunk_runs: int | None = None
+    overwrite: bool = False
+    resume: bool = False
+    source: Path | str | None = None
+
+
+_DEFAULTS = Options()
+
+
+class Kind(NamedTuple):
+    """The questions whose answers differ between a sweep and a tuning run.
+
+    Attributes:
+        check_free: rejects a directory in use, as `resume.check_free`.
+        forecast: of a study, and whether it keeps curves.
+        continued: the job as a continuation of what its directory holds.
+        check_study: rejects a study, before the directory is looked at.
+    """
+
+    check_free: Callable[..., None]
+    forecast: Callable[[Study, bool | None], Forecast]
+    continued: Callable[[Job], Job]
+    check_study: Callable[[Study], Any]
+
+
+def _check_nothing(study: Study) -> None:
+    """Accept any study."""
+
+
+SWEEP = Kind(resume.check_free, forecast.of, resume.continued, _check_nothing)
+
+
+def prepare(
+    source: Path | str | Study,
+    overrides: Mapping[str, Any] | None = None,
+    record: StoredRecord | Path | str | None = None,
+    reference: Path | str | None = None,
+    options: Options = _DEFAULTS,
+    *,
+    kind: Kind = SWEEP,
+) -> Job:
+    """Check a study with its record and options, and forecast what it takes.
+
+    Args:
+        source: study file, name of a shipped study, or study.
+        overrides: values by ``section.key``, see `Study.replace`.
+        record: inertial record of a recorded study, or its file.
+        reference: file of the reference attitude of a record that is a file.
+        options: how the study is to run.
+        kind: sweep or tuning run.
+
+    Returns:
+        The job, at the rate of its record, with warnings, notes and forecast.
+
+    Raises:
+        InputError: the study is invalid or does not go with its record; the record is certainly
+            wrong; the directory cannot be used or holds results of another study; or disk or memory
+            are too small.
+    """
+    study, label, warnings = _load(source, overrides, options)
+    kind.check_study(study)
+    _check_needs_record(study, label, record, reference)
+    place = None if options.directory is None else directory.results_path(options.directory)
+    overwrite, resumes = options.overwrite, options.resume
+    if place is not None:
+        directory.check_unlocked(place)
+        kind.check_free(place, overwrite=overwrite, resume=resumes)
+    curves, notes = _curves(study, label, options)
+    stored = _stored(study, record, reference)
+    if stored is not None:
+        study = with_rate(study, stored.record.rate_hz)
+    job = Job(
+        study, stored, curves, options.chunk_runs, (), place, overwrite, resumes, source=label
+    )
+    if place is not None:
+        job = job._replace(seen=resume.state_of(place))
+        if resumes and not place.exists():
+            notes.append(f"{place}: there is nothing to resume, all runs are new.")
+        if resumes:
+            job = kind.continued(job)
+    expected = kind.forecast(study, curves)
+    forecast.require_room(study, expected, place, overwrite=overwrite, resume=resumes)
+    warnings += [*checks.check_methods(study, stored), *checks.study_warnings(study, stored)]
+    if left := study.dropped_s:
+        notes.append(f"The last {left:g} s do not fill a record interval and are not run.")
+    if study.run_s <= study.study.window_s[0]:
+        notes.append(f"Runs that end by {study.study.window_s[0]:g} s have no window statistics.")
+    return job._replace(warnings=tuple(warnings), notes=tuple(notes), forecast=expected)
+
+
+def subordinate(job: Job, study: Study, name: str) -> Job:
+    """Return a job for a study derived from that of a prepared job, in a folder of its directory.
+
+    Only the folder is checked: the study has been.
+
+    Args:
+        job: prepared job with a directory.
+        study: study of the new job, on the same record.
+        name: name of the folder.
+
+    Raises:
+        InputError: the folder cannot be used, or holds results of another study.
+    """
+    assert job.directory is not None
+    place = job.directory / name
+    directory.check_unlocked(place)
+    resume.check_free(place, overwrite=job.overwrite, resume=job.resume)
+    job = job._replace(study=study, curves=False, directory=place, seen=resume.state_of(place))
+    return resume.continued(job) if job.resume else job
+
+
+def load_tape(
+    study: Study, record: str | Path, reference: str | Path | None = None
+) -> StoredRecord:
+    """Read the record of a recorded study, and the reference attitude if given.
+
+    Args:
+        study: checked study with [record].
+        record: file of the inertial record.
+        reference: file of the reference attitude.
+
+    Raises:
+        InputError: a file cannot be used, or the study has no [record].
+    """
+    if study.record is None:
+        raise InputError(f"{study.name}: has no [record] section")
+    if study.record.format == "arrays":
+        text = f"[record] format: 'arrays' are given to sinsjax.run, not read from {record}"
+        raise InputError(f"{study.name}: {text} (see sinsjax.record_from_arrays)")
+    layout = checks.layout_of(study)
+    read = read_record(record, layout)
+    return StoredRecord.of(read, None if reference is None else read_reference(reference, layout))
+
+
+def _load(
+    source: Path | str | Study, overrides: Mapping[str, Any] | None, options: Options
+) -> tuple[Study, str | None, list[str]]:
+    """The study, words for it, and warnings about its file."""
+    label = options.source
+    if isinstance(source, Study):
+        study, warnings = source.replace(overrides) if overrides else source, []
+    else:
+        study = load_study(source, overrides or {})
+        unread = unread_sections(source)
+        label, warnings = label or Path(source), [unread] if unread else []
+    if isinstance(label, Path):  # an absolute path means nothing on another machine
+        label = label.name if label.is_absolute() else label.as_posix()
+    return study, label, warnings
+
+
+def _check_needs_record(
+    study: Study,
+    label: str | None,
+    record: StoredRecord | Path | str | None,
+    reference: Path | str | None,
+) -> None:
+    given = record if record is not None else reference
+    name = label or study.name
+    if study.is_recorded and record is None:
+        ways = "`sinsjax align RECORD`, `sinsjax tune --record`, in Python `sinsjax.align`"
+        raise InputError(f"{name}: [record]: the study needs a record ({ways})")
+    if given is not None and not study.is_recorded:
+        what = given if isinstance(given, Path | str) else "a record"
+        raise InputError(f"{name}: has no [record] section to read {what} with")
+
+
+def _stored(
+    study: Study,
+    record: StoredRecord | Path | str | None,
+    reference: Path | str | None,
+) -> StoredRecord | None:
+    if record is None or isinstance(record, StoredRecord):
+        return record
+    if isinstance(record, Path | str):
+        return load_tape(study, record, reference)
+    raise InputError(
+        f"{study.name}: tape: must be what sinsjax.load_tape or sinsjax.record_from_arrays gives,"
+        f" not a {type(record).__name__}"
+    )
+
+
+def _curves(study: Study, label: str | None, options: Options) -> tuple[bool | None, list[str]]:
+    """Whether to keep curves, and notes about that."""
+    runs, most = study.n_draws * study.n_variants, options.most_curves
+    if most is None:
+        return options.curves, []
+    if study.is_estimated:
+        return None, []  # there are no runs to have any
+    if runs <= most:
+        return True, []
+    if study.is_recorded:
+        return None, [f"{runs} runs: curves are kept only if [study] curves = true."]
+    raise InputError(
+        f"{label or study.name}: {runs} runs are too many to keep every curve (at most {most}; use"
+        " `sinsjax sweep`)"
+    )

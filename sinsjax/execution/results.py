@@ -1,0 +1,267 @@
+"""Reading results from Parquet; every part is verified once per process."""
+
+import json
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.dataset as ds
+import pyarrow.parquet as pq
+
+from sinsjax import columns
+from sinsjax.errors import InputError
+from sinsjax.execution import sealed
+from sinsjax.execution.directory import (
+    STUDY,
+    FileState,
+    find_manifest,
+    list_parts,
+    read_manifest,
+)
+from sinsjax.messages import first_line
+from sinsjax.platform import runtime
+from sinsjax.platform.files import read_regular
+from sinsjax.study.differences import differences
+from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.load import load_study
+from sinsjax.study.study import Study
+
+STUDY_MARK, CHUNK_MARK = "sinsjax.study", "sinsjax.chunk"
+"""Metadata of a part: identity of its job, and its chunk as JSON."""
+
+_REMEDY = "`sinsjax sweep --resume` computes damaged parts again"
+_OTHERWISE = {
+    "summary": ("estimates", "estimates of variants, and no runs (`read_estimates` reads them)"),
+    "estimates": ("summary", "runs, and no estimates of variants (`read_summary` reads them)"),
+}
+"""For a dataset that is absent: the one that may be there, and what such a directory holds."""
+
+_READERS = 4  # threads; hashing releases Python's lock
+
+
+_verified: dict[FileState, str] = {}
+"""Identity of the job of each part that this process has verified."""
+
+
+def read_summary(
+    directory: str | Path,
+    names: Sequence[str] | None = None,
+    *,
+    run_ids: list[int] | None = None,
+    verify: bool = True,
+) -> pa.Table:
+    """Read rows of the summary, ordered by run_id.
+
+    Args:
+        directory: results directory.
+        names: columns to read, in this order; None for all.
+        run_ids: runs to read; None for all.
+        verify: whether to verify the checksum of every part, once per process.
+
+    Raises:
+        InputError: the directory holds no results, a part has changed, or a column is missing.
+    """
+    rows = None if run_ids is None else ds.field("run_id").isin(run_ids)
+    return _read(directory, "summary", names, ["run_id"], verify=verify, rows=rows)
+
+
+def read_estimates(
+    directory: str | Path, names: Sequence[str] | None = None, *, verify: bool = True
+) -> pa.Table:
+    """Read the estimates of a study's variants, ordered by variant_id.
+
+    Args:
+        directory: results directory.
+        names: columns to read, in this order; None for all.
+        verify: whether to verify the checksum of every part, once per process.
+
+    Raises:
+        InputError: the directory holds no estimates, a part has changed, or a column is missing.
+    """
+    return _read(directory, "estimates", names, ["variant_id"], verify=verify)
+
+
+def read_curves(
+    directory: str | Path, run_ids: list[int] | None = None, *, verify: bool = True
+) -> pa.Table:
+    """Read rows of the curves, ordered by run_id and time; empty if none were stored.
+
+    Args:
+        directory: results directory.
+        run_ids: runs to read; None for all.
+        verify: whether to verify the checksum of every part, once per process.
+
+    Raises:
+        InputError: a part has changed or cannot be read.
+    """
+    if not has_dataset(directory, "curves", verify=verify):
+        return columns.schema(columns.CURVES).empty_table()
+    rows = None if run_ids is None else ds.field("run_id").isin(run_ids)
+    return _read(directory, "curves", None, ["run_id", "time_s"], verify=verify, rows=rows)
+
+
+def count_runs(directory: str | Path) -> int:
+    """Return the number of rows of the summary, after verifying every part.
+
+    Raises:
+        InputError: the directory holds no results, or a part has changed.
+    """
+    return query(directory, "summary", lambda dataset: dataset.count_rows())
+
+
+def load_stored_study(directory: Path) -> Study:
+    """Load the study of a results directory.
+
+    Raises:
+        InputError: it cannot be read, which names packages that provided methods when it was
+            computed and are not installed here; or it is not the study of the results.
+    """
+    try:
+        study = load_study(directory / STUDY)
+    except InputError as error:
+        missing = " and ".join(f"{name} {version}" for name, version in _missing(directory))
+        if not missing:
+            raise
+        raise InputError(
+            f"{directory}: was computed with {missing}, not installed here, which may be why:"
+            f" {error}"
+        ) from error
+    manifest = find_manifest(directory)
+    if manifest is not None and manifest.fingerprint != fingerprint(study):
+        differing = differences(manifest.study, study, ("in the results", "in the file"))
+        raise InputError(
+            f"{directory / STUDY}: is not the study of the results: {'; '.join(differing)}"
+            " (restore it, or delete it: `sinsjax sweep --resume` writes it again)"
+        )
+    return study
+
+
+def _missing(directory: Path) -> list[tuple[str, str]]:
+    """Packages in the manifest that are not installed, and their versions."""
+    stored = read_manifest(directory).get("versions")
+    versions = stored if isinstance(stored, dict) else {}
+    others = (name for name in versions if name not in ("python", *runtime.DECISIVE))
+    return [(name, versions[name]) for name in others if runtime.version_or_none(name) is None]
+
+
+def has_dataset(directory: str | Path, name: str, *, verify: bool = True) -> bool:
+    """Whether a dataset has any parts.
+
+    Args:
+        directory: results directory.
+        name: name of the dataset.
+        verify: whether to check the manifest too.
+
+    Raises:
+        InputError: the manifest lists parts, but the directory has none.
+    """
+    if list_parts(Path(directory), name):
+        return True
+    if verify:
+        _verify(Path(directory), name, ())
+    return False
+
+
+def query(
+    directory: str | Path, name: str, question: Callable[[ds.Dataset], Any], *, verify: bool = True
+) -> Any:
+    """Query a dataset.
+
+    Args:
+        directory: results directory.
+        name: name of the dataset.
+        question: function of the dataset that gives the answer.
+        verify: whether to verify the parts first.
+
+    Raises:
+        InputError: there are no parts, or a part has changed or cannot be read.
+    """
+    directory = Path(directory)
+    if not has_dataset(directory, name, verify=verify):
+        other, why = _OTHERWISE.get(name, ("", ""))
+        is_other = other and list_parts(directory, other)
+        raise InputError(
+            f"{directory}: holds {why if is_other else f'no results (no part in {name}/)'}"
+        )
+    parts = list_parts(directory, name)
+    try:
+        if verify:
+            _verify(directory, name, parts)
+        return question(ds.dataset(parts, format="parquet"))
+    except (OSError, pa.ArrowException) as error:
+        what = first_line(error)
+        raise InputError(f"{directory / name}: cannot be read: {what} ({_REMEDY})") from error
+
+
+def part_marks(content: bytes) -> dict[str, str] | None:
+    """Return the marks of a part, see `tasks.TaskRunner.marks`; None if it is not intact.
+
+    Args:
+        content: of the file.
+    """
+    if not sealed.is_intact(content):
+        return None
+    try:
+        found = pq.read_metadata(pa.BufferReader(content)).metadata or {}
+        return {key: found[key.encode()].decode() for key in (STUDY_MARK, CHUNK_MARK)}
+    except (KeyError, ValueError, pa.ArrowException):
+        return None
+
+
+def _read(
+    directory: str | Path,
+    dataset: str,
+    names: Sequence[str] | None,
+    order: Sequence[str],
+    *,
+    verify: bool,
+    rows: ds.Expression | None = None,
+) -> pa.Table:
+    def ask(there: ds.Dataset) -> pa.Table:
+        known = there.schema.names
+        wanted = known if names is None else list(names)
+        if missing := [name for name in wanted if name not in known]:
+            raise InputError(f"{directory}: {dataset}: column {missing[0]} is missing")
+        table = there.to_table(columns=sorted({*order, *wanted}), filter=rows)
+        return table.sort_by([(name, "ascending") for name in order]).select(wanted)
+
+    table = query(directory, dataset, ask, verify=verify)
+    # The metadata of the first part does not apply to the others.
+    return table.replace_schema_metadata({"sinsjax.schema": columns.SCHEMA_VERSION})
+
+
+def _verify(directory: Path, dataset: str, parts: Sequence[Path]) -> None:
+    """Verify parts, and that none is missing which the manifest lists."""
+    manifest = find_manifest(directory)
+    if manifest is not None:
+        listed = {part.file for chunk in manifest.chunks for part in chunk.files}
+        there = {f"{dataset}/{path.name}" for path in parts}
+        for file in sorted(name for name in listed - there if name.startswith(f"{dataset}/")):
+            # It may have been written after `parts` were listed and before the manifest was read.
+            if not (directory / file).exists():
+                raise InputError(
+                    f"{directory / file}: listed in the manifest but missing ({_REMEDY})"
+                )
+    with ThreadPoolExecutor(_READERS) as pool:
+        for path, identity in zip(parts, pool.map(_identity, parts), strict=True):
+            if manifest is not None and identity != manifest.identity:
+                raise InputError(f"{path}: is a part of another study's results ({_REMEDY})")
+
+
+def _identity(path: Path) -> str:
+    """Verify a part; gives the identity of its job."""
+    file = FileState.of(path)
+    if (known := _verified.get(file)) is not None:
+        return known
+    marks = part_marks(read_regular(path))
+    if marks is None:
+        raise InputError(f"{path}: has changed since it was written ({_REMEDY})")
+    chunk = json.loads(marks[CHUNK_MARK])
+    if (chunk["dataset"], chunk["name"]) != (path.parent.name, path.stem):
+        text = f"is part {chunk['dataset']}/{chunk['name']} under another name"
+        raise InputError(f"{path}: {text} ({_REMEDY})")
+    if file.is_settled:
+        _verified[file] = marks[STUDY_MARK]
+    return marks[STUDY_MARK]
