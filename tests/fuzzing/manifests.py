@@ -1,20 +1,21 @@
 """Directories of results with something wrong in the manifest, the study or a part."""
 
-import hashlib
 import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 from hypothesis import strategies as st
 from support.studies import small_study
 
 from fuzzing.edits import Quiet, edited, mangled
 from sinsjax import columns
 from sinsjax.execution import layouts
+from sinsjax.execution.results import CHUNK_MARK, STUDY_MARK
+from sinsjax.execution.sealed import sealed_json, sealed_parquet
 from sinsjax.execution.tasks import Job
 from sinsjax.platform import runtime
+from sinsjax.study.differences import sections_of
 from sinsjax.study.fingerprint import fingerprint
 from sinsjax.study.load import study_to_toml
 
@@ -40,10 +41,10 @@ def stored(directory: Path) -> dict[str, bytes]:
     }
     files: dict[str, bytes] = {TEXT: study_to_toml(STUDY).encode()}
     for name, table in tables.items():
-        sink = pa.BufferOutputStream()
-        pq.write_table(table, sink)
-        files[name] = sink.getvalue().to_pybytes()
-    files[MANIFEST] = json.dumps(_manifest(files)).encode()
+        chunk = {"dataset": Path(name).parent.name, "name": Path(name).stem, "chunk_runs": None}
+        marks = {STUDY_MARK: Job(STUDY).identity, CHUNK_MARK: json.dumps(chunk)}
+        files[name] = sealed_parquet(table, marks)
+    files[MANIFEST] = sealed_json(_manifest())
     for name, content in files.items():
         (directory / name).parent.mkdir(parents=True, exist_ok=True)
         (directory / name).write_bytes(content)
@@ -57,11 +58,8 @@ def _table(layout: tuple[columns.Column, ...], runs: list[int]) -> pa.Table:
     return pa.Table.from_arrays(arrays, schema=columns.schema(layout))
 
 
-def _manifest(files: dict[str, bytes]) -> dict[str, Any]:
-    entries = [
-        {"file": name, "rows": 3, "sha256": hashlib.sha256(files[name]).hexdigest()}
-        for name in reversed(PARTS)
-    ]
+def _manifest() -> dict[str, Any]:
+    entries = [{"file": name, "rows": 3} for name in reversed(PARTS)]
     chunk = {
         "name": "part-0000-000000",
         "state": "done",
@@ -83,7 +81,7 @@ def _manifest(files: dict[str, bytes]) -> dict[str, Any]:
         "config": "small.toml",
         "warnings": ["one"],
         "sessions": [session],
-        "study": STUDY.model_dump(mode="json", exclude_none=True),
+        "study": sections_of(STUDY),
         "chunks": [chunk],
     }
 
@@ -99,7 +97,10 @@ def cases(draw: st.DrawFn, files: Quiet) -> Case:
             changed[name] = None
         elif kind == "edit" and name == MANIFEST:
             data = draw(edited(Quiet(json.loads(files.value[MANIFEST]))))
-            changed[name] = json.dumps(data, default=str).encode()
+            text = json.dumps(data, default=str)
+            # Sealed again, so that its entries are reached too.
+            sealed = isinstance(data, dict) and draw(st.booleans())
+            changed[name] = sealed_json(json.loads(text)) if sealed else text.encode()
         else:
             changed[name] = draw(mangled(Quiet(files.value[name])))
     return Case(changed)

@@ -1,6 +1,5 @@
 """Studies of many runs, and directories of their results: parts, checksums, what must not be."""
 
-import hashlib
 import json
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -8,6 +7,7 @@ from typing import Any
 
 from sinsjax.engine.batch import in_threads
 from sinsjax.execution.directory import DATASETS
+from sinsjax.execution.sealed import KEY, is_intact, sealed_json
 from sinsjax.execution.tasks import EncodedResult, Executor, Task, TaskRunner
 from sinsjax.study.load import Study, study_from_dict
 from support.studies import BASE, small_study
@@ -103,16 +103,25 @@ def manifest(directory: Path) -> dict[str, Any]:
     return json.loads((directory / "manifest.json").read_text())
 
 
-def assert_checksums(directory: Path) -> None:
-    """Every part is in the manifest, with its checksum, and nothing else is."""
-    told = {f["file"]: f["sha256"] for c in manifest(directory)["chunks"] for f in c["files"]}
-    assert told == {name: hashlib.sha256(b).hexdigest() for name, b in parts(directory).items()}
+def assert_intact(directory: Path) -> None:
+    """Every part is intact and in the manifest, and so is the manifest; nothing else is listed."""
+    assert is_intact((directory / "manifest.json").read_bytes())
+    told = {file["file"] for chunk in manifest(directory)["chunks"] for file in chunk["files"]}
+    found = parts(directory)
+    assert told == found.keys() and all(map(is_intact, found.values()))
+
+
+def rewrite_manifest(directory: Path, **changes: Any) -> None:
+    """Replace entries of a manifest by others, and seal it again."""
+    content = manifest(directory) | changes
+    del content[KEY]
+    (directory / "manifest.json").write_bytes(sealed_json(content))
 
 
 def assert_complete(directory: Path, whole: Path) -> None:
     """A directory holds what an uninterrupted run left, to the last bit, and nothing else."""
     assert parts(directory) == parts(whole)
-    assert_checksums(directory)
+    assert_intact(directory)
     told = manifest(directory)
     assert told["state"] == "complete"
     assert {chunk["state"] for chunk in told["chunks"]} == {"done"}

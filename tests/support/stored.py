@@ -3,23 +3,61 @@
 import io
 import json
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 from rich.console import Console
 
 from sinsjax import report
+from sinsjax.columns import SCHEMA_VERSION
+from sinsjax.execution.directory import MANIFEST, STUDY
+from sinsjax.execution.results import CHUNK_MARK, STUDY_MARK
+from sinsjax.execution.sealed import sealed_json, sealed_parquet
+from sinsjax.execution.tasks import Job
+from sinsjax.study.differences import sections_of
+from sinsjax.study.fingerprint import fingerprint
 from sinsjax.study.load import Study, study_to_toml
 
 
-def store(directory: Path, study: Study, summary: pa.Table, curves: pa.Table | None = None) -> Path:
-    """Writes tables as the results of a study; gives the directory."""
+def write_part(path: Path, table: pa.Table, identity: str) -> None:
+    """Write a table as the part of a results directory that its path names, sealed."""
+    chunk = {"dataset": path.parent.name, "name": path.stem, "chunk_runs": None}
+    marks = {STUDY_MARK: identity, CHUNK_MARK: json.dumps(chunk)}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(sealed_parquet(table, marks))
+
+
+def write_manifest(directory: Path, study: Study, **entries: Any) -> None:
+    """Write a manifest of the parts that are there, sealed; ``entries`` replace some of its own."""
+    chunks: dict[str, list[dict[str, Any]]] = {}
+    for path in sorted(directory.glob("*/part-*.parquet")):
+        file = {"file": f"{path.parent.name}/{path.name}", "rows": 0}
+        chunks.setdefault(path.stem, []).append(file)
+    known = {
+        "schema": SCHEMA_VERSION,
+        "config": f"{study.name}.toml",
+        "fingerprint": fingerprint(study),
+        "identity": Job(study).identity,
+        "curves": None,
+        "chunk_runs": None,
+        "study": sections_of(study),
+        "chunks": [
+            {"name": name, "state": "done", "runs": 0, "files": files}
+            for name, files in chunks.items()
+        ],
+    }
+    (directory / MANIFEST).write_bytes(sealed_json(known | entries))
+
+
+def store(
+    directory: Path, study: Study, summary: pa.Table, curves: pa.Table | None = None, **entries: Any
+) -> Path:
+    """Write tables as the results of a study; gives the directory."""
     for name, table in {"summary": summary, "curves": curves}.items():
         if table is not None:
-            (directory / name).mkdir(parents=True)
-            pq.write_table(table, directory / name / "part-0000.parquet")
-    (directory / "study.toml").write_text(study_to_toml(study))
-    (directory / "manifest.json").write_text(json.dumps({"config": f"{study.name}.toml"}))
+            write_part(directory / name / "part-0000-000000.parquet", table, Job(study).identity)
+    (directory / STUDY).write_text(study_to_toml(study))
+    write_manifest(directory, study, **entries)
     return directory
 
 
