@@ -44,12 +44,12 @@ def study_of(estimate: str, quick: bool) -> Study:
 
 
 def rows(quick: bool, repeats: int) -> list[Row]:
-    """CPU time a cell by draws, by draws with companions, and by covariance analysis.
+    """CPU time a cell by draws and by covariance analysis.
 
     Returns:
         One row each, with the draws that it took, the widest interval and the time of a cell.
     """
-    told = [_row(estimate, quick) for estimate in ("draws", "controlled", "covariance")]
+    told = [_row(estimate, quick) for estimate in ("draws", "covariance")]
     return [row | {"ratio": round(row["cell_ms"] / told[0]["cell_ms"], 3)} for row in told]
 
 
@@ -78,10 +78,7 @@ def _interval(estimate: str, table: pa.Table, study: Study) -> tuple[int, float]
         seconds = table["settle_10_s"].fill_null(study.duration_s).to_numpy()
         error = seconds.reshape(draws, -1).std(axis=0, ddof=1) / draws**0.5
         return draws, float(1.96 * error.max())
-    if estimate == "covariance":
-        return 0, float(1.96 * np.max(table["settle_10_mean_error_s"].to_numpy()))
-    low, high = (table[f"controlled_settle_10_mean_{end}_s"] for end in ("low", "high"))
-    return table["draws"][0].as_py(), float(np.max(high.to_numpy() - low.to_numpy()) / 2)
+    return 0, float(1.96 * np.max(table["settle_10_mean_error_s"].to_numpy()))
 
 
 if __name__ == "__main__":

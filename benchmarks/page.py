@@ -169,7 +169,7 @@ def methods(machine: Machine) -> list[Block]:
 
 
 def answers(machine: Machine) -> list[Block]:
-    """What an expected settling time costs, with draws, with companions and without either."""
+    """Return the cost of an expected settling time, with draws and without."""
     lines = [
         [
             f'`estimate = "{name}"`',

@@ -13,7 +13,7 @@ NOISE = {64: 1.05}
 DISTURBED = 1.5
 """Times the row with noise alone, of surge, lever arm and bias instability, 1 variant a draw."""
 
-ANSWER = {"covariance_2": 3.0, "covariance_64": 3.5, "companion": 0.35}
+ANSWER = {"covariance_2": 3.0, "covariance_64": 3.5}
 """Times a plain run, of a noise-free run with its covariance and so many sampled errors, and of the
 linear error of a draw beside it."""
 
@@ -149,7 +149,6 @@ def _answer(machine: Machine) -> Iterator[Judged]:
     of = {
         "covariance_2": "a noise-free run with the covariance of its error",
         "covariance_64": "the same with 64 sampled errors",
-        "companion": "the linear error of a draw beside it",
     }
     for name, what in of.items():
         if row := machine.row("answer", name):

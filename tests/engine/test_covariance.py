@@ -3,7 +3,6 @@
 from functools import cache
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 import pytest
 from scipy import stats
@@ -55,23 +54,15 @@ def group_of(study: Any) -> Group:
     return part.group
 
 
+def first_draw_of(group: Group) -> Group:
+    draws, variants = group.sizes
+    return group.some(np.arange(1), np.arange(variants))
+
+
 def spread_of(group: Group, samples: int = 512) -> tuple[Spread, Any]:
     """The spread of each variant, and outcomes of the noise-free runs."""
-    one = group._replace(draws=jax.tree.map(lambda a: a[:1] if np.ndim(a) else a, group.draws))
-    (chunk,) = batch.chunks(covariance.watched(one, samples))
+    (chunk,) = batch.chunks(covariance.watched(first_draw_of(group), samples))
     return chunk.curves, chunk.outcome
-
-
-def companions_of(group: Group) -> tuple[np.ndarray, np.ndarray]:
-    """(variants, draws, 3, records) misalignments, and (variants, draws, 2, B) settling."""
-    draws, variants = group.sizes
-    phi = np.zeros((variants, draws, 3, group.static.records))
-    outside = np.zeros((variants, draws, 2, len(group.environment.criteria.bands)))
-    for lanes, taken, made in companions.of_group(group):
-        at = np.ix_(lanes, taken)
-        phi[at] = np.moveaxis(made.phi, (2, 3), (0, 1))
-        outside[at] = np.moveaxis(made.outside_until, (2, 3), (0, 1))
-    return phi, outside
 
 
 def runs_of(group: Group) -> np.ndarray:
@@ -87,14 +78,13 @@ def runs_of(group: Group) -> np.ndarray:
 class Made(NamedTuple):
     group: Group
     phi: np.ndarray
-    outside_until: np.ndarray
 
 
 @cache
 def made(method: str) -> Made:
-    """The companions of a method, see `companions_of`."""
+    """A group of a method, and (variants, draws, 3, records) misalignments of its companions."""
     group = group_of(study_of(method))
-    return Made(group, *companions_of(group))
+    return Made(group, np.moveaxis(companions.of_group(group), (2, 3), (0, 1)))
 
 
 @cache
@@ -106,7 +96,7 @@ def told(method: str) -> Spread:
 @pytest.mark.representative("kalman5")
 @pytest.mark.parametrize("name", METHODS)
 def test_companion_matches_run_of_its_draw_for_small_errors(name: str) -> None:
-    group, companion, _ = made(name)
+    group, companion = made(name)
     # Sigma points follow the estimate, and gains with them.
     share = 0.35 if name == "unscented" else 0.05
     axes, first = slice(None), 10
@@ -135,7 +125,14 @@ def test_variance_of_companions_matches_covariance_analysis(name: str) -> None:
 @pytest.mark.parametrize("name", WATCHED)
 def test_settling_times_of_sampled_errors_match_companions(name: str) -> None:
     """Means of settling times within four standard errors of both."""
-    spread, outside = told(name), made(name).outside_until
+    spread, group, phi_u = told(name), made(name).group, made(name).phi[:, :, 2]
+    (outcome,) = (chunk.outcome for chunk in batch.chunks(first_draw_of(group)))
+    floor = np.asarray(outcome.limit.phi.z)[:, None, None]
+    bands = np.asarray(group.environment.criteria.bands)[:, None]
+    errors = np.stack([phi_u - floor, phi_u], axis=2)[:, :, :, None]
+    times = np.arange(1.0, phi_u.shape[-1] + 1)  # s, one record per second
+    # The end of the last record interval outside the band, (variants, draws, 2, B).
+    outside = np.max((np.abs(errors) > bands) * times, axis=-1)
     sampled = np.asarray(spread.outside_until)  # (variants, 2, B, samples)
     a, b = sampled.mean(-1), np.moveaxis(outside, 1, -1).mean(-1)
     spread_ = np.sqrt(sampled.var(-1) / (sampled.shape[-1]) + outside.var(1) / outside.shape[1])

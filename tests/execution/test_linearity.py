@@ -8,8 +8,11 @@ import pytest
 from support.stored import told
 from support.studies import STILL, small_study
 
+from sinsjax.engine import build, companions
+from sinsjax.execution import linearity
 from sinsjax.execution import run as study_run
 from sinsjax.study.load import Study
+from sinsjax.units import ARCMIN
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -18,10 +21,7 @@ DRAWS = 20
 
 
 def study_of(**settings: Any) -> Study:
-    """40 s at rest, from a small error and from nearly the opposite heading.
-
-    Of the shape of the controlled estimates' study, whose programs it shares.
-    """
+    """40 s at rest, from a small error and from nearly the opposite heading."""
     common = {
         **{"duration_s": RUN_S, "record_interval_s": 4.0, "window_s": [20, RUN_S]},
         **{"report_times_s": [20.0], "settle_bands_arcmin": [60.0, 10.0]},
@@ -49,12 +49,12 @@ def drawn() -> pa.Table:
 @pytest.mark.slow
 def test_nonlinearity_index_is_rms_difference_from_companions_over_sigma(made: pa.Table) -> None:
     """In standard deviations of the true error, over the first eight draws."""
-    summary = study_run.run(study_of(estimate="controlled", draws=8)).summary
-    for at in ("_at_20", ""):
-        run, beside = (
-            summary[f"{whose}phi_u{at}_arcmin"].to_numpy().reshape(8, 4)
-            for whose in ("", "companion_")
-        )
+    study = study_of(draws=8)
+    summary = study_run.run(study).summary
+    (part,) = build.parts(study, curves=False)
+    linear = companions.of_group(part.group, np.array([4, 9]))[2] / ARCMIN
+    for at, beside in zip(("_at_20", ""), linear.swapaxes(1, 2), strict=True):
+        run = summary[f"phi_u{at}_arcmin"].to_numpy().reshape(8, 4)
         index = made[f"nonlinearity{at}"].to_numpy()
         sigma = made[f"true_sigma_u{at}_arcmin"].to_numpy()
         rms = np.sqrt(np.mean((run - beside) ** 2, axis=0))
@@ -89,6 +89,16 @@ def test_filled_columns_equal_statistics_of_draws(made: pa.Table, drawn: pa.Tabl
     np.testing.assert_allclose(made["settle_60_truth_mean_s"].to_numpy()[rows], seconds.mean(0))
     error = seconds.std(0, ddof=1) / np.sqrt(DRAWS)
     np.testing.assert_allclose(made["settle_60_truth_mean_error_s"].to_numpy()[rows], error)
+
+
+@pytest.mark.slow
+def test_check_does_not_depend_on_variants_per_call(made: pa.Table, monkeypatch: Any) -> None:
+    monkeypatch.setattr(linearity, "_VARIANTS_CHECKED", 3)  # 3 of the 4, then 1
+    monkeypatch.setattr(linearity, "_VARIANTS_FILLED", 1)
+    cut = study_run.estimate(study_of(estimate="covariance", draws=DRAWS))
+    assert cut["filled_by_draws"].equals(made["filled_by_draws"])
+    for name in ("nonlinearity", "nonlinearity_at_20", "phi_u_arcmin", "true_sigma_u_arcmin"):
+        np.testing.assert_allclose(cut[name].to_numpy(), made[name].to_numpy(), rtol=1e-6)
 
 
 def test_nonlinearity_columns_absent_without_check_linearity() -> None:

@@ -120,17 +120,21 @@ def test_covariance_estimate_refuses_recorded_data() -> None:
 
 
 def test_estimate_samples_must_be_even_and_require_estimate() -> None:
-    told = "[study] estimate_samples: requires estimate = 'covariance' or 'controlled'"
+    told = "[study] estimate_samples: requires estimate = 'covariance'"
     assert refusal(study={"estimate_samples": 64}) == told
     told = "[study] check_linearity: requires estimate = 'covariance'"
     assert refusal(study={"check_linearity": True}) == told
     assert "estimate_samples: must be" in refusal(study=ESTIMATED | {"estimate_samples": 65})
 
 
-@pytest.mark.parametrize("estimate", ["covariance", "controlled"])
-def test_estimates_accept_normally_drawn_starts_and_biases(estimate: str) -> None:
+def test_controlled_estimate_is_refused_with_its_replacements() -> None:
+    told = "[study] estimate: 'controlled' was dropped (leave the key out for Monte Carlo, or use"
+    assert refusal(study={"estimate": "controlled"}) == f"{told} 'covariance')"
+
+
+def test_estimates_accept_normally_drawn_starts_and_biases() -> None:
     laws = {"vn0_m_per_s": {"normal": [0, 1]}, "accel_bias_ug": {"normal": [0, 100]}}
-    small_study(study={"estimate": estimate}, sensors={"accel_bias_ug": None}, drawn=laws)
+    small_study(study=ESTIMATED, sensors={"accel_bias_ug": None}, drawn=laws)
 
 
 def test_estimate_defaults_survive_round_trip() -> None:
