@@ -170,7 +170,7 @@ def test_threads_compile_each_part_once(monkeypatch: pytest.MonkeyPatch) -> None
 def test_failures_count_diverged_and_nonfinite_runs() -> None:
     status = ["ok", "diverged", "not_settled", "nonfinite", None, "diverged"]
     summary = pa.table({"status": status})
-    assert TaskRunner(Job(small_study())).failures({"summary": summary}) == 3
+    assert output_of(Scenario(small_study())).failures({"summary": summary}) == 3
 
 
 def test_record_for_simulated_study_is_refused() -> None:
