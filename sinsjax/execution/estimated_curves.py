@@ -9,6 +9,7 @@ from sinsjax.engine import batch
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.covariance import Spread, watched
 from sinsjax.execution.tables import nullable, table_of
+from sinsjax.platform import runtime
 from sinsjax.study.estimating import require_modelled
 from sinsjax.study.study import Study
 from sinsjax.units import ARCMIN
@@ -29,8 +30,8 @@ def estimated_curves(study: Study) -> pa.Table:
 
     Raises:
         InputError: covariance analysis does not hold for the study.
-        RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
+    runtime.ensure_configured()
     require_modelled(study)
     scenario = Scenario(study)
     tables = []

@@ -128,8 +128,8 @@ def run(
 
     Raises:
         InputError: the record does not fit the study, or that has no runs but estimates.
-        RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
+    runtime.ensure_configured()
     if study.is_estimated:
         text = "covariance estimates have no runs (use sinsjax.estimate)"
         raise InputError(f"{study.name}: [study] estimate: {text}")
@@ -153,8 +153,8 @@ def estimate(study: Study, *, chunk_runs: int | None = None, tell: Tell | None =
 
     Raises:
         InputError: the study asks for draws, or covariance analysis does not hold for it.
-        RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
+    runtime.ensure_configured()
     if study.study.estimate == "draws":
         raise InputError(f"{study.name}: [study] estimate: is 'draws' (use sinsjax.run)")
     study, _ = made_ready(study, None)
@@ -220,8 +220,8 @@ def run_into(
             before anything is written or removed. Also if the directory can no longer be written;
             complete parts are kept.
         StudyInterrupted: ``stop`` was set; the running chunks have been stored.
-        RuntimeError: double precision is off.
     """
+    runtime.ensure_configured()
     directory = resuming.named(directory)
     resuming.check_free(directory, overwrite=overwrite or resume)
     study = at_rate(study, tape)

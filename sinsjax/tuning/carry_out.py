@@ -15,6 +15,7 @@ from sinsjax.execution import belongings, forecast, locking
 from sinsjax.execution import resume as resuming
 from sinsjax.execution.parts import MANIFEST
 from sinsjax.execution.run import RunProgress, Tell
+from sinsjax.platform import runtime
 from sinsjax.platform.files import replacing, unwritable
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.fingerprint import fingerprint
@@ -65,8 +66,8 @@ def tune(
         InputError: no [tune] or no reference, a variable without a gradient, a record that does not
             fit, or a directory that cannot be used.
         StudyInterrupted: ``stop`` was set.
-        RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
+    runtime.ensure_configured()
     directory = resuming.named(directory)
     require_tune(study)
     if tape is not None and study.is_recorded:
@@ -109,7 +110,6 @@ def check_searches(study: Study, tape: StoredRecord | None = None) -> None:
     Raises:
         InputError: a variable without a gradient, or a method of another package whose numbers do
             not follow its keys.
-        RuntimeError: double precision is off, and a method is of another package.
     """
     space = SearchSpace.of(study)
     if GRADIENT in require_tune(study).searches:
