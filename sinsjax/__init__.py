@@ -30,21 +30,15 @@ Noise depends on the seed and the draw alone, so all variants of a draw share it
 reset at t acts after the update of sample ``round(t/dt)``: the whole state is fed back, then the
 covariance is reset.
 
-Importing the package adds XLA:CPU options to ``XLA_FLAGS`` (see `sinsjax.platform.xla`; an untested
-jaxlib is first tried in a separate process) and changes nothing else, except that
-``SINSJAX_ONE_CORE=1`` pins the process to one core (see `sinsjax.platform.affinity`).
-`sinsjax.configure` sets the number of CPU devices, double precision, and LLVM options that apply to
-every loop of the process.
+**Import.** Importing the package changes nothing. `sinsjax.configure` sets double precision, the
+number of CPU devices and XLA's compiler options for the whole process, as long as JAX has not
+started. Every command calls it, and so does every function that computes if it was not called.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from sinsjax.platform import affinity, runtime, xla
-
-# XLA reads its options and counts cores only once, so this must precede imports that start JAX.
-affinity.apply()
-xla.apply_options()
+from sinsjax.platform import runtime
 
 if TYPE_CHECKING:
     from sinsjax.analysis import summarise

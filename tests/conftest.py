@@ -23,7 +23,7 @@ from support import compilation  # noqa: E402  (imports what is to be checked)
 from sinsjax.platform import runtime  # noqa: E402
 
 compilation.share_cache(Path(__file__).parents[1])
-runtime.configure(devices=2, x64=True)
+runtime.configure(devices=2)
 compilation.install()
 jax.config.update("jax_legacy_prng_key", "error")
 jax.config.update("jax_numpy_rank_promotion", "raise")

@@ -129,17 +129,17 @@ def spread(name: str, values: Sequence[float]) -> Row:
 
 
 def conditions() -> Row:
-    """Conditions of a measurement; starts JAX's backend and compiles a tiny loop.
+    """Conditions of a measurement; starts JAX.
 
     Returns:
         ``cpu`` with its ``family`` and ``ghz`` (None if unknown), ``cores`` of the machine,
         ``instructions`` (instruction set in use) and ``avx512``, ``platform`` (of JAX: cpu, gpu),
-        ``device`` (its kind), versions of ``sinsjax``, ``jax``, ``jaxlib`` and ``python``,
-        ``options`` (XLA:CPU options in effect: all, none, or their names) and ``fused_loop``.
+        ``device`` (its kind), versions of ``sinsjax``, ``jax``, ``jaxlib`` and ``python``
+        and ``options`` (XLA:CPU options that are set: all, none, or their names).
     """
     import jax
 
-    facts, entries = runtime.facts(), machine.cpu()
+    facts, entries = runtime.info(), machine.cpu()
     device = jax.devices()[0]
     return {
         "cpu": facts["cpu"],
@@ -154,12 +154,11 @@ def conditions() -> Row:
         "jax": facts["jax"],
         "jaxlib": facts["jaxlib"],
         "python": facts["python"],
-        "options": _in_force(facts["options"]),
-        "fused_loop": facts["fused_loop"],
+        "options": _options_set(facts["options"]),
     }
 
 
-def _in_force(options: dict[str, str | None]) -> str:
+def _options_set(options: dict[str, str | None]) -> str:
     wanted = {option.name: option.value for option in xla.wanted()}
     there = [name for name, value in options.items() if value == wanted[name]]
     if len(there) == len(wanted):

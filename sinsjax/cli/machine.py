@@ -9,17 +9,14 @@ from sinsjax.platform import runtime
 
 
 def info() -> None:
-    """Show versions, devices and the compiler options in effect."""
+    """Show versions, devices, compiler options and the folder of compiled programs."""
     runtime.configure()
     runtime.require_backend()
     console = plain_console()
     known = runtime.info()
     known["options"] = ", ".join(f"{key} = {value}" for key, value in known["options"].items())
-    share = known["vectorised"]
-    known["vectorised"] = "unknown" if share is None else f"{100 * share:.0f} % of a step"
     for key, value in (known | _methods_from_outside()).items():
-        if key != "forgone" or value:
-            say(console, f"{key:>20}  {value}")
+        say(console, f"{key:>20}  {value}")
 
 
 def _methods_from_outside() -> dict[str, str]:

@@ -83,10 +83,10 @@ class Scenario:
 
         Raises:
             InputError: a record where there should be none or the other way round, compass
-                loops that cannot be run, or a limit to judge from where there is none.
-            RuntimeError: double precision is off.
+                loops that cannot be run, a limit to judge from where there is none, or double
+                precision that cannot be turned on (`runtime.ensure_configured`).
         """
-        runtime.require_x64()
+        runtime.ensure_configured()
         if study.is_recorded != (stored is not None):
             what = "reads a record, none is given" if study.is_recorded else "reads no record"
             raise InputError(f"{study.name}: the study {what}: see [record]")
@@ -163,6 +163,7 @@ def simulated_record(study: Study, draw_id: int = 0, variant_id: int = 0) -> Rec
     Raises:
         InputError: the study has no such variant, or reads a record itself.
     """
+    runtime.ensure_configured()
     if study.is_recorded or not 0 <= variant_id < study.n_variants:
         raise InputError(f"{study.name}: has no simulated variant {variant_id}")
     scenario = Scenario(study, curves=False)

@@ -22,6 +22,7 @@ from sinsjax.engine.metrics import Outcome
 from sinsjax.engine.realisations import Draw
 from sinsjax.engine.simulate import RunParams, simulate
 from sinsjax.errors import InputError
+from sinsjax.platform import runtime
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import with_rate
 from sinsjax.study.study import Study
@@ -132,8 +133,8 @@ def one_run(
     Raises:
         InputError: the study has no such variant, the record does not fit, or resets that cannot be
             spread.
-        RuntimeError: double precision is off (`configure` turns it on).
     """
+    runtime.ensure_configured()
     if tape is not None and study.is_recorded:
         study = with_rate(study, tape.record.rate_hz)
     if not 0 <= variant_id < study.n_variants:

@@ -187,13 +187,9 @@ def _dask() -> tuple[Any, Any]:
 
 def _for_workers() -> dict[str, str]:
     """Environment variables for worker processes, which read them before importing JAX."""
-    flags = os.environ.get("XLA_FLAGS", "")
-    if not (xla.opted_out() or xla.names_a_file(flags)):
-        refused = xla.refused_flags(runtime.versions()["jaxlib"])
-        flags = xla.merge_options(flags, refused, xla.wanted())
     return {
         affinity.VARIABLE: "1",
-        "XLA_FLAGS": flags,
+        "XLA_FLAGS": xla.extended_flags(),
         xla.OPT_OUT: "0",  # the flags are final; warnings are not repeated
         "JAX_PLATFORMS": os.environ.get("JAX_PLATFORMS", "cpu"),
     }

@@ -24,6 +24,7 @@ from sinsjax.engine.verdicts import LIMIT, TRUTH
 from sinsjax.errors import InputError
 from sinsjax.execution import layouts
 from sinsjax.execution.tables import nullable, table_of
+from sinsjax.platform import runtime
 from sinsjax.study.estimating import require_modelled
 from sinsjax.study.study import Study
 from sinsjax.study.success import bands
@@ -186,8 +187,8 @@ def estimated_curves(study: Study) -> pa.Table:
 
     Raises:
         InputError: covariance analysis does not hold for the study.
-        RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
+    runtime.ensure_configured()
     require_modelled(study)
     scenario = Scenario(study)
     tables = []

@@ -12,6 +12,7 @@ from sinsjax.engine.build import ENVIRONMENT_KEYS, Scenario
 from sinsjax.engine.simulator import motion_of
 from sinsjax.errors import InputError
 from sinsjax.execution.tables import table_of
+from sinsjax.platform import runtime
 from sinsjax.strapdown.base_motion import Motion
 from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.study import Study
@@ -37,8 +38,8 @@ def information_bound(study: Study) -> pa.Table:
     Raises:
         InputError: a study of a record, with passes, or with draws of what decides the bound; or
             accelerometers without white noise.
-        RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
+    runtime.ensure_configured()
     _require_bounded(study)
     scenario, ends = Scenario(study), spans_s(study)[:, 0]
     swept = [key for key in study.axis_keys if key in ENVIRONMENT_KEYS]

@@ -12,6 +12,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import checks, directory, forecast, resume
 from sinsjax.execution.forecast import Forecast
 from sinsjax.execution.tasks import Job
+from sinsjax.platform import runtime
 from sinsjax.records import read_record, read_reference
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import load_study, unread_sections, with_rate
@@ -90,9 +91,10 @@ def prepare(
 
     Raises:
         InputError: the study is invalid or does not go with its record; the record is certainly
-            wrong; the directory cannot be used or holds results of another study; or disk or memory
-            are too small.
+            wrong; the directory cannot be used or holds results of another study; disk or memory are
+            too small; or double precision cannot be turned on.
     """
+    runtime.ensure_configured()
     study, label, warnings = _load(source, overrides, options)
     kind.check_study(study)
     _check_needs_record(study, label, record, reference)

@@ -45,7 +45,6 @@ def rerun(study: Study, run_id: int, stored_record: StoredRecord | None = None) 
 
     Raises:
         InputError: the study has no such run, or the record does not fit it.
-        RuntimeError: double precision is off.
     """
     _check_number(study, run_id, study.name)
     draw, variant = divmod(run_id, study.n_variants)

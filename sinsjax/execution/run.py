@@ -76,7 +76,6 @@ def run(
 
     Raises:
         InputError: the record does not fit the study, or that has no runs but estimates.
-        RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
     if study.is_estimated:
         text = "covariance estimates have no runs (use sinsjax.estimate)"
@@ -111,7 +110,6 @@ def align(
     Raises:
         InputError: the study has no [record], a file cannot be read, the record is certainly wrong,
             or does not cover the span that the study reads.
-        RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
     most = MOST_CURVES if curves is None else None
     options = Options(curves=curves, most_curves=most)
@@ -135,7 +133,6 @@ def estimate(study: Study, *, chunk_runs: int | None = None, tell: Tell | None =
 
     Raises:
         InputError: the study asks for draws, or covariance analysis does not hold for it.
-        RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
     if not study.is_estimated:
         raise InputError(f"{study.name}: [study] estimate: is 'draws' (use sinsjax.run)")
@@ -177,7 +174,6 @@ def run_into(
             before anything is written or removed. Also if the directory can no longer be written;
             complete parts are kept.
         StudyInterrupted: ``stop`` was set; the running chunks have been stored.
-        RuntimeError: double precision is off.
     """
     options = Options(
         directory, curves, None, chunk_runs, overwrite=overwrite, resume=resume, source=source
@@ -204,7 +200,6 @@ def run_job(
         InputError: the directory cannot be written, or results there were computed with another
             instruction set.
         StudyInterrupted: ``stop`` was set; the running chunks have been stored.
-        RuntimeError: double precision is off.
     """
     assert job.directory is not None
     executor = executor or study_tasks.on_this_machine()
@@ -230,7 +225,6 @@ def run_in_memory(job: Job, tell: Tell | None = None) -> dict[str, pa.Table]:
         The rows of all tasks by dataset, in any order.
 
     Raises:
-        RuntimeError: double precision is off.
     """
     store = MemoryStore()
     _run(TaskRunner(job), store, study_tasks.in_memory(), tell, threading.Event())

@@ -162,7 +162,6 @@ class TaskRunner:
 
         Raises:
             InputError: the record does not fit, or the study cannot be run.
-            RuntimeError: double precision is off.
         """
         self.job = job
         self.scenario = Scenario(job.study, job.stored, curves=job.curves)

@@ -1,10 +1,10 @@
 """One core per process, for workers that share a machine.
 
-XLA sizes its thread pool by the cores available to the process at startup, and threads that migrate
-between cores cost time, so a worker is pinned to a core before JAX is imported:
-``SINSJAX_ONE_CORE=1`` in its environment makes ``import sinsjax`` do so. An operating system lock
-for each core marks it as taken and is released when the process ends: restarted workers, and those
-of several schedulers on one machine, find cores of their own.
+XLA sizes its thread pool by the cores available to the process when JAX starts, and threads that
+migrate between cores cost time, so a worker is pinned to a core before: ``SINSJAX_ONE_CORE=1`` in
+its environment makes `runtime.configure` do so. An operating system lock for each core marks it as
+taken and is released when the process ends: restarted workers, and those of several schedulers on
+one machine, find cores of their own.
 """
 
 import os

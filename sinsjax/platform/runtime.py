@@ -1,16 +1,15 @@
-"""Configuration of this process (devices, precision) and the facts that `info` reports.
-
-For XLA's options see `xla`: importing `sinsjax` sets some of them, `configure` the rest.
-"""
+"""Configuration of this process (devices, precision, compiler options) and what `info` reports."""
 
 import functools
 import importlib.metadata
 import os
 import platform
+import warnings
+from contextlib import suppress
 from typing import Any
 
 from sinsjax.errors import InputError
-from sinsjax.platform import machine, xla
+from sinsjax.platform import affinity, machine, xla
 
 DECISIVE = ("sinsjax", "jax", "jaxlib", "numpy", "scipy", "pyarrow")
 """Packages whose versions may change result rows or the bytes of their files."""
@@ -24,42 +23,91 @@ def package_version() -> str:
         return "0+source"
 
 
-def configure(devices: int | None = None, x64: bool = True) -> None:
-    """Set the number of CPU devices and the precision of JAX; call it before any computation.
+_configured = False
+_warned_late = False
 
-    Importing sinsjax never does this, since both affect the whole process, as do LLVM's options
-    for loops over lanes (`xla.loop_options`), which are set here unless JAX has started. Programs
-    that take long to compile are cached for later processes, see `compile_cache`.
+
+def configure(devices: int | None = None) -> None:
+    """Set double precision, the number of CPU devices and the compiler options of this process.
+
+    Every command calls it, and so does every function that computes if it was not called before,
+    see `ensure_configured`. Devices and compiler options (`xla`) can be set only until JAX starts,
+    which it does at its first computation. Programs that take long to compile are cached for later
+    processes, see `compile_cache`; ``SINSJAX_ONE_CORE=1`` pins the process to one core, see
+    `affinity`.
 
     Args:
-        devices: CPU devices, at least 1: the number of threads that run a program. None takes
+        devices: CPU devices, at least 1: the number of threads that run a program. None uses
             ``JAX_NUM_CPU_DEVICES`` or ``--xla_force_host_platform_device_count`` if set, else one
             per usable core.
-        x64: whether JAX computes in double precision, which the engine needs by default.
 
     Raises:
-        ValueError: if `devices` is below 1.
-        RuntimeError: if JAX has started with another number of CPU devices.
+        InputError: `devices` is below 1, double precision is off in a block of ``jax.enable_x64``,
+            or ``SINSJAX_COMPILE_CACHE`` names an unusable folder.
+
+    Warns:
+        ConfigurationWarning: once, if JAX has started with other devices or compiler options.
     """
+    global _configured
     import jax
 
     from sinsjax.platform import compile_cache
 
     if devices is not None and devices < 1:
-        raise ValueError(f"devices must be at least 1, not {devices}")
-    wanted = devices if devices is not None else _default_devices()
-    xla.apply_loop_options()
-    if not xla.backend_started():
-        jax.config.update("jax_num_cpu_devices", wanted)
+        raise InputError(f"devices: must be at least 1, not {devices}")
+    affinity.apply()
+    count = devices if devices is not None else _default_devices()
+    if xla.backend_started():
+        _warn_if_late(count, "" if devices is None else f"devices={devices}")
     else:
-        running = len(jax.local_devices(backend="cpu"))
-        if running != wanted:
-            raise RuntimeError(
-                f"JAX has already started with {running} CPU device(s), not {wanted}: "
-                "call sinsjax.platform.runtime.configure before any JAX computation"
-            )
-    jax.config.update("jax_enable_x64", x64)
+        xla.apply_options()
+        jax.config.update("jax_num_cpu_devices", count)
+    _enable_x64()
     compile_cache.enable()
+    _configured = True
+
+
+def ensure_configured() -> None:
+    """Call `configure` unless it was called before; in any case turn double precision on.
+
+    Raises:
+        InputError: see `configure`.
+    """
+    if _configured:
+        _enable_x64()
+    else:
+        configure()
+
+
+def _warn_if_late(devices: int, arguments: str) -> None:
+    """Warn once if JAX has started without the compiler options or with other devices."""
+    global _warned_late
+    import jax
+
+    problems = []
+    if xla.missing_options():
+        text = "runs are several times slower, results differ by rounding"
+        problems.append(f"without sinsjax's compiler options ({text})")
+    with suppress(RuntimeError):  # JAX_PLATFORMS does not list the CPU
+        if (running := len(jax.local_devices(backend="cpu"))) != devices:
+            problems.append(f"with {running} CPU device(s) instead of {devices}")
+    if problems and not _warned_late:
+        _warned_late = True
+        warnings.warn(
+            f"JAX has started already, {' and '.join(problems)}: restart Python or the notebook's"
+            f" kernel and call sinsjax.configure({arguments}) before JAX computes anything",
+            xla.ConfigurationWarning,
+            stacklevel=3,
+        )
+
+
+def _enable_x64() -> None:
+    """Turn double precision on: single precision loses the Earth's rotation within a sample."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    if not jax.config.jax_enable_x64:
+        raise InputError("sinsjax needs double precision: call it outside jax.enable_x64(False)")
 
 
 def require_backend() -> None:
@@ -76,18 +124,6 @@ def require_backend() -> None:
         platforms = os.environ.get("JAX_PLATFORMS", "")
         why = str(error).partition("\n")[0] or "no such device"
         raise InputError(f"JAX_PLATFORMS={platforms}: JAX does not start: {why}") from error
-
-
-def require_x64() -> None:
-    """Refuse to compute in single precision, which loses the Earth's rotation within a sample.
-
-    Raises:
-        RuntimeError: if double precision is off.
-    """
-    import jax
-
-    if not jax.config.values["jax_enable_x64"]:
-        raise RuntimeError("double precision is off: call sinsjax.configure() first")
 
 
 def usable_cores() -> int:
@@ -123,22 +159,21 @@ def session() -> dict[str, Any]:
     }
 
 
-def facts() -> dict[str, Any]:
-    """Versions, devices and options of this process; starts JAX and compiles a tiny loop.
+def info() -> dict[str, Any]:
+    """Versions, devices and options of this process; configures it if necessary, and starts JAX.
 
     Returns:
         All of `versions`; ``platform``, ``cpu``; ``instructions``: the instruction set in use;
         ``avx512``: whether that is AVX-512, None if unknown; ``cores``, ``devices``, ``x64``;
         ``compile_cache``: the folder of compiled programs, or off and why; ``options``: each XLA
         option with its value in ``XLA_FLAGS`` or None; ``opted_out``; ``jaxlib_tested``: whether
-        this version is in `xla.TESTED_JAXLIB`; ``fused_loop``, ``multi_output_fusion``: see
-        `sinsjax.platform.hlo.options_seen`.
+        this version is in `xla.TESTED_JAXLIB`.
     """
     import jax
 
     from sinsjax.platform import compile_cache
-    from sinsjax.platform.hlo import options_seen
 
+    ensure_configured()
     present = xla.given()
     this, cpu = session(), machine.cpu()
     return {
@@ -149,34 +184,13 @@ def facts() -> dict[str, Any]:
         "avx512": this["instructions"] == "AVX512" if "flags" in cpu else None,
         "cores": usable_cores(),
         "devices": [str(device) for device in jax.devices()],
-        "x64": bool(jax.config.values["jax_enable_x64"]),
+        "x64": bool(jax.config.jax_enable_x64),
         "compile_cache": jax.config.values["jax_compilation_cache_dir"]
         or f"off ({compile_cache.why_off()})",
         "options": {option.name: present.get(option.name) for option in xla.wanted()},
         "opted_out": xla.opted_out(),
         "jaxlib_tested": _version("jaxlib") in xla.TESTED_JAXLIB,
-        **options_seen(),
     }
-
-
-def info() -> dict[str, Any]:
-    """`facts`, and how well a small step vectorises in a separate process (some seconds).
-
-    Returns:
-        All of `facts`; ``vectorised``: share of the step's arithmetic in vectorised loops, None
-        if unknown; ``forgone``: options missing because `configure` was not called, or None.
-    """
-    known = facts()
-    refused = xla.refused_flags(_version("jaxlib"))
-    loops = [option for option in xla.loop_options() if option.flag not in refused]
-    missing = [option.name for option in loops if known["options"][option.name] is None]
-    forgone = None
-    if missing and not xla.opted_out():
-        forgone = (
-            f"{' and '.join(missing)}: call sinsjax.configure() before JAX starts (without a file"
-            " in XLA_FLAGS) for loops up to a quarter faster; they affect the whole process"
-        )
-    return known | {"vectorised": xla.vectorised(), "forgone": forgone}
 
 
 @functools.cache
@@ -198,7 +212,5 @@ def _default_devices() -> int:
     chosen = int(jax.config.values["jax_num_cpu_devices"])
     if chosen >= 1:
         return chosen
-    forced = xla.flag_values(os.environ.get("XLA_FLAGS", "")).get(
-        "xla_force_host_platform_device_count", ""
-    )
+    forced = xla.given().get("xla_force_host_platform_device_count", "")
     return int(forced) if forced.isdigit() and int(forced) else usable_cores()

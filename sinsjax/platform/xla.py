@@ -3,12 +3,8 @@
 By default XLA:CPU calls every small fusion of a scan body as a separate function, at several times
 the cost of a 5-state filter's arithmetic, and LLVM leaves the largest of these loops scalar, as it
 would need more runtime overlap checks than its default limit. XLA reads its options from
-``XLA_FLAGS`` once, when the backend starts, so `apply_options` runs when `sinsjax` is imported: it
-adds `OPTIONS` and changes nothing else.
-
-LLVM's options apply to the whole process. The one in `OPTIONS` costs other programs nothing; those
-of `loop_options` suit loops over lanes in double precision and may slow down others, so they are
-set only by an explicit call of `runtime.configure`.
+``XLA_FLAGS`` once, when JAX starts, so `runtime.configure` calls `apply_options` before that. The
+options affect every program of the process.
 
 Set the environment variable ``SINSJAX_XLA_OPTIONS=0`` to leave ``XLA_FLAGS`` unchanged.
 """
@@ -19,13 +15,16 @@ import importlib.metadata
 import json
 import os
 import re
+import subprocess
 import sys
-import tempfile
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from sinsjax.platform import machine, xla_trial
+from sinsjax.errors import InputError
+from sinsjax.platform import machine
+from sinsjax.platform.files import replacing
 
 EXTRA_FLAG = "xla_backend_extra_options"
 OPT_OUT = "SINSJAX_XLA_OPTIONS"
@@ -38,38 +37,34 @@ class Option(NamedTuple):
         name: its key; LLVM options begin with two hyphens.
         value: its value.
         extra: whether it is passed in ``--xla_backend_extra_options``. XLA silently ignores an
-            unknown key there, whereas an unknown plain flag ends the process when the backend
-            starts, and an unknown LLVM option does so at the first compilation.
+            unknown key there, whereas an unknown plain flag ends the process when JAX starts, and
+            an unknown LLVM option does so at the first compilation.
     """
 
     name: str
     value: str
     extra: bool = True
 
-    @property
-    def flag(self) -> str:
-        """The name that jaxlib may not know: the LLVM option, or the flag that carries it."""
-        return EXTRA_FLAG if self.extra and not self.name.startswith("--") else self.name
 
+TESTED_JAXLIB = frozenset({"0.10.0", "0.10.2"})
+"""jaxlib versions on which all options were seen to take effect in a compiled loop."""
 
-OPTIONS = (
+_OPTIONS = (
     Option("xla_cpu_prefer_vector_width", "512", extra=False),
     Option("xla_cpu_copy_insertion_use_region_analysis", "true", extra=False),
     Option("xla_cpu_small_while_loop_byte_threshold", "1000000000"),
     Option("xla_cpu_use_multi_output_fusion", "true"),
     Option("--vectorize-memory-check-threshold", "100000"),
 )
-"""The options set on import."""
-
-TESTED_JAXLIB = frozenset({"0.10.0", "0.10.2"})
-"""jaxlib versions on which all options were seen to take effect in a compiled loop."""
-
 _WIDTHS = {"AVX512": "8", "AVX2": "4", "AVX": "4", "SSE4_2": "4"}
 _FLAG = re.compile(r"""(?:^|(?<=\s))--(\w+)=(\"[^\"]*\"|'[^']*'|\S*)""")
 
+_TRIAL = "import jax\njax.config.update('jax_enable_x64', True)\njax.jit(lambda x: x + 1.0)(1.0)\n"
+_TRIAL_S = 120.0
 
-class OptionsWarning(UserWarning):
-    """The XLA options could not be set: results are the same, loops run several times slower."""
+
+class ConfigurationWarning(UserWarning):
+    """JAX could not be set up as intended: runs can be slower, results differ by rounding."""
 
 
 def opted_out() -> bool:
@@ -108,38 +103,38 @@ def instructions() -> str:
     return machine.instructions(given().get("xla_cpu_max_isa", ""))
 
 
-def loop_options() -> tuple[Option, ...]:
-    """LLVM's options for loops over lanes in double precision, by the instruction set in use.
+def wanted() -> tuple[Option, ...]:
+    """The options for the instruction set in use.
 
-    Wider vectors than LLVM would choose, one per iteration. No options outside x86.
+    On x86 they include LLVM's options for loops over lanes in double precision: wider vectors than
+    LLVM would choose, one per iteration.
     """
     width = _WIDTHS.get(instructions())
     if width is None:
-        return ()
-    return Option("--force-vector-width", width), Option("--force-vector-interleave", "1")
+        return _OPTIONS
+    loops = Option("--force-vector-width", width), Option("--force-vector-interleave", "1")
+    return _OPTIONS + loops
 
 
-def wanted() -> tuple[Option, ...]:
-    """All options, including those for loops."""
-    return (*OPTIONS, *loop_options())
+def missing_options() -> tuple[Option, ...]:
+    """The options that ``XLA_FLAGS`` does not set and this jaxlib knows; none if opted out."""
+    unset = _unset_options()
+    refused = refused_options(_jaxlib()) if unset else frozenset()
+    return tuple(option for option in unset if option.name not in refused)
 
 
-def merge_options(
-    flags: str, refused: frozenset[str] = frozenset(), options: tuple[Option, ...] = OPTIONS
-) -> str:
+def merge_options(flags: str, options: Sequence[Option]) -> str:
     """Extend a value of ``XLA_FLAGS`` by the options that it does not set.
 
     Args:
         flags: the user's value. Every flag and extra option in it is kept unchanged.
-        refused: flags that this jaxlib does not know.
         options: options to set.
 
     Returns:
         The new value. Extra options are appended to an existing ``--xla_backend_extra_options``.
     """
     present = flag_values(flags)
-    carried = options if EXTRA_FLAG not in refused else [o for o in options if not o.extra]
-    missing = [o for o in carried if o.name not in present and o.flag not in refused]
+    missing = [option for option in options if option.name not in present]
     plain = [f"--{o.name}={o.value}" for o in missing if not o.extra]
     extra = ",".join(f"{o.name}={o.value}" for o in missing if o.extra)
     existing = [m for m in _FLAG.finditer(flags) if m[1] == EXTRA_FLAG]
@@ -153,37 +148,27 @@ def merge_options(
     return " ".join([flags.strip(), *plain]).strip()
 
 
-def apply_options() -> None:
-    """Add `OPTIONS` to ``XLA_FLAGS``, extending the user's value.
+def extended_flags() -> str:
+    """``XLA_FLAGS`` with the missing options added; unchanged if it names a file."""
+    flags = os.environ.get("XLA_FLAGS", "")
+    return flags if names_a_file(flags) else merge_options(flags, missing_options())
 
-    Does nothing if the user has opted out or has set every option. A jaxlib not in `TESTED_JAXLIB`
-    is first tried in a separate process, once per version and user, because an unknown flag would
-    end this one.
+
+def apply_options() -> None:
+    """Add the missing options to ``XLA_FLAGS``; has an effect only before JAX starts.
 
     Warns:
-        OptionsWarning: a JAX backend has already started, ``XLA_FLAGS`` names a file, or jaxlib
-            does not know a flag.
+        ConfigurationWarning: ``XLA_FLAGS`` names a file without all the options, or jaxlib does not
+            know some of them.
     """
-    flags = os.environ.get("XLA_FLAGS", "")
-    if opted_out() or all(option.name in flag_values(flags) for option in OPTIONS):
-        return
-    if names_a_file(flags):
-        _warn(f"XLA_FLAGS names the file {flags.strip()}; put {merge_options('')} there")
-    elif backend_started():
-        _warn(f"JAX has started already; import sinsjax first or set XLA_FLAGS={merge_options('')}")
-    else:
-        refused = refused_flags(_jaxlib())
-        if refused:
-            names = ", ".join(f"--{flag.removeprefix('--')}" for flag in sorted(refused))
-            _warn(f"jaxlib {_jaxlib()} does not know {names}")
-        os.environ["XLA_FLAGS"] = merge_options(flags, refused)
-
-
-def apply_loop_options() -> None:
-    """Add `loop_options` to ``XLA_FLAGS``, unless JAX has started or the user has opted out."""
-    flags = os.environ.get("XLA_FLAGS", "")
-    if not (opted_out() or names_a_file(flags) or backend_started()):
-        os.environ["XLA_FLAGS"] = merge_options(flags, refused_flags(_jaxlib()), loop_options())
+    flags, missing = os.environ.get("XLA_FLAGS", ""), missing_options()
+    if names_a_file(flags) and missing:
+        _warn(f"XLA_FLAGS names the file {flags.strip()}; add {merge_options('', missing)} to it")
+    elif missing:
+        os.environ["XLA_FLAGS"] = extended_flags()
+    if not names_a_file(flags) and (refused := _unset_options()):
+        names = ", ".join(f"--{option.name.removeprefix('--')}" for option in refused)
+        _warn(f"jaxlib {_jaxlib()} does not know {names}")
 
 
 def backend_started() -> bool:
@@ -193,47 +178,62 @@ def backend_started() -> bool:
     return bridge is not None and bridge.backends_are_initialized()
 
 
-def refused_flags(jaxlib: str) -> frozenset[str]:
-    """The flags of the `wanted` options that a jaxlib version does not know.
+@functools.cache
+def refused_options(jaxlib: str) -> frozenset[str]:
+    """The names of the `wanted` options that a jaxlib version does not know.
+
+    An unknown option would end this process, so a version not in `TESTED_JAXLIB` is tried in a
+    separate one, first with all the options and, if it fails, with each alone. The answer is stored
+    in the user's cache folder.
 
     Args:
-        jaxlib: the installed version. One not in `TESTED_JAXLIB` is tried in a separate process
-            (some seconds); the result is stored in the user's cache folder.
+        jaxlib: the installed version.
 
     Returns:
-        Names of flags; all of them if the trial failed.
+        Names of options; all of them if nothing can be tried.
     """
     options = wanted()
-    needed = frozenset(option.flag for option in options)
     if jaxlib in TESTED_JAXLIB:
         return frozenset()
-    known = _read_cache()
-    if needed <= known.get(jaxlib, {}).keys():
-        return frozenset(flag for flag in needed if not known[jaxlib][flag])
-    refused = xla_trial.refused(lambda found: merge_options("", found, options))
-    if refused is None:
-        return needed
-    _write_cache(known | {jaxlib: {flag: flag not in refused for flag in sorted(needed)}})
-    return refused
+    key, answers = f"jaxlib {jaxlib} {merge_options('', options)}", _read_answers()
+    if key not in answers:
+        if not compiles(""):
+            return frozenset(option.name for option in options)
+        refused = [] if compiles(merge_options("", options)) else options
+        names = [option.name for option in refused if not compiles(merge_options("", [option]))]
+        answers[key] = names
+        _write_answers(answers)
+    return frozenset(answers[key])
 
 
-@functools.cache
-def vectorised() -> float | None:
-    """Share of a small step's arithmetic that is vectorised under the current ``XLA_FLAGS``.
+def compiles(flags: str) -> bool:
+    """Whether a separate process compiles a small program with a value of ``XLA_FLAGS``."""
+    settings = {"JAX_PLATFORMS": "cpu", "JAX_ENABLE_COMPILATION_CACHE": "false"}
+    try:
+        process = subprocess.run(
+            # -P keeps modules of the working directory off the path.
+            [sys.executable or "", "-P", "-c", _TRIAL],
+            env=os.environ | settings | {"XLA_FLAGS": flags},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=_TRIAL_S,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return process.returncode == 0
 
-    Compiled in a separate process, which takes some seconds; None if unknown.
-    """
-    flags = os.environ.get("XLA_FLAGS", "")
-    trial = None if names_a_file(flags) else xla_trial.attempt(flags)
-    return trial.vectorised if trial else None
+
+def _unset_options() -> tuple[Option, ...]:
+    present = given()
+    return () if opted_out() else tuple(o for o in wanted() if o.name not in present)
 
 
-def _warn(what: str) -> None:
+def _warn(problem: str) -> None:
     warnings.warn(
-        f"sinsjax's XLA options are not in force, loops run slower: {what} ({OPT_OUT}=0 silences "
-        "this warning)",
-        OptionsWarning,
-        stacklevel=3,
+        f"sinsjax's XLA options are not all in effect, runs may be several times slower: {problem}"
+        f" ({OPT_OUT}=0 silences this warning)",
+        ConfigurationWarning,
+        stacklevel=4,
     )
 
 
@@ -242,25 +242,22 @@ def _jaxlib() -> str:
     return importlib.metadata.version("jaxlib")
 
 
-def _cache_file() -> Path:
+def _answers_file() -> Path:
     return machine.cache_folder() / "xla_options.json"
 
 
-def _read_cache() -> dict[str, dict[str, bool]]:
+def _read_answers() -> dict[str, list[str]]:
+    """The options refused in earlier trials, by jaxlib version and options tried."""
     try:
-        known = json.loads(_cache_file().read_text(encoding="utf-8"))
-        return {str(version): dict(flags) for version, flags in known.items()}
-    except (OSError, ValueError, TypeError, AttributeError):
+        stored = json.loads(_answers_file().read_text(encoding="utf-8"))
+        return {key: names for key, names in stored.items() if isinstance(names, list)}
+    except (OSError, ValueError, AttributeError):
         return {}
 
 
-def _write_cache(known: dict[str, dict[str, bool]]) -> None:
-    # Without the cache, the next import takes a second longer.
-    with contextlib.suppress(OSError):
-        path = _cache_file()
-        machine.private_folder(path.parent)
-        with tempfile.NamedTemporaryFile(
-            "w", dir=path.parent, suffix=".tmp", delete=False, encoding="utf-8"
-        ) as file:
-            json.dump(known, file, indent=1)
-        os.replace(file.name, path)
+def _write_answers(answers: dict[str, list[str]]) -> None:
+    # If nothing can be stored, the next process tries again.
+    with contextlib.suppress(OSError, InputError):
+        machine.private_folder(_answers_file().parent)
+        with replacing(_answers_file()) as file:
+            file.write(json.dumps(answers, indent=1).encode())

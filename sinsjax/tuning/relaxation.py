@@ -118,7 +118,6 @@ class Relaxation:
 
         Raises:
             InputError: a function fails, or gives other numbers; names its package.
-            RuntimeError: double precision is off.
         """
         if PACKAGES.keys().isdisjoint(self._methods):
             return

@@ -71,7 +71,6 @@ def tune(
         InputError: no [tune] or no reference, a variable without a gradient, a record that does not
             fit, or a directory that cannot be used.
         StudyInterrupted: ``stop`` was set.
-        RuntimeError: double precision is off (`runtime.configure` turns it on).
     """
     options = Options(directory, overwrite=overwrite, resume=resume, source=source)
     run_tuning(prepare_tuning(study, None, tape, None, options), watch=watch, stop=stop)
@@ -133,7 +132,6 @@ def check_searches(study: Study, tape: StoredRecord | None = None) -> None:
     Raises:
         InputError: a variable without a gradient, or a method of another package whose numbers do
             not follow its keys.
-        RuntimeError: double precision is off, and a method is of another package.
     """
     space = SearchSpace.of(study)
     if GRADIENT in require_tune(study).searches:

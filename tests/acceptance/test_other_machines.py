@@ -12,7 +12,6 @@ from support.studies import small_study
 
 from sinsjax.execution import run
 from sinsjax.execution.results import read_summary
-from sinsjax.platform import xla
 from sinsjax.study.load import study_to_toml
 
 TOLERANCE_ARCMIN, TOLERANCE_DEG = 1e-6, 1e-8

@@ -20,7 +20,7 @@ from sinsjax.engine import build
 from sinsjax.errors import InputError
 from sinsjax.platform import xla
 
-HOLDS = {"cpu": "model X", "sinsjax": "1.2", "jax": "0", "platform": "cpu", "fused_loop": True}
+HOLDS = {"cpu": "model X", "sinsjax": "1.2", "jax": "0", "platform": "cpu", "options": "all"}
 ROWS = ["kalman_shared_record", "kalman_noise_64", "numpy_baseline"]
 
 
@@ -96,7 +96,7 @@ def test_ratio_is_median_of_per_turn_ratios():
 def test_conditions_list_machine_and_software():
     holds = bench.conditions()
     machine = "cpu family ghz instructions avx512 cores platform device"
-    software = "sinsjax jax jaxlib python options fused_loop"
+    software = "sinsjax jax jaxlib python options"
     assert list(holds) == f"{machine} {software}".split()
     assert holds["platform"] == "cpu"
     json.dumps(holds)
@@ -110,10 +110,10 @@ def test_conditions_list_machine_and_software():
         ({xla.wanted()[0].name: "other"}, None),
     ],
 )
-def test_xla_options_in_force_are_summarised(values, told):
+def test_xla_options_that_are_set_are_summarised(values, told):
     options = {option.name: option.value for option in xla.wanted()} | values
     rest = " ".join(option.name.removeprefix("xla_cpu_") for option in xla.wanted()[1:])
-    assert timing._in_force(options) == (told or rest)
+    assert timing._options_set(options) == (told or rest)
 
 
 @pytest.mark.parametrize("name", ["configs/reset_sweep.toml", "benchmarks/limit_kernel.c"])
@@ -160,11 +160,11 @@ def test_broken_gcc_warns_and_skips_limit_kernel(quiet, tmp_path, capsys, script
     assert [row["name"] for row in rows] == ROWS
 
 
-def test_missing_fused_loop_warns_only_on_cpu(quiet, capsys):
+def test_missing_compiler_options_warn_only_on_cpu(quiet, capsys):
     for platform, warned in (("cpu", True), ("gpu", False)):
-        holds = HOLDS | {"platform": platform, "fused_loop": False}
+        holds = HOLDS | {"platform": platform, "options": "none"}
         quiet.setattr(bench, "conditions", lambda holds=holds: holds)
-        assert ("fused loop" in timed(capsys, limit=False)[1]) == warned
+        assert ("compiler options" in timed(capsys, limit=False)[1]) == warned
 
 
 def test_table_shows_ratio_to_limit_kernel(gcc, quiet, capsys):

@@ -50,7 +50,6 @@ HOLDS: Row = {
     "jaxlib": "0.10.2",
     "python": "3.11.7",
     "options": "all",
-    "fused_loop": True,
 }
 
 

@@ -239,7 +239,7 @@ def test_single_precision_is_refused_without_deleting_results(tmp_path: Path) ->
             lambda: run.run(study),
             lambda: build.simulated_record(study),
         ):
-            with pytest.raises(RuntimeError, match="double precision"):
+            with pytest.raises(InputError, match="double precision"):
                 call()
     assert everything(tmp_path / "out") == before
 

@@ -26,7 +26,9 @@ if {bare}:  # the module alone, without jax: quicker
     from sinsjax.platform import affinity
     affinity.apply()
 else:
-    import sinsjax
+    import jax, sinsjax
+    sinsjax.configure()
+    jax.devices()
 cores = {{frozenset(os.sched_getaffinity(int(t))) for t in os.listdir("/proc/self/task")}}
 print(*sorted(map(sorted, cores)), flush=True)
 """
@@ -76,7 +78,7 @@ def test_each_process_holds_separate_core_until_it_ends(start: Start) -> None:
     assert start()[0] == first
 
 
-def test_import_pins_process_before_jax_starts_threads(start: Start) -> None:
+def test_configure_pins_process_before_jax_starts_threads(start: Start) -> None:
     assert start(bare=False)[0] == f"[{CORES[0]}]"
 
 

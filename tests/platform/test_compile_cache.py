@@ -1,13 +1,10 @@
 import importlib.metadata
-import json
 import os
 import shutil
 import subprocess
 import sys
-import zlib
 from pathlib import Path
 
-import filelock
 import jax
 import pytest
 
@@ -162,20 +159,20 @@ def start(folder: Path) -> subprocess.Popen:
     return subprocess.Popen(command, env=environment, stdout=pipe, stderr=pipe, text=True)
 
 
-def told(process: subprocess.Popen) -> tuple[str, bool]:
-    """The bits of its result, and whether it found what it would have compiled."""
+def result(process: subprocess.Popen) -> tuple[str, bool, str]:
+    """The bits of its result, whether it found the program, and its standard error."""
     out, errors = process.communicate(timeout=120)
-    assert (process.returncode, errors) == (0, "")
+    assert process.returncode == 0, errors
     bits, found = out.split()
-    return bits, found == "True"
+    return bits, found == "True", errors
 
 
 @pytest.fixture(scope="module")
 def first(tmp_path_factory):
     """A cache that a process has filled, a copy of it, and the bits of its result."""
     folder = tmp_path_factory.mktemp("first")
-    bits, found = told(start(folder / "cache"))
-    assert not found
+    bits, found, errors = result(start(folder / "cache"))
+    assert not found and not errors
     shutil.copytree(folder / "cache", folder / "copy")
     return folder, bits
 
@@ -193,74 +190,34 @@ def filled(first):
 def test_second_process_reuses_compiled_programs_of_first(filled):
     """And gives the same bits."""
     folder, _, bits = filled
-    assert told(start(folder)) == (bits, True)
+    assert result(start(folder)) == (bits, True, "")
 
 
-def cut(inner: Path) -> None:
-    """Its digest is that of an entry that took another time to compile."""
-    sums = json.loads((inner / "sums.json").read_text())
-    (inner / "sums.json").write_text(json.dumps(dict.fromkeys(sums, "0")))
+@pytest.mark.parametrize("length", [100, 0])
+def test_truncated_cache_entry_is_recompiled_with_warning(filled, length):
+    folder, inner, bits = filled
+    for entry in inner.glob("*-cache"):
+        entry.write_bytes(entry.read_bytes()[:length])
+    *found, errors = result(start(folder))
+    assert found == [bits, False]
+    assert "UserWarning: Error reading persistent compilation cache entry" in errors
+
+
+def test_entry_of_interrupted_write_is_replaced(filled):
+    """It has no access time, and would stop all later writing."""
+    folder, inner, bits = filled
     for entry in inner.glob("*-cache"):
         entry.write_bytes(entry.read_bytes()[:100])
-
-
-def flip(inner: Path) -> None:
-    for entry in inner.glob("*-cache"):
-        data = bytearray(entry.read_bytes())
-        data[len(data) // 2] ^= 16
-        entry.write_bytes(data)
-
-
-def orphan(inner: Path) -> None:
-    for used in inner.glob("*-atime"):
-        used.unlink()
-
-
-def forget(inner: Path) -> None:
-    (inner / "sums.json").write_text("{")
-
-
-def replace(inner: Path) -> None:
-    """A whole entry put there from elsewhere."""
-    for entry in inner.glob("*-cache"):
-        entry.write_bytes(zlib.compress(b"another's"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("spoil", [cut, flip, orphan, forget, replace])
-def test_corrupt_cache_entry_is_recompiled_with_same_result(filled, spoil):
-    folder, inner, bits = filled
-    spoil(inner)
-    assert told(start(folder)) == (bits, False)
-    assert told(start(folder)) == (bits, True)
+        entry.with_name(entry.name.replace("-cache", "-atime")).unlink()
+    assert result(start(folder)) == (bits, False, "")
+    assert result(start(folder)) == (bits, True, "")
 
 
 @pytest.mark.slow
 def test_simultaneous_first_starts_give_same_result(tmp_path, first):
     processes = [start(tmp_path / "new") for _ in range(3)]
-    assert [told(process)[0] for process in processes] == 3 * [first[1]]
-    assert told(start(tmp_path / "new")) == (first[1], True)
-
-
-def test_truncated_cache_entry_is_not_recorded(filled):
-    _, inner, _ = filled
-    (entry,) = inner.glob("*-cache")
-    short = entry.with_name(f"short{entry.name}")
-    short.write_bytes(entry.read_bytes()[:-9])
-    (inner / "sums.json").unlink()
-    compile_cache.record_digests(inner)
-    assert list(json.loads((inner / "sums.json").read_text())) == [entry.name]
-
-
-def test_lock_held_by_other_process_turns_cache_off(unchanged, filled):
-    folder, _, _ = filled
-    unchanged.setenv(compile_cache.VARIABLE, str(folder))
-    unchanged.setattr(compile_cache, "_PATIENCE_S", 0.05)
-    inner = compile_cache.enable()
-    jax.config.update("jax_compilation_cache_dir", None)
-    with filelock.FileLock(inner / ".lockfile"):
-        assert compile_cache.enable() is None
-    assert compile_cache.why_off().startswith("another process holds the lock")
+    assert [result(process)[0] for process in processes] == 3 * [first[1]]
+    assert result(start(tmp_path / "new")) == (first[1], True, "")
 
 
 def test_old_cache_folders_are_removed(unchanged, tmp_path):

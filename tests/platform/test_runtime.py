@@ -6,12 +6,12 @@ from pathlib import Path
 
 import jax
 import pytest
+from support.studies import small_study
 
 import sinsjax
+from sinsjax.errors import InputError
 from sinsjax.platform import runtime, xla
 from sinsjax.platform.xla import merge_options
-
-MERGED = merge_options("")
 
 
 def python(script: str, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -28,62 +28,167 @@ def python(script: str, **environment: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_configure_after_jax_start_refuses_other_device_count():
+@pytest.fixture
+def late(monkeypatch):
+    """No warning was given yet."""
+    monkeypatch.setattr(runtime, "_warned_late", False)
+
+
+def test_configure_after_jax_start_warns_once_of_other_device_count(late, recwarn):
     assert len(jax.devices()) == 2
     runtime.configure(devices=2)
     runtime.configure()
-    with pytest.raises(RuntimeError, match=r"started with 2 CPU device\(s\), not 3"):
+    assert not recwarn.list
+    told = (
+        r"started already, with 2 CPU device\(s\) instead of 3: .*\.configure\(devices=3\) before"
+    )
+    with pytest.warns(xla.ConfigurationWarning, match=told):
         runtime.configure(devices=3)
-    with pytest.raises(ValueError, match="at least 1, not 0"):
+    runtime.configure(devices=3)
+    assert not recwarn.list
+    assert len(jax.devices()) == 2
+
+
+def test_device_count_below_one_is_refused():
+    with pytest.raises(InputError, match="^devices: must be at least 1, not 0"):
         runtime.configure(devices=0)
 
 
-def test_import_sets_only_xla_flags_and_configure_sets_precision():
-    told = python(
+def test_import_changes_nothing():
+    """Not the environment, the affinity or the warnings filters, even if pinning is on."""
+    done = python(
+        """
+import os, sys, warnings
+state = lambda: [dict(os.environ), list(warnings.filters), os.sched_getaffinity(0)]
+before = state()
+import sinsjax
+assert state() == before
+assert "jax" not in sys.modules
+""",
+        SINSJAX_ONE_CORE="1",
+    )
+    assert done.stderr == ""
+
+
+def test_no_module_starts_jax_at_import():
+    """Otherwise the compiler options would come too late."""
+    python("""
+import importlib, pkgutil, sinsjax
+from sinsjax.platform import xla
+names = [module.name for module in pkgutil.walk_packages(sinsjax.__path__, "sinsjax.")]
+for name in names:
+    if not name.endswith("__main__"):
+        importlib.import_module(name)
+        assert not xla.backend_started(), name
+assert len(names) > 100
+""")
+
+
+def test_configure_sets_options_devices_and_precision_before_jax_starts():
+    done = python(
         """
 import json, os
-before = dict(os.environ)
-import sinsjax
-changed = {k: v for k, v in os.environ.items() if before.get(k) != v}
-import jax
-precision, count = (jax.config.values[k] for k in ("jax_enable_x64", "jax_num_cpu_devices"))
-sinsjax.platform.runtime.configure(devices=3)
-print(json.dumps([changed, precision, count, sinsjax.platform.runtime.info()]))
+import jax, sinsjax  # JAX is imported, but has not started
+sinsjax.configure(devices=3)
+print(json.dumps([os.environ["XLA_FLAGS"], sinsjax.info()]))
 """,
-        XLA_FLAGS="--xla_force_host_platform_device_count=4",
+        XLA_FLAGS="--xla_force_host_platform_device_count=4 --xla_cpu_prefer_vector_width=256",
     )
-    changed, x64, count, info = json.loads(told.stdout)
-    assert changed == {"XLA_FLAGS": f"--xla_force_host_platform_device_count=4 {merge_options('')}"}
-    assert (x64, count) == (False, -1)
+    flags, info = json.loads(done.stdout)
+    options = {o.name: o.value for o in xla.wanted()} | {"xla_cpu_prefer_vector_width": "256"}
+    set_ = options | {"xla_force_host_platform_device_count": "4"}
+    assert xla.flag_values(flags) == set_
+    assert info["options"] == options
     assert (info["x64"], len(info["devices"])) == (True, 3)
-    assert info["options"] == {option.name: option.value for option in xla.wanted()}
-    assert info["forgone"] is None
-    assert info["vectorised"] in (1.0, None)
-    assert (info["fused_loop"], info["multi_output_fusion"]) == (True, True)
-    assert told.stderr == ""
+    assert done.stderr == ""
 
 
-def test_opt_out_disables_loop_fusion_and_keeps_user_device_count():
-    told = python(
-        """
-import json, sinsjax
-sinsjax.platform.runtime.configure(x64=False)
-print(json.dumps(sinsjax.platform.runtime.info()))
-""",
+def test_opt_out_leaves_flags_and_keeps_user_device_count():
+    done = python(
+        "import json, sinsjax; print(json.dumps(sinsjax.info()))",
         SINSJAX_XLA_OPTIONS="0",
         XLA_FLAGS="--xla_force_host_platform_device_count=4",
     )
-    info = json.loads(told.stdout)
+    info = json.loads(done.stdout)
     assert info["opted_out"]
     assert set(info["options"].values()) == {None}
-    assert not (info["fused_loop"] and info["multi_output_fusion"])
-    assert (info["x64"], len(info["devices"])) == (False, 4)
+    assert (info["x64"], len(info["devices"])) == (True, 4)
 
 
-def test_import_after_jax_start_warns_with_remedy():
-    told = python("import jax; jax.devices(); import sinsjax")
-    assert "OptionsWarning: sinsjax's XLA options are not in force" in told.stderr
-    assert f"set XLA_FLAGS={merge_options('')}" in told.stderr
+STUDY = """
+import sinsjax
+study = sinsjax.study_from_dict({
+    "study": {"duration_s": 2.0, "rate_hz": 20.0, "draws": 1, "record_interval_s": 0.1},
+    "earth": {"latitude_deg": 48.0}, "motion": {"yaw_center_deg": 10.0},
+    "alignment": {"method": "inertial"},
+})
+"""
+
+
+def test_run_after_jax_start_warns_once_and_computes_in_double_precision():
+    """As a notebook that has used JAX; options of the user's own are no reason to be silent."""
+    done = python(
+        f"""
+import jax.numpy as jnp
+assert jnp.ones(3).dtype == "float32"
+{STUDY}
+sinsjax.run(study)
+sinsjax.configure()
+sinsjax.run(study)
+assert jnp.ones(3).dtype == "float64"
+""",
+        XLA_FLAGS="--xla_cpu_max_isa=AVX2",
+        JAX_NUM_CPU_DEVICES=str(runtime.usable_cores()),
+    )
+    assert done.stderr.count("Warning") == 1
+    told = (
+        "ConfigurationWarning: JAX has started already, without sinsjax's compiler options (runs"
+        " are several times slower, results differ by rounding): restart Python or the notebook's"
+        " kernel and call sinsjax.configure() before JAX computes anything\n"
+    )
+    assert told in done.stderr
+
+
+def test_options_of_user_set_before_jax_start_need_no_warning():
+    done = python(
+        "import jax; jax.devices(); import sinsjax; sinsjax.configure()",
+        XLA_FLAGS=merge_options("", xla.wanted()),
+        JAX_NUM_CPU_DEVICES=str(runtime.usable_cores()),
+    )
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda study, folder: sinsjax.run(study),
+        lambda study, folder: sinsjax.run_into(study, folder),
+        lambda study, folder: sinsjax.estimate(study),
+        lambda study, folder: sinsjax.tune(study, folder),
+        lambda study, folder: sinsjax.one_run(study),
+        lambda study, folder: sinsjax.simulated_record(study),
+        lambda study, folder: sinsjax.information_bound(study),
+        lambda study, folder: sinsjax.estimated_curves(study),
+        lambda study, folder: sinsjax.info(),
+    ],
+)
+def test_functions_that_compute_configure_first(call, monkeypatch, tmp_path):
+    class Configured(Exception):
+        pass
+
+    def configure() -> None:
+        raise Configured
+
+    monkeypatch.setattr(runtime, "_configured", False)
+    monkeypatch.setattr(runtime, "configure", configure)
+    with pytest.raises(Configured):
+        call(small_study(), tmp_path / "out")
+
+
+def test_double_precision_that_was_turned_off_is_turned_on_again():
+    jax.config.update("jax_enable_x64", False)
+    sinsjax.one_run(small_study())
+    assert jax.config.jax_enable_x64
 
 
 def test_info_reports_versions_and_hardware():
@@ -97,7 +202,7 @@ def test_info_reports_versions_and_hardware():
 
 
 def test_package_import_loads_no_heavy_modules() -> None:
-    """Not even JAX, whose options it sets; each name is imported when it is first used."""
+    """Each public name is imported when it is first used."""
     code = "import sys, sinsjax; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     heavy = {"jax", "jaxlib", "matplotlib", "numpy", "optax", "pyarrow", "pydantic", "scipy"}

@@ -1,16 +1,19 @@
 import json
 import os
+import re
 import subprocess
 import sys
 
+import jax
+import jax.numpy as jnp
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sinsjax.platform import xla, xla_trial
-from sinsjax.platform.xla import OPTIONS, Option, OptionsWarning, flag_values, merge_options
-from sinsjax.platform.xla_trial import Trial, attempt, vectorised_share
+from sinsjax.platform import xla
+from sinsjax.platform.xla import ConfigurationWarning, Option, flag_values, merge_options
 
+OPTIONS = xla._OPTIONS
 ALL = {option.name: option.value for option in OPTIONS}
 PLAIN = "--xla_cpu_prefer_vector_width=512 --xla_cpu_copy_insertion_use_region_analysis=true"
 EXTRA = (
@@ -21,13 +24,15 @@ EXTRA = (
 
 @pytest.fixture
 def unset(monkeypatch, tmp_path):
-    """No options yet, no backend, an empty cache folder."""
+    """No options yet, an empty cache folder, an instruction set without options of its own."""
     for name in ("XLA_FLAGS", xla.OPT_OUT):
         monkeypatch.setenv(name, "")  # so that what a test sets is undone
         monkeypatch.delenv(name)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(xla, "backend_started", lambda: False)
-    return monkeypatch
+    monkeypatch.setattr(xla, "instructions", lambda: "NEON")
+    xla.refused_options.cache_clear()
+    yield monkeypatch
+    xla.refused_options.cache_clear()
 
 
 @pytest.fixture
@@ -68,7 +73,7 @@ def no_process(monkeypatch):
     ],
 )
 def test_merge_options_extends_user_flags(flags, merged):
-    assert merge_options(flags) == merged
+    assert merge_options(flags, OPTIONS) == merged
 
 
 PLAIN_NAMES = st.sampled_from([o.name for o in OPTIONS if not o.extra] + ["xla_a", "xla_b"])
@@ -91,96 +96,107 @@ def user_flags(draw):
 
 @given(user_flags())
 def test_merge_options_keeps_user_values_and_adds_rest_once(flags):
-    merged = merge_options(flags)
+    merged = merge_options(flags, OPTIONS)
     assert flag_values(merged) == ALL | flag_values(flags)
-    assert merge_options(merged) == merged
-
-
-def test_merge_leaves_out_refused_flags():
-    assert merge_options("", frozenset({"xla_backend_extra_options"})) == PLAIN
-    assert "vector_width" not in merge_options("", frozenset({"xla_cpu_prefer_vector_width"}))
-    without = merge_options("", frozenset({"--vectorize-memory-check-threshold"}))
-    assert flag_values(without).items() == ALL.items() - {
-        ("--vectorize-memory-check-threshold", "100000")
-    }
+    assert merge_options(merged, OPTIONS) == merged
 
 
 def test_apply_options_sets_flags_without_starting_process(unset, no_process):
     unset.setattr(xla, "_jaxlib", lambda: "0.10.2")
     xla.apply_options()
-    assert os.environ["XLA_FLAGS"] == merge_options("")
+    assert os.environ["XLA_FLAGS"] == merge_options("", OPTIONS)
+    assert not xla.missing_options()
 
 
-def test_apply_options_respects_opt_out(unset):
+def test_apply_options_respects_opt_out(unset, no_process):
+    unset.setattr(xla, "_jaxlib", lambda: "99.0")
     unset.setenv(xla.OPT_OUT, "0")
     xla.apply_options()
     assert "XLA_FLAGS" not in os.environ
 
 
-def test_apply_warns_when_jax_has_started(unset):
-    unset.setattr(xla, "backend_started", lambda: True)
-    with pytest.warns(OptionsWarning, match="JAX has started already"):
+def test_apply_warns_and_leaves_flag_file_unchanged(unset, tmp_path):
+    file = tmp_path / "flags"
+    file.write_text(merge_options("", OPTIONS[1:]))
+    unset.setenv("XLA_FLAGS", str(file))
+    told = f"names the file {file}; add {merge_options('', OPTIONS[:1])} to it"
+    with pytest.warns(ConfigurationWarning, match=re.escape(told)):
         xla.apply_options()
-    assert "XLA_FLAGS" not in os.environ
-    unset.setenv("XLA_FLAGS", merge_options(""))
+    assert os.environ["XLA_FLAGS"] == xla.extended_flags() == str(file)
+    file.write_text(merge_options("", OPTIONS))
     xla.apply_options()
-
-
-def test_apply_warns_and_leaves_flag_file_unchanged(unset):
-    unset.setenv("XLA_FLAGS", "flags.txt")
-    with pytest.warns(OptionsWarning, match="names the file flags.txt"):
-        xla.apply_options()
-    assert os.environ["XLA_FLAGS"] == "flags.txt"
 
 
 @pytest.mark.slow
 def test_unknown_jaxlib_is_tried_once_and_cached(unset):
     """XLA says so when it starts, LLVM when it compiles."""
     unknown = Option("xla_no_such_flag", "1", extra=False), Option("--no-such-option", "1")
-    unset.setattr(xla, "OPTIONS", (*unknown, *OPTIONS))
+    unset.setattr(xla, "_OPTIONS", (*unknown, *OPTIONS))
     unset.setattr(xla, "_jaxlib", lambda: "99.0")
-    with pytest.warns(
-        OptionsWarning, match="99.0 does not know --no-such-option, --xla_no_such_flag"
-    ):
+    told = "99.0 does not know --xla_no_such_flag, --no-such-option"
+    with pytest.warns(ConfigurationWarning, match=told):
         xla.apply_options()
-    refused = frozenset({"xla_no_such_flag", "--no-such-option"})
     assert flag_values(os.environ["XLA_FLAGS"]) == ALL
-    unset.setattr(xla_trial, "attempt", lambda flags: pytest.fail("tried again"))
-    assert xla.refused_flags("99.0") == refused
+    xla.refused_options.cache_clear()
+    unset.setattr(xla, "compiles", lambda flags: pytest.fail("tried again"))
+    assert xla.refused_options("99.0") == {"xla_no_such_flag", "--no-such-option"}
 
 
-def test_damaged_options_cache_is_rewritten(unset, tmp_path):
-    unset.setattr(xla_trial, "attempt", lambda flags: Trial(frozenset(), None))
-    cache = tmp_path / "sinsjax" / "xla_options.json"
-    cache.parent.mkdir()
+def test_only_options_that_fail_alone_are_refused(unset, tmp_path):
+    """And the answer is that of these options: a change of theirs is tried again."""
+    tried = []
+
+    def compiles(flags: str) -> bool:
+        tried.append(flags)
+        return "region_analysis" not in flags
+
+    unset.setattr(xla, "compiles", compiles)
+    refused = "xla_cpu_copy_insertion_use_region_analysis"
+    for options in (OPTIONS, OPTIONS, OPTIONS[1:]):
+        unset.setattr(xla, "_OPTIONS", options)
+        xla.refused_options.cache_clear()
+        assert xla.refused_options("99.0") == {refused}
+    assert len(tried) == (2 + len(OPTIONS)) + (2 + len(OPTIONS) - 1)
+    assert len(json.loads((tmp_path / "sinsjax" / "xla_options.json").read_text())) == 2
+
+
+def test_damaged_answers_are_rewritten(unset, tmp_path):
+    unset.setattr(xla, "compiles", lambda flags: True)
+    answers = tmp_path / "sinsjax" / "xla_options.json"
+    answers.parent.mkdir()
     for damaged in ("{", "[1]", '{"99.0": 3}'):
-        cache.write_text(damaged)
-        assert xla.refused_flags("99.0") == frozenset()
-        flags = dict.fromkeys((option.flag for option in xla.wanted()), True)
-        assert json.loads(cache.read_text()) == {"99.0": flags}
+        answers.write_text(damaged)
+        xla.refused_options.cache_clear()
+        assert xla.refused_options("99.0") == frozenset()
+        assert json.loads(answers.read_text()) == {f"jaxlib 99.0 {merge_options('', OPTIONS)}": []}
 
 
 def test_failed_trial_refuses_all_options_and_is_not_cached(unset, tmp_path):
     unset.setattr(sys, "executable", str(tmp_path / "missing"))
-    refused = xla.refused_flags("99.0")
-    assert refused == {option.flag for option in xla.wanted()}
-    assert merge_options("", refused) == ""
+    unset.setattr(xla, "_jaxlib", lambda: "99.0")
+    assert xla.refused_options("99.0") == ALL.keys()
+    assert xla.extended_flags() == ""
     assert not list(tmp_path.rglob("*.json"))
 
 
-def test_unwritable_options_cache_is_ignored(unset, tmp_path):
-    unset.setattr(xla_trial, "attempt", lambda flags: Trial(frozenset(), None))
+def test_unwritable_cache_folder_is_ignored(unset, tmp_path):
+    unset.setattr(xla, "compiles", lambda flags: True)
     (tmp_path / "sinsjax").write_text("a file where the folder should be")
-    assert xla.refused_flags("99.0") == frozenset()
+    assert xla.refused_options("99.0") == frozenset()
 
 
-def test_instruction_set_in_use_follows_xla_flags(unset, tmp_path):
-    unset.setattr(xla.machine, "instructions", lambda limit: limit)
+def test_invalid_flag_value_does_not_compile():
+    assert not xla.compiles("--xla_cpu_prefer_vector_width=wide")
+
+
+def test_instruction_set_in_use_follows_xla_flags(monkeypatch, tmp_path):
+    monkeypatch.setattr(xla.machine, "instructions", lambda limit: limit)
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
     assert xla.instructions() == ""
-    unset.setenv("XLA_FLAGS", "--xla_cpu_max_isa=AVX --xla_cpu_max_isa=AVX2")
+    monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_max_isa=AVX --xla_cpu_max_isa=AVX2")
     assert xla.instructions() == "AVX2"
     (tmp_path / "flags").write_text("--xla_cpu_max_isa=AVX\n")
-    unset.setenv("XLA_FLAGS", str(tmp_path / "flags"))
+    monkeypatch.setenv("XLA_FLAGS", str(tmp_path / "flags"))
     assert xla.instructions() == "AVX"
 
 
@@ -199,58 +215,23 @@ def test_flags_are_read_from_flag_file(unset, tmp_path):
 )
 def test_loop_vector_width_follows_instruction_set(unset, instructions, width):
     unset.setattr(xla, "instructions", lambda: instructions)
-    set_ = {option.name: option.value for option in xla.loop_options()}
+    set_ = {option.name: option.value for option in xla.wanted()}
+    assert set_.items() >= ALL.items()
     assert set_.get("--force-vector-width") == width
     assert set_.get("--force-vector-interleave") == (width and "1")
 
 
-def test_loop_options_are_added_only_before_jax_starts(unset):
-    unset.setattr(xla, "_jaxlib", lambda: "0.10.2")
-    xla.apply_options()
-    unset.setattr(xla, "instructions", lambda: "AVX2")
-    unset.setattr(xla, "backend_started", lambda: True)
-    xla.apply_loop_options()
-    assert flag_values(os.environ["XLA_FLAGS"]) == ALL
-    unset.setattr(xla, "backend_started", lambda: False)
-    xla.apply_loop_options()
-    loops = {"--force-vector-width": "4", "--force-vector-interleave": "1"}
-    assert flag_values(os.environ["XLA_FLAGS"]) == ALL | loops
+@pytest.mark.skipif(xla.opted_out(), reason="the XLA options are opted out of")
+def test_loop_is_compiled_to_one_function_with_fusions_of_several_outputs():
+    """Extra options are ignored if unknown, so the compiled program must show their effect."""
 
+    def step(carry: tuple[jax.Array, jax.Array], t: jax.Array) -> tuple:
+        a, b = carry
+        product = jnp.sin(a) * b
+        return (product + t, product * 0.5 + b), None
 
-LLVM = """
-loop_a: ; preds = %entry, %loop_a
-  %1 = fmul reassoc double %x, %y
-  %2 = fadd double %1, %y
-  br i1 %done, label %exit_a, label %loop_a
-vector.body: ; preds = %entry, %vector.body
-  %3 = fmul <8 x double> %x, %y
-  %4 = fadd <8 x double> %3, %y
-  br i1 %over, label %exit_a, label %vector.body
-exit_a: ; preds = %vector.body, %loop_a
-  %5 = fadd double %once, %more
-loop_b: ; preds = %exit_a, %loop_b
-  %6 = fsub double %x, %y
-  br i1 %end, label %exit_b, label %loop_b
-exit_b: ; preds = %loop_b
-  ret void
-"""
-
-
-def test_loop_with_vectorised_twin_counts_as_vectorised():
-    assert vectorised_share(LLVM) == pytest.approx(2 / 3)
-    assert vectorised_share(LLVM.replace("fsub double", "fsub <4 x double>")) == 1.0
-    assert vectorised_share(LLVM.replace("<8 x double>", "<8 x float>")) == 0.0
-    assert vectorised_share("define void @f() {\n  ret void\n}") is None
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not xla.loop_options(), reason="no loop options for this instruction set")
-def test_options_vectorise_every_loop_of_step():
-    assert attempt(merge_options("", options=xla.wanted())) == Trial(frozenset(), 1.0)
-    plain = tuple(option for option in OPTIONS if not option.name.startswith("--"))
-    without = attempt(merge_options("", options=plain))
-    assert without.vectorised < 0.9
-
-
-def test_trial_with_invalid_flag_value_returns_none():
-    assert attempt("--xla_cpu_prefer_vector_width=wide") is None
+    x = jax.ShapeDtypeStruct((32768,), jnp.float64)  # beyond XLA's default limit of a small loop
+    loop = jax.jit(lambda x: jax.lax.scan(step, (x, x), jnp.arange(7.0))[0])
+    text = loop.lower(x).compile().as_text()
+    assert 'xla_cpu_small_call="true"' in text
+    assert re.search(r"= \(.*\) fusion\(", text)
