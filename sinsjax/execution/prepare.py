@@ -91,8 +91,8 @@ def prepare(
 
     Raises:
         InputError: the study is invalid or does not go with its record; the record is certainly
-            wrong; the directory cannot be used or holds results of another study; disk or memory are
-            too small; or double precision cannot be turned on.
+            wrong; the directory cannot be used or holds results of another study; disk or memory
+            are too small; or double precision cannot be turned on.
     """
     runtime.ensure_configured()
     study, label, warnings = _load(source, overrides, options)

@@ -223,8 +223,6 @@ def run_in_memory(job: Job, tell: Tell | None = None) -> dict[str, pa.Table]:
 
     Returns:
         The rows of all tasks by dataset, in any order.
-
-    Raises:
     """
     store = MemoryStore()
     _run(TaskRunner(job), store, study_tasks.in_memory(), tell, threading.Event())

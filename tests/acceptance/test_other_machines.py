@@ -32,7 +32,7 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> tuple[pa.Table, pa.Table
     )
     here = run.run(study).summary
     (folder / "study.toml").write_text(study_to_toml(study))
-    flags = xla.merge_options("--xla_cpu_max_isa=SSE4_2")
+    flags = "--xla_cpu_max_isa=SSE4_2"
     code = "import sys, sinsjax; sinsjax.configure(devices=1)\n"
     code += "sinsjax.run_into(sinsjax.load_study(sys.argv[1]), sys.argv[2])"
     subprocess.run(

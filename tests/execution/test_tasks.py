@@ -14,9 +14,11 @@ from support.kept import STUDIES, parts, study_of
 from support.studies import small_study
 
 from sinsjax.engine import build
+from sinsjax.engine.build import Scenario
 from sinsjax.engine.lanes import LANES
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
+from sinsjax.execution.outputs import output_of
 from sinsjax.execution.results import read_curves, read_summary
 from sinsjax.execution.tasks import Executor, Job, TaskRunner
 from sinsjax.records import Reference
