@@ -95,10 +95,10 @@ def prepare(
             are too small; or double precision cannot be turned on.
     """
     runtime.ensure_configured()
+    place = None if options.directory is None else directory.results_path(options.directory)
     study, label, warnings = _load(source, overrides, options)
     kind.check_study(study)
     _check_needs_record(study, label, record, reference)
-    place = None if options.directory is None else directory.results_path(options.directory)
     overwrite, resumes = options.overwrite, options.resume
     if place is not None:
         directory.check_unlocked(place)

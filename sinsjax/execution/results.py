@@ -204,9 +204,11 @@ def part_marks(content: bytes) -> dict[str, str] | None:
     if not sealed.is_intact(content):
         return None
     try:
-        found = pq.read_metadata(pa.BufferReader(content)).metadata or {}
-        return {key: found[key.encode()].decode() for key in (STUDY_MARK, CHUNK_MARK)}
-    except (KeyError, ValueError, pa.ArrowException):
+        about = pq.read_metadata(pa.BufferReader(content))
+        found = about.metadata or {}
+        marks = {key: found[key.encode()].decode() for key in (STUDY_MARK, CHUNK_MARK)}
+        return marks if json.loads(marks[CHUNK_MARK])["rows"] == about.num_rows else None
+    except (KeyError, ValueError, TypeError, pa.ArrowException):
         return None
 
 

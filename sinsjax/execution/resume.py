@@ -89,8 +89,10 @@ def continued(job: Job) -> Job:
     """
     directory = job.directory
     assert directory is not None
-    stored = _check_same_study(directory, job.study)
     known = _known(directory)
+    is_same = known is not None and known.identity == _extended(job, known.extended_at).identity
+    # Otherwise the file: whatever it says, it is written again for results of the same study.
+    stored = None if is_same else _check_same_study(directory, job.study)
     if known is None:
         return job
     if job.chunk_runs not in (None, known.chunk_runs):
@@ -100,13 +102,17 @@ def continued(job: Job) -> Job:
         )
     extended = stored is not None and _is_extended(stored, job.study)
     before = {*known.extended_at, *([stored.n_draws] if stored is not None and extended else [])}
-    extended_at = tuple(sorted(draws for draws in before if draws <= job.study.n_draws))
-    job = job._replace(curves=known.curves, chunk_runs=known.chunk_runs, extended_at=extended_at)
+    job = _extended(job, before)._replace(curves=known.curves, chunk_runs=known.chunk_runs)
     _check_versions(directory, known, packages_of(job.study.methods))
     if known.identity != job.identity:
         kind = "study" if stored is None else "record or reference"
         raise InputError(f"{directory}: holds results of another {kind}")
     return job
+
+
+def _extended(job: Job, before: Iterable[int]) -> Job:
+    """A job whose results had numbers of draws before, those that it has not yet left out."""
+    return job._replace(extended_at=tuple(sorted(d for d in before if d <= job.study.n_draws)))
 
 
 def check_instructions(directory: Path, here: str) -> None:

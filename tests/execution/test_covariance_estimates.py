@@ -19,9 +19,10 @@ from support.studies import STILL, small_study
 
 from sinsjax import columns
 from sinsjax.errors import InputError
-from sinsjax.execution import forecast, rerun, resume
+from sinsjax.execution import forecast, rerun
 from sinsjax.execution import run as study_run
 from sinsjax.execution.estimates import estimated_curves
+from sinsjax.execution.prepare import Options, prepare
 from sinsjax.execution.results import read_estimates, read_summary
 from sinsjax.execution.tasks import Executor, Job, TaskRunner
 from sinsjax.study.load import Study, study_to_toml
@@ -233,7 +234,8 @@ def test_resume_recomputes_only_missing_or_broken_parts(whole: Path, tmp_path: P
     assert {name: times(tmp_path)[name] for name in kept} == {name: before[name] for name in kept}
     with pytest.raises(InputError, match=r"another study: \[study\] estimate_samples: 16 there"):
         study_run.run_into(short(study={"estimate_samples": 18}), tmp_path, resume=True)
-    assert resume.resumed(tmp_path, Job(short())).chunk_runs == 128
+    job = prepare(short(), options=Options(tmp_path, resume=True))
+    assert job.chunk_runs == 128
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from support.kept import study_of, times
 from support.studies import small_study
 
 from sinsjax.errors import InputError
-from sinsjax.execution import rerun, resume, run
+from sinsjax.execution import rerun, run
 from sinsjax.execution.directory import read_manifest
 from sinsjax.execution.results import read_summary
 from sinsjax.study.study import Study
@@ -108,7 +108,7 @@ def test_extension_of_manifest_without_extended_at_keeps_identity(tmp_path: Path
     manifest = json.loads((out / "manifest.json").read_text())
     assert "extended_at" not in manifest
     run.run_into(of(90), out, resume=True)
-    assert resume.manifest(out).identity == manifest["identity"]
+    assert read_manifest(out)["identity"] == manifest["identity"]
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,7 @@ def test_extension_of_manifest_without_extended_at_keeps_identity(tmp_path: Path
             of(80),
             of(79),
             "[study] draws: 80 there, 79 here"
-            " (there can be more, not fewer: go on with --draws 80)",
+            " (there can be more, not fewer: continue with --draws 80)",
         ),
         (
             of(80),

@@ -1,6 +1,5 @@
 """What keeps a directory of results from being gone on with: other keys, versions, instructions."""
 
-import json
 import os
 import subprocess
 import sys
@@ -8,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.kept import rewrite_manifest
 from support.studies import small_study
 
 from sinsjax.alignment import methods
@@ -36,7 +36,7 @@ ZIP = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 1.0, 2.0]}
         (
             {"drawn": {"vn0_m_per_s": {"normal": [0.0, 1.0]}}},
             {"drawn": {"vn0_m_per_s": {"normal": [0.0, 2.0]}}},
-            ["[drawn] vn0_m_per_s: {'normal': (0.0, 1.0)} there, {'normal': (0.0, 2.0)} here"],
+            ["[drawn] vn0_m_per_s: {'normal': [0.0, 1.0]} there, {'normal': [0.0, 2.0]} here"],
         ),
         (
             {"cases": [{"p0_yaw_deg": 40.0}, {"p0_yaw_deg": 50.0}]},
@@ -126,8 +126,8 @@ def test_resume_of_manifest_without_instruction_set_is_accepted(tmp_path: Path) 
     """As one that names no version: it is older."""
     study, out = small_study(), tmp_path / "out"
     run.run_into(study, out)
-    manifest = read_manifest(out)
-    del manifest["instructions"], manifest["sessions"][0]["instructions"]
-    (out / "manifest.json").write_text(json.dumps(manifest))
+    sessions = read_manifest(out)["sessions"]
+    del sessions[0]["instructions"]
+    rewrite_manifest(out, sessions=sessions)
     run.run_into(study, out, resume=True)
     assert read_manifest(out)["sessions"][1]["instructions"] == xla.instructions()

@@ -1,7 +1,5 @@
 """Result tables: the columns that others read by name, and what is null when."""
 
-import hashlib
-import json
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -12,15 +10,17 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from support.chunks import chunk
-from support.kept import everything, parts
+from support.kept import everything
+from support.stored import write_manifest, write_part
 from support.studies import BASE, STILL, small_study
 
 from sinsjax import columns
 from sinsjax.engine import build
 from sinsjax.errors import InputError
-from sinsjax.execution import run, tables
+from sinsjax.execution import results, run, tables
 from sinsjax.execution.directory import read_manifest
 from sinsjax.execution.results import count_runs, read_curves, read_summary
+from sinsjax.execution.tasks import Job
 from sinsjax.study import sampling
 from sinsjax.study.keys import SECTIONS, SWEEPABLE, meaning
 from sinsjax.study.load import study_from_dict
@@ -250,16 +250,15 @@ def test_single_precision_is_refused_without_deleting_results(tmp_path: Path) ->
 @pytest.fixture
 def stored(tmp_path: Path) -> Path:
     """Two parts of two runs, the later ones first."""
-    for dataset in ("summary", "curves"):
-        (tmp_path / dataset).mkdir()
+    study = small_study()
     for part, runs in enumerate(([2, 3], [0, 1])):
         rows = {"run_id": runs, "status": ["ok", None], "nees": [float(runs[0]), None]}
         curves = {"run_id": [*runs, *runs], "time_s": [2.0, 2.0, 1.0, 1.0]}
         for dataset, values in (("summary", rows), ("curves", curves)):
             path = tmp_path / dataset / f"part-0000-00000{part}.parquet"
-            marks = {"sinsjax.chunk": f"of part {part} alone"}
-            table = pa.table(values).replace_schema_metadata(marks)
-            pq.write_table(table, path, compression="none", write_page_checksum=True)
+            table = pa.table(values).replace_schema_metadata({"part": str(part)})
+            write_part(path, table, Job(study).identity)
+    write_manifest(tmp_path, study)
     return tmp_path
 
 
@@ -315,38 +314,16 @@ def test_directory_without_parts_is_refused_in_one_line(tmp_path: Path, left: st
         assert read_curves(out, run_ids).num_rows == 0
 
 
-@pytest.mark.parametrize("damage", ["a page", "the end"])
-def test_corrupt_part_is_refused_in_one_line(stored: Path, damage: str) -> None:
-    """A bit in a page is seen by its checksum: no row comes out wrong."""
-    path = stored / "summary" / "part-0000-000001.parquet"
-    content = bytearray(path.read_bytes())
-    if damage == "a page":
-        content[content.index(np.float64(0.0).tobytes())] ^= 1
-    path.write_bytes(content if damage == "a page" else content[:-9])
-    with pytest.raises(InputError, match="summary: cannot be read: .*--resume") as told:
-        read_summary(stored)
-    assert "\n" not in str(told.value)
-
-
 @pytest.mark.parametrize("content", [None, b"", b"{", b"\x80", b"[]", b"null", b"3"])
 def test_unreadable_manifest_is_refused_in_one_line(tmp_path: Path, content: bytes | None) -> None:
     if content is not None:
         (tmp_path / "manifest.json").write_bytes(content)
-    with pytest.raises(InputError, match="holds no readable manifest.json"):
+    words = "holds no results" if content is None else "manifest.json: has changed since .*--resume"
+    with pytest.raises(InputError, match=words):
         read_manifest(tmp_path)
 
 
 # --- what is read is what was written -------------------------------------------------------------
-
-
-def manifest_of(directory: Path) -> None:
-    """Writes what a manifest says of the parts that are there."""
-    files = [
-        {"file": name, "rows": 0, "sha256": hashlib.sha256(content).hexdigest()}
-        for name, content in parts(directory).items()
-    ]
-    chunks = [{"name": "all", "state": "done", "files": files}]
-    (directory / "manifest.json").write_text(json.dumps({"chunks": chunks}))
 
 
 READERS: dict[str, Callable[[Path], object]] = {
@@ -358,7 +335,6 @@ READERS: dict[str, Callable[[Path], object]] = {
 @pytest.mark.parametrize("dataset", READERS)
 def test_any_flipped_bit_in_part_is_detected(stored: Path, dataset: str) -> None:
     """Checksums of pages leave footers and page headers out: a flip there can read as nulls."""
-    manifest_of(stored)
     path = stored / dataset / "part-0000-000001.parquet"
     content = path.read_bytes()
     assert READERS[dataset](stored)
@@ -369,18 +345,17 @@ def test_any_flipped_bit_in_part_is_detected(stored: Path, dataset: str) -> None
         with pytest.raises(InputError) as told:
             READERS[dataset](stored)
         line = str(told.value)
-        assert f"{dataset}/{path.name}: has changed: its SHA-256" in line and "--resume" in line
+        assert f"{dataset}/{path.name}: has changed since" in line and "--resume" in line
         assert "\n" not in line
     path.write_bytes(content)
     assert READERS[dataset](stored)
 
 
 def test_reading_with_verify_false_skips_checksums(stored: Path) -> None:
-    manifest_of(stored)
     path = stored / "summary" / "part-0000-000001.parquet"
     table = pq.read_table(path)
     pq.write_table(table, path)
-    with pytest.raises(InputError, match="has changed: its SHA-256"):
+    with pytest.raises(InputError, match="has changed since it was written"):
         count_runs(stored)
     assert read_summary(stored, verify=False)["run_id"].to_pylist() == [0, 1, 2, 3]
     (stored / "curves" / path.name).unlink()
@@ -391,19 +366,45 @@ def test_reading_with_verify_false_skips_checksums(stored: Path) -> None:
     assert read_curves(stored, verify=False).num_rows == 4
 
 
-def test_part_not_yet_in_manifest_is_read(stored: Path) -> None:
+@pytest.mark.parametrize("state", ["older than the part", "lost"])
+def test_part_that_no_manifest_lists_is_read_and_verified(stored: Path, state: str) -> None:
     """A sweep writes its manifest less often than its parts."""
-    manifest_of(stored)
-    told = json.loads((stored / "manifest.json").read_text())
-    told["chunks"][0]["files"] = told["chunks"][0]["files"][:1]
-    (stored / "manifest.json").write_text(json.dumps(told))
+    if state == "lost":
+        (stored / "manifest.json").unlink()
+    else:
+        write_manifest(stored, small_study(), chunks=[])
     assert read_summary(stored).num_rows == 4
     assert read_curves(stored).num_rows == 8
+    path = stored / "summary" / "part-0000-000001.parquet"
+    content = bytearray(path.read_bytes())
+    content[-60] ^= 1  # in the footer, of which Parquet has no checksum
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"part-0000-000001\.parquet: has changed since"):
+        read_summary(stored)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda path: path.rename(path.with_name("part-0000-000007.parquet")), "another name"),
+        (lambda path: path.replace(path.parents[1] / "curves" / path.name), "another name"),
+        (
+            lambda path: write_part(path, pa.table({"run_id": [1]}), "0123456789abcdef"),
+            "of another study's results",
+        ),
+    ],
+)
+def test_intact_part_of_another_place_is_refused(
+    stored: Path, change: Callable[[Path], object], words: str
+) -> None:
+    (stored / "manifest.json").unlink() if "name" in words else None
+    change(stored / "summary" / "part-0000-000001.parquet")
+    with pytest.raises(InputError, match=words):
+        read_summary(stored), read_curves(stored)
 
 
 @pytest.mark.parametrize("name", ["summary", "curves"])
 def test_missing_parts_are_reported_by_name(stored: Path, name: str) -> None:
-    manifest_of(stored)
     read = read_summary if name == "summary" else read_curves
     lost = sorted((stored / name).glob("*.parquet"))
     for path in lost:
@@ -420,24 +421,14 @@ def test_part_written_during_reading_is_not_reported_missing(
     stored: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Parts are listed before the manifest is read, which may know of one more by then."""
-    manifest_of(stored)
     first, *_ = sorted((stored / "summary").glob("*.parquet"))
-    monkeypatch.setattr("sinsjax.execution.parts.find", lambda directory, name: iter([first]))
+    monkeypatch.setattr(results, "list_parts", lambda directory, name: [first])
     assert 0 < read_summary(stored).num_rows < 4
 
 
 def test_part_is_hashed_once_per_process(stored: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    manifest_of(stored)
     for path in stored.rglob("*.*"):
         os.utime(path, (1e9, 1e9))
     assert read_summary(stored)
-    monkeypatch.setattr("hashlib.file_digest", lambda *_: pytest.fail("read again"))
+    monkeypatch.setattr(results, "read_regular", lambda _: pytest.fail("read again"))
     assert read_summary(stored) and count_runs(stored) == 4
-
-
-@pytest.mark.parametrize("chunks", ["3", "[3]", '[{"files": [{}]}]', '[{"files": 3}]'])
-def test_manifest_with_invalid_chunks_is_refused_in_one_line(stored: Path, chunks: str) -> None:
-    (stored / "manifest.json").write_text(f'{{"chunks": {chunks}}}')
-    with pytest.raises(InputError, match="manifest.json: invalid chunks"):
-        read_summary(stored)
-    assert read_summary(stored, verify=False).num_rows == 4

@@ -42,6 +42,7 @@ def stored(directory: Path) -> dict[str, bytes]:
     files: dict[str, bytes] = {TEXT: study_to_toml(STUDY).encode()}
     for name, table in tables.items():
         chunk = {"dataset": Path(name).parent.name, "name": Path(name).stem, "chunk_runs": None}
+        chunk["rows"] = table.num_rows
         marks = {STUDY_MARK: Job(STUDY).identity, CHUNK_MARK: json.dumps(chunk)}
         files[name] = sealed_parquet(table, marks)
     files[MANIFEST] = sealed_json(_manifest())

@@ -22,6 +22,7 @@ from sinsjax.study.load import Study, study_to_toml
 def write_part(path: Path, table: pa.Table, identity: str) -> None:
     """Write a table as the part of a results directory that its path names, sealed."""
     chunk = {"dataset": path.parent.name, "name": path.stem, "chunk_runs": None}
+    chunk["rows"] = table.num_rows
     marks = {STUDY_MARK: identity, CHUNK_MARK: json.dumps(chunk)}
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(sealed_parquet(table, marks))

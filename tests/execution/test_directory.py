@@ -1,0 +1,210 @@
+"""A results directory: one writer, no links or pipes, and which of its files may go."""
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from support.kept import everything
+from support.studies import small_study
+
+import sinsjax
+from sinsjax import cli
+from sinsjax.errors import InputError
+from sinsjax.execution.directory import WRITER, check_unlocked, list_figures, lock, owned_files
+from sinsjax.execution.source import Source
+from sinsjax.study.load import study_to_toml
+
+pytestmark = pytest.mark.optimised(False)
+
+HOLD = """
+import sys, pathlib
+from sinsjax.execution.directory import lock
+held = lock(pathlib.Path(sys.argv[1]))
+print("held", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_lock_names_other_writer_until_it_dies(tmp_path: Path) -> None:
+    """Killed, it leaves both files, and neither blocks."""
+    out = tmp_path / "out"
+    check_unlocked(out)
+    assert not out.exists()  # asking makes nothing
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLD, out], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert holder.stdout is not None and holder.stdout.readline() == "held\n"
+        for ask in (lock, check_unlocked):
+            told = rf"out: another process is writing there: pid {holder.pid} on \S+ \(wait until"
+            with pytest.raises(InputError, match=told):
+                ask(out)
+        (out / WRITER).unlink()
+        with pytest.raises(InputError, match=r"out: another process is writing there \(wait"):
+            check_unlocked(out)
+    finally:
+        holder.kill()
+        holder.communicate()
+    (out / WRITER).write_text(f"pid {holder.pid} on here\n")
+    check_unlocked(out)
+    lock(out).release()
+    assert str(holder.pid) not in (out / WRITER).read_text()
+
+
+def test_figure_list_ignores_outside_paths_and_malformed_content(tmp_path: Path) -> None:
+    """Nor does one that is none."""
+    out = tmp_path / "out"
+    (out / "figures").mkdir(parents=True)
+    (tmp_path / "mine.png").write_bytes(b"mine")
+    list_figures({"../../mine.png": b"mine", "a.png": b"a"}, out)
+    (out / "figures" / "a.png").write_bytes(b"a")
+    listed = out / ".figures.json"
+    assert owned_files(out) == [out / "figures" / "a.png", listed]
+    list_figures({"b.png": b"b"}, out)
+    assert owned_files(out) == [out / "figures" / "a.png", listed]
+    for content in ("[]", "{", "3", "[" * 100_000):
+        listed.write_text(content)
+        assert owned_files(out) == [listed]
+
+
+def test_empty_results_directory_name_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    config = tmp_path / "none.toml"
+    for words in (
+        ("run", config),
+        ("sweep", config),
+        ("align", "record.imu", config),
+        ("tune", config),
+        ("rerun", tmp_path, "--run-id", "0"),
+    ):
+        monkeypatch.setattr("sys.argv", ["sinsjax", *map(str, words), "-o", ""])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        assert stop.value.code == 2
+        line = "error: the results directory must not be empty (use '.' for the current one)\n"
+        assert capsys.readouterr().err == line
+    with pytest.raises(InputError, match="must not be empty"):
+        sinsjax.run_into(small_study(), "")
+    assert not list(tmp_path.iterdir())
+
+
+# --- what somebody else may have put there ------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A results directory with everything that a sweep and its report leave."""
+    out = tmp_path_factory.mktemp("results") / "out"
+    sinsjax.run_into(small_study(study={"curves": True}), out)
+    (out / "figures").mkdir()
+    return out
+
+
+def through_link(path: Path) -> None:
+    """Put a link to a copy elsewhere in the place of a file or folder."""
+    path.rename(path.with_name(f"{path.name}.moved"))
+    path.symlink_to(path.with_name(f"{path.name}.moved"))
+
+
+def as_pipe(path: Path) -> None:
+    path.unlink(missing_ok=True)
+    os.mkfifo(path)
+
+
+def to_zeros(path: Path) -> None:
+    path.unlink(missing_ok=True)
+    path.symlink_to("/dev/zero")
+
+
+PLACED: dict[str, Callable[[Path], None]] = {
+    "manifest.json": as_pipe,
+    "./manifest.json": to_zeros,
+    "study.toml": through_link,
+    ".writer": through_link,
+    ".lock": as_pipe,
+    ".figures.json": to_zeros,
+    "summary": through_link,
+    "curves": through_link,
+    "figures": through_link,
+    "estimates": to_zeros,
+    "reruns": to_zeros,
+}
+
+
+@pytest.mark.parametrize("name", PLACED)
+def test_links_and_pipes_in_results_are_refused_and_left_alone(
+    results: Path, tmp_path: Path, name: str
+) -> None:
+    out = Path(shutil.copytree(results, tmp_path / "out"))
+    PLACED[name](out / name)
+    named = rf"{Path(name).name}: is (a symbolic link|no regular file)"
+    study, before = small_study(study={"curves": True}), everything(tmp_path)
+    for attempt in (
+        lambda: sinsjax.run_into(study, out),
+        lambda: sinsjax.run_into(study, out, resume=True),
+        lambda: sinsjax.run_into(study, out, overwrite=True),
+        lambda: Source.read(out),
+    ):
+        with pytest.raises(InputError, match=named):
+            attempt()
+    assert everything(tmp_path) == before
+
+
+def test_part_through_link_is_computed_again_and_its_target_kept(
+    results: Path, tmp_path: Path
+) -> None:
+    out = Path(shutil.copytree(results, tmp_path / "out"))
+    (part,) = out.glob("summary/*.parquet")
+    through_link(part)
+    content = part.read_bytes()
+    with pytest.raises(InputError, match=rf"{part.name}: is a symbolic link"):
+        Source.read(out)
+    sinsjax.run_into(small_study(study={"curves": True}), out, resume=True)
+    assert not part.is_symlink() and part.read_bytes() == content
+    assert part.with_name(f"{part.name}.moved").read_bytes() == content
+    assert Source.read(out).runs == 3
+
+
+def test_directory_itself_may_be_a_link(results: Path, tmp_path: Path) -> None:
+    (tmp_path / "here").symlink_to(results)
+    assert Source.read(tmp_path / "here").runs == 3
+
+
+@pytest.mark.parametrize("manifest", ["there", "lost"])
+def test_edited_study_of_results_is_named(results: Path, tmp_path: Path, manifest: str) -> None:
+    out = Path(shutil.copytree(results, tmp_path / "out"))
+    study = small_study(study={"curves": True}, sensors={"gyro_bias_deg_per_h": 0.5})
+    (out / "study.toml").write_text(study_to_toml(study))
+    if manifest == "lost":
+        (out / "manifest.json").unlink()
+    words = (
+        "there is no manifest"
+        if manifest == "lost"
+        else (
+            r"study\.toml: is not the study of the results: \[sensors\] gyro_bias_deg_per_h: "
+            r"0\.1 in the results, 0\.5 in the file \(restore it, or delete it: .*--resume"
+        )
+    )
+    with pytest.raises(InputError, match=words):
+        Source.read(out)
+    sinsjax.run_into(small_study(study={"curves": True}), out, resume=True)
+    assert Source.read(out).study == small_study(study={"curves": True})
+
+
+def test_any_flipped_bit_of_manifest_is_noticed(results: Path, tmp_path: Path) -> None:
+    out = Path(shutil.copytree(results, tmp_path / "out"))
+    content = (out / "manifest.json").read_bytes()
+    for place in range(0, len(content), 37):
+        flipped = bytearray(content)
+        flipped[place] ^= 1 << place % 8
+        (out / "manifest.json").write_bytes(flipped)
+        with pytest.raises(InputError, match=r"manifest\.json: has changed since .*--resume"):
+            Source.read(out)
+    sinsjax.run_into(small_study(study={"curves": True}), out, resume=True)
+    assert Source.read(out).runs == 3
