@@ -8,9 +8,9 @@ write there can run code here, so the folder must be this user's alone, see
 `machine.private_folder`.
 
 JAX writes the access time of an entry after its content, so an entry without one was cut short by a
-full disk or a kill. It would stop all later writing and is removed here. JAX warns of any other
-entry that it cannot read, compiles the program again and leaves the entry as it is: delete the
-folder, which `sinsjax info` names.
+full disk or a kill. It would stop all later writing and is removed here. If JAX cannot read another
+entry it warns, "Error reading persistent compilation cache entry", compiles the program again and
+leaves the entry as it is: delete the folder, which `sinsjax info` names.
 """
 
 import hashlib

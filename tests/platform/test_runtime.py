@@ -158,21 +158,21 @@ def test_options_of_user_set_before_jax_start_need_no_warning():
     assert done.stderr == ""
 
 
-@pytest.mark.parametrize(
-    "call",
-    [
-        lambda study, folder: sinsjax.run(study),
-        lambda study, folder: sinsjax.run_into(study, folder),
-        lambda study, folder: sinsjax.estimate(study),
-        lambda study, folder: sinsjax.tune(study, folder),
-        lambda study, folder: sinsjax.one_run(study),
-        lambda study, folder: sinsjax.simulated_record(study),
-        lambda study, folder: sinsjax.information_bound(study),
-        lambda study, folder: sinsjax.estimated_curves(study),
-        lambda study, folder: sinsjax.info(),
-    ],
-)
-def test_functions_that_compute_configure_first(call, monkeypatch, tmp_path):
+CALLS = {
+    "run": lambda study, folder: sinsjax.run(study),
+    "run_into": lambda study, folder: sinsjax.run_into(study, folder),
+    "estimate": lambda study, folder: sinsjax.estimate(study),
+    "tune": lambda study, folder: sinsjax.tune(study, folder),
+    "one_run": lambda study, folder: sinsjax.one_run(study),
+    "simulated_record": lambda study, folder: sinsjax.simulated_record(study),
+    "information_bound": lambda study, folder: sinsjax.information_bound(study),
+    "estimated_curves": lambda study, folder: sinsjax.estimated_curves(study),
+    "info": lambda study, folder: sinsjax.info(),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_public_function_configures_before_it_computes(name, monkeypatch, tmp_path):
     class Configured(Exception):
         pass
 
@@ -182,7 +182,7 @@ def test_functions_that_compute_configure_first(call, monkeypatch, tmp_path):
     monkeypatch.setattr(runtime, "_configured", False)
     monkeypatch.setattr(runtime, "configure", configure)
     with pytest.raises(Configured):
-        call(small_study(), tmp_path / "out")
+        CALLS[name](small_study(), tmp_path / "out")
 
 
 def test_double_precision_that_was_turned_off_is_turned_on_again():

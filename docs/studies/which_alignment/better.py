@@ -1,6 +1,5 @@
 """Methods against the information bound: how far each is from the least that noise allows."""
 
-import jax
 import numpy as np
 
 import sinsjax
@@ -20,8 +19,6 @@ SURGE, SINCOS, PUBLISHED = "kalman_surge", "kalman_sincos", "kalman_sincos, publ
 
 def bounded(source: Source) -> Page:
     """Every method's rms error over the bound, on every base."""
-    if not jax.config.jax_enable_x64:  # reports compute nothing else
-        sinsjax.configure()
     study = source.study
     models = study.values("surge_model")
     words = [
