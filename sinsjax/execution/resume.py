@@ -90,8 +90,8 @@ def continued(job: Job) -> Job:
     directory = job.directory
     assert directory is not None
     known = _known(directory)
-    is_same = known is not None and known.identity == _extended(job, known.extended_at).identity
-    # Otherwise the file: whatever it says, it is written again for results of the same study.
+    is_same = known is not None and _is_same(job, known)
+    # Whatever study.toml contains, it is written again for results of the same study.
     stored = None if is_same else _check_same_study(directory, job.study)
     if known is None:
         return job
@@ -105,9 +105,15 @@ def continued(job: Job) -> Job:
     job = _extended(job, before)._replace(curves=known.curves, chunk_runs=known.chunk_runs)
     _check_versions(directory, known, packages_of(job.study.methods))
     if known.identity != job.identity:
-        kind = "study" if stored is None else "record or reference"
+        kind = "record or reference" if is_same or stored else "study"
         raise InputError(f"{directory}: holds results of another {kind}")
     return job
+
+
+def _is_same(job: Job, known: Manifest) -> bool:
+    """Whether results are certainly of a job's study, with as many draws."""
+    same_study = known.fingerprint == fingerprint(job.study)
+    return same_study or (not known.extended_at and known.identity == job.identity)
 
 
 def _extended(job: Job, before: Iterable[int]) -> Job:

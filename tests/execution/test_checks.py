@@ -199,10 +199,8 @@ def test_hard_findings_are_refused_unless_record_is_trusted(tmp_path: Path) -> N
     assert "trust = true" in line and "\n" not in line and not (tmp_path / "out").exists()
     with pytest.raises(InputError, match="points down"):
         run.run(recorded(), tape)
-    assert (
-        "points down"
-        in study_warnings(run.made_ready(recorded(record={"trust": True}), tape)[0], tape)[0]
-    )
+    trusting = recorded(record={"trust": True})
+    assert "points down" in prepare.prepare(trusting, record=tape).warnings[0]
 
 
 def test_soft_findings_are_listed_in_manifest_and_report(tmp_path: Path) -> None:
@@ -224,7 +222,7 @@ def test_soft_findings_are_listed_in_manifest_and_report(tmp_path: Path) -> None
 
 def test_too_short_record_error_includes_coarse_alignment_time() -> None:
     with pytest.raises(InputError) as caught:
-        run.made_ready(recorded(record={"start_s": [120.0]}), StoredRecord(record(), None))
+        prepare.prepare(recorded(record={"start_s": [120.0]}), record=StoredRecord(record(), None))
     assert str(caught.value) == (
         "study: has 200 s, but 90 s (60 s of coarse alignment + 30 s) from start_s = 120 need 210 s"
     )
@@ -233,10 +231,10 @@ def test_too_short_record_error_includes_coarse_alignment_time() -> None:
 def test_data_after_to_s_are_not_used() -> None:
     tape = StoredRecord(record(), None)
     study = recorded(record={"from_s": 100.0, "to_s": 190.0})
-    assert not run.made_ready(study, tape)[1]
+    assert not prepare.prepare(study, record=tape).warnings
     study = recorded(record={"from_s": 101.0, "to_s": 190.0})
     with pytest.raises(InputError, match=r"needs data up to 191 s, but \[record\] to_s is 190"):
-        run.made_ready(study, tape)
+        prepare.prepare(study, record=tape)
 
 
 def test_fractional_rate_and_late_clock_use_record_times(tmp_path: Path) -> None:
@@ -301,7 +299,7 @@ def test_shipped_studies_of_real_record_give_no_warnings(name: str, data_dir: Pa
     study = load_study(Path(__file__).parents[2] / "configs" / f"{name}.toml")
     assert study.is_recorded
     tape = prepare.load_tape(study, data_dir / "lasergyro_0_900.imu")
-    assert run.made_ready(study, tape)[1] == []
+    assert prepare.prepare(study, record=tape).warnings == ()
 
 
 # Simulations

@@ -321,8 +321,7 @@ def test_report_prints_least_share_over_starts_of_each_setting(tmp_path: Path) -
     ):
         place = made.column_names.index(name)
         made = made.set_column(place, made.schema.field(place), pa.array(values))
-    out = store(tmp_path, study, made)
-    (out / "summary").rename(out / "estimates")
+    out = store(tmp_path, study, estimates=made)
     table = told(out).partition("The soonest within 10' of true north, mean over phi_u0_deg")[2]
     assert [line.split()[-2] for line in table.splitlines()[4:6]] == ["30", "60"]
 

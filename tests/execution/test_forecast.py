@@ -1,12 +1,12 @@
 """What a study will take is told and asked about before anything is made."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
 import pytest
 from support.memory import at_most_mb
+from support.stored import write_manifest
 from support.studies import small_study
 
 from sinsjax.alignment.methods import METHODS
@@ -14,7 +14,7 @@ from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import forecast, run
 from sinsjax.platform import machine
-from sinsjax.study.load import Study, study_from_dict
+from sinsjax.study.load import Study, study_from_dict, with_rate
 from sinsjax.tuning import run_tuning
 
 TUNE = {"searches": ["grid"], "grid_points": 5, "variables": {"p0_yaw_deg": {"low": 1, "high": 80}}}
@@ -79,7 +79,7 @@ def test_study_is_refused_only_if_disk_space_is_short(disk: Any, tmp_path: Path)
 
 def test_resume_needs_disk_space_for_missing_runs_only(disk: Any, tmp_path: Path):
     study, expected = small_study(), forecast.of(small_study())
-    (tmp_path / "manifest.json").write_text(json.dumps({"runs_done": 2}))
+    write_manifest(tmp_path, study, runs_done=2)
     disk(free=1.1 * expected.run_bytes)
     forecast.require_room(study, expected, tmp_path, overwrite=False, resume=True)
     with pytest.raises(InputError, match="free"):
@@ -221,7 +221,7 @@ def test_recorded_study_without_rate_is_forecast_at_record_rate():
     data = {"study": {"duration_s": 6.0}, "record": section, "earth": {"latitude_deg": 32.0}}
     study = study_from_dict(data)
     assert not study.study.rate_hz
-    assert forecast.of(run.with_rate(study, 100.0)).runs == 2
+    assert forecast.of(with_rate(study, 100.0)).runs == 2
 
 
 @pytest.mark.parametrize("name", ["kalman5", "compass"])

@@ -1,8 +1,6 @@
 """One run done again alone has the bits that it had among the others."""
 
-import hashlib
 import io
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 from support.commands import command_line
-from support.kept import STUDIES, everything, study_of
+from support.kept import STUDIES, everything, rewrite_manifest, study_of
 from support.studies import small_study, with_truth
 
 from sinsjax.alignment import methods
@@ -21,7 +19,9 @@ from sinsjax.engine import build
 from sinsjax.errors import InputError
 from sinsjax.execution import rerun
 from sinsjax.execution import run as study_run
-from sinsjax.execution.results import count_runs, read_summary
+from sinsjax.execution.directory import read_manifest
+from sinsjax.execution.results import count_runs, part_marks, read_summary
+from sinsjax.execution.sealed import sealed_parquet
 from sinsjax.records import PSINS_LAYOUT, read_psins, write_psins
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import Study, study_from_dict
@@ -176,18 +176,17 @@ def test_rerun_from_directory_is_printed_and_stored(out: Path, tmp_path: Path) -
 def turned(out: Path, by: float) -> Iterator[int]:
     """The stored headings of the first rows are others; gives the number of columns."""
     (part, *_) = sorted(out.glob("summary/*.parquet"))
-    content, manifest = part.read_bytes(), (out / "manifest.json").read_text()
-    table = pq.read_table(part)
+    content, manifest = part.read_bytes(), (out / "manifest.json").read_bytes()
+    table, marks = pq.read_table(part), part_marks(content)
     column = table.column_names.index("yaw_deg")
     yaw = pa.compute.add(table["yaw_deg"], by)
-    pq.write_table(table.set_column(column, table.schema.field(column), yaw), part)
-    was, now = (hashlib.sha256(given).hexdigest() for given in (content, part.read_bytes()))
-    (out / "manifest.json").write_text(manifest.replace(was, now))
+    changed = table.set_column(column, table.schema.field(column), yaw)
+    part.write_bytes(sealed_parquet(changed, marks))
     try:
         yield table.num_columns
     finally:
         part.write_bytes(content)
-        (out / "manifest.json").write_text(manifest)
+        (out / "manifest.json").write_bytes(manifest)
 
 
 def test_rerun_names_columns_that_differ_from_stored_row(out: Path, tmp_path: Path) -> None:
@@ -218,9 +217,7 @@ def test_rerun_reports_changed_package_version_or_code(
         told = rerun_into(out, 0, out=tmp_path / "code")
         why = "These are not last bits: the code of bringing 1.1 may have changed."
         assert f" here. {why}\n" in told
-        manifest = json.loads((out / "manifest.json").read_text())
-        manifest["versions"]["bringing"] = "1.0"
-        (out / "manifest.json").write_text(json.dumps(manifest))
+        rewrite_manifest(out, versions=read_manifest(out)["versions"] | {"bringing": "1.0"})
         told = rerun_into(out, 0, out=tmp_path / "version")
     why = "The stored row was computed with bringing 1.0, but here is 1.1."
     assert f" here. {why}\n" in told

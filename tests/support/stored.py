@@ -51,10 +51,16 @@ def write_manifest(directory: Path, study: Study, **entries: Any) -> None:
 
 
 def store(
-    directory: Path, study: Study, summary: pa.Table, curves: pa.Table | None = None, **entries: Any
+    directory: Path,
+    study: Study,
+    summary: pa.Table | None = None,
+    curves: pa.Table | None = None,
+    estimates: pa.Table | None = None,
+    **entries: Any,
 ) -> Path:
     """Write tables as the results of a study; gives the directory."""
-    for name, table in {"summary": summary, "curves": curves}.items():
+    given = {"summary": summary, "curves": curves, "estimates": estimates}
+    for name, table in given.items():
         if table is not None:
             write_part(directory / name / "part-0000-000000.parquet", table, Job(study).identity)
     (directory / STUDY).write_text(study_to_toml(study))

@@ -22,6 +22,7 @@ from sinsjax.engine.covariance import Spread
 from sinsjax.engine.metrics import Criteria, Outcome
 from sinsjax.errors import InputError
 from sinsjax.execution import run
+from sinsjax.execution.tasks import Job
 from sinsjax.study.load import Study
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.tuning import descent, estimates, history, objective, run_tuning, search
@@ -581,7 +582,9 @@ def test_resumed_tuning_takes_each_search_from_its_own_points() -> None:
     known = [history.Found(name, [look]) for name in ("gradient", "covariance")]
     study = tuned({"p0_yaw_deg": log(5.0, 50.0)}, {"study": SHORT})
     session = search.SearchSession(
-        Path("unused"), None, False, True, lambda _: nullcontext(), threading.Event(), None
+        Job(study, directory=Path("unused"), resume=True),
+        lambda _: nullcontext(),
+        threading.Event(),
     )
     for one in known:
         found = run_tuning._search(study, SearchSpace.of(study), one.search, session, known)

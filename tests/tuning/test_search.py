@@ -14,6 +14,7 @@ from support.studies import STILL, small_study
 import sinsjax
 from sinsjax.errors import InputError
 from sinsjax.execution.results import read_summary
+from sinsjax.execution.tasks import Job
 from sinsjax.study.load import Study, study_from_dict, tables_of
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.tuning import history, objective, search
@@ -200,7 +201,7 @@ FOUND = [
 
 def test_history_round_trips_through_parquet(tmp_path: Path) -> None:
     space = SearchSpace.of(COUNTED)
-    history.write(tmp_path, space, FOUND)
+    history.write(tmp_path, COUNTED, FOUND)
     again = history.read(tmp_path, space)
     for one, other in zip(FOUND, again, strict=True):
         assert one.search == other.search
@@ -245,7 +246,7 @@ def test_grid_search_evaluates_mirrored_reset_times_once(tmp_path: Path) -> None
         objective="final_error",
     )
     session = SearchSession(
-        tmp_path, None, False, False, lambda name: nullcontext(), threading.Event(), None
+        Job(study, directory=tmp_path), lambda name: nullcontext(), threading.Event()
     )
     design = search.grid(SearchSpace.of(study), 3)
     found = search.evaluate(study, "grid", design, session)
