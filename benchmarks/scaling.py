@@ -13,7 +13,7 @@ import jax
 
 from sinsjax.bench.timing import Row, Workload, ratios, row, spread, turns
 from sinsjax.engine.batch import in_threads as calls_on
-from sinsjax.execution import dask_pool, run
+from sinsjax.execution import cluster, run
 from sinsjax.execution.tasks import EncodedResult, Executor, Task, TaskRunner
 from sinsjax.study.study import Study
 
@@ -49,7 +49,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
 def started(workers: int) -> Iterator[tuple[Executor, float]]:
     """Dask workers, and how long it took to start them."""
     since = time.perf_counter()
-    with dask_pool.executor(workers=workers) as executor:
+    with cluster.executor(workers=workers) as executor:
         yield executor, time.perf_counter() - since
 
 

@@ -180,6 +180,6 @@ def _executor(workers: int | None, scheduler: str | None) -> Any:
     """A context with the executor of the tasks: Dask workers, or None for this process."""
     if workers is None and scheduler is None:
         return nullcontext()
-    from sinsjax.execution import dask_pool
+    from sinsjax.execution import cluster
 
-    return dask_pool.executor(workers=workers, scheduler=scheduler)
+    return cluster.executor(workers=workers, scheduler=scheduler)

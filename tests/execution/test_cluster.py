@@ -1,20 +1,17 @@
-"""Dask workers, real ones: the same bytes as here, whatever becomes of them."""
+"""Real Dask workers give the bytes of a local run, whatever happens to them."""
 
-import http.server
 import json
 import os
-import pickle
 import re
 import signal
-import socket
 import subprocess
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import dask
@@ -27,9 +24,8 @@ import tomli_w
 from support.studies import BASE, small_study
 
 from sinsjax.errors import InputError
-from sinsjax.execution import dask_client, dask_pool, dask_worker, run
+from sinsjax.execution import cluster, run
 from sinsjax.execution import tasks as study_tasks
-from sinsjax.execution.dask_worker import SentJob
 from sinsjax.execution.directory import read_manifest
 from sinsjax.platform import compile_cache, runtime, xla
 from sinsjax.study.load import Study, study_from_dict
@@ -103,7 +99,7 @@ class TestTwoWorkers:
         with pytest.MonkeyPatch.context() as patch:
             # Locks of their own: another test's workers may have taken this machine's cores.
             patch.setenv("TMPDIR", str(tmp_path_factory.mktemp("locks")))
-            with dask_pool.executor(workers=2) as executor:
+            with cluster.executor(workers=2) as executor:
                 yield executor
 
     def test_workers_give_same_bytes_as_local_run(
@@ -150,7 +146,7 @@ class TestTwoWorkers:
         done = []
         for encoded in two.do(runner, offered()):
             done.append(encoded.task)
-            assert len(taken) - len(done) < 2 * dask_pool.AHEAD
+            assert len(taken) - len(done) < 2 * cluster.AHEAD
         assert sorted(done) == taken == tasks[:9]
 
     def test_killed_worker_loses_no_row(
@@ -171,6 +167,20 @@ class TestTwoWorkers:
         assert rows(tmp_path)["run_id"].to_pylist() == list(range(2400))
 
 
+def test_job_survives_loss_of_every_worker(study: Study, here: Parts, tmp_path: Path) -> None:
+    """The replacement of the only worker reads the job again."""
+    killed: list[psutil.Process] = []
+
+    def tell(progress: run.RunProgress) -> None:
+        if progress.done >= 3 * CHUNK and not killed:
+            killed.append(worker_processes()[0])
+            killed[0].kill()
+
+    with cluster.executor(workers=1) as executor:
+        run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
+    assert killed and parts(tmp_path) == here
+
+
 def test_task_that_kills_workers_is_named_in_error(
     study: Study, here: Parts, tmp_path: Path
 ) -> None:
@@ -180,7 +190,7 @@ def test_task_that_kills_workers_is_named_in_error(
 
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 0}),
-        dask_pool.executor(workers=1) as executor,
+        cluster.executor(workers=1) as executor,
         pytest.raises(InputError, match=r"^part-0000-\d{6}: 1 workers died while running it"),
     ):
         run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
@@ -194,7 +204,7 @@ def test_failing_task_is_named_in_error(
     (tmp_path / "file").write_text("")
     monkeypatch.setenv(compile_cache.VARIABLE, str(tmp_path / "file"))
     with (
-        dask_pool.executor(workers=1) as executor,
+        cluster.executor(workers=1) as executor,
         pytest.raises(InputError, match=rf"^part-0000-000000: {compile_cache.VARIABLE}: "),
     ):
         run.run_into(study, tmp_path / "out", executor=executor)
@@ -207,7 +217,7 @@ Begin = Callable[..., subprocess.Popen]
 
 def refusal(**given: Any) -> str:
     """The line with which an executor with these arguments is refused."""
-    with pytest.raises(InputError) as told, dask_pool.executor(**given):
+    with pytest.raises(InputError) as told, cluster.executor(**given):
         pass
     return str(told.value)
 
@@ -281,7 +291,7 @@ class TestOneScheduler:
             if progress.done and not joined:
                 joined.append(begin("worker", scheduler, "--nthreads", "1"))
 
-        with dask_pool.executor(scheduler=scheduler) as executor:
+        with cluster.executor(scheduler=scheduler) as executor:
             run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
         assert parts(tmp_path) == here
         (session,) = read_manifest(tmp_path)["sessions"]
@@ -292,7 +302,7 @@ class TestOneScheduler:
             client.wait_for_workers(1, timeout=60)
             worker_address, *_ = client.nthreads()
         told = refusal(scheduler=worker_address)
-        assert told.endswith("no Dask scheduler answers there (found a Dask worker)")
+        assert told == f"{worker_address}: no Dask scheduler answers there (another service does)"
 
     def test_lost_scheduler_is_reported_and_results_are_kept(
         self, scheduler: str, study: Study, here: Parts, tmp_path: Path
@@ -308,9 +318,9 @@ class TestOneScheduler:
                 process.kill()
 
         with (
-            dask_pool.executor(scheduler=scheduler) as executor,
+            cluster.executor(scheduler=scheduler) as executor,
             pytest.raises(
-                InputError, match=f"^{scheduler}: lost the scheduler: .+ .results so far are"
+                InputError, match=rf"^{scheduler}: lost the scheduler \(results so far are"
             ),
         ):
             run.run_into(study, tmp_path, chunk_runs=CHUNK, executor=executor, tell=tell)
@@ -318,22 +328,57 @@ class TestOneScheduler:
         assert len(there) >= 3 and there.items() <= here.items()
 
 
+@needs_two_cores
+def test_killed_worker_of_external_scheduler_loses_no_row(
+    begin: Begin,
+    scheduler: str,
+    study: Study,
+    here: Parts,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    victim, _ = (begin("worker", scheduler, "--nthreads", "1", "--no-nanny") for _ in range(2))
+    with distributed.Client(scheduler, set_as_default=False) as client:
+        client.wait_for_workers(2, timeout=60)
+        addresses = {pid: address for address, pid in client.run(os.getpid).items()}
+    killed = []
+
+    def tell(progress: run.RunProgress) -> None:
+        if progress.done >= 3 * CHUNK and not killed:
+            killed.append(addresses[victim.pid])
+            # Suspended with tasks in hand, it loses them a second later.
+            victim.send_signal(signal.SIGSTOP)
+            threading.Timer(1.0, victim.kill).start()
+
+    with cluster.executor(scheduler=scheduler) as executor:
+        assert executor.facts["workers"] == 2
+        run.run_into(study, tmp_path / "out", chunk_runs=CHUNK, executor=executor, tell=tell)
+    assert victim.wait(60) == -signal.SIGKILL
+    assert parts(tmp_path / "out") == here
+    lost = f"Warning: {killed[0]}: worker lost, its tasks run again (1 left)\n"
+    assert capsys.readouterr().err == lost
+
+
 def test_workers_with_other_package_version_are_refused(
     begin: Begin, scheduler: str, tmp_path: Path
 ) -> None:
-    about = tmp_path / "pyarrow-18.0.dist-info"
+    about = tmp_path / "numpy-1.0.dist-info"  # of which Dask would warn by a table
     about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: pyarrow\nVersion: 18.0\n")
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: numpy\nVersion: 1.0\n")
     begin("worker", scheduler, "--nthreads", "1", PYTHONPATH=str(tmp_path))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", distributed.versions.VersionMismatchWarning)
+        with distributed.Client(scheduler, set_as_default=False) as client:
+            client.wait_for_workers(1, timeout=60)
     told = refusal(scheduler=scheduler)
-    assert re.match(r"tcp://127\.0\.0\.1:\d+: .* pyarrow 18\.0, this process", told)
+    assert re.match(r"tcp://127\.0\.0\.1:\d+: the worker has numpy 1\.0, not", told)
 
 
 def test_workers_with_differing_instruction_sets_are_refused(begin: Begin, scheduler: str) -> None:
     begin("worker", scheduler, "--nthreads", "1")
-    with dask_pool.executor(scheduler=scheduler) as executor:
+    with cluster.executor(scheduler=scheduler) as executor:
         assert executor.facts["instructions"] == xla.instructions()
-    smaller = "--xla_cpu_max_isa=SSE4_2"
+    smaller = xla.merge_options("--xla_cpu_max_isa=SSE4_2")
     begin("worker", scheduler, "--nthreads", "1", XLA_FLAGS=smaller)
     with distributed.Client(scheduler, set_as_default=False) as client:
         client.wait_for_workers(2, timeout=60)
@@ -344,176 +389,13 @@ def test_workers_with_differing_instruction_sets_are_refused(begin: Begin, sched
 def test_scheduler_without_workers_is_refused_after_timeout(
     scheduler: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(dask_client, "CONNECT_S", 0.5)
-    monkeypatch.setattr(dask_pool, "_PATIENCE_S", 1.2)
+    monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
+    monkeypatch.setattr(cluster, "PATIENCE_S", 1.2)
     assert refusal(scheduler=scheduler) == f"{scheduler}: no worker for 0.02 min"
     assert capsys.readouterr().err.count("waiting") == 1
 
 
-# --- What a person sees --------------------------------------------------------------------------
-
-
-def test_unreachable_scheduler_address_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dask_client, "CONNECT_S", 3.0)
-    for address, why in {
-        "tcp://127.0.0.1:1": ": Connection ref",
-        "nowhere": "host nowhere: ",
-    }.items():
-        told = refusal(scheduler=address)
-        assert re.match(f"{address}: no Dask scheduler answers .*{why}", told)
-        assert "\n" not in told
-
-
-class Mute(http.server.BaseHTTPRequestHandler):
-    """Answers as HTTP, and writes no log."""
-
-    def log_message(self, *_: Any) -> None:
-        pass
-
-
-@pytest.mark.parametrize("kind", ["silent", "http"])
-def test_non_dask_server_at_scheduler_address_is_reported(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(dask_client, "CONNECT_S", 1.0)
-    with ExitStack() as stack:
-        if kind == "http":
-            server = stack.enter_context(
-                http.server.ThreadingHTTPServer(("127.0.0.1", 0), Mute, bind_and_activate=True)
-            )
-            threading.Thread(target=server.serve_forever, daemon=True).start()
-            stack.callback(server.shutdown)
-            port = server.server_address[1]
-        else:
-            port = stack.enter_context(socket.create_server(("127.0.0.1", 0))).getsockname()[1]
-        address, told = f"tcp://127.0.0.1:{port}", []
-
-        def connect() -> None:
-            told.append(refusal(scheduler=address))
-
-        asking = threading.Thread(target=connect, daemon=True)  # it used to ask for ever
-        asking.start()
-        asking.join(30.0)
-        assert told == [f"{address}: no Dask scheduler answers there (no answer in 0.8 s)"]
-
-
-def test_more_workers_than_cores_are_refused() -> None:
-    assert refusal(workers=4096).startswith("workers: 4096 exceeds the")
-
-
-def test_missing_cluster_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    assert 'pip install "sinsjax[cluster]"' in refusal(workers=1)
-
-
-class Far:
-    """A scheduler whose workers do every task at once, in turn; what each was sent is kept."""
-
-    status = "running"
-
-    def __init__(self, workers: list[str]) -> None:
-        self.workers, self.sent = workers, dict[str, list[tuple[str, SentJob]]]()
-        self.dying: list[str] = []
-        self._turns = 0
-        self._later: list[Callable[[], None]] = []
-
-    def nthreads(self) -> dict[str, int]:
-        while self._later:  # what was sent together comes back together
-            self._later.pop(0)()
-        return dict.fromkeys(self.workers, 2)
-
-    def submit(
-        self, function: object, job: str, sent: SentJob | None, task: study_tasks.Task, **how: Any
-    ) -> SimpleNamespace:
-        self._turns += 1
-        name = self.workers[self._turns % len(self.workers)]
-        if sent is not None:
-            assert how["allow_other_workers"]
-            (name,) = how["workers"]
-            if name in self.dying:
-                self.workers.remove(name)
-                name = self.workers[0]
-            self.sent.setdefault(name, []).append((task.name, sent))
-        said: Any = dask_worker.Wanting(name)
-        if name in self.sent:
-            said = answer(worker=name, encoded=study_tasks.EncodedResult(task, {}, 0, 0.0))
-        future = SimpleNamespace(
-            key=how["key"], status="finished", result=lambda: said, release=lambda: None
-        )
-        future.add_done_callback = lambda call: self._later.append(lambda: call(future))
-        return future
-
-    def cancel(self, futures: list) -> None:
-        raise AssertionError("nothing is left")
-
-
-def test_job_is_sent_to_each_worker_once(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dask_pool, "_LOOK_S", 0.0)
-    tasks = [study_tasks.Task(f"part-0000-{i:06d}", 0, (0, 1), i, 1, 0) for i in range(40)]
-    far = Far(["tcp://a:1", "tcp://b:1"])
-    runner = study_tasks.TaskRunner.__new__(
-        study_tasks.TaskRunner
-    )  # of which only its job is asked for
-    runner.job = study_tasks.Job(study, chunk_runs=CHUNK)
-    pool, done = dask_pool.DaskPool(far, "far"), []
-    for encoded in pool.do(runner, iter(tasks)):
-        done.append(encoded.task)
-        if len(done) == 9:  # one comes late
-            far.workers.append("tcp://c:1")
-    assert sorted(done) == tasks
-    assert [len(sent) for sent in far.sent.values()] == [1, 1, 1]
-    assert pickle.loads(far.sent["tcp://c:1"][0][1].pickled) == runner.job
-    far.sent.clear()
-    # One goes while the job is on its way there, which costs another a second sending.
-    far.workers, far.dying = ["tcp://a:1", "tcp://b:1"], ["tcp://b:1"]
-    assert sorted(encoded.task for encoded in pool.do(runner, iter(tasks))) == tasks
-    assert list(far.sent) == ["tcp://a:1"] == far.workers and len(far.sent["tcp://a:1"]) <= 2
-
-
-def answer(**changes: Any) -> dask_worker.WorkerAnswer:
-    task = study_tasks.Task("part-0000-000000", 0, (0, 1), 0, 1, 0)
-    this = dask_worker.WorkerAnswer(
-        study_tasks.EncodedResult(task, {}, 0, 0.0),
-        "tcp://far:1",
-        dask_worker.versions(),
-        dask_worker.machine_here(),
-    )
-    return this._replace(**changes)
-
-
-def test_worker_answers_are_checked_and_other_cpu_warns_once(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    pool = dask_pool.DaskPool(None, "tcp://there:1")
-    pool.check(answer())
-    pool.check(answer())
-    assert capsys.readouterr().err == ""
-    other = dask_worker.machine_here()._replace(cpu="Abacus")
-    pool.check(answer(machine=other))
-    pool.check(answer(machine=other))
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("Warning: tcp://far:1: computes with Abacus")
-    assert pool.facts() == {"instructions": xla.instructions()}
-    smaller = answer(worker="tcp://old:1", machine=other._replace(instructions="SSE4_2"))
-    with pytest.raises(
-        InputError, match="^tcp://old:1: the worker has instruction set SSE4_2, tcp"
-    ):
-        pool.check(smaller)
-    late = dask_worker.versions() | {"jaxlib": "0.1"}
-    with pytest.raises(InputError, match="^tcp://far:1: the worker has jaxlib 0.1, this process"):
-        pool.check(answer(versions=late))
-
-
-def test_worker_without_plugin_package_is_refused_before_unpickling_job(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    worker = SimpleNamespace(address="tcp://far:1", state=SimpleNamespace(nthreads=2))
-    monkeypatch.setattr("distributed.get_worker", lambda: worker)
-    sent = SentJob({"brings-a-method": "1.0"}, b"no pickle")
-    what = r"^tcp://far:1: the worker has brings-a-method \(none\), this process 1\.0: .* on every"
-    with pytest.raises(InputError, match=what):
-        dask_worker.answer("key", sent, study_tasks.Task("part-0000-000000", 0, (0, 1), 0, 1, 0))
-
+# --- The command --------------------------------------------------------------------------------
 
 Sweep = Callable[..., subprocess.Popen]
 

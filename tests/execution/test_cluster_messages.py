@@ -1,0 +1,358 @@
+"""Messages about workers and schedulers, and an executor on workers of this process."""
+
+import http.server
+import io
+import json
+import logging
+import pickle
+import re
+import socket
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, nullcontext
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import dask
+import distributed
+import pytest
+import tomli_w
+from support.studies import BASE, small_study, with_truth
+
+from sinsjax.cli import study as studies
+from sinsjax.engine.build import simulated_record
+from sinsjax.errors import InputError
+from sinsjax.execution import cluster, run
+from sinsjax.execution.tasks import EncodedResult, Executor, Job, Task, TaskRunner
+from sinsjax.platform import affinity, runtime, xla
+from sinsjax.study.load import study_from_dict
+
+
+def refusal(**given: Any) -> str:
+    """Return the line with which an executor with these arguments is refused."""
+    with pytest.raises(InputError) as refused, cluster.executor(**given):
+        pass
+    assert "\n" not in str(refused.value)
+    return str(refused.value)
+
+
+# --- Workers of this process ---------------------------------------------------------------------
+
+
+@pytest.fixture
+def scheduler(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """Address of a scheduler with two workers of one thread, all in this process."""
+    monkeypatch.setenv(affinity.VARIABLE, "0")
+    monkeypatch.setattr(runtime, "configure", lambda devices: None)  # has been done
+    monkeypatch.setattr(cluster, "_runners", {})
+    with distributed.LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        processes=False,
+        protocol="tcp",
+        dashboard_address=None,
+        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+    ) as local:
+        yield local.scheduler_address
+
+
+def recorded_runner() -> TaskRunner:
+    """Return a runner of several tasks that need a record; a compass is compiled quickly."""
+    study = study_from_dict(
+        {
+            "study": {"duration_s": 2.0, "rate_hz": 100.0, "window_s": [0, 2]},
+            "alignment": {"method": "compass", "phi_e0_deg": 0.1},
+            "compass": {"level_time_s": 1.0},
+            "coarse": {"coarse_duration_s": 1.0},
+            "record": {"format": "psins", "start_s": [0.0, 1.0, 2.0]},
+            "axes": {"phi_u0_deg": [i / 100 for i in range(300)]},
+        }
+    )
+    return TaskRunner(Job(study, with_truth(simulated_record(small_study())), chunk_runs=128))
+
+
+@pytest.mark.optimised(False)
+def test_workers_give_same_files_and_read_job_once(
+    scheduler: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read: list[str] = []
+    get = distributed.Variable.get
+
+    def counting(variable: Any, *args: Any, **named: Any) -> Any:
+        read.append(variable.name)
+        return get(variable, *args, **named)
+
+    monkeypatch.setattr(distributed.Variable, "get", counting)
+    runner = recorded_runner()
+    (tasks,) = runner.tasks()
+    taken: list[Task] = []
+
+    def offered() -> Iterator[Task]:
+        for task in tasks:
+            taken.append(task)
+            yield task
+
+    found: dict[str, EncodedResult] = {}
+    with cluster.executor(scheduler=scheduler) as executor:
+        assert executor.facts == {
+            "workers": 2,
+            "threads": 2,
+            "scheduler": scheduler,
+            "instructions": xla.instructions(),
+        }
+        for encoded in executor.do(runner, offered()):
+            found[encoded.task.name] = encoded
+            assert len(taken) < len(found) + 2 * cluster.AHEAD
+        again = list(executor.do(runner, tasks[:1]))
+    assert len(tasks) > 5 and found.keys() == {task.name for task in tasks}
+    assert all(found[task.name].files == runner.pack(task).files for task in tasks)
+    assert again[0].files == found[tasks[0].name].files
+    assert len(read) == 1
+
+
+@pytest.mark.optimised(False)
+def test_task_that_fails_repeatedly_is_named(
+    scheduler: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried: list[str] = []
+
+    def fail(self: TaskRunner, task: Task) -> EncodedResult:
+        tried.append(task.name)
+        raise ValueError("no such thing\nat all")
+
+    runner = recorded_runner()
+    (tasks,) = runner.tasks()
+    monkeypatch.setattr(TaskRunner, "pack", fail)
+    with (
+        cluster.executor(scheduler=scheduler) as executor,
+        pytest.raises(InputError) as refused,
+    ):
+        list(executor.do(runner, tasks[:1]))
+    assert str(refused.value) == ("part-0000-000000: failed on a worker: ValueError: no such thing")
+    assert len(tried) == 3
+
+
+# --- Addresses -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("address", "reason"),
+    [
+        ("tcp://127.0.0.1:1", "Connection refused"),
+        ("tcp://nowhere.invalid:8786", ".*[Nn]ame.*"),
+        ("nowhere", "missing port number .*"),
+        ("http://127.0.0.1:80", "unknown address scheme 'http' .*"),
+    ],
+)
+def test_unreachable_scheduler_address_is_reported(address: str, reason: str) -> None:
+    line = rf"{address}: no Dask scheduler answers there \({reason}\)"
+    assert re.fullmatch(line, refusal(scheduler=address))
+
+
+class SilentHandler(http.server.BaseHTTPRequestHandler):
+    """A handler of HTTP requests that writes no log."""
+
+    def log_message(self, *_: Any) -> None:
+        pass
+
+
+@pytest.mark.parametrize("kind", ["silent", "http"])
+def test_other_service_at_scheduler_address_is_reported(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster, "CONNECT_S", 1.0)
+    with ExitStack() as stack:
+        if kind == "http":
+            server = stack.enter_context(
+                http.server.ThreadingHTTPServer(("127.0.0.1", 0), SilentHandler)
+            )
+            threading.Thread(target=server.serve_forever, daemon=True).start()
+            stack.callback(server.shutdown)
+            port = server.server_address[1]
+        else:
+            port = stack.enter_context(socket.create_server(("127.0.0.1", 0))).getsockname()[1]
+        address = f"tcp://127.0.0.1:{port}"
+        line = f"{address}: no Dask scheduler answers there (no answer in 1 s)"
+        assert refusal(scheduler=address) == line
+
+
+def test_worker_address_is_refused_as_scheduler(scheduler: str) -> None:
+    with distributed.Client(scheduler, set_as_default=False) as client:
+        worker, *_ = client.nthreads()
+    line = f"{worker}: no Dask scheduler answers there (another service does)"
+    assert refusal(scheduler=worker) == line
+
+
+def test_more_workers_than_cores_are_refused() -> None:
+    assert refusal(workers=4096).startswith("workers: 4096 exceeds the")
+
+
+def test_missing_cluster_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert 'pip install "sinsjax[cluster]"' in refusal(workers=1)
+
+
+# --- Workers that come and go --------------------------------------------------------------------
+
+
+class FakeClient:
+    """A client of a scheduler with these workers, or of one that does not answer."""
+
+    def __init__(self, *workers: str) -> None:
+        self.workers: tuple[str, ...] | None = workers
+
+    def nthreads(self) -> dict[str, int]:
+        if self.workers is None:
+            raise OSError("Timed out\nand more")
+        return dict.fromkeys(self.workers, 2)
+
+
+def test_lost_and_missing_workers_are_reported_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(cluster, "CONNECT_S", 0.0)
+    client = FakeClient()
+    pool = cluster._Workers(client, "tcp://head:8786")
+
+    def warnings(*workers: str) -> str:
+        client.workers = workers
+        assert pool.find() == dict.fromkeys(workers, 2)
+        return capsys.readouterr().err
+
+    waiting = (
+        "Warning: tcp://head:8786: no workers (waiting up to 10 min; start one: dask worker"
+        " tcp://head:8786)\n"
+    )
+    assert warnings() == waiting
+    assert warnings() == ""
+    assert warnings("tcp://a:1", "tcp://b:1", "tcp://c:1") == ""
+    assert warnings("tcp://a:1", "tcp://b:1") == (
+        "Warning: tcp://c:1: worker lost, its tasks run again (2 left)\n"
+    )
+    assert warnings("tcp://a:1", "tcp://b:1", "tcp://d:1") == ""
+    assert warnings() == (
+        "Warning: tcp://a:1 and 2 more: worker lost, its tasks run again (0 left)\n" + waiting
+    )
+    assert warnings() == ""
+
+
+def test_missing_workers_are_refused_after_ten_minutes(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 1000.0
+    monkeypatch.setattr(cluster, "time", SimpleNamespace(monotonic=lambda: now))
+    pool = cluster._Workers(FakeClient(), "tcp://head:8786")
+    now = 1599.0
+    assert pool.find() == {}
+    now = 1601.0
+    with pytest.raises(InputError, match=r"^tcp://head:8786: no worker for 10 min$"):
+        pool.find()
+
+
+def test_lost_scheduler_is_reported() -> None:
+    client = FakeClient()
+    client.workers = None
+    with pytest.raises(InputError) as lost:
+        cluster._Workers(client, "tcp://head:8786").find()
+    assert str(lost.value) == (
+        "tcp://head:8786: lost the scheduler (results so far are kept: the same again with"
+        " --resume, in Python resume=True)"
+    )
+
+
+# --- Workers that differ -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("required", "line"),
+    [
+        (
+            {"brings-a-method": "1.0"},
+            "the worker has brings-a-method (none), not 1.0: rows could differ (install the same"
+            " version on every worker)",
+        ),
+        (
+            {"jaxlib": "0.1"},
+            f"the worker has jaxlib {runtime.versions()['jaxlib']}, not 0.1: rows could differ"
+            " (install the same version on every worker)",
+        ),
+        (
+            {"instruction set": "VAX"},
+            f"the worker has instruction set {xla.instructions()}, not VAX: rows could differ"
+            " (start all with XLA_FLAGS=--xla_cpu_max_isa= set to the smaller one)",
+        ),
+    ],
+)
+def test_late_worker_that_differs_is_refused_before_reading_job(
+    required: dict[str, str], line: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("distributed.get_worker", lambda: SimpleNamespace(address="tcp://far:1"))
+    monkeypatch.setattr(cluster, "_runners", {})
+    task = Task("part-0000-000000", 0, (0, 1), 0, 1, ())
+    with pytest.raises(InputError) as refused:
+        cluster.run_task("job", required, task)
+    assert str(refused.value) == f"tcp://far:1: {line}"
+
+
+@pytest.mark.parametrize(
+    ("threads", "variable", "pinned"),
+    [(1, None, True), (1, "0", False), (2, None, False), (2, "1", True)],
+)
+def test_worker_is_pinned_and_configured_before_it_builds_job(
+    threads: int, variable: str | None, pinned: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if variable is None:
+        monkeypatch.delenv(affinity.VARIABLE, raising=False)
+    else:
+        monkeypatch.setenv(affinity.VARIABLE, variable)
+    job, steps = Job(small_study()), list[str]()
+    worker = SimpleNamespace(address="tcp://far:1", state=SimpleNamespace(nthreads=threads))
+    monkeypatch.setattr("distributed.get_worker", lambda: worker)
+    monkeypatch.setattr("distributed.Variable.get", lambda *_, **__: pickle.dumps(job))
+    monkeypatch.setattr(affinity, "keep_to_one_core", lambda: steps.append("pin"))
+    monkeypatch.setattr(runtime, "configure", lambda devices: steps.append(f"{devices} device"))
+
+    def build(runner: TaskRunner, built: Job) -> None:
+        steps.append(built.identity)
+
+    monkeypatch.setattr(TaskRunner, "__init__", build)
+    cluster._prepare("job", {"instruction set": xla.instructions()})
+    assert steps == [*(["pin"] if pinned else []), "1 device", job.identity]
+
+
+# --- Logs and forecasts --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("configured", [False, True])
+def test_dask_log_is_silent_unless_user_configures_it(configured: bool) -> None:
+    logger, stream = logging.getLogger("distributed.client"), io.StringIO()
+    handler = logging.StreamHandler(stream)
+    logger.addHandler(handler)
+    try:
+        chosen: dict[str, Any] = {"logging": {"distributed": "info"}} if configured else {}
+        with dask.config.set(chosen), pytest.raises(InputError), cluster._log_silenced():
+            logger.error("within")
+            raise InputError("ended")
+        logger.error("after")
+    finally:
+        logger.removeHandler(handler)
+    assert stream.getvalue() == ("within\nafter\n" if configured else "after\n")
+
+
+def test_forecast_counts_worker_threads_and_remaining_runs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    config, out = tmp_path / "study.toml", tmp_path / "out"
+    config.write_text(tomli_w.dumps(BASE))
+    runs = (study := small_study()).n_draws * study.n_variants
+    out.mkdir()
+    (out / "manifest.json").write_text(json.dumps({"fingerprint": "", "runs_done": runs - 1}))
+    executor = Executor(lambda runner, tasks: iter(()), {"threads": 24})
+    monkeypatch.setattr(studies, "_executor", lambda *_: nullcontext(executor))
+    monkeypatch.setattr(run, "run_into", lambda *_, **__: None)
+    monkeypatch.setattr("sinsjax.report.summarise", lambda *_, **__: None)
+    options: dict[str, Any] = {"overwrite": False, "devices": None, "curves": None, "resume": True}
+    for where, on in (((None, "tcp://head:8786"), "24 worker threads"), ((1, None), "1 core")):
+        studies.run_study(config, str(out), cluster=where, **options)
+        (line,) = capsys.readouterr().out.splitlines()
+        assert f", 1 left: roughly 1 s on {on}, " in line
