@@ -110,6 +110,9 @@ def rerun_into(
     stored = results.read_summary(directory, run_ids=[run_id])
     if not stored.num_rows:
         raise InputError(f"{directory}: has no row of run {run_id} yet")
+    if stored.num_rows > 1:
+        text = f"has {stored.num_rows} rows of run {run_id}: a part does not belong there"
+        raise InputError(f"{directory / 'summary'}: {text}")
     if out is not None and (there := [name for name in RERUN if (out / name).exists()]):
         raise InputError(f"{out}: already holds a {there[0]} (give another directory)")
     target = directory / "reruns" / str(run_id) if out is None else out

@@ -52,13 +52,15 @@ def read(directory: Path) -> Source:
         InputError: it is not complete, or cannot be read.
     """
     if not (directory / EVALUATION / "summary").is_dir():
-        raise InputError(
-            f"{directory}: holds a tuning that is not complete (`sinsjax tune --resume` goes on"
-            " with it)"
-        )
+        raise _incomplete(directory)
     judged = Source.read(directory / EVALUATION)
     assert judged.draws  # of which none is missing, or that is told
     return replace(judged, directory=directory, table=judged.summary)
+
+
+def _incomplete(directory: Path) -> InputError:
+    remedy = "`sinsjax tune --resume` continues it"
+    return InputError(f"{directory}: holds a tuning run that is not complete ({remedy})")
 
 
 @dataclass(frozen=True)
@@ -79,12 +81,18 @@ class Tuning:
 
     @classmethod
     def of(cls, source: Source) -> "Tuning":
-        """Read a completed tuning run."""
+        """Read a completed tuning run.
+
+        Raises:
+            InputError: a search is missing: the evaluation is that of an earlier tuning run.
+        """
         study = load_tuned_study(source.directory)
         found = history.read(source.directory, SearchSpace.of(study))
-        return cls(
-            study, source.study, source, {one.search.replace("_", " "): one for one in found}
-        )
+        by_name = {one.search.replace("_", " "): one for one in found}
+        tuning = cls(study, source.study, source, by_name)
+        if not by_name or tuning.places.keys() - {"baseline", *by_name}:
+            raise _incomplete(source.directory)
+        return tuning
 
     @property
     def tune(self) -> TuneSection:

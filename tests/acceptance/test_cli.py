@@ -114,13 +114,13 @@ def test_help_prints_docstring_and_option_help_in_full(sinsjax: Command, command
 def test_brackets_in_output_are_not_parsed_as_markup(
     sinsjax: Command, tmp_path: Path, record: build.Record, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sinsjax.cli.study.MOST_RUNS", 1)
+    monkeypatch.setattr("sinsjax.execution.run.MOST_CURVES", 1)
     write_psins(record, tmp_path / "swing.imu")
     study = RECORDED["study"] | {"name": "swing [tune]"}
     config = write_study(tmp_path, **RECORDED | {"study": study})
     code, told, _ = sinsjax("align", tmp_path / "swing.imu", config, "-o", tmp_path / "[out]")
     assert code == 0
-    assert "curves are kept only where [study] curves = true" in told
+    assert "curves are kept only if [study] curves = true" in told
     assert "swing [tune]: 2 of 2 runs" in told
     code, told, _ = sinsjax(
         "rerun", tmp_path / "[out]", "--run-id", 1, "--record", tmp_path / "swing.imu"

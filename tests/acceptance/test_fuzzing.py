@@ -3,7 +3,6 @@
 `python benchmarks/fuzz.py --minutes N` hunts for longer, and looks at time and memory too.
 """
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import pytest
 from fuzzing import manifests, studies, values
 from fuzzing.targets import Target, check_study, in_time, line_of, targets
 from hypothesis import HealthCheck, Phase, given, settings
+from support.kept import rewrite_manifest
 
 from sinsjax.errors import InputError
 from sinsjax.execution import resume
@@ -76,9 +76,8 @@ def test_every_schema_key_is_fuzzed():
 
 def directory_with(manifest: dict[str, Any], folder: Path) -> Path:
     """Results with some entries of the manifest replaced."""
-    files = manifests.stored(folder)
-    told = json.loads(files[manifests.MANIFEST]) | manifest
-    (folder / manifests.MANIFEST).write_text(json.dumps(told))
+    manifests.stored(folder)
+    rewrite_manifest(folder, **manifest)
     return folder
 
 
@@ -94,7 +93,8 @@ def test_version_mismatch_is_reported_in_one_printable_line(key: str, text: str,
     session |= {key: {"numpy": text} if key == "versions" else text}
     out = directory_with({"sessions": [session]}, tmp_path)
     with pytest.raises(InputError, match="was computed with (numpy|instruction set)") as caught:
-        resume.resumed(out, Job(manifests.STUDY))
+        resume.continued(Job(manifests.STUDY, directory=out))
+        resume.check_instructions(out, "AVX2")
     assert len(line_of(caught.value, out)) < 1000
 
 

@@ -1,6 +1,5 @@
 """Sweeps in processes of their own that are killed, stopped and disturbed, and lose nothing."""
 
-import hashlib
 import random
 import re
 import shutil
@@ -17,6 +16,7 @@ from support.kept import CHUNK_RUNS, assert_complete, manifest, parts, times
 from support.studies import small_study
 
 from sinsjax.execution.results import count_runs, read_curves, read_summary
+from sinsjax.execution.sealed import is_intact
 from sinsjax.platform import compile_cache
 from sinsjax.study.load import study_to_toml
 
@@ -162,9 +162,10 @@ def assert_sound(out: Path, whole: Path, made: dict[str, int]) -> None:
         curves = read_curves(out, rows["run_id"].to_pylist())
         assert curves.num_rows == RECORDS * rows.num_rows
     if (out / "manifest.json").exists():
+        assert is_intact((out / "manifest.json").read_bytes())
         for chunk in manifest(out)["chunks"]:
             for file in chunk.get("files", []):
-                assert hashlib.sha256(there[file["file"]]).hexdigest() == file["sha256"]
+                assert is_intact(there[file["file"]])
 
 
 def test_sweep_resumes_after_twenty_kills_without_loss(sweeps: Sweeps, whole: Path) -> None:

@@ -12,12 +12,14 @@ import pyarrow as pa
 import pytest
 import tomli_w
 from support.commands import command_line
-from support.stored import store
+from support.stored import store, write_manifest
 from support.studies import BASE, small_study
 
 from sinsjax import cli, console
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import resume, run
+from sinsjax.execution.directory import find_manifest
+from sinsjax.execution.tasks import Job
 from sinsjax.messages import one_line
 from sinsjax.platform import runtime
 from sinsjax.study.keys import SECTIONS
@@ -110,7 +112,8 @@ def test_study_nested_too_deeply_is_refused_in_one_line(
         load_study(path)
     for words in (("report", out), ("rerun", out, "--run-id", 0), ("run", path, "-o", out)):
         assert sinsjax(*words) == (2, f"error: {path}: is nested too deeply\n")
-    assert resume._kept_study(out) is None  # resume asks the parts whose they are
+    job = Job(small_study(), directory=out)
+    assert resume.continued(job).identity == job.identity  # resume asks the parts whose they are
 
 
 def test_value_nested_too_deeply_is_refused_in_one_line() -> None:
@@ -128,9 +131,10 @@ def test_manifest_nested_too_deeply_is_refused_in_one_line(
         (out / "manifest.json").write_text(text)
         for words in (("report", out), ("rerun", out, "--run-id", 0)):
             code, error = sinsjax(*words)
-            assert code == 2 and error.startswith(f"error: {out}: holds no readable manifest.json")
+            assert code == 2 and error.startswith(f"error: {out}/manifest.json: has changed")
+            assert error.endswith("(`sinsjax sweep --resume` writes it again)\n")
             assert error.count("\n") == 1
-        assert resume.manifest(out) is None  # resume asks the parts
+        assert find_manifest(out) is None  # resume asks the parts
 
 
 # --- parts ------------------------------------------------------------------------------------
@@ -172,7 +176,7 @@ def test_sweep_and_report_finish_after_broken_pipe(
 
     config = tmp_path / "swing.toml"
     config.write_text(tomli_w.dumps(BASE))
-    monkeypatch.setattr(run, "run_into", finished)
+    monkeypatch.setattr(run, "run_job", finished)
     monkeypatch.setattr("sinsjax.report.summarise", lambda *_, **__: done.append("report"))
     monkeypatch.setattr(sys, "argv", ["sinsjax", "sweep", str(config), "-o", str(tmp_path / "o")])
     with open(writing, "w", buffering=1) as closed:
@@ -232,7 +236,7 @@ def test_interrupted_sweep_prints_resume_command(
 
     config = tmp_path / "my study.toml"
     config.write_text(tomli_w.dumps(BASE))
-    monkeypatch.setattr(run, "run_into", interrupted)
+    monkeypatch.setattr(run, "run_job", interrupted)
     words = ["sweep", config, "-o", tmp_path / "out", "--draws", 48]
     again = f"sinsjax sweep '{config}' -o {tmp_path / 'out'} --draws 48 --resume"
     for more in ("--overwrite", "--resume"):
@@ -246,7 +250,7 @@ def test_keyboard_interrupt_outside_runs_is_reported_in_one_line(
     def interrupted(*_: Any, **__: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sinsjax.study.load.load_study", interrupted)
+    monkeypatch.setattr("sinsjax.execution.prepare.load_study", interrupted)
     told = "interrupted: what is stored is kept\n"
     assert sinsjax("sweep", "reset_sweep", "-o", tmp_path / "out") == (130, told)
 
@@ -259,10 +263,10 @@ def test_sweep_that_cannot_resume_prints_no_forecast(
     config.write_text(tomli_w.dumps(BASE))
     out.mkdir()
     (out / "study.toml").write_text(study_to_toml(small_study(study={"draws": 48})))
-    (out / "manifest.json").write_text('{"fingerprint": ""}')
+    write_manifest(out, small_study(study={"draws": 48}))
     code, told, error = command("sweep", config, "-o", out, "--resume")
     assert (code, told) == (2, "")
-    assert error.endswith("(there can be more, not fewer: go on with --draws 48)\n")
+    assert error.endswith("(there can be more, not fewer: continue with --draws 48)\n")
 
 
 ENDING = """

@@ -15,7 +15,7 @@ import pytest
 import tomli_w
 from support.commands import Command, command_line
 from support.kept import everything
-from support.stored import told
+from support.stored import told, write_part
 from support.studies import BASE, small_study
 
 import sinsjax.tuning
@@ -24,6 +24,7 @@ from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution.directory import lock, read_manifest
 from sinsjax.execution.results import read_summary
 from sinsjax.execution.run import RunProgress
+from sinsjax.execution.tasks import Job
 from sinsjax.plots import descents
 from sinsjax.records import write_psins
 from sinsjax.report import tuned
@@ -181,10 +182,11 @@ def test_reset_times_close_together_are_printed_as_pair() -> None:
 def test_report_refuses_evaluation_with_missing_runs(made: Path, tmp_path: Path) -> None:
     out = shutil.copytree(made, tmp_path / "out")
     (part,) = (out / "evaluation" / "summary").iterdir()
-    pq.write_table(pq.read_table(part).slice(1), part)
-    with pytest.raises(InputError, match="part-0000-000000.parquet: has changed: its SHA-256"):
+    shorter = pq.read_table(part).slice(1)
+    pq.write_table(shorter, part)
+    with pytest.raises(InputError, match="part-0000-000000.parquet: has changed since it was wri"):
         told(out)
-    (out / "evaluation" / "manifest.json").write_text("{}")  # which knows of no part
+    write_part(part, shorter, read_manifest(out / "evaluation")["identity"])
     with pytest.raises(InputError, match=r"evaluation: 31 runs where the study has 32: are the re"):
         told(out)
 
@@ -212,15 +214,15 @@ def test_resumed_tuning_repeats_only_missing_parts(made: Path, tmp_path: Path, f
     runs = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.delattr(sys.modules["sinsjax.tuning.descent"], "descend")
-        before = search.study_run.run_into
+        before = search.run_job
 
-        def counted(own: Study, directory: Path, *args: Any, **options: Any) -> None:
+        def counted(job: Job, **options: Any) -> None:
             seen: list[int] = []
-            tell = seen.append
-            before(own, directory, *args, **options | {"tell": lambda p: tell(p.done - p.before)})
-            runs[directory.name] = seen[-1]
+            before(job, **options | {"tell": lambda p: seen.append(p.done - p.before)})
+            assert job.directory is not None
+            runs[job.directory.name] = seen[-1]
 
-        patch.setattr(search.study_run, "run_into", counted)
+        patch.setattr(search, "run_job", counted)
         run_tuning.tune(study, out, resume=True)
     assert runs == {"grid": 0, "equal_cost": 5 * 6, "evaluation": 0}
     assert {name: everything(out / name / "summary") for name in whole} == whole
@@ -258,14 +260,16 @@ def test_overwrite_removes_previous_tuning_results(
 ) -> None:
     out = shutil.copytree(made, tmp_path / "out")
 
-    def stopped(*args: Any, **options: Any) -> None:
-        assert options["overwrite"] and not options["resume"]
+    def stopped(job: Job, **options: Any) -> None:
+        assert job.overwrite and not job.resume
         raise StudyInterrupted("no further")
 
-    monkeypatch.setattr(search.study_run, "run_into", stopped)
+    monkeypatch.setattr(search, "run_job", stopped)
     with pytest.raises(StudyInterrupted):
         run_tuning.tune(load_study(out / "study.toml"), out, overwrite=True)
-    assert not (out / "tuned.toml").exists() and not (out / "history.parquet").exists()
+    assert not (out / "tuned.toml").exists() and history.read_history(out).num_rows == 0
+    with pytest.raises(InputError, match="out: holds a tuning run that is not complete"):
+        told(out)
     assert run_tuning.is_tuning(out)
 
 
@@ -281,7 +285,7 @@ def test_resume_removes_temporary_files_of_killed_tuning(
     def stopped(*args: Any, **options: Any) -> None:
         raise StudyInterrupted("no further")
 
-    monkeypatch.setattr(search.study_run, "run_into", stopped)
+    monkeypatch.setattr(search, "run_job", stopped)
     with pytest.raises(StudyInterrupted):
         run_tuning.tune(load_study(out / "study.toml"), out, resume=True)
     left = {path.name for path in out.glob("*.tmp")}
@@ -311,7 +315,7 @@ def test_interrupted_tuning_raises_study_interrupted(tmp_path: Path, faked: Any)
     stop.set()
     with pytest.raises(StudyInterrupted, match=r"0 of 72 runs are in .*grid"):
         run_tuning.tune(study, tmp_path / "out", stop=stop)
-    with pytest.raises(InputError, match=r"out: holds a tuning that is not complete \(`sinsjax tu"):
+    with pytest.raises(InputError, match=r"out: holds a tuning run that is not complete \(`sinsj"):
         told(tmp_path / "out")
     alone = load_study(write(tmp_path / "swing.toml", tune=TUNE | {"searches": ["gradient"]}))
     with pytest.MonkeyPatch.context() as patch:
@@ -343,7 +347,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], list[str], str]] = {
             "tune": {"variables": {"p0_yaw_deg": {"fixed": 3.0}}, "searches": ["grid"]},
         },
         [],
-        "[record]: the study needs a record (give it with --record)",
+        "[record]: the study needs a record (`sinsjax align RECORD`, `sinsjax tune --record`",
     ),
     "devices that are not there": ({}, ["--devices", "1000"], "--devices: 1000 exceeds the"),
 }
@@ -400,11 +404,8 @@ def test_equal_points_are_evaluated_once_under_joined_names(
     study = load_study(write(tmp_path / "swing.toml", tune=tune))
     seen: list[Study] = []
 
-    def run_into(own: Study, directory: Path, *args: Any, **options: Any) -> None:
-        seen.append(own)
-
-    monkeypatch.setattr(search.study_run, "run_into", run_into)
-    monkeypatch.setattr(search.result_tables, "read_summary", lambda *_: pa.table({}))
+    monkeypatch.setattr(search, "run_job", lambda job, **options: seen.append(job.study))
+    monkeypatch.setattr(search.results, "read_summary", lambda *_: pa.table({}))
     monkeypatch.setattr(objective, "values", lambda tune, own, _: np.ones((own.n_variants, 2)))
     run_tuning.tune(study, tmp_path / "out")
     assert [case["case"] for case in seen[-1].cases] == ["baseline, grid"]

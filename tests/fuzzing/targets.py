@@ -17,7 +17,7 @@ from fuzzing import manifests, records, studies
 from fuzzing.edits import Quiet
 from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
-from sinsjax.execution import forecast, prepare, resume, run
+from sinsjax.execution import forecast, prepare, resume
 from sinsjax.execution.directory import read_manifest
 from sinsjax.execution.results import count_runs, read_curves, read_summary
 from sinsjax.execution.source import Source
@@ -148,10 +148,10 @@ def resolve(study: Study) -> None:
             if study.n_variants > _MANY or expected.memory > _MUCH:
                 return
         if not study.is_recorded:
-            study, warnings = run.made_ready(study, None)
-            assert all("\n" not in line for line in warnings)
-            Scenario(study)
-            Tables(study)
+            job = prepare.prepare(study)
+            assert all("\n" not in line for line in (*job.warnings, *job.notes))
+            Scenario(job.study)
+            Tables(job.study)
     except InputError as error:
         line_of(error)
         raise
@@ -168,9 +168,9 @@ def check_directory(directory: Path, files: dict[str, bytes], case: manifests.Ca
         lambda: read_summary(directory, ["run_id", "status"], run_ids=run_ids),
         lambda: read_curves(directory, run_ids),
         lambda: count_runs(directory),
-        lambda: resume.check_free(directory, overwrite=False),
-        lambda: resume.check_free(directory, overwrite=True),
-        lambda: resume.resumed(directory, Job(manifests.STUDY)),
+        lambda: resume.check_free(directory, overwrite=False, resume=True),
+        lambda: resume.check_free(directory, overwrite=True, resume=False),
+        lambda: resume.continued(Job(manifests.STUDY, directory=directory)),
         lambda: run_tuning.is_tuning(directory),
         lambda: Source.read(directory),
         lambda: forecast.require_room(
@@ -205,9 +205,8 @@ def check_record(folder: Path, case: records.Case) -> None:
         line_of(error, "align: ")
         return
     try:
-        tape = prepare.load_tape(study, record, None if case.reference is None else reference)
-        study, warnings = run.made_ready(study, tape)
-        for line in warnings:
+        job = prepare.prepare(study, None, record, None if case.reference is None else reference)
+        for line in (*job.warnings, *job.notes):
             line_of(InputError(line))
     except InputError as error:
         line_of(error, record, reference, study.name)

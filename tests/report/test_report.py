@@ -1,4 +1,3 @@
-import json
 import re
 from html import unescape
 
@@ -6,6 +5,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from matplotlib.figure import Figure
+from support.kept import rewrite_manifest
 from support.made_up import FLOOR, curves_of, summary_of
 from support.stored import store, told
 from support.studies import STILL, small_study
@@ -335,8 +335,7 @@ def test_markdown_escapes_cells_and_folds_tables():
 def test_source_without_config_file_is_labelled_by_study_name(tmp_path):
     study = small_study(study={"name": "swing"})
     directory = store(tmp_path, study, summary_of(study))
-    manifest = json.loads((directory / "manifest.json").read_text())
-    (directory / "manifest.json").write_text(json.dumps(manifest | {"config": None}))
+    rewrite_manifest(directory, config=None)
     assert Source.read(directory).config == "study.toml of swing"
 
 
@@ -549,6 +548,6 @@ def test_missing_part_of_stopped_study_is_refused(tmp_path):
         path.unlink()
     with pytest.raises(InputError, match=r"part-0001-.*: listed in the manifest but missing"):
         Source.read(tmp_path / "out")
-    (tmp_path / "out" / "manifest.json").write_text("{}")  # which knows of no part
+    rewrite_manifest(tmp_path / "out", chunks=[])
     with pytest.raises(InputError, match="64 runs where the study has 128"):
         report.auto.report(Source.read(tmp_path / "out"))
