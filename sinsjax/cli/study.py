@@ -1,13 +1,12 @@
 """Running a study from the command line: checks, forecast, progress and report."""
 
-import sys
 import threading
 from contextlib import ExitStack, nullcontext, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from sinsjax.console import plain_console, say
+from sinsjax.console import plain_console, say, warn
 from sinsjax.errors import InputError
 from sinsjax.platform import runtime
 
@@ -162,11 +161,6 @@ def foreseen(config: Path, changes: list[str] | None) -> list[str]:
         runtime.configure()
         warnings = [*preflight.check_methods(study), *warnings]
     return [*lines, *(f"Warning: {line}" for line in warnings)]
-
-
-def warn(line: str) -> None:
-    """Tell what is doubtful on the standard error."""
-    print(f"Warning: {line}", file=sys.stderr)
 
 
 def made_ready(study: Any, stored: Any) -> Any:

@@ -2,11 +2,13 @@
 
 import hashlib
 import json
+import os
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 
+from sinsjax.errors import InputError
 from sinsjax.platform.files import replacing
 
 WHOLE = ("summary", "estimates")
@@ -18,6 +20,19 @@ RERUN = ("summary.parquet", "curve.parquet", "curve.png")
 
 FIGURES = ".figures.json"
 """List of the figures drawn, in the results directory."""
+
+
+def check_name(directory: Path) -> None:
+    """Refuse a results directory that Arrow cannot open, whose name is not UTF-8.
+
+    Raises:
+        InputError: it has such a name, or lies in a folder that has.
+    """
+    try:
+        os.fspath(directory).encode()
+    except UnicodeEncodeError:
+        text = "results cannot be kept under a name that is not UTF-8 (rename it)"
+        raise InputError(f"{directory}: {text}") from None
 
 
 def is_part(path: Path) -> bool:

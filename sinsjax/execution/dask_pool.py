@@ -7,7 +7,6 @@ row of another version is ever written.
 
 import pickle
 import queue
-import sys
 import time
 from collections.abc import Iterable, Iterator
 from concurrent.futures import CancelledError
@@ -16,6 +15,7 @@ from itertools import islice
 from typing import Any
 
 from sinsjax.alignment.methods import packages_of
+from sinsjax.console import warn
 from sinsjax.errors import InputError
 from sinsjax.execution import dask_client
 from sinsjax.execution.dask_worker import (
@@ -223,7 +223,7 @@ class DaskPool:
         self._machine = self._machine or answer.machine
         if answer.machine != self._machine and not self._warned:
             self._warned = True
-            _warn(
+            warn(
                 f"{answer.worker}: computes with {_described(answer.machine)}, others with"
                 f" {_described(self._machine)}: rows may differ in their last digits"
             )
@@ -247,7 +247,7 @@ class DaskPool:
             self._waiting = True
             what = "all workers have left" if self._any else "no workers yet"
             how = f"; start one: dask worker {self._name}" if "://" in self._name else ""
-            _warn(f"{self._name}: {what} (waiting up to {_PATIENCE_S / 60:g} min{how})")
+            warn(f"{self._name}: {what} (waiting up to {_PATIENCE_S / 60:g} min{how})")
 
     def _look(self) -> dict[str, int]:
         """Number of threads of each worker; says which have left since the last look."""
@@ -257,7 +257,7 @@ class DaskPool:
         self._any = self._any or bool(there)
         if gone:
             which = f"{gone[0]} and {len(gone) - 1} more" if len(gone) > 1 else gone[0]
-            _warn(f"{which}: worker lost, its tasks run again ({len(there)} left)")
+            warn(f"{which}: worker lost, its tasks run again ({len(there)} left)")
         return there
 
     def _threads(self) -> dict[str, int]:
@@ -280,7 +280,3 @@ class DaskPool:
 def _described(about: WorkerMachine) -> str:
     options = ", ".join("=".join(option) for option in about.options) or "no XLA options"
     return f"{about.cpu} ({about.platform}; {options})"
-
-
-def _warn(text: str) -> None:
-    print(f"Warning: {text}", file=sys.stderr, flush=True)

@@ -11,6 +11,7 @@ from pathlib import Path
 import filelock
 
 from sinsjax.errors import InputError
+from sinsjax.execution.belongings import check_name
 from sinsjax.messages import one_line, shortened
 from sinsjax.platform.files import make_folder, unwritable
 
@@ -23,8 +24,10 @@ def locked(directory: Path) -> filelock.FileLock:
     """Lock a directory, created if missing, against other writers.
 
     Raises:
-        InputError: another process is writing there, or the directory is not writable.
+        InputError: another process is writing there, or the directory cannot be written or has a
+            name that is not UTF-8.
     """
+    check_name(directory)
     make_folder(directory)
     lock = _acquired(directory)
     with suppress(OSError):  # whoever cannot be named is respected all the same
@@ -38,8 +41,9 @@ def check_unlocked(directory: Path) -> None:
     Asked before all else: what is there changes, and anything said of it would mislead.
 
     Raises:
-        InputError: names that process, or the lock cannot be taken.
+        InputError: names that process, or the lock cannot be taken, or the name is not UTF-8.
     """
+    check_name(directory)
     if os.path.isfile(directory / LOCK):  # whatever cannot be looked at is told by other checks
         _acquired(directory).release()
 

@@ -16,7 +16,9 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 
 from sinsjax.errors import InputError
+from sinsjax.execution.belongings import check_name
 from sinsjax.messages import first_line, shortened
+from sinsjax.study.files import require_shallow
 
 MANIFEST = "manifest.json"
 _HINT = "`sinsjax sweep --resume` recomputes broken parts"
@@ -69,6 +71,7 @@ def query(
     Raises:
         InputError: there are no parts, or a part has changed or cannot be read.
     """
+    check_name(directory)
     if not is_there(directory, name, verify=verify):
         other, why = _OTHERWISE.get(name, ("", ""))
         found = why if other and any(find(directory, other)) else f"no results (no part in {name}/)"
@@ -116,6 +119,7 @@ def read_manifest(directory: str | Path) -> dict[str, Any]:
     """
     try:
         manifest = json.loads(Path(directory, MANIFEST).read_text(encoding="utf-8"))
+        require_shallow(manifest, MANIFEST)
     except (OSError, ValueError, RecursionError) as error:
         what = shortened(str(error))
         raise InputError(f"{directory}: holds no readable {MANIFEST} ({what})") from error

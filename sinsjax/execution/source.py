@@ -16,7 +16,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import estimates, tables
 from sinsjax.execution.kept_study import kept_study
 from sinsjax.execution.parts import is_there
-from sinsjax.messages import counted
+from sinsjax.messages import counted, one_line
 from sinsjax.study.acting import first_alike, silent
 from sinsjax.study.study import Study
 from sinsjax.study.success import Yardstick, as_of_schema_1, yardsticks
@@ -70,10 +70,11 @@ class Source:
             study = as_of_schema_1(study)
         name = manifest.get("config") or f"study.toml of {study.name}"
         told = manifest.get("warnings")
-        warnings = tuple(map(str, told if isinstance(told, list) else ()))
+        warnings = tuple(one_line(str(line)) for line in (told if isinstance(told, list) else ()))
         versions = manifest.get("versions")
-        version = str((versions if isinstance(versions, dict) else {}).get("sinsjax", "unknown"))
-        source = cls(directory, study, str(name), table, schema, warnings, version)
+        version = (versions if isinstance(versions, dict) else {}).get("sinsjax", "unknown")
+        version, config = one_line(str(version)), one_line(str(name))
+        source = cls(directory, study, config, table, schema, warnings, version)
         is_going_on = unfinished and manifest.get("state") in ("running", "interrupted")
         return source._of_what_is_there() if is_going_on else source
 

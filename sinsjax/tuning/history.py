@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sinsjax.columns import Column, schema
 from sinsjax.errors import InputError
-from sinsjax.messages import first_line
+from sinsjax.messages import escape_controls, first_line
 from sinsjax.platform.files import replacing
 from sinsjax.study.keys import TomlTable, meaning
 from sinsjax.study.search_space import SearchSpace
@@ -181,7 +181,7 @@ def read(directory: Path, space: SearchSpace) -> list[Found]:
 def _grouped(rows: list[TomlTable], names: list[str]) -> Iterator[Found]:
     for search in dict.fromkeys(row["search"] for row in rows):
         yield Found(
-            search,
+            escape_controls(search),
             [
                 Evaluation(
                     **{key: row[key] for key in Evaluation._fields if key != "values"},
