@@ -12,10 +12,22 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
+from sinsjax.messages import escape_controls
+
 
 def plain_console() -> Console:
     """A console on the standard output that prints ``[bold]`` and ``:smile:`` literally."""
     return Console(markup=False, emoji=False, highlight=False)
+
+
+def literal(text: str, style: str = "") -> Text:
+    """Return text for rich that shows every character, control characters as escapes."""
+    return Text(escape_controls(text), style=style)
+
+
+def warn(line: str) -> None:
+    """Print a warning on the standard error."""
+    print(f"Warning: {escape_controls(line)}", file=sys.stderr, flush=True)
 
 
 def say(console: Console, text: str, *, style: str = "", wrap: bool = False) -> None:
@@ -28,7 +40,7 @@ def say(console: Console, text: str, *, style: str = "", wrap: bool = False) -> 
         wrap: whether to wrap it at the width of a terminal; files and pipes are never wrapped.
     """
     soft = not (wrap and console.is_terminal)
-    console.print(Text(text, style=style), highlight=False, soft_wrap=soft)
+    console.print(literal(text, style), highlight=False, soft_wrap=soft)
 
 
 class _Tolerant:

@@ -1,8 +1,14 @@
 """Exceptions that end a study early: a user's mistake, or an interruption."""
 
+from sinsjax.messages import one_line
+
 
 class InputError(ValueError):
-    """A user's mistake, in one line: the file, the key or row, and what is wrong."""
+    """A user's mistake, in one visible line: the file, the key or row, and what is wrong."""
+
+    def __init__(self, message: str) -> None:
+        """Keep the message as one line, whatever text from a file is in it."""
+        super().__init__(one_line(message))
 
 
 class StudyInterrupted(Exception):

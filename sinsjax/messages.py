@@ -1,7 +1,7 @@
 """Error messages about keys and values, in a user's terms."""
 
 import difflib
-import unicodedata
+import re
 from collections.abc import Iterable
 
 from pydantic_core import ErrorDetails
@@ -17,12 +17,26 @@ _IN_PLAIN_WORDS = {
     "too_short": "must not be empty",
 }
 
-_DIRECTION_MARKS = "\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
+CONTROL = re.compile(
+    r"[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
+)
+"""A control code, a line break, a change of writing direction, or half of a surrogate pair.
+
+Python decodes a byte of a file name that is not UTF-8 to half of a surrogate pair.
+"""
 
 
-def is_control(letter: str) -> bool:
-    """Whether a character is a control code, a line break or a change of writing direction."""
-    return unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp") or letter in _DIRECTION_MARKS
+def escape_controls(text: str, keep: str = "") -> str:
+    r"""Return the text with `CONTROL` characters as escapes such as ``\x1b`` and ``\u202e``.
+
+    All output to a terminal, a page or a figure passes through here, since any of it may hold
+    text from a file.
+
+    Args:
+        text: the text.
+        keep: control characters to leave alone, such as the line breaks of a page.
+    """
+    return CONTROL.sub(lambda found: found[0] if found[0] in keep else repr(found[0])[1:-1], text)
 
 
 def shortened(text: str, most: int = 200) -> str:
@@ -43,9 +57,7 @@ def seconds(time_s: float) -> str:
 
 def one_line(text: str, most: int = 1000) -> str:
     """A message in one visible line: control characters escaped, a long middle left out."""
-    line = " ".join(text.splitlines())
-    if any(map(is_control, line)):
-        line = "".join(repr(c)[1:-1] if is_control(c) else c for c in line)
+    line = escape_controls(" ".join(text.splitlines()))
     return line if len(line) <= most else f"{line[: most - 300]} ... {line[-295:]}"
 
 

@@ -20,7 +20,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
 from sinsjax import columns
-from sinsjax.messages import is_control
+from sinsjax.messages import CONTROL
 
 
 def invalid(text: str, key: str | None = None) -> PydanticCustomError:
@@ -163,8 +163,8 @@ def _ordered(ends: tuple[float, float]) -> tuple[float, float]:
 
 def _printable(name: str) -> str:
     """Reject invisible characters that act on a terminal or an editor."""
-    if found := next(filter(is_control, name), None):
-        raise invalid(f"must not contain control characters (\\u{ord(found):04x})")
+    if found := CONTROL.search(name):
+        raise invalid(f"must not contain control characters (\\u{ord(found[0]):04x})")
     return name
 
 

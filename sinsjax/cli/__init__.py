@@ -27,7 +27,7 @@ from sinsjax.cli.options import (
 from sinsjax.cli.study import check_options, configure, print_job, run_study, source_label
 from sinsjax.console import lasting, plain_console
 from sinsjax.errors import InputError, StudyInterrupted
-from sinsjax.messages import one_line
+from sinsjax.messages import escape_controls
 from sinsjax.platform import runtime
 
 app = typer.Typer(
@@ -319,10 +319,11 @@ def main() -> None:
                 print(f"error: {wrong_usage(error)}", file=sys.stderr)
             raise SystemExit(2) from None
         except InputError as error:
-            print(f"error: {one_line(str(error))}", file=sys.stderr)
+            print(f"error: {error}", file=sys.stderr)
             raise SystemExit(2) from None
         except StudyInterrupted as interrupted:
-            print(f"interrupted: {interrupted} (continue: {command_to_resume()})", file=sys.stderr)
+            line = f"interrupted: {interrupted} (continue: {command_to_resume()})"
+            print(escape_controls(line), file=sys.stderr)
             raise SystemExit(130) from None
         if code == 130:  # Ctrl-C outside of a study's chunks, which typer turns into this code
             print("interrupted: what is stored is kept", file=sys.stderr)

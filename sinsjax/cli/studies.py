@@ -1,5 +1,6 @@
 """Commands about studies themselves: beginning one, and checking one before it runs."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +10,7 @@ from sinsjax.cli import options
 from sinsjax.cli.options import Changes, Config
 from sinsjax.console import plain_console, say
 from sinsjax.errors import InputError
+from sinsjax.platform.files import replacing
 
 
 def _names(incomplete: str) -> list[str]:
@@ -69,15 +71,10 @@ def init(
         from sinsjax.study.from_record import study_of
 
         text = study_of(from_, path)
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError:
-        raise InputError(
-            f"{path}: exists, and is left as it is (give another with --out)"
-        ) from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+    if os.path.lexists(path):
+        raise InputError(f"{path}: exists, and is left as it is (give another with --out)")
+    with replacing(path) as file:
+        file.write(text.encode())
     say(console, f"{path} written; `sinsjax validate {path}` checks it.")
     if from_ is not None:
         doubts = text.count(files.DOUBT)

@@ -1,13 +1,12 @@
 """Running a study from the command line: checks, forecast, progress and report."""
 
-import sys
 import threading
 from contextlib import ExitStack, nullcontext, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from sinsjax.console import plain_console, say
+from sinsjax.console import plain_console, say, warn
 from sinsjax.errors import InputError
 from sinsjax.platform import runtime
 
@@ -129,11 +128,6 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     if noise := checks.process_noise(study):
         lines.append(f"{noise}.")
     return [*lines, *(f"Warning: {line}" for line in job.warnings)]
-
-
-def warn(line: str) -> None:
-    """Tell what is doubtful on the standard error."""
-    print(f"Warning: {line}", file=sys.stderr)
 
 
 def check_options(

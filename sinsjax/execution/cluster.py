@@ -12,7 +12,6 @@ import pickle
 import queue
 import signal
 import socket
-import sys
 import threading
 import time
 import uuid
@@ -25,6 +24,7 @@ from itertools import islice
 from typing import Any
 
 from sinsjax.alignment.methods import packages_of
+from sinsjax.console import warn
 from sinsjax.errors import InputError
 from sinsjax.execution.tasks import EncodedResult, Executor, Task, TaskRunner
 from sinsjax.messages import first_line
@@ -252,7 +252,7 @@ class _Workers:
         before, self._threads = self._threads, dict(self._ask(self._client.nthreads))
         if lost := sorted(before.keys() - self._threads):
             which = f"{lost[0]} and {len(lost) - 1} more" if len(lost) > 1 else lost[0]
-            _warn(f"{which}: worker lost, its tasks run again ({len(self._threads)} left)")
+            warn(f"{which}: worker lost, its tasks run again ({len(self._threads)} left)")
         if self._threads:
             self._seen_s, self._warned = time.monotonic(), False
             return self._threads
@@ -262,7 +262,7 @@ class _Workers:
         if waited_s > CONNECT_S and not self._warned:
             self._warned = True
             how = f"; start one: dask worker {self._name}" if "://" in self._name else ""
-            _warn(f"{self._name}: no workers (waiting up to {PATIENCE_S / 60:g} min{how})")
+            warn(f"{self._name}: no workers (waiting up to {PATIENCE_S / 60:g} min{how})")
         return self._threads
 
     def forget_job(self) -> None:
@@ -318,10 +318,6 @@ def _require_same(worker: str, theirs: Mapping[str, Any], required: Mapping[str,
                 f"{worker}: the worker has {name} {theirs.get(name) or '(none)'}, not {value}: rows"
                 f" could differ ({remedy})"
             )
-
-
-def _warn(text: str) -> None:
-    print(f"Warning: {text}", file=sys.stderr, flush=True)
 
 
 # --- On the workers ------------------------------------------------------------------------------

@@ -27,6 +27,7 @@ from sinsjax.execution import sealed
 from sinsjax.execution.sealed import Damaged
 from sinsjax.messages import one_line, shortened
 from sinsjax.platform.files import make_folder, read_regular, replacing, unwritable
+from sinsjax.study.files import require_shallow
 
 MANIFEST, STUDY = "manifest.json", "study.toml"
 ONE_ROW_EACH = ("summary", "estimates")
@@ -153,8 +154,14 @@ def check_entries(directory: Path) -> None:
     """Reject a directory in which a link or a pipe takes the place of a file or folder of results.
 
     Raises:
-        InputError: names the entry, or the directory is a file or cannot be read.
+        InputError: names the entry, or the directory is a file, cannot be read, or has a name that
+            is not UTF-8, which Arrow cannot open.
     """
+    try:
+        os.fspath(directory).encode()
+    except UnicodeEncodeError:
+        text = "results cannot be kept under a name that is not UTF-8 (rename it)"
+        raise InputError(f"{directory}: {text}") from None
     try:
         if directory.exists() and not directory.is_dir():
             raise InputError(f"{directory}: is a file, not a directory")
@@ -219,6 +226,7 @@ def read_manifest(directory: str | Path) -> dict[str, Any]:
         _check_version(directory, _unsealed(path))
         raise Damaged(f"{error} (`sinsjax sweep --resume` writes it again)") from None
     _check_version(directory, found)
+    require_shallow(found, MANIFEST)
     return found
 
 

@@ -16,6 +16,7 @@ from sinsjax.execution import sealed
 from sinsjax.execution.directory import (
     STUDY,
     FileState,
+    check_entries,
     find_manifest,
     list_parts,
     read_manifest,
@@ -179,6 +180,7 @@ def query(
         InputError: there are no parts, or a part has changed or cannot be read.
     """
     directory = Path(directory)
+    check_entries(directory)
     if not has_dataset(directory, name, verify=verify):
         other, why = _OTHERWISE.get(name, ("", ""))
         is_other = other and list_parts(directory, other)

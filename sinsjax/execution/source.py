@@ -15,7 +15,7 @@ from sinsjax.analysis.grids import Grid
 from sinsjax.errors import InputError
 from sinsjax.execution import directory as places
 from sinsjax.execution import results
-from sinsjax.messages import counted
+from sinsjax.messages import counted, one_line
 from sinsjax.study.acting import first_alike, silent
 from sinsjax.study.study import Study
 from sinsjax.study.success import Yardstick, yardsticks
@@ -66,10 +66,11 @@ class Source:
         study = results.load_stored_study(directory)
         name = manifest.get("config") or f"study.toml of {study.name}"
         told = manifest.get("warnings")
-        warnings = tuple(map(str, told if isinstance(told, list) else ()))
+        warnings = tuple(one_line(str(line)) for line in (told if isinstance(told, list) else ()))
         versions = manifest.get("versions")
-        version = str((versions if isinstance(versions, dict) else {}).get("sinsjax", "unknown"))
-        source = cls(directory, study, str(name), table, warnings, version)
+        version = (versions if isinstance(versions, dict) else {}).get("sinsjax", "unknown")
+        version, config = one_line(str(version)), one_line(str(name))
+        source = cls(directory, study, config, table, warnings, version)
         is_going_on = unfinished and manifest.get("state") in ("running", "interrupted")
         return source._of_what_is_there() if is_going_on else source
 

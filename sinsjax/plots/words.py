@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from sinsjax.messages import escape_controls
 from sinsjax.units import split_unit
 
 WORDS = {
@@ -62,7 +63,7 @@ def setting(key: str, value: str) -> str:
 
 def name_of(key: Mapping[str, Any]) -> str:
     """A variant in words: ``reset_count 3, phi_u0 30 deg``; a case by its label alone."""
-    words = (str(v) if k == "case" else setting(k, value_text(v)) for k, v in key.items())
+    words = (value_text(v) if k == "case" else setting(k, value_text(v)) for k, v in key.items())
     return ", ".join(words) or "all runs"
 
 
@@ -72,7 +73,7 @@ def value_text(value: Any) -> str:
         return ", ".join(map(value_text, value)) or "none"
     if isinstance(value, float):
         return f"{value:g}"
-    return "-" if value is None else str(value)
+    return "-" if value is None else escape_controls(str(value))
 
 
 def _split(column: str) -> tuple[str, str]:

@@ -5,6 +5,7 @@ in Parquet the row of the table, from 1.
 """
 
 import csv
+import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from difflib import get_close_matches
 from itertools import chain
@@ -251,7 +252,7 @@ def open_parquet(path: str | Path) -> ColumnTable:
     # A pipe or the like does not support random access, so it is loaded whole.
     data = None if Path(path).is_file() else load(path)
     try:
-        source = pa.OSFile(str(path)) if data is None else pa.BufferReader(data)
+        source = pa.OSFile(os.fsencode(path)) if data is None else pa.BufferReader(data)
         if source.size() == 0:
             raise InputError(f"{path}: the file is empty")
         file = pq.ParquetFile(source)

@@ -23,10 +23,9 @@ from jinja2 import TemplateError
 from sinsjax import plots
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
-from sinsjax.platform.files import replacing
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.markup import environment, template
-from sinsjax.report.output import FIGURES, markdown, save_figures
+from sinsjax.report.output import FIGURES, markdown, save_figures, write_text
 
 SCRIPT, PROSE = "page.py", "page.md.j2"
 """The files of a page's folder."""
@@ -174,6 +173,5 @@ def write(folder: Path, sources: Sequence[Source]) -> tuple[Path, int]:
     save_figures(images, path.parent / FIGURES)
     made_of = sorted(sources, key=lambda source: source.config)
     text = template("folder.md.j2").render(name=folder.name, body=body, of=made_of)
-    with replacing(path) as file:
-        file.write(text.encode())
+    write_text(path, text)
     return path, len(images)

@@ -1,9 +1,12 @@
 """The package's templates: Markdown as it stands, HTML with everything escaped."""
 
+import re
 from functools import lru_cache
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+
+from sinsjax.report.names import escaped
 
 
 @lru_cache(maxsize=1)
@@ -20,7 +23,7 @@ def environment() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    made.filters["cell"] = _cell
+    made.filters |= {"cell": _cell, "code": _code, "literal": escaped}
     return made
 
 
@@ -39,3 +42,10 @@ def said(name: str, **told: Any) -> str:
 def _cell(text: str) -> str:
     """Text as a cell of a Markdown table."""
     return text.replace("|", "\\|").replace("\n", " ")
+
+
+def _code(text: str) -> str:
+    """Text as a Markdown code span, whose fence is longer than any backticks within."""
+    fence = "`" * (1 + max(map(len, re.findall("`+", text)), default=0))
+    blank = " " if text.startswith("`") or text.endswith("`") else ""
+    return f"{fence}{blank}{text}{blank}{fence}"

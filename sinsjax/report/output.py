@@ -12,11 +12,11 @@ from rich import box
 from rich import table as rich_table
 from rich.console import Console
 from rich.measure import Measurement
-from rich.text import Text as RichText
 
 from sinsjax import console as screen
 from sinsjax import plots
 from sinsjax.execution.source import Source
+from sinsjax.messages import escape_controls, one_line
 from sinsjax.platform.files import file_stem, make_folder, replacing
 from sinsjax.report.base import Block, Picture, Report, Table, Text, yardstick
 from sinsjax.report.markup import template
@@ -54,7 +54,8 @@ class Made(NamedTuple):
 def print_report(made: Made, console: Console) -> None:
     """Prints what was found and every table that is not folded, and names the figures."""
     source, report, images, names = made
-    screen.say(console, f"\n{source.study.name}", style="bold")
+    console.print()
+    screen.say(console, source.study.name, style="bold")
     lines = (yardstick(source.study), *report.headline)
     for line in sorted(lines, key=lambda line: not line.startswith("Warning: ")):
         screen.say(console, names.plain(line), wrap=True)
@@ -94,7 +95,7 @@ def write_page(page: Path, title: str, made: Sequence[Made]) -> None:
     Raises:
         InputError: the page cannot be written.
     """
-    begun = f"sinsjax report --page {page.name} ({origin(made)})"
+    begun = one_line(f"sinsjax report --page {page.name} ({origin(made)})")
     sections = []
     for source, report, images, names in made:
         prefix = f"{file_stem(source.study.name)}_"
@@ -110,8 +111,7 @@ def write_page(page: Path, title: str, made: Sequence[Made]) -> None:
         headline=[one.names.markdown(line) for one in made for line in one.report.headline],
         sections=sections,
     )
-    with replacing(page) as file:
-        file.write(text.encode())
+    write_text(page, text)
 
 
 def write_html(path: Path, title: str, made: Sequence[Made]) -> None:
@@ -131,8 +131,17 @@ def write_html(path: Path, title: str, made: Sequence[Made]) -> None:
         base64=lambda content: b64encode(content).decode(),
     )
     make_folder(path.parent)
+    write_text(path, page)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a page, in Markdown or HTML, with control characters other than line breaks escaped.
+
+    Raises:
+        InputError: the page cannot be written.
+    """
     with replacing(path) as file:
-        file.write(page.encode())
+        file.write(escape_controls(text, keep="\n").encode())
 
 
 def names_of(made: Sequence[Made]) -> Names:
@@ -160,17 +169,17 @@ def print_table(block: Table, console: Console, names: Names = NO_NAMES) -> None
     """Prints one table; into a file or a pipe each row on a line, unless COLUMNS has a width."""
     free = not console.is_terminal and not os.environ.get("COLUMNS")
     table = rich_table.Table(
-        title=RichText(block.title, style="bold"),
-        caption=RichText(names.plain(block.note)) if block.note else None,
+        title=screen.literal(block.title, "bold"),
+        caption=screen.literal(names.plain(block.note)) if block.note else None,
         title_justify="left",
         caption_justify="left",
         box=box.SIMPLE_HEAD,
         pad_edge=False,
     )
-    for name in block.header:
-        table.add_column(RichText(name), overflow="fold")  # a cut name would be another key's too
+    for name in map(screen.literal, block.header):
+        table.add_column(name, overflow="fold")  # a cut name would be another key's too
     for row in block.rows:
-        table.add_row(*map(RichText, row))
+        table.add_row(*map(screen.literal, row))
     width = console.width
     if free:
         wide = console.options.update(max_width=10_000)

@@ -11,6 +11,7 @@ from typing import Any
 
 from sinsjax.alignment.methods import SECTIONS_OF_METHODS
 from sinsjax.errors import InputError
+from sinsjax.study.files import TOO_DEEP
 from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, marked, rivals
 from sinsjax.value_types import Default
 
@@ -22,7 +23,7 @@ def parsed(texts: Iterable[str]) -> TomlTable:
     """The values by place of ``PLACE=VALUE``, values as TOML writes them; a word needs no quotes.
 
     Raises:
-        InputError: a text has no place or no value.
+        InputError: a text has no place or no value, or a value is nested too deeply.
     """
     changes = {}
     for text in texts:
@@ -35,6 +36,8 @@ def parsed(texts: Iterable[str]) -> TomlTable:
             if not value.isidentifier():
                 raise InputError(f"--set {text}: {value} is no TOML value") from None
             changes[place] = value
+        except RecursionError:
+            raise InputError(f"--set {place}: {TOO_DEEP}") from None
     return changes
 
 

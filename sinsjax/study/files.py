@@ -3,11 +3,12 @@
 import os
 import re
 import tomllib
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from sinsjax.errors import InputError
-from sinsjax.messages import near, one_line
+from sinsjax.messages import near
 from sinsjax.platform.assets import asset
 
 _FOLDER = "configs"
@@ -16,6 +17,10 @@ DOUBT = "# DOUBT: "
 """Begins a line about what could not be known where a study was written for a record."""
 
 _STUDY, _PAGE = re.compile(r"\bconfigs/(\w+)\.toml"), re.compile(r"\bdocs/(\w+)\.md")
+
+TOO_DEEP = "is nested too deeply"
+_MOST_NESTED = 50
+"""Tables and lists within one another; a study has at most five."""
 
 TEMPLATES = ("sweep", "record", "tune", "compare")
 """Kinds of study that have a template."""
@@ -101,7 +106,7 @@ def read_tables(path: str | Path) -> dict[str, Any]:
         InputError: the file cannot be read or is no TOML; one line says why.
     """
     try:
-        return tomllib.loads(found(path).read_text("utf-8-sig"))
+        tables = tomllib.loads(found(path).read_text("utf-8-sig"))
     except FileNotFoundError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}{_hint(path)}") from None
     except OSError as error:
@@ -109,9 +114,32 @@ def read_tables(path: str | Path) -> dict[str, Any]:
     except UnicodeDecodeError:
         raise InputError(f"{path}: is no UTF-8 text") from None
     except ValueError as error:
-        raise InputError(one_line(f"{path}: is no TOML: {error}")) from None
+        raise InputError(f"{path}: is no TOML: {error}") from None
     except RecursionError:
-        raise InputError(f"{path}: is nested too deeply") from None
+        raise InputError(f"{path}: {TOO_DEEP}") from None
+    require_shallow(tables, path)
+    return tables
+
+
+def require_shallow(content: Any, source: str | Path) -> None:
+    """Refuse tables and lists that are nested too deeply for functions that call themselves.
+
+    A parser may accept them: TOML's does, of ``[a.a.a.a]``.
+
+    Args:
+        content: of a file.
+        source: the name that the message gives it.
+
+    Raises:
+        InputError: they are.
+    """
+    level = [content]
+    for _ in range(_MOST_NESTED):
+        tables = [one.values() for one in level if isinstance(one, dict)]
+        lists = [one for one in level if isinstance(one, list | tuple)]
+        level = [*chain.from_iterable(tables), *chain.from_iterable(lists)]
+    if level:
+        raise InputError(f"{source}: {TOO_DEEP}")
 
 
 def _hint(given: str | Path) -> str:

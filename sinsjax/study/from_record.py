@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from sinsjax.errors import InputError
+from sinsjax.messages import CONTROL, escape_controls
 from sinsjax.records import read_psins, read_record
 from sinsjax.records.files import line_batches, number_or_nan
 from sinsjax.records.head import head_of
@@ -122,6 +123,9 @@ def _looked(path: Path) -> _Looked:
     head = head_of(path)
     found = recognise(path, head)
     layout, notes = found.layout, dict(found.notes)
+    for name in (layout.time_column, *layout.gyro_columns, *layout.accel_columns):
+        if CONTROL.search(name):
+            raise InputError(f"{path}: column {name!r}: control characters in its name (rename it)")
     record = read_record(path, layout)
     gaps = [(flaw.end - flaw.begin + 1) / record.rate_hz for flaw in record.flaws]
     short = [gap for gap in gaps if gap <= _SHORT_GAP_S]
@@ -182,7 +186,8 @@ def _latitude(record: Record, means: Means) -> float:
 
 
 def _title(path: Path, study: Path) -> str:
-    about = f"Alignment of {path.name}, written by `sinsjax init record`."
+    log, name = escape_controls(path.name), escape_controls(study.name)
+    about = f"Alignment of {log}, written by `sinsjax init record`."
     look = f"Lines with {DOUBT.strip('# :')} say what the file cannot tell: look at them first."
     return "\n".join(
         [
@@ -190,8 +195,8 @@ def _title(path: Path, study: Path) -> str:
             f"# {about}",
             f"# {look}",
             "#",
-            f"#   sinsjax validate {study.name}",
-            f"#   sinsjax align {path.name} {study.name} -o out",
+            f"#   sinsjax validate {name}",
+            f"#   sinsjax align {log} {name} -o out",
             "#",
             "# With --reference FILE the result is compared; its columns: docs/own_record.md.",
             "",
@@ -205,7 +210,7 @@ def _study_section(path: Path, looked: _Looked, times: _Times, note: Note) -> st
         rate[-1] = "# rate_hz ="
     lines = [
         "[study]",
-        *_entry("name", path.stem),
+        *_entry("name", escape_controls(path.stem)),
         *_entry("duration_s", times.fine_s, Note(f"s, the alignment; {note.reason}", note.doubt)),
         *rate,
         *_entry("record_interval_s", times.interval_s, Note("s, between recorded values")),
@@ -292,6 +297,7 @@ def _entry(key: str, value: Any, note: Note = _NOTHING) -> Iterator[str]:
 
 def _comment(text: str, mark: str = "# ") -> str:
     """A comment of as many lines as it takes."""
+    text = escape_controls(text)
     return textwrap.fill(
         text, _WIDTH, initial_indent=mark, subsequent_indent="#   ", break_long_words=False
     )

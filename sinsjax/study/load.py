@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from sinsjax.alignment.filters.section import Q_DENSITIES
 from sinsjax.alignment.methods import METHODS, SECTIONS_OF_METHODS, keys_unread, unusable
 from sinsjax.errors import InputError
-from sinsjax.messages import explained, index, near, one_line
+from sinsjax.messages import escape_controls, explained, index, near
 from sinsjax.study import axes, files, search_space, tuned_keys, usual
 from sinsjax.study import changes as changing
 from sinsjax.study.checks import Where, check_study
@@ -76,12 +76,14 @@ def with_changes(data: TomlTable, changes: Mapping[str, Any], source: str) -> To
     """A study's tables with some values changed.
 
     Raises:
-        InputError: a change names no key.
+        InputError: a change names no key, or is nested too deeply.
     """
     try:
-        return changing.changed(data, changes)
+        out = changing.changed(data, changes)
     except InputError as error:
-        raise InputError(one_line(f"{source}: {error}")) from None
+        raise InputError(f"{source}: {error}") from None
+    files.require_shallow(out, source)
+    return out
 
 
 def unread_sections(path: str | Path) -> str:
@@ -106,13 +108,13 @@ def study_from_dict(data: TomlTable, source: str = "study") -> Study:
         InputError: the study is not valid; one line says why.
     """
     try:
-        study = _checked(data, Path(source).stem)
+        study = _checked(data, escape_controls(Path(source).stem))
         if study.tune and study.study.rate_hz:
             _check_tuning(study)
     except InputError as error:
-        raise InputError(one_line(f"{source}: {error}")) from None
+        raise InputError(f"{source}: {error}") from None
     except RecursionError:
-        raise InputError(f"{source}: is nested too deeply") from None
+        raise InputError(f"{source}: {files.TOO_DEEP}") from None
     return study
 
 

@@ -140,7 +140,11 @@ def _with_other_entry(data: TomlTable, source: str, place: Place, error: str) ->
     # A repeated entry may be an error of its own.
     for value in sorted(values, key=lambda value: value in beside):
         out = copied(data)
-        _reached(out, path)[last] = value
+        table = _reached(out, path)
+        if isinstance(last, int):  # which may be one that the list lacks
+            table[last : last + 1] = [value]
+        else:
+            table[last] = value
         found = _first(out, source)
         if found is None or _place(found, source) != place:
             return out

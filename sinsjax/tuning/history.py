@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sinsjax.columns import SCHEMA_VERSION, Column, schema
 from sinsjax.errors import InputError
 from sinsjax.execution import sealed
+from sinsjax.messages import escape_controls
 from sinsjax.platform.files import replacing
 from sinsjax.study.keys import TomlTable, meaning
 from sinsjax.study.load import study_from_dict, study_to_toml
@@ -212,7 +213,7 @@ def read(directory: Path, space: SearchSpace) -> list[Found]:
 def _grouped(rows: list[TomlTable], names: list[str]) -> Iterator[Found]:
     for search in dict.fromkeys(row["search"] for row in rows):
         yield Found(
-            search,
+            escape_controls(search),
             [
                 Evaluation(
                     **{key: row[key] for key in Evaluation._fields if key != "values"},

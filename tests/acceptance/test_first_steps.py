@@ -1,5 +1,6 @@
 """The first ten minutes: studies by name, templates, checks before a run, help, a wheel alone."""
 
+import errno
 import os
 import subprocess
 import sys
@@ -96,6 +97,26 @@ def test_init_copies_study_file_with_comments(sinsjax: Command, tmp_path: Path) 
     assert code == 0 and {*files.templates(), *files.studies()} <= set(told.split())
 
 
+def test_study_file_is_written_whole_or_not_at_all(
+    sinsjax: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        line = "error: sweep.toml: cannot be written: No space left on device\n"
+        assert sinsjax("init", "sweep") == (2, "", line)
+    assert not list(tmp_path.iterdir())
+    assert sinsjax("init", "sweep")[0] == 0
+    written = Path("sweep.toml").read_bytes()
+    Path("dangling.toml").symlink_to("nowhere")
+    for name in ("sweep", "dangling"):
+        code, _, error = sinsjax("init", "sweep", "-o", f"{name}.toml")
+        assert code == 2 and error.startswith(f"error: {name}.toml: exists, and is left as it is")
+    assert Path("sweep.toml").read_bytes() == written and not Path("nowhere").exists()
+
+
 @pytest.mark.parametrize("name", files.TEMPLATES)
 def test_templates_are_valid_and_comment_their_keys(sinsjax: Command, name: str) -> None:
     untold = ("name", "earth", "reset_times_s", "case", "method")
@@ -182,6 +203,48 @@ def test_validate_reports_every_error_in_lists(sinsjax: Command, tmp_path: Path)
         "[sensors] gyro_bias_deg_per_h[2]",
         "[study] settle_bands_arcmin[0]",
         "[study] settle_bands_arcmin[2]",
+    ]
+
+
+SHORT = """
+[study]
+duration_s = 60.0
+rate_hz = 100.0
+window_s = []
+
+[earth]
+latitude_deg = 45.0
+
+[motion]
+yaw_center_deg = 10.0
+lever_arm_m = [1.0, 2.0]
+
+[axes]
+accel_bias_ug = [[1.0], [1.0, 2.0, 3.0], [1.0, 2.0]]
+
+[[cases]]
+case = "a"
+gyro_bias_deg_per_h = [0.1, 0.1]
+
+[[cases]]
+case = "b"
+gyro_bias_deg_per_h = [0.1, 0.1, 0.1]
+"""
+
+
+def test_validate_reports_every_list_that_is_too_short(sinsjax: Command, tmp_path: Path) -> None:
+    (tmp_path / "short.toml").write_text(SHORT)
+    code, told, error = sinsjax("validate", "short")
+    lines = [line.removeprefix("error: short.toml: ") for line in error.splitlines()]
+    assert (code, told) == (2, "")
+    assert sorted(lines) == [
+        "[axes] accel_bias_ug[0][1]: required",
+        "[axes] accel_bias_ug[0][2]: required",
+        "[axes] accel_bias_ug[2][2]: required",
+        "[cases] gyro_bias_deg_per_h[0][2]: required",
+        "[motion] lever_arm_m[2]: required",
+        "[study] window_s[0]: required",
+        "[study] window_s[1]: required",
     ]
 
 

@@ -2,6 +2,7 @@
 
 import copy
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -98,6 +99,8 @@ NESTED = {
     "lists": "x = " + "[" * DEEP + "]" * DEEP,
     "tables": "x = " + "{a = " * DEEP + "1" + "}" * DEEP,
     "keys": "x." * 3000 + "x = 1",
+    "header": "[" + "x." * 50_000 + "x]",
+    "few": "x = " + "[" * 60 + "]" * 60,  # a parser takes that many
 }
 
 
@@ -110,10 +113,21 @@ def test_study_nested_too_deeply_is_refused_in_one_line(
     path.write_text(NESTED[how])
     with pytest.raises(InputError, match=r"study.toml: is nested too deeply$"):
         load_study(path)
-    for words in (("report", out), ("rerun", out, "--run-id", 0), ("run", path, "-o", out)):
+    commands = ("report", out), ("rerun", out, "--run-id", 0), ("run", path, "-o", out)
+    for words in (*commands, ("validate", path)):
         assert sinsjax(*words) == (2, f"error: {path}: is nested too deeply\n")
     job = Job(small_study(), directory=out)
     assert resume.continued(job).identity == job.identity  # resume asks the parts whose they are
+
+
+@pytest.mark.parametrize("place", ["study.window_s", "study" + ".x" * 50_000])
+@pytest.mark.parametrize("depth", [60, DEEP])
+def test_change_nested_too_deeply_is_refused_in_one_line(
+    place: str, depth: int, sinsjax: Command
+) -> None:
+    for words in (("validate", "reset_sweep"), ("run", "reset_sweep", "-o", "out")):
+        code, error = sinsjax(*words, "--set", f"{place}={'[' * depth}{']' * depth}")
+        assert code == 2 and error.endswith(": is nested too deeply\n") and error.count("\n") == 1
 
 
 def test_value_nested_too_deeply_is_refused_in_one_line() -> None:
@@ -127,7 +141,8 @@ def test_manifest_nested_too_deeply_is_refused_in_one_line(
     tmp_path: Path, sinsjax: Command
 ) -> None:
     out = store(tmp_path / "out", small_study(), pa.table({"run_id": [0]}))
-    for text in ("[" * DEEP, '{"a":' * DEEP, '{"chunks":' + "[" * DEEP):
+    few = '{"config":' + "[" * 60 + "]" * 60 + "}"
+    for text in ("[" * DEEP, '{"a":' * DEEP, '{"chunks":' + "[" * DEEP, few):
         (out / "manifest.json").write_text(text)
         for words in (("report", out), ("rerun", out, "--run-id", 0)):
             code, error = sinsjax(*words)
@@ -146,6 +161,24 @@ def test_rerun_refuses_summary_with_two_rows_of_one_run(tmp_path: Path, sinsjax:
     code, error = sinsjax("rerun", out, "--run-id", 1)
     assert code == 2 and error.startswith(f"error: {out}/summary: has 2 rows of run 1: a part")
     assert error.count("\n") == 1
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are text elsewhere")
+def test_results_directory_whose_name_is_not_utf8_is_refused_before_any_run(
+    tmp_path: Path, sinsjax: Command
+) -> None:
+    out = tmp_path / os.fsdecode(b"o\xff")
+    refused = (
+        rf"{tmp_path}/o\udcff: results cannot be kept under a name that is not UTF-8 (rename it)"
+    )
+    for words in (("sweep", "reset_sweep"), ("tune", "tune_condition5")):
+        assert sinsjax(*words, "-o", out) == (2, f"error: {refused}\n")
+    with pytest.raises(InputError, match=re.escape(refused)):
+        run.run_into(small_study(), out)
+    assert not out.exists()
+    store(tmp_path / "out", small_study(), pa.table({"run_id": [0]})).rename(out)
+    for words in (("report", out), ("rerun", out, "--run-id", 0)):
+        assert sinsjax(*words) == (2, f"error: {refused}\n")
 
 
 # --- where output goes ------------------------------------------------------------------------

@@ -351,7 +351,8 @@ def test_forecast_counts_worker_threads_and_remaining_runs(
     monkeypatch.setattr(studies, "_executor", lambda *_: nullcontext(executor))
     monkeypatch.setattr(run, "run_into", lambda *_, **__: None)
     monkeypatch.setattr("sinsjax.report.summarise", lambda *_, **__: None)
-    options: dict[str, Any] = {"overwrite": False, "devices": None, "curves": None, "resume": True}
+    options: dict[str, Any] = {"overwrite": False, "devices": None, "resume": True}
+    options["every_curve"] = False
     for where, on in (((None, "tcp://head:8786"), "24 worker threads"), ((1, None), "1 core")):
         studies.run_study(config, str(out), cluster=where, **options)
         (line,) = capsys.readouterr().out.splitlines()

@@ -23,7 +23,7 @@ from sinsjax.execution.results import count_runs, read_curves, read_summary
 from sinsjax.execution.source import Source
 from sinsjax.execution.tables import Tables
 from sinsjax.execution.tasks import Job
-from sinsjax.messages import is_control
+from sinsjax.messages import CONTROL
 from sinsjax.study.fingerprint import fingerprint
 from sinsjax.study.load import Study, load_study, study_from_dict, study_to_toml
 from sinsjax.tuning import run_tuning
@@ -106,7 +106,7 @@ def line_of(error: InputError, *names: object) -> str:
     line = str(error)
     if len(line) > _LONGEST_LINE:
         raise Broken(f"a line of {len(line)} characters: {line[:200]}...") from error
-    if any(map(is_control, line)):
+    if CONTROL.search(line):
         raise Broken(f"more than a line, or control characters: {line[:200]!r}") from error
     if names and not line.startswith(tuple(map(str, names))):
         raise Broken(f"names none of {names}: {line[:200]}") from error

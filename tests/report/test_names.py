@@ -3,16 +3,21 @@
 import io
 import json
 import re
+import sys
+import unicodedata
+from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import tomli_w
 from markdown_it import MarkdownIt
 from matplotlib.figure import Figure
 from rich.console import Console
+from support.commands import command_line
 from support.stored import store, told
 from support.studies import BASE, small_study
 
@@ -22,10 +27,14 @@ from sinsjax.cli import progress
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.run import RunProgress
+from sinsjax.execution.source import Source
+from sinsjax.messages import CONTROL
 from sinsjax.platform.files import file_stem
 from sinsjax.plots import png
 from sinsjax.plots.style import styled
+from sinsjax.report.base import Chapter, Report, Table, Text
 from sinsjax.report.names import NO_NAMES, Names, escaped
+from sinsjax.report.output import Made, print_report, write_html, write_page
 from sinsjax.study.load import load_study
 
 NASTY = (
@@ -109,6 +118,92 @@ def test_report_shows_special_characters_in_names_literally(results: Path, tmp_p
     links = re.findall(r'src="(figures/[^"]+)"', body)
     assert links and all((page.parent / link).is_file() for link in links)
     assert {path.parent for path in tmp_path.rglob("*.png")} == {page.parent / "figures"}
+
+
+DOCTORED = "a\x1b]0;x\x07\x7f\u202e\u2028\u061c\udcff|`<script>x</script> --> b\nWarning: c"
+"""Text that a file may hold, for the terminal and for pages to show harmlessly."""
+
+
+@pytest.mark.usefixtures("drawn_on_request")
+def test_control_characters_from_results_are_escaped_in_every_medium(tmp_path: Path) -> None:
+    directory = stored(tmp_path / "results")
+    part = directory / "summary" / "part-0000.parquet"
+    table = pq.read_table(part)
+    cases = [f"{case}\x1b[2J\u202e\n" for case in table["case"].to_pylist()]
+    table = table.set_column(table.column_names.index("case"), "case", pa.array(cases))
+    pq.write_table(table, part)
+    manifest = {"config": DOCTORED, "warnings": [DOCTORED], "versions": {"sinsjax": DOCTORED}}
+    (directory / "manifest.json").write_text(json.dumps(manifest))
+    page, html = tmp_path / "page\x1b\u202e.md", tmp_path / "page.html"
+    said = told(directory, page=page, html=html)
+    written, shown = page.read_text(), html.read_text()
+    for text in (said, written, shown):
+        assert not CONTROL.search(text.replace("\n", "")) and "\nWarning: c" not in text
+    assert "<script" not in written and "<script" not in shown
+    assert r"Warning: a\x1b]0;x\x07\x7f\u202e \u061c\udcff|`<script>" in said
+    first, _ = written.split("\n", 1)
+    assert first.startswith(r"<!-- Written by: sinsjax report --page page\x1b\u202e.md (a\x1b]0;")
+    assert first.count("-->") == 1 and first.endswith("do not edit -->")
+    body = MarkdownIt("commonmark").enable("table").render(written)
+    for name in NASTY:
+        cell = "<td>" + escape(name, quote=False) + r"\x1b[2J\u202e\n</td>"
+        assert cell in body and cell in shown, name
+
+
+def test_control_characters_in_any_part_of_report_are_escaped(
+    results: Path, tmp_path: Path
+) -> None:
+    """Whatever a layout puts there, and wherever that comes from."""
+    said, odd = Console(file=io.StringIO(), width=200), "\x1b[2J\u202e"
+    table = Table(f"title{odd}", [f"header{odd}"], [[f"cell{odd}"]], f"note{odd}")
+    chapter = Chapter(f"chapter{odd}", [Text(f"text{odd}"), table])
+    made = Made.of(Source.read(results), Report([f"headline{odd}"], [chapter]))
+    print_report(made, said)
+    write_page(tmp_path / "page.md", f"name{odd}", [made])
+    write_html(tmp_path / "page.html", f"name{odd}", [made])
+    printed = said.file.getvalue()
+    pages = [(tmp_path / f"page.{end}").read_text() for end in ("md", "html")]
+    for text in (printed, *pages):
+        assert not CONTROL.search(text.replace("\n", ""))
+        for part in ("headline", "text", "title", "header", "cell", "note"):
+            assert rf"{part}\x1b" in text, part
+    assert all(rf"{part}\x1b" in page for page in pages for part in ("name", "chapter"))
+
+
+def test_study_file_with_control_characters_in_its_name_is_shown_escaped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    sinsjax = command_line(monkeypatch, capsys)
+    config = Path("a\x1b]0;x\x07\u202e\n|<script>.toml")
+    shown = r"a\x1b]0;x\x07\u202e\n|<script>"
+    config.write_text(tomli_w.dumps(BASE))
+    assert load_study(config).name == shown
+    code, said, error = sinsjax("validate", config)
+    assert code == 0 and said.startswith(f"{shown}.toml: valid; ") and error == ""
+    config.write_text(tomli_w.dumps(BASE | {"\x1b[2J": {}}))
+    for words in (("validate", config), ("run", config, "-o", "out")):
+        code, said, error = sinsjax(*words)
+        assert (code, said, error.count("\n")) == (2, "", 1)
+        assert error.startswith(r"error: a\x1b]0;x\x07\u202e ") and error[:-1].isprintable()
+
+
+def test_errors_and_warnings_are_one_visible_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert str(InputError("a\nb\x1b[2J\u202e")) == r"a b\x1b[2J\u202e"
+    screen.warn("a\nb\x1b[2J\u202e")
+    assert capsys.readouterr().err == "Warning: a\\nb\\x1b[2J\\u202e\n"
+
+
+def test_control_characters_are_codes_breaks_direction_marks_and_half_surrogates() -> None:
+    """As the Unicode database has them."""
+    explicit = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}
+    for letter in map(chr, range(sys.maxunicode + 1)):
+        expected = (
+            unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp")
+            or unicodedata.bidirectional(letter) in explicit
+            or letter in "\u061c\u200e\u200f"
+        )
+        assert bool(CONTROL.search(letter)) == expected, hex(ord(letter))
 
 
 def test_figure_shows_names_and_decades_without_mathtext() -> None:

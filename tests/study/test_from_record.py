@@ -1,6 +1,8 @@
 """`sinsjax init record --from`: logs of several conventions become studies that run."""
 
+import os
 import re
+import sys
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -383,6 +385,14 @@ def test_missing_sample_marks_give_one_doubt_with_remedy(
             "but no column of the gyros named up or down among t, gyro_F",
         ),
         (lambda t: (t, ("1", "2", "3", "4", "5", "6", "7")), "row 1: numbers where the names"),
+        (
+            lambda t: (t, ("t", "gyro_x\u202e", *NAMES[2:])),
+            r"column 'gyro_x\u202e': control characters in its name (rename it)",
+        ),
+        (
+            lambda t: (t, (*NAMES[:6], "accel_z\x7f")),
+            r"column 'accel_z\x7f': control characters in its name (rename it)",
+        ),
         (lambda t: (t[:500], NAMES), "has 5 s without a gap, and an alignment needs 10"),
         (lambda t: (t[:, :5], NAMES[:5]), "row 1: 5 columns between commas"),
     ],
@@ -399,6 +409,35 @@ def test_unusable_log_is_refused_in_one_line(
     assert (code, told, error.count("\n")) == (2, "", 1)
     assert error.startswith("error: log.csv: ") and line in error
     assert not Path("log.toml").exists()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are text elsewhere")
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+@pytest.mark.parametrize(
+    ("name", "shown"), [(b"l\xff", r"l\udcff"), (b"l\n\x1b[2J", r"l\n\x1b[2J")]
+)
+def test_log_with_odd_file_name_becomes_study_that_runs(
+    name: bytes,
+    shown: str,
+    suffix: str,
+    rates: tuple[np.ndarray, np.ndarray],
+    sinsjax: Command,
+) -> None:
+    log, config = (os.fsdecode(name + end.encode()) for end in (f".{suffix}", ".toml"))
+    table = columns(rates, "rfu", 1.0, 1.0, 0.01)
+    if suffix == "csv":
+        write(Path(log), table, NAMES)
+    else:
+        with open(log, "wb") as file:
+            pq.write_table(pa.table(dict(zip(NAMES, table.T, strict=True))), file)
+    code, told, error = sinsjax("init", "record", "--from", log)
+    assert (code, error) == (0, "") and told.startswith(f"{shown}.toml written; ")
+    assert tomllib.loads(Path(config).read_text())["study"]["name"] == shown
+    page = os.fsdecode(b"p\xff.md")
+    code, told, error = sinsjax("align", log, config, "-o", "out")
+    assert code == 0 and f"{shown}: 1 of 1 runs" in told, error
+    assert sinsjax("report", "out", "--page", page, "--html", f"{page}.html")[0] == 0
+    assert f"({shown}.toml; computed by".replace(r"\n", " ") in Path(page).read_text()
 
 
 def test_backward_time_stamps_are_refused_with_row(

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from sinsjax.alignment.methods import METHODS
 from sinsjax.errors import InputError
-from sinsjax.messages import is_control
+from sinsjax.messages import CONTROL
 from sinsjax.study.fingerprint import fingerprint
 from sinsjax.study.keys import SECTION_OF, SECTIONS, SWEEPABLE
 from sinsjax.study.load import (
@@ -442,7 +442,7 @@ def test_resolved_study_reloads_equal(data: dict[str, Any], tmp_path: Path):
 
 angles = st.floats(-180, 180)
 sizes = st.floats(1e-300, 1e12) | st.integers(1, 10**6)
-letters = st.characters(codec="utf-8").filter(lambda letter: not is_control(letter))
+letters = st.characters(codec="utf-8").filter(lambda letter: not CONTROL.search(letter))
 
 
 @given(
