@@ -226,7 +226,7 @@ def read_manifest(directory: str | Path) -> dict[str, Any]:
         _check_version(directory, _unsealed(path))
         raise Damaged(f"{error} (`sinsjax sweep --resume` writes it again)") from None
     _check_version(directory, found)
-    require_shallow(found, MANIFEST)
+    require_shallow(found, path)
     return found
 
 
