@@ -325,6 +325,61 @@ def test_interrupted_tuning_raises_study_interrupted(tmp_path: Path, faked: Any)
             run_tuning.tune(alone, tmp_path / "alone", stop=stop)
 
 
+@pytest.mark.parametrize("damage", ["flipped", "emptied", "gone"])
+def test_damaged_history_is_refused_by_report_and_made_again_by_resume(
+    made: Path, tmp_path: Path, faked: Any, damage: str
+) -> None:
+    out = shutil.copytree(made, tmp_path / "out")
+    whole = history.read_history(out)
+    content = bytearray((out / "history.parquet").read_bytes())
+    if damage == "flipped":
+        content[len(content) // 2] ^= 4
+    (out / "history.parquet").unlink()
+    if damage != "gone":
+        (out / "history.parquet").write_bytes(content if damage == "flipped" else b"")
+    words = "there is no such file" if damage == "gone" else "has changed since .*tune --resume"
+    with pytest.raises(InputError, match=rf"history\.parquet: {words}"):
+        told(out)
+    run_tuning.tune(load_study(out / "study.toml"), out, resume=True)
+    assert history.read_history(out).equals(whole)
+    assert (out / "tuned.toml").read_bytes() == (made / "tuned.toml").read_bytes()
+
+
+@pytest.mark.parametrize("damage", ["emptied", "edited", "gone"])
+def test_damaged_study_of_tuning_is_named_and_restored_by_resume(
+    made: Path, tmp_path: Path, faked: Any, damage: str
+) -> None:
+    out = shutil.copytree(made, tmp_path / "out")
+    study, text = load_study(out / "study.toml"), (out / "study.toml").read_text()
+    (out / "study.toml").unlink()
+    if damage != "gone":
+        changed = text.replace("\ngyro_bias_deg_per_h = 0.1", "\ngyro_bias_deg_per_h = 9.0")
+        assert changed != text
+        (out / "study.toml").write_text(changed if damage == "edited" else "")
+    named = {
+        "edited": r"is not the study of the history: \[sensors\] gyro_bias_deg_per_h: 0\.1 in the"
+        r" history, 9\.0 in the file \(delete it: `sinsjax tune --resume` writes",
+        "emptied": r".* \(delete it: `sinsjax tune --resume` writes it again\)",
+        "gone": r".* \(delete it: `sinsjax tune --resume` writes it again\)",
+    }
+    with pytest.raises(InputError, match=rf"out/study\.toml: {named[damage]}"):
+        told(out)
+    run_tuning.tune(study, out, resume=True)
+    assert (out / "study.toml").read_text() == text
+    assert "swing" in told(out)
+
+
+def test_search_folder_that_is_a_link_is_refused(made: Path, tmp_path: Path) -> None:
+    """Otherwise --overwrite would delete the parts of another results directory."""
+    out, other = (shutil.copytree(made, tmp_path / name) for name in ("out", "other"))
+    shutil.rmtree(out / "grid")
+    (out / "grid").symlink_to(other / "grid")
+    before = everything(tmp_path)
+    with pytest.raises(InputError, match=r"out/grid: is a symbolic link"):
+        run_tuning.tune(load_study(out / "study.toml"), out, overwrite=True)
+    assert everything(tmp_path) == before
+
+
 MISTAKES: dict[str, tuple[dict[str, Any], list[str], str]] = {
     "nothing to tune": (
         {"tune": None},

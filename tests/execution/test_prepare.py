@@ -1,0 +1,158 @@
+"""Every question about a study is asked once, and alike from the command line and from Python."""
+
+import sys
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.commands import Command, command_line
+from support.studies import small_study
+
+import sinsjax
+from sinsjax.engine import build
+from sinsjax.errors import InputError
+from sinsjax.execution.prepare import Options, prepare
+from sinsjax.records import write_psins
+from sinsjax.records.reference import StoredRecord
+from sinsjax.study.load import Study, study_from_dict, study_to_toml
+
+pytestmark = pytest.mark.optimised(False)
+
+ONCE = (
+    "prepare.prepare",
+    "checks.check_methods",
+    "checks.study_warnings",
+    "forecast.of",
+    "forecast.require_room",
+    "resume.check_free",
+    "directory.check_unlocked",
+    "directory.lock",
+    "load.load_study",
+)
+
+
+def count_calls(action: Callable[[], Any]) -> Counter[str]:
+    """Return how often each function of sinsjax is called, by module and name."""
+    calls: Counter[str] = Counter()
+
+    def note(frame: Any, event: str, argument: Any) -> None:
+        code = frame.f_code
+        if event == "call" and "/sinsjax/" in code.co_filename:
+            calls[f"{Path(code.co_filename).stem}.{code.co_qualname}"] += 1
+
+    sys.setprofile(note)
+    try:
+        action()
+    finally:
+        sys.setprofile(None)
+    return calls
+
+
+@pytest.fixture
+def run_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    """Runs a command line in this process; gives exit code, output and error output."""
+    return command_line(monkeypatch, capsys)
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> tuple[Path, Path, Study]:
+    """A record, its study file, and the study."""
+    study = study_from_dict(
+        {
+            "study": {"duration_s": 2.0, "window_s": [0, 2]},
+            "alignment": {"phi_u0_deg": 3.0},
+            "earth": {"latitude_deg": 32.0},
+            "record": {"format": "psins", "start_s": [0.0, 1.0]},
+            "coarse": {"coarse_duration_s": 3.0},
+        },
+        "swing",
+    )
+    write_psins(build.simulated_record(small_study()), tmp_path / "log.imu")
+    (tmp_path / "swing.toml").write_text(study_to_toml(study))
+    return tmp_path / "log.imu", tmp_path / "swing.toml", study
+
+
+def test_sweep_asks_every_question_once(run_command: Command, tmp_path: Path) -> None:
+    config, out = tmp_path / "small.toml", tmp_path / "out"
+    config.write_text(study_to_toml(small_study()))
+    calls = count_calls(lambda: run_command("sweep", config, "-o", out))
+    # The report loads the study of the results.
+    expected = dict.fromkeys(ONCE, 1) | {"load.load_study": 2}
+    assert {name: calls[name] for name in ONCE} == expected
+    assert calls["sealed.read_json"] <= 3  # the manifest, by the report
+    calls = count_calls(lambda: run_command("sweep", config, "-o", out, "--resume"))
+    assert {name: calls[name] for name in ONCE} == expected
+
+
+def test_align_analyses_its_record_once(
+    run_command: Command, recorded: tuple[Path, Path, Study], tmp_path: Path
+) -> None:
+    log, config, _ = recorded
+    calls = count_calls(lambda: run_command("align", log, config, "-o", tmp_path / "out"))
+    assert {name: calls[name] for name in ONCE} == dict.fromkeys(ONCE, 1) | {"load.load_study": 2}
+    assert calls["psins.read_psins"] == 1
+    assert calls["plausible.findings"] == 1
+
+
+def test_python_align_gives_rows_of_command(
+    run_command: Command, recorded: tuple[Path, Path, Study], tmp_path: Path
+) -> None:
+    log, config, study = recorded
+    code, _, error = run_command("align", log, config, "-o", tmp_path / "out")
+    assert (code, error) == (0, "")
+    stored = sinsjax.read_summary(tmp_path / "out")
+    for results in (sinsjax.align(log, config), sinsjax.align(str(log), study)):
+        assert results.summary.cast(stored.schema).equals(stored)
+        assert results.curves.num_rows == 2 * study.records
+    changed = sinsjax.align(log, config, overrides={"record.start_s": [1.0]}, curves=False)
+    assert changed.summary["start_s"].to_pylist() == [1.0] and changed.curves.num_rows == 0
+    tape = sinsjax.load_tape(study, log)
+    assert sinsjax.align(tape, study).summary.equals(sinsjax.align(log, study).summary)
+
+
+def test_command_and_python_refuse_alike(
+    run_command: Command, recorded: tuple[Path, Path, Study], tmp_path: Path
+) -> None:
+    log, config, study = recorded
+    late = {"record.start_s": [100.0]}
+    code, _, error = run_command(
+        "align", log, config, "-o", tmp_path / "out", "--set", "record.start_s=[100.0]"
+    )
+    with pytest.raises(InputError) as refused:
+        sinsjax.align(log, config, overrides=late)
+    assert (code, error) == (2, f"error: {refused.value}\n")
+    with pytest.raises(InputError, match=r"swing: \[record\]: the study needs a record \("):
+        sinsjax.run(study)
+    with pytest.raises(InputError, match=r"has no \[record\] section to read .*log.imu with"):
+        sinsjax.align(log, small_study())
+    assert not (tmp_path / "out").exists()
+
+
+def test_refused_study_leaves_directory_as_it_was(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    wrong = small_study()
+    tape = StoredRecord(build.simulated_record(wrong), None)
+    with pytest.raises(InputError, match=r"has no \[record\] section"):
+        prepare(wrong, record=tape, options=Options(out))
+    job = prepare(wrong, options=Options(out))
+    assert job.directory == out and job.forecast is not None and job.forecast.runs == 3
+    assert not out.exists()
+
+
+def test_added_axis_value_is_refused_with_way_on(tmp_path: Path) -> None:
+    first = small_study(axes={"p0_yaw_deg": [10.0, 40.0]})
+    more = small_study(axes={"p0_yaw_deg": [10.0, 40.0, 60.0]})
+    sinsjax.run_into(first, tmp_path / "out")
+    with pytest.raises(InputError) as refused:
+        sinsjax.run_into(more, tmp_path / "out", resume=True)
+    line = str(refused.value)
+    assert "[axes] p0_yaw_deg: [10.0, 40.0] there, [10.0, 40.0, 60.0] here" in line
+    assert "axes.p0_yaw_deg=[60.0], into another directory" in line
+    sinsjax.run_into(small_study(axes={"p0_yaw_deg": [60.0]}), tmp_path / "more")
+    whole = sinsjax.run(more).summary
+    there = [sinsjax.read_summary(tmp_path / name) for name in ("out", "more")]
+    errors = np.sort(np.concatenate([table["phi_u_arcmin"].to_numpy() for table in there]))
+    assert np.array_equal(errors, np.sort(whole["phi_u_arcmin"].to_numpy()))
