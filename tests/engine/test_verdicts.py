@@ -1,25 +1,20 @@
 """How runs end: from the truth and from the limit, in their bands, for long enough."""
 
-import hashlib
-import io
 import math
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pytest
-from rich.console import Console
 from support.chunks import chunk
 from support.studies import STILL, small_study
 
-from sinsjax import analysis, report
+from sinsjax import analysis
 from sinsjax.errors import InputError
 from sinsjax.execution import run, tables
-from sinsjax.execution.results import read_summary
-from sinsjax.execution.source import Source
 from sinsjax.study import success
 from sinsjax.study.fingerprint import fingerprint
-from sinsjax.study.load import Study, load_study, study_to_toml
+from sinsjax.study.load import load_study, study_to_toml
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -174,53 +169,6 @@ def test_success_rate_differences_are_paired() -> None:
         expected = analysis.proportion_difference(*pair)
         assert row[f"success_{name}_rate_difference"] == expected.value
         assert row[f"success_{name}_rate_difference_low"] == expected.low
-
-
-# --- results of an earlier version ----------------------------------------------------------------
-
-
-def stored(tmp_path: Any, schema: str) -> tuple[Study, Any]:
-    """Results as a version of the first schema left them, of a study without a word of success."""
-    study = small_study(motion=STILL, axes={"phi_u0_deg": [0.0, 30.0]})
-    out = tmp_path / "out"
-    run.run_into(study, out)
-    if schema == "1":
-        (part,) = (out / "summary").glob("*.parquet")
-        table = pa.parquet.read_table(part)
-        gone = [n for n in table.column_names if "truth" in n or n in ("has_limit", "ok_limit")]
-        table = table.drop_columns(gone)
-        marks = dict(table.schema.metadata) | {b"sinsjax.schema": b"1"}
-        was = hashlib.sha256(part.read_bytes()).hexdigest()
-        pa.parquet.write_table(table.replace_schema_metadata(marks), part)
-        now = hashlib.sha256(part.read_bytes()).hexdigest()
-        manifest = out / "manifest.json"
-        text = manifest.read_text()
-        assert '"schema": "2"' in text
-        manifest.write_text(text.replace('"schema": "2"', '"schema": "1"').replace(was, now))
-    return study, out
-
-
-def test_schema_1_results_are_read_as_judged_from_bias_floor(tmp_path: Any) -> None:
-    study, out = stored(tmp_path, "1")
-    table = read_summary(out)
-    assert table["ok_truth"].null_count == table["settle_10_truth_s"].null_count == table.num_rows
-    assert table["has_limit"].to_pylist() == [True] * table.num_rows
-    settled = [time is not None for time in table["settle_10_s"].to_pylist()]
-    assert table["ok_limit"].to_pylist() == settled
-    assert read_summary(out, ["ok_limit", "run_id"]).column_names == ["ok_limit", "run_id"]
-    with pytest.raises(InputError, match="column ok_never is missing"):
-        read_summary(out, ["ok_never"])
-    source = Source.read(out)
-    assert success.success_of(source.study).judged_from == "limit"
-    assert [yard.truth for yard in source.yardsticks] == [False]
-
-
-def test_report_marks_values_missing_in_schema_1_as_not_recorded(tmp_path: Any) -> None:
-    _, out = stored(tmp_path, "1")
-    console = Console(width=400, file=io.StringIO())
-    report.summarise([out], console)
-    text = console.file.getvalue()
-    assert "within 10' of true north (%)" in text and "not recorded" in text
 
 
 def test_unset_success_keys_leave_toml_and_fingerprint_unchanged(tmp_path: Any) -> None:

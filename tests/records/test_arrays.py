@@ -12,6 +12,7 @@ from support.studies import STILL, small_study, small_tables
 
 import sinsjax
 from sinsjax.errors import InputError
+from sinsjax.execution.prepare import _stored as stored_record
 from sinsjax.execution.prepare import prepare
 from sinsjax.records.layout import from_body
 from sinsjax.records.reference import Reference, StoredRecord
@@ -382,7 +383,7 @@ def test_loading_arrays_format_from_file_is_refused() -> None:
         sinsjax.load_tape(recorded(), "x.csv")
 
 
-def test_path_instead_of_record_is_refused() -> None:
+def test_number_instead_of_record_is_refused() -> None:
     """Unwrapped, because the tests' own checks of types would come first."""
-    with pytest.raises(InputError, match=r"tape: must be what sinsjax\.load_tape or .* not a str$"):
-        inspect.unwrap(prepare)(recorded(), record=3)
+    with pytest.raises(InputError, match=r"tape: must be what sinsjax\.load_tape or .* not a int$"):
+        inspect.unwrap(stored_record)(recorded(), 3, None)

@@ -1,3 +1,4 @@
+import json
 import re
 from html import unescape
 
@@ -5,7 +6,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from matplotlib.figure import Figure
-from support.kept import rewrite_manifest
+from support.kept import manifest, rewrite_manifest
 from support.made_up import FLOOR, curves_of, summary_of
 from support.stored import store, told
 from support.studies import STILL, small_study
@@ -337,6 +338,20 @@ def test_source_without_config_file_is_labelled_by_study_name(tmp_path):
     directory = store(tmp_path, study, summary_of(study))
     rewrite_manifest(directory, config=None)
     assert Source.read(directory).config == "study.toml of swing"
+
+
+@pytest.mark.parametrize("is_sealed", [True, False])
+def test_results_of_other_schema_are_refused_with_their_version(tmp_path, is_sealed):
+    study = small_study()
+    versions = {"sinsjax": "0.5.0"}
+    out = store(tmp_path / "out", study, summary_of(study), schema="2", versions=versions)
+    if not is_sealed:  # as that version wrote it
+        content = manifest(out)
+        del content["sinsjax.sha256"]
+        (out / "manifest.json").write_text(json.dumps(content))
+    text = r"out: holds results of sinsjax 0\.5\.0, whose columns \(schema 2\) .* with --overwrite"
+    with pytest.raises(InputError, match=text):
+        Source.read(out)
 
 
 # --- the readings -------------------------------------------------------------------------------

@@ -6,13 +6,14 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from matplotlib.figure import Figure
 from support.made_up import curves_of, summary_of
+from support.stored import write_part
 
 from sinsjax.analysis import Estimate
 from sinsjax.execution.source import Source
+from sinsjax.execution.tasks import Job
 from sinsjax.report import folder, tuned_figures
 from sinsjax.report.base import Picture
 from sinsjax.study.load import study_from_dict
@@ -79,10 +80,9 @@ def made_up(directory: Path, name: str) -> Source:
     study = study_from_dict(data)
     source = Source(directory, study, f"configs/{name}.toml", summary_of(study, every=True))
     if study.study.curves or study.is_recorded:
-        stored = directory / name / "curves"
-        stored.mkdir(parents=True)
         times = np.linspace(1.0, study.duration_s, 41).round()
-        pq.write_table(curves_of(study, times=times), stored / "part-0000.parquet")
+        part = directory / name / "curves" / "part-0000-000000.parquet"
+        write_part(part, curves_of(study, times=times), Job(study).identity)
         return replace(source, directory=directory / name)
     return source
 
