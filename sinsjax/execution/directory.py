@@ -43,7 +43,9 @@ LOCK, WRITER, FIGURES = ".lock", ".writer", ".figures.json"
 
 _FILES = (MANIFEST, STUDY, LOCK, WRITER, FIGURES, "tuned.toml", "history.parquet")
 _FOLDERS = (*DATASETS, "figures", "reruns", "grid", "sobol", "random", "equal_cost", "evaluation")
-_TICK_NS = 10**9
+_TICK_NS = 50_000_000
+"""More than the interval at which a file system's clock ticks: a later change has another time."""
+
 _SPARSE = 2**16
 """Bytes of a file that names the writer or lists the figures."""
 
@@ -64,7 +66,7 @@ class FileState(NamedTuple):
 
     @property
     def is_settled(self) -> bool:
-        """Whether any later change will show in the time, despite a file system's coarse clock."""
+        """Whether any later change will show in the time."""
         return time.time_ns() - self.mtime_ns > _TICK_NS
 
 
