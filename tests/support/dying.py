@@ -66,7 +66,9 @@ def arm(killer: Killer, pause_s: float) -> None:
             time.sleep(pause_s)
         return path
 
-    files.open = lambda path, mode: Half(io.FileIO(path, mode))
+    files.open = lambda path, mode: (
+        Half(io.FileIO(path, mode)) if mode == "xb" else open(path, mode)
+    )
     Path.replace = replace
 
 
