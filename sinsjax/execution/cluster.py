@@ -242,7 +242,9 @@ class _Workers:
                 except CancelledError as error:  # as the client does if the connection is lost
                     raise self._lost() from error
                 for future in finished:
-                    yield self._result(pending.pop(future), future)
+                    encoded = self._result(pending.pop(future), future)
+                    future.release()  # or Dask computes it again if its worker is lost
+                    yield encoded
         finally:
             if pending and self._client.status == "running":
                 self._client.cancel(list(pending))
@@ -315,8 +317,8 @@ def _require_same(worker: str, theirs: Mapping[str, Any], required: Mapping[str,
             if name == _INSTRUCTIONS:
                 remedy = "start all with XLA_FLAGS=--xla_cpu_max_isa= set to the smaller one"
             raise InputError(
-                f"{worker}: the worker has {name} {theirs.get(name) or '(none)'}, not {value}: rows"
-                f" could differ ({remedy})"
+                f"{worker}: the worker has {name} {theirs.get(name) or '(none)'}, not {value}:"
+                f" rows could differ ({remedy})"
             )
 
 
@@ -359,4 +361,4 @@ def _prepare(job_name: str, required: Mapping[str, str]) -> TaskRunner:
     if platforms := os.environ.get("JAX_PLATFORMS"):  # Dask may have set it after JAX read it
         jax.config.update("jax_platforms", platforms)
     runtime.configure(devices=1)
-    return TaskRunner(pickle.loads(Variable(job_name).get(timeout=CONNECT_S)))
+    return TaskRunner(pickle.loads(Variable(job_name).get(timeout=1.0)))

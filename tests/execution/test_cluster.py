@@ -297,13 +297,6 @@ class TestOneScheduler:
         (session,) = read_manifest(tmp_path)["sessions"]
         assert (session["workers"], session["scheduler"]) == (1, scheduler)
 
-    def test_worker_address_is_refused_as_scheduler(self, scheduler: str) -> None:
-        with distributed.Client(scheduler, set_as_default=False) as client:
-            client.wait_for_workers(1, timeout=60)
-            worker_address, *_ = client.nthreads()
-        told = refusal(scheduler=worker_address)
-        assert told == f"{worker_address}: no Dask scheduler answers there (another service does)"
-
     def test_lost_scheduler_is_reported_and_results_are_kept(
         self, scheduler: str, study: Study, here: Parts, tmp_path: Path
     ) -> None:
@@ -434,14 +427,15 @@ def begun(process: subprocess.Popen) -> str:
 
 
 @needs_two_cores
-def test_ctrl_c_finishes_running_chunks_and_resume_completes_sweep(
-    sweep: Sweep, here: Parts, tmp_path: Path
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_finishes_running_chunks_and_resume_completes_sweep(
+    number: signal.Signals, sweep: Sweep, here: Parts, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
     process = sweep(out, "--workers", "2")
     first = begun(process)
     children = worker_processes(process.pid)
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all
+    os.killpg(process.pid, number)  # to all, as terminals and batch systems do
     told, errors = process.communicate(timeout=300)
     assert process.returncode == 130, (first, told, errors)
     assert "Stopping after the running chunks" in told

@@ -9,6 +9,7 @@ import re
 import socket
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
@@ -42,8 +43,8 @@ def refusal(**given: Any) -> str:
 
 
 @pytest.fixture
-def scheduler(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """Address of a scheduler with two workers of one thread, all in this process."""
+def local(monkeypatch: pytest.MonkeyPatch) -> Iterator[distributed.LocalCluster]:
+    """A scheduler with two workers of one thread, all in this process."""
     monkeypatch.setenv(affinity.VARIABLE, "0")
     monkeypatch.setattr(runtime, "configure", lambda devices: None)  # has been done
     monkeypatch.setattr(cluster, "_runners", {})
@@ -55,7 +56,13 @@ def scheduler(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
         dashboard_address=None,
         scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
     ) as local:
-        yield local.scheduler_address
+        yield local
+
+
+@pytest.fixture
+def scheduler(local: distributed.LocalCluster) -> str:
+    """Address of that scheduler."""
+    return str(local.scheduler_address)
 
 
 def recorded_runner() -> TaskRunner:
@@ -110,6 +117,28 @@ def test_workers_give_same_files_and_read_job_once(
     assert all(found[task.name].files == runner.pack(task).files for task in tasks)
     assert again[0].files == found[tasks[0].name].files
     assert len(read) == 1
+
+
+@pytest.mark.optimised(False)
+def test_finished_tasks_are_released_from_scheduler(
+    local: distributed.LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise Dask would compute them again when their worker is lost."""
+    wait, kept = distributed.wait, []
+
+    def keeping(*args: Any, **named: Any) -> Any:
+        kept.append(wait(*args, **named))
+        return kept[-1]
+
+    monkeypatch.setattr(distributed, "wait", keeping)
+    runner = recorded_runner()
+    (tasks,) = runner.tasks()
+    with cluster.executor(scheduler=local.scheduler_address) as executor:
+        assert len(list(executor.do(runner, tasks))) == len(tasks) and kept
+        until = time.monotonic() + 20.0
+        while local.scheduler.tasks and time.monotonic() < until:
+            time.sleep(0.01)
+        assert not local.scheduler.tasks
 
 
 @pytest.mark.optimised(False)
