@@ -41,7 +41,9 @@ def sealed_parquet(table: pa.Table, marks: Mapping[str, str] | None = None) -> b
         table: the rows, with the metadata of its schema.
         marks: further entries of the file's metadata.
     """
-    schema = table.schema.with_metadata({**(table.schema.metadata or {}), **(marks or {})})
+    metadata = {key.decode(): value for key, value in (table.schema.metadata or {}).items()}
+    metadata.pop(KEY, None)  # of the file that the rows were read from
+    schema = table.schema.with_metadata(metadata | dict(marks or {}))
     sink = pa.BufferOutputStream()
     # Numbers seldom repeat: a dictionary would make them larger and three times as slow.
     options = {"compression": "zstd", "use_dictionary": False, "write_page_checksum": True}

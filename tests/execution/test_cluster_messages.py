@@ -20,6 +20,7 @@ import dask
 import distributed
 import pytest
 import tomli_w
+from support.stored import write_manifest
 from support.studies import BASE, small_study, with_truth
 
 from sinsjax.cli import study as studies
@@ -375,7 +376,7 @@ def test_forecast_counts_worker_threads_and_remaining_runs(
     config.write_text(tomli_w.dumps(BASE))
     runs = (study := small_study()).n_draws * study.n_variants
     out.mkdir()
-    (out / "manifest.json").write_text(json.dumps({"fingerprint": "", "runs_done": runs - 1}))
+    write_manifest(out, study, runs_done=runs - 1)
     executor = Executor(lambda runner, tasks: iter(()), {"threads": 24})
     monkeypatch.setattr(studies, "_executor", lambda *_: nullcontext(executor))
     monkeypatch.setattr(run, "run_into", lambda *_, **__: None)

@@ -161,7 +161,10 @@ def test_options_of_user_set_before_jax_start_need_no_warning():
 CALLS = {
     "run": lambda study, folder: sinsjax.run(study),
     "run_into": lambda study, folder: sinsjax.run_into(study, folder),
-    "estimate": lambda study, folder: sinsjax.estimate(study),
+    "align": lambda study, folder: sinsjax.align(folder / "log.csv", study),
+    "estimate": lambda study, folder: sinsjax.estimate(
+        small_study(study={"estimate": "covariance", "draws": None})
+    ),
     "tune": lambda study, folder: sinsjax.tune(study, folder),
     "one_run": lambda study, folder: sinsjax.one_run(study),
     "simulated_record": lambda study, folder: sinsjax.simulated_record(study),

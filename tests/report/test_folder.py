@@ -1,11 +1,11 @@
 """Pages of a folder: prose with numbers by name, none missing, none left over, none untrue."""
 
 import html
-import json
 from pathlib import Path
 
 import pytest
 from markdown_it import MarkdownIt
+from support.kept import rewrite_manifest
 from support.made_up import summary_of
 from support.stored import store, told
 from support.studies import small_study
@@ -79,8 +79,8 @@ def test_page_renders_prose_with_script_values(page_of, results, tmp_path):
 
 @pytest.mark.parametrize("config", ["a`b|<script>x", "`a``b`", "</details> *b* &amp;"])
 def test_page_shows_doctored_config_and_version_literally(page_of, results, tmp_path, config):
-    manifest = {"config": f"{config}\x1b\n", "versions": {"sinsjax": "<script>*1*\x1b"}}
-    (results / "manifest.json").write_text(json.dumps(manifest))
+    versions = {"sinsjax": "<script>*1*\x1b"}
+    rewrite_manifest(results, config=f"{config}\x1b\n", versions=versions)
     told(results, page=page_of())
     footer = (tmp_path / "docs" / "two_words.md").read_text().splitlines()[-1]
     code = html.escape(config, quote=False)

@@ -18,7 +18,8 @@ from markdown_it import MarkdownIt
 from matplotlib.figure import Figure
 from rich.console import Console
 from support.commands import command_line
-from support.stored import store, told
+from support.kept import rewrite_manifest
+from support.stored import store, told, write_part
 from support.studies import BASE, small_study
 
 from sinsjax import cli, columns, report
@@ -26,6 +27,7 @@ from sinsjax import console as screen
 from sinsjax.cli import progress
 from sinsjax.errors import InputError
 from sinsjax.execution import run
+from sinsjax.execution.directory import read_manifest
 from sinsjax.execution.run import RunProgress
 from sinsjax.execution.source import Source
 from sinsjax.messages import CONTROL
@@ -127,13 +129,13 @@ DOCTORED = "a\x1b]0;x\x07\x7f\u202e\u2028\u061c\udcff|`<script>x</script> --> b\
 @pytest.mark.usefixtures("drawn_on_request")
 def test_control_characters_from_results_are_escaped_in_every_medium(tmp_path: Path) -> None:
     directory = stored(tmp_path / "results")
-    part = directory / "summary" / "part-0000.parquet"
+    part = directory / "summary" / "part-0000-000000.parquet"
     table = pq.read_table(part)
     cases = [f"{case}\x1b[2J\u202e\n" for case in table["case"].to_pylist()]
     table = table.set_column(table.column_names.index("case"), "case", pa.array(cases))
-    pq.write_table(table, part)
-    manifest = {"config": DOCTORED, "warnings": [DOCTORED], "versions": {"sinsjax": DOCTORED}}
-    (directory / "manifest.json").write_text(json.dumps(manifest))
+    write_part(part, table, read_manifest(directory)["identity"])
+    doctored = {"config": DOCTORED, "warnings": [DOCTORED], "versions": {"sinsjax": DOCTORED}}
+    rewrite_manifest(directory, **doctored)
     page, html = tmp_path / "page\x1b\u202e.md", tmp_path / "page.html"
     said = told(directory, page=page, html=html)
     written, shown = page.read_text(), html.read_text()
