@@ -2,7 +2,6 @@
 
 import http.server
 import io
-import json
 import logging
 import pickle
 import re
@@ -384,7 +383,7 @@ def test_forecast_counts_worker_threads_and_remaining_runs(
     write_manifest(out, study, runs_done=runs - 1)
     executor = Executor(lambda runner, tasks: iter(()), {"threads": 24})
     monkeypatch.setattr(studies, "_executor", lambda *_: nullcontext(executor))
-    monkeypatch.setattr(run, "run_into", lambda *_, **__: None)
+    monkeypatch.setattr(run, "run_job", lambda *_, **__: None)
     monkeypatch.setattr("sinsjax.report.summarise", lambda *_, **__: None)
     options: dict[str, Any] = {"overwrite": False, "devices": None, "resume": True}
     options["every_curve"] = False
