@@ -195,7 +195,12 @@ def check_free(directory: Path, *, overwrite: bool, resume: bool) -> None:
 
 
 def is_tuning(directory: Path) -> bool:
-    """Whether a directory holds a tuning run, complete or not."""
+    """Whether a directory holds a tuning run, complete or not.
+
+    Raises:
+        InputError: a link or a pipe takes the place of one of its files or folders.
+    """
+    places.check_entries(directory)
     if (directory / MANIFEST).exists():  # plain results of a study with [tune]
         return False
     return _stored_study(directory) is not None

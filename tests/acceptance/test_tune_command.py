@@ -375,9 +375,23 @@ def test_search_folder_that_is_a_link_is_refused(made: Path, tmp_path: Path) -> 
     shutil.rmtree(out / "grid")
     (out / "grid").symlink_to(other / "grid")
     before = everything(tmp_path)
-    with pytest.raises(InputError, match=r"out/grid: is a symbolic link"):
-        run_tuning.tune(load_study(out / "study.toml"), out, overwrite=True)
+    for attempt in (
+        lambda: run_tuning.tune(load_study(out / "study.toml"), out, overwrite=True),
+        lambda: told(out),
+    ):
+        with pytest.raises(InputError, match=r"out/grid: is a symbolic link"):
+            attempt()
     assert everything(tmp_path) == before
+
+
+def test_report_draws_no_figures_through_a_link(made: Path, tmp_path: Path) -> None:
+    out, other = shutil.copytree(made, tmp_path / "out"), tmp_path / "other"
+    shutil.rmtree(out / "figures", ignore_errors=True)
+    other.mkdir()
+    (out / "figures").symlink_to(other)
+    with pytest.raises(InputError, match=r"out/figures: is a symbolic link"):
+        told(out)
+    assert not list(other.iterdir())
 
 
 MISTAKES: dict[str, tuple[dict[str, Any], list[str], str]] = {
