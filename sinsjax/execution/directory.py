@@ -223,7 +223,10 @@ def read_manifest(directory: str | Path) -> dict[str, Any]:
     try:
         found = sealed.read_json(path)
     except FileNotFoundError:
-        raise InputError(f"{directory}: holds no results (there is no {MANIFEST})") from None
+        text = f"holds no results (there is no {MANIFEST})"
+        if any(list_parts(directory, name) for name in DATASETS):
+            text = f"{MANIFEST} is missing (`sinsjax sweep --resume` writes it again)"
+        raise InputError(f"{directory}: {text}") from None
     except Damaged as error:
         _check_version(directory, _unsealed(path))
         raise Damaged(f"{error} (`sinsjax sweep --resume` writes it again)") from None

@@ -15,7 +15,7 @@ from sinsjax.execution.tasks import Job
 from sinsjax.platform import runtime
 from sinsjax.records import read_record, read_reference
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.load import load_study, unread_sections, with_rate
+from sinsjax.study.load import load_study, with_rate
 from sinsjax.study.study import Study
 
 
@@ -96,7 +96,7 @@ def prepare(
     """
     runtime.ensure_configured()
     place = None if options.directory is None else directory.results_path(options.directory)
-    study, label, warnings = _load(source, overrides, options)
+    study, label = _load(source, overrides, options)
     kind.check_study(study)
     _check_needs_record(study, label, record, reference)
     overwrite, resumes = options.overwrite, options.resume
@@ -118,12 +118,12 @@ def prepare(
             job = kind.continued(job)
     expected = kind.forecast(study, curves)
     forecast.require_room(study, expected, place, overwrite=overwrite, resume=resumes)
-    warnings += [*checks.check_methods(study, stored), *checks.study_warnings(study, stored)]
+    warnings = (*checks.check_methods(study, stored), *checks.study_warnings(study, stored))
     if left := study.dropped_s:
         notes.append(f"The last {left:g} s do not fill a record interval and are not run.")
     if study.run_s <= study.study.window_s[0]:
         notes.append(f"Runs that end by {study.study.window_s[0]:g} s have no window statistics.")
-    return job._replace(warnings=tuple(warnings), notes=tuple(notes), forecast=expected)
+    return job._replace(warnings=warnings, notes=tuple(notes), forecast=expected)
 
 
 def subordinate(job: Job, study: Study, name: str) -> Job:
@@ -172,18 +172,16 @@ def load_tape(
 
 def _load(
     source: Path | str | Study, overrides: Mapping[str, Any] | None, options: Options
-) -> tuple[Study, str | None, list[str]]:
-    """The study, words for it, and warnings about its file."""
+) -> tuple[Study, str | None]:
+    """The study, and words for it."""
     label = options.source
     if isinstance(source, Study):
-        study, warnings = source.replace(overrides) if overrides else source, []
+        study = source.replace(overrides) if overrides else source
     else:
-        study = load_study(source, overrides or {})
-        unread = unread_sections(source)
-        label, warnings = label or Path(source), [unread] if unread else []
+        study, label = load_study(source, overrides or {}), label or Path(source)
     if isinstance(label, Path):  # an absolute path means nothing on another machine
         label = label.name if label.is_absolute() else label.as_posix()
-    return study, label, warnings
+    return study, label
 
 
 def _check_needs_record(

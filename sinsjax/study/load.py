@@ -52,8 +52,11 @@ _FILLED = EARTH_CONSTANTS | {
 }
 """Defaults of keys that depend on other keys, or on whether the study is recorded."""
 _SWEEPS = ("axes", "cases", "drawn")
-_UNREAD = ("report", "statements")
-"""Sections of 0.5.0 that nothing reads: files that still have them load for one more version."""
+_DROPPED = {
+    "report": "every study has the same report",
+    "statements": "pages of studies judge their own statements",
+}
+"""Sections of 0.5, and why a study has them no more."""
 
 
 def load_study(path: str | Path, changes: Mapping[str, Any] | None = None) -> Study:
@@ -84,17 +87,6 @@ def with_changes(data: TomlTable, changes: Mapping[str, Any], source: str) -> To
         raise InputError(f"{source}: {error}") from None
     files.require_shallow(out, source)
     return out
-
-
-def unread_sections(path: str | Path) -> str:
-    """One line on the sections of a study file that nothing reads any more; empty without any.
-
-    Args:
-        path: of a file that `load_study` has read.
-    """
-    data = files.read_tables(path)
-    found = " and ".join(f"[{name}]" for name in _UNREAD if name in data)
-    return found and f"{path}: {found}: no longer read, and refused by the next version (remove it)"
 
 
 def study_from_dict(data: TomlTable, source: str = "study") -> Study:
@@ -231,10 +223,11 @@ def _with_tuples(value: Any) -> Any:
 def _tables(data: TomlTable) -> TomlTable:
     """The data, once every section and key in it is known."""
     names = (*SECTIONS, *_SWEEPS)
-    data = {name: table for name, table in data.items() if name not in _UNREAD}
     for name, table in data.items():
         if name in SECTION_OF and name not in SECTIONS:
             raise InputError(f"{name}: belongs in [{SECTION_OF[name]}]")
+        if name in _DROPPED:
+            raise InputError(f"[{name}]: was dropped, {_DROPPED[name]} (remove the section)")
         if name not in names:
             hint = near(name, names, "[{}]") + unusable()
             hint = hint or " (of a method whose package is not installed?)"

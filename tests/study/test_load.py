@@ -22,7 +22,6 @@ from sinsjax.study.load import (
     load_study,
     study_from_dict,
     study_to_toml,
-    unread_sections,
     with_rate,
 )
 from sinsjax.value_types import Section
@@ -514,24 +513,6 @@ def test_fingerprint_changes_with_axis_order():
     data = tomllib.loads(FULL)
     other = data | {"axes": reversed_keys(data["axes"])}
     assert fingerprint(study_from_dict(other)) != fingerprint(study_from_dict(data))
-
-
-OLD = {
-    "paper1_conditions": "9967e7214256c2ad",
-    "compass_80s_search": "d1cad6779ee56132",
-    "car_batch": "ef17d00f4cb90346",
-    "kalman_passes": "a4334b310c7fb4bf",
-}
-
-
-@pytest.mark.parametrize("name", OLD)
-def test_fingerprints_of_stored_results_are_unchanged(name: str):
-    """What a version adds changes none that does not use it: results of 0.3.0 remain readable."""
-    path = Path(__file__).parents[2] / "configs" / f"{name}.toml"
-    data = tomllib.loads(path.read_text())
-    for key in ("judged_from", "dwell_s"):  # they came with 0.6.0
-        del data["study"][key]
-    assert fingerprint(study_from_dict(data)) == OLD[name]
 
 
 def test_fingerprint_changes_with_zips_drawn_keys_and_stop_rule():
@@ -1443,17 +1424,10 @@ def test_oversized_studies_are_refused():
     )
 
 
-def test_retired_sections_are_ignored_and_reported(tmp_path: Path):
-    """Of 0.5.0, and of the study.toml beside its results."""
-    old = {"report": {"layout": "paper2"}, "statements": {"short_time_s": 1.0}}
-    assert built(**old) == built()
-    path = tmp_path / "old.toml"
-    path.write_text(FULL)
-    assert unread_sections(path) == ""
-    path.write_text(FULL + '[report]\nlayout = "auto"\n')
-    line = "[report]: no longer read, and refused by the next version (remove it)"
-    assert load_study(path) == study_from_dict(tomllib.loads(FULL))
-    assert unread_sections(path) == f"{path}: {line}"
+@pytest.mark.parametrize("name", ["report", "statements"])
+def test_dropped_section_is_refused_with_reason(name: str):
+    line = rf"\[{name}\]: was dropped, .* \(remove the section\)"
+    assert re.fullmatch(line, refusal(**{name: {"layout": "auto"}}))
 
 
 @given(samples=st.integers(1, 100_000), rate=st.floats(1, 1e4))

@@ -1,18 +1,14 @@
 """The keys of triggers, of what P is reset to, and of scales: read, refused, filled in, told."""
 
 import copy
-import hashlib
-import json
 import tomllib
 from typing import Any
 
 import pytest
 
-from sinsjax.alignment.methods import SECTIONS_OF_METHODS
 from sinsjax.alignment.triggers.section import any_trigger
 from sinsjax.errors import InputError
 from sinsjax.study.fingerprint import fingerprint
-from sinsjax.study.keys import SECTIONS
 from sinsjax.study.load import Study, study_from_dict, study_to_toml
 
 BASE: dict[str, Any] = {
@@ -192,40 +188,6 @@ def test_resolved_study_loads_equal(tables: dict[str, Any]) -> None:
 
 
 # Fingerprint
-
-
-@pytest.mark.parametrize(
-    "tables",
-    [
-        {},
-        {"resets": {"reset_count": 2, "reset_cycle_s": 30.0}},
-        {"filter": {"p0_yaw_deg": 10.0}, "axes": {"reset_count": [0, 1], "reset_cycle_s": [30.0]}},
-        {"alignment": {"method": "compass"}},
-    ],
-)
-def test_fingerprint_without_later_keys_is_unchanged(tables: dict[str, Any]) -> None:
-    """Its fingerprint is that of a study that has never heard of them."""
-    study = built(**tables)
-    unused = {"study": {"name", "unchecked"}}
-    content = study.model_dump(exclude=unused)
-    content["axes"] = [[key, list(values)] for key, values in study.axes.items()]
-    for name in ("zips", "drawn", "stop_when", "tune"):
-        assert not content.pop(name, None)
-    for name in SECTIONS_OF_METHODS.keys() - {"filter", "resets", "compass"}:
-        assert content.pop(name) is None  # of a later method
-    if study.has("resets"):
-        assert content["resets"].pop("reset_first_s") is None
-    densities = [key for key in content["filter"] or () if key.startswith("q_") and "sqrt" in key]
-    later = {name: tuple(keys) for name, keys in NEW.items()} | {"study": OF_SUCCESS}
-    later["filter"] += tuple(densities)
-    for section, keys in later.items():
-        for key in keys if content[section] else ():
-            assert content[section].pop(key) is None
-    for section in ("study", "motion", "sensors", "resets"):
-        for key in (content[section] or {}).keys() & {*DISTURBANCES, *OF_FEEDBACK, "estimate"}:
-            assert content[section].pop(key) == SECTIONS[section].model_fields[key].default
-    text = json.dumps(content, sort_keys=True)
-    assert fingerprint(study) == hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def test_each_trigger_reset_and_scale_key_changes_fingerprint() -> None:
