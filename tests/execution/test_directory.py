@@ -184,7 +184,7 @@ def test_edited_study_of_results_is_named(results: Path, tmp_path: Path, manifes
     if manifest == "lost":
         (out / "manifest.json").unlink()
     words = (
-        "there is no manifest"
+        r"out: manifest\.json is missing \(.*--resume"
         if manifest == "lost"
         else (
             r"study\.toml: is not the study of the results: \[sensors\] gyro_bias_deg_per_h: "
