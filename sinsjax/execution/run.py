@@ -50,6 +50,9 @@ class RunProgress(NamedTuple):
     counted: str = "runs"
 
 
+MOST_CURVES = 1024
+"""Most runs of which every curve is kept unless the study says otherwise."""
+
 Tell = Callable[[RunProgress], None]
 """Progress callback, called before the first chunk and after every one."""
 
@@ -110,14 +113,13 @@ def align(
     Raises:
         InputError: the study has no [record], a file cannot be read, the record is certainly wrong,
             or does not cover the span that the study reads.
+
+    Example:
+        ``sinsjax.align("drive.imu", "car_test").summary.select(["start_s", "heading_deg"])``
     """
     most = MOST_CURVES if curves is None else None
     options = Options(curves=curves, most_curves=most)
     return _results(prepare(study, overrides, record, reference, options), tell)
-
-
-MOST_CURVES = 1024
-"""Most runs of which every curve is kept unless the study says otherwise."""
 
 
 def estimate(study: Study, *, chunk_runs: int | None = None, tell: Tell | None = None) -> pa.Table:
