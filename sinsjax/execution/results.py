@@ -21,7 +21,7 @@ from sinsjax.execution.directory import (
     list_parts,
     read_manifest,
 )
-from sinsjax.messages import first_line
+from sinsjax.messages import first_line, one_line
 from sinsjax.platform import runtime
 from sinsjax.platform.files import read_regular
 from sinsjax.study.differences import differences
@@ -132,8 +132,9 @@ def load_stored_study(directory: Path) -> Study:
     manifest = find_manifest(directory)
     if manifest is not None and manifest.fingerprint != fingerprint(study):
         differing = differences(manifest.study, study, ("in the results", "in the file"))
+        text = one_line("; ".join(differing))
         raise InputError(
-            f"{directory / STUDY}: is not the study of the results: {'; '.join(differing)}"
+            f"{directory / STUDY}: is not the study of the results: {text}"
             " (restore it, or delete it: `sinsjax sweep --resume` writes it again)"
         )
     return study

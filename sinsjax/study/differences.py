@@ -37,19 +37,24 @@ def _values(study: Study | Mapping[str, Any]) -> dict[str, Any]:
     """Values of a study by section and key of its file."""
     content = sections_of(study) if isinstance(study, Study) else dict(study)
     content.pop("tune", None)
-    content["study"] = dict(content.get("study", {}))
-    for key in ("name", "unchecked"):
-        content["study"].pop(key, None)
-    tables = {f"axes.{name}": keys for name, keys in content.pop("zips", {}).items()}
-    drawn = content.pop("drawn", {})
-    tables["drawn"] = drawn.get("laws", {}) | {k: v for k, v in drawn.items() if k != "laws"}
-    for i, case in enumerate(content.pop("cases", ())):
+    own = _table(content.get("study"))
+    content["study"] = {k: v for k, v in own.items() if k not in ("name", "unchecked")}
+    tables = {f"axes.{name}": keys for name, keys in _table(content.pop("zips", None)).items()}
+    drawn = dict(_table(content.pop("drawn", None)))
+    tables["drawn"] = {**_table(drawn.pop("laws", None)), **drawn}
+    cases = content.pop("cases", None)
+    for i, case in enumerate(cases if isinstance(cases, list) else ()):
         tables[f"cases {i}"] = case
     return {
         f"[{table}] {key}": value
         for table, keys in (content | tables).items()
-        for key, value in keys.items()
+        for key, value in _table(keys).items()
     }
+
+
+def _table(value: Any) -> Mapping[str, Any]:
+    """A table of a manifest; empty if there is something else in its place."""
+    return value if isinstance(value, Mapping) else {}
 
 
 def _shown(value: Any) -> str:

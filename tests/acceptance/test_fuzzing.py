@@ -86,6 +86,24 @@ def test_manifest_warnings_of_wrong_type_are_ignored(warnings: Any, tmp_path: Pa
     assert Source.read(directory_with({"warnings": warnings}, tmp_path)).warnings == ()
 
 
+@pytest.mark.parametrize(
+    "sections",
+    [
+        {"study": 0},
+        {"zips": 1, "cases": 2},
+        {"zips": {"pair": 3}, "cases": [4]},
+        {"drawn": {"laws": 5}},
+        {"drawn": 6, "alignment": ["a"]},
+        {"alignment": {f"\x1b[31m{i}": i for i in range(500)}},
+    ],
+)
+def test_misfit_study_in_manifest_is_refused_in_one_line(sections: Any, tmp_path: Path):
+    out = directory_with({"study": sections, "fingerprint": "0"}, tmp_path)
+    with pytest.raises(InputError, match="study.toml: is not the study of the results") as caught:
+        Source.read(out)
+    line_of(caught.value, out)
+
+
 @pytest.mark.parametrize("text", ["[" * 5000, "\x1b[31m", "1\n2"])
 @pytest.mark.parametrize("key", ["versions", "instructions"])
 def test_version_mismatch_is_reported_in_one_printable_line(key: str, text: str, tmp_path: Path):
