@@ -225,11 +225,11 @@ def read_manifest(directory: str | Path) -> dict[str, Any]:
     except FileNotFoundError:
         text = f"holds no results (there is no {MANIFEST})"
         if any(list_parts(directory, name) for name in DATASETS):
-            text = f"{MANIFEST} is missing (`sinsjax sweep --resume` writes it again)"
+            text = f"{MANIFEST} is missing (`--resume` writes it again)"
         raise InputError(f"{directory}: {text}") from None
     except Damaged as error:
         _check_version(directory, _unsealed(path))
-        raise Damaged(f"{error} (`sinsjax sweep --resume` writes it again)") from None
+        raise Damaged(f"{error} (`--resume` writes it again)") from None
     _check_version(directory, found)
     require_shallow(found, path)
     return found

@@ -32,7 +32,7 @@ from sinsjax.study.study import Study
 STUDY_MARK, CHUNK_MARK = "sinsjax.study", "sinsjax.chunk"
 """Metadata of a part: identity of its job, and its chunk as JSON."""
 
-_REMEDY = "`sinsjax sweep --resume` computes damaged parts again"
+_REMEDY = "`--resume` computes damaged parts again"
 _OTHERWISE = {
     "summary": ("estimates", "estimates of variants, and no runs (`read_estimates` reads them)"),
     "estimates": ("summary", "runs, and no estimates of variants (`read_summary` reads them)"),
@@ -135,7 +135,7 @@ def load_stored_study(directory: Path) -> Study:
         text = one_line("; ".join(differing))
         raise InputError(
             f"{directory / STUDY}: is not the study of the results: {text}"
-            " (restore it, or delete it: `sinsjax sweep --resume` writes it again)"
+            " (restore it, or delete it: `--resume` writes it again)"
         )
     return study
 

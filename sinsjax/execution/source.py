@@ -91,7 +91,7 @@ class Source:
         if whole is not None and not len(whole):
             raise InputError(
                 f"{self.directory}: {there}, and no draw that every variant has (continue with"
-                " `sinsjax sweep --resume`)"
+                " `--resume`)"
             )
         told = f"{there}{shown}; `sinsjax sweep --resume` adds the others."
         return replace(self, whole_draws=whole, warnings=(told, *self.warnings))

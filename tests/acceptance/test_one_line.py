@@ -147,7 +147,7 @@ def test_manifest_nested_too_deeply_is_refused_in_one_line(
         for words in (("report", out), ("rerun", out, "--run-id", 0)):
             code, error = sinsjax(*words)
             assert code == 2 and error.startswith(f"error: {out}/manifest.json: has changed")
-            assert error.endswith("(`sinsjax sweep --resume` writes it again)\n")
+            assert error.endswith("(`--resume` writes it again)\n")
             assert error.count("\n") == 1
         assert find_manifest(out) is None  # resume asks the parts
 
