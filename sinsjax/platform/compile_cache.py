@@ -37,6 +37,7 @@ MOST_FOLDERS = 8
 """Folders of other versions, processors and options that are kept beside the one in use."""
 
 _WORTH_KEEPING_S = 0.2
+_SIZE = "JAX_COMPILATION_CACHE_MAX_SIZE"  # JAX's own variable takes precedence over `MOST_BYTES`
 
 _why_off = "sinsjax.configure() was not called"
 
@@ -99,10 +100,11 @@ def _use(folder: Path) -> Path:
 
     os.utime(folder)
     _remove_old(folder)
-    _remove_incomplete(folder)
     # At worst a program is compiled again.
     warnings.filterwarnings("ignore", "Error writing persistent compilation cache entry")
-    jax.config.update("jax_compilation_cache_max_size", MOST_BYTES)
+    if _SIZE not in os.environ:
+        jax.config.update("jax_compilation_cache_max_size", MOST_BYTES)
+        _remove_incomplete(folder)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", _WORTH_KEEPING_S)
     return folder

@@ -25,7 +25,8 @@ def unchanged(monkeypatch, tmp_path):
     before = {key: jax.config.values[key] for key in KEYS}
     jax.config.update("jax_compilation_cache_dir", None)
     monkeypatch.setattr(machine, "cache_folder", lambda: tmp_path / "sinsjax")
-    monkeypatch.delenv(compile_cache.VARIABLE, raising=False)
+    for variable in (compile_cache.VARIABLE, compile_cache._SIZE):
+        monkeypatch.delenv(variable, raising=False)
     yield monkeypatch
     for key, value in before.items():
         jax.config.update(key, value)
@@ -37,6 +38,14 @@ def test_cache_is_off_when_variable_is_zero(unchanged, tmp_path):
     assert compile_cache.why_off() == "SINSJAX_COMPILE_CACHE=0"
     assert jax.config.values["jax_compilation_cache_dir"] is None
     assert not list(tmp_path.iterdir())
+
+
+def test_size_limit_of_jax_takes_precedence(unchanged, tmp_path):
+    unchanged.setenv(compile_cache._SIZE, "-1")
+    unchanged.setenv(compile_cache.VARIABLE, "1")
+    before = jax.config.values["jax_compilation_cache_max_size"]
+    assert compile_cache.enable()
+    assert jax.config.values["jax_compilation_cache_max_size"] == before
 
 
 @pytest.mark.parametrize("asked", ["", " "])

@@ -84,6 +84,8 @@ def share_cache(repository: Path) -> None:
     """
     # Most programs here are small: the next process reads one sooner than it compiles it.
     compile_cache._WORTH_KEEPING_S = 0.05
+    # To keep a limit, JAX reads the times of all entries whenever it writes one.
+    os.environ.setdefault(compile_cache._SIZE, "-1")
     if compile_cache.VARIABLE in os.environ:
         return
     try:
