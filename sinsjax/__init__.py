@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from sinsjax.analysis import summarise
     from sinsjax.engine.build import simulated_record
     from sinsjax.engine.one_run import one_run
-    from sinsjax.errors import InputError
+    from sinsjax.errors import InputError, StudyWarning
     from sinsjax.execution.directory import read_manifest
     from sinsjax.execution.estimates import estimated_curves
     from sinsjax.execution.information import information_bound
@@ -63,6 +63,7 @@ __all__ = [
     "InputError",
     "Results",
     "Study",
+    "StudyWarning",
     "align",
     "configure",
     "estimate",
@@ -92,7 +93,7 @@ _HOMES = {
     "analysis": ("summarise",),
     "engine.build": ("simulated_record",),
     "engine.one_run": ("one_run",),
-    "errors": ("InputError",),
+    "errors": ("InputError", "StudyWarning"),
     "execution.directory": ("read_manifest",),
     "execution.estimates": ("estimated_curves",),
     "execution.information": ("information_bound",),

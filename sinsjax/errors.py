@@ -11,5 +11,9 @@ class InputError(ValueError):
         super().__init__(one_line(message))
 
 
+class StudyWarning(UserWarning):
+    """A doubt about a study or its record, which the command line prints and Python warns of."""
+
+
 class StudyInterrupted(Exception):
     """A study was interrupted; the results so far are kept."""

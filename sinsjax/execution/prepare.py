@@ -4,11 +4,12 @@ The command line and the functions of Python prepare a `Job` here and hand it to
 nothing is asked again. Nothing is created or changed.
 """
 
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sinsjax.errors import InputError
+from sinsjax.errors import InputError, StudyWarning
 from sinsjax.execution import checks, directory, forecast, resume
 from sinsjax.execution.forecast import Forecast
 from sinsjax.execution.tasks import Job
@@ -118,12 +119,23 @@ def prepare(
             job = kind.continued(job)
     expected = kind.forecast(study, curves)
     forecast.require_room(study, expected, place, overwrite=overwrite, resume=resumes)
-    warnings = (*checks.check_methods(study, stored), *checks.study_warnings(study, stored))
+    doubts = (*checks.check_methods(study, stored), *checks.study_warnings(study, stored))
     if left := study.dropped_s:
         notes.append(f"The last {left:g} s do not fill a record interval and are not run.")
     if study.run_s <= study.study.window_s[0]:
         notes.append(f"Runs that end by {study.study.window_s[0]:g} s have no window statistics.")
-    return job._replace(warnings=warnings, notes=tuple(notes), forecast=expected)
+    return job._replace(warnings=doubts, notes=tuple(notes), forecast=expected)
+
+
+def warn_of_doubts(job: Job) -> Job:
+    """Return a prepared job after warning of its doubts, as functions of Python do.
+
+    Warns:
+        StudyWarning: one for each doubt.
+    """
+    for line in job.warnings:
+        warnings.warn(line, StudyWarning, stacklevel=3)
+    return job
 
 
 def subordinate(job: Job, study: Study, name: str) -> Job:

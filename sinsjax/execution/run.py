@@ -12,7 +12,7 @@ from sinsjax import columns
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import layouts, resume, stopping
 from sinsjax.execution import tasks as study_tasks
-from sinsjax.execution.prepare import Options, prepare
+from sinsjax.execution.prepare import Options, prepare, warn_of_doubts
 from sinsjax.execution.store import MemoryStore, Sink, Store
 from sinsjax.execution.tasks import Executor, Job, Task, TaskRunner
 from sinsjax.platform import runtime
@@ -84,7 +84,7 @@ def run(
         text = "covariance estimates have no runs (use sinsjax.estimate)"
         raise InputError(f"{study.name}: [study] estimate: {text}")
     options = Options(curves=curves, chunk_runs=chunk_runs)
-    return _results(prepare(study, None, tape, None, options), tell)
+    return _results(warn_of_doubts(prepare(study, None, tape, None, options)), tell)
 
 
 def align(
@@ -119,7 +119,7 @@ def align(
     """
     most = MOST_CURVES if curves is None else None
     options = Options(curves=curves, most_curves=most)
-    return _results(prepare(study, overrides, record, reference, options), tell)
+    return _results(warn_of_doubts(prepare(study, overrides, record, reference, options)), tell)
 
 
 def estimate(study: Study, *, chunk_runs: int | None = None, tell: Tell | None = None) -> pa.Table:
@@ -138,7 +138,7 @@ def estimate(study: Study, *, chunk_runs: int | None = None, tell: Tell | None =
     """
     if not study.is_estimated:
         raise InputError(f"{study.name}: [study] estimate: is 'draws' (use sinsjax.run)")
-    job = prepare(study, options=Options(chunk_runs=chunk_runs))
+    job = warn_of_doubts(prepare(study, options=Options(chunk_runs=chunk_runs)))
     return run_in_memory(job, tell)["estimates"].sort_by("variant_id")
 
 
@@ -180,7 +180,8 @@ def run_into(
     options = Options(
         directory, curves, None, chunk_runs, overwrite=overwrite, resume=resume, source=source
     )
-    run_job(prepare(study, None, tape, None, options), executor=executor, tell=tell, stop=stop)
+    job = warn_of_doubts(prepare(study, None, tape, None, options))
+    run_job(job, executor=executor, tell=tell, stop=stop)
 
 
 def run_job(

@@ -15,7 +15,7 @@ from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import directory as places
 from sinsjax.execution import forecast
 from sinsjax.execution.directory import MANIFEST, STUDY
-from sinsjax.execution.prepare import Kind, Options, prepare
+from sinsjax.execution.prepare import Kind, Options, prepare, warn_of_doubts
 from sinsjax.execution.run import RunProgress, Tell
 from sinsjax.execution.sealed import Damaged
 from sinsjax.execution.tasks import Job
@@ -73,7 +73,8 @@ def tune(
         StudyInterrupted: ``stop`` was set.
     """
     options = Options(directory, overwrite=overwrite, resume=resume, source=source)
-    run_tuning(prepare_tuning(study, None, tape, None, options), watch=watch, stop=stop)
+    job = warn_of_doubts(prepare_tuning(study, None, tape, None, options))
+    run_tuning(job, watch=watch, stop=stop)
 
 
 def prepare_tuning(

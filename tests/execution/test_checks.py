@@ -14,7 +14,7 @@ from support.stored import told
 from support.studies import small_study
 
 from sinsjax.engine import build
-from sinsjax.errors import InputError
+from sinsjax.errors import InputError, StudyWarning
 from sinsjax.execution import prepare, run
 from sinsjax.execution.checks import process_noise, study_warnings
 from sinsjax.execution.directory import read_manifest
@@ -211,7 +211,8 @@ def test_soft_findings_are_listed_in_manifest_and_report(tmp_path: Path) -> None
         | {"format": "csv", **RATES, "time_column": "t"}
         | {"gyro_columns": list("abc"), "accel_columns": list("def")}
     )
-    run.run_into(study, tmp_path / "out", tape)
+    with pytest.warns(StudyWarning):
+        run.run_into(study, tmp_path / "out", tape)
     filled, light = json.loads((tmp_path / "out" / "manifest.json").read_text())["warnings"]
     assert filled.startswith("drive.imu: 3 missing samples are interpolated")
     assert light.startswith("drive.imu: 0 to 90 s: the mean specific force is 9.7")
@@ -264,7 +265,8 @@ def test_fractional_rate_and_late_clock_use_record_times(tmp_path: Path) -> None
     )
     tape = prepare.load_tape(study, tmp_path / "drive.csv", tmp_path / "r.csv")
     assert tape.record.rate_hz == pytest.approx(rate, rel=1e-9)
-    made = run.run(study, tape, curves=True)
+    with pytest.warns(StudyWarning):
+        made = run.run(study, tape, curves=True)
     times = made.curves["time_s"].to_pylist()[:4]
     np.testing.assert_allclose(times, 200 / rate * np.arange(1, 5), rtol=1e-9)
     starts = made.summary["start_s"].to_pylist()
@@ -323,7 +325,8 @@ def test_sway_above_half_sample_rate_is_reported_as_aliased(tmp_path: Path) -> N
         "[motion] roll_period_s: a sway of 80 Hz is above half of rate_hz = 100, so it is"
         " aliased to a slower one"
     )
-    run.run_into(study, tmp_path / "out")
+    with pytest.warns(StudyWarning, match="aliased"):
+        run.run_into(study, tmp_path / "out")
     assert read_manifest(tmp_path / "out")["warnings"] == [line]
     assert not study_warnings(
         small_study(motion={"roll_period_s": 0.0125, "roll_amplitude_deg": 0.0})
