@@ -37,7 +37,9 @@ hypothesis.settings.load_profile("sinsjax")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Ignore two warnings; all others are errors."""
+    """Ignore three warnings; all others are errors."""
+    # Doubts about a study are not what most tests are about; some expect them by `pytest.warns`.
+    config.addinivalue_line("filterwarnings", "ignore::sinsjax.errors.StudyWarning")
     # A program that another process is just writing is compiled here instead.
     line = "ignore:Error reading persistent compilation cache entry:UserWarning"
     config.addinivalue_line("filterwarnings", line)

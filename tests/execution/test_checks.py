@@ -238,7 +238,6 @@ def test_data_after_to_s_are_not_used() -> None:
         prepare.prepare(study, record=tape)
 
 
-@pytest.mark.filterwarnings("ignore::sinsjax.StudyWarning")
 def test_fractional_rate_and_late_clock_use_record_times(tmp_path: Path) -> None:
     """Times are those of the record: 200 samples a record are 1.001 s."""
     rate = 199.8
