@@ -23,7 +23,7 @@ from sinsjax.bench.timing import Row, measure_against
 from sinsjax.engine.batch import chunks
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.metrics import Outcome
-from sinsjax.engine.verdicts import LIMIT
+from sinsjax.engine.verdicts import FLOOR
 from sinsjax.maths.algebra import numbers_of
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.error_model import MODELS, ErrorModel
@@ -138,7 +138,7 @@ def differences(exact: Outcome, ours: Outcome) -> Row:
     """By how much outcomes differ."""
     phi = np.abs(exact.last.phi.z - ours.last.phi.z) / ARCMIN
     sigma = [np.abs(b / a - 1) for a, b in zip(exact.last.sigma, ours.last.sigma, strict=True)]
-    settled = np.abs(exact.outside_until - ours.outside_until)[:, LIMIT]
+    settled = np.abs(exact.outside_until - ours.outside_until)[:, FLOOR]
     return {
         "phi_u_arcmin_max": float(f"{phi.max():.3g}"),
         "phi_u_arcmin_median": float(f"{np.median(phi):.3g}"),

@@ -15,9 +15,9 @@ where ``C_hat`` is the corrected attitude, as a user would receive it.
 **Units.** SI units, radians and seconds inside. Outside (TOML keys, columns, axis labels) the unit
 is part of the name: ``_deg``, ``_arcmin``, ``_deg_per_h``, ``_ug``, ``_s``, ``_m_per_s``.
 
-**Limit and truth.** A heading is judged either from the truth (true north, or a record's reference)
-or from the limit, the heading error that the run's own constant sensor biases make unavoidable;
-every success and settling time states which.
+**Bias floor and truth.** A heading is judged either from the truth (true north, or a record's
+reference) or from the bias floor, the heading error that the run's own constant sensor biases make
+unavoidable; every success and settling time states which.
 
 **Letters.** ``eps`` gyro bias, ``nabla`` accelerometer bias, ``Phi`` transition, ``Q`` process
 noise, ``R`` measurement noise, ``P`` covariance, ``K`` gain, as in the papers.
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from sinsjax.execution.directory import read_manifest
     from sinsjax.execution.estimates import estimated_curves
     from sinsjax.execution.information import information_bound
-    from sinsjax.execution.prepare import load_tape
+    from sinsjax.execution.prepare import load_increments
     from sinsjax.execution.results import read_curves, read_estimates, read_summary
     from sinsjax.execution.run import Results, align, estimate, run, run_into
     from sinsjax.platform.runtime import configure, info
@@ -71,7 +71,7 @@ __all__ = [
     "info",
     "information_bound",
     "load_study",
-    "load_tape",
+    "load_increments",
     "one_run",
     "read_curves",
     "read_estimates",
@@ -97,7 +97,7 @@ _HOMES = {
     "execution.directory": ("read_manifest",),
     "execution.estimates": ("estimated_curves",),
     "execution.information": ("information_bound",),
-    "execution.prepare": ("load_tape",),
+    "execution.prepare": ("load_increments",),
     "execution.results": ("read_curves", "read_estimates", "read_summary"),
     "execution.run": ("Results", "align", "estimate", "run", "run_into"),
     "platform.runtime": ("configure", "info"),

@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from sinsjax.units import split_unit
 
-SCHEMA_VERSION = "3"
+SCHEMA_VERSION = "4"
 """Incremented whenever a column is removed or changes its meaning."""
 
 STATUSES = ("ok", "not_settled", "diverged", "nonfinite", "no_north")
@@ -21,15 +21,15 @@ STATUSES = ("ok", "not_settled", "diverged", "nonfinite", "no_north")
 
 nonfinite: the last attitude is not finite (detected even without truth). no_north: the run's level
 gyro bias exceeds the level component of Earth rate, which shows north. ok: ``ok_truth`` or
-``ok_limit``, according to the study's `judged_from`. diverged: the last phi_u is further than the
-study's `diverged_deg` from its limit (from the truth if there is no limit). not_settled: the rest.
+``ok_floor``, according to the study's `judged_from`. diverged: the last phi_u is further than the
+study's `diverged_deg` from its bias floor (from the truth if there is none). not_settled: the rest.
 """
 
 SUCCESS_BAND_ARCMIN = 10.0
 """Default band within which the heading and level errors of a successful run end."""
 
 DIVERGED_DEG = 10.0
-"""Default final distance of phi_u from its limit beyond which a run has diverged."""
+"""Default final distance of phi_u from its bias floor beyond which a run has diverged."""
 
 
 class Column(NamedTuple):
@@ -82,28 +82,29 @@ OBSERVED = (
 )
 """Columns of one observation: the summary has the last observation, the curves have all of them."""
 
-LIMIT = (
-    Column("has_limit", pa.bool_(), "", "whether phi_u has a limit under the run's biases"),
-    Column("floor_arcmin", _F, "arcmin", "limit of phi_u under the run's constant biases"),
+FLOOR = (
+    Column("has_floor", pa.bool_(), "", "whether phi_u has a bias floor under the run's biases"),
+    Column("floor_arcmin", _F, "arcmin", "bias floor of phi_u under the run's constant biases"),
 )
-"""Columns of the limit that a heading is judged from."""
+"""Columns of the bias floor that a heading is judged from."""
 
 JUDGED = (
     *_phi("phi", "window mean of the misalignment", "_mean"),
     *_phi("phi", "window standard deviation of the misalignment", "_std"),
     *_euler("window mean of", "_mean"),
     *_euler("window standard deviation of", "_std"),
-    *LIMIT,
+    *FLOOR,
     Column("nees", _F, "", "phi' P^-1 phi at the end, phi from the truth; 3 degrees of freedom"),
     Column("nis_u", _F, "", "(phi_u - floor)^2 / P_UU at the end"),
     Column("p_above_error_share", _F, "", "share of records with P_UU > phi_u^2"),
     Column("p_above_floor_error_share", _F, "", "share of records with P_UU > (phi_u - floor)^2"),
     Column("p_above_error_steady_share", _F, "", "share of steady records with P_UU > phi_u^2"),
     Column(
-        "ok_limit",
+        "ok_floor",
         pa.bool_(),
         "",
-        "phi_u within the success band of its limit for the dwell time, final level errors small",
+        "phi_u within the success band of its bias floor for the dwell time, final level errors"
+        " small",
     ),
     Column(
         "ok_truth",
@@ -120,7 +121,7 @@ CURVES = (RUN_ID, Column("time_s", _F, "s", "from the start of fine alignment"),
 
 PASSES = (
     Column("update_time_s", _F, "s", "number of updates over all passes times the sample time"),
-    Column("tape_time_s", _F, "s", "position in the stored record, from its beginning"),
+    Column("stored_time_s", _F, "s", "position in the stored record, from its beginning"),
     Column(
         "pass",
         _I,
@@ -145,7 +146,7 @@ def curves(*, passes: bool, coarse: bool = False) -> tuple[Column, ...]:
 
 
 def settle_column(band_arcmin: float, *, truth: bool = False) -> Column:
-    """The settling time into one band about a run's limit or about the truth."""
+    """The settling time into one band about a run's bias floor or about the truth."""
     error = "|phi_u|" if truth else "|phi_u - floor|"
     meaning = f"end of the last record interval with {error} > {band_arcmin:g} arcmin"
     name = f"settle_{band_arcmin:g}{'_truth' if truth else ''}_s"
@@ -173,14 +174,14 @@ def report_columns(time_s: float) -> tuple[Column, Column, Column]:
 
 
 def estimated(
-    bands_arcmin: Iterable[float], time_s: float | None = None, *, own_limits: bool = False
+    bands_arcmin: Iterable[float], time_s: float | None = None, *, own_floors: bool = False
 ) -> tuple[Column, ...]:
     """Columns of an estimate at one time: mean and spread of the misalignment, shares in bands.
 
     Args:
         bands_arcmin: of the heading.
         time_s: from the first sample of data; None for the end.
-        own_limits: whether draws have limits of their own.
+        own_floors: whether draws have bias floors of their own.
     """
     at, when = ("", "at the end") if time_s is None else (f"_at_{time_s:g}", f"at {time_s:g} s")
     shares = (
@@ -198,16 +199,16 @@ def estimated(
         *_phi("phi", f"mean misalignment of the corrected attitude {when}", at),
         *_phi("true_sigma", f"1 sigma of the misalignment about its mean {when}", at),
         *_phi("sigma", f"the filter's own 1 sigma of the misalignment {when}", at),
-        *([from_limit(time_s)] * own_limits),
+        *([from_floor(time_s)] * own_floors),
         *shares,
     )
 
 
-def from_limit(time_s: float | None = None) -> Column:
-    """The spread about limits that differ from draw to draw, at one time; None for the end."""
+def from_floor(time_s: float | None = None) -> Column:
+    """The spread about bias floors that differ from draw to draw, at one time; None for the end."""
     at, when = ("", "at the end") if time_s is None else (f"_at_{time_s:g}", f"at {time_s:g} s")
     meaning = f"1 sigma of phi_u - floor about its mean {when}, the floor that of the draw's biases"
-    return Column(f"true_sigma_u_from_limit{at}_arcmin", _F, "arcmin", meaning)
+    return Column(f"true_sigma_u_from_floor{at}_arcmin", _F, "arcmin", meaning)
 
 
 ESTIMATED_CURVES = (

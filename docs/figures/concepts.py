@@ -217,7 +217,7 @@ def passes() -> Figure:
                 "q_reading": "per_sample",
                 "r_velocity_m_per_s": 1e-6,
             },
-            "passes": {"tape_s": 80.0, "passes": 4},
+            "passes": {"stored_s": 80.0, "passes": 4},
             "axes": {"turn_covariance": ["carried", "reset"]},
         }
     )
@@ -244,7 +244,7 @@ def passes() -> Figure:
 
 @styled
 def truth_limit_and_bound() -> Figure:
-    """Heading errors of 6 draws, the limit that they share, and the bound about it."""
+    """Heading errors of 6 draws, the bias floor that they share, and the bound about it."""
     times = [20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 180.0, 240.0, 300.0]
     study = sinsjax.study_from_dict(
         {
@@ -268,7 +268,7 @@ def truth_limit_and_bound() -> Figure:
     )
     results = sinsjax.run(study)
     bound = sinsjax.information_bound(study)
-    limit = results.summary["floor_arcmin"][0].as_py()
+    floor = results.summary["floor_arcmin"][0].as_py()
     sigma = bound["bound_u_arcmin"].to_numpy()
     figure = Figure(figsize=(_WIDE, _HIGH))
     axes = figure.subplots()
@@ -278,10 +278,10 @@ def truth_limit_and_bound() -> Figure:
         axes.plot(time_s[29:], error[29:], color=colour(0), lw=0.8, label=label)
         label = ""
     axes.fill_between(
-        times, limit - 2 * sigma, limit + 2 * sigma, color=colour(4), alpha=0.35, lw=0,
-        label="limit ± 2 sigma of the information bound",
+        times, floor - 2 * sigma, floor + 2 * sigma, color=colour(4), alpha=0.35, lw=0,
+        label="bias floor ± 2 sigma of the information bound",
     )  # fmt: skip
-    axes.axhline(limit, color=colour(1), label="limit of the sensor biases")
+    axes.axhline(floor, color=colour(1), label="bias floor")
     axes.axhline(0.0, color="black", lw=1.2, ls="--", label="true north")
     axes.set(xlabel="time (s)", ylabel="heading error phi_u (arcmin)")
     axes.set(xlim=(30, 300), ylim=(-60, 30))

@@ -25,8 +25,8 @@ Number: TypeAlias = Any
 """A float, or a NumPy array that broadcasts."""
 
 
-def tape_bound(
-    tape_s: Number,
+def record_bound(
+    stored_s: Number,
     *,
     gyro_noise: Number,
     accel_noise: Number,
@@ -40,7 +40,7 @@ def tape_bound(
     which no estimator gets rid of on a base that does not turn.
 
     Args:
-        tape_s: length T of the data, s.
+        stored_s: length T of the data, s.
         gyro_noise: standard deviation of a sample of the east gyro, rad/s.
         accel_noise: standard deviation of a sample of the north accelerometer, m/s^2.
         rate_hz: samples a second, 1/s.
@@ -50,9 +50,9 @@ def tape_bound(
     Returns:
         Of the shape that the arguments broadcast to.
     """
-    tape = np.asarray(tape_s, float)
-    ramp = 12 * np.square(accel_noise) / (rate_hz * np.square(gravity) * tape**3)
-    walk = np.square(gyro_noise) / (rate_hz * tape)
+    length = np.asarray(stored_s, float)
+    ramp = 12 * np.square(accel_noise) / (rate_hz * np.square(gravity) * length**3)
+    walk = np.square(gyro_noise) / (rate_hz * length)
     return np.asarray(np.sqrt(ramp + walk) / np.abs(rate_n))
 
 
@@ -60,7 +60,7 @@ def share_outside(sigma: Number, band: Number) -> np.ndarray:
     """Share of draws of a normal error that lie outside +-band: 2 (1 - Phi(band/sigma)).
 
     Args:
-        sigma: standard deviation > 0, such as `tape_bound`.
+        sigma: standard deviation > 0, such as `record_bound`.
         band: half-width, in the same unit.
     """
     return np.asarray(special.erfc(np.asarray(band, float) / (np.sqrt(2) * np.asarray(sigma))))

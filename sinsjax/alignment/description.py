@@ -1,4 +1,4 @@
-"""What a method says of itself before anything is compiled: its keys, its columns, its limit.
+"""What a method says of itself before anything is compiled: its keys, its columns, its bias floor.
 
 Free of JAX: a study is read, checked and reported with this alone. What computes is loaded when it
 is asked for.
@@ -118,7 +118,7 @@ class Description:
         load: makes its `Implementation`, importing JAX.
         silent: keys of its sections, and of ``reads``, that it takes and that do not act on it.
         has_covariance: whether it has a covariance P.
-        has_limit: whether constant sensor biases leave its heading a limit that is known.
+        has_floor: whether constant sensor biases leave its heading a bias floor that is known.
         gyro_bias_keys: pairs of keys, the sigma of gyro bias states and that of heading beside
             them: such a filter tells gyro biases from heading once the base moves. Empty for a
             method without these states.
@@ -141,7 +141,7 @@ class Description:
     load: Callable[[], Implementation]
     silent: tuple[str, ...] = ()
     has_covariance: bool = True
-    has_limit: bool = True
+    has_floor: bool = True
     gyro_bias_keys: tuple[tuple[str, str], ...] = ()
     has_error_step: bool = False
     rules: tuple[Callable[[CheckedStudy], None], ...] = ()

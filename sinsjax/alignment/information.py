@@ -17,7 +17,7 @@ the columns of d as well as it does u, so that
     d' C^-1 d = sum over the samples of r_d' S^-1 r_d,
 
 r_d the innovations of the filter that is given d. With white noise alone this is close to
-`bounds.tape_bound`. A sway about a constant attitude is known from the gyros and counts for
+`bounds.record_bound`. A sway about a constant attitude is known from the gyros and counts for
 nothing, and so does a lever arm from its centre, which moves the sensors as the sway says. Constant
 biases leave a floor, see `limits`, from which the bound is told.
 """

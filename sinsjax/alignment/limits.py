@@ -122,7 +122,7 @@ def _along(axis: int) -> np.ndarray:
 
 
 def unaided(place: Place, biases: Biases, heading: Scalar = 0.0) -> Limit:
-    """The limit of a method that takes the biases for what the Earth does.
+    """The bias floor of a method that takes the biases for what the Earth does.
 
     phi_E = -nabla_N/g, phi_N = nabla_E/g and, the mean rate being felt across the tilted vertical,
     phi_U = -atan2(eps_E, omega_N + eps_N) + (nabla_E/g) tan L to first order in the tilt.

@@ -24,16 +24,16 @@ _RESETS_AND_FEEDBACK = (
 def page() -> str:
     """What every method reads, gives and can be tuned by, as Markdown."""
     cells = (
-        (f"`{m.name}`", m.summary, m.source, _yes(m.has_covariance), _yes(m.has_limit))
+        (f"`{m.name}`", m.summary, m.source, _yes(m.has_covariance), _yes(m.has_floor))
         for m in METHODS.values()
     )
     lines = [
         "# Alignment methods",
         "",
-        "`[alignment] method` names one; it may be swept. The limit is the heading error that"
+        "`[alignment] method` names one; it may be swept. The bias floor is the heading error that"
         " constant sensor biases leave.",
         "",
-        "| method | what it does | source | covariance | limit |",
+        "| method | what it does | source | covariance | bias floor |",
         "| --- | --- | --- | --- | --- |",
         *(f"| {' | '.join(row)} |" for row in cells),
     ]

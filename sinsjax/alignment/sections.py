@@ -88,7 +88,7 @@ class PassesSection(Section):
         ActsWhere(("turn_inflation",), ("turn_covariance",), lambda kind: kind == "inflated"),
     )
 
-    tape_s: Annotated[Seconds | None, Whole("record")] = Field(
+    stored_s: Annotated[Seconds | None, Whole("record")] = Field(
         None,
         description="length of the stored record, s; without it all of the duration, once forward",
     )

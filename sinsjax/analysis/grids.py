@@ -91,9 +91,9 @@ class Panel(NamedTuple):
         """A column, (draws, rows, columns); null is NaN."""
         return numbers(self.rows, column).reshape(-1, *self.shape)
 
-    def cells(self, ok: str, settle: str, off_limit: NDArray) -> "Cells":
-        """Its runs by the columns of successes and settling times; off_limit as in `Cells`."""
-        return Cells(self.of(ok) > 0, off_limit, np.nan_to_num(self.of(settle), nan=np.inf))
+    def cells(self, ok: str, settle: str, off_floor: NDArray) -> "Cells":
+        """Its runs by the columns of successes and settling times; off_floor as in `Cells`."""
+        return Cells(self.of(ok) > 0, off_floor, np.nan_to_num(self.of(settle), nan=np.inf))
 
 
 class Cells(NamedTuple):
@@ -101,12 +101,12 @@ class Cells(NamedTuple):
 
     Attributes:
         ok: (draws, rows, columns) the successes.
-        off_limit: (draws, rows, columns) those of them that end outside the band about their limit.
+        off_floor: (draws, rows, columns) those of them that end outside the band about their floor.
         settle_s: (draws, rows, columns) settling times, infinite where a run never settled, s.
     """
 
     ok: NDArray
-    off_limit: NDArray
+    off_floor: NDArray
     settle_s: NDArray
 
     @property
@@ -121,8 +121,8 @@ class Cells(NamedTuple):
 
     @property
     def not_converged(self) -> NDArray:
-        """Cells in which most of the runs that are ok are off their limit, (rows, columns)."""
-        return np.asarray(2 * self.off_limit.sum(axis=0) > self.ok.sum(axis=0))
+        """Cells in which most of the runs that are ok are off their bias floor, (rows, columns)."""
+        return np.asarray(2 * self.off_floor.sum(axis=0) > self.ok.sum(axis=0))
 
     @property
     def best(self) -> tuple[int, int] | None:

@@ -29,7 +29,7 @@ from sinsjax.analysis.tables import (
     has_truth,
     numbers,
     require,
-    with_limit,
+    with_floor,
 )
 from sinsjax.errors import InputError
 
@@ -37,7 +37,7 @@ NEES_FREEDOM = 3
 """Degrees of freedom of ``nees``: three angles."""
 _YAW, _FLOOR, _AT = "phi_u_mean_arcmin", "floor_arcmin", "phi_u_at_"
 _MOST = 180 * 60.0  # arcmin, of a heading error
-NEEDED = ("draw_id", "start_s", "status", "phi_u_arcmin", "has_limit", _YAW, _FLOOR)
+NEEDED = ("draw_id", "start_s", "status", "phi_u_arcmin", "has_floor", _YAW, _FLOOR)
 """Columns that `summarise` needs besides keys and those that its statistics are of."""
 
 _INTERVAL = ("", "_low", "_high")
@@ -53,7 +53,7 @@ class _Statistic(NamedTuple):
         of: function that estimates it from a group's rows.
         suffixes: suffixes of the columns that it gives.
         judged: whether it requires a truth.
-        limited: whether it uses only runs that have a limit.
+        limited: whether it uses only runs that have a bias floor.
         freedom: degrees of freedom if it is a mean of chi-square values; 0 otherwise.
     """
 
@@ -68,19 +68,19 @@ class _Statistic(NamedTuple):
 def summarise(table: pa.Table, by: Sequence[str], names: Sequence[str] | None = None) -> pa.Table:
     """Compute the statistics of each group of runs, one row per group.
 
-    Columns: the keys; ``n`` runs, of which ``nonfinite`` and ``no_limit``; then ``X``, ``X_low``
+    Columns: the keys; ``n`` runs, of which ``nonfinite`` and ``no_floor``; then ``X``, ``X_low``
     and ``X_high`` for every statistic X with its 95 % interval. If a group has several runs of a
     draw, the interval counts draws; for runs on a record there is none (see
     `sinsjax.analysis.clusters`):
 
     * ``success_rate`` (status ``ok``, by the study's criterion) and ``diverged_rate``: shares of
       all runs; ``success_truth_rate``: the share of runs that end within the success band about the
-      truth; ``success_limit_rate``: the same about the limit, of the runs that have one;
+      truth; ``success_floor_rate``: the same about the bias floor, of the runs that have one;
     * for each band B of the table ``settle_B_s_median`` and ``settle_B_s_q90`` (infinite: never),
       ``settle_B_s_mean`` of the runs that settled, and ``never_settled_B``, a count without
-      interval, all about the limit; about the truth the same of ``settle_B_truth_s``; all but the
-      count also for ``settle_B_data_s`` and ``settle_B_truth_data_s``, with repeated passes over a
-      stored record;
+      interval, all about the bias floor; about the truth the same of ``settle_B_truth_s``; all but
+      the count also for ``settle_B_data_s`` and ``settle_B_truth_data_s``, with repeated passes
+      over a stored record;
     * the heading error from the truth, arcmin, for ``phi_u_arcmin`` at the end and every column
       ``phi_u_at_T_arcmin``: ``phi_u_arcmin_rms`` of the finite values (180 deg at most), and
       ``phi_u_arcmin_abs_q90``, the value that |phi_u| of 90 % of the runs does not exceed (a run
@@ -94,9 +94,9 @@ def summarise(table: pa.Table, by: Sequence[str], names: Sequence[str] | None = 
       last two with the chi-square band of the mean in ``X_chi2_low`` and ``X_chi2_high``, which
       holds only for a consistent filter.
 
-    Statistics about the limit use only runs that have one, all but ``no_limit`` of them. A mean,
-    standard deviation or rms omits non-finite values; ``X_n`` is the number of runs used. Null is
-    unknown, as all but ``n`` and ``nonfinite`` are without truth or reference.
+    Statistics about the bias floor use only runs that have one, all but ``no_floor`` of them. A
+    mean, standard deviation or rms omits non-finite values; ``X_n`` is the number of runs used.
+    Null is unknown, as all but ``n`` and ``nonfinite`` are without truth or reference.
 
     Args:
         table: the summary, one row per run.
@@ -134,7 +134,7 @@ def compare(table: pa.Table, by: Sequence[str], baseline: Mapping[str, Any]) -> 
     """Compare each group of runs with a baseline group on the same draws.
 
     Columns: the keys; ``n`` draws; then ``X``, ``X_low`` and ``X_high``, group minus baseline, for
-    X in ``success_rate_difference``, and the same of ``success_limit_rate`` and
+    X in ``success_rate_difference``, and the same of ``success_floor_rate`` and
     ``success_truth_rate`` (paired shares, Newcombe's interval),
     ``settle_B_s_median_difference`` for each band B (infinite: only one of the two ever settles;
     null between two ends: neither does) and
@@ -154,7 +154,7 @@ def compare(table: pa.Table, by: Sequence[str], baseline: Mapping[str, Any]) -> 
         InputError: no runs, no such baseline, a missing column, or draws that differ or repeat.
     """
     settling = [name for name in table.column_names if name.startswith("settle_")]
-    flags = [name for name in ("ok_limit", "ok_truth") if name in table.column_names]
+    flags = [name for name in ("ok_floor", "ok_truth") if name in table.column_names]
     used = ["draw_id", *_needed(table), *flags, _YAW, _FLOOR, *settling]
     used += [column for column in COLUMNS if column in table.column_names]
     found = list(groups(_select(table, *by, *used), by))
@@ -173,7 +173,7 @@ def compare(table: pa.Table, by: Sequence[str], baseline: Mapping[str, Any]) -> 
 
 def _needed(table: pa.Table) -> tuple[str, ...]:
     """Columns that determine which statistics of a run are defined."""
-    return ("status", "phi_u_arcmin", *{"has_limit"}.intersection(table.column_names))
+    return ("status", "phi_u_arcmin", *{"has_floor"}.intersection(table.column_names))
 
 
 def _plain(value: Any) -> Any:
@@ -194,7 +194,7 @@ def _differences(
     errors = (np.abs(a - b) for a, b in zip(yaw, floor, strict=True))
     ok = has_status(rows, "ok")[mine], has_status(base, "ok")[others]
     found = {"success_rate_difference": proportion_difference(*ok) if known else UNKNOWN}
-    limited = all(with_limit(some).num_rows == some.num_rows for some in (rows, base))
+    limited = all(with_floor(some).num_rows == some.num_rows for some in (rows, base))
     for name in columns:
         judged = known and (limited or "_truth" in name)
         if name.startswith("ok_"):
@@ -220,10 +220,10 @@ def _offered(columns: Sequence[str]) -> dict[str, _Statistic]:
         f"{name}_rate": _Statistic(("status",), partial(_share, status=status), judged=True)
         for name, status in {"success": "ok", "diverged": "diverged"}.items()
     }
-    for name in (name for name in ("ok_limit", "ok_truth") if name in columns):
+    for name in (name for name in ("ok_floor", "ok_truth") if name in columns):
         rate = name.replace("ok", "success") + "_rate"
         flagged = partial(_true, name=name)
-        offered[rate] = _Statistic((name,), flagged, judged=True, limited=name == "ok_limit")
+        offered[rate] = _Statistic((name,), flagged, judged=True, limited=name == "ok_floor")
     for name in (name for name in columns if name.startswith("settle_")):
         about = {"judged": True, "limited": "_truth_" not in name}
         if not name.endswith("_data_s"):
@@ -301,11 +301,11 @@ def _known_quantile(values: NDArray, cluster: NDArray | None, q: float) -> Estim
 
 def _row(rows: pa.Table, statistics: Mapping[str, _Statistic]) -> dict[str, Any]:
     """One group's cells of `summarise`."""
-    truth, single, limited = has_truth(rows), are_single(rows), with_limit(rows)
+    truth, single, limited = has_truth(rows), are_single(rows), with_floor(rows)
     row = {
         "n": rows.num_rows,
         "nonfinite": int(has_status(rows, "nonfinite").sum()),
-        "no_limit": rows.num_rows - limited.num_rows,
+        "no_floor": rows.num_rows - limited.num_rows,
     }
     for name, statistic in statistics.items():
         judged = limited if statistic.limited else rows
@@ -342,7 +342,7 @@ def _table(rows: Iterable[Mapping[str, Any]], schema: pa.Schema, by: Sequence[st
     def kind(name: str) -> pa.DataType:
         if name in by:
             return schema.field(name).type
-        whole = name in ("n", "nonfinite", "no_limit") or name.endswith("_n")
+        whole = name in ("n", "nonfinite", "no_floor") or name.endswith("_n")
         return pa.int64() if whole or name.startswith("never_settled_") else pa.float64()
 
     arrays = [pa.array(v, kind(name), from_pandas=True) for name, v in columns.items()]

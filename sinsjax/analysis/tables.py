@@ -43,11 +43,11 @@ def has_truth(table: pa.Table) -> bool:
     return known or bool(has_status(table, "nonfinite").any())
 
 
-def with_limit(table: pa.Table) -> pa.Table:
-    """The runs that have a limit; all runs if the table does not say."""
-    if "has_limit" not in table.column_names:
+def with_floor(table: pa.Table) -> pa.Table:
+    """The runs that have a bias floor; all runs if the table does not say."""
+    if "has_floor" not in table.column_names:
         return table
-    return table.filter(pc.fill_null(table["has_limit"], True))
+    return table.filter(pc.fill_null(table["has_floor"], True))
 
 
 def paired(a: pa.Table, b: pa.Table, column: str) -> tuple[NDArray, NDArray]:

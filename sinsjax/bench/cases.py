@@ -110,7 +110,7 @@ def compass_group(record_s: float | None = None) -> Group:
     data["alignment"]["method"] = "compass"
     data["axes"] |= _SIGMAS
     if record_s is not None:
-        data["passes"] = {"tape_s": record_s}
+        data["passes"] = {"stored_s": record_s}
     (part,) = parts(study_from_dict(data, _DEFAULT))
     return part.group
 

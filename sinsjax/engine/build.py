@@ -22,7 +22,7 @@ from sinsjax.engine.realisations import CoarseStage, Draw, Environment, Static, 
 from sinsjax.engine.realisations import site_of as site_of_draw
 from sinsjax.engine.simulate import RunParams
 from sinsjax.engine.simulator import AMPLITUDES, DISTORTIONS, NOISES
-from sinsjax.engine.study_limits import require_limit
+from sinsjax.engine.study_limits import require_floor
 from sinsjax.engine.truth import recorded, simulated, site_of
 from sinsjax.errors import InputError
 from sinsjax.maths.rotations import euler_vector
@@ -83,14 +83,14 @@ class Scenario:
 
         Raises:
             InputError: a record where there should be none or the other way round, compass
-                loops that cannot be run, a limit to judge from where there is none, or double
+                loops that cannot be run, a bias floor to judge from where there is none, or double
                 precision that cannot be turned on (`runtime.ensure_configured`).
         """
         runtime.ensure_configured()
         if study.is_recorded != (stored is not None):
             what = "reads a record, none is given" if study.is_recorded else "reads no record"
             raise InputError(f"{study.name}: the study {what}: see [record]")
-        require_limit(study)
+        require_floor(study)
         self.study, self.stored = study, stored
         self.curves = study.study.curves if curves is None else curves
         self.variant_ids = list(_split(study))

@@ -37,23 +37,23 @@ class Spread(NamedTuple):
         sigma: (3, records) standard deviation of the misalignment about it, rad.
         belief: (3, records) that which the method itself tells, rad.
         outside_until: (2, B, samples) as `Metrics.outside_until`, of sampled errors.
-        from_limit: (records,) standard deviation of phi_u from the limit of its run, rad; None
-            where runs have the same limit.
+        from_floor: (records,) standard deviation of phi_u from the bias floor of its run, rad; None
+            where runs have the same bias floor.
     """
 
     phi: Array
     sigma: Array
     belief: Array
     outside_until: Array
-    from_limit: Array | None = None
+    from_floor: Array | None = None
 
     def at(self, records: Array | None) -> "Spread":
         """The same at some records alone, None for all, of leaves (3, records, ...)."""
         if records is None:
             return self
         phi, sigma, belief = (a[:, records] for a in self[:3])
-        from_limit = None if self.from_limit is None else self.from_limit[records]
-        return Spread(phi, sigma, belief, self.outside_until, from_limit)
+        from_floor = None if self.from_floor is None else self.from_floor[records]
+        return Spread(phi, sigma, belief, self.outside_until, from_floor)
 
 
 def watched_program(static: Static, samples: int) -> Static:
@@ -121,8 +121,8 @@ def spread(
     _, sides, bands, _, lanes = found.outside_until.shape
     halves = found.outside_until.reshape(blocks, sides, bands, 2, MOST_TOGETHER // 2, lanes)
     outside = jnp.moveaxis(halves, 0, 3).reshape(sides, bands, samples, lanes)
-    from_limit = None if found.from_limit is None else found.from_limit[0]
-    return Spread(phi, sigma, belief, outside, from_limit)
+    from_floor = None if found.from_floor is None else found.from_floor[0]
+    return Spread(phi, sigma, belief, outside, from_floor)
 
 
 def _spread(
@@ -165,8 +165,8 @@ def _spread(
     ended, told = jax.lax.scan(over, begun, (record_times(static), rows, normals))
     told = jnp.moveaxis(told, 0, 1)
     phi, sigma, belief = jnp.split(told[:9], 3)
-    from_limit = told[9] if len(told) > 9 else None
-    return Spread(phi, sigma, belief, jnp.moveaxis(ended.outside, 0, -1), from_limit)
+    from_floor = told[9] if len(told) > 9 else None
+    return Spread(phi, sigma, belief, jnp.moveaxis(ended.outside, 0, -1), from_floor)
 
 
 def _begun(processes: Array, start: Array, half: int, key: Array) -> tuple[Array, Array]:
@@ -248,7 +248,7 @@ def _over_coloured_record(
     floor: Scalar,
     moved: Array | None,
 ) -> tuple[_Carry, tuple[Scalar, ...]]:
-    """As `_over_record`, with the states of processes beside d, which move the limit by so much."""
+    """As `_over_record`, with the states of processes beside d, which move the floor so far."""
     fields = jnp.stack(row[FIELDS:])
     w, at = n * n, triangle_index(n)
     angles = w + n * (n + 1) // 2
@@ -259,13 +259,13 @@ def _over_coloured_record(
     rows = fields[angles : angles + 3 * n].reshape(3, n)
     s = f @ carry.s @ f.T + w_all
     e = f @ carry.e + coloured_spread.factor(w_all) @ jnp.stack(normal)
-    from_truth = from_limit = rows[2] @ e[:n]
+    from_truth = from_floor = rows[2] @ e[:n]
     sigma = jnp.sqrt(jnp.maximum(jnp.einsum("ij,jk,ik->i", rows, s[:n, :n], rows), 0.0))
     if moved is not None:
         beyond = jnp.concatenate([rows[2], -moved])
-        from_limit = beyond @ e
+        from_floor = beyond @ e
         sigma = jnp.append(sigma, jnp.sqrt(jnp.maximum(beyond @ s @ beyond, 0.0)))
-    now = _outside(criteria, row[2], from_limit, from_truth, floor)
+    now = _outside(criteria, row[2], from_floor, from_truth, floor)
     told = (*row[:3], *sigma[:3], *row[3:6], *sigma[3:])
     return _Carry(s, e, mix(now, time, carry.outside)), told
 
@@ -273,7 +273,7 @@ def _over_coloured_record(
 def _outside(
     criteria: metrics.Criteria,
     mean: Scalar,
-    from_limit: Array,
+    from_floor: Array,
     from_truth: Array,
     floor: Scalar,
 ) -> Array:
@@ -282,12 +282,12 @@ def _outside(
     Args:
         criteria: with the bands.
         mean: of phi_u.
-        from_limit: (samples / 2,) what they have beyond it of their limit; as many have the
+        from_floor: (samples / 2,) what they have beyond it of their floor; as many have the
             opposite noise.
         from_truth: likewise, of the truth.
         floor: what phi_u should settle to, of the mean.
     """
-    limit, truth = (mean + jnp.concatenate([a, -a]) for a in (from_limit, from_truth))
+    limit, truth = (mean + jnp.concatenate([a, -a]) for a in (from_floor, from_truth))
     return jnp.stack([over_bands(criteria, limit - floor), over_bands(criteria, truth)])
 
 

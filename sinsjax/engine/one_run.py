@@ -113,7 +113,7 @@ class OneRun:
 
 def one_run(
     study: Study,
-    tape: StoredRecord | None = None,
+    record: StoredRecord | None = None,
     *,
     variant_id: int = 0,
     window_s: float | None = None,
@@ -123,7 +123,7 @@ def one_run(
 
     Args:
         study: checked study.
-        tape: the record of a recorded study.
+        record: the record of a recorded study.
         variant_id: which variant of the study.
         window_s: None for resets at their times; else each is spread over a smooth window of this
             half width, some tens of samples or more, so that outcomes have a gradient by the times.
@@ -135,11 +135,11 @@ def one_run(
             spread.
     """
     runtime.ensure_configured()
-    if tape is not None and study.is_recorded:
-        study = with_rate(study, tape.record.rate_hz)
+    if record is not None and study.is_recorded:
+        study = with_rate(study, record.record.rate_hz)
     if not 0 <= variant_id < study.n_variants:
         raise InputError(f"{study.name}: has no variant {variant_id}, of {study.n_variants}")
-    scenario = Scenario(study, tape, curves=False)
+    scenario = Scenario(study, record, curves=False)
     number, place = next(
         (number, int(np.flatnonzero(ids == variant_id)[0]))
         for number, ids in enumerate(scenario.variant_ids)

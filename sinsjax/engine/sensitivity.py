@@ -1,7 +1,7 @@
 """What draws begin with and the biases they have for themselves, as parts of the linear error.
 
 A start that is off by more than the mean is an error d before the first sample. A bias is an error
-of every increment, always the same, and it moves the limit that a heading is judged from.
+of every increment, always the same, and it moves the bias floor that a heading is judged from.
 """
 
 from functools import partial
@@ -33,7 +33,7 @@ class Sensitivity(NamedTuple):
     Attributes:
         start: (lanes, n, 5) of d before the first sample by what a draw begins with, see
             `DrawnNormally.begins_sigma`.
-        limit: (lanes, 6) of the limit of phi_u by the biases of gyros and accelerometers in b,
+        limit: (lanes, 6) of the bias floor of phi_u by the biases of gyros and accelerometers in b,
             rad/(rad/s) and rad/(m/s^2); None where no bias is drawn.
     """
 
@@ -120,7 +120,7 @@ def starts_beyond(drawn: DrawnNormally, draws: Draw) -> Array:
 
 
 def limit_by_states(found: Sensitivity, drawn: DrawnNormally, states: int) -> Array | None:
-    """(lanes, states) of the limit by the processes' states, the drawn biases last; or None."""
+    """(lanes, states) of the bias floor by the processes' states, drawn biases last; or None."""
     if found.limit is None:
         return None
     gyro, accel = found.limit[:, :3], found.limit[:, 3:]

@@ -1,4 +1,4 @@
-"""Which runs of a study have the limit that `limits` gives, and which cannot find north at all."""
+"""Which runs of a study have the bias floor that `limits` gives, and which cannot find north."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ LEAST_PERIODS = 10
 """Periods of a sway since the last reset without which a bias is not averaged."""
 
 MOST_SHARED = 5 * ARCMIN
-"""Of one sigma of heading: what a filter may take for gyro bias and still have the limit, rad."""
+"""Of one sigma of heading: what a filter may take for gyro bias and still have the floor, rad."""
 
 _LOOKED_AT = 4096  # draws, of a study with more
 _BLOCK = 256  # draws averaged at a time: some 10 MB
@@ -58,16 +58,16 @@ class HiddenNorth(NamedTuple):
         )
 
 
-def has_limit(
+def has_floor(
     study: Study, draw_ids: np.ndarray, variant_ids: np.ndarray, last_reset_s: np.ndarray
 ) -> np.ndarray:
-    """Whether runs have a limit at all, (runs,) bool.
+    """Whether runs have a bias floor at all, (runs,) bool.
 
     Biases that a sway turns need `LEAST_PERIODS` of it since the last reset (and in the stored
     record, if passes repeat). A filter with gyro bias states tells them from the heading once the
-    base moves; on a still one it cannot, and has the limit of one without as far as its P0, and
-    what P is reset to, leave the east bias to the heading: see `MOST_SHARED`. Some methods have
-    none. Runs of a recorded study, whose reference is their limit, all have one.
+    base moves; on a still one it cannot, and has the bias floor of one without as far as its P0,
+    and what P is reset to, leave the east bias to the heading: see `MOST_SHARED`. Some methods have
+    none. Runs of a recorded study, whose reference is their bias floor, all have one.
 
     Args:
         study: checked study.
@@ -93,7 +93,7 @@ def has_limit(
         if method.gyro_bias_keys:
             apart = still & (_shared(study, runs, method.gyro_bias_keys) <= MOST_SHARED)
             found = np.where(names == name, apart, found)
-        found &= method.has_limit | (names != name)
+        found &= method.has_floor | (names != name)
     return found
 
 
@@ -106,13 +106,13 @@ def scheduled_last_s(study: Study) -> np.ndarray:
 
 
 def limited_variants(study: Study) -> np.ndarray:
-    """(variants,) which have a limit, where that depends neither on draws nor on triggers."""
+    """(variants,) which have a bias floor, where that depends neither on draws nor on triggers."""
     variants = np.arange(study.n_variants)
-    return has_limit(study, np.zeros_like(variants), variants, scheduled_last_s(study))
+    return has_floor(study, np.zeros_like(variants), variants, scheduled_last_s(study))
 
 
-def require_limit(study: Study) -> None:
-    """Refuses a study that is judged from a limit where some run has none.
+def require_floor(study: Study) -> None:
+    """Refuses a study that is judged from a bias floor where some run has none.
 
     The resets of a trigger are not known yet; draws that differ are looked at where they are few.
 
@@ -124,19 +124,18 @@ def require_limit(study: Study) -> None:
     draws = np.arange(min(study.n_draws, 1 + _LOOKED_AT // study.n_variants))
     variants = np.tile(np.arange(study.n_variants), len(draws))
     last_s = scheduled_last_s(study)[variants]
-    found = has_limit(study, np.repeat(draws, study.n_variants), variants, last_s)
+    found = has_floor(study, np.repeat(draws, study.n_variants), variants, last_s)
     if found.all():
         return
     variant = int(variants[~found][0])
     method = study.values("method")[variant]
-    why = "has no limit of heading on this base"
-    if METHODS[method].has_limit and not METHODS[method].gyro_bias_keys:
+    why = "has no bias floor on this base"
+    if METHODS[method].has_floor and not METHODS[method].gyro_bias_keys:
         why = (
-            "has no limit of heading where a sway period exceeds a tenth of the time since the last"
-            " reset"
+            "has no bias floor where a sway period exceeds a tenth of the time since the last reset"
         )
     raise InputError(
-        f"{study.name}: [study] judged_from: 'limit' cannot be judged: method '{method}'"
+        f"{study.name}: [study] judged_from: 'floor' cannot be judged: method '{method}'"
         f" {why} (variant {variant}; use 'truth')"
     )
 
@@ -204,7 +203,7 @@ def hidden_north(study: Study) -> HiddenNorth | None:
     """The worst run whose level gyro bias exceeds Omega cos L, None if there is no such run.
 
     Such a run cannot find north: what its gyros feel points anywhere. The gyro biases are averaged
-    over the motion, as in its limit.
+    over the motion, as in its bias floor.
 
     Args:
         study: checked study; of a recorded one the biases are not known.

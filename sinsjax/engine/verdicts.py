@@ -1,4 +1,4 @@
-"""How runs ended: when their heading settled about the limit and about the truth, and a status."""
+"""How runs ended: when their heading settled about the bias floor and the truth, and a status."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from sinsjax.study.study import Study
 from sinsjax.study.success import bands, success_of
 from sinsjax.units import ARCMIN, DEG
 
-LIMIT, TRUTH = 0, 1
+FLOOR, TRUTH = 0, 1
 """Rows of what is judged from both."""
 
 
@@ -19,14 +19,14 @@ class Verdict(NamedTuple):
     """How some runs ended.
 
     Attributes:
-        has_limit: (runs,) whether their biases leave phi_u a limit.
-        settled_s: (2, bands, runs) settling times about the limit and about the truth, s; NaN
-            where the last record is still outside, or there is no limit.
+        has_floor: (runs,) whether their biases leave phi_u a bias floor.
+        settled_s: (2, bands, runs) settling times about the bias floor and about the truth, s; NaN
+            where the last record is still outside, or there is no bias floor.
         ok: (2, runs) whether a run is a success, judged from either.
         status: (runs,) of `columns.STATUSES`, None where there is nothing to judge it from.
     """
 
-    has_limit: NDArray
+    has_floor: NDArray
     settled_s: NDArray
     ok: NDArray
     status: pa.Array
@@ -41,45 +41,45 @@ class Judge:
         self._band = bands(study).index(self._success.band_arcmin)
         self._has_truth = has_truth
 
-    def __call__(self, outcome: Outcome, has_limit: NDArray, end_s: NDArray) -> Verdict:
+    def __call__(self, outcome: Outcome, has_floor: NDArray, end_s: NDArray) -> Verdict:
         """How some runs ended.
 
         Args:
             outcome: of the engine, leaves (runs, ...).
-            has_limit: (runs,).
+            has_floor: (runs,).
             end_s: (runs,) their lengths, s.
         """
         outside_until = np.moveaxis(np.asarray(outcome.outside_until), 0, -1)
         settled_s = np.where(outside_until >= end_s * (1 - 1e-12), np.nan, outside_until)
-        settled_s[LIMIT, :, ~has_limit] = np.nan
-        no_north = has_limit & np.asarray(outcome.limit.no_north)
+        settled_s[FLOOR, :, ~has_floor] = np.nan
+        no_north = has_floor & np.asarray(outcome.limit.no_north)
         latest_s = (end_s - self._success.dwell(end_s)) * (1 + 1e-12)
         long_enough = settled_s[:, self._band] <= latest_s
         ok = long_enough & self._level(outcome) & ~no_north
-        return Verdict(has_limit, settled_s, ok, self._status(outcome, has_limit, no_north, ok))
+        return Verdict(has_floor, settled_s, ok, self._status(outcome, has_floor, no_north, ok))
 
     def _level(self, outcome: Outcome) -> NDArray:
-        """(2, runs) whether both level errors end in their band, about the limit and the truth."""
+        """(2, runs) whether both level errors end in their band, about floor and truth."""
         band, limit = self._success.level_band_arcmin * ARCMIN, outcome.limit
         phi, left = (np.stack([vector.x, vector.y]) for vector in (outcome.last.phi, limit.phi))
-        from_limit = np.abs(phi - left).max(axis=0) <= band
+        from_floor = np.abs(phi - left).max(axis=0) <= band
         from_truth = np.abs(phi).max(axis=0) <= band + np.asarray(limit.tilt)
-        return np.stack([from_limit, from_truth])
+        return np.stack([from_floor, from_truth])
 
     def _status(
-        self, outcome: Outcome, has_limit: NDArray, no_north: NDArray, ok: NDArray
+        self, outcome: Outcome, has_floor: NDArray, no_north: NDArray, ok: NDArray
     ) -> pa.Array:
         last = outcome.last
         broken = ~np.isfinite(np.stack([last.pitch, last.roll, last.yaw])).all(axis=0)
         if not self._has_truth:
             return pa.array(["nonfinite" if b else None for b in broken], pa.string())
         from_truth = self._success.from_truth
-        error = np.asarray(last.phi.z) - np.where(has_limit, outcome.limit.phi.z, 0.0)
+        error = np.asarray(last.phi.z) - np.where(has_floor, outcome.limit.phi.z, 0.0)
         kinds = {
             "nonfinite": broken,
             "no_north": no_north,
-            None: ~has_limit & (not from_truth),
-            "ok": ok[TRUTH if from_truth else LIMIT],
+            None: ~has_floor & (not from_truth),
+            "ok": ok[TRUTH if from_truth else FLOOR],
             "diverged": np.abs(error) > self._success.diverged_deg * DEG,
         }
         found = np.select(list(kinds.values()), list(range(len(kinds))), default=len(kinds))

@@ -20,7 +20,7 @@ from sinsjax.engine.covariance import MOST_TOGETHER, Spread, watched, watched_pr
 from sinsjax.engine.lanes import Group
 from sinsjax.engine.realisations import Static
 from sinsjax.engine.study_limits import limited_variants
-from sinsjax.engine.verdicts import LIMIT, TRUTH
+from sinsjax.engine.verdicts import FLOOR, TRUTH
 from sinsjax.errors import InputError
 from sinsjax.execution import layouts
 from sinsjax.execution.tables import nullable, table_of
@@ -97,20 +97,20 @@ class Estimates:
         values |= {name: column.take(variant) for name, column in self._by_variant.items()}
         for place, time_s in enumerate(self._times):
             phi, sigma, belief = (np.asarray(a)[:, :, place] for a in spread[:3])
-            own = None if spread.from_limit is None else np.asarray(spread.from_limit)[:, place]
+            own = None if spread.from_floor is None else np.asarray(spread.from_floor)[:, place]
             names = (
-                c.name for c in columns.estimated(self._bands, time_s, own_limits=own is not None)
+                c.name for c in columns.estimated(self._bands, time_s, own_floors=own is not None)
             )
             values |= zip(names, self._at(phi, sigma, belief, floor, own), strict=True)
         until = np.ascontiguousarray(spread.outside_until)  # sums of one order, however cut
-        for truth, about in ((False, LIMIT), (True, TRUTH)):
+        for truth, about in ((False, FLOOR), (True, TRUTH)):
             for number, band in enumerate(self._bands):
                 settled = settled_of(until[:, about, number], self._end_s[variant])
-                known = limited if about == LIMIT else np.ones_like(limited)
+                known = limited if about == FLOOR else np.ones_like(limited)
                 names = (c.name for c in columns.settle_estimates(band, truth=truth))
                 cells = (nullable(np.where(known, value, np.nan)) for value in settled)
                 values |= zip(names, cells, strict=True)
-        values |= {"has_limit": pa.array(limited), "floor_arcmin": nullable(floor / ARCMIN)}
+        values |= {"has_floor": pa.array(limited), "floor_arcmin": nullable(floor / ARCMIN)}
         # Those of the check of linearity are still to come.
         for column in self.layouts[DATASET]:
             values.setdefault(column.name, pa.nulls(len(variant), column.dtype))
@@ -126,20 +126,20 @@ class Estimates:
         sigma: NDArray,
         belief: NDArray,
         floor: NDArray,
-        from_limit: NDArray | None,
+        from_floor: NDArray | None,
     ) -> list[pa.Array]:
         """Columns of one time from misalignment, 1 sigma and belief (runs, 3), and floor (runs,).
 
-        All of them rad, in the order of `columns.estimated`; ``from_limit`` as of `Spread`.
+        All of them rad, in the order of `columns.estimated`; ``from_floor`` as of `Spread`.
         """
         angles = [*(np.concatenate([phi, sigma, belief], axis=1).T / ARCMIN)]
-        about_limit = sigma[:, 2]
-        if from_limit is not None:
-            about_limit = np.where(np.isnan(floor), np.nan, from_limit)
-            angles.append(about_limit / ARCMIN)
+        about_floor = sigma[:, 2]
+        if from_floor is not None:
+            about_floor = np.where(np.isnan(floor), np.nan, from_floor)
+            angles.append(about_floor / ARCMIN)
         shares = [
             _share_within(band * ARCMIN, phi[:, 2] - centre, spread)
-            for centre, spread in ((floor, about_limit), (np.zeros_like(floor), sigma[:, 2]))
+            for centre, spread in ((floor, about_floor), (np.zeros_like(floor), sigma[:, 2]))
             for band in self._bands
         ]
         return [nullable(one) for one in (*angles, *shares)]

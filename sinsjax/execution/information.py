@@ -24,9 +24,9 @@ from sinsjax.units import ARCMIN
 def information_bound(study: Study) -> pa.Table:
     """Information bound of a simulated study's heading, see `alignment.information`.
 
-    No unbiased method has a smaller standard deviation of phi_u from its limit than this, whatever
-    it starts from; its methods' own settings do not enter. Variants that share Earth, motion and
-    sensors share their bound; each takes about a second for 300 s at 100 Hz.
+    No unbiased method has a smaller standard deviation of phi_u from its bias floor than this,
+    whatever it starts from; its methods' own settings do not enter. Variants that share Earth,
+    motion and sensors share their bound; each takes about a second for 300 s at 100 Hz.
 
     Args:
         study: checked study.

@@ -30,7 +30,7 @@ def summary(study: Study) -> tuple[Column, ...]:
 
 
 def draws_limits(study: Study) -> bool:
-    """Whether draws have biases of their own, and limits with them."""
+    """Whether draws have biases of their own, and bias floors with them."""
     return any(key in study.drawn_keys for key in BIASES)
 
 
@@ -44,7 +44,7 @@ def estimates(study: Study) -> tuple[Column, ...]:
         *(
             c
             for time_s in times
-            for c in columns.estimated(bands(study), time_s, own_limits=draws_limits(study))
+            for c in columns.estimated(bands(study), time_s, own_floors=draws_limits(study))
         ),
         *(
             c
@@ -52,7 +52,7 @@ def estimates(study: Study) -> tuple[Column, ...]:
             for band in bands(study)
             for c in columns.settle_estimates(band, truth=truth)
         ),
-        *columns.LIMIT,
+        *columns.FLOOR,
         *(map(columns.nonlinearity, times) if study.checks_linearity else ()),
         *((columns.FILLED,) if study.checks_linearity else ()),
     )
@@ -118,6 +118,6 @@ def tells_data(study: Study) -> bool:
 
 
 def _settling(study: Study) -> list[Column]:
-    """Settling times of all bands about the limit and the truth; then the data used until then."""
+    """Settling times of all bands about bias floor and truth; then the data used until then."""
     kinds = [columns.settle_column, *([columns.settle_data_column] * tells_data(study))]
     return [kind(b, truth=t) for kind in kinds for t in (False, True) for b in bands(study)]

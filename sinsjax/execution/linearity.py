@@ -17,7 +17,7 @@ from sinsjax.engine import companions
 from sinsjax.engine.batch import Calls
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.lanes import Group
-from sinsjax.engine.verdicts import LIMIT, TRUTH
+from sinsjax.engine.verdicts import FLOOR, TRUTH
 from sinsjax.execution.estimates import settled_of, told_records
 from sinsjax.execution.tables import nullable, with_column
 from sinsjax.study.success import bands
@@ -115,7 +115,7 @@ class Linearity:
             phi, sigma, _ = np.moveaxis(of(out.at_times), 3, 0)
             times = zip(np.moveaxis(phi, 2, 0), np.moveaxis(sigma, 2, 0), strict=True)
             told |= zip(self._ends, times, strict=False)
-        limited = table["has_limit"].to_numpy(zero_copy_only=False)[rows]
+        limited = table["has_floor"].to_numpy(zero_copy_only=False)[rows]
         floor = np.where(limited[:, None], of(out.limit.phi.z), np.nan)
         values: dict[str, NDArray] = {}
         for end, (phi, sigma) in told.items():
@@ -129,7 +129,7 @@ class Linearity:
                     inside = np.where(np.isnan(error), np.nan, np.abs(error) <= band * ARCMIN)
                     values[f"within_{band:g}{side}{end}_share"] = inside.mean(1)
         until, end_s = of(out.outside_until), self._end_s[table["variant_id"].to_numpy()[rows]]
-        for truth, about in ((False, LIMIT), (True, TRUTH)):
+        for truth, about in ((False, FLOOR), (True, TRUTH)):
             for number, band in enumerate(bands(self._study)):
                 names = (c.name for c in columns.settle_estimates(band, truth=truth))
                 settled = settled_of(until[:, :, about, number], end_s, opposite=False)

@@ -159,7 +159,7 @@ def subordinate(job: Job, study: Study, name: str) -> Job:
     return resume.continued(job) if job.resume else job
 
 
-def load_tape(
+def load_increments(
     study: Study, record: str | Path, reference: str | Path | None = None
 ) -> StoredRecord:
     """Read the record of a recorded study, and the reference attitude if given.
@@ -220,10 +220,10 @@ def _stored(
     if record is None or isinstance(record, StoredRecord):
         return record
     if isinstance(record, Path | str):
-        return load_tape(study, record, reference)
+        return load_increments(study, record, reference)
     raise InputError(
-        f"{study.name}: tape: must be what sinsjax.load_tape or sinsjax.record_from_arrays gives,"
-        f" not a {type(record).__name__}"
+        f"{study.name}: record: must be what sinsjax.load_increments or"
+        f" sinsjax.record_from_arrays gives, not a {type(record).__name__}"
     )
 
 

@@ -17,7 +17,7 @@ from sinsjax.execution import directory as places
 from sinsjax.execution import results
 from sinsjax.execution.directory import RERUN
 from sinsjax.execution.outputs import output_of
-from sinsjax.execution.prepare import load_tape
+from sinsjax.execution.prepare import load_increments
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import one_line
 from sinsjax.platform.files import make_folder, replacing
@@ -100,7 +100,7 @@ def rerun_into(
         raise InputError("--reference: requires --record")
     if study.is_recorded and files[0] is None:
         raise InputError(f"{directory}: its study needs a record (give it with --record)")
-    stored_record = None if files[0] is None else load_tape(study, files[0], files[1])
+    stored_record = None if files[0] is None else load_increments(study, files[0], files[1])
     known = places.find_manifest(directory)
     extended_at = () if known is None else known.extended_at
     job = Job(study, stored_record, extended_at=extended_at)

@@ -59,7 +59,7 @@ Tell = Callable[[RunProgress], None]
 
 def run(
     study: Study,
-    tape: StoredRecord | None = None,
+    record: StoredRecord | None = None,
     *,
     curves: bool | None = None,
     chunk_runs: int | None = None,
@@ -69,7 +69,7 @@ def run(
 
     Args:
         study: checked study.
-        tape: the record of a recorded study.
+        record: the record of a recorded study.
         curves: whether to keep curves; None follows the study.
         chunk_runs: runs per chunk; does not affect the rows.
         tell: called with the progress after every chunk.
@@ -84,7 +84,7 @@ def run(
         text = "covariance estimates have no runs (use sinsjax.estimate)"
         raise InputError(f"{study.name}: [study] estimate: {text}")
     options = Options(curves=curves, chunk_runs=chunk_runs)
-    return _results(warn_of_doubts(prepare(study, None, tape, None, options)), tell)
+    return _results(warn_of_doubts(prepare(study, None, record, None, options)), tell)
 
 
 def align(
@@ -99,7 +99,7 @@ def align(
     """Align recorded data in memory, from every start time of the study.
 
     Args:
-        record: inertial record: a file, or what `record_from_arrays` or `load_tape` return.
+        record: inertial record: a file, or what `record_from_arrays` or `load_increments` return.
         study: study with [record], or its file.
         reference: file of a reference attitude to compare with, if the record is a file.
         overrides: values of the study by ``section.key`` to change, see `Study.replace`.
@@ -145,7 +145,7 @@ def estimate(study: Study, *, chunk_runs: int | None = None, tell: Tell | None =
 def run_into(
     study: Study,
     directory: str | Path,
-    tape: StoredRecord | None = None,
+    record: StoredRecord | None = None,
     *,
     curves: bool | None = None,
     chunk_runs: int | None = None,
@@ -161,7 +161,7 @@ def run_into(
     Args:
         study: checked study.
         directory: results directory; must hold no results unless ``overwrite`` or ``resume``.
-        tape: the record of a recorded study.
+        record: the record of a recorded study.
         curves: whether to keep curves; None follows the study.
         chunk_runs: runs per chunk; does not affect the rows. Fixed when a directory is begun.
         overwrite: whether to remove existing results.
@@ -180,7 +180,7 @@ def run_into(
     options = Options(
         directory, curves, None, chunk_runs, overwrite=overwrite, resume=resume, source=source
     )
-    job = warn_of_doubts(prepare(study, None, tape, None, options))
+    job = warn_of_doubts(prepare(study, None, record, None, options))
     run_job(job, executor=executor, tell=tell, stop=stop)
 
 

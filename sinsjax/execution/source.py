@@ -211,7 +211,7 @@ class Source:
     def yardsticks(self) -> tuple[Yardstick, ...]:
         """What success can be counted from, what the study is judged from first.
 
-        Neither the truth nor the limit where no run has one.
+        Neither the truth nor the bias floor where no run has one.
         """
         found = yardsticks(self.study)
         flags = self.rows([yard.ok for yard in found])

@@ -52,7 +52,7 @@ def columns(study: Study) -> list[str]:
 
 
 def _needed(study: Study) -> str:
-    """Column of the statistic, about truth or limit according to the study's success criterion."""
+    """Column of the statistic, about truth or bias floor by the study's success criterion."""
     assert study.stop_when is not None
     name = study.stop_when.statistic
     if name == "success_rate":

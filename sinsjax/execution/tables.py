@@ -13,9 +13,9 @@ from sinsjax.alignment.methods import METHODS
 from sinsjax.columns import Column
 from sinsjax.engine.batch import Chunk
 from sinsjax.engine.metrics import Observation, Outcome
-from sinsjax.engine.study_limits import has_limit, limited_variants, scheduled_last_s
+from sinsjax.engine.study_limits import has_floor, limited_variants, scheduled_last_s
 from sinsjax.engine.truth import starts_of
-from sinsjax.engine.verdicts import LIMIT, TRUTH, Judge, Verdict
+from sinsjax.engine.verdicts import FLOOR, TRUTH, Judge, Verdict
 from sinsjax.execution import layouts
 from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS
@@ -85,7 +85,7 @@ class Tables:
             own = column[chunk.draw - first]
             values[name] = own if own.ndim == 1 else list(own)
         values |= self._observed(out.last)
-        verdict = self._judge(out, self._has_limit(chunk, variant), self._end_s[variant])
+        verdict = self._judge(out, self._has_floor(chunk, variant), self._end_s[variant])
         values |= self._settled(verdict, self._pass_s[variant], self._before_s[variant])
         values |= self._at_times(out)
         for suffix, statistics in (("_mean", out.mean), ("_std", out.std)):
@@ -96,15 +96,15 @@ class Tables:
         shares = ("error", "floor_error", "error_steady")
         for name, value in zip(shares, out.above_share, strict=True):
             values[f"p_above_{name}_share"] = self._known(value)
-        from_limit = {
+        from_floor = {
             "p_above_floor_error_share": values["p_above_floor_error_share"],
             "floor_arcmin": self._known(out.limit.phi.z / ARCMIN),
             "nis_u": self._known(out.nis_u),
-            "ok_limit": self._if_known(verdict.ok[LIMIT]),
+            "ok_floor": self._if_known(verdict.ok[FLOOR]),
         }
-        nothing = pa.array(~verdict.has_limit)
-        values |= {k: pc.if_else(nothing, None, column) for k, column in from_limit.items()}
-        values["has_limit"] = self._if_known(verdict.has_limit)
+        nothing = pa.array(~verdict.has_floor)
+        values |= {k: pc.if_else(nothing, None, column) for k, column in from_floor.items()}
+        values["has_floor"] = self._if_known(verdict.has_floor)
         values["ok_truth"] = self._if_known(verdict.ok[TRUTH])
         values["nees"] = self._known(out.nees)
         values["status"] = verdict.status
@@ -121,7 +121,7 @@ class Tables:
         values = {"run_id": np.repeat(run_id, len(time_s)), "time_s": np.tile(time_s, len(run_id))}
         if self._study.passes:
             values["update_time_s"] = values["time_s"]
-            values["tape_time_s"] = np.tile(stored_times(self._study, span), len(run_id))
+            values["stored_time_s"] = np.tile(stored_times(self._study, span), len(run_id))
             values["pass"] = np.tile(pass_numbers(span), len(run_id))
         return table_of(self.curve_columns, values | self._observed(chunk.curves))
 
@@ -161,10 +161,10 @@ class Tables:
     def _settled(
         self, verdict: Verdict, pass_s: np.ndarray, before_s: np.ndarray
     ) -> dict[str, pa.Array]:
-        """Settling times of all bands, about the limit and the truth, by column."""
+        """Settling times of all bands, about the bias floor and the truth, by column."""
         values = {}
         for truth, of_bands in (
-            (False, verdict.settled_s[LIMIT]),
+            (False, verdict.settled_s[FLOOR]),
             (True, verdict.settled_s[TRUTH]),
         ):
             for band, settled in zip(self._bands, of_bands, strict=True):
@@ -185,8 +185,8 @@ class Tables:
             values |= dict(zip(names, arrays, strict=True))
         return values
 
-    def _has_limit(self, chunk: Chunk, variant: np.ndarray) -> np.ndarray:
-        """Which runs have a limit, given the last reset of their schedule or trigger."""
+    def _has_floor(self, chunk: Chunk, variant: np.ndarray) -> np.ndarray:
+        """Which runs have a bias floor, given the last reset of their schedule or trigger."""
         method = self._method(variant)
         called = method.last_called(chunk.outcome.results)
         if called is None and not self._study.drawn_keys:
@@ -194,11 +194,11 @@ class Tables:
         last_s = self._last_reset_s[variant]
         if called is not None:
             last_s = np.maximum(last_s, called / self._study.rate_hz)
-        return has_limit(self._study, chunk.draw, variant, last_s)
+        return has_floor(self._study, chunk.draw, variant, last_s)
 
     @cached_property
     def _limit_by_variant(self) -> np.ndarray:
-        """Which variants have a limit, if that depends neither on draws nor on triggers."""
+        """Which variants have a bias floor, if that depends neither on draws nor on triggers."""
         return limited_variants(self._study)
 
 

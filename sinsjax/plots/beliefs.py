@@ -16,7 +16,7 @@ from sinsjax.analysis import NEES_FREEDOM, Estimate
 from sinsjax.plots.spreads import steps
 from sinsjax.plots.style import GREY, colour, legend_outside, styled
 
-SHARES = {"from truth": "p_above_error_share", "from the limit": "p_above_floor_error_share"}
+SHARES = {"from truth": "p_above_error_share", "from the bias floor": "p_above_floor_error_share"}
 """Columns of the shares of records with P above the squared error."""
 
 _WITHIN_SIGMA = float(special.erf(0.5**0.5))  # share of a normal variable within 1 sigma

@@ -82,7 +82,7 @@ def _bands(axes: Axes, course: Course) -> None:
     axes.fill_between(course.time_s, low, high, color=_TRUE, alpha=0.35, linewidth=0, label=label)
     axes.plot(course.time_s, course.mean, color=_TRUE, label="true error: mean")
     if course.limit is not None:
-        label = "limit, left by the sensor biases"
+        label = "bias floor, left by the sensor biases"
         axes.axhline(course.limit, color=GREY, linewidth=0.9, zorder=1.5, label=label)
     axes.set_xlim(0, course.time_s[-1])
     axes.margins(y=0.08)

@@ -129,7 +129,9 @@ def misalignment(
             extents = _draw_misalignment(axes, axis, shown, with_sigma=with_sigma)
             if limits and axis in limits:
                 # Over the lines: what has converged would hide it.
-                axes.axhline(limits[axis], color="black", ls="-.", lw=0.9, zorder=3, label="limit")
+                axes.axhline(
+                    limits[axis], color="black", ls="-.", lw=0.9, zorder=3, label="bias floor"
+                )
             _mark(axes, resets_s)
         row[0].set_xlim(0, max(extent.time_s[-1] for extent in extents))
         row[0].set_ylabel(f"{_NAMES[axis]} (arcmin){_fit(row[0], extents)}")

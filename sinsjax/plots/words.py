@@ -30,7 +30,7 @@ WORDS = {
     "q_scale": "factor on Q",
     "sigma_factors": "factor on sigma",
     "r_velocity": "velocity noise in R",
-    "tape": "length of the stored record",
+    "stored": "length of the stored record",
     "passes": "number of passes",
     "direction": "direction of passes",
     "turn_covariance": "P at a turn",

@@ -23,14 +23,14 @@ from sinsjax.report.markup import said
 from sinsjax.report.over_axes import over_axes, repeats
 from sinsjax.report.spreads import spreads
 from sinsjax.study.keys import is_given
-from sinsjax.study.success import LIMITED, judged_columns, yardsticks
+from sinsjax.study.success import FLOOR_COLUMNS, judged_columns, yardsticks
 from sinsjax.study.swept import shown_keys
 
 _MOST_LINES = 6
 _MOST_DRAWS = 256  # in a line's band
 _MOST_MOMENTS = 8
 _END = "phi_u_arcmin"
-_SAME = 0.01  # arcmin; limits that lie closer are one line
+_SAME = 0.01  # arcmin; bias floors that lie closer are one line
 _RARE = 0.1  # of the runs that are ok: so many may be at the edge of both bands
 
 
@@ -63,24 +63,24 @@ class _Shown(NamedTuple):
     header: str
     name: str
     text: Callable[[Estimate], str]
-    of_limit: bool = False  # whether it counts from the limit
+    of_floor: bool = False  # whether it counts from the bias floor
 
     def cell(self, row: Mapping[str, Any]) -> str:
         """What a row of `analysis.summarise` tells of it."""
-        if self.of_limit and row["no_limit"] == row["n"]:
-            return "no limit"
+        if self.of_floor and row["no_floor"] == row["n"]:
+            return "no bias floor"
         return self.text(estimate_of(row, self.name))
 
 
 def _shown(source: Source) -> list[_Shown]:
-    """How many runs succeed and how soon, from the truth and from the limit; and the heading."""
+    """How many runs succeed and how soon, from the truth and the bias floor; and the heading."""
     seconds, arcmin = (partial(format_estimate, digits=digits) for digits in (0, 1))
     yards = source.yardsticks
     missing = [yard for yard in yardsticks(source.study) if yard not in yards]
-    aim = "the reference" if source.study.is_recorded else "its limit"
+    aim = "the reference" if source.study.is_recorded else "its bias floor"
     return [
         *(_Shown(f"ok: {y.words} (%)", y.rate, percent, not y.truth) for y in yards),
-        *(_Shown(f"ok: {y.words} (%)", y.rate, lambda _: "no limit") for y in missing),
+        *(_Shown(f"ok: {y.words} (%)", y.rate, lambda _: "no bias floor") for y in missing),
         *(
             _Shown(f"time to {y.words}, median (s)", f"{y.settle}_median", seconds, not y.truth)
             for y in yards
@@ -124,7 +124,9 @@ def against_first(source: Source) -> Table:
             for y in yards
         ),
         _Shown(
-            "distance from its limit (arcmin)", "phi_u_error_arcmin_difference", format_estimate
+            "distance from its bias floor (arcmin)",
+            "phi_u_error_arcmin_difference",
+            format_estimate,
         ),
     ]
     shared = "from the same start times" if source.study.is_recorded else "on the same noise"
@@ -147,12 +149,14 @@ def _headline(source: Source, has_truth: bool) -> list[str]:
     if not has_truth:
         return [f"{text} Without truth or reference, attitude and its 1 sigma is what is known."]
     several, doubts = [], []
-    column = partial(analysis.numbers, source.rows([*(y.ok for y in source.yardsticks), *LIMITED]))
+    column = partial(
+        analysis.numbers, source.rows([*(y.ok for y in source.yardsticks), *FLOOR_COLUMNS])
+    )
     for yard in source.yardsticks:
-        ok, off = int((column(yard.ok) > 0).sum()), int(yard.off_limit(column).sum())
+        ok, off = int((column(yard.ok) > 0).sum()), int(yard.off_floor(column).sum())
         several.append(f"{ok:,} {yard.of_several}")
         if off > _RARE * ok:
-            doubts.append(said("off_limit", off=off, ok=ok, yard=yard))
+            doubts.append(said("off_floor", off=off, ok=ok, yard=yard))
     return [f"{text} Of these {' and '.join(several)} are ok.", *doubts]
 
 
@@ -215,7 +219,7 @@ def _curves(source: Source, has_truth: bool) -> Iterator[Block]:
         yield Picture("attitude", f"{caption}{shading}.", plots.attitude(shown, title))
         return
     floors = analysis.numbers(table, "floor_arcmin")
-    limits = floors[np.isfinite(floors)]  # a method without a limit has none
+    limits = floors[np.isfinite(floors)]  # a method without a bias floor has none
     moments = {time for rows in drawn.values() for time in rows["reset_times_s"][0].as_py()}
     figure = plots.misalignment(
         shown,

@@ -120,7 +120,7 @@ def yardstick(study: Study) -> str:
     ends_s = np.array([s.records for s in study.distinct_spans]) * study.study.record_interval_s
     dwell_s = rule.dwell(ends_s)
     last = " to ".join(f"{s:g}" for s in sorted({dwell_s.min(), dwell_s.max()}))
-    aim = "true north" if rule.from_truth else "its limit (not of true north)"
+    aim = "true north" if rule.from_truth else "its bias floor (not of true north)"
     if study.is_recorded:
         aim = "the reference's heading, where there is one,"
     return said(
@@ -129,7 +129,7 @@ def yardstick(study: Study) -> str:
         aim=aim,
         dwell=last if dwell_s.max() else "",
         level_band=rule.level_band_arcmin,
-        has_limit=not study.is_recorded,
+        has_floor=not study.is_recorded,
     )
 
 

@@ -20,7 +20,7 @@ from sinsjax.report.groupings import BINS, binned, lines_of
 from sinsjax.report.markup import said
 from sinsjax.study.acting import first_alike, idle_keys
 from sinsjax.study.keys import is_chosen
-from sinsjax.study.success import LIMITED, Yardstick, judged_columns
+from sinsjax.study.success import FLOOR_COLUMNS, Yardstick, judged_columns
 from sinsjax.study.swept import shown_axes, shown_keys
 
 MOST_PANELS = 12
@@ -103,9 +103,9 @@ class Maps:
 
 def _heat_maps(source: Source, yard: Yardstick) -> Iterator[Block]:
     """The maps from one yardstick."""
-    maps = Maps(source, (yard.settle, yard.ok, *LIMITED, "draw_id", "start_s"))
+    maps = Maps(source, (yard.settle, yard.ok, *FLOOR_COLUMNS, "draw_id", "start_s"))
     shown = maps.panels[: 2 * MOST_PANELS]
-    every = [one.cells(yard.ok, yard.settle, yard.off_limit(one.of)) for one in shown]
+    every = [one.cells(yard.ok, yard.settle, yard.off_floor(one.of)) for one in shown]
     if all(map(is_chosen, maps.axes)):
         yield _best(yard, maps, every)
     cells, end = every[: len(maps.drawn)], yard.end(source.yardsticks[0])
@@ -172,7 +172,7 @@ def _along_axis(source: Source, axis: str, values: Sequence[Any], others: Sequen
     shown = {y.rate: f"share of runs that are ok, {y.of_several}" for y in source.yardsticks}
     shown |= {f"{y.settle}_median": f"median time (s) to {y.words}" for y in source.yardsticks}
     shown["phi_u_arcmin_rms"] = "heading error at the end, rms (arcmin)"
-    shown["phi_u_from_floor_arcmin_mean"] = "signed mean of phi_u from its limit (arcmin)"
+    shown["phi_u_from_floor_arcmin_mean"] = "signed mean of phi_u from its bias floor (arcmin)"
     needed = (*others, axis, *judged_columns(source.study), *NEEDED)
     lines, left = lines_of(source.rows(needed), others)
     found = {

@@ -18,7 +18,7 @@ from sinsjax.messages import explained, index, near, rule
 from sinsjax.study import sampling as draw_sampling
 from sinsjax.study import usual
 from sinsjax.study.distributions import INITIAL_KEYS, NUMBERS_DRAWN, Distribution, DrawnSection
-from sinsjax.study.keys import SECTION_OF, SECTIONS, SIMULATED_ONLY, SWEEPABLE, TomlTable
+from sinsjax.study.keys import SECTION_OF, SECTIONS, SIMULATED_ONLY, SWEEPABLE, TomlTable, unknown
 from sinsjax.study.resolved import Dimension
 from sinsjax.study.study import Study, dimensions_of
 from sinsjax.value_types import Name
@@ -284,7 +284,7 @@ def _check_sweepable(table: str, key: str, recorded: bool) -> None:
         reason = "is no axis (list the start times in [record]: one draw each)"
     elif section is None:
         sweepable = [name for name, home in SECTION_OF.items() if home in SWEEPABLE]
-        reason = f"unknown key{near(key, sweepable)}"
+        reason = unknown(key, sweepable)
     elif section == "study":
         reason = "cannot be swept (all runs of a study share [study])"
     elif section not in SWEEPABLE:

@@ -149,15 +149,15 @@ def _check_passes(study: Study, where: Where) -> None:
     """Refuses a stored record of no whole number of record intervals, or passes that do not fit."""
     duration = study.duration_s * (1 + ROUNDING)
     for point in study.combinations(*PASS_KEYS) if study.passes else ():
-        record_s, passes = point["tape_s"], point["passes"]
+        record_s, passes = point["stored_s"], point["passes"]
         rewinds = point["direction"] == "rewind"
         if record_s is None:
             if (passes or 1) > 1:
-                _refuse("passes", where, f"{passes} need a stored record to repeat (give tape_s)")
+                _refuse("passes", where, f"{passes} need a stored record to repeat (give stored_s)")
             continue
-        _check_multiple(study, where, "tape_s", record_s)
+        _check_multiple(study, where, "stored_s", record_s)
         if record_s > duration:
-            _refuse("tape_s", where, f"{record_s:.12g} s is longer than the study, {_end(study)}")
+            _refuse("stored_s", where, f"{record_s:.12g} s is longer than the study, {_end(study)}")
         if passes and passes * record_s > duration:
             text = f"{passes} over a record of {record_s:.12g} s last {passes * record_s:.12g} s"
             _refuse("passes", where, f"{text}, longer than the study ({_end(study)})")
@@ -168,9 +168,9 @@ def _check_passes(study: Study, where: Where) -> None:
 def _check_coarse(study: Study, where: Where) -> None:
     """Refuses coarse alignment that no run can begin with, and resets before its hand-over."""
     every_s = study.record_every / study.rate_hz
-    tape = ("tape_s",) if study.passes else ()
+    stored = ("stored_s",) if study.passes else ()
     resets = OF_RESETS if study.has("resets") else ()
-    for point in study.combinations(*COARSE_KEYS, *tape, *resets) if study.coarse else ():
+    for point in study.combinations(*COARSE_KEYS, *stored, *resets) if study.coarse else ():
         method, length_s, then = (point[key] for key in COARSE_KEYS)
         if study.is_recorded and method == "none":
             _refuse("coarse_method", where, "a record tells no attitude to begin with")
@@ -179,7 +179,7 @@ def _check_coarse(study: Study, where: Where) -> None:
         if method == "analytic":
             _refuse("coarse_method", where, "'analytic' is only for the hand-over of a record")
         _check_multiple(study, where, "coarse_duration_s", length_s)
-        end_s = min(study.run_s - every_s, point.get("tape_s") or math.inf)
+        end_s = min(study.run_s - every_s, point.get("stored_s") or math.inf)
         if length_s > end_s * (1 + ROUNDING):
             text = f"{length_s:.12g} s leaves nothing to fine alignment (at most {end_s:.12g})"
             _refuse("coarse_duration_s", where, text)
@@ -264,7 +264,7 @@ def _check_report_times(study: Study, where: Where) -> None:
 
 
 def _check_success(study: Study, where: Where) -> None:
-    """Refuses a success that no run can reach, and one judged from a limit that there is not."""
+    """Refuses a success that no run can reach, or that is judged from a missing bias floor."""
     names = [columns.settle_column(band).name for band in success.bands(study)]
     if len(set(names)) < len(names):
         key = "success_band_arcmin" if "success_band_arcmin" in where else "settle_bands_arcmin"

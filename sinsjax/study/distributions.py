@@ -81,7 +81,7 @@ class StopWhenSection(Section):
 
     statistic: Name = Field(
         description="'success_rate', or the mean settling time 'settle_B_s_mean' of a band of B',"
-        " from the truth or the limit as judged_from says"
+        " from the truth or the bias floor as judged_from says"
     )
     half_width: Positive = Field(
         description="of its 95 % interval in the variant where it is widest: a share, or s"

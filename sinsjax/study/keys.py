@@ -1,5 +1,6 @@
 """The keys of a study: the section of each, its meaning, its marks, and where it may stand."""
 
+from collections.abc import Iterable
 from functools import cache
 from typing import Any
 
@@ -60,9 +61,9 @@ def _of_all() -> dict[str, type[Section]]:
     sections: list[type[Section]] = [AlignmentSection, PassesSection, *SECTIONS_OF_METHODS.values()]
     known = {key for section in sections for key in section.model_fields}
     for one in [*METHODS.values()]:
-        if unknown := sorted({*one.reads} - known):
-            hint = near(unknown[0], sorted(known))
-            why = f"reads: {unknown[0]!r} is no key of [alignment] or [passes]{hint}"
+        if strange := sorted({*one.reads} - known):
+            hint = near(strange[0], sorted(known))
+            why = f"reads: {strange[0]!r} is no key of [alignment] or [passes]{hint}"
             _refuse(one.name, why)
     return _BEFORE | SECTIONS_OF_METHODS | _AFTER
 
@@ -101,13 +102,23 @@ EARTH_CONSTANTS = {
 }
 """The keys of [earth] that only ``earth = "constants"`` has, with their defaults."""
 
-PASS_KEYS = ("tape_s", "passes", "ending", "direction")
+PASS_KEYS = ("stored_s", "passes", "ending", "direction")
 """The keys that decide which sample of the stored record an update reads, and how many."""
+
+RENAMED = {"tape_s": "stored_s"}
+"""New names of keys that older studies have."""
 
 COARSE_KEYS = tuple(CoarseSection.model_fields)
 """The keys of coarse alignment."""
 
 TomlTable = dict[str, Any]
+
+
+def unknown(key: str, known: Iterable[str]) -> str:
+    """What is wrong with a key that is none: its new name, or a hint at the closest known one."""
+    if key in RENAMED:
+        return f"was renamed to {RENAMED[key]}"
+    return f"unknown key{near(key, known)}"
 
 
 def meaning(key: str) -> str:

@@ -28,6 +28,7 @@ from sinsjax.study.keys import (
     TomlTable,
     marked,
     rivals,
+    unknown,
 )
 from sinsjax.study.study import Study
 from sinsjax.study.usable import check_usable
@@ -238,7 +239,7 @@ def _tables(data: TomlTable) -> TomlTable:
             raise InputError(f"[{name}]: must be a table of keys")
         for key, value in table.items():
             if name in SECTIONS and key not in SECTIONS[name].model_fields:
-                raise InputError(f"[{name}] {key}: unknown key{_hint(key, name)}")
+                raise InputError(f"[{name}] {key}: {_unknown(key, name)}")
             if value is None:
                 raise InputError(f"[{name}] {key}: None is no value (leave the key out)")
     for name in SIMULATED_ONLY:
@@ -251,14 +252,15 @@ def _tables(data: TomlTable) -> TomlTable:
     return data
 
 
-def _hint(key: str, section: str) -> str:
-    """Where an unknown key of a section belongs, or the nearest known key."""
+def _unknown(key: str, section: str) -> str:
+    """What is wrong with an unknown key of a section: its home, new name or nearest known key."""
     if key in SECTION_OF:
-        return f" (it belongs in [{SECTION_OF[key]}])"
-    if here := near(key, SECTIONS[section].model_fields):
-        return here
+        return f"unknown key (it belongs in [{SECTION_OF[key]}])"
+    here = unknown(key, SECTIONS[section].model_fields)
     found = difflib.get_close_matches(str(key), list(SECTION_OF), n=1)
-    return f" (did you mean {found[0]} in [{SECTION_OF[found[0]]}]?)" if found else ""
+    if here == "unknown key" and found:
+        return f"unknown key (did you mean {found[0]} in [{SECTION_OF[found[0]]}]?)"
+    return here
 
 
 def _check_forms(where: Where) -> None:

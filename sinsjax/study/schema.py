@@ -92,10 +92,10 @@ class StudySection(Section):
         300.0, description="start of the steady process in the consistency statistics, s"
     )
     curves: bool = Field(False, description="whether a sweep stores curves too")
-    judged_from: Literal["truth", "limit"] | None = Field(
+    judged_from: Literal["truth", "floor"] | None = Field(
         None,
-        description="what a run's success is judged from: the truth (default), or the limit that"
-        " its own sensor biases leave",
+        description="what a run's success is judged from: the truth (default), or the bias floor"
+        " that its own sensor biases leave",
     )
     success_band_arcmin: Band | None = Field(
         None, description="heading error band that a success ends in, arcmin; default 10"
@@ -120,6 +120,13 @@ class StudySection(Section):
     unchecked: bool | None = Field(
         None, description="whether numbers beyond what is usual are run; default false"
     )
+
+    @field_validator("judged_from", mode="before")
+    @classmethod
+    def _refuse_limit(cls, value: Any) -> Any:
+        if value == "limit":
+            raise invalid("'limit' was renamed to 'floor'")
+        return value
 
     @field_validator("estimate", mode="before")
     @classmethod

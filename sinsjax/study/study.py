@@ -207,16 +207,16 @@ class Study(_SectionsOfMethods):
 
     def span(
         self,
-        tape_s: float | None = None,
+        stored_s: float | None = None,
         passes: int | None = None,
         ending: str = "duration",
         direction: str | None = None,
     ) -> Span:
         """How long a variant with some values of `PASS_KEYS` runs."""
         rewinds = direction == "rewind"
-        if tape_s is None:
+        if stored_s is None:
             return Span(self.records, self.records)
-        pass_records = max(1, round(tape_s * self.rate_hz / self.record_every))
+        pass_records = max(1, round(stored_s * self.rate_hz / self.record_every))
         if passes is None:
             whole = self.records // pass_records
             backward_last = 0 if rewinds else (whole + 1) % 2

@@ -1,8 +1,8 @@
 """When an alignment is a success: what its heading is judged from, and how well it has to do.
 
-Two questions, never mixed. Does the filter converge? That is judged from the limit, the heading
-error that the run's own constant sensor biases leave. Does the vehicle know its heading? That is
-judged from the truth: true north, or the reference of a record.
+Two questions, never mixed. Does the filter converge? That is judged from the bias floor, the
+heading error that the run's own constant sensor biases leave. Does the vehicle know its heading?
+That is judged from the truth: true north, or the reference of a record.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ class Success(NamedTuple):
     """What a run has to do to end with status ``ok``.
 
     Attributes:
-        judged_from: the limit or the truth, from which its heading error counts.
+        judged_from: the bias floor or the truth, from which its heading error counts.
         band_arcmin: half-width of the band that its heading error ends in.
         level_band_arcmin: half-width of that of its level errors.
         diverged_deg: a heading error beyond this at the end has diverged.
@@ -30,7 +30,7 @@ class Success(NamedTuple):
             a tenth of the run.
     """
 
-    judged_from: Literal["truth", "limit"]
+    judged_from: Literal["truth", "floor"]
     band_arcmin: float
     level_band_arcmin: float
     diverged_deg: float
@@ -65,15 +65,15 @@ def bands(study: Study) -> tuple[float, ...]:
     return columns.bands(study.study.settle_bands_arcmin, study.study.success_band_arcmin)
 
 
-LIMITED = ("phi_u_arcmin", "floor_arcmin")
-"""Columns that tell how far from its limit a run ends."""
+FLOOR_COLUMNS = ("phi_u_arcmin", "floor_arcmin")
+"""Columns that tell how far from its bias floor a run ends."""
 
 
 class Yardstick(NamedTuple):
     """What a success is counted from, with its columns of the summary.
 
     Attributes:
-        truth: whether that is the truth, or else the limit.
+        truth: whether that is the truth, or else the bias floor.
         words: what a success is: ``within 10' of true north``.
         settle: column of the time at which a run entered the band for good.
         ok: column of the successes.
@@ -88,23 +88,23 @@ class Yardstick(NamedTuple):
 
     @property
     def of_several(self) -> str:
-        """What successes of several runs are: ``within 10' of their limits``."""
-        return self.words.replace("its limit", "their limits")
+        """What successes of several runs are: ``within 10' of their bias floors``."""
+        return self.words.replace("its bias floor", "their bias floors")
 
     @property
     def rate(self) -> str:
         """The share of successes, as a statistic of the summary."""
-        return f"success_{'truth' if self.truth else 'limit'}_rate"
+        return f"success_{'truth' if self.truth else 'floor'}_rate"
 
     def end(self, first: "Yardstick") -> str:
         """The end of a figure's name: none of what a study is judged from, which is the first."""
-        return "" if self == first else "_truth" if self.truth else "_limit"
+        return "" if self == first else "_truth" if self.truth else "_floor"
 
-    def off_limit(self, column: Callable[[str], NDArray]) -> NDArray:
-        """Which runs are ok and yet end outside the band about their limit: not converged.
+    def off_floor(self, column: Callable[[str], NDArray]) -> NDArray:
+        """Which runs are ok and yet end outside the band about their bias floor: not converged.
 
         Args:
-            column: gives ``ok`` and `LIMITED` as numbers, of any shape; null is NaN.
+            column: gives ``ok`` and `FLOOR_COLUMNS` as numbers, of any shape; null is NaN.
         """
         apart = np.abs(column("phi_u_arcmin") - column("floor_arcmin"))
         found: NDArray = (column(self.ok) > 0) & (apart > self.band_arcmin)
@@ -130,12 +130,12 @@ def judged_columns(study: Study) -> list[str]:
 
 
 def _yardstick(study: Study, band: float, truth: bool) -> Yardstick:
-    what = "true north" if truth else "its limit"
+    what = "true north" if truth else "its bias floor"
     return Yardstick(
         truth,
         f"within {band:g}' of {'the reference' if study.is_recorded else what}",
         columns.settle_column(band, truth=truth).name,
-        "ok_truth" if truth else "ok_limit",
+        "ok_truth" if truth else "ok_floor",
         band,
     )
 

@@ -13,7 +13,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from sinsjax.errors import InputError
 from sinsjax.messages import explained, index, near
 from sinsjax.study.axes import checked
-from sinsjax.study.keys import SECTION_OF, SECTIONS, TUNABLE, TomlTable, rivals
+from sinsjax.study.keys import SECTION_OF, SECTIONS, TUNABLE, TomlTable, rivals, unknown
 from sinsjax.study.ranges import Range
 
 TIMES, COUNT = "reset_times_s", "reset_count"
@@ -85,7 +85,7 @@ def _check_keys(table: TomlTable, swept: Mapping[str, str], place: str) -> None:
         section = SECTION_OF.get(key)
         if section is None:
             known = [name for name, home in SECTION_OF.items() if home in TUNABLE]
-            raise InputError(f"{place} {key}: unknown key{near(key, known)}")
+            raise InputError(f"{place} {key}: {unknown(key, known)}")
         if section not in TUNABLE:
             raise InputError(f"{place} {key}: cannot be tuned (it is a key of [{section}])")
         if key in swept:

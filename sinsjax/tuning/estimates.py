@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from sinsjax.alignment.methods import METHODS
 from sinsjax.engine import batch, covariance
 from sinsjax.engine.build import Scenario
-from sinsjax.engine.verdicts import LIMIT, TRUTH
+from sinsjax.engine.verdicts import FLOOR, TRUTH
 from sinsjax.study.ranges import TuneSection
 from sinsjax.study.study import Study
 from sinsjax.study.success import bands, success_of
@@ -18,7 +18,7 @@ from sinsjax.units import ARCMIN
 def values(study: Study, tune: TuneSection) -> NDArray:
     """`objective.values` of sampled errors, (variants, samples), from one run of each variant."""
     scenario = Scenario(study, curves=True)
-    kind = TRUTH if success_of(study).from_truth else LIMIT
+    kind = TRUTH if success_of(study).from_truth else FLOOR
     at = int(np.argmin(np.abs(np.asarray(bands(study)) - tune.objective_band_arcmin)))
     out = np.empty((study.n_variants, tune.evolution_samples))
     end = spans_s(study)[:, 0]
@@ -34,10 +34,10 @@ def _of_chunk(tune: TuneSection, chunk: batch.Chunk, kind: int, band: int, end: 
     assert isinstance(told, covariance.Spread)
     settled: NDArray = told.outside_until[:, kind, band]
     if tune.objective == "final_error":
-        mean = told.phi[:, 2, -1] - (chunk.outcome.limit.phi.z if kind == LIMIT else 0.0)
+        mean = told.phi[:, 2, -1] - (chunk.outcome.limit.phi.z if kind == FLOOR else 0.0)
         sigma = told.sigma[:, 2, -1]
-        if kind == LIMIT and told.from_limit is not None:
-            sigma = told.from_limit[:, -1]
+        if kind == FLOOR and told.from_floor is not None:
+            sigma = told.from_floor[:, -1]
         return np.repeat(np.hypot(mean, sigma)[:, None] / ARCMIN, settled.shape[1], axis=1)
     if tune.objective == "failure_rate":
         return (settled >= end[:, None]).astype(float)

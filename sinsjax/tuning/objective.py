@@ -14,7 +14,7 @@ from scipy import special
 from sinsjax import analysis, columns
 from sinsjax.engine.covariance import Spread
 from sinsjax.engine.metrics import Criteria, Outcome, outside
-from sinsjax.engine.verdicts import LIMIT, TRUTH
+from sinsjax.engine.verdicts import FLOOR, TRUTH
 from sinsjax.study.ranges import TuneSection
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_of
@@ -50,7 +50,7 @@ def values(tune: TuneSection, study: Study, table: pa.Table) -> NDArray:
 
     Returns:
         (variants, draws): settling time, s, or the run's length if it never settled; final heading
-        error about the limit or the truth, arcmin; or 1 for a failure and 0 for a success.
+        error about the bias floor or the truth, arcmin; or 1 for a failure and 0 for a success.
     """
     order = np.argsort(analysis.numbers(table, "run_id"))
     end = spans_s(study)[:, :1]
@@ -95,11 +95,12 @@ def relaxed_values(
         tune: the objective.
         criteria: of the study, with a sharpness.
         outcome: leaves (runs, ...).
-        truth: whether heading errors are about the truth rather than the limit.
+        truth: whether heading errors are about the truth rather than the bias floor.
 
     Returns:
         (runs, 1): settling times into a band with a soft edge, s; final heading errors about the
-        limit or the truth, arcmin; or the degree, 0 to 1, to which the end is outside the band.
+        bias floor or the truth, arcmin; or the degree, 0 to 1, to which the end is outside the
+        band.
     """
     error = outcome.last.phi.z - (0.0 if truth else outcome.limit.phi.z)
     if tune.objective == "final_error":
@@ -107,7 +108,7 @@ def relaxed_values(
     band = _band(tune, criteria)
     if tune.objective == "failure_rate":
         return jax.vmap(partial(outside, criteria))(error)[:, band, None]
-    return outcome.outside_until[:, TRUTH if truth else LIMIT, band, None]
+    return outcome.outside_until[:, TRUTH if truth else FLOOR, band, None]
 
 
 def relaxed_estimates(
@@ -120,7 +121,7 @@ def relaxed_estimates(
         criteria: of the study, with a sharpness.
         outcome: leaves (runs, ...).
         told: of the runs, (runs,) being the last axis of each leaf.
-        truth: whether heading errors are about the truth rather than the limit.
+        truth: whether heading errors are about the truth rather than the bias floor.
 
     Returns:
         (runs, samples): settling times of sampled errors, s. Else (runs, 1): rms of the final
@@ -128,10 +129,10 @@ def relaxed_estimates(
     """
     if tune.objective in ("settle_mean", "settle_quantile"):
         return jnp.moveaxis(
-            told.outside_until[TRUTH if truth else LIMIT, _band(tune, criteria)], 0, 1
+            told.outside_until[TRUTH if truth else FLOOR, _band(tune, criteria)], 0, 1
         )
     mean = told.phi[2, -1] - (0.0 if truth else outcome.limit.phi.z)
-    sigma = told.sigma[2, -1] if truth or told.from_limit is None else told.from_limit[-1]
+    sigma = told.sigma[2, -1] if truth or told.from_floor is None else told.from_floor[-1]
     if tune.objective == "final_error":
         return jnp.sqrt(mean**2 + sigma**2)[:, None] / ARCMIN
     ends = tune.objective_band_arcmin * ARCMIN

@@ -174,7 +174,7 @@ def words(study: Study) -> tuple[str, str]:
     """The objective of a study with [tune] in words, and its unit."""
     tune = require_tune(study)
     judged = yardsticks(study, tune.objective_band_arcmin)[0]
-    about = "" if judged.truth else ", from its limit"
+    about = "" if judged.truth else ", from its bias floor"
     return {
         "settle_mean": (f"mean time until the heading stays {judged.words}", "s"),
         "settle_quantile": (

@@ -44,7 +44,7 @@ Watch = Callable[[str], AbstractContextManager[Tell | None]]
 def tune(
     study: Study,
     directory: str | Path,
-    tape: StoredRecord | None = None,
+    record: StoredRecord | None = None,
     *,
     overwrite: bool = False,
     resume: bool = False,
@@ -60,7 +60,7 @@ def tune(
     Args:
         study: study with [tune].
         directory: must hold no tuning run unless ``overwrite`` or ``resume``.
-        tape: the record of a recorded study, with a reference (`prepare.load_tape`).
+        record: the record of a recorded study, with a reference (`prepare.load_increments`).
         overwrite: whether to replace an earlier tuning run.
         resume: whether to keep complete searches of the same tuning run and do only the rest.
         watch: gives the progress callback for the name of a search.
@@ -73,7 +73,7 @@ def tune(
         StudyInterrupted: ``stop`` was set.
     """
     options = Options(directory, overwrite=overwrite, resume=resume, source=source)
-    job = warn_of_doubts(prepare_tuning(study, None, tape, None, options))
+    job = warn_of_doubts(prepare_tuning(study, None, record, None, options))
     run_tuning(job, watch=watch, stop=stop)
 
 
@@ -122,12 +122,12 @@ def run_tuning(
         lock.release()
 
 
-def check_searches(study: Study, tape: StoredRecord | None = None) -> None:
+def check_searches(study: Study, record: StoredRecord | None = None) -> None:
     """Refuse searches that do not go with the variables, before anything runs.
 
     Args:
         study: study with [tune], at the rate of its record.
-        tape: the record of a recorded study; without it what other packages' methods say of
+        record: the record of a recorded study; without it what other packages' methods say of
             gradients is not evaluated.
 
     Raises:
@@ -138,8 +138,8 @@ def check_searches(study: Study, tape: StoredRecord | None = None) -> None:
     if GRADIENT in require_tune(study).searches:
         for combination in space.combinations:
             relaxation = Relaxation(study, space, combination)
-            if study.is_recorded == (tape is not None):
-                relaxation.check_changes(tape)
+            if study.is_recorded == (record is not None):
+                relaxation.check_changes(record)
 
 
 def _search_and_evaluate(study: Study, session: SearchSession) -> None:

@@ -111,7 +111,7 @@ def test_resolved_toml_loads_as_equal_study() -> None:
             "[coarse] coarse_duration_s: 6 s leaves nothing to fine alignment (at most 5)",
         ),
         (
-            {"coarse": {"coarse_duration_s": 3.0}, "passes": {"tape_s": 2.0}},
+            {"coarse": {"coarse_duration_s": 3.0}, "passes": {"stored_s": 2.0}},
             "[coarse] coarse_duration_s: 3 s leaves nothing to fine alignment (at most 2)",
         ),
         (
@@ -150,7 +150,7 @@ def test_rerun_with_coarse_stage_is_identical(tmp_path: Path) -> None:
     """With passes that rewind, a trigger, and after a replay."""
     one = study(
         axes={"coarse_then": ["hand_over", "replay"]},
-        passes={"tape_s": 4.0, "direction": "rewind"},
+        passes={"stored_s": 4.0, "direction": "rewind"},
         resets={"reset_trigger": "nis", "trigger_threshold": 5.0, "trigger_window_s": 0.5},
     )
     run.run_into(one, tmp_path / "out", curves=False)

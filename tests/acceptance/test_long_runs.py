@@ -21,7 +21,7 @@ MOST_BYTES = 60e6
 
 
 @pytest.fixture
-def without_tapes(monkeypatch: pytest.MonkeyPatch) -> None:
+def without_records(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(truth, "MOST_STORED_SAMPLES", 0)
     monkeypatch.setattr(measurements, "SAMPLES_A_CALL", 30)
 
@@ -42,7 +42,7 @@ def arrays(jaxpr: Any) -> Iterator[tuple[int, str]]:
 
 @pytest.mark.parametrize("specific_force", ["measured", "gravity"])
 def test_day_long_run_allocates_no_large_array(specific_force: str) -> None:
-    """Neither a tape, nor what idle lanes would have; with gravity, tiles share a covariance."""
+    """No record, nor what idle lanes would have; with gravity, tiles share a covariance."""
     study = small_study(
         study={"duration_s": DAY_S, "draws": 1},
         alignment={"specific_force": specific_force},
@@ -65,7 +65,7 @@ def test_day_long_run_allocates_no_large_array(specific_force: str) -> None:
 
 PASSES = small_study(
     study={"draws": 2, "duration_s": 2.0, "window_s": [0, 2], "curves": True},
-    passes={"tape_s": 1.0},
+    passes={"stored_s": 1.0},
     alignment={"method": "compass"},
 )
 
@@ -73,7 +73,7 @@ PASSES = small_study(
 def test_curves_without_stored_increments_match_stored_ones(request: pytest.FixtureRequest) -> None:
     """To rounding, forward and backward: the formulas are the same, not the loop they are in."""
     whole = run.run(PASSES).curves
-    request.getfixturevalue("without_tapes")
+    request.getfixturevalue("without_records")
     (part,) = build.parts(PASSES)
     assert part.group.environment.increments is None
     pieces = run.run(PASSES).curves
@@ -84,7 +84,7 @@ def test_curves_without_stored_increments_match_stored_ones(request: pytest.Fixt
 
 def test_simulated_record_is_same_without_stored_increments(request: pytest.FixtureRequest) -> None:
     whole = build.simulated_record(PASSES, draw_id=1)
-    request.getfixturevalue("without_tapes")
+    request.getfixturevalue("without_records")
     again = build.simulated_record(PASSES, draw_id=1)
     np.testing.assert_allclose(again.dtheta, whole.dtheta, rtol=0, atol=1e-16)
     np.testing.assert_allclose(again.dv, whole.dv, rtol=0, atol=1e-13)
@@ -101,6 +101,6 @@ def test_curves_of_idle_lanes_are_not_requested() -> None:
 
 @pytest.mark.parametrize("samples", [1, 5, 1000, 100_000])
 def test_record_array_is_aligned_to_64_bytes(samples: int) -> None:
-    tape = aligned_record(samples)
-    assert tape.shape == (samples, 6) and tape.dtype == float and tape.flags.c_contiguous
-    assert tape.ctypes.data % 64 == 0 and tape.flags.writeable
+    stored = aligned_record(samples)
+    assert stored.shape == (samples, 6) and stored.dtype == float and stored.flags.c_contiguous
+    assert stored.ctypes.data % 64 == 0 and stored.flags.writeable

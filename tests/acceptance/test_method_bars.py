@@ -41,7 +41,7 @@ def better_median(times: np.ndarray) -> float:
 
 @pytest.fixture(scope="module")
 def results() -> tuple[dict[Case, np.ndarray], dict[Case, np.ndarray]]:
-    """Errors from the limit (draws, records), arcmin, and times to 10' (draws,), s, by case."""
+    """Errors from the floor (draws, records), arcmin, and times to 10' (draws,), s, by case."""
     data = tomllib.loads(CONFIG.read_text(encoding="utf-8"))
     data["study"] |= {
         **{"duration_s": float(END_S), "draws": DRAWS, "curves": True, "record_interval_s": 5.0},

@@ -1,4 +1,4 @@
-"""Studies that go over a tape forward and backward: from the study to the rows of its tables."""
+"""Studies that go over a stored record forward and backward: from the study to its tables' rows."""
 
 import copy
 import sys
@@ -76,37 +76,41 @@ def columns_of(table: pa.Table, run_id: int, *names: str) -> list[list[Any]]:
     return [own[name].to_pylist() for name in names]
 
 
-PLACES = ("time_s", "update_time_s", "tape_time_s", "pass")
+PLACES = ("time_s", "update_time_s", "stored_time_s", "pass")
 
 
 @pytest.mark.parametrize(
-    ("passes", "tape_times", "numbers"),
+    ("passes", "stored_times_of", "numbers"),
     [
-        ({"tape_s": 3.0}, [1, 2, 3, 2, 1, 0, 1, 2], [1, 1, 1, 2, 2, 2, 3, 3]),
-        ({"tape_s": 2.0, "passes": 2}, [1, 2, 1, 0], [1, 1, 2, 2]),
-        ({"tape_s": 2.0, "ending": "forward"}, [1, 2, 1, 0, 1, 2], [1, 1, 2, 2, 3, 3]),
-        ({"tape_s": 5.0, "ending": "forward"}, [1, 2, 3, 4, 5], [1] * 5),
-        ({"tape_s": 1.0, "passes": 3}, [1, 0, 1], [1, 2, 3]),
-        ({"tape_s": 8.0}, [*range(1, 9)], [1] * 8),
+        ({"stored_s": 3.0}, [1, 2, 3, 2, 1, 0, 1, 2], [1, 1, 1, 2, 2, 2, 3, 3]),
+        ({"stored_s": 2.0, "passes": 2}, [1, 2, 1, 0], [1, 1, 2, 2]),
+        ({"stored_s": 2.0, "ending": "forward"}, [1, 2, 1, 0, 1, 2], [1, 1, 2, 2, 3, 3]),
+        ({"stored_s": 5.0, "ending": "forward"}, [1, 2, 3, 4, 5], [1] * 5),
+        ({"stored_s": 1.0, "passes": 3}, [1, 0, 1], [1, 2, 3]),
+        ({"stored_s": 8.0}, [*range(1, 9)], [1] * 8),
         ({}, [*range(1, 9)], [1] * 8),
-        ({"tape_s": 3.0, "direction": "rewind"}, [1, 2, 3] * 2 + [1, 2], [1, 1, 1, 2, 2, 2, 3, 3]),
         (
-            {"tape_s": 3.0, "direction": "rewind", "ending": "forward"},
+            {"stored_s": 3.0, "direction": "rewind"},
+            [1, 2, 3] * 2 + [1, 2],
+            [1, 1, 1, 2, 2, 2, 3, 3],
+        ),
+        (
+            {"stored_s": 3.0, "direction": "rewind", "ending": "forward"},
             [1, 2, 3] * 2,
             [1, 1, 1, 2, 2, 2],
         ),
-        ({"tape_s": 2.0, "passes": 2, "direction": "rewind"}, [1, 2, 1, 2], [1, 1, 2, 2]),
+        ({"stored_s": 2.0, "passes": 2, "direction": "rewind"}, [1, 2, 1, 2], [1, 1, 2, 2]),
     ],
 )
 def test_stored_times_and_pass_numbers_follow_passes(
-    passes: dict[str, Any], tape_times: list[int], numbers: list[int]
+    passes: dict[str, Any], stored_times_of: list[int], numbers: list[int]
 ) -> None:
     """By hand; the engine is told the same times by the truth, see below."""
     study = study_from_dict(merged({"passes": passes}, QUICK))
     (span,) = set(study.spans)
-    updates = list(range(1, len(tape_times) + 1))
+    updates = list(range(1, len(stored_times_of) + 1))
     assert study_times.update_times(study, span).tolist() == updates
-    assert study_times.stored_times(study, span).tolist() == tape_times
+    assert study_times.stored_times(study, span).tolist() == stored_times_of
     assert study_times.pass_numbers(span).tolist() == numbers
 
 
@@ -115,7 +119,7 @@ TURNS = {"turn": ["reflect", "velocity"]}
 
 @cache
 def swept() -> study_run.Results:
-    return run(QUICK, {"passes": {}, "axes": {"tape_s": [3.0, 4.0]} | TURNS})
+    return run(QUICK, {"passes": {}, "axes": {"stored_s": [3.0, 4.0]} | TURNS})
 
 
 @pytest.mark.optimised(True)
@@ -141,7 +145,7 @@ def test_single_pass_of_full_duration_gives_identical_results() -> None:
     """The program that could turn gives what the one that cannot does, for any method."""
     methods = {"axes": {"method": ["compass", "kalman5"]}, "compass": QUICK["compass"]}
     plain = run(methods)
-    for passes in ({"tape_s": 8.0}, {}):
+    for passes in ({"stored_s": 8.0}, {}):
         over = run(methods, {"passes": passes})
         for a, b in ((plain.summary, over.summary), (plain.curves, over.curves)):
             assert b.select(a.column_names).equals(a)
@@ -150,8 +154,8 @@ def test_single_pass_of_full_duration_gives_identical_results() -> None:
 @pytest.mark.slow
 @pytest.mark.optimised(True)
 def test_swept_stored_durations_give_same_rows_as_each_alone() -> None:
-    """Every bit of them, though the parts share a tape of one length."""
-    alone = run(QUICK, {"passes": {"tape_s": 3.0}, "axes": TURNS})
+    """Every bit of them, though the parts share a record of one length."""
+    alone = run(QUICK, {"passes": {"stored_s": 3.0}, "axes": TURNS})
     rows = swept().summary.filter(pc.less(swept().summary["variant_id"], 2))
     names = [n for n in alone.summary.column_names if n != "run_id"]
     assert rows.select(names).equals(alone.summary.select(names))
@@ -170,7 +174,7 @@ def test_backward_pass_undoes_noise_of_forward_pass() -> None:
     start = {"method": "compass", "phi_e0_deg": 0.0, "phi_n0_deg": 0.0, "phi_u0_deg": 0.0}
     loops = {"alignment": start, "compass": still}
     loud = {"sensors": {"gyro_noise_deg_per_h": 1e4, "accel_noise_ug": 0.0}}
-    out = run(loops, loud, {"passes": {"tape_s": 4.0}, "axes": TURNS})
+    out = run(loops, loud, {"passes": {"stored_s": 4.0}, "axes": TURNS})
     flipped = out.summary.filter(pc.equal(out.summary["turn"], "velocity"))["run_id"]
     assert len(flipped) == 2
     for run_id in flipped.to_pylist():
@@ -212,7 +216,7 @@ def test_backward_pass_undoes_noise_of_forward_pass() -> None:
 )
 def test_batched_runs_with_passes_match_single_runs(tables: dict[str, Any]) -> None:
     """Tiles of runs, and filters that share their P, turn as one run by itself does."""
-    (part,) = build.parts(study_from_dict(merged({"passes": {"tape_s": 3.0}}, tables)))
+    (part,) = build.parts(study_from_dict(merged({"passes": {"stored_s": 3.0}}, tables)))
     group = part.group
     pieces = [(c.outcome, c.curves) for c in batch.chunks(group)]
     many = jax.tree.map(lambda *leaves: np.concatenate(leaves), *pieces)
@@ -236,13 +240,13 @@ def test_batched_runs_with_passes_match_single_runs(tables: dict[str, Any]) -> N
     ],
 )
 def test_error_free_run_keeps_true_attitude_over_every_pass(method: str, direction: str) -> None:
-    """What a run is compared with is the attitude at its place on the tape, backward too."""
+    """What a run is compared with is the attitude at its place on the record, backward too."""
     start = {"alignment": {"method": method, "phi_e0_deg": 0.0, "phi_n0_deg": 0, "phi_u0_deg": 0}}
     loops = {"compass": QUICK["compass"]} if method == "compass" else {}
-    out = run(PERFECT, loops, start, {"passes": {"tape_s": 3.0, "direction": direction}})
+    out = run(PERFECT, loops, start, {"passes": {"stored_s": 3.0, "direction": direction}})
     for axis in "enu":
         assert np.abs(np.array(out.curves[f"phi_{axis}_arcmin"])).max() < 1e-3
-    t = np.array(columns_of(out.curves, 0, "tape_time_s")[0])
+    t = np.array(columns_of(out.curves, 0, "stored_time_s")[0])
     motion = BASE["motion"]
     for angle, center in (("pitch", 0.0), ("roll", 0.0), ("yaw", 10.0)):
         turn = 2 * np.pi * t / motion[f"{angle}_period_s"]
@@ -252,7 +256,7 @@ def test_error_free_run_keeps_true_attitude_over_every_pass(method: str, directi
 
 
 def test_simulated_record_is_one_pass_long() -> None:
-    study = study_from_dict(merged({"passes": {"tape_s": 3.0}}))
+    study = study_from_dict(merged({"passes": {"stored_s": 3.0}}))
     record = build.simulated_record(study)
     whole = build.simulated_record(study_from_dict(merged()))
     assert len(record.dtheta) == 150 and len(whole.dtheta) == 400
@@ -278,13 +282,13 @@ def repeated(draws: int, passes: list[int], turns: list[str], spread: int = 4) -
         dict(zip(keys, map(float, row), strict=True))
         for row in rng.normal(size=(spread, 5)) * sizes
     ]
-    tape, rate = 40.0, 50.0
+    stored, rate = 40.0, 50.0
     study = {
         "study": {
-            "duration_s": tape * max(passes),
+            "duration_s": stored * max(passes),
             "rate_hz": rate,
             "draws": draws,
-            "window_s": [0, tape],
+            "window_s": [0, stored],
         },
         "earth": {"latitude_deg": 32.0},
         "motion": {"yaw_center_deg": 0.0},
@@ -293,7 +297,7 @@ def repeated(draws: int, passes: list[int], turns: list[str], spread: int = 4) -
         "filter": p0
         | {"q_accel_ug": 50.0, "q_gyro_deg_per_h": 0.1, "q_reading": "per_sample"}
         | {"r_velocity_m_per_s": 1e-6},
-        "passes": {"tape_s": tape},
+        "passes": {"stored_s": stored},
         "cases": starts,
         "axes": {"passes": passes, "turn_covariance": turns},
     }
@@ -363,11 +367,11 @@ def recorded(**passes: Any) -> dict[str, Any]:
 
 
 def test_recorded_passes_follow_record_from_every_start_time() -> None:
-    """The coarse attitude is good to arcseconds here; each start has a tape of its own."""
-    study = study_from_dict(recorded(tape_s=6.0))
+    """The coarse attitude is good to arcseconds here; each start has a record of its own."""
+    study = study_from_dict(recorded(stored_s=6.0))
     curves = study_run.run(study, StoredRecord(record(), reference(RECORD_S))).curves
     for draw, start in enumerate((0.0, 4.0)):
-        times, pitch, phi_e = columns_of(curves, draw, "tape_time_s", "pitch_deg", "phi_e_arcmin")
+        times, pitch, phi_e = columns_of(curves, draw, "stored_time_s", "pitch_deg", "phi_e_arcmin")
         assert times == [1, 2, 3, 4, 5, 6, 5, 4, 3, 2, 1, 0]
         t = start + 6.0 + np.array(times)
         np.testing.assert_allclose(pitch, 4 * np.sin(2 * np.pi * t / 7), rtol=0, atol=0.02)
@@ -375,19 +379,19 @@ def test_recorded_passes_follow_record_from_every_start_time() -> None:
 
 
 def test_pass_longer_than_record_is_refused() -> None:
-    """The tape, not the duration: passes of 6 s may last 12 s on a record that holds 16."""
-    study = study_from_dict(recorded(tape_s=11.0))
+    """The record, not the duration: passes of 6 s may last 12 s on a record that holds 16."""
+    study = study_from_dict(recorded(stored_s=11.0))
     with pytest.raises(InputError) as caught:
         list(build.parts(study, StoredRecord(record(), None)))
     line = "has 20 s, but 17 s from start_s = 4 need 21 s"
     assert str(caught.value) == f"{record().source}: {line}"
-    (part,) = build.parts(study_from_dict(recorded(tape_s=6.0)), StoredRecord(record(), None))
+    (part,) = build.parts(study_from_dict(recorded(stored_s=6.0)), StoredRecord(record(), None))
     assert len(part.group.environment.increments) == 800  # of the 1000 of the record, what is read
 
 
 def test_only_needed_part_of_record_is_loaded() -> None:
-    """Runs that begin at 10 s of the record begin where their fine alignment does on the tape."""
-    data = recorded(tape_s=6.0)
+    """Runs that begin at 10 s of the record begin where their fine alignment does on the record."""
+    data = recorded(stored_s=6.0)
     data["record"] = data["record"] | {"start_s": 4.0}
     (part,) = build.parts(study_from_dict(data), StoredRecord(record(), None))
     np.testing.assert_array_equal(
@@ -399,8 +403,8 @@ def test_only_needed_part_of_record_is_loaded() -> None:
 
 @pytest.mark.parametrize("passes", [1, 2])
 def test_reference_must_cover_whole_stored_record(passes: int) -> None:
-    """With two passes a run ends where its tape begins, which the reference covers."""
-    study = study_from_dict(recorded(tape_s=6.0, passes=passes))
+    """With two passes a run ends where its record begins, which the reference covers."""
+    study = study_from_dict(recorded(stored_s=6.0, passes=passes))
     with pytest.raises(InputError, match=r"covers 0 to 13 s, but the study needs 1. to 16 s"):
         list(build.parts(study, StoredRecord(record(), reference(13.0))))
 
@@ -413,8 +417,8 @@ def test_reference_must_cover_whole_stored_record(passes: int) -> None:
     [
         ({"compass": {"level_gains": [0.06, 1040.3, 8.2e-5]}}, ("level_gains", "unstable", "-0.1")),
         ({"compass": {"level_sigma_per_s": 90.0}}, ("level_sigma_per_s", "0.02 s", "-90")),
-        ({"passes": {"tape_s": 9.0}}, ("tape_s", "duration_s = 8")),
-        ({"passes": {"tape_s": 2.0, "passes": 0}}, ("[passes] passes", "0")),
+        ({"passes": {"stored_s": 9.0}}, ("stored_s", "duration_s = 8")),
+        ({"passes": {"stored_s": 2.0, "passes": 0}}, ("[passes] passes", "0")),
         ({"alignment": {"method": "kalman5"}}, ("[compass]", "does not apply to method kalman5")),
     ],
 )
@@ -438,7 +442,7 @@ def test_align_refuses_record_shorter_than_pass_in_one_line(
 ) -> None:
     path, config = tmp_path / "swing.imu", tmp_path / "study.toml"
     write_psins(record(), path)
-    config.write_text(tomli_w.dumps(recorded(tape_s=11.0)), encoding="utf-8")
+    config.write_text(tomli_w.dumps(recorded(stored_s=11.0)), encoding="utf-8")
     code, told = command(monkeypatch, capsys, "align", path, config, "-o", tmp_path / "out")
     assert code == 2
     assert_one_line(told, str(path), "has 20 s", "21 s")

@@ -35,7 +35,7 @@ LOOPS = {
 }
 COARSE: dict[str, Any] = {
     "coarse": {"coarse_duration_s": 3.0},
-    "passes": {"tape_s": 4.0, "direction": "rewind"},
+    "passes": {"stored_s": 4.0, "direction": "rewind"},
     "axes": {
         "arm": {
             "coarse_method": ["none", "inertial", "inertial"],
@@ -46,7 +46,7 @@ COARSE: dict[str, Any] = {
 STUDIES: dict[str, dict[str, Any]] = {
     "filters": FILTERS,
     "loops": LOOPS,
-    "turns": {"passes": {"tape_s": 2.0}, "axes": {"turn_covariance": ["carried", "reset"]}},
+    "turns": {"passes": {"stored_s": 2.0}, "axes": {"turn_covariance": ["carried", "reset"]}},
     "coarse": COARSE,
 }
 
@@ -235,7 +235,7 @@ HERE = "[study] report_times_s: "
             "7 s is not within the run (duration_s = 6)",
         ),
         (
-            {"study": {"report_times_s": [5.0]}, "passes": {"tape_s": 2.0, "passes": 2}},
+            {"study": {"report_times_s": [5.0]}, "passes": {"stored_s": 2.0, "passes": 2}},
             "5 s is not within the run (duration_s = 6; the shortest run ends at 4 s)",
         ),
     ],

@@ -71,7 +71,7 @@ def sinsjax_(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     return command_line(monkeypatch, capsys)
 
 
-def descend(study: Study, tape: Any, *, tell: Any) -> Found:
+def descend(study: Study, stored: Any, *, tell: Any) -> Found:
     """A descent that needs no engine: of two starts, the second of which ends best."""
     looks = [
         Evaluation(
@@ -320,7 +320,7 @@ def test_interrupted_tuning_raises_study_interrupted(tmp_path: Path, faked: Any)
     alone = load_study(write(tmp_path / "swing.toml", tune=TUNE | {"searches": ["gradient"]}))
     with pytest.MonkeyPatch.context() as patch:
         fake = sys.modules["sinsjax.tuning.descent"]
-        patch.setattr(fake, "descend", lambda study, tape, tell: tell(RunProgress(0, 1, 0, 0)))
+        patch.setattr(fake, "descend", lambda study, stored, tell: tell(RunProgress(0, 1, 0, 0)))
         with pytest.raises(StudyInterrupted, match="the complete searches are in"):
             run_tuning.tune(alone, tmp_path / "alone", stop=stop)
 
@@ -424,7 +424,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], list[str], str]] = {
 
 @pytest.mark.parametrize("objective", ["settle_mean", "failure_rate"])
 def test_tune_warns_if_every_point_fails(objective: str, tmp_path: Path, sinsjax_: Command) -> None:
-    """A gyro bias whose limit lies far outside the band, judged from the truth."""
+    """A gyro bias whose floor lies far outside the band, judged from the truth."""
     tune = {
         "objective": objective,
         "searches": ["grid"],

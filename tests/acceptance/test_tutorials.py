@@ -80,7 +80,7 @@ def test_start_tutorial_commands_run_with_expected_output(
     told = typed("start.md", command, capsys, progress=True, shorter={"sweep reset_sweep": few})
     first, gravity, mine, worse = told[0], told[2], told[6], told[7]
     assert "56 runs: 28 variants, 2 draws." in first
-    assert "Of these 56 within 10' of their limits and 0" in gravity
+    assert "Of these 56 within 10' of their bias floors and 0" in gravity
     assert "north at the end: 78 [" in mine and "north at the end: 16 [" in worse
     near = [int(re.findall(r"Of these (\d+) within", text)[0]) for text in (mine, worse)]
     assert abs(near[0] - near[1]) < 5

@@ -39,7 +39,7 @@ def best_sigma(n, *, gyro_noise, accel_noise, rate_hz, gravity, rate_n):
 
 
 @pytest.mark.parametrize(
-    ("sensors", "tape_s", "arcmin"),
+    ("sensors", "stored_s", "arcmin"),
     [
         (PAPER2, 80, 0.95),
         (PAPER2, 300, 0.13),
@@ -48,8 +48,8 @@ def best_sigma(n, *, gyro_noise, accel_noise, rate_hz, gravity, rate_n):
         (PAPER1, 900, 0.37),
     ],
 )
-def test_heading_bound_of_paper_sensors_matches_known_values(sensors, tape_s, arcmin):
-    assert bounds.tape_bound(tape_s, **sensors) / ARCMIN == pytest.approx(arcmin, rel=0.01)
+def test_heading_bound_of_paper_sensors_matches_known_values(sensors, stored_s, arcmin):
+    assert bounds.record_bound(stored_s, **sensors) / ARCMIN == pytest.approx(arcmin, rel=0.01)
 
 
 @pytest.mark.parametrize("sensors", [PAPER1, PAPER2])
@@ -61,22 +61,22 @@ def test_least_squares_reaches_bound_for_paper_sensors(sensors):
         "accel_noise": sensors["accel_noise"] / 10,
     }
     n = round(300 * thin["rate_hz"])
-    assert bounds.tape_bound(300, **sensors) == pytest.approx(bounds.tape_bound(300, **thin))
-    assert 1 <= best_sigma(n, **thin) / bounds.tape_bound(300, **thin) < 1.03
+    assert bounds.record_bound(300, **sensors) == pytest.approx(bounds.record_bound(300, **thin))
+    assert 1 <= best_sigma(n, **thin) / bounds.record_bound(300, **thin) < 1.03
 
 
 @given(st.floats(-3, 3), st.integers(10, 120), st.floats(0.1, 100))
 def test_best_linear_unbiased_estimator_never_beats_bound(decades, n, rate_hz):
     noise = {"gyro_noise": 1e-6 * 10**decades, "accel_noise": 1e-5}
     sensors = {**noise, "rate_hz": rate_hz, "gravity": G, "rate_n": 6e-5}
-    bound = float(bounds.tape_bound(n / rate_hz, **sensors))
+    bound = float(bounds.record_bound(n / rate_hz, **sensors))
     assert best_sigma(n, **sensors) >= bound * (1 - 1e-6)
 
 
 @pytest.mark.parametrize("only", ["gyro_noise", "accel_noise"])
 def test_bound_is_tight_for_single_noise_source(only):
     sensors = PAPER2 | {"gyro_noise": 1e-15, "accel_noise": 1e-9} | {only: PAPER2[only]}
-    found = best_sigma(400, **sensors) / bounds.tape_bound(2.0, **sensors)
+    found = best_sigma(400, **sensors) / bounds.record_bound(2.0, **sensors)
     assert 1 <= found < 1.005
 
 
@@ -91,14 +91,14 @@ def test_swing_with_unknown_biases_leaves_bound_unchanged():
     ramp = G * PAPER2["rate_n"] * t
     left = ramp - north @ np.linalg.lstsq(north, ramp, rcond=None)[0]
     sigma = PAPER2["accel_noise"] / np.linalg.norm(left)
-    expected = bounds.tape_bound(seconds, **PAPER2 | {"gyro_noise": 0.0, "rate_hz": rate})
+    expected = bounds.record_bound(seconds, **PAPER2 | {"gyro_noise": 0.0, "rate_hz": rate})
     assert sigma == pytest.approx(float(expected), rel=0.02)
 
 
 def test_bounds_broadcast_and_fall_with_record_length():
-    tapes = np.array([[20.0, 40.0, 80.0]])
+    records = np.array([[20.0, 40.0, 80.0]])
     latitude = np.array([[0.0], [60.0]])
-    found = bounds.tape_bound(tapes, **PAPER2 | {"rate_n": EARTH_RATE * np.cos(latitude * DEG)})
+    found = bounds.record_bound(records, **PAPER2 | {"rate_n": EARTH_RATE * np.cos(latitude * DEG)})
     assert found.shape == (2, 3)
     np.testing.assert_allclose(found[1], 2 * found[0])
     assert np.all(np.diff(found) < 0)

@@ -10,8 +10,18 @@ from functools import cache
 import jax
 import numpy as np
 import pytest
-from oracles.in_engine import ARCMIN, DEG_PER_H, PAPER2, UG, loops, one_run, site, tape_world, trail
-from oracles.in_engine import swing_increments as tape_of
+from oracles.in_engine import (
+    ARCMIN,
+    DEG_PER_H,
+    PAPER2,
+    UG,
+    loops,
+    one_run,
+    record_world,
+    site,
+    trail,
+)
+from oracles.in_engine import swing_increments as record_of
 from oracles.naive import (
     DEG,
     SECOND_PAPER,
@@ -56,8 +66,8 @@ NO_AZIMUTH = (NEVER, AZIMUTH)
 
 @cache
 def still_world(planet, latitude, rate):
-    rows = tape_of(STILL, planet, latitude, rate=rate, samples=rate * SECONDS)
-    return tape_world(rows, site(planet, latitude), pass_records=SECONDS)
+    rows = record_of(STILL, planet, latitude, rate=rate, samples=rate * SECONDS)
+    return record_world(rows, site(planet, latitude), pass_records=SECONDS)
 
 
 def fly(params, *, planet, latitude, rate, phi=(0, 0, 0), v=(0, 0), eps=0.0, nabla=0.0):
@@ -283,7 +293,7 @@ def test_levelling_loop_counts_transport_rate_once():
 @cache
 def around_the_switch(begin):
     """A swinging base with all errors, sample after sample: states of a run at 100 Hz."""
-    rows = tape_of(
+    rows = record_of(
         PAPER2,
         EARTH,
         LATITUDE,
@@ -292,7 +302,7 @@ def around_the_switch(begin):
         gyro=((0.2 * DEG_PER_H, -0.1 * DEG_PER_H, 0.3 * DEG_PER_H), 0.2 * DEG_PER_H),
         accel=((1e2 * UG, -5e1 * UG, 0.0), 1e2 * UG),
     )
-    environment = tape_world(rows, site(EARTH, LATITUDE), pass_records=900)
+    environment = record_world(rows, site(EARTH, LATITUDE), pass_records=900)
     static = Static("compass", Options(0.01), 1, 900, curves=False, noisy=False)
     given = loops(Loops(level_gains(0.2, EARTH), ((begin, azimuth_gains(0.1, EARTH)),)), KEEP)
     start = one_run(PAPER2.matrix(0.0), np.array([1, -2, 50]) * ARCMIN, (0.003, -0.002), given)
@@ -326,8 +336,8 @@ def test_loop_state_is_continuous_at_switch_to_azimuth():
 
 def short_run(given, phi):
     """States of a static run of 20 s at 50 Hz after every sample."""
-    rows = tape_of(STILL, EARTH, LATITUDE, rate=50, samples=1000)
-    environment = tape_world(rows, site(EARTH, LATITUDE), pass_records=1000)
+    rows = record_of(STILL, EARTH, LATITUDE, rate=50, samples=1000)
+    environment = record_world(rows, site(EARTH, LATITUDE), pass_records=1000)
     static = Static("compass", Options(0.02), 1, 1000, curves=False, noisy=False)
     return trail(static, environment, one_run(np.eye(3), phi, (0, 0), given))
 
@@ -403,17 +413,25 @@ def test_three_compass_passes_match_naive_loop(rule, planet, latitude_deg, posit
         np.array([0.1, -0.2, 5]) * ARCMIN,
         np.array([3e-4, -2e-4]),
     )
-    rows = tape_of(PAPER2, planet, latitude, rate=RATE, samples=PASS, **ERRORS)
+    rows = record_of(PAPER2, planet, latitude, rate=RATE, samples=PASS, **ERRORS)
     given = Loops(
         level_gains(0.2, EARTH), ((330, azimuth_gains(0.1, EARTH)),), 0.01, rule, position
     )
     start = exp(-phi) @ PAPER2.matrix(0.0)
     naive = compass_loop(
-        rows, 1 / RATE, planet, latitude=latitude, c=start, v=v, loops=given, tape=PASS, count=1800
+        rows,
+        1 / RATE,
+        planet,
+        latitude=latitude,
+        c=start,
+        v=v,
+        loops=given,
+        stored=PASS,
+        count=1800,
     )
     static = Static("compass", Options(1 / RATE, position=position), 50, 36, False, False, True)
     static = static._replace(rewinds=rule == "rewind")
-    environment = tape_world(rows, site(planet, latitude), pass_records=PASS // 50)
+    environment = record_world(rows, site(planet, latitude), pass_records=PASS // 50)
     turn = REVERSALS.get(rule, REVERSALS["keep"])
     params = one_run(PAPER2.matrix(0.0), phi, v, loops(given, turn))
     state = trail(static, environment, params)

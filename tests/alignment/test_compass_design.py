@@ -298,8 +298,8 @@ def test_stability_check_is_batched_and_exact_for_short_samples():
 
 @pytest.mark.parametrize("turn", CYCLE_RADII)
 def test_cycle_radii_of_lossy_turns_match_known_values(turn):
-    for tape_s in (40.0, 80.0, 300.0):
-        got = loops.cycle_radius(SIGMA_TAPES / tape_s, tape_s, loops.turn_matrix(*turn))
+    for stored_s in (40.0, 80.0, 300.0):
+        got = loops.cycle_radius(SIGMA_TAPES / stored_s, stored_s, loops.turn_matrix(*turn))
         np.testing.assert_allclose(got, CYCLE_RADII[turn], atol=5.1e-5)
 
 
@@ -318,7 +318,7 @@ def test_reflected_passes_equal_one_long_forward_pass():
 def test_cycle_radius_matches_integrated_differential_equations():
     """The radius from the differential equations of the loop with the paper's g, R and Earth."""
     g, r = EARTH.values()
-    sigma, tape_s = 0.015, 80.0
+    sigma, stored_s = 0.015, 80.0
     k1, k2, k3, k4 = loops.azimuth_gains(sigma, PAPER_DAMPING, **EARTH)
 
     def flow(start, direction):
@@ -333,7 +333,7 @@ def test_cycle_radius_matches_integrated_differential_equations():
                 (k3 / turning * v - k4 * rate) / units[3],
             ]
 
-        solution = solve_ivp(slope, (0, tape_s), start, rtol=1e-10, atol=1e-12)
+        solution = solve_ivp(slope, (0, stored_s), start, rtol=1e-10, atol=1e-12)
         return solution.y[:, -1]
 
     units = np.array([1.0, 1e-3, 0.1, 1e-3])
@@ -342,7 +342,7 @@ def test_cycle_radius_matches_integrated_differential_equations():
     radius = np.abs(np.linalg.eigvals(cycle)).max()
     assert radius == pytest.approx(0.9513, abs=5e-5)
     assert radius == pytest.approx(
-        float(loops.cycle_radius(sigma, tape_s, loops.turn_matrix(*VELOCITY_ONLY))), rel=1e-7
+        float(loops.cycle_radius(sigma, stored_s, loops.turn_matrix(*VELOCITY_ONLY))), rel=1e-7
     )
 
 

@@ -9,8 +9,8 @@ from oracles.in_engine import (
     filter_params,
     measured,
     one_run,
+    record_world,
     site,
-    tape_world,
     trail,
 )
 from oracles.naive import DEG, PAPER, Filter, exp, of_quaternion
@@ -51,7 +51,7 @@ def test_three_passes_match_naive_filter_loop(name, turn):
     filt = numbers(name, every=130, resets=(250, 1500), turn=turn)
     about = {"latitude": LATITUDE, "c": exp(-phi) @ PAPER1.matrix(0.0), "v": v, "filt": filt}
     naive = closed_loop(
-        NAIVE[name], rows, 1 / RATE, PAPER, tape=SAMPLES, count=3 * SAMPLES, **about
+        NAIVE[name], rows, 1 / RATE, PAPER, stored=SAMPLES, count=3 * SAMPLES, **about
     )
     params = filter_params(filt)
     if name == "ekf_azimuth":
@@ -61,7 +61,7 @@ def test_three_passes_match_naive_filter_loop(name, turn):
     records = 3 * SAMPLES // EVERY
     static = Static(name, Options(1 / RATE), EVERY, records, False, False, repeats=True)
     static = static._replace(rewinds=turn == "rewind")
-    environment = tape_world(rows, site(PAPER, LATITUDE), pass_records=SAMPLES // EVERY)
+    environment = record_world(rows, site(PAPER, LATITUDE), pass_records=SAMPLES // EVERY)
     state = trail(static, environment, one_run(PAPER1.matrix(0.0), phi, v, params))
     at = np.arange(EVERY, 3 * SAMPLES + 1, EVERY) - 1
     c = of_quaternion(np.stack(state.nav.q, axis=1))

@@ -202,7 +202,7 @@ def test_initial_heading_does_not_change_inertial_frame_runs():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_inertial_frame_methods_refuse_passes_with_reason(name):
-    line = refusal(alignment={"method": name}, passes={"tape_s": 2.0})
+    line = refusal(alignment={"method": name}, passes={"stored_s": 2.0})
     assert line == (
-        f"[passes] tape_s: method {name} takes a record in once: read again it tells no more"
+        f"[passes] stored_s: method {name} takes a record in once: read again it tells no more"
     )

@@ -131,7 +131,7 @@ def test_least_squares_on_simulated_data_reaches_bound(name):
 def test_white_noise_bound_is_near_closed_form(gyro, most):
     """A bound of the bound, and close to it where one of two noises dominates."""
     times = [100.0, 300.0]
-    closed = bounds.tape_bound(
+    closed = bounds.record_bound(
         np.array(times),
         gyro_noise=gyro / DT,
         accel_noise=ACCEL / DT,

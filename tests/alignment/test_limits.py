@@ -13,7 +13,7 @@ from support.studies import STILL, small_study
 from sinsjax.alignment.limits import Biases, mean_attitude, unaided
 from sinsjax.engine import build, simulate
 from sinsjax.engine.batch import chunks
-from sinsjax.engine.study_limits import has_limit, hidden_north
+from sinsjax.engine.study_limits import has_floor, hidden_north
 from sinsjax.strapdown import earth
 from sinsjax.strapdown.base_motion import Motion, Sway
 from sinsjax.study.load import Study, study_from_dict
@@ -226,7 +226,7 @@ def test_compass_lag_changes_sign_with_pass_direction() -> None:
         "compass",
         study={"duration_s": 3000.0, "rate_hz": 20.0},
         compass=LOOPS,
-        passes={"tape_s": 1000.0, "turn": "reflect"},
+        passes={"stored_s": 1000.0, "turn": "reflect"},
         axes={"gyro_bias_deg_per_h": [(0.0, 0.0, 20.0), (5.0, 0.0, 20.0)], "passes": [2, 3]},
     )
     found = ends(study)
@@ -269,27 +269,27 @@ def test_bias_averages_over_fast_sway_but_not_slow_sway() -> None:
     assert abs(quick[2] - want) < ARCMIN
     assert abs(slow[2] - want) > 60 * ARCMIN
     zero = np.zeros(2)
-    np.testing.assert_array_equal(has_limit(study, zero.astype(int), np.arange(2), zero), [1, 0])
+    np.testing.assert_array_equal(has_floor(study, zero.astype(int), np.arange(2), zero), [1, 0])
 
 
-def runs_with_limit(study: Study, last_reset_s: float = 0.0) -> list[bool]:
+def runs_with_floor(study: Study, last_reset_s: float = 0.0) -> list[bool]:
     """Of the first draw's runs."""
     ids = np.arange(study.n_variants)
-    return has_limit(study, 0 * ids, ids, np.full(ids.shape, last_reset_s)).tolist()
+    return has_floor(study, 0 * ids, ids, np.full(ids.shape, last_reset_s)).tolist()
 
 
 def test_bias_floor_needs_ten_sway_periods_since_last_reset() -> None:
     biased = {"gyro_bias_deg_per_h": [0.0, 1.0, 0.0]}
     for bias in (biased, {"accel_bias_ug": 10.0}):
         study = study_of("kalman5", motion=SWAY, sensors=bias)
-        assert runs_with_limit(study, 200.0) == [True]
-        assert runs_with_limit(study, 200.1) == [False]
-    assert runs_with_limit(study_of("kalman5", motion=SLOW_SWAY)) == [True]  # nothing to turn
+        assert runs_with_floor(study, 200.0) == [True]
+        assert runs_with_floor(study, 200.1) == [False]
+    assert runs_with_floor(study_of("kalman5", motion=SLOW_SWAY)) == [True]  # nothing to turn
     still = study_of("kalman5", motion=SLOW_SWAY | {"yaw_amplitude_deg": 0.0}, sensors=biased)
-    assert runs_with_limit(still, 1200.0) == [True]
-    passes = {"tape_s": 600.0, "passes": 2}
+    assert runs_with_floor(still, 1200.0) == [True]
+    passes = {"stored_s": 600.0, "passes": 2}
     again = study_of("kalman5", motion=SWAY, sensors=biased, passes=passes)
-    assert runs_with_limit(again) == [False]  # a tape has but six periods
+    assert runs_with_floor(again) == [False]  # a record has but six periods
 
 
 def test_bias_floor_availability_varies_between_runs() -> None:
@@ -303,24 +303,24 @@ def test_bias_floor_availability_varies_between_runs() -> None:
         drawn={"yaw_period_s": {"values": [50.0, 150.0]}, "roll_period_s": {"values": [5.0]}},
     )
     draws, variants = np.divmod(np.arange(12), 4)
-    found = has_limit(study, draws, variants, np.zeros(12)).reshape(3, 4)
+    found = has_floor(study, draws, variants, np.zeros(12)).reshape(3, 4)
     np.testing.assert_array_equal(found, [[1, 1, 1, 1], [1, 0, 1, 0], [1, 1, 1, 1]])
     at = np.array([6, 2, 11])
     np.testing.assert_array_equal(
-        has_limit(study, draws[at], variants[at], np.zeros(3)), found.ravel()[at]
+        has_floor(study, draws[at], variants[at], np.zeros(3)), found.ravel()[at]
     )
 
 
 def test_kalman10_has_bias_floor_only_on_still_base() -> None:
     biased = {"gyro_bias_deg_per_h": 0.1}
-    assert runs_with_limit(study_of("kalman10", sensors=biased)) == [True]
+    assert runs_with_floor(study_of("kalman10", sensors=biased)) == [True]
     swung = {"yaw_amplitude_deg": 180.0, "yaw_period_s": 20.0}
     for sensors in (biased, {}):
-        assert runs_with_limit(study_of("kalman10", motion=swung, sensors=sensors)) == [False]
+        assert runs_with_floor(study_of("kalman10", motion=swung, sensors=sensors)) == [False]
     wide = study_of("kalman10", filter={"p0_gyro_bias_deg_per_h": 5.0}, sensors=biased)
-    assert runs_with_limit(wide) == [False]
+    assert runs_with_floor(wide) == [False]
     reset = study_of("kalman10", resets={"reset_gyro_bias_deg_per_h": 5.0}, sensors=biased)
-    assert runs_with_limit(reset) == [False]
+    assert runs_with_floor(reset) == [False]
 
 
 @pytest.mark.slow

@@ -126,7 +126,7 @@ def test_run_started_at_truth_stays_at_truth(name):
 
 
 FIND_NORTH = [
-    (name, {}) for name in sorted(METHODS.keys() - LEAVE_TRUTH) if METHODS[name].has_limit
+    (name, {}) for name in sorted(METHODS.keys() - LEAVE_TRUTH) if METHODS[name].has_floor
 ]
 SLOWLY_FED_BACK = [(name, {"every": 100}) for name in FILTERS]
 

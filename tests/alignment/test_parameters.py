@@ -105,7 +105,7 @@ def test_compass_schedules_in_seconds_or_passes_become_samples() -> None:
     # A piece that never begins has some value.
     np.testing.assert_array_equal(times.pace.values, [[4, 2, 1], [3, 1, 1]])
     counted = numbers(
-        passes={"tape_s": 4.0},
+        passes={"stored_s": 4.0},
         compass={"level_passes": 2, "sigma_factors": [4.0, 2.0, 1.0], "sigma_passes": [1, 3]},
     )
     np.testing.assert_array_equal(counted.azimuth_from, [800])
@@ -122,7 +122,7 @@ def test_compass_turn_rules_set_signs_and_smoothing() -> None:
         "restart": (0, 0, 0, 0),
         "keep": (1, -1, 1, 0),
     }
-    passes = {"tape_s": 4.0, "turn_smoothing_s": 0.5}
+    passes = {"stored_s": 4.0, "turn_smoothing_s": 0.5}
     made = numbers(passes=passes, axes={"turn": list(rules)})
     np.testing.assert_array_equal(all_of(made.turn), list(rules.values()))
     # Two stages of half the delay each: a force that grows steadily is seen 0.5 s late.
@@ -134,7 +134,7 @@ def test_compass_turn_rules_set_signs_and_smoothing() -> None:
 def test_turn_covariance_rules_set_filter_turn_factors() -> None:
     made = numbers(
         alignment={"method": "kalman5"},
-        passes={"tape_s": 4.0, "turn_inflation": 3.0},
+        passes={"stored_s": 4.0, "turn_inflation": 3.0},
         axes={"turn_covariance": ["carried", "inflated", "reset"]},
     )
     # keep, keep_yaw, renew, renew_yaw

@@ -1,4 +1,4 @@
-"""Passes over a tape: the way there and back, and what a turn makes of a method's state."""
+"""Passes over a record: the way there and back, and what a turn makes of a method's state."""
 
 from functools import cache
 
@@ -20,9 +20,9 @@ from oracles.in_engine import (
     paper_filter,
     params,
     place,
+    record_world,
     site,
     swing_increments,
-    tape_world,
     trail,
 )
 from oracles.naive import (
@@ -62,19 +62,19 @@ NEVER = np.inf
 
 @given(st.integers(1, 6), st.integers(1, 5), st.integers(1, 20))
 @settings(max_examples=15)
-def test_every_stored_sample_is_read_once_per_pass(tape: int, every: int, records: int) -> None:
+def test_every_stored_sample_is_read_once_per_pass(stored: int, every: int, records: int) -> None:
     """Forward in order, backward in reverse; each is compensated with the one before it."""
     paired, before, turns = [], -1, []
     for record in range(records):
-        read = passes.reading(jnp.asarray(record), jnp.asarray(tape), every)
+        read = passes.reading(jnp.asarray(record), jnp.asarray(stored), every)
         turns += [bool(read.opens_pass)] + [False] * (every - 1)
         for now in map(int, read.samples):
             later, earlier = (before, now) if read.backward else (now, before)
             paired.append((later, earlier, -1 if read.backward else 1))
             before = now
-    expected = list(updates(np.zeros((tape * every, 6)), count=records * every))
+    expected = list(updates(np.zeros((stored * every, 6)), count=records * every))
     numbers = [u.k - 1 for u in expected]
-    length = tape * every
+    length = stored * every
     places = [
         n % length if u.way > 0 else length - 1 - n % length
         for n, u in zip(numbers, expected, strict=True)
@@ -90,7 +90,7 @@ def test_backward_sample_undoes_forward_sample() -> None:
         sensors.split(np.concatenate(rng.normal(size=(2, 3)) * [[0.1], [1.0]])) for _ in "ab"
     )
     forward = passes.compensate(now, before, jnp.asarray(False))
-    # Backward the sample before it on the tape comes last.
+    # Backward the sample before it on the record comes last.
     backward = passes.compensate(before, now, jnp.asarray(True))
     alone = sensors.compensate(now, before)
     jax.tree.map(np.testing.assert_array_equal, forward, alone)
@@ -113,26 +113,28 @@ def test_earth_rate_is_reversed_in_backward_pass() -> None:
 # There and back: pure navigation over 80 s of [P2]'s swing at 200 Hz
 
 FREE = loops(Loops((0.0, 0.0, 0.0), ((NEVER, (0.0, 0.0, 0.0, 0.0)),)), REVERSALS["velocity"])
-RATE, TAPE_S = 200, 80
+RATE, STORED_S = 200, 80
 
 
 @cache
-def swing_tape(rate: int, noise: float) -> np.ndarray:
+def swing_record(rate: int, noise: float) -> np.ndarray:
     errors = {"gyro": (0.0, noise * 0.006 * DEG_PER_H), "accel": (0.0, noise * 50 * UG)}
-    return swing_increments(PAPER2, EARTH, LATITUDE, rate=rate, samples=rate * TAPE_S, **errors)
+    return swing_increments(PAPER2, EARTH, LATITUDE, rate=rate, samples=rate * STORED_S, **errors)
 
 
 def there_and_back(phi, v=(0.0, 0.0), *, noise=0.0, position="fixed", rate=RATE):
     """Attitudes off (rad, n), velocities (m/s), positions (rad) every second, over two passes."""
     options = Options(1 / rate, position=position)
-    static = Static("compass", options, rate, 2 * TAPE_S, curves=False, noisy=False, repeats=True)
-    environment = tape_world(swing_tape(rate, noise), site(EARTH, LATITUDE), pass_records=TAPE_S)
+    static = Static("compass", options, rate, 2 * STORED_S, curves=False, noisy=False, repeats=True)
+    environment = record_world(
+        swing_record(rate, noise), site(EARTH, LATITUDE), pass_records=STORED_S
+    )
     nav = trail(static, environment, one_run(PAPER2.matrix(0.0), phi, v, FREE)).nav
     start = exp(-np.asarray(phi, dtype=float)) @ PAPER2.matrix(0.0)
     c = np.concatenate([start[None], of_quaternion(np.stack(nav.q, axis=1))])
     v = np.concatenate([[v], np.stack([nav.ve, nav.vn], axis=1)])
     place = np.stack([nav.latitude - LATITUDE, nav.longitude], axis=1)
-    # The same tape times on the way there and on the way back.
+    # The same stored times on the way there and on the way back.
     off = log(c @ np.swapaxes(c[::-1], 1, 2))
     return off, v, np.concatenate([[[0.0, 0.0]], place])
 
@@ -149,14 +151,14 @@ def there_and_back(phi, v=(0.0, 0.0), *, noise=0.0, position="fixed", rate=RATE)
     ],
 )
 def test_backward_pass_retraces_forward_navigation(phi_deg, v, noise, bounds, position):
-    """Same attitude, mirrored velocity, same place, at every tape time of the way."""
+    """Same attitude, mirrored velocity, same place, at every stored time of the way."""
     phi = np.array(phi_deg) * DEG
     off, velocity, place = there_and_back(phi, v, noise=noise, position=position)
     assert np.abs(off).max() < bounds[0]
-    assert np.abs(velocity[:TAPE_S] + velocity[:TAPE_S:-1]).max() < bounds[1]
+    assert np.abs(velocity[:STORED_S] + velocity[:STORED_S:-1]).max() < bounds[1]
     # From 1 deg of tilt it is 500 m away after 80 s.
     assert np.abs(place - place[::-1]).max() < bounds[0]
-    assert (np.abs(place[TAPE_S]).max() > 1e-6) == (position == "integrated" and any(phi))
+    assert (np.abs(place[STORED_S]).max() > 1e-6) == (position == "integrated" and any(phi))
 
 
 def test_round_trip_error_is_first_order_in_sample_time():
@@ -176,24 +178,24 @@ def test_backward_pass_without_reversed_earth_rate_misses_start():
             sample = sensors.reverse(sensors.compensate(sensors.split(row), sensors.split(0 * row)))
             return mechanisation.step(nav, sample, here.place, 1 / RATE)[0], None
 
-        return jax.lax.scan(step, nav, swing_tape(RATE, 0.0)[::-1])[0]
+        return jax.lax.scan(step, nav, swing_record(RATE, 0.0)[::-1])[0]
 
-    nav = back(navigation(PAPER2.matrix(TAPE_S), (0.0, 0.0), LATITUDE))
+    nav = back(navigation(PAPER2.matrix(STORED_S), (0.0, 0.0), LATITUDE))
     turned = np.linalg.norm(log(PAPER2.matrix(0.0) @ of_quaternion(np.array(nav.q)).T))
-    assert turned == pytest.approx(2 * TAPE_S * EARTH.rate, rel=0.05)
+    assert turned == pytest.approx(2 * STORED_S * EARTH.rate, rel=0.05)
 
 
-# The compass loop over a tape, static base, [P2] section 3.2
+# The compass loop over a stored record, static base, [P2] section 3.2
 
 LEVEL, AZIMUTH = level_gains(0.02, EARTH), azimuth_gains(0.01, EARTH)
 
 
-def heading_errors(turn: Reversal, tape_s, *, smoothing_s, latitude=LATITUDE):
+def heading_errors(turn: Reversal, stored_s, *, smoothing_s, latitude=LATITUDE):
     """phi_U (deg) every 80 s of updates up to 640 s; 80 s of them level."""
     rate, every = 50, 80
-    rows = still_tape(latitude, rate)
+    rows = still_record(latitude, rate)
     static = Static("compass", Options(1 / rate), rate * every, 8, False, False, repeats=True)
-    environment = tape_world(rows, site(EARTH, latitude), pass_records=tape_s // every)
+    environment = record_world(rows, site(EARTH, latitude), pass_records=stored_s // every)
     given = Loops(LEVEL, ((80 * rate, AZIMUTH),), -np.expm1(-2 / (rate * smoothing_s)))
     phi = np.array([0.1, 0.1, 1.5]) * DEG
     state = trail(static, environment, one_run(np.eye(3), phi, (0, 0), loops(given, turn)))
@@ -201,7 +203,7 @@ def heading_errors(turn: Reversal, tape_s, *, smoothing_s, latitude=LATITUDE):
 
 
 @cache
-def still_tape(latitude: float, rate: int) -> np.ndarray:
+def still_record(latitude: float, rate: int) -> np.ndarray:
     return swing_increments(STILL, EARTH, latitude, rate=rate, samples=rate * 640)
 
 
@@ -236,7 +238,7 @@ def test_velocity_flip_rules_do_not_converge_with_paper_gains(rule):
     assert np.all(np.abs(stuck[1:]) > 1)
 
 
-# Filters over a tape
+# Filters over a stored record
 
 
 @given(
@@ -303,10 +305,10 @@ def test_three_filter_passes_match_naive_loop(name, planet, position, turn, cloc
     )
     start = exp(-phi) @ PAPER1.matrix(0.0)
     case = {"latitude": LATITUDE, "c": start, "v": v, "filt": filt}
-    naive = closed_loop(rows, 1 / rate, planet, tape=samples, count=3 * samples, **case)
+    naive = closed_loop(rows, 1 / rate, planet, stored=samples, count=3 * samples, **case)
     static = Static(name, Options(1 / rate, position=position), 50, 36, False, False, repeats=True)
     static = static._replace(rewinds=turn == "rewind")
-    environment = tape_world(rows, site(planet, LATITUDE), pass_records=samples // 50)
+    environment = record_world(rows, site(planet, LATITUDE), pass_records=samples // 50)
     state = trail(static, environment, one_run(PAPER1.matrix(0.0), phi, v, params(filt)))
 
     at, close = np.arange(50, 3 * samples + 1, 50) - 1, {"rtol": 0, "atol": 1e-9}
@@ -336,7 +338,7 @@ def test_estimated_gyro_bias_changes_sign_at_each_turn():
     rows = swing_increments(PAPER1, EARTH, LATITUDE, rate=rate, samples=rate * seconds)
     errors = sensors.perfect()._replace(gyro_bias=bias)
     static = Static("kalman10", Options(1 / rate), rate, 4 * seconds, False, False, repeats=True)
-    environment = tape_world(rows, site(EARTH, LATITUDE), pass_records=seconds, errors=errors)
+    environment = record_world(rows, site(EARTH, LATITUDE), pass_records=seconds, errors=errors)
     filt = paper_filter(10, every=rate, r=1e-10, q=np.array([1e-12] * 2 + [1e-18] * 3 + [0] * 5))
     filt = filt._replace(p0=filt.p0 * np.array([1.0] * 7 + [400.0] * 3))
     start = one_run(PAPER1.matrix(0.0), np.array([5, -5, 20]) * ARCMIN, (0, 0), params(filt))

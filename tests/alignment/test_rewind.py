@@ -14,9 +14,9 @@ from oracles.in_engine import (
     loops,
     measured,
     one_run,
+    record_world,
     site,
     swing_increments,
-    tape_world,
     trail,
 )
 from oracles.naive import DEG, PAPER, Filter, Loops, exp, log, of_quaternion, quaternion, wound_back
@@ -34,27 +34,27 @@ from sinsjax.types import Quat, Vec3
 
 pytestmark = pytest.mark.optimised(False)
 
-RATE, EVERY, TAPE, LATITUDE = 100, 50, 12, 32 * DEG
+RATE, EVERY, STORED, LATITUDE = 100, 50, 12, 32 * DEG
 FREE = loops(Loops((0.0, 0.0, 0.0), ((np.inf, (0.0, 0.0, 0.0, 0.0)),)), REVERSALS["keep"])
 
 
 def trail_of(name, rows, start, params, passes=1):
     """States after every record of some passes that begin with an attitude (3, 3) at rest."""
-    static = Static(name, Options(1 / RATE), EVERY, passes * TAPE, False, False, repeats=True)
-    environment = tape_world(rows, site(PAPER, LATITUDE), pass_records=TAPE)
+    static = Static(name, Options(1 / RATE), EVERY, passes * STORED, False, False, repeats=True)
+    environment = record_world(rows, site(PAPER, LATITUDE), pass_records=STORED)
     static = static._replace(rewinds=True)
     return trail(static, environment, one_run(start, np.zeros(3), np.zeros(2), params))
 
 
 def test_noise_free_rewound_passes_repeat_first_pass():
-    rows = swing_increments(PAPER1, PAPER, LATITUDE, rate=RATE, samples=TAPE * EVERY)
+    rows = swing_increments(PAPER1, PAPER, LATITUDE, rate=RATE, samples=STORED * EVERY)
     nav = trail_of("compass", rows, PAPER1.matrix(0.0), FREE, passes=3).nav
     first, *later = np.split(of_quaternion(np.stack(nav.q, axis=1)), 3)
     for again in later:
         assert np.abs(log(again @ np.swapaxes(first, 1, 2))).max() < 1e-13
-    velocity = np.stack([nav.ve, nav.vn]).reshape(2, 3, TAPE)
+    velocity = np.stack([nav.ve, nav.vn]).reshape(2, 3, STORED)
     np.testing.assert_allclose(
-        velocity[:, 1:], velocity[:, :1] + np.zeros((2, 2, TAPE)), atol=1e-12
+        velocity[:, 1:], velocity[:, :1] + np.zeros((2, 2, STORED)), atol=1e-12
     )
 
 
@@ -71,11 +71,11 @@ def some_filter(name):
 @pytest.mark.parametrize("name", ["kalman5", "invariant", "ekf_azimuth", "unscented"])
 def test_rewound_pass_equals_run_started_at_rewound_attitude(name):
     """Its P, estimate and velocity are those of a start, and so are feedbacks after it."""
-    rows, params = measured(PAPER, LATITUDE, TAPE * EVERY), some_filter(name)
+    rows, params = measured(PAPER, LATITUDE, STORED * EVERY), some_filter(name)
     start = exp(np.array([1.0, -2.0, 15.0]) * DEG) @ PAPER1.matrix(0.0)
     both = trail_of(name, rows, start, params, passes=2)
     method = METHODS[name](Options(1 / RATE))
-    ended = jax.tree.map(lambda a: a[TAPE - 1], both)
+    ended = jax.tree.map(lambda a: a[STORED - 1], both)
     c = of_quaternion(np.array(method.attitude(ended)))
     again = wound_back(c, rows, 1 / RATE, PAPER, LATITUDE)
     alone = trail_of(name, rows, again, params)
@@ -84,7 +84,7 @@ def test_rewound_pass_equals_run_started_at_rewound_attitude(name):
         jax.tree.leaves((alone.nav, alone.belief)),
         strict=True,
     ):
-        np.testing.assert_allclose(a[TAPE:], b, rtol=1e-9, atol=1e-11)
+        np.testing.assert_allclose(a[STORED:], b, rtol=1e-9, atol=1e-11)
 
 
 @pytest.mark.parametrize(("bias_deg_per_h", "left"), [(0.0, 1e-12), (1.0, 1e-8), (10.0, 1e-6)])
@@ -113,7 +113,7 @@ def test_repeated_rewound_passes_find_heading():
         study={"duration_s": 300.0, "window_s": [50, 300], "draws": 6, "settle_bands_arcmin": [90]},
         alignment={"phi_e0_deg": 20.0, "phi_n0_deg": 20.0, "phi_u0_deg": 120.0}
         | {"misalignment": "euler"},
-        passes={"tape_s": 100.0, "direction": "rewind"},
+        passes={"stored_s": 100.0, "direction": "rewind"},
         filter={"r_reading": "psd"},
         axes={"passes": [1, 3]},
     )

@@ -381,10 +381,10 @@ def measured(planet):
     )
 
 
-def engine_run(name, trigger, trigger_params, filt, tape=None):
+def engine_run(name, trigger, trigger_params, filt, stored=None):
     """State, corrected attitude and `Fired` after every update."""
     planet = FILTERS[name][1]
-    all_read = list(updates(measured(planet), tape, SAMPLES))
+    all_read = list(updates(measured(planet), stored, SAMPLES))
     q = np.array([quaternion(u.turn) for u in all_read])
     dv = np.array([u.dv for u in all_read])
     read = (
@@ -399,20 +399,20 @@ def engine_run(name, trigger, trigger_params, filt, tape=None):
     return program(name, trigger, filt.force)(filt_params, site(planet, LATITUDE), nav, read)
 
 
-def naive_run(name, trigger, trigger_params, filt, tape=None):
+def naive_run(name, trigger, trigger_params, filt, stored=None):
     """History, and the watcher."""
     planet = FILTERS[name][1]
     every = filt.every if filt.at_feedback else 1
     watcher = Watcher(trigger, trigger_params, q=filt.q, r=filt.r, p0=filt.p0, dt=DT, every=every)
     c = exp(-PHI0) @ PAPER1.matrix(0.0)
     case = {"latitude": LATITUDE, "c": c, "v": V0, "filt": filt, "watcher": watcher}
-    return closed_loop(measured(planet), DT, planet, tape=tape, count=SAMPLES, **case), watcher
+    return closed_loop(measured(planet), DT, planet, stored=stored, count=SAMPLES, **case), watcher
 
 
-def compare(name, trigger, trigger_params, filt, tape=None):
+def compare(name, trigger, trigger_params, filt, stored=None):
     """Both runs, update by update; returns the naive watcher."""
-    naive, watcher = naive_run(name, trigger, trigger_params, filt, tape)
-    state, attitude, trigger_counts = engine_run(name, trigger, trigger_params, filt, tape)
+    naive, watcher = naive_run(name, trigger, trigger_params, filt, stored)
+    state, attitude, trigger_counts = engine_run(name, trigger, trigger_params, filt, stored)
     at = 1 + np.flatnonzero(np.diff(np.asarray(trigger_counts.count), prepend=0.0))
     assert list(at) == watcher.trigger_counts
     first, last = (
@@ -454,7 +454,7 @@ NEAR = Numbers(np.inf, window=20, refractory=10, most=12, until=380)
     "kalman5-innovation-None-changes0",
 )
 @pytest.mark.parametrize(
-    ("name", "trigger", "tape", "changes"),
+    ("name", "trigger", "stored", "changes"),
     [
         ("kalman5", "innovation", None, CLOSED | {"r": 1e-5}),
         ("kalman5", "levelled", 145, CLOSED),
@@ -465,14 +465,14 @@ NEAR = Numbers(np.inf, window=20, refractory=10, most=12, until=380)
         ("kalman5", "linearisation", 145, CLOSED | {"every": 31, "at_feedback": True}),
     ],
 )
-def test_triggered_filter_resets_match_naive_filter(name, trigger, tape, changes):
-    """At a large misalignment, with scheduled resets between, and over turns of the tape."""
+def test_triggered_filter_resets_match_naive_filter(name, trigger, stored, changes):
+    """At a large misalignment, with scheduled resets between, and over turns of the record."""
     n, _, position = FILTERS[name]
     filt = paper_filter(n, position=position, **changes)
-    _, quiet = naive_run(name, trigger, NEAR, filt, tape)
+    _, quiet = naive_run(name, trigger, NEAR, filt, stored)
     for share in (0.0, 0.5, 0.9):
         trigger_params = NEAR._replace(threshold=threshold_at(quiet.scores, share))
-        assert compare(name, trigger, trigger_params, filt, tape).trigger_counts
+        assert compare(name, trigger, trigger_params, filt, stored).trigger_counts
 
 
 def test_trigger_counts_and_cap_persist_across_pass_turns():

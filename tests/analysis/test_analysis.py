@@ -186,7 +186,7 @@ def test_summarise_without_truth_returns_nulls():
     status = pa.nulls(12, pa.string())
     table = summary(**dict.fromkeys(names, nothing), status=status)
     (row,) = analysis.summarise(table, []).to_pylist()
-    assert row.pop("n") == 12 and row.pop("nonfinite") == row.pop("no_limit") == 0
+    assert row.pop("n") == 12 and row.pop("nonfinite") == row.pop("no_floor") == 0
     assert {value for name, value in row.items() if not name.endswith("_n")} == {None}
     assert {value for name, value in row.items() if name.endswith("_n")} == {0}
 
@@ -210,7 +210,7 @@ def test_summarise_of_chosen_statistics_needs_only_their_columns():
     table = whole.select(["case", "status", "phi_u_arcmin", "settle_10_s"])
     names = ["never_settled_10", "success_rate", "settle_10_s_median"]
     found = analysis.summarise(table, ["case"], names)
-    assert found.column_names[:4] == ["case", "n", "nonfinite", "no_limit"]
+    assert found.column_names[:4] == ["case", "n", "nonfinite", "no_floor"]
     assert found.column_names[4] == "never_settled_10"
     assert found.column_names[5:8] == ["success_rate", "success_rate_low", "success_rate_high"]
     assert found.equals(analysis.summarise(whole, ["case"]).select(found.column_names))

@@ -214,8 +214,8 @@ def test_compass_groups_match_kalman_samples_and_sizes():
     kalman, compass, stored = cases.default_group(), *map(cases.compass_group, (None, 80.0))
     for group in (compass, stored):
         assert group.sizes == kalman.sizes
-        tape = group.environment.increments
-        np.testing.assert_array_equal(tape, kalman.environment.increments[: len(tape)])
+        own = group.environment.increments
+        np.testing.assert_array_equal(own, kalman.environment.increments[: len(own)])
         assert group.static.method == "compass"
         assert group.static.records == kalman.static.records
     assert (compass.static.repeats, stored.static.repeats) == (False, True)

@@ -118,10 +118,14 @@ def test_parts_split_by_environment_and_program_cover_all_variants() -> None:
 
 
 def test_parts_split_by_stored_length_share_one_program() -> None:
-    """Variants that read the tape alike run together; truth is that of the place on the tape."""
+    """Variants that read the record alike run together; truth is that of the place on it."""
     study = small_study(
         alignment={"method": "compass"},
-        axes={"tape_s": [2.0, 3.0], "turn": ["reflect", "keep"], "azimuth_sigma_per_s": [0.1, 0.2]},
+        axes={
+            "stored_s": [2.0, 3.0],
+            "turn": ["reflect", "keep"],
+            "azimuth_sigma_per_s": [0.1, 0.2],
+        },
     )
     parts = list(build.parts(study))
     np.testing.assert_array_equal([p.variant_ids for p in parts], [range(4), range(4, 8)])
@@ -148,7 +152,7 @@ def test_parts_split_by_stored_length_share_one_program() -> None:
 @pytest.mark.optimised(False)
 def test_record_count_follows_number_of_passes() -> None:
     study = small_study(
-        study={"window_s": [0, 2]}, passes={"tape_s": 2.0}, axes={"passes": [1, 2, 3]}
+        study={"window_s": [0, 2]}, passes={"stored_s": 2.0}, axes={"passes": [1, 2, 3]}
     )
     records = [part.group.static.records for part in build.parts(study)]
     assert records == [2, 4, 6]

@@ -33,7 +33,7 @@ ALL: dict[str, dict[str, Any]] = {
         "accel_quantisation_um_per_s": [10.0, 0.0, 50.0],
     },
 }
-PASSES = {"tape_s": 2.0, "passes": 3}
+PASSES = {"stored_s": 2.0, "passes": 3}
 DRAWN = {
     "surge_m_per_s": {"uniform": [0.0, 0.2]},
     "surge_time_s": {"uniform": [2.0, 8.0]},

@@ -83,7 +83,7 @@ def test_noise_free_true_sigma_matches_finite_differences(method: str) -> None:
     tables = tables_of(method) if method == "invariant" else {"alignment": {"method": method}}
     made = study_run.estimate(drawn_study(ESTIMATED, QUIET, normal(SIGMAS), **tables))
     truth, limit = differences(tables)
-    for name, slopes in (("true_sigma_u", truth), ("true_sigma_u_from_limit", limit)):
+    for name, slopes in (("true_sigma_u", truth), ("true_sigma_u_from_floor", limit)):
         expected = np.sqrt(np.sum(slopes**2, axis=1))
         np.testing.assert_allclose(numbers(made, name), expected, rtol=0.02)
 
@@ -103,7 +103,7 @@ def assert_sigma_and_settling_are_those_of(drawn: pa.Table, made: pa.Table) -> N
     """The bootstrap interval of each ratio of sigma, corrected for all, meets the bar."""
     floor = drawn["floor_arcmin"].to_numpy().reshape(DRAWS, -1)
     tail = 0.05 / (2 * len(ENDS) * made.num_rows)
-    for end, name in itertools.product(ENDS, ("true_sigma_u", "true_sigma_u_from_limit")):
+    for end, name in itertools.product(ENDS, ("true_sigma_u", "true_sigma_u_from_floor")):
         phi = drawn[f"phi_u{end}_arcmin"].to_numpy().reshape(DRAWS, -1)
         errors = phi - floor if "limit" in name else phi
         low, high = intervals(errors, tail) / made[f"{name}{end}_arcmin"].to_numpy()

@@ -21,8 +21,8 @@ RESETS = {"reset_times_s": [3.0, 6.0]}
 AXES = {"phi_u0_deg": [10.0, 30.0]}
 
 
-def rows_of(study: Any, variant_id: int, tape: Any = None) -> list[dict[str, Any]]:
-    table = sinsjax.run(study, tape).summary.to_pylist()
+def rows_of(study: Any, variant_id: int, stored: Any = None) -> list[dict[str, Any]]:
+    table = sinsjax.run(study, stored).summary.to_pylist()
     return [row for row in table if row["variant_id"] == variant_id]
 
 
@@ -84,10 +84,10 @@ def test_one_run_can_be_vmapped_over_draws() -> None:
 
 @pytest.mark.slow
 def test_one_run_of_record_matches_study_at_each_start_time(study: Any) -> None:
-    tape = sinsjax.simulated_record(small_study(study=LENGTH | {"duration_s": 30.0}))
-    time = np.arange(1, len(tape.dv) + 1) / tape.rate_hz
+    stored = sinsjax.simulated_record(small_study(study=LENGTH | {"duration_s": 30.0}))
+    time = np.arange(1, len(stored.dv) + 1) / stored.rate_hz
     stored = sinsjax.record_from_arrays(
-        time, tape.dtheta, tape.dv, gyro_unit="rad", accel_unit="m_per_s"
+        time, stored.dtheta, stored.dv, gyro_unit="rad", accel_unit="m_per_s"
     )
     tables = small_tables(study={"duration_s": 10.0, "rate_hz": None, "draws": None})
     tables = {name: tables[name] for name in ("study", "earth", "alignment")}

@@ -73,13 +73,13 @@ THREE = {"axes": {"p0_yaw_deg": [40.0, 50.0, 80.0]}}
         (
             ["yaw_center_deg", "gyro_bias_deg_per_h", "phi_u0_deg"],
             "random",
-            {"passes": {"tape_s": 2.0}, "alignment": {"specific_force": "gravity"}},
+            {"passes": {"stored_s": 2.0}, "alignment": {"specific_force": "gravity"}},
         ),
         (
             ["latitude_deg", "yaw_center_deg", "phi_u0_deg"],
             "random",
             {
-                "passes": {"tape_s": 2.0},
+                "passes": {"stored_s": 2.0},
                 "alignment": {"method": "compass"},
                 "compass": {"level_time_s": 1.0},
             },

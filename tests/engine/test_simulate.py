@@ -67,8 +67,8 @@ def ideal():
     return np.concatenate([np.full((2, 6), 1e3), rows])
 
 
-def environment(every, records, noise=NOISE, tape=None):
-    times = tape_times(records, tape or records) * every / RATE
+def environment(every, records, noise=NOISE, stored=None):
+    times = stored_times_of(records, stored or records) * every / RATE
     truth = np.array([quaternion(PAPER1.matrix(t)) for t in times])
     errors = sensors.SensorErrors(
         BIAS[:3], BIAS[3:], noise[:3], noise[3:], np.zeros((3, 3)), np.zeros((3, 3))
@@ -86,13 +86,13 @@ def environment(every, records, noise=NOISE, tape=None):
         np.asarray(SEED),
         criteria,
         Biases(Vec3(east, zero, zero), Vec3(zero, zero, zero), zero),
-        np.asarray(tape or records),
+        np.asarray(stored or records),
     )
 
 
-def tape_times(records, tape):
-    """Where on its tape a run is after each record, in records: 1 2 3 2 1 0 1 2 3 ..."""
-    way = [*range(1, tape + 1), *reversed(range(tape))]
+def stored_times_of(records, stored):
+    """Where on its record a run is after each record, in records: 1 2 3 2 1 0 1 2 3 ..."""
+    way = [*range(1, stored + 1), *reversed(range(stored))]
     return np.array((way * records)[:records])
 
 
@@ -114,21 +114,21 @@ def naive_measured():
 
 @pytest.mark.representative("30-23-7", "70-9-None")
 @pytest.mark.parametrize(
-    ("every", "records", "tape"),
+    ("every", "records", "stored"),
     [(30, 23, None), (70, 9, None), (30, 23, 7), (30, 23, 23)],
 )
-def test_run_matches_naive_loop_and_metrics(every, records, tape):
+def test_run_matches_naive_loop_and_metrics(every, records, stored):
     """Forward over the data once, or over a record of some records forward and backward."""
     filt = paper_filter(5, every=40, resets=(215, 400))
-    here = environment(every, records, tape=tape)
-    rows = naive_measured()[: every * (tape or records)]
+    here = environment(every, records, stored=stored)
+    rows = naive_measured()[: every * (stored or records)]
     c, v = exp(-PHI0) @ PAPER1.matrix(0.0), np.array(V0)
     case = {"latitude": LATITUDE, "c": c, "v": v, "filt": filt, "count": every * records}
     naive = closed_loop(rows, 1 / RATE, PAPER, **case)
     at = np.arange(1, records + 1) * every
     corrected = Rotation.from_rotvec(naive.x[:, 2:5]).as_matrix() @ naive.c
     values, sigma = [], []
-    for k, place in zip(at, tape_times(records, tape or records), strict=True):
+    for k, place in zip(at, stored_times_of(records, stored or records), strict=True):
         yaw, pitch, roll = Rotation.from_matrix(corrected[k - 1]).as_euler("ZXY")
         phi = log(PAPER1.matrix(place * every / RATE) @ corrected[k - 1].T)
         values.append([*phi, pitch, roll, yaw])
@@ -145,7 +145,7 @@ def test_run_matches_naive_loop_and_metrics(every, records, tape):
         after=AFTER,
     )
 
-    program = static(every, records, repeats=tape is not None)
+    program = static(every, records, repeats=stored is not None)
     outcome, curves = run(program, here, draw(), one_run(filt))
 
     close = {"rtol": 0, "atol": 1e-9}

@@ -191,28 +191,28 @@ def recorded(**changes: Any) -> Study:
 
 def test_hard_findings_are_refused_unless_record_is_trusted(tmp_path: Path) -> None:
     some = record()
-    tape = StoredRecord(some._replace(dv=-some.dv, source="drive.imu"), None)
+    stored = StoredRecord(some._replace(dv=-some.dv, source="drive.imu"), None)
     with pytest.raises(InputError) as caught:
-        run.run_into(recorded(), tmp_path / "out", tape)
+        run.run_into(recorded(), tmp_path / "out", stored)
     line = str(caught.value)
     assert line.startswith("drive.imu: 0 to 90 s: the specific force points down")
     assert "trust = true" in line and "\n" not in line and not (tmp_path / "out").exists()
     with pytest.raises(InputError, match="points down"):
-        run.run(recorded(), tape)
+        run.run(recorded(), stored)
     trusting = recorded(record={"trust": True})
-    assert "points down" in prepare.prepare(trusting, record=tape).warnings[0]
+    assert "points down" in prepare.prepare(trusting, record=stored).warnings[0]
 
 
 def test_soft_findings_are_listed_in_manifest_and_report(tmp_path: Path) -> None:
     some = record("still")
-    tape = StoredRecord(some._replace(dv=some.dv * 0.99, source="drive.imu", filled=3), None)
+    stored = StoredRecord(some._replace(dv=some.dv * 0.99, source="drive.imu", filled=3), None)
     study = recorded(
         record={"max_gap_s": 0.1}
         | {"format": "csv", **RATES, "time_column": "t"}
         | {"gyro_columns": list("abc"), "accel_columns": list("def")}
     )
     with pytest.warns(StudyWarning):
-        run.run_into(study, tmp_path / "out", tape)
+        run.run_into(study, tmp_path / "out", stored)
     filled, light = json.loads((tmp_path / "out" / "manifest.json").read_text())["warnings"]
     assert filled.startswith("drive.imu: 3 missing samples are interpolated")
     assert light.startswith("drive.imu: 0 to 90 s: the mean specific force is 9.7")
@@ -230,12 +230,12 @@ def test_too_short_record_error_includes_coarse_alignment_time() -> None:
 
 
 def test_data_after_to_s_are_not_used() -> None:
-    tape = StoredRecord(record(), None)
+    stored = StoredRecord(record(), None)
     study = recorded(record={"from_s": 100.0, "to_s": 190.0})
-    assert not prepare.prepare(study, record=tape).warnings
+    assert not prepare.prepare(study, record=stored).warnings
     study = recorded(record={"from_s": 101.0, "to_s": 190.0})
     with pytest.raises(InputError, match=r"needs data up to 191 s, but \[record\] to_s is 190"):
-        prepare.prepare(study, record=tape)
+        prepare.prepare(study, record=stored)
 
 
 def test_fractional_rate_and_late_clock_use_record_times(tmp_path: Path) -> None:
@@ -263,22 +263,22 @@ def test_fractional_rate_and_late_clock_use_record_times(tmp_path: Path) -> None
         coarse={"coarse_duration_s": 10.0},
         alignment={"feedback_interval_s": 0.1},
     )
-    tape = prepare.load_tape(study, tmp_path / "drive.csv", tmp_path / "r.csv")
-    assert tape.record.rate_hz == pytest.approx(rate, rel=1e-9)
-    made = run.run(study, tape, curves=True)
+    stored = prepare.load_increments(study, tmp_path / "drive.csv", tmp_path / "r.csv")
+    assert stored.record.rate_hz == pytest.approx(rate, rel=1e-9)
+    made = run.run(study, stored, curves=True)
     times = made.curves["time_s"].to_pylist()[:4]
     np.testing.assert_allclose(times, 200 / rate * np.arange(1, 5), rtol=1e-9)
     starts = made.summary["start_s"].to_pylist()
     np.testing.assert_allclose(starts, [0, 400 / rate], rtol=1e-9)
     assert np.abs(made.summary["phi_u_arcmin"]).max() < 60
     np.testing.assert_allclose(made.summary["heading_deg"], 350, atol=1)
-    early = tape.reference
+    early = stored.reference
     assert isinstance(early, Reference) and early.time_s[0] == pytest.approx(0)
-    epoch = tape._replace(record=tape.record._replace(t0_s=1763000000.25))
+    epoch = stored._replace(record=stored.record._replace(t0_s=1763000000.25))
     late = epoch._replace(reference=early._replace(time_s=early.time_s + 1000))
     with pytest.raises(InputError, match=r"covers 1763001000.25 to 1763001020.25 s, but the study"):
         run.run(study, late)
-    late = tape._replace(reference=early._replace(time_s=early.time_s + 1000))
+    late = stored._replace(reference=early._replace(time_s=early.time_s + 1000))
     with pytest.raises(
         InputError, match="covers 2000 to 2020 s, but the study needs 1011 to 10"
     ) as told:
@@ -288,7 +288,7 @@ def test_fractional_rate_and_late_clock_use_record_times(tmp_path: Path) -> None
         (-4.01, "ends 0.016 s too early (a shorter [study] duration_s would do)"),
         (11.5, "begins 0.499 s too late (a later [record] start_s would do)"),
     ):
-        moved = tape._replace(reference=early._replace(time_s=early.time_s + by))
+        moved = stored._replace(reference=early._replace(time_s=early.time_s + by))
         with pytest.raises(InputError) as told:
             run.run(study, moved)
         assert str(told.value).endswith(says)
@@ -299,8 +299,8 @@ def test_shipped_studies_of_real_record_give_no_warnings(name: str, data_dir: Pa
     gc.collect()
     study = load_study(Path(__file__).parents[2] / "configs" / f"{name}.toml")
     assert study.is_recorded
-    tape = prepare.load_tape(study, data_dir / "lasergyro_0_900.imu")
-    assert prepare.prepare(study, record=tape).warnings == ()
+    stored = prepare.load_increments(study, data_dir / "lasergyro_0_900.imu")
+    assert prepare.prepare(study, record=stored).warnings == ()
 
 
 # Simulations

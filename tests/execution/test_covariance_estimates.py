@@ -143,7 +143,7 @@ def test_variant_without_bias_floor_has_truth_estimates_only(
 ) -> None:
     """A sway of 10 s has no limit in runs of two."""
     for row in made_of_short.to_pylist():
-        assert not row["has_limit"] and row["floor_arcmin"] is None
+        assert not row["has_floor"] and row["floor_arcmin"] is None
         assert row["within_10_share"] is row["settle_10_mean_s"] is None
         assert row["within_10_truth_share"] is not None
         assert row["settle_10_truth_mean_s"] is not None

@@ -30,7 +30,7 @@ def test_variants_on_same_base_share_information_bound():
     np.testing.assert_array_equal(found[:, 0], found[:, 1])
     for latitude, own in zip((0.0, 50.0), found[:, 0], strict=True):
         place = earth.place(earth.wgs84(), latitude * DEG)
-        closed = bounds.tape_bound(
+        closed = bounds.record_bound(
             np.array([20.0, 60.0]),
             gyro_noise=0.1 * DEG_PER_H,
             accel_noise=500 * micro_g(),
@@ -55,7 +55,7 @@ def test_surge_raises_information_bound_and_method_does_not_change_it():
     ("changes", "message"),
     [
         ({"sensors": {"accel_noise_ug": 0.0}}, r"^\[sensors\] accel_noise_ug: the information"),
-        ({"passes": {"tape_s": 20.0}}, r"^\[passes\]: repeated passes add no information"),
+        ({"passes": {"stored_s": 20.0}}, r"^\[passes\]: repeated passes add no information"),
         (
             {"earth": {"latitude_deg": None}, "drawn": {"latitude_deg": {"uniform": [0.0, 60.0]}}},
             r"^\[earth\] latitude_deg: the information bound takes its value as given",

@@ -38,7 +38,7 @@ def recorded(cases: list[dict[str, Any]] | None = None, **changes: Any) -> Study
 
 
 @pytest.fixture(scope="module")
-def tape() -> StoredRecord:
+def stored() -> StoredRecord:
     return StoredRecord(build.simulated_record(small_study()), None)
 
 
@@ -48,12 +48,12 @@ SMALL = dict(zip(KEYS, (1e-6, 1e-6, 1e-6, 0.0, 0.0), strict=True))
 
 
 @pytest.fixture(scope="module")
-def summary(tape: StoredRecord) -> pa.Table:
+def summary(stored: StoredRecord) -> pa.Table:
     """Of both starts: a filter, two that know next to all but R, and a compass."""
     some = (("kalman5", USUAL, 0.1), ("kalman5", SMALL, 0.1), ("kalman5", SMALL, 1.0))
     every = (*some, ("compass", USUAL, 0.1))
     cases = [{"method": m, "r_velocity_m_per_s": r} | beliefs for m, beliefs, r in every]
-    return run.run(recorded(cases=cases), tape).summary
+    return run.run(recorded(cases=cases), stored).summary
 
 
 def test_innovation_columns_exist_only_in_recorded_studies(summary: pa.Table) -> None:

@@ -108,8 +108,8 @@ def test_python_align_gives_rows_of_command(
         assert results.curves.cast(curves.schema).equals(curves) and curves.num_rows
     changed = sinsjax.align(log, config, overrides={"record.start_s": [1.0]}, curves=False)
     assert changed.summary["start_s"].to_pylist() == [1.0] and changed.curves.num_rows == 0
-    tape = sinsjax.load_tape(study, log)
-    assert sinsjax.align(tape, study).summary.equals(sinsjax.align(log, study).summary)
+    stored = sinsjax.load_increments(study, log)
+    assert sinsjax.align(stored, study).summary.equals(sinsjax.align(log, study).summary)
 
 
 def test_command_and_python_refuse_alike(
@@ -133,9 +133,9 @@ def test_command_and_python_refuse_alike(
 def test_refused_study_leaves_directory_as_it_was(tmp_path: Path) -> None:
     out = tmp_path / "out"
     wrong = small_study()
-    tape = StoredRecord(build.simulated_record(wrong), None)
+    stored = StoredRecord(build.simulated_record(wrong), None)
     with pytest.raises(InputError, match=r"has no \[record\] section"):
-        prepare(wrong, record=tape, options=Options(out))
+        prepare(wrong, record=stored, options=Options(out))
     job = prepare(wrong, options=Options(out))
     assert job.directory == out and job.forecast is not None and job.forecast.runs == 3
     assert not out.exists()

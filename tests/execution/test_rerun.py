@@ -34,11 +34,11 @@ def of_run(table: pa.Table, run_id: int) -> pa.Table:
 
 
 def assert_alone_as_among_others(
-    study: Study, tape: StoredRecord | None = None, *, curves: bool, runs: list[int]
+    study: Study, stored: StoredRecord | None = None, *, curves: bool, runs: list[int]
 ) -> None:
-    whole = study_run.run(study, tape, curves=curves)
+    whole = study_run.run(study, stored, curves=curves)
     for run_id in runs:
-        again = rerun.rerun(study, run_id, tape)
+        again = rerun.rerun(study, run_id, stored)
         assert again.row.num_rows == 1
         assert again.row.equals(of_run(whole.summary, run_id)), run_id
         if curves:
@@ -110,25 +110,25 @@ def recorded_study(**changes: Any) -> Study:
 
 
 @pytest.fixture(scope="module")
-def tape() -> StoredRecord:
+def stored() -> StoredRecord:
     return with_truth(build.simulated_record(small_study()))
 
 
 @pytest.mark.optimised(False)
 @pytest.mark.parametrize("judged", [True, False])
-def test_rerun_matches_for_recorded_study(tape: StoredRecord, judged: bool) -> None:
-    given = tape if judged else tape._replace(reference=None)
+def test_rerun_matches_for_recorded_study(stored: StoredRecord, judged: bool) -> None:
+    given = stored if judged else stored._replace(reference=None)
     assert_alone_as_among_others(recorded_study(), given, curves=True, runs=[0, 6, 11])
 
 
 @pytest.mark.optimised(False)
-def test_rerun_matches_for_record_with_drawn_errors(tape: StoredRecord) -> None:
+def test_rerun_matches_for_record_with_drawn_errors(stored: StoredRecord) -> None:
     study = recorded_study(
         alignment={"phi_e0_deg": 1.0},
         axes={"reset_times_s": [[], [1.0]]},
         drawn={"phi_u0_deg": {"uniform": [-3, 3]}},
     )
-    assert_alone_as_among_others(study, tape, curves=True, runs=[0, 3, 5])
+    assert_alone_as_among_others(study, stored, curves=True, runs=[0, 3, 5])
 
 
 # --- directories --------------------------------------------------------------------------------
@@ -223,7 +223,9 @@ def test_rerun_reports_changed_package_version_or_code(
     assert f" here. {why}\n" in told
 
 
-def test_invalid_rerun_raises_one_line_error(out: Path, tmp_path: Path, tape: StoredRecord) -> None:
+def test_invalid_rerun_raises_one_line_error(
+    out: Path, tmp_path: Path, stored: StoredRecord
+) -> None:
     runs = STUDY.n_draws * STUDY.n_variants
     with pytest.raises(InputError, match=f"has no run {runs} .runs are numbered 0 to {runs - 1}"):
         rerun_into(out, runs)
@@ -232,7 +234,7 @@ def test_invalid_rerun_raises_one_line_error(out: Path, tmp_path: Path, tape: St
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(InputError, match="file: cannot be written"):
         rerun_into(out, 0, out=tmp_path / "file")
-    write_psins(tape.record, tmp_path / "swing.imu")
+    write_psins(stored.record, tmp_path / "swing.imu")
     with pytest.raises(InputError, match=r"has no \[record\] section"):
         rerun_into(out, 0, files=(tmp_path / "swing.imu", None))
 
@@ -244,10 +246,10 @@ def test_rerun_of_run_without_row_is_refused(out: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.optimised(False)
-def test_rerun_of_recorded_run_needs_same_record(tmp_path: Path, tape: StoredRecord) -> None:
+def test_rerun_of_recorded_run_needs_same_record(tmp_path: Path, stored: StoredRecord) -> None:
     path, other = tmp_path / "swing.imu", tmp_path / "other.imu"
-    write_psins(tape.record, path)
-    write_psins(tape.record._replace(dv=tape.record.dv * 1.01), other)
+    write_psins(stored.record, path)
+    write_psins(stored.record._replace(dv=stored.record.dv * 1.01), other)
     study = recorded_study(earth={"latitude_deg": 32.0})
     read = StoredRecord(read_psins(path, PSINS_LAYOUT), None)
     study_run.run_into(study, tmp_path / "out", read, curves=True)

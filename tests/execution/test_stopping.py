@@ -29,7 +29,7 @@ def study_of(
     statistic: str = "success_rate", half_width: float = 0.1, draws: int = 1000, **changes: Any
 ) -> Study:
     study = {"draws": draws, "duration_s": 2.0, "record_interval_s": 0.1, "window_s": [0, 2]}
-    study |= {"judged_from": "limit", "dwell_s": 0.0, "level_band_arcmin": 600.0}
+    study |= {"judged_from": "floor", "dwell_s": 0.0, "level_band_arcmin": 600.0}
     study |= changes.pop("study", {})
     changes["motion"] = STILL
     stop_when = {"statistic": statistic, "half_width": half_width}
@@ -66,13 +66,13 @@ def student(values: list[float]) -> float:
     st.integers(0, 3),
     st.floats(0.01, 0.99),
     st.randoms(use_true_random=False),
-    st.sampled_from(["limit", "truth"]),
+    st.sampled_from(["floor", "truth"]),
 )
 def test_interim_analysis_matches_naive_count(
     settle: list[float | None], variants: int, later: int, wanted: float, random: Any, judged: str
 ) -> None:
     """Of all runs of the first draws, in any order, and of no later one; as the study judges."""
-    name = {"limit": "settle_10_s", "truth": "settle_10_truth_s"}[judged]
+    name = {"floor": "settle_10_s", "truth": "settle_10_truth_s"}[judged]
     draws = len(settle) // variants
     runs = list(range(draws * variants)) + [draws * variants + i for i in range(later * variants)]
     settle = settle[: draws * variants] + [1e6] * (later * variants)

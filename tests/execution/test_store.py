@@ -431,11 +431,11 @@ def recorded() -> tuple[Study, StoredRecord]:
 def test_another_record_or_reference_is_refused(
     recorded: tuple[Study, StoredRecord], tmp_path: Path
 ) -> None:
-    study, tape = recorded
+    study, stored = recorded
     out = tmp_path / "out"
-    sweep(out, study, tape=tape)
+    sweep(out, study, record=stored)
     before = everything(out)
-    record, reference = tape
+    record, reference = stored
     assert reference is not None
     late = record.dv.copy()
     late[-1, 2] += 1e-12
@@ -445,11 +445,11 @@ def test_another_record_or_reference_is_refused(
         StoredRecord(record, reference._replace(attitude_deg=reference.attitude_deg + 1e-9)),
     ):
         with pytest.raises(InputError, match="holds results of another record or reference"):
-            sweep(out, study, tape=other, resume=True)
+            sweep(out, study, record=other, resume=True)
     assert everything(out) == before
-    assert sweep(out, study, tape=tape, resume=True) == []
+    assert sweep(out, study, record=stored, resume=True) == []
     moved = StoredRecord(record._replace(source="copy.imu"), reference._replace(source="copy.csv"))
-    assert sweep(out, study, tape=moved, resume=True) == []
+    assert sweep(out, study, record=moved, resume=True) == []
 
 
 # --- the writer ---------------------------------------------------------------------------------
@@ -717,7 +717,7 @@ def test_manifest_records_study_identity_and_timing(whole: Path, out: Path) -> N
     told = manifest(whole)
     assert told["fingerprint"] == store.fingerprint(STUDY)
     assert told["identity"] == Job(STUDY).identity
-    assert (told["seed"], told["schema"], told["draws"]) == (1, "3", 48)
+    assert (told["seed"], told["schema"], told["draws"]) == (1, "4", 48)
     assert (
         study_from_dict({k: v for k, v in told["study"].items() if v and k != "zips"}).axes
         == STUDY.axes

@@ -32,12 +32,12 @@ phi_e0_deg phi_n0_deg phi_u0_deg phi_e_arcmin phi_n_arcmin phi_u_arcmin pitch_de
 sigma_e_arcmin sigma_n_arcmin sigma_u_arcmin phi_u_mean_arcmin phi_u_std_arcmin phi_e_mean_arcmin
 phi_e_std_arcmin phi_n_mean_arcmin phi_n_std_arcmin pitch_mean_deg pitch_std_deg roll_mean_deg
 roll_std_deg yaw_mean_deg yaw_std_deg floor_arcmin settle_60_s settle_10_s settle_3_s nees nis_u
-status settle_60_truth_s settle_10_truth_s settle_3_truth_s has_limit ok_limit ok_truth
+status settle_60_truth_s settle_10_truth_s settle_3_truth_s has_floor ok_floor ok_truth
 """.split()
 
 
-LIMIT = {"judged_from": "limit", "dwell_s": 0.0}
-"""A study that judges from the limit."""
+FROM_FLOOR = {"judged_from": "floor", "dwell_s": 0.0}
+"""A study that judges from the bias floor."""
 
 
 def test_summary_has_contract_columns_and_axis_columns() -> None:
@@ -129,7 +129,7 @@ def test_meaning_of_key_names_its_unit(key: str) -> None:
 
 def test_summary_gives_settling_times_and_status_per_run() -> None:
     study = small_study(
-        study=LIMIT, motion=STILL, axes={"phi_u0_deg": [float(i) for i in range(4)]}
+        study=FROM_FLOOR, motion=STILL, axes={"phi_u0_deg": [float(i) for i in range(4)]}
     )
     # Bands 60, 10, 3 arcmin; the run ends at 6 s.
     outside = [[0.0, 1.0, 6.0], [2.0, 6.0, 6.0], [6.0, 6.0, 6.0], [6.0, 6.0, 6.0]]
@@ -147,9 +147,9 @@ def test_summary_gives_settling_times_and_status_per_run() -> None:
 
 
 def test_settling_time_is_reported_in_update_time_and_data_time() -> None:
-    """The data that was there: what had been recorded by then, and no more than the tape."""
+    """The data that was there: what had been recorded by then, and no more than the record."""
     axes = {"passes": [1, 3], "phi_u0_deg": [0.0, 1.0]}
-    study = small_study(study=LIMIT, motion=STILL, passes={"tape_s": 2.0}, axes=axes)
+    study = small_study(study=FROM_FLOOR, motion=STILL, passes={"stored_s": 2.0}, axes=axes)
     # The first two runs end after 2 s, the others after 6 s.
     outside = [[0.0, 1.0, 2.0], [2.0, 2.0, 2.0], [1.0, 2.0, 5.0], [3.0, 4.0, 6.0]]
     table = tables.Tables(study).summary(chunk([-21.0] * 4, outside), np.arange(4))
@@ -161,7 +161,7 @@ def test_settling_time_is_reported_in_update_time_and_data_time() -> None:
         assert table[f"settle_{band}_s"].to_pylist() == settled
         assert table[f"settle_{band}_data_s"].to_pylist() == data
     assert table["status"].to_pylist() == ["ok", "not_settled", "ok", "ok"]
-    made = tables.Tables(small_study(passes={"tape_s": 2.0}), has_truth=False)
+    made = tables.Tables(small_study(passes={"stored_s": 2.0}), has_truth=False)
     table = made.summary(chunk([0.0], [[0.0] * 3]), np.arange(1))
     assert table["settle_10_data_s"].null_count == 1
 
@@ -173,7 +173,7 @@ def test_compass_rows_have_null_sigma_and_consistency() -> None:
     study = small_study(
         alignment={"method": "compass"},
         compass={"level_sigma_per_s": 0.5, "level_time_s": 2.0},
-        passes={"tape_s": 3.0},
+        passes={"stored_s": 3.0},
         cases=[{"sigma_factors": f, "sigma_times_s": t} for f, t in schedules],
         axes={"turn": ["reflect", "keep"], "allow_unstable": [False, True]},
     )

@@ -132,7 +132,7 @@ def test_job_identity_depends_on_study_record_and_reference() -> None:
     tilted = level._replace(attitude_deg=level.attitude_deg + 1e-12)
     late = level._replace(time_s=time_s + 1e-9)
     turned = record._replace(dtheta=record.dtheta * (1 + 1e-15))
-    tapes = [
+    records = [
         StoredRecord(record, None),
         StoredRecord(turned, None),
         StoredRecord(record._replace(rate_hz=100.0000001), None),
@@ -140,12 +140,12 @@ def test_job_identity_depends_on_study_record_and_reference() -> None:
         StoredRecord(record, tilted),
         StoredRecord(record, late),
     ]
-    known = [Job(study, tape).identity for tape in tapes]
+    known = [Job(study, stored).identity for stored in records]
     known.append(Job(small_study()).identity)
     known.append(Job(small_study(study={"seed": 2})).identity)
     assert len(set(known)) == len(known)
     moved = StoredRecord(record._replace(source="elsewhere"), level._replace(source="elsewhere"))
-    assert Job(study, moved).identity == Job(study, tapes[3]).identity
+    assert Job(study, moved).identity == Job(study, records[3]).identity
     assert Job(small_study(study={"name": "other"}), None, True, 64).identity == known[-2]
 
 

@@ -28,7 +28,7 @@ BASES: dict[str, dict[str, Any]] = {
     "plain": BASE,
     "compass": BASE | {"alignment": {"method": "compass"}},
     "coarse": BASE | {"coarse": {"coarse_duration_s": 2.0, "coarse_then": "replay"}},
-    "passes": BASE | {"passes": {"tape_s": 2.0}, "axes": {"method": ["kalman10", "compass"]}},
+    "passes": BASE | {"passes": {"stored_s": 2.0}, "axes": {"method": ["kalman10", "compass"]}},
     "trigger": BASE | {"resets": {"reset_trigger": "nis", "trigger_threshold": 9.0}},
     "drawn": BASE
     | {

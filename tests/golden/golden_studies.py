@@ -243,10 +243,10 @@ def main(name: str, folder: str, devices: str) -> None:
     sinsjax.configure(devices=int(devices))
     file, out = HERE / "studies" / f"{name}.toml", Path(folder, "out")
     study, settings = sinsjax.load_study(file), tomllib.loads(file.read_text("utf-8"))["study"]
-    tape = None
+    stored = None
     if name == "recorded":
-        tape = sinsjax.load_tape(study, *write_record(Path(folder)))
-    sinsjax.run_into(study, out, tape)
+        stored = sinsjax.load_increments(study, *write_record(Path(folder)))
+    sinsjax.run_into(study, out, stored)
     tables = {}
     if settings["estimate"] == "covariance":
         tables["estimates"] = sinsjax.read_estimates(out)

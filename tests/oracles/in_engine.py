@@ -180,10 +180,10 @@ def loops(given: Loops, turn: compass.Reversal) -> compass.LoopParams:
     )
 
 
-def tape_world(
+def record_world(
     rows: np.ndarray, here: Site, *, pass_records: int, errors: sensors.SensorErrors | None = None
 ) -> Environment:
-    """An environment whose truth is not known: a tape and a site."""
+    """An environment whose truth is not known: a record and a site."""
     never = Criteria(np.zeros(1), *(np.float64(0.0),) * 4)
     return Environment(
         site=here,

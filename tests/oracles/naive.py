@@ -221,7 +221,7 @@ class Unwatched:
         """Take in that sample k ended with a reset that left P."""
 
     def turn(self, x, p):
-        """Take in that the tape is turned, with x and P."""
+        """Take in that the record is turned, with x and P."""
 
 
 def wound_back(c, increments, dt, planet, latitude, gyro_bias=0.0):
@@ -258,7 +258,7 @@ def mechanise(c, v, turn, dv, planet, latitude, dt, control=0.0):
 
 
 class Update(NamedTuple):
-    """One update of a run over a tape: its number from 1, the sample, and the way it is read."""
+    """One update of a run over a record: its number from 1, the sample, and the way it is read."""
 
     k: int
     turn: np.ndarray
@@ -267,23 +267,23 @@ class Update(NamedTuple):
     turns: bool
 
 
-def updates(increments, tape=None, count=None, *, rewind=False):
-    """Forward and backward passes over ``tape`` samples, [P2] section 2.3, ``count`` updates long.
+def updates(increments, stored=None, count=None, *, rewind=False):
+    """Forward and backward passes over ``stored`` samples, ``count`` updates, [P2] section 2.3.
 
     Backward, samples come last to first; the body turns back from where a sample ended, and the
     specific force is seen from there. ``turns`` marks the first update of every pass but the first.
-    Where the tape is rewound, all passes are forward.
+    Where the record is rewound, all passes are forward.
     """
-    tape = tape or len(increments)
-    theta, dvs = compensate(increments[:tape])
+    stored = stored or len(increments)
+    theta, dvs = compensate(increments[:stored])
     turns = Rotation.from_rotvec(theta).as_matrix()
-    for n in range(count or tape):
-        number, place = divmod(n, tape)
+    for n in range(count or stored):
+        number, place = divmod(n, stored)
         if rewind or number % 2 == 0:
             yield Update(n + 1, turns[place], dvs[place], 1, number > 0 and place == 0)
         else:
-            back = turns[tape - 1 - place].T
-            yield Update(n + 1, back, back @ dvs[tape - 1 - place], -1, place == 0)
+            back = turns[stored - 1 - place].T
+            yield Update(n + 1, back, back @ dvs[stored - 1 - place], -1, place == 0)
 
 
 def update(x, p, h, z, r):
@@ -320,9 +320,9 @@ def turned(x, p, bias, filt):
 
 
 def closed_loop(
-    increments, dt, planet, *, latitude, c, v, filt, tape=None, count=None, watcher=None, first=1
+    increments, dt, planet, *, latitude, c, v, filt, stored=None, count=None, watcher=None, first=1
 ):
-    """Mechanise, predict, update, feed back and reset, sample after sample, over a tape.
+    """Mechanise, predict, update, feed back and reset, sample after sample, over a stored record.
 
     A ``watcher`` of `naive_triggers` fades P, and resets it beside the schedule. With turn "rewind"
     all passes are forward, from the attitude wound back, with velocity zero and P0. ``first`` is
@@ -333,13 +333,13 @@ def closed_loop(
     x, p, bias = np.zeros(n), np.diag(filt.p0), np.zeros(n - 5)
     h = np.eye(n)[:2]
     longitude, fixed, history, rewind = 0.0, latitude, [], filt.turn == "rewind"
-    for k, turn, dv, way, turns in updates(increments, tape, count, rewind=rewind):
+    for k, turn, dv, way, turns in updates(increments, stored, count, rewind=rewind):
         if k < first:
             continue
         if turns and rewind:
             bias = bias + x[5:]
             c, latitude, longitude = exp(x[2:5]) @ c, fixed, 0.0
-            c = wound_back(c, increments[:tape], dt, planet, fixed, bias[2:] if n == 10 else 0.0)
+            c = wound_back(c, increments[:stored], dt, planet, fixed, bias[2:] if n == 10 else 0.0)
             v, x, p = np.zeros(2), np.zeros(n), np.diag(filt.p0)
             watcher.turn(x, p)
         elif turns:
@@ -421,16 +421,16 @@ class CompassHistory(NamedTuple):
     force: np.ndarray
 
 
-def compass_loop(increments, dt, planet, *, latitude, c, v, loops, tape=None, count=None):
-    """The loops of [P2] section 2.1 around the mechanisation, over a tape.
+def compass_loop(increments, dt, planet, *, latitude, c, v, loops, stored=None, count=None):
+    """The loops of [P2] section 2.1 around the mechanisation, over a stored record.
 
     The Earth turns back in a backward pass, so that K3 / omega_N changes its sign there.
     """
     integral, rate, force = np.zeros(2), 0.0, np.zeros((2, 2))  # stages x (east, north)
     longitude, fixed, history, rewind = 0.0, latitude, [], loops.turn == "rewind"
-    for k, turn, dv, way, turns in updates(increments, tape, count, rewind=rewind):
+    for k, turn, dv, way, turns in updates(increments, stored, count, rewind=rewind):
         if turns and rewind:
-            c, v = wound_back(c, increments[:tape], dt, planet, fixed), np.zeros(2)
+            c, v = wound_back(c, increments[:stored], dt, planet, fixed), np.zeros(2)
             latitude, longitude, force = fixed, 0.0, np.zeros((2, 2))
         elif turns:
             c, v, integral, rate, force = turned_platform(
@@ -459,7 +459,7 @@ def compass_loop(increments, dt, planet, *, latitude, c, v, loops, tape=None, co
 
 
 def turned_platform(c, v, integral, rate, force, g, rule):
-    """The loops' state where the tape is turned.
+    """The loops' state where the record is turned.
 
     A specific force (f_E, f_N) that stands for tilts -f_E / g about N and f_N / g about E is
     turned into its opposite by twice these angles.

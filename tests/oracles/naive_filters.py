@@ -55,17 +55,17 @@ class History(NamedTuple):
 
 
 def closed_loop(
-    model: Model, increments, dt, planet, *, latitude, c, v, filt: Filter, tape=None, count=None
+    model: Model, increments, dt, planet, *, latitude, c, v, filt: Filter, stored=None, count=None
 ) -> History:
-    """Mechanise, predict, update, feed back and reset, sample after sample, over a tape."""
+    """Mechanise, predict, update, feed back and reset, sample after sample, over a record."""
     n = len(filt.p0)
     x, p, v = model.start, np.diag(filt.p0), np.array([*v, 0.0])
     h = np.eye(n)[:2] if model.measured is None else model.measured
     flip, history, rewind = np.diag(model.signs), [], filt.turn == "rewind"
     clock = Clock(filt)
-    for k, turn, dv, way, turns in updates(increments, tape, count, rewind=rewind):
+    for k, turn, dv, way, turns in updates(increments, stored, count, rewind=rewind):
         if turns and rewind:
-            c = wound_back(model.corrected(x, c), increments[:tape], dt, planet, latitude)
+            c = wound_back(model.corrected(x, c), increments[:stored], dt, planet, latitude)
             v, x, p = np.zeros(3), model.rewound(x), np.diag(filt.p0)
         elif turns:
             v, x, p = -v, flip @ x, flip @ p @ flip.T

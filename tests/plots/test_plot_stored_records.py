@@ -16,7 +16,7 @@ def maps(values, *, log=True, contours=None, low=0.1, high=100.0):
         "Title",
         Shown("error (arcmin)", low, high, reverse=True, log=log),
         rows=Scale("azimuth_sigma_per_s", SIGMAS),
-        columns=Scale("tape_s", TAPES),
+        columns=Scale("stored_s", TAPES),
         contours=contours,
     )
 

@@ -113,7 +113,7 @@ def test_misalignment_figure_has_panels_labels_and_legend():
         "a",
         "b",
         "95 % of the runs",
-        "limit",
+        "bias floor",
         "reset",
     ]
 
@@ -364,7 +364,7 @@ def test_beliefs_figure_shows_nees_distribution_and_shares():
 
 @pytest.mark.parametrize("lines", [1, 7])
 def test_belief_names_do_not_overlap_marks_or_edge(lines):
-    shares = {name: Estimate(0.1, 0.05, 0.15, 4) for name in ("from truth", "from the limit")}
+    shares = {name: Estimate(0.1, 0.05, 0.15, 4) for name in ("from truth", "from the bias floor")}
     shown = [BeliefPanel(f"resets {i}", np.arange(1.0, 5.0), shares) for i in range(lines)]
     figure = plots.beliefs(shown, "Title")
     plots.png(figure)  # lays it out
@@ -402,9 +402,9 @@ def test_believed_figure_compares_true_error_with_filter_sigma():
     np.testing.assert_allclose(ratio.get_lines()[0].get_ydata()[0], np.hypot(600, 25) / 100)
     assert [line.get_xdata()[0] for line in resets.get_lines()[-2:]] == [4.0, 6.0]
     said = words(figure)
-    for word in ("arcmin", "time (s)", "plain", "reset", "limit", "believes", "± 2 sigma"):
+    for word in ("arcmin", "time (s)", "plain", "reset", "bias floor", "believes", "± 2 sigma"):
         assert word in said
-    assert said.count("limit, left by the sensor biases") == 1
+    assert said.count("bias floor, left by the sensor biases") == 1
     assert plots.png(figure)
 
 

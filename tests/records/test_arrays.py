@@ -303,10 +303,10 @@ def test_study_runs_on_arrays(drive: tuple[Any, Any]) -> None:
         "roll_deg": level,
         "yaw_deg": level + 10.0,
     }
-    tape = sinsjax.record_from_arrays(
+    stored = sinsjax.record_from_arrays(
         time, gyro, accel, gyro_unit="deg_per_s", axes="frd", reference=reference
     )
-    rows = sinsjax.run(recorded(), tape).summary.to_pylist()
+    rows = sinsjax.run(recorded(), stored).summary.to_pylist()
     assert [row["start_s"] for row in rows] == [0.0, 10.0]
     plain = sinsjax.run(recorded(), StoredRecord(record, None)).summary.to_pylist()
     for row, other in zip(rows, plain, strict=True):
@@ -318,18 +318,18 @@ def test_study_runs_on_arrays(drive: tuple[Any, Any]) -> None:
 def test_gravity_pointing_down_error_names_axes_argument(drive: tuple[Any, Any]) -> None:
     record = drive[1]
     rates = record.dtheta * record.rate_hz, -record.dv * record.rate_hz
-    tape = sinsjax.record_from_arrays(None, *rates, rate_hz=record.rate_hz)
+    stored = sinsjax.record_from_arrays(None, *rates, rate_hz=record.rate_hz)
     with pytest.raises(InputError, match=r"points down, .* are axes \('yx-z' for"):
-        sinsjax.run(recorded(), tape)
+        sinsjax.run(recorded(), stored)
 
 
 def test_wrong_accelerometer_unit_is_refused(drive: tuple[Any, Any]) -> None:
     record = drive[1]
     time = np.arange(1, len(record.dv) + 1) / record.rate_hz
     rates = record.dtheta * record.rate_hz, record.dv * record.rate_hz
-    tape = sinsjax.record_from_arrays(time, *rates, accel_unit="g")
+    stored = sinsjax.record_from_arrays(time, *rates, accel_unit="g")
     with pytest.raises(InputError, match=r"9.81 times gravity: are these m/s\^2\?"):
-        sinsjax.run(recorded(), tape)
+        sinsjax.run(recorded(), stored)
 
 
 @pytest.mark.parametrize(
@@ -354,11 +354,11 @@ def test_wrong_time_unit_is_refused(
 def test_rounded_timestamps_keep_start_times(drive: tuple[Any, Any]) -> None:
     record = drive[1]
     time = np.round(1e-9 + np.arange(1, len(record.dv) + 1) / record.rate_hz * (1 + 1e-9), 9)
-    tape = sinsjax.record_from_arrays(
+    stored = sinsjax.record_from_arrays(
         time, record.dtheta * record.rate_hz, record.dv * record.rate_hz
     )
-    assert tape.record.rate_hz != 100.0
-    assert sinsjax.run(recorded(), tape).summary["start_s"].to_pylist() == [0.0, 10.0]
+    assert stored.record.rate_hz != 100.0
+    assert sinsjax.run(recorded(), stored).summary["start_s"].to_pylist() == [0.0, 10.0]
 
 
 def test_interpolated_samples_are_reported(drive: tuple[Any, Any]) -> None:
@@ -366,8 +366,8 @@ def test_interpolated_samples_are_reported(drive: tuple[Any, Any]) -> None:
     time = np.arange(1, len(record.dv) + 1) / record.rate_hz
     gyro = record.dtheta * record.rate_hz
     gyro[700, 1] = np.nan
-    tape = sinsjax.record_from_arrays(time, gyro, record.dv * record.rate_hz, max_gap_s=0.05)
-    assert list(prepare(recorded(), record=tape).warnings) == [
+    stored = sinsjax.record_from_arrays(time, gyro, record.dv * record.rate_hz, max_gap_s=0.05)
+    assert list(prepare(recorded(), record=stored).warnings) == [
         "arrays: 1 missing samples are interpolated (gaps up to max_gap_s = 0.05 s)"
     ]
 
@@ -380,10 +380,12 @@ def test_file_keys_are_refused_for_arrays() -> None:
 
 def test_loading_arrays_format_from_file_is_refused() -> None:
     with pytest.raises(InputError, match="'arrays' are given to sinsjax.run, not read from x.csv"):
-        sinsjax.load_tape(recorded(), "x.csv")
+        sinsjax.load_increments(recorded(), "x.csv")
 
 
 def test_number_instead_of_record_is_refused() -> None:
     """Unwrapped, because the tests' own checks of types would come first."""
-    with pytest.raises(InputError, match=r"tape: must be what sinsjax\.load_tape or .* not a int$"):
+    with pytest.raises(
+        InputError, match=r"record: must be what sinsjax\.load_increments or .* not a int$"
+    ):
         inspect.unwrap(stored_record)(recorded(), 3, None)

@@ -50,16 +50,16 @@ def study(**record: Any) -> Any:
 def test_samples_beyond_sensor_range_are_named_and_refused() -> None:
     accel = changed(ACCEL, slice(500, 510), 0, -9999 * 9.80665)
     accel[700, 1] = 250.0
-    tape = made(accel=accel)
+    stored = made(accel=accel)
     with pytest.raises(InputError) as caught:
-        prepare(study(), record=tape)
+        prepare(study(), record=stored)
     assert str(caught.value) == (
         "arrays: rows 500 to 509: column 'accel[:, 0]': -98056.7 is -9999 g, and no base at rest"
         " has more than 20 g: leave such cells empty, as missing samples; 1 more such place"
         " ([record] trust = true aligns it anyway)"
     )
-    assert "rows 500 to 509" in prepare(study(trust=True), record=tape).warnings[0]
-    assert not prepare(study(start_s=[8.0]), record=tape).warnings  # they are not read
+    assert "rows 500 to 509" in prepare(study(trust=True), record=stored).warnings[0]
+    assert not prepare(study(start_s=[8.0]), record=stored).warnings  # they are not read
     (text,) = texts(gyro=changed(GYRO, 7, 2, 50.0))
     assert text.startswith("row 7: column 'gyro[:, 2]': 50 is 2865 deg/s")
 
@@ -87,9 +87,9 @@ def test_dead_and_stuck_channels_are_reported() -> None:
 
 
 def test_refusal_names_dead_channel_as_possible_cause() -> None:
-    tape = made(changed(GYRO, slice(None), 0, 0.1))
+    stored = made(changed(GYRO, slice(None), 0, 0.1))
     with pytest.raises(InputError) as caught:
-        prepare(study(), record=tape)
+        prepare(study(), record=stored)
     assert str(caught.value).endswith(
         "hides Earth rate: no heading can be found; column 'gyro[:, 0]' holds 0.1 in every row: is"
         " that sensor dead? ([record] trust = true aligns it anyway)"
@@ -105,10 +105,10 @@ def test_subtracted_mean_of_whole_log_is_reported(unit: str) -> None:
     removed = np.round((sensed - sensed.mean(axis=0)) * factor, 9)
     removed[5, 1] = np.nan
     asks = "the mean of each gyro over the whole log is below 1% of Earth rate: has Earth rate been"
-    tape = made(removed, gyro_unit=unit, max_gap_s=0.1)
+    stored = made(removed, gyro_unit=unit, max_gap_s=0.1)
     with pytest.raises(InputError, match=asks):
-        prepare(study(), record=tape)
-    assert any(asks in line for line in prepare(study(trust=True), record=tape).warnings)
+        prepare(study(), record=stored)
+    assert any(asks in line for line in prepare(study(trust=True), record=stored).warnings)
     for gyro in (sensed * factor, removed + [0, 0, 1e-5 * factor]):
         assert not texts(gyro, gyro_unit=unit, max_gap_s=0.1)
 

@@ -64,7 +64,7 @@ def stored(directory: Path) -> Path:
     names = [c.name for c in (*columns.IDENTITY, *columns.OBSERVED, *columns.JUDGED)]
     rows: dict[str, Any] = dict.fromkeys([*names, "settle_10_s", "settle_10_truth_s"])
     rows |= {name: np.linspace(1.0, 2.0, count) for name in rows}
-    rows |= {name: [True] * count for name in ("has_limit", "ok_limit", "ok_truth")}
+    rows |= {name: [True] * count for name in ("has_floor", "ok_floor", "ok_truth")}
     rows |= {"run_id": np.arange(count), "draw_id": np.repeat([0, 1], len(NASTY))}
     rows |= {"status": ["ok"] * count, "case": [*NASTY] * 2, "reset_times_s": [[]] * count}
     return store(directory, study, pa.table(rows))

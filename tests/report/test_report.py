@@ -61,7 +61,7 @@ def test_table_shows_success_settling_and_heading_statistics(tmp_path):
 def test_report_lines_are_not_cut_off_outside_terminal(tmp_path, monkeypatch):
     study = small_study(axes={"phi_u0_deg": [0.0, 30.0]})
     lines = told(store(tmp_path, study, summary_of(study))).splitlines()
-    assert any("phi_u0_deg" in line and "from its limit" in line for line in lines)
+    assert any("phi_u0_deg" in line and "from its bias floor" in line for line in lines)
     monkeypatch.setenv("COLUMNS", "70")  # unless a width is asked for
     table = told(tmp_path).partition("Every variant")[2].partition("Number [")[0]
     assert table and max(map(len, table.splitlines())) == 70
@@ -84,10 +84,10 @@ def test_pooled_variants_have_intervals_counted_by_draws(tmp_path):
     ]
     # 3 draws of 8 variants a row, all of which end well: as 3 runs, with Student's t for z.
     assert analysis.share([True] * 24, np.repeat(np.arange(3), 8)).low < 0.15
-    assert table.count("100 [14, 100]") == 6  # from the truth and from the limit
+    assert table.count("100 [14, 100]") == 6  # from the truth and from the bias floor
     assert {path.stem for path in (tmp_path / "figures").iterdir()} == {
         "settling_time",
-        "settling_time_limit",
+        "settling_time_floor",
         "consistency",
     }
 
@@ -365,26 +365,26 @@ def test_page_states_success_criteria_and_their_reference(tmp_path):
     assert said in "\n".join(page.read_text().splitlines()[:10])
     # A tenth of 6 s.
     assert "of true north" in said and "ok: it has been there for 0.6 s at the end" in said
-    limit = small_study(study={"judged_from": "limit", "dwell_s": 0.0}, motion=STILL)
-    assert "not of true north" in base.yardstick(limit) and "it ends there" in base.yardstick(limit)
+    floor = small_study(study={"judged_from": "floor", "dwell_s": 0.0}, motion=STILL)
+    assert "not of true north" in base.yardstick(floor) and "it ends there" in base.yardstick(floor)
     assert "of the reference's heading" in base.yardstick(recorded_study())
 
 
 def test_success_from_truth_and_bias_floor_appears_in_all_outputs(tmp_path):
     study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
-    flags = {"ok_truth": [True, False] * 8, "ok_limit": [True] * 16}
+    flags = {"ok_truth": [True, False] * 8, "ok_floor": [True] * 16}
     summary = summary_of(study, **flags, phi_u_arcmin=np.tile([9.0, 11.0], 8))
     source = Source(tmp_path, study, "x.toml", summary)
     html = tmp_path / "page.html"
     text = told(store(tmp_path / "out", study, summary), html=html)
-    truth, limit = "within 10' of true north", "within 10' of its limit"
-    limits = "within 10' of their limits"
-    assert f"Of these 8 {truth} and 16 {limits} are ok." in text
+    truth, floor = "within 10' of true north", "within 10' of its bias floor"
+    floors = "within 10' of their bias floors"
+    assert f"Of these 8 {truth} and 16 {floors} are ok." in text
     assert "Within 10' of true north at the end: 50 [" in text
     figures = {block.name: block.figure for block in over_axes.over_axes(source)}
     titles = [axes.get_title(loc="left") for axes in figures["along_axis"].axes]
     page = unescape(html.read_text())
-    for words, several in ((truth, truth), (limit, limits)):
+    for words, several in ((truth, truth), (floor, floors)):
         assert f"ok: {words} (%)" in text and f"time to {words}, median (s)" in text
         assert f"share of runs that are ok, {several}" in titles
         assert f"median time (s) to {words}" in titles
@@ -424,36 +424,36 @@ def test_heading_error_table_shows_rms_and_quantile_per_time(tmp_path):
 
 
 def test_runs_near_north_but_not_converged_are_reported(tmp_path):
-    """One axis lies at its limit, and one at north, 25.9' from it."""
+    """One axis lies at its bias floor, and one at north, 25.9' from it."""
     axes = {"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]}
     study = small_study(study={"draws": 8}, axes=axes)
     off = np.tile([True, False, True, False], 8)
-    flags = {"ok_truth": off, "ok_limit": ~off, "status": ["ok"] * 32}
+    flags = {"ok_truth": off, "ok_floor": ~off, "status": ["ok"] * 32}
     phi = np.where(off, 0.5, FLOOR)
     text = told(store(tmp_path / "a", study, summary_of(study, **flags, phi_u_arcmin=phi)))
     assert "All 16 runs that are ok within 10' of true north end more than 10' from" in text
     best = text.partition("Where most runs are ok, within 10' of true north")[2]
     assert "100 [68, 100], not converged" in best.partition("Equals")[0]
-    about_limit = text.partition("Where most runs are ok, within 10' of their limits")[2]
-    assert "not converged" not in about_limit.partition("Equals")[0]
+    about_floor = text.partition("Where most runs are ok, within 10' of their bias floors")[2]
+    assert "not converged" not in about_floor.partition("Equals")[0]
     source = Source.read(tmp_path / "a")
     drawn = {b.name: b for b in over_axes.over_axes(source) if isinstance(b, base.Picture)}
-    for name, hatched in {"settling_time": 2, "success_rate": 2, "settling_time_limit": 0}.items():
+    for name, hatched in {"settling_time": 2, "success_rate": 2, "settling_time_floor": 0}.items():
         assert len(drawn[name].figure.axes[0].patches) == hatched
-        assert ("more than 10' from their limits" in drawn[name].caption) == bool(hatched)
+        assert ("more than 10' from their bias floors" in drawn[name].caption) == bool(hatched)
     near = summary_of(study, ok_truth=[True] * 32, phi_u_arcmin=np.full(32, FLOOR + 9))
     text = told(store(tmp_path / "b", study, near))
-    assert "from their limit" not in text and ", not converged" not in text
+    assert "from their bias floor" not in text and ", not converged" not in text
 
 
 def test_counts_of_one_use_singular(tmp_path):
     study = small_study(study={"draws": 1})
-    flags = {"ok_truth": [True], "ok_limit": [False]}
+    flags = {"ok_truth": [True], "ok_floor": [False]}
     text = told(store(tmp_path, study, summary_of(study, **flags, phi_u_arcmin=np.zeros(1))))
     assert "\n1 run: 1 variant, 1 draw. Of these 1 within" in text
     assert "The one run that is ok within 10' of true north ends more than 10' from its" in text
     several = small_study(study={"draws": 8})
-    flags = {"ok_truth": [True] + [False] * 7, "ok_limit": [True] + [False] * 7}
+    flags = {"ok_truth": [True] + [False] * 7, "ok_floor": [True] + [False] * 7}
     summary = summary_of(several, **flags, phi_u_arcmin=np.zeros(8))
     text = told(store(tmp_path / "b", several, summary))
     assert "8 runs: 1 variant, 8 draws. Of these 1 within" in text
@@ -469,7 +469,7 @@ def test_constant_bias_floor_is_drawn_as_line(tmp_path, floors, drawn):
     source = Source.read(store(tmp_path, study, summary, curves_of(study)))
     blocks = [block for one in report.auto.report(source).sections for block in one.blocks]
     (figure,) = (block.figure for block in blocks if getattr(block, "name", "") == "misalignment")
-    assert ("limit" in [text.get_text() for text in figure.legends[0].get_texts()]) == drawn
+    assert ("bias floor" in [text.get_text() for text in figure.legends[0].get_texts()]) == drawn
 
 
 def test_no_schedule_is_best_without_successful_run(tmp_path):
@@ -486,18 +486,19 @@ def test_no_schedule_is_best_without_successful_run(tmp_path):
     assert "-: no run is ok, so none is best." in best
 
 
-def test_heading_limit_is_explained_before_first_use(tmp_path):
+def test_bias_floor_is_explained_before_first_use(tmp_path):
     study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
     text = told(store(tmp_path, study, summary_of(study)))
-    assert text.index("Limit: the heading error that a run's own") < text.index("of its limit")
-    assert "allow" not in text and "floor" not in text
+    meaning = text.index("Bias floor: the heading error that a run's own")
+    assert meaning < text.index("of its bias floor")
+    assert "allow" not in text and "limit" not in text
 
 
 def test_glossary_terms_are_explained_once_per_report(tmp_path):
     study = small_study()
     page, html = tmp_path / "page.md", tmp_path / "page.html"
     text = told(store(tmp_path / "out", study, summary_of(study)), page=page, html=html)
-    for word in ("ok", "settled", "limit", "truth", "NEES"):
+    for word in ("ok", "settled", "bias floor", "truth", "NEES"):
         assert text.count(f"\n{word}: ") == 1
         assert page.read_text().count(f"\n- *{word}*: ") == 1
         assert html.read_text().count(f"<em>{word}</em>: ") == 1

@@ -121,7 +121,7 @@ def test_html_and_markdown_pages_have_same_content(tmp_path):
     names += ["settle_10_s", "settle_10_truth_s"]
     rows = {name: np.linspace(1.0, 2.0, 6) for name in names}
     rows |= dict.fromkeys(
-        ("has_limit", "ok_limit", "ok_truth"), [True, True, True, False] + [True] * 2
+        ("has_floor", "ok_floor", "ok_truth"), [True, True, True, False] + [True] * 2
     )
     rows |= {"run_id": np.arange(6), "draw_id": np.repeat(np.arange(3), 2)}
     rows |= {"status": ["ok"] * 6, "phi_u0_deg": [0.0, 30.0] * 3, "reset_times_s": [[]] * 6}

@@ -12,7 +12,7 @@ COMPASS = {"alignment": {"method": "compass"}, "compass": {"level_time_s": 2.0}}
 
 
 def compass_study(**changes):
-    sections = COMPASS | {"passes": {"tape_s": 2.0}}
+    sections = COMPASS | {"passes": {"stored_s": 2.0}}
     for name, change in changes.items():
         sections[name] = sections.get(name, {}) | change
     return small_study(**sections)
@@ -32,7 +32,7 @@ def test_heading_bound_matches_closed_form():
 
 def test_heading_bound_agrees_for_density_and_per_sample_noise():
     per_sample = compass_study(sensors={"accel_noise_ug": 50.0})
-    data = copy.deepcopy(BASE) | COMPASS | {"passes": {"tape_s": 2.0}}
+    data = copy.deepcopy(BASE) | COMPASS | {"passes": {"stored_s": 2.0}}
     del data["sensors"]["accel_noise_ug"]
     data["sensors"]["accel_vrw_ug_per_sqrt_hz"] = 5.0  # at 100 Hz
     data["alignment"] = BASE["alignment"] | {"method": "compass"}

@@ -20,7 +20,7 @@ SMOOTHING_S = 1.0
 TURNS = {"velocity": (-1, 1, 1), "velocity_and_rate": (-1, 1, -1), "reflect": (-1, -1, 1)}
 
 
-def compass_study(*, turn="velocity", tape_s=60.0, level_time_s=40.0, **changes):
+def compass_study(*, turn="velocity", stored_s=60.0, level_time_s=40.0, **changes):
     sections = {
         "study": {"duration_s": 240.0, "rate_hz": 20.0, "window_s": [200, 240], "draws": 1},
         "motion": {f"{a}_amplitude_deg": 0.0 for a in ("pitch", "roll", "yaw")}
@@ -30,7 +30,7 @@ def compass_study(*, turn="velocity", tape_s=60.0, level_time_s=40.0, **changes)
         "alignment": {"method": "compass"}
         | dict(zip(("phi_e0_deg", "phi_n0_deg", "phi_u0_deg"), (0.1, 0.0, 1.0), strict=True)),
         "compass": {"level_time_s": level_time_s},
-        "passes": {"tape_s": tape_s, "turn": turn, "turn_smoothing_s": SMOOTHING_S},
+        "passes": {"stored_s": stored_s, "turn": turn, "turn_smoothing_s": SMOOTHING_S},
     }
     for name, change in changes.items():
         known = sections.get(name)
@@ -40,7 +40,7 @@ def compass_study(*, turn="velocity", tape_s=60.0, level_time_s=40.0, **changes)
     return small_study(**sections)
 
 
-def integrated(study, times, turn, *, level_s, tape_s, sigma_az):
+def integrated(study, times, turn, *, level_s, stored_s, sigma_az):
     """The north channel by a general integrator, its equations written out."""
     v, tilt, w = TURNS[turn]
     limits = limits_of(study)
@@ -59,10 +59,10 @@ def integrated(study, times, turn, *, level_s, tape_s, sigma_az):
 
     phi = np.deg2rad(np.array([0.1 - limits.e / 60, 1.0 - limits.u / 60]))
     x = np.array([0.0, *phi, 0.0, 0.0, 0.0, 0.0])  # the last: f_N/g, low-passed, twice
-    found, edges = [], sorted({0.0, level_s, 100.0, *np.arange(tape_s, 241, tape_s), 240.0})
+    found, edges = [], sorted({0.0, level_s, 100.0, *np.arange(stored_s, 241, stored_s), 240.0})
     for since, until in zip(edges[:-1], edges[1:], strict=True):
-        number = int(since // tape_s)
-        if since and since % tape_s == 0:
+        number = int(since // stored_s)
+        if since and since % stored_s == 0:
             x = x * [v, 1, 1, -1, w, tilt, tilt] + [0, (tilt - 1) * x[6], 0, 0, 0, 0, 0]
         here = times[(times > since) & (times <= until)]
         middle = partial(
@@ -94,7 +94,7 @@ def test_noise_free_engine_run_matches_integrated_north_channel(turn):
         times,
         turn,
         level_s=40.0,
-        tape_s=60.0,
+        stored_s=60.0,
         sigma_az=lambda t: 0.02 if t >= 100.0 else 0.01,
     )
     # The east channel's part in the north one is left out of the equations.
@@ -114,15 +114,15 @@ def test_bias_floors_match_closed_forms():
 
 def test_one_variant_of_sweep_keeps_its_values():
     axes = {"phi_u0_deg": [1.0, 2.0], "azimuth_sigma_per_s": [0.01, 0.03]}
-    cases = [{"case": "a", "tape_s": 60.0}, {"case": "b", "tape_s": 120.0}]
+    cases = [{"case": "a", "stored_s": 60.0}, {"case": "b", "stored_s": 120.0}]
     one = one_variant(compass_study(axes=axes, cases=cases), 6)  # case b, phi_u0 2, sigma 0.01
     assert one.n_variants == 1
     assert one.values("phi_u0_deg") == [2.0] and one.values("case") == ["b"]
-    assert one.values("tape_s") == [120.0] and one.values("azimuth_sigma_per_s") == [0.01]
+    assert one.values("stored_s") == [120.0] and one.values("azimuth_sigma_per_s") == [0.01]
 
 
 def test_one_variant_of_zipped_axes_keeps_its_values():
-    together = {"tape_s": [60.0, 120.0], "level_time_s": [40.0, 80.0]}
+    together = {"stored_s": [60.0, 120.0], "level_time_s": [40.0, 80.0]}
     one = one_variant(compass_study(axes={"phi_u0_deg": [1.0, 2.0], "passes": together}), 3)
     assert one.n_variants == 1
     assert [one.values(key)[0] for key in (*together, "phi_u0_deg")] == [120.0, 80.0, 2.0]
@@ -131,9 +131,9 @@ def test_one_variant_of_zipped_axes_keeps_its_values():
 @pytest.mark.parametrize("turn", ["velocity", "velocity_drop_rate"])
 def test_cycle_radius_without_reflection_matches_loop_design(turn):
     made = REVERSALS[turn]
-    sigma, tape_s = np.array([[0.01], [0.03]]), np.array([40.0, 80.0, 200.0])
-    expected = loops.cycle_radius(sigma, tape_s, loops.turn_matrix(-1, 1, made.rate))
-    found = cycle_radius(compass_study(), turn, sigma, tape_s, 10.0)
+    sigma, stored_s = np.array([[0.01], [0.03]]), np.array([40.0, 80.0, 200.0])
+    expected = loops.cycle_radius(sigma, stored_s, loops.turn_matrix(-1, 1, made.rate))
+    found = cycle_radius(compass_study(), turn, sigma, stored_s, 10.0)
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 

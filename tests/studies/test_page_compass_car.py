@@ -130,7 +130,7 @@ def test_reflected_compass_matches_kalman_filter_on_real_record(data, data_dir, 
     record = data["record"] | {"start_s": [0, 40, 80, 120, 180]}
     study = study_of(data, hasty, careful, flipped, kalman, record=record)
     files = (data_dir / f"lasergyro_0_900{end}" for end in (".imu", "_reference.csv"))
-    study_run.run_into(study, tmp_path, prepare.load_tape(study, *files))
+    study_run.run_into(study, tmp_path, prepare.load_increments(study, *files))
     source = Source.read(tmp_path)
     cases = compass_cases.cases_of(source)
     errors = {case.name: case.errors for case in cases}

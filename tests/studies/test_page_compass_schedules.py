@@ -80,8 +80,8 @@ def test_best_schedule_study_uses_point_of_search():
     alike |= {"axes": True}
     assert search.model_dump(exclude=alike) == best.model_dump(exclude=alike)
     assert search.study.seed != best.study.seed  # scored on noise that the search has not seen
-    tapes, turns = best.values("tape_s"), best.values("turn")
-    assert tapes == [600.0, 80.0, 600.0, 80.0] and turns[1] == "velocity"
+    records, turns = best.values("stored_s"), best.values("turn")
+    assert records == [600.0, 80.0, 600.0, 80.0] and turns[1] == "velocity"
     scheme_1 = {key: best.values(key)[0] for key in ("level_sigma_per_s", "level_time_s")}
     assert scheme_1 == {"level_sigma_per_s": 0.02, "level_time_s": 150.0}
     assert best.values("azimuth_sigma_per_s")[:2] == [0.01, 0.01]

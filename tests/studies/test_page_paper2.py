@@ -86,7 +86,7 @@ def test_paper2_configs_match_printed_conditions():
         assert set(study.values("gyro_bias_deg_per_h")) == {0.02, 0.006}
         assert study.sensors.gyro_noise_deg_per_h == 0.006
         assert (study.sensors.accel_bias_ug, study.sensors.accel_noise_ug) == (50.0, 50.0)
-        assert set(study.values("tape_s")) == {600.0, 80.0}
+        assert set(study.values("stored_s")) == {600.0, 80.0}
     motion = swing.motion
     for angle, size, hertz in (("pitch", 8.0, 0.15), ("roll", 6.0, 0.2), ("yaw", 5.0, 0.125)):
         assert getattr(motion, f"{angle}_amplitude_deg") == size
@@ -120,4 +120,4 @@ def test_page_errors_are_minus_phi(tmp_path):
     phi = analysis.numbers(case.rows, "phi_u_mean_arcmin")
     np.testing.assert_allclose(case.means("heading"), -phi / 60)
     assert case.heading[1].shape == (DRAWS, 300)
-    np.testing.assert_allclose(case.from_limit(551.0), 0.1 - case.limit)
+    np.testing.assert_allclose(case.from_floor(551.0), 0.1 - case.limit)

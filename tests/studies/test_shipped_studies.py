@@ -75,8 +75,8 @@ def test_condition_5_converges_only_with_resets_or_gravity_model() -> None:
 def car(data_dir: Path) -> pa.Table:
     study = load_study(CONFIGS / "car_test.toml")
     record = data_dir / "lasergyro_0_900.imu"
-    tape = prepare.load_tape(study, record, data_dir / "lasergyro_0_900_reference.csv")
-    return run.run(study, tape).summary
+    stored = prepare.load_increments(study, record, data_dir / "lasergyro_0_900_reference.csv")
+    return run.run(study, stored).summary
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from sinsjax.study.keys import SECTIONS
 pytestmark = pytest.mark.optimised(False)
 
 COMPASS = {"alignment": {"method": "compass"}}
-PASSES = {"passes": {"tape_s": 3.0}}
+PASSES = {"passes": {"stored_s": 3.0}}
 SILENT: dict[str, tuple[dict[str, Any], str, list[Any]]] = {
     "cycle of no reset": ({"resets": {"reset_count": 0}}, "reset_cycle_s", [1.0, 2.0]),
     "cycle of one reset with a time": (
@@ -50,7 +50,7 @@ SILENT: dict[str, tuple[dict[str, Any], str, list[Any]]] = {
         [0.1, 0.2],
     ),
     "smoothing without reflection": (
-        {**COMPASS, "passes": {"tape_s": 3.0, "turn": "keep"}},
+        {**COMPASS, "passes": {"stored_s": 3.0, "turn": "keep"}},
         "turn_smoothing_s",
         [1.0, 2.0],
     ),

@@ -47,7 +47,7 @@ WHY: dict[str, tuple[dict[str, Any], str]] = {
         {"coarse": {"coarse_method": "inertial", "coarse_duration_s": 2.0}},
         "begins with the method's own P0",
     ),
-    "[passes]": ({"passes": {"tape_s": 2.0}}, "takes noise as white, passes take it in again"),
+    "[passes]": ({"passes": {"stored_s": 2.0}}, "takes noise as white, passes take it in again"),
     "[drawn] gyro_scale_ppm": (
         {"drawn": {"gyro_scale_ppm": {"normal": [0, 1]}}},
         "takes its value as given (sweep it instead)",

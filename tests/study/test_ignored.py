@@ -25,13 +25,13 @@ TRIGGER = {"reset_trigger": "nis", "trigger_threshold": 9.0}
             "[compass] sigma_times_s: 6.5 s is after the end of all runs with it, at 6 s",
         ),
         (
-            COMPASS | {"compass": {"level_passes": 4}, "passes": {"tape_s": 2.0}},
+            COMPASS | {"compass": {"level_passes": 4}, "passes": {"stored_s": 2.0}},
             "[compass] level_passes: 8 s is after the end of all runs with it, at 6 s",
         ),
         (
             COMPASS
             | {"compass": {"sigma_factors": [2, 1], "sigma_passes": [5]}}
-            | {"axes": {"passes": [1, 2]}, "passes": {"tape_s": 2.0}},
+            | {"axes": {"passes": [1, 2]}, "passes": {"stored_s": 2.0}},
             "[compass] sigma_passes: 10 s is after the end of all runs with it, at 4 s",
         ),
         (
@@ -60,7 +60,7 @@ def test_time_after_end_of_all_runs_is_refused(tables: dict[str, Any], line: str
     "tables",
     [
         COMPASS | {"compass": {"level_time_s": 6.0}},
-        COMPASS | {"compass": {"level_time_s": 5.0}, "axes": {"tape_s": [2.0], "passes": [1, 3]}},
+        COMPASS | {"compass": {"level_time_s": 5.0}, "axes": {"stored_s": [2.0], "passes": [1, 3]}},
         {"axes": {"method": ["compass", "kalman5"]}, "compass": {"level_time_s": 5.0}},
         {"resets": {"trigger_threshold": 9.0}, "cases": [
             {"reset_trigger": "nis", "trigger_until_s": 3.0},

@@ -410,12 +410,12 @@ def test_invalid_values_in_file_are_refused_with_file_name(tmp_path: Path):
         COMPASS,
         merged(COMPASS, filter={}, resets={}),
         merged(SIMULATED, compass={}, passes={}),
-        merged(SIMULATED, passes={"tape_s": 80}),
-        merged(SIMULATED, passes={"tape_s": 80}, axes={"method": ["kalman5", "compass"]}),
+        merged(SIMULATED, passes={"stored_s": 80}),
+        merged(SIMULATED, passes={"stored_s": 80}, axes={"method": ["kalman5", "compass"]}),
         merged(
             RECORDED,
             alignment={"method": "compass"},
-            passes={"tape_s": 80, "ending": "forward", "turn": "velocity"},
+            passes={"stored_s": 80, "ending": "forward", "turn": "velocity"},
             compass={
                 "level_gains": [0.06, 1040.0, 1.6e-6],
                 "level_passes": 1,
@@ -567,6 +567,9 @@ def test_fingerprint_changes_with_zips_drawn_keys_and_stop_rule():
             "[alignment] reset_cuont: unknown key (did you mean reset_count in [resets]?)",
         ),
         ({"filter": {"zzz": 1}}, "[filter] zzz: unknown key"),
+        ({"passes": {"tape_s": 80}}, "[passes] tape_s: was renamed to stored_s"),
+        ({"axes": {"tape_s": [80]}}, "[axes] tape_s: was renamed to stored_s"),
+        ({"cases": [{"tape_s": 80}]}, "[cases] tape_s: was renamed to stored_s"),
         (
             {"filter": {"p0_yaw_deg": None}},
             "[filter] p0_yaw_deg: None is no value (leave the key out)",
@@ -641,7 +644,8 @@ def test_unknown_and_misplaced_names_are_refused(tables: dict[str, Any], line: s
         ("study", "settle_bands_arcmin", [3, 3.0000001], "repeats a value, to the 6 digits"),
         # 10 arcmin is always a column.
         ("study", "settle_bands_arcmin", [10.0000001], "gives another of the bands the same name"),
-        ("study", "judged_from", "reference", "'truth' or 'limit'"),
+        ("study", "judged_from", "reference", "'truth' or 'floor'"),
+        ("study", "judged_from", "limit", "'limit' was renamed to 'floor'"),
         ("study", "success_band_arcmin", 10.0000001, "gives another of the bands the same name"),
         ("study", "level_band_arcmin", 0, "greater than 0"),
         ("study", "dwell_s", 1e9, "is not less than the run"),
@@ -1141,7 +1145,7 @@ def test_record_may_supply_sample_rate():
     [
         ({"compass": {"level_time_s": 1}}, "[compass] level_time_s", "kalman5"),
         ({"axes": {"sigma_factors": [[1.0]]}}, "[axes] sigma_factors", "kalman5"),
-        ({"passes": {"tape_s": 80, "turn": "keep"}}, "[passes] turn", "kalman5"),
+        ({"passes": {"stored_s": 80, "turn": "keep"}}, "[passes] turn", "kalman5"),
         (
             {"axes": {"turn_smoothing_s": [1], "method": ["kalman5", "kalman10"]}},
             "[axes] turn_smoothing_s",
@@ -1205,10 +1209,10 @@ def test_sections_and_defaults_depend_on_methods():
     assert compass is not None
     assert (compass.level_sigma_per_s, compass.azimuth_sigma_per_s) == (0.02, 0.01)
     assert (compass.level_time_s, compass.sigma_factors) == (150.0, (1.0,))
-    over = built(COMPASS, passes={"tape_s": 80}).passes
+    over = built(COMPASS, passes={"stored_s": 80}).passes
     assert over is not None
     assert (over.turn, over.turn_smoothing_s, over.turn_covariance) == ("reflect", 5.0, None)
-    over = built(passes={"tape_s": 80}).passes
+    over = built(passes={"stored_s": 80}).passes
     assert over is not None
     assert (over.turn, over.turn_covariance, over.turn_inflation) == (None, "carried", 10.0)
 
@@ -1229,7 +1233,7 @@ def test_loop_settings_given_in_two_ways_are_refused(one: str, others: tuple[str
     values |= {"level_passes": 1, "sigma_passes": [1], "sigma_times_s": [80.0]}
     values["sigma_factors"] = [2.0, 1.0]
     given = {key: values.get(key, 1.0) for key in (one, *others)}
-    extra = {"passes": {"tape_s": 80.0}}
+    extra = {"passes": {"stored_s": 80.0}}
     for other in others:
         pair = {key: given[key] for key in (one, other)}
         line = refusal(COMPASS, compass=pair, **extra)
@@ -1242,30 +1246,30 @@ def test_loop_settings_given_in_two_ways_are_refused(one: str, others: tuple[str
 @pytest.mark.parametrize(
     ("passes", "line"),
     [
-        ({"tape_s": 901}, "tape_s: 901 s is longer than the study, duration_s = 900"),
+        ({"stored_s": 901}, "stored_s: 901 s is longer than the study, duration_s = 900"),
         (
-            {"tape_s": 80.5},
-            "tape_s: 80.5 s is no whole number of record intervals, record_interval_s = 1"
+            {"stored_s": 80.5},
+            "stored_s: 80.5 s is no whole number of record intervals, record_interval_s = 1"
             " (nearest: 80 or 81)",
         ),
         (
-            {"tape_s": 0.4},
-            "tape_s: 0.4 s is no whole number of record intervals, record_interval_s = 1"
+            {"stored_s": 0.4},
+            "stored_s: 0.4 s is no whole number of record intervals, record_interval_s = 1"
             " (nearest: 1)",
         ),
-        ({"tape_s": 0}, "tape_s: must be greater than 0, not 0"),
-        ({"tape_s": 80, "passes": 0}, "passes: must be greater than or equal to 1, not 0"),
+        ({"stored_s": 0}, "stored_s: must be greater than 0, not 0"),
+        ({"stored_s": 80, "passes": 0}, "passes: must be greater than or equal to 1, not 0"),
         (
-            {"tape_s": 80, "passes": 12},
+            {"stored_s": 80, "passes": 12},
             "passes: 12 over a record of 80 s last 960 s, longer than the study (duration_s = 900)",
         ),
         (
-            {"tape_s": 80, "passes": 4, "ending": "forward"},
+            {"stored_s": 80, "passes": 4, "ending": "forward"},
             "passes: 4 end backward, not as ending = 'forward' says",
         ),
-        ({"passes": 2}, "passes: 2 need a stored record to repeat (give tape_s)"),
+        ({"passes": 2}, "passes: 2 need a stored record to repeat (give stored_s)"),
         (
-            {"tape_s": 80, "turn": "flip"},
+            {"stored_s": 80, "turn": "flip"},
             "turn: must be 'reflect', 'velocity', 'velocity_and_rate', 'velocity_drop_rate',"
             " 'restart' or 'keep', not 'flip'",
         ),
@@ -1276,10 +1280,10 @@ def test_invalid_passes_are_refused(passes: dict[str, Any], line: str):
 
 
 def test_passes_are_checked_per_variant():
-    axes = {"tape_s": [80, 100], "passes": [3, 10]}
+    axes = {"stored_s": [80, 100], "passes": [3, 10]}
     line = "[axes] passes: 10 over a record of 100 s last 1000 s, longer than the study"
     assert refusal(axes=axes).startswith(line)
-    built(cases=[{"tape_s": 80, "passes": 10}, {"tape_s": 100, "passes": 3}])
+    built(cases=[{"stored_s": 80, "passes": 10}, {"stored_s": 100, "passes": 3}])
 
 
 @pytest.mark.parametrize(
@@ -1289,16 +1293,16 @@ def test_passes_are_checked_per_variant():
         ({}, (900, 900)),
         ({"passes": 1}, (900, 900)),
         ({"ending": "forward"}, (900, 900)),
-        ({"tape_s": 80}, (900, 80)),
-        ({"tape_s": 80, "passes": 3}, (240, 80)),
-        ({"tape_s": 80, "passes": 11}, (880, 80)),
-        ({"tape_s": 80, "ending": "forward"}, (880, 80)),
-        ({"tape_s": 100, "ending": "forward"}, (900, 100)),
-        ({"tape_s": 90, "ending": "forward"}, (810, 90)),
-        ({"tape_s": 450, "ending": "forward"}, (450, 450)),
-        ({"tape_s": 900}, (900, 900)),
-        ({"tape_s": 90, "ending": "forward", "direction": "rewind"}, (900, 90)),
-        ({"tape_s": 80, "passes": 4, "ending": "forward", "direction": "rewind"}, (320, 80)),
+        ({"stored_s": 80}, (900, 80)),
+        ({"stored_s": 80, "passes": 3}, (240, 80)),
+        ({"stored_s": 80, "passes": 11}, (880, 80)),
+        ({"stored_s": 80, "ending": "forward"}, (880, 80)),
+        ({"stored_s": 100, "ending": "forward"}, (900, 100)),
+        ({"stored_s": 90, "ending": "forward"}, (810, 90)),
+        ({"stored_s": 450, "ending": "forward"}, (450, 450)),
+        ({"stored_s": 900}, (900, 900)),
+        ({"stored_s": 90, "ending": "forward", "direction": "rewind"}, (900, 90)),
+        ({"stored_s": 80, "passes": 4, "ending": "forward", "direction": "rewind"}, (320, 80)),
     ],
 )
 def test_run_and_pass_lengths_follow_passes_settings(
@@ -1323,11 +1327,11 @@ def test_run_and_pass_lengths_follow_passes_settings(
         ({"sigma_factors": [3, 2, 1], "sigma_times_s": [3, 2]}, "sigma_times_s: must increase"),
         (
             {"sigma_factors": [2, 1], "sigma_passes": [2]},
-            "sigma_passes: counts passes over a stored record (give [passes] tape_s)",
+            "sigma_passes: counts passes over a stored record (give [passes] stored_s)",
         ),
         (
             {"level_passes": 1},
-            "level_passes: counts passes over a stored record (give [passes] tape_s)",
+            "level_passes: counts passes over a stored record (give [passes] stored_s)",
         ),
         ({"level_passes": 0}, "level_passes: must be greater than or equal to 1, not 0"),
         ({"sigma_factors": []}, "sigma_factors: must not be empty, not []"),
@@ -1356,7 +1360,7 @@ def test_sigma_times_must_match_sigma_factors_in_every_variant():
     built(COMPASS, cases=[{"sigma_factors": f, "sigma_times_s": t} for f, t in pairs])
     counted = [{"sigma_factors": [2.0, 1.0], "sigma_passes": [2]}]
     assert refusal(COMPASS, cases=counted).startswith("[cases] sigma_passes: counts passes")
-    built(COMPASS, cases=counted, passes={"tape_s": 80})
+    built(COMPASS, cases=counted, passes={"stored_s": 80})
 
 
 PARTIAL = {"duration_s": 900.5, "window_s": [600, 900]}

@@ -36,6 +36,10 @@ MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
         {"reset_time_s": TIMES},
         "[tune.variables] reset_time_s: unknown key (did you mean reset_times_s?)",
     ),
+    "old name of a key": (
+        {"tape_s": YAW},
+        "[tune.variables] tape_s: was renamed to stored_s",
+    ),
     "key of the truth": (
         {"gyro_bias_deg_per_h": YAW},
         "[tune.variables] gyro_bias_deg_per_h: cannot be tuned (it is a key of [sensors])",
@@ -392,14 +396,14 @@ def test_sigma_times_never_coincide() -> None:
 
 
 def test_tuned_lengths_are_rounded_to_samples_and_records() -> None:
-    changes = {"passes": {"tape_s": 3.0}}
+    changes = {"passes": {"stored_s": 3.0}}
     study = tuned(
-        {"feedback_interval_s": {"low": 0.1, "high": 1}, "tape_s": {"low": 1, "high": 3}},
+        {"feedback_interval_s": {"low": 0.1, "high": 1}, "stored_s": {"low": 1, "high": 3}},
         changes=changes,
     )
     space = SearchSpace.of(study)
     point = space.point([0.3333, 2.4], space.combinations[0])
-    assert point == {"feedback_interval_s": 0.33, "tape_s": 2.0}
+    assert point == {"feedback_interval_s": 0.33, "stored_s": 2.0}
 
 
 def test_with_point_applies_values_without_changing_study() -> None:

@@ -48,7 +48,7 @@ STUDIES: dict[str, dict[str, Any]] = {
     },
     "passes": {
         "study": SHORT | {"draws": 60},
-        "passes": {"tape_s": 1.0},
+        "passes": {"stored_s": 1.0},
         "axes": {"method": ["kalman5", "compass"], "phi_u0_deg": [0.0, 3.0]},
     },
     "drawn": {

@@ -49,9 +49,9 @@ def summary_of(study, *, truth=True, every=False, **given):
         **{k: [values[i] for i in variant] for k, values in swept.items()},
         **given,
     }
-    values = {"settle_10_truth_s": values["settle_10_s"], "has_limit": [True] * (v * d)} | values
+    values = {"settle_10_truth_s": values["settle_10_s"], "has_floor": [True] * (v * d)} | values
     ok = [status == "ok" for status in values["status"]]
-    values = {"ok_limit": ok, "ok_truth": ok} | values
+    values = {"ok_floor": ok, "ok_truth": ok} | values
     if not truth:
         lost = ("phi_", "settle", "ok_", "has_", "floor", "status", "nis", "nees", "p_above")
         values = {k: x for k, x in values.items() if not k.startswith(lost) or k in swept}

@@ -150,7 +150,7 @@ STUDIES = {
                 "sigma_times_s": [40.0, 80.0],
                 "sigma_factors": [1.0, 1.0, 1.0],
             },
-            "passes": {"tape_s": 40.0},
+            "passes": {"stored_s": 40.0},
         },
         objective="failure_rate",
         objective_band_arcmin=300.0,
@@ -321,7 +321,7 @@ def test_relaxed_objective_converges_to_hard_objective() -> None:
         {"reset_times_s": [linear(6.0, 18.0)], "q_scale": log(0.1, 10.0)},
         {
             "study": SHORT
-            | {"rate_hz": 50.0, "duration_s": 40.0, "window_s": [20, 40], "judged_from": "limit"},
+            | {"rate_hz": 50.0, "duration_s": 40.0, "window_s": [20, 40], "judged_from": "floor"},
             "sensors": {"gyro_bias_deg_per_h": 0.0, "accel_bias_ug": 0.0},
             "alignment": {"specific_force": "gravity", "phi_e0_deg": 2.0, "phi_n0_deg": 2.0},
             "axes": {"phi_u0_deg": [10.0, 30.0]},
@@ -432,11 +432,11 @@ def test_covariance_descents_improve_simulated_runs(
     assert found.best.objective <= begun.min()
 
 
-@pytest.mark.parametrize("from_limit", [None, 1.3])
+@pytest.mark.parametrize("from_floor", [None, 1.3])
 @pytest.mark.parametrize("truth", [False, True])
 @pytest.mark.parametrize("what", ["settle_mean", "final_error", "failure_rate"])
 def test_relaxed_estimates_match_closed_form(
-    what: str, truth: bool, from_limit: float | None
+    what: str, truth: bool, from_floor: float | None
 ) -> None:
     """Of two runs, arcmin: means 5 and -1, limit 2, sigma 4, about the limit possibly another."""
     study = tuned({"p0_yaw_deg": log(5.0, 80.0)}, {}, objective=what)
@@ -444,14 +444,14 @@ def test_relaxed_estimates_match_closed_form(
     band = study.tune.objective_band_arcmin
     phi = np.zeros((3, 1, 2)) + np.array([5.0, -1.0]) * ARCMIN
     settled = np.arange(2 * 1 * 3 * 2, dtype=float).reshape(2, 1, 3, 2)
-    about = None if from_limit is None else np.full((1, 2), from_limit * ARCMIN)
+    about = None if from_floor is None else np.full((1, 2), from_floor * ARCMIN)
     told = Spread(phi, np.full((3, 1, 2), 4.0 * ARCMIN), phi, settled, about)
     limit = Limit(Vec3(*(np.full(2, of * ARCMIN) for of in (0.0, 0.0, 2.0))), None, None)
     outcome = Outcome._make([None] * len(Outcome._fields))._replace(limit=limit)
     criteria = Criteria(np.array([band * ARCMIN]), *(0.0,) * 4, sharpness=4.0)
     got = objective.relaxed_estimates(study.tune, criteria, outcome, told, truth=truth)
     mean = np.array([5.0, -1.0]) - (0.0 if truth else 2.0)
-    sigma = 4.0 if truth or from_limit is None else from_limit
+    sigma = 4.0 if truth or from_floor is None else from_floor
     inside = norm.cdf((band - mean) / sigma) - norm.cdf((-band - mean) / sigma)
     expected = {
         "settle_mean": settled[1 if truth else 0, 0].T,
@@ -490,10 +490,10 @@ def down() -> tuple[Study, history.Found]:
     study = tuned(
         {"azimuth_sigma_per_s": log(0.02, 0.08)},
         {
-            "study": SHORT | {"duration_s": 120.0, "window_s": [60, 120], "judged_from": "limit"},
+            "study": SHORT | {"duration_s": 120.0, "window_s": [60, 120], "judged_from": "floor"},
             "alignment": {"method": "compass", "phi_e0_deg": 0.0, "phi_n0_deg": 0.0},
             "compass": {"level_time_s": 10.0},
-            "passes": {"tape_s": 120.0},
+            "passes": {"stored_s": 120.0},
             "axes": {"phi_u0_deg": [1.0, 2.0]},
         },
         objective="final_error",

@@ -156,7 +156,7 @@ def test_covariance_tuning_history_is_stored_and_resumed(
             {"axes": {"method": ["kalman5", "inertial"]}},
             "method: covariance analysis knows no linear part of inertial",
         ),
-        ({"passes": {"tape_s": 20.0}}, "[passes]: covariance analysis takes noise as white"),
+        ({"passes": {"stored_s": 20.0}}, "[passes]: covariance analysis takes noise as white"),
         (
             {"motion": {"vibration_ug_rms": 10.0}},
             "[motion] vibration_ug_rms: covariance analysis knows no vibration",

@@ -126,7 +126,7 @@ def test_evaluation_seed_wraps_after_largest_seed() -> None:
 def test_cost_counts_steps_of_all_runs() -> None:
     changes = {"axes": {"phi_u0_deg": [0.0, 5.0]}}
     assert search.cost(small_study(**changes)) == 2 * 3 * 600
-    repeated = {"passes": {"tape_s": 4.0, "passes": 1}}
+    repeated = {"passes": {"stored_s": 4.0, "passes": 1}}
     assert search.cost(small_study(**changes, **repeated)) == 2 * 3 * 400
 
 
@@ -141,7 +141,7 @@ ROWS = pa.table(
 )
 
 
-@pytest.mark.parametrize("judged", ["limit", "truth"])
+@pytest.mark.parametrize("judged", ["floor", "truth"])
 @pytest.mark.parametrize(
     ("tune", "values", "score"),
     [
@@ -239,7 +239,7 @@ def test_grid_search_evaluates_mirrored_reset_times_once(tmp_path: Path) -> None
     study = tuned(
         {"reset_times_s": TIMES},
         changes={
-            "study": {"rate_hz": 20.0, "settle_bands_arcmin": [600], "judged_from": "limit"},
+            "study": {"rate_hz": 20.0, "settle_bands_arcmin": [600], "judged_from": "floor"},
             "motion": STILL,
             "axes": {"phi_u0_deg": [5.0, 30.0]},
         },

@@ -20,7 +20,7 @@ from ..common.settling import median_time, settled
 from ..loops.runs import bound_arcmin
 from ..loops.turns import TURNS, cycle_radius
 
-SIGMA, LENGTH = "azimuth_sigma_per_s", "tape_s"
+SIGMA, LENGTH = "azimuth_sigma_per_s", "stored_s"
 _LEVELS = (0.5, 1.0)  # of the spectral radius
 _PAPER = (0.01, 80.0)  # sigma of the azimuth loop, 1/s, and length of the record, s
 _FINE = 32  # places along a side of a panel that contours are drawn through
@@ -92,8 +92,8 @@ def compared(source: Source) -> Page:
     study, (wide, narrow) = source.study, bands_of(source)
     wide_s, narrow_s = settling(source)
     reached = np.isfinite(narrow_s).mean(axis=-1)
-    outside = share_outside(bound_arcmin(study, study.values("tape_s")), narrow)
-    begins_last = study.run_s - 2 * study.values("tape_s")[RECORD]
+    outside = share_outside(bound_arcmin(study, study.values("stored_s")), narrow)
+    begins_last = study.run_s - 2 * study.values("stored_s")[RECORD]
     to_wide = [analysis.quantile(times) for times in wide_s]
 
     def told(variant: int) -> dict[str, str]:

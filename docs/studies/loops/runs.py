@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.alignment.bounds import Number, tape_bound
+from sinsjax.alignment.bounds import Number, record_bound
 from sinsjax.engine.truth import errors_of, site_of
 from sinsjax.errors import InputError
 from sinsjax.study.study import Study
@@ -58,20 +58,20 @@ def limits_of(study: Study, earth_rate_deg_per_h: float | None = None) -> Limits
     return Limits(-float(north), float(east), gyro + accel, gyro, accel)
 
 
-def bound_arcmin(study: Study, tape_s: Number) -> NDArray:
+def bound_arcmin(study: Study, stored_s: Number) -> NDArray:
     """Information bound of tapes of a study's data: 1 sigma of the heading, arcmin.
 
     Args:
         study: one base, one set of sensors.
-        tape_s: lengths, s.
+        stored_s: lengths, s.
     """
     first = Variants(study, np.array([0]))
     site, ug = site_of(study, first, None)
     rate_hz = study.rate_hz
     errors = errors_of(first.common, ug, rate_hz)
     east, north, _ = _to_n(study)
-    bound = tape_bound(
-        tape_s,
+    bound = record_bound(
+        stored_s,
         gyro_noise=np.linalg.norm(east * errors.gyro_noise) * rate_hz,
         accel_noise=np.linalg.norm(north * errors.accel_noise) * rate_hz,
         rate_hz=rate_hz,

@@ -20,7 +20,7 @@ TURNS = {
 
 
 def cycle_radius(
-    study: Study, turn: str, sigma: Number, tape_s: Number, smoothing_s: Number | None = None
+    study: Study, turn: str, sigma: Number, stored_s: Number, smoothing_s: Number | None = None
 ) -> NDArray:
     """As `compass.design.cycle_radius`, with the turn as it is made: by a specific force that lags.
 
@@ -28,7 +28,7 @@ def cycle_radius(
         study: compass loops of one damping.
         turn: one of `TURNS`.
         sigma: decay rate of the azimuth loop, 1/s.
-        tape_s: length of a pass, s.
+        stored_s: length of a pass, s.
         smoothing_s: delay of the low-passed specific force, two equal stages, s; the study's if
             None.
 
@@ -37,7 +37,7 @@ def cycle_radius(
     """
     delay_s = only(study, "turn_smoothing_s") if smoothing_s is None else smoothing_s
     damping = only(study, "azimuth_damping")
-    sigma, tape_s, damping, delay_s = np.broadcast_arrays(sigma, tape_s, damping, delay_s)
+    sigma, stored_s, damping, delay_s = np.broadcast_arrays(sigma, stored_s, damping, delay_s)
     earth = {"gravity": 1.0, "radius": 1.0}
     gains = loops.azimuth_gains(sigma, damping, **earth)
     azimuth = loops.azimuth_matrix(gains, rate_n=1.0, direction=1, **earth)
@@ -45,7 +45,7 @@ def cycle_radius(
     matrix[..., :4, :4] = azimuth
     matrix[..., 4, 1] = matrix[..., 5, 4] = 2 / delay_s
     matrix[..., 4, 4] = matrix[..., 5, 5] = -2 / delay_s
-    forward = scipy.linalg.expm(matrix * tape_s[..., None, None])
+    forward = scipy.linalg.expm(matrix * stored_s[..., None, None])
     mirror = np.diag([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0])  # time reversed: velocity, tilt, force
     made = _turn(turn)
     cycle = made @ mirror @ forward @ mirror @ made @ forward

@@ -81,7 +81,7 @@ class Case:
     @property
     def scheme(self) -> int:
         """1 where the data are gone over once, 2 where a tape is gone over again."""
-        return 1 if self["tape_s"] >= self.study.duration_s else 2
+        return 1 if self["stored_s"] >= self.study.duration_s else 2
 
     @property
     def name(self) -> str:
@@ -104,7 +104,7 @@ class Case:
         (phi,) = plots.ensembles(self.source.curves(ids).select(columns), {self.name: ids})
         return phi.time_s, _FROM_PHI * phi.columns["phi_u_arcmin"] - self.limit
 
-    def from_limit(self, time_s: float) -> NDArray:
+    def from_floor(self, time_s: float) -> NDArray:
         """Heading errors from the limit at the record nearest to a time, (draws,), deg."""
         times, errors = self.heading
         return np.asarray(errors[:, int(np.argmin(np.abs(times - time_s)))])
@@ -164,10 +164,10 @@ def _unsettled(cases: Sequence[Case]) -> Page:
     start, end = first.source.study.study.window_s
     means = {case: analysis.mean(case.means("heading")) for case in cases}
     stated = [case for case in cases if case.drift == first.drift]
-    moves = [abs(np.mean(case.from_limit(end) - case.from_limit(start))) for case in stated]
+    moves = [abs(np.mean(case.from_floor(end) - case.from_floor(start))) for case in stated]
     centres = [means[case].value for case in stated]
     near = min(means.values(), key=lambda mean: abs(mean.value - printed))
-    left = analysis.mean(first.from_limit(start))
+    left = analysis.mean(first.from_floor(start))
     values = {
         "window": f"{start:g} to {end:g} s",
         "start": f"{start:g} s",
@@ -202,13 +202,13 @@ def _bases(static: Sequence[Case], swing: Sequence[Case]) -> Page:
 def _turns(cases: Mapping[str, Case]) -> Page:
     """What each turn leaves of the heading error from cycle to cycle, with one gyro drift."""
     shown = [cases[name] for name in (V_FLIPPED, BOTH_FLIPPED, REFLECTED)]
-    tape_s = shown[0]["tape_s"]
-    radii = [float(cycle_radius(c.study, c["turn"], AZIMUTH_SIGMA, tape_s)) for c in shown]
+    stored_s = shown[0]["stored_s"]
+    radii = [float(cycle_radius(c.study, c["turn"], AZIMUTH_SIGMA, stored_s)) for c in shown]
     lines = [
         Line(TURNS[case["turn"]], *case.heading, plots.colour(number))
         for number, case in enumerate(shown)
     ]
-    begins = float(np.mean(shown[0].from_limit(0.0)))
+    begins = float(np.mean(shown[0].from_floor(0.0)))
     ends = [float(np.mean(case.means("heading"))) - case.limit for case in shown]
     values = {
         "begins": f"{begins:.1f} deg",
@@ -217,8 +217,8 @@ def _turns(cases: Mapping[str, Case]) -> Page:
         "paper": f"{radii[0]:.3f}",
         "rates": f"{radii[1]:.3f}",
         "reflected": f"{radii[2]:.2f}",
-        "exact": f"{math.exp(-2 * AZIMUTH_SIGMA * tape_s):.2f}",
-        "tape": f"{tape_s:g} s",
+        "exact": f"{math.exp(-2 * AZIMUTH_SIGMA * stored_s):.2f}",
+        "tape": f"{stored_s:g} s",
     }
     claims = {
         "with the paper's turn the heading error grows and stays": (

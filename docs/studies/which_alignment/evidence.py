@@ -51,7 +51,7 @@ def by_base(field: Field, starts: tuple[Start, ...], grade: float, time_s: int) 
     return Table(title, ["method", *field.bases], rows, note, folded=True)
 
 
-def from_limit(field: Field, starts: tuple[Start, ...], grade: float, time_s: int) -> Table:
+def from_floor(field: Field, starts: tuple[Start, ...], grade: float, time_s: int) -> Table:
     """Every arm on every base, less what constant sensor biases leave."""
     rows = []
     for arm in field.at(grade):

@@ -50,7 +50,7 @@ def page(sources: Sources) -> Page:
     tables = {
         "decision": evidence.decisions(field, classes, GRADE, folded=False),
         "bases": evidence.by_base(field, field.starts, GRADE, 300),
-        "limits": evidence.from_limit(field, field.starts, GRADE, 300),
+        "limits": evidence.from_floor(field, field.starts, GRADE, 300),
         "starts": evidence.by_start(field, "sway", GRADE, 300),
         "settled": evidence.settled(field, field.starts, "sway", GRADE),
         "latitudes": evidence.by_latitude(sources["which_alignment_latitude"]),

@@ -304,7 +304,7 @@ def schedule_matrix(
 
 
 def cycle_radius(
-    sigma: Number, tape_s: Number, turn: np.ndarray, *, damping: Number = PAPER_DAMPING
+    sigma: Number, stored_s: Number, turn: np.ndarray, *, damping: Number = PAPER_DAMPING
 ) -> np.ndarray:
     """Spectral radius of the azimuth loop over one forward and one reversed pass, shape ``(...)``.
 
@@ -314,12 +314,12 @@ def cycle_radius(
 
     Args:
         sigma: decay rate, 1/s.
-        tape_s: length of a pass T_p, s.
+        stored_s: length of a pass T_p, s.
         turn: of `turn_matrix`.
         damping: xi, 0 < xi <= 1.
     """
     gains = azimuth_gains(sigma, damping, gravity=1.0, radius=1.0)
-    passes = [(gains, tape_s)] * 2
+    passes = [(gains, stored_s)] * 2
     cycle = turn @ schedule_matrix(passes, turn, gravity=1.0, radius=1.0, rate_n=1.0)
     return np.asarray(np.abs(np.linalg.eigvals(cycle)).max(-1))
 

@@ -43,19 +43,21 @@ def parameters(columns: Columns, site: Site, ug: float) -> LoopParams:
     """
     rate = columns.rate_hz
     passes = columns.has("passes")
-    tape = ("tape_s",) if passes else ()
+    stored = ("stored_s",) if passes else ()
 
     def level_s(
-        time: float | None, number: int | None, tape_s: float | None = None
+        time: float | None, number: int | None, stored_s: float | None = None
     ) -> float | None:
-        return time if number is None else number * (tape_s or math.nan)
+        return time if number is None else number * (stored_s or math.nan)
 
     def pieces_s(
         times: tuple[float, ...] | None,
         numbers: tuple[int, ...] | None,
-        tape_s: float | None = None,
+        stored_s: float | None = None,
     ) -> tuple[float, ...]:
-        return times or () if numbers is None else tuple(n * (tape_s or math.nan) for n in numbers)
+        return (
+            times or () if numbers is None else tuple(n * (stored_s or math.nan) for n in numbers)
+        )
 
     level_gains, azimuth_gains = gains(columns, site)
     smoothing = columns.column("turn_smoothing_s") if passes else np.ones(columns.count)
@@ -68,10 +70,12 @@ def parameters(columns: Columns, site: Site, ug: float) -> LoopParams:
         level=level_gains,
         azimuth=azimuth_gains,
         pace=Pieces(
-            in_samples(columns, pieces_s, "sigma_times_s", "sigma_passes", *tape),
+            in_samples(columns, pieces_s, "sigma_times_s", "sigma_passes", *stored),
             columns.lists(list, "sigma_factors", rest=1.0),
         ),
-        azimuth_from=np.round(columns.each(level_s, "level_time_s", "level_passes", *tape) * rate),
+        azimuth_from=np.round(
+            columns.each(level_s, "level_time_s", "level_passes", *stored) * rate
+        ),
         smoothing=-np.expm1(-2 / (rate * smoothing)),  # two stages share the delay
         turn=Reversal(*turn),
     )

@@ -117,6 +117,6 @@ def check_pieces(study: CheckedStudy) -> None:
         if all(point[key] is None for point in study.combinations(key)):
             continue
         if not study.has("passes") or any(
-            p["tape_s"] is None for p in study.combinations("tape_s")
+            p["stored_s"] is None for p in study.combinations("stored_s")
         ):
-            study.refuse(key, "counts passes over a stored record (give [passes] tape_s)")
+            study.refuse(key, "counts passes over a stored record (give [passes] stored_s)")

@@ -19,10 +19,10 @@ def check_passes(study: CheckedStudy) -> None:
     """Refuse repeated passes, which hold nothing that the first has not told."""
     if not study.has("passes"):
         return
-    for point in study.combinations("method", "tape_s"):
-        if point["method"] in _NAMES and point["tape_s"] is not None:
+    for point in study.combinations("method", "stored_s"):
+        if point["method"] in _NAMES and point["stored_s"] is not None:
             text = f"method {point['method']} takes a record in once: read again it tells no more"
-            study.refuse("tape_s", text)
+            study.refuse("stored_s", text)
 
 
 def check_coarse(study: CheckedStudy) -> None:
