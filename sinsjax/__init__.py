@@ -53,7 +53,8 @@ if TYPE_CHECKING:
     from sinsjax.execution.run import Results, align, estimate, run, run_into
     from sinsjax.platform.runtime import configure, info
     from sinsjax.records import read_record, read_reference, record_from_arrays
-    from sinsjax.study.load import Study, load_study, study_from_dict
+    from sinsjax.study.load import load_study, study_from_dict
+    from sinsjax.study.study import Study
     from sinsjax.tuning.history import read_history
     from sinsjax.tuning.run_tuning import tune
 

@@ -1,14 +1,56 @@
 """Exceptions that end a study early: a user's mistake, or an interruption."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
 from sinsjax.messages import one_line
 
 
 class InputError(ValueError):
-    """A user's mistake, in one visible line: the file, the key or row, and what is wrong."""
+    """A user's mistakes, one visible line each: the file, the key or row, and what is wrong.
 
-    def __init__(self, message: str) -> None:
-        """Keep the message as one line, whatever text from a file is in it."""
-        super().__init__(one_line(message))
+    Attributes:
+        lines: the mistakes; most errors have one.
+    """
+
+    def __init__(self, *messages: str) -> None:
+        """Keep each message as one line, whatever text from a file is in it."""
+        self.lines = tuple(map(one_line, messages))
+        super().__init__("\n".join(self.lines))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Keep the lines apart in other processes."""
+        return type(self), self.lines
+
+    def named(self, source: str) -> "InputError":
+        """Return the same error with a source before each line."""
+        return InputError(*(f"{source}: {line}" for line in self.lines))
+
+
+class ErrorCollector:
+    """Collects input errors, so that all of them are reported at once.
+
+    Attributes:
+        lines: those of the errors so far, without repetition.
+    """
+
+    def __init__(self) -> None:
+        """Begin without errors."""
+        self.lines: dict[str, None] = {}
+
+    @contextmanager
+    def collect(self) -> Iterator[None]:
+        """Keep an input error that a block raises, and continue after the block."""
+        try:
+            yield
+        except InputError as error:
+            self.lines |= dict.fromkeys(error.lines)
+
+    def raise_all(self) -> None:
+        """Raise the errors so far as one, if there are any."""
+        if self.lines:
+            raise InputError(*self.lines)
 
 
 class StudyWarning(UserWarning):

@@ -3,9 +3,9 @@
 Values stay in the file's units. A broken rule raises `invalid` with a message in a user's terms.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar, get_args
+from typing import Annotated, Any, ClassVar, NamedTuple, get_args
 
 from pydantic import (
     AfterValidator,
@@ -33,59 +33,33 @@ def invalid(text: str, key: str | None = None) -> PydanticCustomError:
     return PydanticCustomError("invalid", text, {"key": key} if key else None)
 
 
-class Usual(NamedTuple):
-    """The usual range of a number; a value outside draws a warning, see `study.usual`.
+class KeyInfo(NamedTuple):
+    """What a study file needs to know of a key beyond its type and meaning.
+
+    It is written in the annotation of the key or of its type; the outermost value of each attribute
+    counts.
 
     Attributes:
-        low: lowest usual value, in the unit of the key.
-        high: highest usual value.
+        usual: lowest and highest usual value, in the unit of the key; `rules` questions others.
+        default: value of a key that a study omits although one of its methods reads it. Not filled
+            in if the study gives an alternative key, see `Section.exclusive`.
+        beside: a key without which, or with 'none' as its value, the default is not filled in.
+        same_as: meaning of an omitted key: the value of another key, or a number.
+        whole: interval that a time must be a multiple of, to which a search rounds it: 'sample',
+            or 'record' interval.
+        merged: whether a search merges times of a list that round to the same sample; otherwise it
+            moves them a sample apart.
+        time: unit of a time within a run, which must not be after its end: 's', or 'pass' for a
+            number of passes.
     """
 
-    low: float
-    high: float
-
-
-class Default(NamedTuple):
-    """Default of a key that a study omits although one of its methods reads it.
-
-    Not filled in if the study gives an alternative key, see `Section.exclusive`.
-
-    Attributes:
-        value: in the unit of the key.
-        beside: a key without which, or with 'none' as its value, this one is not read.
-    """
-
-    value: Any
+    usual: tuple[float, float] | None = None
+    default: Any = None
     beside: str | None = None
-
-
-class SameAs(NamedTuple):
-    """Meaning of an omitted key: the value of another key, or a number."""
-
-    other: str | float
-
-
-class Whole(NamedTuple):
-    """The interval that a time must be a multiple of, to which a search rounds it.
-
-    Attributes:
-        interval: 'sample', or 'record' interval.
-        merged: whether times of a list that round to the same sample are merged; otherwise they
-            are moved a sample apart.
-    """
-
-    interval: str
+    same_as: str | float | None = None
+    whole: str | None = None
     merged: bool = False
-
-
-class RunTime(NamedTuple):
-    """Marks a number, or the last number of a list, as a time within a run, not after its end.
-
-    Attributes:
-        unit: 's', or 'pass' for a number of passes.
-    """
-
-    unit: str = "s"
+    time: str | None = None
 
 
 class ActsWhere(NamedTuple):
@@ -107,20 +81,23 @@ class ActsWhere(NamedTuple):
 ROUNDING = 1e-9
 """Relative tolerance for the rounding of a product of two decimal numbers."""
 
-Marks = TypeVar("Marks")
+
+def key_info(field: FieldInfo) -> KeyInfo:
+    """Return what the annotation of a key says of it, the outermost value of each attribute."""
+    given: dict[str, Any] = {}
+    for info in _infos([*field.metadata, field.annotation]):
+        for name, value in info._asdict().items():
+            if value != KeyInfo._field_defaults[name]:
+                given.setdefault(name, value)
+    return KeyInfo(**given)
 
 
-def mark(field: FieldInfo, kind: type[Marks]) -> Marks | None:
-    """The outermost mark of a kind in the annotation of a key; None without one."""
-    return _first([*field.metadata, field.annotation], kind)
-
-
-def _first(parts: Iterable[Any], kind: type[Marks]) -> Marks | None:
+def _infos(parts: Iterable[Any]) -> Iterator[KeyInfo]:
     for part in parts:
-        found = part if isinstance(part, kind) else _first(reversed(get_args(part)), kind)
-        if found is not None:
-            return found
-    return None
+        if isinstance(part, KeyInfo):
+            yield part
+        else:
+            yield from _infos(reversed(get_args(part)))
 
 
 def _shape(value: Any) -> str:
@@ -178,22 +155,23 @@ Angle = Annotated[float, Field(ge=-360, le=360)]
 HalfTurn = Annotated[float, Field(ge=-180, le=180)]
 Elevation = Annotated[float, Field(gt=-90, lt=90)]
 # The usual ranges are generous: a number outside is most likely in another unit.
-Seconds = Annotated[Positive, Usual(1e-9, 1e8)]
-SecondsOrZero = Annotated[NonNegative, Usual(0, 1e8)]
-Period = Annotated[Positive, Usual(1e-4, 1e7)]
-Band = Annotated[Positive, Usual(1e-6, 180 * 60)]
-Amplitude = Annotated[NonNegative, Usual(0, 360)]
-Speed = Annotated[Finite, Usual(-1e4, 1e4)]
-SpeedSigma = Annotated[Positive, Usual(1e-12, 1e4)]
-AngleSigma = Annotated[Positive, Usual(1e-9, 360)]
-HeadingSigma = Annotated[Positive, Usual(1e-9, 1e4)]  # beyond a turn: next to nothing is known
-GyroSigma = Annotated[Positive, Usual(1e-9, 1e6)]
-AccelSigma = Annotated[Positive, Usual(1e-6, 1e7)]
-GyroNoise = Annotated[NonNegative, Usual(0, 1e6)]
-AccelNoise = Annotated[NonNegative, Usual(0, 1e7)]
-GyroWalk = Annotated[NonNegative, Usual(0, 1e4)]
-Bandwidth = Annotated[Positive, Usual(1e-6, 1e4)]
-Factor = Annotated[Positive, Usual(1e-9, 1e9)]
+Seconds = Annotated[Positive, KeyInfo(usual=(1e-9, 1e8))]
+SecondsOrZero = Annotated[NonNegative, KeyInfo(usual=(0, 1e8))]
+Period = Annotated[Positive, KeyInfo(usual=(1e-4, 1e7))]
+Band = Annotated[Positive, KeyInfo(usual=(1e-6, 180 * 60))]
+Amplitude = Annotated[NonNegative, KeyInfo(usual=(0, 360))]
+Speed = Annotated[Finite, KeyInfo(usual=(-1e4, 1e4))]
+SpeedSigma = Annotated[Positive, KeyInfo(usual=(1e-12, 1e4))]
+AngleSigma = Annotated[Positive, KeyInfo(usual=(1e-9, 360))]
+# Beyond a turn, next to nothing is known.
+HeadingSigma = Annotated[Positive, KeyInfo(usual=(1e-9, 1e4))]
+GyroSigma = Annotated[Positive, KeyInfo(usual=(1e-9, 1e6))]
+AccelSigma = Annotated[Positive, KeyInfo(usual=(1e-6, 1e7))]
+GyroNoise = Annotated[NonNegative, KeyInfo(usual=(0, 1e6))]
+AccelNoise = Annotated[NonNegative, KeyInfo(usual=(0, 1e7))]
+GyroWalk = Annotated[NonNegative, KeyInfo(usual=(0, 1e4))]
+Bandwidth = Annotated[Positive, KeyInfo(usual=(1e-6, 1e4))]
+Factor = Annotated[Positive, KeyInfo(usual=(1e-9, 1e9))]
 IncreasingPair = Annotated[tuple[Finite, Finite], AfterValidator(_ordered)]
 Normal = tuple[Finite, NonNegative]
 Name = Annotated[str, Field(min_length=1), AfterValidator(_printable)]

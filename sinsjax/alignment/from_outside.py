@@ -8,6 +8,7 @@ A package says in its ``pyproject.toml`` where its `Description` stands:
 What is wrong with one concerns the studies that use it, and no others.
 """
 
+import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from importlib.metadata import EntryPoint
@@ -21,7 +22,7 @@ from sinsjax.alignment.guarding import guarded, mistyped, of_package, what
 from sinsjax.errors import InputError
 from sinsjax.messages import near
 from sinsjax.platform import runtime
-from sinsjax.value_types import ActsWhere, Default, Usual, mark
+from sinsjax.value_types import ActsWhere, key_info
 
 
 class Brought(NamedTuple):
@@ -140,14 +141,14 @@ def _check_type(point: EntryPoint, field: str, value: object, kind: Any) -> None
 
 def _check_defaults(point: EntryPoint, where: str, field: FieldInfo) -> None:
     """Refuse a default that no study could give: pydantic takes it as it stands."""
-    own, beside = field.get_default(), mark(field, Default)
-    usual, kind = mark(field, Usual), Annotated[field.annotation, field]
-    for value in (own, beside.value if beside else PydanticUndefined):
+    info, kind = key_info(field), Annotated[field.annotation, field]
+    for value in (field.get_default(), PydanticUndefined if info.default is None else info.default):
         if value is PydanticUndefined:
             continue
         _check_type(point, where, value, kind)
-        if usual and isinstance(value, int | float) and not usual.low <= value <= usual.high:
-            text = f"must be within the usual {usual.low:g} to {usual.high:g}, not {value!r}"
+        low, high = info.usual or (-math.inf, math.inf)
+        if isinstance(value, int | float) and not low <= value <= high:
+            text = f"must be within the usual {low:g} to {high:g}, not {value!r}"
             raise InputError(f"{_named(point)}: {where}: {text}")
 
 

@@ -9,14 +9,13 @@ from sinsjax.messages import explained
 from sinsjax.value_types import (
     ActsWhere,
     Count,
-    Default,
     Factor,
     HalfTurn,
+    KeyInfo,
     Seconds,
     SecondsOrZero,
     Section,
     Speed,
-    Whole,
     invalid,
 )
 
@@ -58,14 +57,16 @@ class AlignmentSection(Section):
     position: Literal["fixed", "integrated"] = Field(
         "fixed", description="whether position stays or follows the velocity"
     )
-    specific_force: Annotated[Literal["measured", "gravity"] | None, Default("measured")] = Field(
+    specific_force: Annotated[
+        Literal["measured", "gravity"] | None, KeyInfo(default="measured")
+    ] = Field(
         None,
         description="specific force in A(t): 'measured' (default), or 'gravity', of a base at rest",
     )
-    feedback_interval_s: Annotated[Seconds | None, Default(1.0), Whole("sample")] = Field(
+    feedback_interval_s: Annotated[Seconds | None, KeyInfo(default=1.0, whole="sample")] = Field(
         None, description="time between feedbacks, s; default 1"
     )
-    feedback_time_constant_s: Annotated[SecondsOrZero | None, Default(0.0)] = Field(
+    feedback_time_constant_s: Annotated[SecondsOrZero | None, KeyInfo(default=0.0)] = Field(
         None, description="time constant of the feedback, s; default 0: all is fed back at once"
     )
 
@@ -88,7 +89,7 @@ class PassesSection(Section):
         ActsWhere(("turn_inflation",), ("turn_covariance",), lambda kind: kind == "inflated"),
     )
 
-    stored_s: Annotated[Seconds | None, Whole("record")] = Field(
+    stored_s: Annotated[Seconds | None, KeyInfo(whole="record")] = Field(
         None,
         description="length of the stored record, s; without it all of the duration, once forward",
     )
@@ -106,17 +107,17 @@ class PassesSection(Section):
     turn: Annotated[
         Literal["reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"]
         | None,
-        Default("reflect"),
+        KeyInfo(default="reflect"),
     ] = Field(None, description="what compass loops do at a direction reversal; default 'reflect'")
-    turn_smoothing_s: Annotated[Seconds | None, Default(5.0)] = Field(
+    turn_smoothing_s: Annotated[Seconds | None, KeyInfo(default=5.0)] = Field(
         None, description="delay of the low-passed force that 'reflect' turns by, s; default 5"
     )
     turn_covariance: Annotated[
-        Literal["carried", "inflated", "reset"] | None, Default("carried")
+        Literal["carried", "inflated", "reset"] | None, KeyInfo(default="carried")
     ] = Field(
         None, description="what becomes of a filter's P at a direction reversal; default 'carried'"
     )
-    turn_inflation: Annotated[Factor | None, Default(10.0)] = Field(
+    turn_inflation: Annotated[Factor | None, KeyInfo(default=10.0)] = Field(
         None, description="factor on P, for 'inflated'; default 10"
     )
 

@@ -319,7 +319,8 @@ def main() -> None:
                 print(f"error: {wrong_usage(error)}", file=sys.stderr)
             raise SystemExit(2) from None
         except InputError as error:
-            print(f"error: {error}", file=sys.stderr)
+            for line in error.lines:
+                print(f"error: {line}", file=sys.stderr)
             raise SystemExit(2) from None
         except StudyInterrupted as interrupted:
             line = f"interrupted: {interrupted} (continue: {command_to_resume()})"

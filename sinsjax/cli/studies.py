@@ -88,14 +88,7 @@ def validate(config: Config, changes: Changes = None) -> None:
     Example: sinsjax validate reset_sweep --set study.draws=64
     """
     from sinsjax.cli.study import describe_plan
-    from sinsjax.study.changes import parsed
-    from sinsjax.study.problems import problems
 
-    wrong = problems(config, parsed(changes or ()))
-    for line in wrong:
-        typer.echo(f"error: {line}", err=True)
-    if wrong:
-        raise typer.Exit(2)
     for line in describe_plan(config, changes):
         say(plain_console(), line)
 
@@ -122,7 +115,7 @@ def keys(
     console = plain_console()
     for line in key_table.about_method(wanted):
         say(console, line, wrap=True)
-    for key in key_table.keys(wanted):
+    for key in key_table.find_keys(wanted):
         default = key.default if key.default in ("", "required") else f"default {key.default}"
         about = filter(None, (key.unit, default, f"methods: {key.read_by}"))
         say(console, f"[{key.section}] {key.name}: {'; '.join(about)}")

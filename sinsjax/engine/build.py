@@ -29,13 +29,11 @@ from sinsjax.maths.rotations import euler_vector
 from sinsjax.platform import runtime
 from sinsjax.records import Record
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.in_turn import IN_TURN
 from sinsjax.study.keys import COARSE_KEYS, PASS_KEYS
 from sinsjax.study.resolved import Coded
 from sinsjax.study.schema import EarthSection, MotionSection, SensorsSection
-from sinsjax.study.study import Span, Study
+from sinsjax.study.study import SEQUENTIAL_KEYS, Span, Study
 from sinsjax.study.success import bands
-from sinsjax.study.times import counts_before, report_samples, report_times, samples_before
 from sinsjax.study.variants import Variants
 from sinsjax.types import Array, Increments, Quat, Vec3
 from sinsjax.units import ARCMIN, DEG
@@ -214,16 +212,16 @@ def _span(study: Study, variants: Variants) -> Span:
 def _criteria(study: Study, variants: Variants) -> Criteria:
     """What the runs of some variants are judged against."""
     settings, before = study.study, 0
-    if counts_before(study):
+    if study.counts_before:
         coarse = (variants.common(key) for key in COARSE_KEYS)
-        before = samples_before(study, study.rate_hz, *coarse)
+        before = study.samples_before(study.rate_hz, *coarse)
     return Criteria(
         bands=np.asarray(bands(study)) * ARCMIN,
         window_start=np.float64(settings.window_s[0]),
         window_end=np.float64(settings.window_s[1]),
         consistency_after=np.float64(settings.consistency_after_s),
         steady_after=np.float64(settings.steady_after_s),
-        report_samples=report_samples(study, before) if report_times(study) else None,
+        report_samples=study.report_samples(before) if study.report_times_s else None,
     )
 
 
@@ -232,7 +230,7 @@ def _program(study: Study, variants: Variants, curves: bool) -> Static:
     simulated = not study.is_recorded
     span, kept = _span(study, variants), 0
     reverses = study.passes is not None and not span.rewinds
-    if simulated and reverses and variants.takes(*IN_TURN):
+    if simulated and reverses and variants.takes(*SEQUENTIAL_KEYS):
         # Of one length for all parts, so that they share a program.
         kept = max(each.read for each in study.distinct_spans) * study.record_every
     return Static(

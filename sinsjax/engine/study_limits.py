@@ -18,7 +18,6 @@ from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.schema import MotionSection
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_of
-from sinsjax.study.times import spans_s
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H
 
 LEAST_PERIODS = 10
@@ -83,7 +82,7 @@ def has_floor(
         for what in ("amplitude_deg", "period_s")
     )
     biased = np.stack([runs.vectors(key).any(-1) for key in _BIASES]).any(0)
-    length, pass_s = spans_s(study)[runs.variant_ids].T
+    length, pass_s = study.spans_s[runs.variant_ids].T
     averaged_over = np.minimum(length - last_reset_s, pass_s) * (1 + 1e-9)
     slow = (amplitudes != 0) & (LEAST_PERIODS * periods > averaged_over)
     still = ~(amplitudes != 0).any(0)

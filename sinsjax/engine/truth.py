@@ -39,11 +39,16 @@ from sinsjax.records.reference import StoredRecord
 from sinsjax.strapdown import base_motion, earth, sensors
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.study import sampling
-from sinsjax.study.distributions import BIASES, NUMBERS_DRAWN, is_normal
 from sinsjax.study.keys import COARSE_KEYS, EARTH_CONSTANTS
-from sinsjax.study.schema import EarthSection, MotionSection, SensorsSection
+from sinsjax.study.schema import (
+    BIAS_KEYS,
+    NUMBERS_DRAWN,
+    EarthSection,
+    MotionSection,
+    SensorsSection,
+    is_normal,
+)
 from sinsjax.study.study import Span, Study
-from sinsjax.study.times import samples_before, stored_times
 from sinsjax.study.variants import Variants
 from sinsjax.units import DEG, DEG_PER_H
 from sinsjax.value_types import Section
@@ -102,7 +107,7 @@ def simulated(
     """
     site, ug = site_of(study, variants, None)
     errors, motion, disturbances = _base_and_sensors(variants, ug)
-    times = np.concatenate([[0.0], stored_times(study, span)])
+    times = np.concatenate([[0.0], study.stored_times(span)])
     increments, axes = None, None
     if draws_own(study, EarthSection, MotionSection):
         # Each draw makes its own as it goes.
@@ -184,14 +189,14 @@ def _drawn_normally(study: Study, ids: np.ndarray, ug: float) -> DrawnNormally |
     moments = np.array([law.normal for law in laws.values()]).T
     means, sigmas = (
         {
-            k: np.full((1, NUMBERS_DRAWN[k]) if k in BIASES else 1, a)
+            k: np.full((1, NUMBERS_DRAWN[k]) if k in BIAS_KEYS else 1, a)
             for k, a in zip(laws, row, strict=True)
         }
         for row in moments
     )
     errors, spread = (_base_and_sensors(Variants(study, ids, a), ug)[0] for a in (means, sigmas))
     begins, sigma = (jax.tree.map(lambda a: a[0], _begins(a)) for a in (means, sigmas))
-    gyro, accel = (key in laws for key in BIASES)
+    gyro, accel = (key in laws for key in BIAS_KEYS)
     biases = [
         np.reshape(np.broadcast_to(a, (1, 3)), 3) for a in (errors.gyro_bias, errors.accel_bias)
     ]
@@ -251,7 +256,7 @@ def recorded(
             f"{record.source}: the record has {record.rate_hz:g} Hz, [study] rate_hz is {rate:g}"
         )
     method, *rest = (variants.common(key) for key in COARSE_KEYS)
-    coarse_n, starts = samples_before(study, rate, method, *rest), starts_of(study, rate)
+    coarse_n, starts = study.samples_before(rate, method, *rest), starts_of(study, rate)
     for start in starts / rate:
         require_span(record, start, (coarse_n + span.read * study.record_every) / rate)
     # No more of the record than is read.
@@ -265,7 +270,7 @@ def recorded(
         samples = jax.vmap(sensors.compensate_record)(pieces, pieces[:, 0])
         q = jax.vmap(lambda s: jnp.stack(align(s, site.place, 1 / rate)))(samples)
     fine = starts + coarse_n
-    truth = np.stack([_reference_at(stored, s / rate + stored_times(study, span)) for s in fine])
+    truth = np.stack([_reference_at(stored, s / rate + study.stored_times(span)) for s in fine])
     environment = Environment(
         site=site,
         increments=increments,

@@ -21,10 +21,8 @@ from sinsjax.records.oddities import told
 from sinsjax.records.plausible import StationaryValues, findings
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
-from sinsjax.study.acting import readers
-from sinsjax.study.keys import COARSE_KEYS
+from sinsjax.study.keys import COARSE_KEYS, readers
 from sinsjax.study.study import Study
-from sinsjax.study.times import samples_before
 from sinsjax.study.variants import Variants
 from sinsjax.units import DEG_PER_H, micro_g
 
@@ -200,7 +198,7 @@ def _used(study: Study, record: Record) -> list[tuple[int, int]]:
     """Spans of samples that a study reads, merged where they overlap; none are missing."""
     starts = starts_of(study, record.rate_hz)
     before = [
-        samples_before(study, record.rate_hz, **point) for point in study.combinations(*COARSE_KEYS)
+        study.samples_before(record.rate_hz, **point) for point in study.combinations(*COARSE_KEYS)
     ]
     fine = max(span.read for span in study.distinct_spans) * study.record_every
     needed, coarse = max(before) + fine, ""

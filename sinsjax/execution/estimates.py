@@ -25,10 +25,9 @@ from sinsjax.errors import InputError
 from sinsjax.execution import layouts
 from sinsjax.execution.tables import nullable, table_of
 from sinsjax.platform import runtime
-from sinsjax.study.estimating import require_modelled
+from sinsjax.study.rules import require_modelled
 from sinsjax.study.study import Study
 from sinsjax.study.success import bands
-from sinsjax.study.times import report_times, spans_s
 from sinsjax.units import ARCMIN
 
 DATASET = "estimates"
@@ -58,9 +57,9 @@ class Estimates:
         self.layouts: Mapping[str, tuple[Column, ...]] = {DATASET: layouts.estimates(study)}
         self._samples = study.study.estimate_samples
         self._bands = bands(study)
-        self._times: list[float | None] = [*report_times(study), None]
+        self._times: list[float | None] = [*study.report_times_s, None]
         self._records = told_records(study)
-        self._end_s = spans_s(study)[:, 0]
+        self._end_s = study.spans_s[:, 0]
         self._limited = limited_variants(study)
         self._by_variant = layouts.of_variants(study, self.layouts[DATASET])
 
@@ -148,7 +147,7 @@ class Estimates:
 def told_records(study: Study) -> NDArray:
     """Numbers, from 0, of the records at the report times and at the end."""
     every_s = study.record_every / study.rate_hz
-    numbers = [round(time_s / every_s) - 1 for time_s in report_times(study)]
+    numbers = [round(time_s / every_s) - 1 for time_s in study.report_times_s]
     return np.array([*numbers, study.records - 1])
 
 

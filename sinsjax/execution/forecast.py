@@ -24,8 +24,7 @@ from sinsjax.execution import layouts, stopping
 from sinsjax.execution.directory import find_manifest
 from sinsjax.messages import counted
 from sinsjax.platform import machine, runtime
-from sinsjax.study.distributions import NUMBERS_DRAWN
-from sinsjax.study.in_turn import runs_in_turn
+from sinsjax.study.schema import NUMBERS_DRAWN
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 
@@ -151,7 +150,7 @@ def of_tuning(study: Study, curves: bool | None = None) -> Forecast:
     points = {
         "grid": sum(tune.grid_points**count for count in free),
         "sobol": tune.sobol_points * len(free),
-        "random": tune.random_points * len(free),
+        "random": tune.sobol_points * len(free),
         "gradient": tune.descent_starts * tune.descent_steps * (2 + max(free)),
     }
     # A search by covariance analysis keeps its history alone.
@@ -223,7 +222,7 @@ def _forecast(study: Study, batches: Sequence[Batch], curves: bool) -> Forecast:
     kept = samples if study.is_recorded else min(samples, MOST_STORED_SAMPLES)
     memory = _BASE + _A_SAMPLE * kept
     alternates = study.passes is not None and any(not s.rewinds for s in study.distinct_spans)
-    if alternates and runs_in_turn(study):
+    if alternates and study.requires_sequential:
         read = max(span.read for span in study.distinct_spans) * study.record_every
         draws = min(study.n_draws, LANES * STACKED_TILES) * runtime.usable_cores()
         memory += _A_MEASUREMENT * read * draws

@@ -16,7 +16,6 @@ from sinsjax.platform import runtime
 from sinsjax.strapdown.base_motion import Motion
 from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.study import Study
-from sinsjax.study.times import report_times, spans_s
 from sinsjax.study.variants import Variants
 from sinsjax.units import ARCMIN
 
@@ -41,7 +40,7 @@ def information_bound(study: Study) -> pa.Table:
     """
     runtime.ensure_configured()
     _require_bounded(study)
-    scenario, ends = Scenario(study), spans_s(study)[:, 0]
+    scenario, ends = Scenario(study), study.spans_s[:, 0]
     swept = [key for key in study.axis_keys if key in ENVIRONMENT_KEYS]
     codes = study.resolved.column(*swept).codes if swept else np.zeros(study.n_variants, int)
     found: dict[tuple[int, float], dict[float, float]] = {}
@@ -50,7 +49,7 @@ def information_bound(study: Study) -> pa.Table:
         for variant in ids:
             key = int(codes[variant]), float(ends[variant])
             if key not in found:
-                times = sorted({*(t for t in report_times(study) if t < key[1]), key[1]})
+                times = sorted({*(t for t in study.report_times_s if t < key[1]), key[1]})
                 found[key] = dict(zip(times, _bound(scenario, number, times), strict=True))
             rows += [(int(variant), time, sigma) for time, sigma in found[key].items()]
     names = (c.name for c in columns.INFORMATION_BOUND)

@@ -8,12 +8,11 @@ from sinsjax import columns
 from sinsjax.alignment.description import OwnColumn
 from sinsjax.alignment.methods import METHODS
 from sinsjax.columns import Column
-from sinsjax.study.distributions import BIASES, NUMBERS_DRAWN
 from sinsjax.study.keys import meaning
 from sinsjax.study.resolved import Coded, same
+from sinsjax.study.schema import BIAS_KEYS, NUMBERS_DRAWN
 from sinsjax.study.study import Study
 from sinsjax.study.success import bands
-from sinsjax.study.times import report_times
 
 
 def summary(study: Study) -> tuple[Column, ...]:
@@ -23,7 +22,7 @@ def summary(study: Study) -> tuple[Column, ...]:
         *_of_keys(study),
         *columns.OBSERVED,
         *_settling(study),
-        *(column for t in report_times(study) for column in columns.report_columns(t)),
+        *(column for t in study.report_times_s for column in columns.report_columns(t)),
         *columns.JUDGED,
         *(own.column for own in of_methods(study).values()),
     )
@@ -31,13 +30,13 @@ def summary(study: Study) -> tuple[Column, ...]:
 
 def draws_limits(study: Study) -> bool:
     """Whether draws have biases of their own, and bias floors with them."""
-    return any(key in study.drawn_keys for key in BIASES)
+    return any(key in study.drawn_keys for key in BIAS_KEYS)
 
 
 def estimates(study: Study) -> tuple[Column, ...]:
     """Columns of the estimates."""
     of_runs = ("run_id", "draw_id", "start_s")
-    times: list[float | None] = [*report_times(study), None]
+    times: list[float | None] = [*study.report_times_s, None]
     return (
         *(column for column in columns.IDENTITY if column.name not in of_runs),
         *_of_keys(study),

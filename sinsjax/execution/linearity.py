@@ -21,7 +21,6 @@ from sinsjax.engine.verdicts import FLOOR, TRUTH
 from sinsjax.execution.estimates import settled_of, told_records
 from sinsjax.execution.tables import nullable, with_column
 from sinsjax.study.success import bands
-from sinsjax.study.times import report_times, spans_s
 from sinsjax.units import ARCMIN
 
 CHECKED = 8
@@ -41,8 +40,8 @@ class Linearity:
     def __init__(self, scenario: Scenario) -> None:
         study = scenario.study
         self._scenario, self._study = scenario, study
-        self._records, self._end_s = told_records(study), spans_s(study)[:, 0]
-        self._ends = [f"_at_{time_s:g}" for time_s in report_times(study)] + [""]
+        self._records, self._end_s = told_records(study), study.spans_s[:, 0]
+        self._ends = [f"_at_{time_s:g}" for time_s in study.report_times_s] + [""]
         self._lock = threading.Lock()
         self._runs = lru_cache(_PARTS_READY)(self._group)
 

@@ -24,8 +24,7 @@ from sinsjax.execution.directory import (
 from sinsjax.messages import first_line, one_line
 from sinsjax.platform import runtime
 from sinsjax.platform.files import read_regular
-from sinsjax.study.differences import differences
-from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.identity import differences, fingerprint
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
 

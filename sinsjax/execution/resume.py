@@ -24,8 +24,7 @@ from sinsjax.execution.tasks import Job
 from sinsjax.messages import one_line, shortened
 from sinsjax.platform import runtime
 from sinsjax.platform.files import read_regular
-from sinsjax.study.differences import differences
-from sinsjax.study.fingerprint import fingerprint, with_draws
+from sinsjax.study.identity import differences, fingerprint, with_draws
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
 

@@ -16,7 +16,6 @@ from sinsjax.errors import InputError
 from sinsjax.execution import directory as places
 from sinsjax.execution import results
 from sinsjax.messages import counted, one_line
-from sinsjax.study.acting import first_alike, silent
 from sinsjax.study.study import Study
 from sinsjax.study.success import Yardstick, yardsticks
 
@@ -192,7 +191,7 @@ class Source:
 
         Keys are null where they do not act: without resets there is no cycle.
         """
-        first = first_alike(self.study)
+        first = self.study.duplicate_of
         if (first == np.arange(len(first))).all():
             return self.rows(names)
         table = self.rows(names)
@@ -202,7 +201,7 @@ class Source:
         for key in self.study.axis_keys:
             if key != "case" and key in table.column_names:
                 place = table.column_names.index(key)
-                nothing = pa.array(silent(self.study, key)[variant])
+                nothing = pa.array(self.study.without_effect(key)[variant])
                 values = pc.if_else(nothing, None, table[key])
                 table = table.set_column(place, key, values)
         return table

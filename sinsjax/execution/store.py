@@ -22,8 +22,7 @@ from sinsjax.execution.results import part_marks
 from sinsjax.execution.sealed import sealed_json
 from sinsjax.execution.tasks import EncodedResult, Task, TaskResult, TaskRunner
 from sinsjax.platform.files import read_regular, replacing, unwritable
-from sinsjax.study.differences import sections_of
-from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.identity import fingerprint, sections_of
 from sinsjax.study.load import study_to_toml
 
 _MANIFEST_SHARE = 0.05  # largest share of the time spent on writing manifests

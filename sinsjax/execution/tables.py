@@ -21,15 +21,6 @@ from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS
 from sinsjax.study.study import Study
 from sinsjax.study.success import bands
-from sinsjax.study.times import (
-    counts_before,
-    pass_numbers,
-    report_times,
-    samples_before,
-    spans_s,
-    stored_times,
-    update_times,
-)
 from sinsjax.units import ARCMIN, DEG
 
 
@@ -47,7 +38,7 @@ class Tables:
         self._has_truth = has_truth
         self._bands = bands(study)
         self._judge = Judge(study, has_truth=has_truth)
-        self._end_s, self._pass_s = spans_s(study).T
+        self._end_s, self._pass_s = study.spans_s.T
         self._last_reset_s = scheduled_last_s(study)
         self.summary_columns = layouts.summary(study)
         self.curve_columns = layouts.curves(study)
@@ -117,12 +108,12 @@ class Tables:
         run_id = chunk.draw * self._study.n_variants + variant_ids[chunk.variant]
         codes, spans = self._study.lengths
         span = spans[codes[variant_ids[0]]]  # common to all variants of a part
-        time_s = update_times(self._study, span)
+        time_s = self._study.update_times(span)
         values = {"run_id": np.repeat(run_id, len(time_s)), "time_s": np.tile(time_s, len(run_id))}
         if self._study.passes:
             values["update_time_s"] = values["time_s"]
-            values["stored_time_s"] = np.tile(stored_times(self._study, span), len(run_id))
-            values["pass"] = np.tile(pass_numbers(span), len(run_id))
+            values["stored_time_s"] = np.tile(self._study.stored_times(span), len(run_id))
+            values["pass"] = np.tile(span.pass_numbers(), len(run_id))
         return table_of(self.curve_columns, values | self._observed(chunk.curves))
 
     def _observed(self, seen: Observation) -> dict[str, pa.Array]:
@@ -178,7 +169,7 @@ class Tables:
     def _at_times(self, out: Outcome) -> dict[str, pa.Array]:
         """Heading error, its sigma and NEES at the report times, by column."""
         values: dict[str, pa.Array] = {}
-        for number, time in enumerate(report_times(self._study)):
+        for number, time in enumerate(self._study.report_times_s):
             phi, sigma, nees = np.asarray(out.at_times)[:, number].T
             arrays = self._known(phi / ARCMIN), nullable(sigma / ARCMIN), self._known(nees)
             names = (column.name for column in columns.report_columns(time))
@@ -204,10 +195,10 @@ class Tables:
 
 def _before_s(study: Study) -> np.ndarray:
     """(variants,) data of a record before t = 0, where other variants begin with its first, s."""
-    if not counts_before(study):
+    if not study.counts_before:
         return np.zeros(study.n_variants)
     column = study.resolved.column(*COARSE_KEYS)
-    return column.each(lambda keys: samples_before(study, study.rate_hz, *keys)) / study.rate_hz
+    return column.each(lambda keys: study.samples_before(study.rate_hz, *keys)) / study.rate_hz
 
 
 def _axes(vector: Any) -> Any:

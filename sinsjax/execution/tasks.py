@@ -30,8 +30,7 @@ from sinsjax.execution.forecast import Forecast
 from sinsjax.execution.linearity import Linearity
 from sinsjax.execution.outputs import output_of
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.acting import first_alike
-from sinsjax.study.fingerprint import fingerprint, with_draws
+from sinsjax.study.identity import fingerprint, with_draws
 from sinsjax.study.study import Study
 
 _DRAWS_READY = 2**16  # about 30 MB if everything is drawn
@@ -172,7 +171,7 @@ class TaskRunner:
         self._tiles = None if job.chunk_runs is None else -(-job.chunk_runs // LANES)
         self.identity = job.identity
         self._lock = threading.Lock()
-        kinds = first_alike(job.study)
+        kinds = job.study.duplicate_of
         self._alike = [
             find_alike(static, job.first_draws, kinds[ids])
             for static, ids in zip(self._programs, self.scenario.variant_ids, strict=True)

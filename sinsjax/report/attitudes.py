@@ -7,12 +7,11 @@ from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
 from sinsjax.report.base import MOST_ROWS, Table, table_of
 from sinsjax.report.markup import said
-from sinsjax.study.swept import shown_keys
 
 
 def attitudes(source: Source) -> Table:
     """Final attitude with the filter's own 1 sigma, run by run: what `align` is asked for."""
-    keys = ["start_s", *shown_keys(source.study)]
+    keys = ["start_s", *source.study.keys_shown]
     digits = dict.fromkeys([f"{angle}_deg" for angle in ("pitch", "roll", "yaw")], 4)
     digits |= dict.fromkeys([f"sigma_{axis}_arcmin" for axis in "enu"], 2)
     variants = source.study.n_variants

@@ -24,7 +24,6 @@ from sinsjax.report.over_axes import over_axes, repeats
 from sinsjax.report.spreads import spreads
 from sinsjax.study.keys import is_given
 from sinsjax.study.success import FLOOR_COLUMNS, judged_columns, yardsticks
-from sinsjax.study.swept import shown_keys
 
 _MOST_LINES = 6
 _MOST_DRAWS = 256  # in a line's band
@@ -109,7 +108,7 @@ def heading_errors(source: Source, keys: Sequence[str], title: str) -> Table:
 
 def against_first(source: Source) -> Table:
     """How each variant differs from the first one under the same conditions, draw by draw."""
-    keys, yards = shown_keys(source.study), source.yardsticks
+    keys, yards = source.study.keys_shown, source.yardsticks
     table = source.distinct([*keys, *NEEDED, *judged_columns(source.study)])
     given = [key for key in keys if is_given(key)]
     first, rows = compare_with_first(table, keys, given)
@@ -172,7 +171,7 @@ def _stopped(source: Source) -> list[str]:
 def _tables(source: Source) -> Sequence[Block]:
     study = source.study
     start, end = study.study.window_s
-    keys = shown_keys(study)
+    keys = study.keys_shown
     title = f"Heading error from {'the reference' if study.is_recorded else 'true north'}, arcmin"
     note = f"{intervals(source)} *never*: did not settle. Signed mean: over {start:g} to {end:g} s."
     if study.n_variants <= MOST_ROWS:
@@ -199,7 +198,7 @@ def _curves(source: Source, has_truth: bool) -> Iterator[Block]:
     """Misalignment, or attitude, over time: the first few variants."""
     if not source.has_curves:
         return
-    keys = shown_keys(source.study)
+    keys = source.study.keys_shown
     table = source.distinct([*keys, "run_id", "reset_times_s", "floor_arcmin"])
     groups = list(analysis.groups(table, keys))
     drawn = {name_of(key): rows.slice(0, _MOST_DRAWS) for key, rows in groups[:_MOST_LINES]}

@@ -16,7 +16,6 @@ from sinsjax.report.markup import said
 from sinsjax.report.over_axes import Maps, repeats
 from sinsjax.study.keys import is_chosen
 from sinsjax.study.success import Yardstick, success_of, yardsticks
-from sinsjax.study.swept import shown_axes, shown_keys
 
 _MOST_BEST = 10
 _NORMAL = 1.96  # 95 % interval, standard errors
@@ -117,7 +116,7 @@ def _interval(value: float | None, error: float | None) -> Estimate:
 
 def _best(source: Source, names: _Names) -> Iterator[Table]:
     """The settings with the shortest expected settling times, over all that is not chosen."""
-    keys = shown_keys(source.study)
+    keys = source.study.keys_shown
     chosen = [key for key in keys if is_chosen(key)]
     if not chosen:
         return
@@ -158,7 +157,7 @@ def _best(source: Source, names: _Names) -> Iterator[Table]:
 
 
 def _every_variant(source: Source, found: Sequence[_Names]) -> Table:
-    keys = shown_keys(source.study)
+    keys = source.study.keys_shown
     needed = [name for one in found for name in one[1:]]
     cells = [
         *(cell for one in found for cell in one.cells),
@@ -176,7 +175,7 @@ def _every_variant(source: Source, found: Sequence[_Names]) -> Table:
 
 def _figures(source: Source, names: _Names, first: _Names) -> Iterator[Picture]:
     """Over the first two axes of numbers heat maps, along a single one curves."""
-    axes, others = shown_axes(source.study)
+    axes, others = source.study.figure_axes
     if len(axes) == 2:
         yield from _heat_maps(source, names, names.yard.end(first.yard))
     elif axes and names is first:

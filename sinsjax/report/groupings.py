@@ -11,9 +11,8 @@ from sinsjax import analysis
 from sinsjax.analysis.summaries import NEEDED
 from sinsjax.execution.source import Source
 from sinsjax.plots.words import name_of
-from sinsjax.study.distributions import NUMBERS_DRAWN
+from sinsjax.study.schema import NUMBERS_DRAWN
 from sinsjax.study.success import judged_columns
-from sinsjax.study.swept import shown_keys, swept
 
 MOST_LINES = 7
 BINS = "the median of each bin, of about as many draws."
@@ -36,8 +35,8 @@ def keys_of_lines(source: Source) -> tuple[Sequence[str], str]:
     All of them where there are few variants, else the first that has few values, or none.
     """
     if source.study.n_variants <= MOST_LINES:
-        return shown_keys(source.study), ""
-    for own, values in swept(source.study).items():
+        return source.study.keys_shown, ""
+    for own, values in source.study.axes_shown.items():
         if len(values) <= MOST_LINES:
             return own, f" All runs of the same {' and '.join(own)} make one line."
     return (), " All runs together."
@@ -57,7 +56,7 @@ def binned(source: Source) -> dict[str, tuple[Source, tuple[float, ...]]]:
     found = {}
     for key in drawn if count > 1 else ():
         table = source.rows(
-            [key, "run_id", "variant_id", *shown_keys(study), *NEEDED, *judged_columns(study)]
+            [key, "run_id", "variant_id", *study.keys_shown, *NEEDED, *judged_columns(study)]
         )
         medians = bin_medians(analysis.numbers(table, key), count)
         place = table.column_names.index(key)

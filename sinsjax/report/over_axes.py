@@ -18,10 +18,8 @@ from sinsjax.plots.words import name_of, value_text
 from sinsjax.report.base import Block, Picture, Table, Text, intervals
 from sinsjax.report.groupings import BINS, binned, lines_of
 from sinsjax.report.markup import said
-from sinsjax.study.acting import first_alike, idle_keys
 from sinsjax.study.keys import is_chosen
 from sinsjax.study.success import FLOOR_COLUMNS, Yardstick, judged_columns
-from sinsjax.study.swept import shown_axes, shown_keys
 
 MOST_PANELS = 12
 _NOT_CONVERGED = "not converged"
@@ -34,22 +32,22 @@ def over_axes(source: Source) -> list[Block]:
     for each point of all other keys; with one, or one whose values are lists, curves with
     intervals; with none, nothing. Then curves over each drawn number.
     """
-    shown, others = shown_axes(source.study)
+    shown, others = source.study.figure_axes
     found: list[Block]
     if len(shown) == 2:
         found = [block for yard in source.yardsticks for block in _heat_maps(source, yard)]
     else:
         found = [_along_axis(source, *axis, others) for axis in shown.items()]
     for key, (own, medians) in binned(source).items():
-        drawn = _along_axis(own, key, medians, shown_keys(source.study))
+        drawn = _along_axis(own, key, medians, source.study.keys_shown)
         found.append(drawn._replace(name=f"over_{key}", caption=f"{drawn.caption} {key}: {BINS}"))
     return found
 
 
 def repeats(source: Source) -> Iterator[Text]:
     """How tables count runs that equal others, if there are any."""
-    if keys := idle_keys(source.study):
-        variants, kept = source.study.n_variants, len({*first_alike(source.study)})
+    if keys := source.study.idle_keys():
+        variants, kept = source.study.n_variants, len({*source.study.duplicate_of})
         yield Text(said("repeats", source=source, variants=variants, kept=kept, keys=keys))
 
 
@@ -64,14 +62,14 @@ class Maps:
     """
 
     def __init__(self, source: Source, columns: Sequence[str]) -> None:
-        self.axes, others = shown_axes(source.study)
+        self.axes, others = source.study.figure_axes
         shape = tuple(map(len, self.axes.values()))
         table = source.rows([*others, *columns, "variant_id"])
         self.panels = [Panel(*group, shape) for group in analysis.groups(table, others)]
         lines = {value_text(panel.point[others[-1]]) for panel in self.panels} if others else [""]
         self._across = len(lines)
         self.drawn = self.panels[: MOST_PANELS // self._across * self._across or MOST_PANELS]
-        self._first = first_alike(source.study)
+        self._first = source.study.duplicate_of
 
     def draw(
         self,

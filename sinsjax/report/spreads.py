@@ -13,7 +13,7 @@ from sinsjax.plots.words import name_of
 from sinsjax.report.base import Picture, Text
 from sinsjax.report.groupings import keys_of_lines
 from sinsjax.report.markup import said
-from sinsjax.study.distributions import BIASES
+from sinsjax.study.schema import BIAS_KEYS
 from sinsjax.units import ARCMIN, MICRO
 
 _YAW, _FREEDOM = "phi_u_arcmin", analysis.NEES_FREEDOM
@@ -40,7 +40,7 @@ def _biases_unknown(source: Source) -> Iterator[Text]:
     filters = [METHODS[name] for name in study.methods if METHODS[name].has_covariance]
     if study.is_recorded or not all({*OF_BIASES} <= {*one.silent} for one in filters):
         return
-    gyro, accel = (source.largest(key) for key in BIASES)
+    gyro, accel = (source.largest(key) for key in BIAS_KEYS)
     if not gyro and not accel:
         return
     names = [*(f"sigma_{axis}_arcmin" for axis in "enu"), "floor_arcmin", _YAW, "nees"]

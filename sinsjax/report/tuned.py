@@ -13,7 +13,7 @@ from sinsjax.report.base import Block, Report, Table
 from sinsjax.report.markup import template
 from sinsjax.study.search_space import Variable
 from sinsjax.study.success import yardsticks
-from sinsjax.study.tuned_keys import TIMES
+from sinsjax.study.sweep import TIMES
 from sinsjax.tuning import objective
 from sinsjax.tuning.results import Tuning, words
 from sinsjax.tuning.run_tuning import GRADIENT

@@ -8,7 +8,7 @@ from sinsjax.plots.words import value_text
 from sinsjax.report.base import Picture
 from sinsjax.report.markup import said
 from sinsjax.study.search_space import SearchSpace, Variable
-from sinsjax.study.tuned_keys import TIMES
+from sinsjax.study.sweep import TIMES
 from sinsjax.tuning.results import LOOKS, SEARCHES, Tuning, axis
 
 

@@ -12,8 +12,7 @@ from typing import Any
 from sinsjax.alignment.methods import SECTIONS_OF_METHODS
 from sinsjax.errors import InputError
 from sinsjax.study.files import TOO_DEEP
-from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, marked, rivals
-from sinsjax.value_types import Default
+from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, info, rivals
 
 _SWEEPS = ("axes", "drawn")
 _EXAMPLE = "as in alignment.phi_u0_deg"
@@ -100,9 +99,9 @@ def without_defaults(tables: Mapping[str, TomlTable], filled: Mapping[str, Any])
         fields, own = SECTIONS[name].model_fields, tables[name]
         defaults = dict(filled)
         for key in fields.keys() & own.keys():
-            mark = marked(key, Default) if SECTION_OF[key] == name else None
-            if mark:
-                defaults[key] = mark.value
+            default = info(key).default if SECTION_OF[key] == name else None
+            if default is not None:
+                defaults[key] = default
             elif fields[key].default_factory or name in SECTIONS_OF_METHODS:
                 defaults[key] = fields[key].get_default(
                     call_default_factory=True, validated_data=own

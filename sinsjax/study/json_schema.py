@@ -8,9 +8,9 @@ not told there: `sinsjax validate` checks it.
 import json
 from typing import Any
 
-from sinsjax.study.distributions import NUMBERS_DRAWN
-from sinsjax.study.key_table import TABLES, keys, purpose
-from sinsjax.study.keys import SECTION_OF, SECTIONS, SWEEPABLE, TUNABLE
+from sinsjax.study.key_table import purpose
+from sinsjax.study.keys import KEYS, SECTION_OF, SECTIONS, SWEEPABLE, TABLES, TUNABLE
+from sinsjax.study.schema import NUMBERS_DRAWN
 
 Schema = dict[str, Any]
 
@@ -54,9 +54,7 @@ def text() -> str:
 def _table(name: str, definitions: Schema) -> Schema:
     """A table of keys, whose schemas are put among the definitions."""
     made = TABLES[name].model_json_schema()["properties"]
-    for key in keys(name):
-        if key.section != name:
-            continue
+    for key in (key for key in KEYS.values() if key.section == name):
         told = f"{key.meaning}; default: {key.default}; methods: {key.read_by}"
         if not key.default:
             told = f"{key.meaning}; methods: {key.read_by}"

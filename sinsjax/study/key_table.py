@@ -1,59 +1,10 @@
-"""What every key of a study says: ``python -m sinsjax.study.key_table > docs/keys.md``."""
-
-import re
-from typing import Any, Literal, NamedTuple, get_args, get_origin
-
-from pydantic.fields import FieldInfo
-from pydantic_core import PydanticUndefined
+"""The page of all keys, ``python -m sinsjax.study.key_table > docs/keys.md``, and its parts."""
 
 from sinsjax.alignment.methods import BROKEN, METHODS, PACKAGES
 from sinsjax.errors import InputError
 from sinsjax.messages import near
-from sinsjax.study.acting import readers
-from sinsjax.study.distributions import Distribution, DrawnSection
-from sinsjax.study.keys import EARTH_CONSTANTS, SECTION_OF, SECTIONS, SWEEPABLE
-from sinsjax.study.ranges import Range
-from sinsjax.units import split_unit
-from sinsjax.value_types import Default, Section, mark
-
-TABLES: dict[str, type[Section]] = {
-    **SECTIONS,
-    "drawn": DrawnSection,
-    "drawn.KEY": Distribution,
-    "tune.variables.KEY": Range,
-}
-"""Every table of a study file that has keys of its own."""
-
-_TOLD = re.compile(r"[;,] default:? (?P<default>[^;()]+)$")
-
-
-class Key(NamedTuple):
-    """A key of a study file.
-
-    Attributes:
-        section: table that it stands in.
-        name: leaf key.
-        unit: of its numbers; empty without one.
-        default: as a file writes it, or in words; empty where its meaning tells what no key means.
-        meaning: in words, with the words that it takes.
-        methods: that read it.
-    """
-
-    section: str
-    name: str
-    unit: str
-    default: str
-    meaning: str
-    methods: tuple[str, ...]
-
-    @property
-    def read_by(self) -> str:
-        """The methods that read it, in words."""
-        others = [name for name in METHODS if name not in self.methods]
-        if len(others) < len(self.methods):
-            return f"all but {', '.join(others)}" if others else "all"
-        return ", ".join(self.methods)
-
+from sinsjax.study.keys import KEYS, SWEEPABLE, TABLES, Key
+from sinsjax.value_types import Section
 
 _KEYLESS = ("axes", "cases")
 _VARYING = (
@@ -62,7 +13,7 @@ _VARYING = (
 )
 
 
-def keys(wanted: str | None = None) -> list[Key]:
+def find_keys(wanted: str | None = None) -> list[Key]:
     """The keys of a study, of one section, or those of one name.
 
     Args:
@@ -72,7 +23,7 @@ def keys(wanted: str | None = None) -> list[Key]:
     Raises:
         InputError: there is none of that name.
     """
-    every = [_key(name, *item) for name, m in TABLES.items() for item in m.model_fields.items()]
+    every = [*KEYS.values()]
     if wanted in METHODS:
         own = METHODS[wanted].sections
         return [key for key in every if key.section in own and wanted in key.methods]
@@ -124,60 +75,10 @@ def page() -> str:
     for name, model in TABLES.items():
         lines += ["", f"## [{name}]", "", purpose(model), ""]
         lines += ["| key | unit | default | meaning | methods |", "| --- | --- | --- | --- | --- |"]
-        for key in (key for key in keys(name) if key.section == name):
+        for key in (key for key in KEYS.values() if key.section == name):
             cells = (f"`{key.name}`", key.unit, key.default, key.meaning, key.read_by)
             lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(lines) + "\n"
-
-
-def _key(section: str, name: str, field: FieldInfo) -> Key:
-    meaning, told = _split(field.description or "")
-    choices = " | ".join(_toml(word) for word in words(field.annotation))
-    methods = readers(name) if SECTION_OF.get(name) == section else tuple(METHODS)
-    return Key(
-        section,
-        name,
-        split_unit(name)[1],
-        _default(name, field) or told,
-        f"{meaning} ({choices})" if choices else meaning,
-        methods,
-    )
-
-
-def _split(description: str) -> tuple[str, str]:
-    """A description without the default that it ends with, and that default."""
-    found = _TOLD.search(description)
-    return (description[: found.start()], found["default"]) if found else (description, "")
-
-
-def words(annotation: Any) -> tuple[str, ...]:
-    """The words that a key takes; none for a key of numbers or of any text."""
-    if get_origin(annotation) is Literal:
-        return get_args(annotation)
-    return next(filter(None, map(words, get_args(annotation))), ())
-
-
-def _default(name: str, field: FieldInfo) -> str:
-    """The default of a key as a file writes it; empty where that is not one value."""
-    marked = mark(field, Default)
-    if marked is not None:
-        return _toml(marked.value)
-    if name in EARTH_CONSTANTS:
-        return _toml(EARTH_CONSTANTS[name])
-    if field.default_factory is not None or field.default in (None, PydanticUndefined):
-        required = field.is_required() and not _split(field.description or "")[1]
-        return "required" if required else ""
-    return _toml(field.default)
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, tuple):
-        return f"[{', '.join(map(_toml, value))}]"
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, dict):
-        return ""
-    return f'"{value}"' if isinstance(value, str) else f"{value:.12g}"
 
 
 def purpose(model: type[Section]) -> str:

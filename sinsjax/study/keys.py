@@ -1,8 +1,15 @@
-"""The keys of a study: the section of each, its meaning, its marks, and where it may stand."""
+"""The keys of a study: `KEYS` has one object for each, and everything known of it.
 
-from collections.abc import Iterable
+The key table, the JSON schema, the messages and the rules all read it there.
+"""
+
+import re
+from collections.abc import Iterable, Mapping
 from functools import cache
-from typing import Any
+from typing import Any, Literal, NamedTuple, get_args, get_origin
+
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
 
 from sinsjax.alignment.description import INITIAL_KEYS
 from sinsjax.alignment.methods import (
@@ -14,16 +21,20 @@ from sinsjax.alignment.methods import (
 )
 from sinsjax.alignment.sections import AlignmentSection, CoarseSection, PassesSection
 from sinsjax.messages import near
-from sinsjax.study.distributions import StopWhenSection
-from sinsjax.study.ranges import TuneSection
-from sinsjax.study.recorded import RecordSection
 from sinsjax.study.schema import (
+    Distribution,
+    DrawnSection,
     EarthSection,
     MotionSection,
+    Range,
+    RecordSection,
     SensorsSection,
+    StopWhenSection,
     StudySection,
+    TuneSection,
 )
-from sinsjax.value_types import Marks, Section, mark
+from sinsjax.units import split_unit
+from sinsjax.value_types import ActsWhere, KeyInfo, Section, key_info
 
 _BEFORE: dict[str, type[Section]] = {
     "study": StudySection,
@@ -41,7 +52,7 @@ _AFTER: dict[str, type[Section]] = {
 }
 
 
-def _of_all() -> dict[str, type[Section]]:
+def _join_sections() -> dict[str, type[Section]]:
     """Those of every study about those of methods.
 
     A method of another package cannot be used with a section, or a key, that every study has, nor
@@ -78,7 +89,7 @@ def _refuse(method: str, why: str) -> None:
         del SECTIONS_OF_METHODS[name]
 
 
-SECTIONS = _of_all()
+SECTIONS = _join_sections()
 """Every section of leaf keys by its name in the file."""
 
 TUNABLE = ("alignment", *SECTIONS_OF_METHODS, "passes")
@@ -102,11 +113,19 @@ EARTH_CONSTANTS = {
 }
 """The keys of [earth] that only ``earth = "constants"`` has, with their defaults."""
 
+REPLACED = {
+    "tape_s": "was renamed to stored_s",
+    "random_points": "was dropped (sobol_points counts the points of both searches)",
+    **dict.fromkeys(
+        ("evolution_points", "evolution_spread", "evolution_samples", "evolution_finalists"),
+        "was dropped (evolution_screen and evolution_steps set what the search costs)",
+    ),
+    "sigma_point_alpha": "was dropped (it is 0.5)",
+}
+"""Keys of 0.6 and before, and what replaces them."""
+
 PASS_KEYS = ("stored_s", "passes", "ending", "direction")
 """The keys that decide which sample of the stored record an update reads, and how many."""
-
-RENAMED = {"tape_s": "stored_s"}
-"""New names of keys that older studies have."""
 
 COARSE_KEYS = tuple(CoarseSection.model_fields)
 """The keys of coarse alignment."""
@@ -114,37 +133,173 @@ COARSE_KEYS = tuple(CoarseSection.model_fields)
 TomlTable = dict[str, Any]
 
 
-def unknown(key: str, known: Iterable[str]) -> str:
-    """What is wrong with a key that is none: its new name, or a hint at the closest known one."""
-    if key in RENAMED:
-        return f"was renamed to {RENAMED[key]}"
-    return f"unknown key{near(key, known)}"
+TABLES: dict[str, type[Section]] = {
+    **SECTIONS,
+    "drawn": DrawnSection,
+    "drawn.KEY": Distribution,
+    "tune.variables.KEY": Range,
+}
+"""Every table of a study file that has keys of its own."""
+
+_STATED = re.compile(r"[;,] default:? (?P<default>[^;()]+)$")
+
+
+class Key(NamedTuple):
+    """A key of a study file.
+
+    Attributes:
+        section: table that it belongs to.
+        name: leaf key.
+        unit: of its numbers; empty without one.
+        default: as a file writes it, in words, or ``required``; empty if its meaning states what
+            an omitted key means.
+        meaning: in words, with the words that it takes.
+        info: usual range, and what a default depends on.
+        methods: that read it.
+        depends_on: keys whose values decide whether it has an effect.
+    """
+
+    section: str
+    name: str
+    unit: str
+    default: str
+    meaning: str
+    info: KeyInfo
+    methods: tuple[str, ...]
+    depends_on: tuple[str, ...]
+
+    @property
+    def read_by(self) -> str:
+        """The methods that read it, in words."""
+        others = [name for name in METHODS if name not in self.methods]
+        if len(others) < len(self.methods):
+            return f"all but {', '.join(others)}" if others else "all"
+        return ", ".join(self.methods)
+
+
+def unknown_key(key: str, known: Iterable[str]) -> str:
+    """Return what is wrong with an unknown key: what replaced it, or the closest known one."""
+    return REPLACED.get(key) or f"unknown key{near(key, known)}"
+
+
+def info(key: str) -> KeyInfo:
+    """Return the usual range and default of a leaf key."""
+    return KEYS[SECTION_OF[key], key].info
 
 
 def meaning(key: str) -> str:
-    """What a key says, in the words of its section; ``case`` is the label of a case."""
+    """Return the meaning of a key, in the words of its section."""
     if key not in SECTION_OF:
         return "label of the case"
     return SECTIONS[SECTION_OF[key]].model_fields[key].description or ""
 
 
-@cache
-def marked(key: str, kind: type[Marks]) -> Marks | None:
-    """The mark of some kind beside a leaf key's type, see `value_types`; None without one."""
-    return mark(SECTIONS[SECTION_OF[key]].model_fields[key], kind)
-
-
 def rivals(key: str) -> set[str]:
-    """The keys that say in another way what a key says."""
+    """Return the keys that are alternatives to a key."""
     pairs = SECTIONS[SECTION_OF[key]].exclusive if key in SECTION_OF else ()
     return {other for pair in pairs if key in pair for other in pair} - {key}
 
 
 def is_given(key: str) -> bool:
-    """Whether a key says what a run is faced with: site, motion, sensors, initial errors."""
+    """Whether a key sets what a run is faced with: site, motion, sensors, initial errors."""
     return key in INITIAL_KEYS or SECTION_OF.get(key) in ("earth", "motion", "sensors")
 
 
 def is_chosen(key: str) -> bool:
     """Whether a user chooses the values of a key, so that one can be best."""
     return SECTION_OF.get(key) in SECTIONS_OF_METHODS
+
+
+@cache
+def conditions(key: str) -> tuple[ActsWhere, ...]:
+    """Return the conditions of its section for a key to have an effect."""
+    section = SECTIONS[SECTION_OF[key]]
+    return tuple(condition for condition in section.conditions if key in condition.keys)
+
+
+@cache
+def deciding(key: str) -> tuple[str, ...]:
+    """Return the keys whose values decide whether a key has an effect."""
+    own = (given for condition in conditions(key) for given in condition.given)
+    everywhere = len(readers(key)) == len(METHODS)
+    return tuple(dict.fromkeys([*([] if everywhere else ["method"]), *own]))
+
+
+def readers(key: str) -> tuple[str, ...]:
+    """Return the methods that a key has an effect on; all of them if no method claims it."""
+    methods = METHODS.values()
+    if not any(key in method.keys for method in methods):
+        return tuple(METHODS)
+    return tuple(m.name for m in methods if key in m.keys and key not in m.silent)
+
+
+def acts(key: str, values: Mapping[str, Any]) -> bool:
+    """Whether a key has an effect on a run.
+
+    Args:
+        key: leaf key.
+        values: values of the keys of `deciding`; None for a drawn one.
+    """
+    if "method" in deciding(key) and values["method"] not in readers(key):
+        return False
+    return all(c.acts(*(values[given] for given in c.given)) for c in conditions(key))
+
+
+def words(annotation: Any) -> tuple[str, ...]:
+    """Return the words that a key takes; none for a key of numbers or of any text."""
+    if get_origin(annotation) is Literal:
+        return get_args(annotation)
+    return next(filter(None, map(words, get_args(annotation))), ())
+
+
+def _describe(section: str, name: str, field: FieldInfo) -> Key:
+    text, stated = _split(field.description or "")
+    choices = " | ".join(to_toml(word) for word in words(field.annotation))
+    is_leaf = SECTION_OF.get(name) == section
+    return Key(
+        section,
+        name,
+        split_unit(name)[1],
+        _default(name, field) or stated,
+        f"{text} ({choices})" if choices else text,
+        key_info(field),
+        readers(name) if is_leaf else tuple(METHODS),
+        deciding(name) if is_leaf else (),
+    )
+
+
+def _split(description: str) -> tuple[str, str]:
+    """Return a description without the default that it ends with, and that default."""
+    found = _STATED.search(description)
+    return (description[: found.start()], found["default"]) if found else (description, "")
+
+
+def _default(name: str, field: FieldInfo) -> str:
+    """Return the default of a key as a file writes it; empty if that is not one value."""
+    if (default := key_info(field).default) is not None:
+        return to_toml(default)
+    if name in EARTH_CONSTANTS:
+        return to_toml(EARTH_CONSTANTS[name])
+    if field.default_factory is not None or field.default in (None, PydanticUndefined):
+        required = field.is_required() and not _split(field.description or "")[1]
+        return "required" if required else ""
+    return to_toml(field.default)
+
+
+def to_toml(value: Any) -> str:
+    """Return a value as a study file writes it."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(to_toml, value))}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, dict):
+        return ""
+    return f'"{value}"' if isinstance(value, str) else f"{value:.12g}"
+
+
+KEYS: dict[tuple[str, str], Key] = {
+    (section, name): _describe(section, name, field)
+    for section, model in TABLES.items()
+    for name, field in model.model_fields.items()
+}
+"""Every key of a study file, by its table and name."""

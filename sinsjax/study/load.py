@@ -1,38 +1,37 @@
 """Reading and writing studies: one TOML file, checked in full before anything runs.
 
-A file either gives a `Study` or raises `InputError` with one line,
-``FILE: [section] key: what is wrong (hint)``. The tables that vary a study are read in `axes`.
-Values stay in the units of the file; `build` turns them into arrays.
+A file either gives a `Study` or raises `InputError` with a line for every mistake in it,
+``FILE: [section] key: what is wrong (way on)``. The tables that vary a study are read in `sweep`,
+the rules between keys are those of `rules`. Values stay in the units of the file.
 """
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import tomli_w
 from pydantic import ValidationError
+from pydantic_core import ErrorDetails
 
-from sinsjax.alignment.filters.section import Q_DENSITIES
-from sinsjax.alignment.methods import METHODS, SECTIONS_OF_METHODS, keys_unread, unusable
-from sinsjax.errors import InputError
+from sinsjax.alignment.methods import BROKEN, METHODS, SECTIONS_OF_METHODS, keys_unread, unusable
+from sinsjax.errors import ErrorCollector, InputError
 from sinsjax.messages import escape_controls, explained, index, near
-from sinsjax.study import axes, files, search_space, tuned_keys, usual
 from sinsjax.study import changes as changing
-from sinsjax.study.checks import Where, check_study
+from sinsjax.study import files, rules, search_space
 from sinsjax.study.keys import (
     EARTH_CONSTANTS,
     SECTION_OF,
     SECTIONS,
     SIMULATED_ONLY,
     TomlTable,
-    marked,
+    info,
     rivals,
-    unknown,
+    unknown_key,
 )
+from sinsjax.study.mistakes import build_or_report
 from sinsjax.study.study import Study
-from sinsjax.study.usable import check_usable
-from sinsjax.value_types import Default
+from sinsjax.study.sweep import Sweep, errors_of, read_sweep, read_tuning
 
 __all__ = [
     "Study",
@@ -56,8 +55,9 @@ _SWEEPS = ("axes", "cases", "drawn")
 _DROPPED = {
     "report": "every study has the same report",
     "statements": "pages of studies judge their own statements",
+    "unscented": "sigma_point_alpha is 0.5",
 }
-"""Sections of 0.5, and why a study has them no more."""
+"""Sections of 0.5 and 0.6, and why a study has them no more."""
 
 
 def load_study(path: str | Path, changes: Mapping[str, Any] | None = None) -> Study:
@@ -68,7 +68,7 @@ def load_study(path: str | Path, changes: Mapping[str, Any] | None = None) -> St
         changes: values by ``section.key`` that take the place of the file's, see `changes`.
 
     Raises:
-        InputError: the file cannot be read, is no TOML or is no study; one line says why.
+        InputError: the file cannot be read, is no TOML or is no study; a line for each mistake.
     """
     data = files.read_tables(path)
     if changes:
@@ -85,30 +85,27 @@ def with_changes(data: TomlTable, changes: Mapping[str, Any], source: str) -> To
     try:
         out = changing.changed(data, changes)
     except InputError as error:
-        raise InputError(f"{source}: {error}") from None
+        raise error.named(source) from None
     files.require_shallow(out, source)
     return out
 
 
 def study_from_dict(data: TomlTable, source: str = "study") -> Study:
-    """Checks a study given as nested dictionaries, as a TOML parser returns it.
+    """Check a study given as nested dictionaries, as a TOML parser returns it.
 
     Args:
         data: sections by name; left as it is.
-        source: what error messages call the study; its stem is the default of ``study.name``.
+        source: name of the study in messages; its stem is the default of ``study.name``.
 
     Raises:
-        InputError: the study is not valid; one line says why.
+        InputError: the study is not valid; a line for each mistake in it.
     """
     try:
-        study = _checked(data, escape_controls(Path(source).stem))
-        if study.tune and study.study.rate_hz:
-            _check_tuning(study)
+        return _checked_study(data, escape_controls(Path(source).stem))
     except InputError as error:
-        raise InputError(f"{source}: {error}") from None
+        raise error.named(source) from None
     except RecursionError:
         raise InputError(f"{source}: {files.TOO_DEEP}") from None
-    return study
 
 
 def tables_of(study: Study) -> TomlTable:
@@ -180,38 +177,80 @@ def with_rate(study: Study, rate_hz: float) -> Study:
     return study_from_dict(tables | {"study": settings}, study.name)
 
 
-def _checked(data: TomlTable, name: str) -> Study:
-    """The study that tables make, but for what is between [tune] and the rest of it."""
-    check_usable(data)
-    tables = _tables(_with_tuples(data))
-    sweep = axes.read(tables)
+Study.rebuild = staticmethod(replaced)
+
+
+def _checked_study(data: TomlTable, name: str) -> Study:
+    """Return the study that tables make, points of its tuning included; or report every mistake."""
+    _check_usable(data)
+
+    def build(tables: TomlTable) -> Study:
+        study = _built(tables, name)
+        if study.tune and study.study.rate_hz:
+            _check_points(study)
+        return study
+
+    return build_or_report(build, data)
+
+
+def _built(data: TomlTable, name: str) -> Study:
+    """Return the study that tables make, with all rules checked, but not the points of [tune]."""
+    tables = _known_tables(_with_tuples(data))
+    errors, sweep = ErrorCollector(), Sweep({}, {}, (), None)
+    with errors.collect():
+        sweep = read_sweep(tables)
     where = {key: f"[{name}]" for name in SECTIONS for key in tables.get(name, ())}
     where |= sweep.where
-    _check_forms(where)
-    study = _validated(_filled(tables, sweep, where, name))
-    _check_densities(where, _values_of("q_reading", tables, sweep))
-    check_study(study, where)
-    usual.check(study, where)
-    axes.check_draws(study)
+    with errors.collect():
+        _check_rivals(where)
+    sections, of_tuning = _filled(tables, sweep, where, name), ErrorCollector()
+    if "tune" in sections:
+        given = sections["tune"]
+        sections["tune"] = given | {"variables": {}, "baseline": {}}  # in case these are wrong
+        with of_tuning.collect():
+            sections["tune"] = read_tuning(given, sweep.where, recorded="record" in tables)
+    with errors.collect():
+        study = _validated(sections)
+    if errors.lines:
+        raise InputError(*errors.lines, *of_tuning.lines)
+    if lines := (*of_tuning.lines, *rules.failures(study, where)):
+        raise InputError(*lines)
     return study
 
 
-def _check_tuning(study: Study) -> None:
-    """Refuses a [tune] that does not go with its study, or whose points make no study."""
+def _check_points(study: Study) -> None:
+    """Refuse a [tune] whose points make no study."""
     assert study.tune is not None
-    search_space.check(study)
     tables, baseline = tables_of(study), study.tune.baseline
 
     def at(place: str, point: TomlTable) -> Study:
         try:
-            return _checked(search_space.put(tables, point), study.name)
+            return _built(search_space.put(tables, point), study.name)
         except InputError as error:
-            raise InputError(f"{place}: {error}") from None
+            raise InputError(f"{place}: {error.lines[0]}") from None
 
     corners = {f"[tune.variables] {text}": point for text, point in search_space.corners(study)}
     for place, point in corners.items():
         at(place, point)
     search_space.comparable(study, at("[tune.baseline]", baseline), corners)
+
+
+def _check_usable(data: Any) -> None:
+    """Refuse a study with a method that cannot be used, whose sections and keys are unknown."""
+    for name in sorted({*_methods(data)} & (BROKEN.keys() - METHODS.keys())):
+        raise InputError(f"[alignment] method: {name!r} cannot be used: {BROKEN[name]}")
+
+
+def _methods(data: Any, key: str = "") -> Iterator[str]:
+    """Return all words under keys called ``method``, be they values, axes or cases."""
+    if isinstance(data, Mapping):
+        for name, value in data.items():
+            yield from _methods(value, name)
+    elif isinstance(data, list | tuple):
+        for value in data:
+            yield from _methods(value, key)
+    elif key == "method" and isinstance(data, str):
+        yield data
 
 
 def _with_tuples(value: Any) -> Any:
@@ -221,66 +260,76 @@ def _with_tuples(value: Any) -> Any:
     return tuple(map(_with_tuples, value)) if isinstance(value, list | tuple) else value
 
 
-def _tables(data: TomlTable) -> TomlTable:
-    """The data, once every section and key in it is known."""
-    names = (*SECTIONS, *_SWEEPS)
+def _known_tables(data: TomlTable) -> TomlTable:
+    """Return the data, once every section and key in it is known."""
+    errors = ErrorCollector()
     for name, table in data.items():
-        if name in SECTION_OF and name not in SECTIONS:
-            raise InputError(f"{name}: belongs in [{SECTION_OF[name]}]")
-        if name in _DROPPED:
-            raise InputError(f"[{name}]: was dropped, {_DROPPED[name]} (remove the section)")
-        if name not in names:
-            hint = near(name, names, "[{}]") + unusable()
-            hint = hint or " (of a method whose package is not installed?)"
-            raise InputError(f"[{name}]: unknown section{hint}")
-        if name == "cases":
-            continue
-        if not isinstance(table, Mapping):
-            raise InputError(f"[{name}]: must be a table of keys")
-        for key, value in table.items():
-            if name in SECTIONS and key not in SECTIONS[name].model_fields:
-                raise InputError(f"[{name}] {key}: {_unknown(key, name)}")
-            if value is None:
-                raise InputError(f"[{name}] {key}: None is no value (leave the key out)")
+        with errors.collect():
+            _check_table(name, table)
     for name in SIMULATED_ONLY:
-        if name in data and "record" in data:
-            raise InputError(f"[{name}]: does not apply to a recorded study (drop it or [record])")
-    if "record" in data and "draws" in data.get("study", {}):
-        raise InputError(
-            "[study] draws: does not apply to a recorded study (one draw a start time)"
-        )
+        with errors.collect():
+            if name in data and "record" in data:
+                text = "does not apply to a recorded study (drop it or [record])"
+                raise InputError(f"[{name}]: {text}")
+    with errors.collect():
+        study = data.get("study")
+        if "record" in data and isinstance(study, Mapping) and "draws" in study:
+            text = "does not apply to a recorded study (one draw a start time)"
+            raise InputError(f"[study] draws: {text}")
+    errors.raise_all()
     return data
 
 
-def _unknown(key: str, section: str) -> str:
-    """What is wrong with an unknown key of a section: its home, new name or nearest known key."""
+def _check_table(name: str, table: Any) -> None:
+    """Refuse a table that is no section, and keys that its section has not."""
+    names = (*SECTIONS, *_SWEEPS)
+    if name in SECTION_OF and name not in SECTIONS:
+        raise InputError(f"{name}: belongs in [{SECTION_OF[name]}]")
+    if name in _DROPPED:
+        raise InputError(f"[{name}]: was dropped, {_DROPPED[name]} (remove the section)")
+    if name not in names:
+        hint = near(name, names, "[{}]") + unusable()
+        hint = hint or " (of a method whose package is not installed?)"
+        raise InputError(f"[{name}]: unknown section{hint}")
+    if name == "cases":
+        return
+    if not isinstance(table, Mapping):
+        raise InputError(f"[{name}]: must be a table of keys")
+    errors = ErrorCollector()
+    for key, value in table.items():
+        with errors.collect():
+            if name in SECTIONS and key not in SECTIONS[name].model_fields:
+                raise InputError(f"[{name}] {key}: {_unknown_key(key, name)}")
+            if value is None:
+                raise InputError(f"[{name}] {key}: None is no value (leave the key out)")
+    errors.raise_all()
+
+
+def _unknown_key(key: str, section: str) -> str:
+    """Return what is wrong with a key of a section: its home, what replaced it, or a hint."""
     if key in SECTION_OF:
         return f"unknown key (it belongs in [{SECTION_OF[key]}])"
-    here = unknown(key, SECTIONS[section].model_fields)
+    here = unknown_key(key, SECTIONS[section].model_fields)
     found = difflib.get_close_matches(str(key), list(SECTION_OF), n=1)
     if here == "unknown key" and found:
-        return f"unknown key (did you mean {found[0]} in [{SECTION_OF[found[0]]}]?)"
+        return f"{here} (did you mean {found[0]} in [{SECTION_OF[found[0]]}]?)"
     return here
 
 
-def _check_forms(where: Where) -> None:
-    """Refuses two keys that say the same thing in two ways."""
+def _check_rivals(where: rules.Where) -> None:
+    """Refuse two keys that are alternatives."""
+    lines: list[str] = []
+    reported: set[str] = set()
     for one, other in (pair for section in SECTIONS.values() for pair in section.exclusive):
-        if one in where and other in where:
-            raise InputError(
-                f"{where[one]} {one}: conflicts with {other} in {where[other]} (give one of them)"
-            )
+        if one in where and other in where and reported.isdisjoint((one, other)):
+            text = f"conflicts with {other} in {where[other]} (give one of them)"
+            lines.append(f"{where[one]} {one}: {text}")
+            reported |= {one, other}
+    if lines:
+        raise InputError(*lines)
 
 
-def _check_densities(where: Where, readings: set[Any]) -> None:
-    """Refuses a density of Q where Q is read as something else."""
-    for key in (key for keys in Q_DENSITIES.values() for key in keys):
-        if key in where and (others := readings - {"psd"}):
-            text = f"requires q_reading = 'psd' (it is '{min(others)}')"
-            raise InputError(f"{where[key]} {key}: {text}")
-
-
-def _filled(tables: TomlTable, sweep: axes.Sweep, where: Where, name: str) -> TomlTable:
+def _filled(tables: TomlTable, sweep: Sweep, where: rules.Where, name: str) -> TomlTable:
     """The sections that apply, with the defaults that depend on other keys."""
     recorded = "record" in tables
     unused: tuple[str, ...] = SIMULATED_ONLY if recorded else ("record",)
@@ -306,21 +355,19 @@ def _filled(tables: TomlTable, sweep: axes.Sweep, where: Where, name: str) -> To
                 sections["sensors"][white] = 0.0
     for section, values in sections.items():
         for key in SECTIONS[section].model_fields.keys() - unread:
-            default = marked(key, Default)
-            if default is None or not where.keys().isdisjoint(rivals(key)):
+            about = info(key)
+            if about.default is None or not where.keys().isdisjoint(rivals(key)):
                 continue
-            if default.beside is None or (
-                key not in where and _values_of(default.beside, tables, sweep) - {None, "none"}
+            if about.beside is None or (
+                key not in where and _values_of(about.beside, tables, sweep) - {None, "none"}
             ):
-                values.setdefault(key, default.value)
+                values.setdefault(key, about.default)
     if "constants" in _values_of("earth", tables, sweep):
         sections["earth"] = EARTH_CONSTANTS | sections["earth"]
-    if "tune" in sections:
-        sections["tune"] = tuned_keys.read(sections["tune"], sweep.where, recorded=recorded)
     return sections | sweep._asdict()
 
 
-def _values_of(key: str, tables: TomlTable, sweep: axes.Sweep) -> set[Any]:
+def _values_of(key: str, tables: TomlTable, sweep: Sweep) -> set[Any]:
     """The values that a key takes over the variants, its section's default where none is given."""
     section = SECTION_OF[key]
     default = SECTIONS[section].model_fields[key].default
@@ -333,11 +380,14 @@ def _validated(sections: TomlTable) -> Study:
     try:
         return Study.model_validate(sections)
     except ValidationError as error:
-        first = error.errors()[0]
-        section = str(first["loc"][0])
-        key = first["loc"][1] if len(first["loc"]) > 1 else first["ctx"]["key"]
-        hint = ""
-        if first["type"] == "missing" and len(first["loc"]) == 2:
-            hint = f" ({SECTIONS[section].model_fields[str(key)].description})"
-        place = f"[{section}] {key}{index(first)}"
-        raise InputError(f"{place}: {explained(first)}{hint}") from None
+        raise InputError(*map(_value_error, errors_of(error))) from None
+
+
+def _value_error(error: ErrorDetails) -> str:
+    """Return the line of a value that its key does not take, or of a key that is missing."""
+    section = str(error["loc"][0])
+    key = error["loc"][1] if len(error["loc"]) > 1 else error["ctx"]["key"]
+    hint = ""
+    if error["type"] == "missing" and len(error["loc"]) == 2:
+        hint = f" ({SECTIONS[section].model_fields[str(key)].description})"
+    return f"[{section}] {key}{index(error)}: {explained(error)}{hint}"

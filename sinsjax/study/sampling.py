@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sinsjax.study.distributions import NUMBERS_DRAWN, Distribution, DrawnSection
+from sinsjax.study.schema import NUMBERS_DRAWN, Distribution, DrawnSection
 from sinsjax.study.study import Study
 
 _SOBOL_BITS = 30  # 2^30 points, more than a study has draws

@@ -12,12 +12,11 @@ from itertools import product
 from typing import Any, NamedTuple, NoReturn
 
 from sinsjax.errors import InputError
-from sinsjax.study import success
-from sinsjax.study.keys import SECTION_OF, SECTIONS, TUNABLE, TomlTable, marked, rivals
-from sinsjax.study.ranges import Range
+from sinsjax.study.keys import SECTION_OF, SECTIONS, TUNABLE, TomlTable, info, rivals
+from sinsjax.study.schema import Range
 from sinsjax.study.study import Study
-from sinsjax.study.tuned_keys import COUNT, TIMES, Ranges
-from sinsjax.value_types import SameAs, Whole
+from sinsjax.study.sweep import COUNT, TIMES, Ranges
+from sinsjax.value_types import KeyInfo
 
 GRID_MOST = 2
 """Free variables of a full grid, at the most."""
@@ -130,7 +129,7 @@ class SearchSpace:
         if COUNT in out and TIMES in out:
             out[TIMES] = out[TIMES][: out.pop(COUNT)]
         return {
-            key: self._whole(value, whole) if (whole := marked(key, Whole)) else value
+            key: self._whole(value, about) if (about := info(key)).whole else value
             for key, value in out.items()
         }
 
@@ -155,14 +154,14 @@ class SearchSpace:
             values.append(value)
         return values
 
-    def _whole(self, value: Any, whole: Whole) -> Any:
+    def _whole(self, value: Any, about: KeyInfo) -> Any:
         """Times as whole numbers of samples or of record intervals; those of a list ascend."""
-        if whole.interval == "record":
+        if about.whole == "record":
             return max(1, round(value / self.record_interval_s)) * self.record_interval_s
         if not isinstance(value, tuple):
             return max(1, round(value * self.rate_hz)) / self.rate_hz
         samples = sorted(max(1, round(time * self.rate_hz)) for time in value)
-        if whole.merged:
+        if about.merged:
             samples = list(dict.fromkeys(samples))
         for number in range(1, len(samples)):  # a piece each, be it a sample long
             samples[number] = max(samples[number], samples[number - 1] + 1)
@@ -177,33 +176,6 @@ def _free(ranges: Ranges) -> tuple[Variable, ...]:
             if own.low is not None and own.high is not None:
                 found.append(Variable(key, entry, own.low, own.high, own.scale == "log"))
     return tuple(found)
-
-
-def check(study: Study) -> None:
-    """Checks the rules between [tune] and the rest of a study.
-
-    Raises:
-        InputError: ``[table] key: what is wrong (hint)``.
-    """
-    tune = study.tune
-    assert tune is not None
-    if study.stop_when:
-        _refuse("[stop_when]", "conflicts with [tune], whose draws are counted")
-    if study.record and len(study.record.start_s) < 2:
-        _refuse("[record] start_s", "tuning needs two start times, one to tune and one to judge by")
-    bands = success.bands(study)
-    if tune.objective_band_arcmin not in bands:
-        text = f"{tune.objective_band_arcmin:g} is none of {', '.join(f'{b:g}' for b in bands)}"
-        _refuse(
-            "[tune] objective_band_arcmin", f"{text} (settle_bands_arcmin, and that of success)"
-        )
-    space = SearchSpace.of(study)
-    most = max(len(space.used(combination)) for combination in space.combinations)
-    if "grid" in tune.searches and most > GRID_MOST:
-        text = f"'grid' takes up to {GRID_MOST} variables at a time, here are {most}"
-        _refuse("[tune] searches", f"{text} (use 'sobol')")
-    if "gradient" in tune.searches and not most:
-        _refuse("[tune] searches", "'gradient' needs a variable with low and high")
 
 
 def _refuse(place: str, text: str) -> NoReturn:
@@ -233,8 +205,8 @@ def told(study: Study, keys: Iterable[str]) -> TomlTable:
         out[key] = None if section is None else getattr(section, key)
         if section is not None and key == TIMES:
             out[key] = study.reset_times()[0]
-        elif section is not None and out[key] is None and (same := marked(key, SameAs)):
-            other = same.other
+        elif section is not None and out[key] is None and info(key).same_as is not None:
+            other = info(key).same_as
             if isinstance(other, str):
                 other = getattr(getattr(study, SECTION_OF[other]), other)
             out[key] = other

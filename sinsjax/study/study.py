@@ -1,51 +1,56 @@
 """The study: its sections, the axes it sweeps, the variants that they span.
 
-The rules between its keys stand in `checks`.
+`load` makes one from a file or tables, with all `rules` checked.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import import_module
 from itertools import product
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, create_model
 
+from sinsjax.alignment.description import INITIAL_KEYS
 from sinsjax.alignment.filters.section import OF_SCHEDULES, reset_times
 from sinsjax.alignment.methods import SECTIONS_OF_METHODS
 from sinsjax.alignment.sections import AlignmentSection, CoarseSection, PassesSection
-from sinsjax.study.distributions import DrawnSection, StopWhenSection
-from sinsjax.study.keys import COARSE_KEYS, PASS_KEYS, SECTION_OF, SWEEPABLE, TomlTable
-from sinsjax.study.ranges import TuneSection
-from sinsjax.study.recorded import RecordSection
-from sinsjax.study.resolved import Coded, Dimension, Resolved, same
+from sinsjax.errors import InputError
+from sinsjax.study.keys import (
+    COARSE_KEYS,
+    PASS_KEYS,
+    SECTION_OF,
+    SWEEPABLE,
+    TomlTable,
+    acts,
+    deciding,
+)
+from sinsjax.study.resolved import Coded, Dimension, Resolved, distinct, same
 from sinsjax.study.schema import (
+    DrawnSection,
     EarthSection,
     MotionSection,
+    RecordSection,
     SensorsSection,
+    StopWhenSection,
     StudySection,
+    TuneSection,
 )
+from sinsjax.study.sweep import dimensions_of
 from sinsjax.value_types import ROUNDING
 
+COARSE_START = ("coarse_method", "coarse_then")
+"""The keys that decide whether a run begins with coarse alignment."""
 
-def dimensions_of(
-    cases: Sequence[TomlTable], zips: Iterable[Dimension], axes: Dimension
-) -> list[Dimension]:
-    """What a sweep is the product of: values by key, those of one dimension going together.
-
-    Args:
-        cases: one table a case.
-        zips: values by key of every zip.
-        axes: values by key, each a dimension of its own.
-
-    Returns:
-        The cases first, as the slowest, a label before their keys; then the zips; then the axes.
-    """
-    keys = sorted(cases[0] if cases else (), key=lambda key: key != "case")
-    joint = {key: tuple(case[key] for case in cases) for key in keys}
-    return [*([joint] if joint else ()), *zips, *({key: axes[key]} for key in axes)]
+SEQUENTIAL_KEYS = (
+    *("surge_m_per_s", "vibration_ug_rms", "vibration_deg_per_h_rms"),
+    *("gyro_instability_deg_per_h", "accel_instability_ug"),
+    *("gyro_rrw_deg_per_h_per_sqrt_h", "accel_rrw_ug_per_sqrt_h"),
+    *("gyro_quantisation_arcsec", "accel_quantisation_um_per_s"),
+)
+"""The keys with which a sample of a simulation depends on those before it."""
 
 
 class Span(NamedTuple):
@@ -65,6 +70,10 @@ class Span(NamedTuple):
     def read(self) -> int:
         """Record intervals of data that the run reads."""
         return min(self.records, self.pass_records)
+
+    def pass_numbers(self) -> np.ndarray:
+        """Return the pass, from 1, that each record of the run ends or lies in; (records,)."""
+        return np.arange(self.records) // self.pass_records + 1
 
 
 if TYPE_CHECKING:  # asked for by name, with `Study.has`
@@ -111,10 +120,12 @@ class Study(_SectionsOfMethods):
     zips: dict[str, Dimension] = {}
     cases: tuple[TomlTable, ...]
 
+    rebuild: ClassVar[Callable[["Study", Mapping[str, Any]], "Study"]]
+    """Set by `load`, which builds studies."""
+
     def replace(self, changes: Mapping[str, Any]) -> "Study":
-        """The study with the values of some ``section.key`` changed, see `load.replaced`."""
-        made: Study = import_module("sinsjax.study.load").replaced(self, changes)
-        return made  # `load` imports this module
+        """Return the study with the values of some ``section.key`` changed, see `load.replaced`."""
+        return type(self).rebuild(self, changes)
 
     @property
     def name(self) -> str:
@@ -224,6 +235,60 @@ class Study(_SectionsOfMethods):
         records = self.records if passes is None else passes * pass_records
         return Span(records, pass_records, rewinds)
 
+    @property
+    def spans_s(self) -> np.ndarray:
+        """Lengths of every variant's run and of a pass over its stored record, s; (variants, 2)."""
+        lengths = self.lengths.each(lambda span: (span.records, span.pass_records), int)
+        return lengths * self.record_every / self.rate_hz
+
+    def update_times(self, span: Span) -> np.ndarray:
+        """Return the update times of a run's records from the start of fine alignment, s."""
+        return np.arange(1, span.records + 1) * self.record_every / self.rate_hz
+
+    def stored_times(self, span: Span) -> np.ndarray:
+        """Return the place in its stored record of each record of a run, s from the beginning."""
+        place = np.arange(span.records) % span.pass_records + 1
+        forward = span.rewinds | (span.pass_numbers() % 2 == 1)
+        place = np.where(forward, place, span.pass_records - place)
+        return place * self.record_every / self.rate_hz
+
+    def samples_before(
+        self, rate_hz: float, coarse_method: str, coarse_duration_s: float, coarse_then: str | None
+    ) -> int:
+        """Return the samples of a record that are coarsely aligned before runs begin.
+
+        Args:
+            rate_hz: sample rate of the record, Hz.
+            coarse_method: as all that follow, of `COARSE_KEYS`.
+            coarse_duration_s: length of coarse alignment, s.
+            coarse_then: where fine alignment begins.
+        """
+        if self.has_coarse_stage(coarse_method, coarse_then):
+            return 0
+        return round(coarse_duration_s * rate_hz)
+
+    @property
+    def counts_before(self) -> bool:
+        """Whether data before t = 0 of some runs count, because other runs begin with the first.
+
+        If none does, data are counted from t = 0 too.
+        """
+        return self.is_recorded and bool(self.coarse_stages)
+
+    @property
+    def report_times_s(self) -> tuple[float, ...]:
+        """Times at which runs are reported in addition to their end, s of data; none by default."""
+        return self.study.report_times_s or ()
+
+    def report_samples(self, before: int) -> np.ndarray:
+        """Return the numbers, from 1, of the samples of a run at the report times; (times,).
+
+        Args:
+            before: samples of data that count before the run's first, see `counts_before`.
+        """
+        samples = np.asarray(self.report_times_s) * self.rate_hz - before
+        return np.round(samples / self.record_every) * self.record_every
+
     def has_coarse_stage(self, coarse_method: str, coarse_then: str | None) -> bool:
         """Whether runs with some values of these keys begin with coarse alignment.
 
@@ -237,8 +302,7 @@ class Study(_SectionsOfMethods):
         if self.coarse is None:
             return ()
         points = self.combinations(*COARSE_KEYS)
-        given = ("coarse_method", "coarse_then")
-        return tuple(p for p in points if self.has_coarse_stage(*(p[key] for key in given)))
+        return tuple(p for p in points if self.has_coarse_stage(*(p[key] for key in COARSE_START)))
 
     @property
     def run_s(self) -> float:
@@ -283,6 +347,112 @@ class Study(_SectionsOfMethods):
     def drawn_keys(self) -> tuple[str, ...]:
         """Every key whose value differs from draw to draw, in the order written."""
         return tuple(self.drawn.laws) if self.drawn else ()
+
+    @property
+    def sequential_keys(self) -> list[str]:
+        """The `SEQUENTIAL_KEYS` that some variant has."""
+        if self.is_recorded:
+            return []
+
+        def is_taken(key: str) -> bool:
+            values = (point[key] for point in self.combinations(key))
+            return any(value is None or np.any(value) for value in values)
+
+        return [key for key in SEQUENTIAL_KEYS if is_taken(key)]
+
+    @property
+    def requires_sequential(self) -> bool:
+        """Whether a sample of some variant depends on those before it."""
+        return bool(self.sequential_keys)
+
+    @property
+    def axes_shown(self) -> dict[tuple[str, ...], tuple[Any, ...]]:
+        """What is swept as a reader counts it: the values of each axis by the keys that name it.
+
+        Keys that go together, in cases or in axes, are one axis. Its name is the label or the first
+        of its keys if no two of its points share that value, otherwise all of them; its values are
+        tuples then.
+        """
+        axes: dict[tuple[str, ...], tuple[Any, ...]] = {}
+        for dimension in self.dimensions:
+            first, values = next(iter(dimension.items()))
+            if len(set(values)) == len(values):
+                axes[(first,)] = tuple(values)
+            else:
+                axes[tuple(dimension)] = tuple(zip(*dimension.values(), strict=True))
+        return axes
+
+    @property
+    def keys_shown(self) -> tuple[str, ...]:
+        """The swept keys that distinguish variants, see `axes_shown`."""
+        return tuple(key for keys in self.axes_shown for key in keys)
+
+    @property
+    def figure_axes(self) -> tuple[dict[str, tuple[Any, ...]], list[str]]:
+        """The axes of the study's figures with their values, and all other swept keys.
+
+        They are the first two swept numbers; without any the first key whose values are lists, such
+        as reset times.
+        """
+        numeric, listed = {}, {}
+        for (key, *more), values in self.axes_shown.items():
+            if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
+                numeric[key] = tuple(map(float, values))
+            elif not more and all(isinstance(v, tuple) for v in values):
+                listed[key] = values
+        shown = dict([*numeric.items()][:2] or [*listed.items()][:1])
+        return shown, [key for key in self.keys_shown if key not in shown]
+
+    def only(self, key: str) -> Any:
+        """Return the one value of a key.
+
+        Raises:
+            InputError: the study sweeps it.
+        """
+        first, *rest = self.combinations(key)
+        if rest:
+            raise InputError(f"{self.name}: one {key} is needed, not a sweep of it")
+        return first[key]
+
+    def without_effect(self, key: str) -> np.ndarray:
+        """Return whether a swept key has no effect on each variant; (variants,)."""
+        return self._effective(key).each(lambda value: not value, bool)
+
+    @property
+    def duplicate_of(self) -> np.ndarray:
+        """The first variant that equals each one in every key with an effect; (variants,).
+
+        Such variants have the same runs: ``reset_count = 0`` is one schedule whatever the cycle.
+        The label of a case is no key.
+        """
+        alike = np.zeros(self.n_variants, np.int64)
+        for key in self.axis_keys:
+            if key != "case":
+                column = self._effective(key)
+                alike = distinct(alike * len(column.choices) + column.codes)[1]
+        _, first = np.unique(alike, return_index=True)
+        return first[alike]
+
+    def idle_keys(self) -> list[str]:
+        """Return the swept keys whose values differ between variants with the same runs."""
+        first = self.duplicate_of
+        swept = {key: self.values(key) for key in self.axis_keys if key != "case"}
+        return [k for k, v in swept.items() if any(v[i] != v[at] for i, at in enumerate(first))]
+
+    def _effective(self, key: str) -> Coded:
+        """Return the values of a key over the variants, those without an effect being equal."""
+        coarse = COARSE_START if key in INITIAL_KEYS and self.coarse else ()
+        keys = tuple(dict.fromkeys((key, *deciding(key), *coarse)))
+
+        def value(values: tuple[Any, ...]) -> tuple[Any, ...]:
+            given = dict(zip(keys, values, strict=True))
+            # Coarse alignment replaces the initial attitude that is given.
+            found = coarse and self.has_coarse_stage(*(given[key] for key in coarse))
+            return (given[key],) if acts(key, given) and not found else ()
+
+        codes, choices = self.resolved.column(*keys).map(value if len(keys) > 1 else lambda v: (v,))
+        place = {choice: code for code, choice in enumerate(dict.fromkeys(choices))}
+        return Coded(np.asarray([place[choice] for choice in choices])[codes], tuple(place))
 
     def variant_values(self) -> dict[str, list[Any]]:
         """The values of every axis key, one a variant, in variant order."""

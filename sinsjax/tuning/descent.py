@@ -17,7 +17,7 @@ from sinsjax.execution import run
 from sinsjax.execution.run import RunProgress, Tell
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.keys import TomlTable
-from sinsjax.study.ranges import TuneSection
+from sinsjax.study.schema import TuneSection
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.tuning import estimates, objective, search
@@ -57,7 +57,7 @@ class _Descents:
         self._study, self._stored, self._number, self._cost = study, stored, number, cost
         self._tune, self._space = study.tune, SearchSpace.of(study)
         relaxation = Relaxation(study, self._space, self._space.combinations[number])
-        self._samples = self._tune.evolution_samples if relaxation.by_covariance else 0
+        self._samples = estimates.SAMPLES if relaxation.by_covariance else 0
         self._moves_resets = relaxation.moves_resets
 
     def looks(self, tell: Tell | None) -> list[Evaluation]:

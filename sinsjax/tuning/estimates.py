@@ -7,12 +7,14 @@ from sinsjax.alignment.methods import METHODS
 from sinsjax.engine import batch, covariance
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.verdicts import FLOOR, TRUTH
-from sinsjax.study.ranges import TuneSection
+from sinsjax.study.schema import TuneSection
 from sinsjax.study.study import Study
 from sinsjax.study.success import bands, success_of
-from sinsjax.study.times import spans_s
 from sinsjax.tuning import search
 from sinsjax.units import ARCMIN
+
+SAMPLES = 64
+"""Errors sampled per point and variant."""
 
 
 def values(study: Study, tune: TuneSection) -> NDArray:
@@ -20,10 +22,10 @@ def values(study: Study, tune: TuneSection) -> NDArray:
     scenario = Scenario(study, curves=True)
     kind = TRUTH if success_of(study).from_truth else FLOOR
     at = int(np.argmin(np.abs(np.asarray(bands(study)) - tune.objective_band_arcmin)))
-    out = np.empty((study.n_variants, tune.evolution_samples))
-    end = spans_s(study)[:, 0]
+    out = np.empty((study.n_variants, SAMPLES))
+    end = study.spans_s[:, 0]
     for number, ids in enumerate(scenario.variant_ids):
-        group = covariance.watched(scenario.part(number, range(1)).group, tune.evolution_samples)
+        group = covariance.watched(scenario.part(number, range(1)).group, SAMPLES)
         for chunk in batch.chunks(group, devices=2):
             out[ids[chunk.variant]] = _of_chunk(tune, chunk, kind, at, end[ids[chunk.variant]])
     return out

@@ -17,11 +17,15 @@ from sinsjax.execution.tasks import Job
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
-from sinsjax.study.tuned_keys import TIMES
+from sinsjax.study.sweep import TIMES
 from sinsjax.tuning import estimates, objective, search
 from sinsjax.tuning.history import Evaluation, Found
 
 NAME = "covariance"
+
+POINTS, SPREAD, FINALISTS = 8, 0.2, 3
+"""Points of a generation; standard deviation of the first one, all ranges being one long; best
+points that are run on the tuning draws."""
 
 
 def evolve(study: Study, *, tell: Tell | None = None) -> Found:
@@ -48,9 +52,7 @@ class _Evolution:
         self._cost = 0.0
         tune, combinations = self._tune, len(self._space.combinations)
         self._total = (
-            tune.evolution_screen * combinations
-            + tune.evolution_steps * tune.evolution_points
-            + tune.evolution_finalists
+            tune.evolution_screen * combinations + tune.evolution_steps * POINTS + FINALISTS
         )
 
     def carry_out(self) -> Found:
@@ -75,12 +77,12 @@ class _Evolution:
         box = np.asarray(self._space.box(values))
         seed = int(search.seed_of(self._study, "evolution").generate_state(1)[0]) or 1
         settings = {
-            **{"bounds": [0.0, 1.0], "popsize": tune.evolution_points, "seed": seed},
+            **{"bounds": [0.0, 1.0], "popsize": POINTS, "seed": seed},
             **{"verbose": -9, "CMA_stds": np.ones(max(2, len(used)))},
         }
         # It has no strategy of one variable: a second one without effect goes with it.
         start = np.append(box[used], 0.5) if len(used) == 1 else box[used]
-        strategy = cma.CMAEvolutionStrategy(start, tune.evolution_spread, settings)
+        strategy = cma.CMAEvolutionStrategy(start, SPREAD, settings)
         for _ in range(tune.evolution_steps):
             asked = np.asarray(strategy.ask())
             points = np.full((len(asked), len(self._space.variables)), np.nan)
@@ -115,7 +117,7 @@ class _Evolution:
             combination = self._space.combinations[look.candidate]
             point = self._space.point(list(np.nan_to_num(look.values)), combination)
             best.setdefault(tuple(point.values()), (look, point))
-        looks, points = zip(*list(best.values())[: self._tune.evolution_finalists], strict=True)
+        looks, points = zip(*list(best.values())[:FINALISTS], strict=True)
         derived, cases = self._derived(points)
         found = search.run_values(
             self._study, derived, run_in_memory(Job(derived, curves=False))["summary"]

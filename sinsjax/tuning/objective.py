@@ -15,10 +15,9 @@ from sinsjax import analysis, columns
 from sinsjax.engine.covariance import Spread
 from sinsjax.engine.metrics import Criteria, Outcome, outside
 from sinsjax.engine.verdicts import FLOOR, TRUTH
-from sinsjax.study.ranges import TuneSection
+from sinsjax.study.schema import TuneSection
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_of
-from sinsjax.study.times import spans_s
 from sinsjax.types import Array
 from sinsjax.units import ARCMIN
 
@@ -53,7 +52,7 @@ def values(tune: TuneSection, study: Study, table: pa.Table) -> NDArray:
         error about the bias floor or the truth, arcmin; or 1 for a failure and 0 for a success.
     """
     order = np.argsort(analysis.numbers(table, "run_id"))
-    end = spans_s(study)[:, :1]
+    end = study.spans_s[:, :1]
     if tune.objective == "final_error":
         yaw, *limit = (analysis.numbers(table, name) for name in columns_of(tune, study)[1:])
         found = np.nan_to_num(np.abs(yaw - sum(limit)), nan=np.inf)
@@ -71,7 +70,7 @@ def failing(tune: TuneSection, study: Study) -> float:
     """The objective if every run fails; infinite if it has no upper bound."""
     if tune.objective == "final_error":
         return np.inf
-    end = np.ones((1, 1)) if tune.objective == "failure_rate" else spans_s(study)[:, :1]
+    end = np.ones((1, 1)) if tune.objective == "failure_rate" else study.spans_s[:, :1]
     return score(tune, end)
 
 

@@ -18,12 +18,12 @@ from sinsjax.alignment.methods import METHODS, PACKAGES, from_package
 from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.estimating import is_modelled
 from sinsjax.study.keys import SECTION_OF, TomlTable
 from sinsjax.study.load import with_point
+from sinsjax.study.rules import is_modelled
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
-from sinsjax.study.tuned_keys import COUNT, TIMES
+from sinsjax.study.sweep import COUNT, TIMES
 from sinsjax.tuning import search
 from sinsjax.types import Array, Scalar
 

@@ -13,7 +13,7 @@ from sinsjax.analysis import Estimate
 from sinsjax.analysis.estimates import bootstrap
 from sinsjax.errors import InputError
 from sinsjax.execution.source import Source
-from sinsjax.study.ranges import TuneSection
+from sinsjax.study.schema import TuneSection
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
 from sinsjax.study.success import yardsticks

@@ -21,11 +21,10 @@ from sinsjax.execution.sealed import Damaged
 from sinsjax.execution.tasks import Job
 from sinsjax.platform.files import replacing, unwritable
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.differences import differences
-from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.identity import differences, fingerprint
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import load_study, study_to_toml, with_point
-from sinsjax.study.ranges import TuneSection
+from sinsjax.study.schema import TuneSection
 from sinsjax.study.search_space import SearchSpace, comparable
 from sinsjax.study.study import Study
 from sinsjax.tuning import evolution, history, search
@@ -284,7 +283,7 @@ def _search(
     if name == "grid":
         return search.evaluate(study, name, search.grid(space, settings.grid_points), session)
     draw = {"sobol": search.sobol, "random": search.random}[name]
-    count = {"sobol": settings.sobol_points, "random": settings.random_points}[name]
+    count = settings.sobol_points
     design = draw(space, [count] * len(space.combinations), search.seed_of(study, name))
     return search.evaluate(study, name, design, session)
 

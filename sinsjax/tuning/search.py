@@ -24,7 +24,8 @@ from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import study_from_dict, tables_of
 from sinsjax.study.resolved import Dimension
 from sinsjax.study.search_space import SearchSpace
-from sinsjax.study.study import Study, dimensions_of
+from sinsjax.study.study import Study
+from sinsjax.study.sweep import dimensions_of
 from sinsjax.tuning import objective
 from sinsjax.tuning.history import Evaluation, Found
 

@@ -16,7 +16,6 @@ from support.studies import refusal, small_study, with_truth
 from sinsjax.engine import build
 from sinsjax.execution import rerun, run
 from sinsjax.execution.tables import Tables
-from sinsjax.study import acting
 from sinsjax.study.load import study_from_dict, study_to_toml
 from sinsjax.study.study import Study
 
@@ -69,8 +68,8 @@ def test_initial_heading_error_is_ignored_after_coarse_alignment() -> None:
     phi = results().summary["phi_u_arcmin"].to_numpy().reshape(3, 4, 2)
     same = phi[..., 0] == phi[..., 1]
     np.testing.assert_array_equal(same, [[False, True, True, True]] * 3)
-    assert acting.first_alike(study()).tolist() == [0, 1, 2, 2, 4, 4, 6, 6]
-    assert acting.silent(study(), "phi_u0_deg").tolist() == [False] * 2 + [True] * 6
+    assert study().duplicate_of.tolist() == [0, 1, 2, 2, 4, 4, 6, 6]
+    assert study().without_effect("phi_u0_deg").tolist() == [False] * 2 + [True] * 6
 
 
 def test_sigma_is_nan_before_hand_over_and_smaller_after_replay() -> None:

@@ -13,8 +13,11 @@ from support.commands import Command, command_line
 
 import sinsjax as package
 from sinsjax.cli import options
-from sinsjax.study import files, key_table, problems
-from sinsjax.study.keys import SECTION_OF
+from sinsjax.errors import InputError
+from sinsjax.study import files, key_table
+from sinsjax.study.keys import SECTION_OF, Key
+from sinsjax.study.load import load_study
+from sinsjax.value_types import KeyInfo
 
 ROOT = Path(__file__).parents[2]
 
@@ -276,18 +279,22 @@ def test_usage_is_printed_if_no_command_is_given(sinsjax: Command) -> None:
 def test_malformed_tables_are_reported(tmp_path: Path) -> None:
     path = tmp_path / "s.toml"
     path.write_text(f'axes = 3\ndrawn = [1]\n[study]\nseed = ["x", {10**400}]\n[[cases]]\nx = 1\n')
-    told = problems.problems(path, {})
-    assert {line.removeprefix(f"{path}: ").split(":")[0] for line in told} >= {"[axes]", "[drawn]"}
+    with pytest.raises(InputError) as error:
+        load_study(path)
+    places = {line.removeprefix(f"{path}: ").split(":")[0] for line in error.value.lines}
+    assert places >= {"[axes]", "[drawn]"}
     path.write_text(f'[axes]\nreset_count = ["x", {10**400}]\n')
-    told = problems.problems(path, {"study.seed": 1})
-    assert told[0].startswith(f"{path}: [axes] reset_count[0]: must be a whole number")
+    with pytest.raises(InputError) as error:
+        load_study(path, {"study.seed": 1})
+    line = f"{path}: [axes] reset_count[0]: must be a whole number"
+    assert any(one.startswith(line) for one in error.value.lines)
 
 
 def test_key_without_meaning_is_listed_in_one_line(
     sinsjax: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made = key_table.Key("lagged", "lag_s", "s", "1", "", ("lagged",))
-    monkeypatch.setattr(key_table, "keys", lambda wanted: [made])
+    made = Key("lagged", "lag_s", "s", "1", "", KeyInfo(), ("lagged",), ())
+    monkeypatch.setattr(key_table, "find_keys", lambda wanted: [made])
     told = "[lagged] lag_s: s; default 1; methods: lagged\n"
     assert sinsjax("keys", "lag_s") == (0, told, "")
 

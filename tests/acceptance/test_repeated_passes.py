@@ -21,7 +21,6 @@ from sinsjax.execution import run as study_run
 from sinsjax.execution.tables import Tables
 from sinsjax.records import Reference, write_psins
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study import times as study_times
 from sinsjax.study.load import study_from_dict
 from sinsjax.types import Quat
 
@@ -109,9 +108,9 @@ def test_stored_times_and_pass_numbers_follow_passes(
     study = study_from_dict(merged({"passes": passes}, QUICK))
     (span,) = set(study.spans)
     updates = list(range(1, len(stored_times_of) + 1))
-    assert study_times.update_times(study, span).tolist() == updates
-    assert study_times.stored_times(study, span).tolist() == stored_times_of
-    assert study_times.pass_numbers(span).tolist() == numbers
+    assert study.update_times(span).tolist() == updates
+    assert study.stored_times(span).tolist() == stored_times_of
+    assert span.pass_numbers().tolist() == numbers
 
 
 TURNS = {"turn": ["reflect", "velocity"]}

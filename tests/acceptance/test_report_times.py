@@ -20,7 +20,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import forecast, rerun, run
 from sinsjax.execution.tables import Tables
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_from_dict, study_to_toml
 from sinsjax.tuning.slopes import Slope, Softness
 from sinsjax.types import Quat

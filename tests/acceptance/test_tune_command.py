@@ -28,8 +28,9 @@ from sinsjax.execution.tasks import Job
 from sinsjax.plots import descents
 from sinsjax.records import write_psins
 from sinsjax.report import tuned
-from sinsjax.study.load import Study, load_study, study_from_dict, with_point
+from sinsjax.study.load import load_study, study_from_dict, with_point
 from sinsjax.study.search_space import SearchSpace, Variable
+from sinsjax.study.study import Study
 from sinsjax.tuning import history, objective, results, run_tuning, search
 from sinsjax.tuning.history import Evaluation, Found
 from sinsjax.tuning.results import Tuning

@@ -18,10 +18,10 @@ from sinsjax.alignment.base import Method, Relaxed
 from sinsjax.alignment.description import Description, Implementation
 from sinsjax.errors import InputError
 from sinsjax.platform import runtime
-from sinsjax.study import usable
+from sinsjax.study import load as loading
 from sinsjax.study.variants import Variants
 from sinsjax.types import Quat
-from sinsjax.value_types import Default, Seconds, Section
+from sinsjax.value_types import KeyInfo, Seconds, Section
 
 pytestmark = pytest.mark.slow
 
@@ -228,7 +228,7 @@ class Unconditional(Section):
 
 class Right(Section):
     lag_s: Seconds = 1.0
-    delay_s: Annotated[Seconds | None, Default(2.0)] = None
+    delay_s: Annotated[Seconds | None, KeyInfo(default=2.0)] = None
     limit_s: Seconds
     kind: Literal["one", "two"] = "one"
     times_s: tuple[Seconds, ...] = (1.0, 2.0)
@@ -252,7 +252,7 @@ def test_valid_section_defaults_are_accepted(monkeypatch: pytest.MonkeyPatch) ->
         (Seconds, 1e10, "must be within the usual 1e-09 to 1e+08, not 10000000000.0"),
         (Seconds, None, "must be a number, not None"),
         (Annotated[Seconds, Field(description="lag, s")], True, "must be a number, not True"),
-        (Annotated[Seconds | None, Default("ten")], None, "must be a number, not 'ten'"),
+        (Annotated[Seconds | None, KeyInfo(default="ten")], None, "must be a number, not 'ten'"),
         (float, np.inf, "must be finite, not inf"),
         (
             Annotated[float, AfterValidator(lambda value: fails())],
@@ -335,9 +335,9 @@ def test_built_in_method_is_kept_over_plugin_of_same_name(monkeypatch: pytest.Mo
         for name in ("one", "other")
     )
     assert found.broken == {"made": "; ".join(told)}
-    monkeypatch.setattr(usable, "BROKEN", found.broken)
-    monkeypatch.setattr(usable, "METHODS", found.methods)
-    usable.check_usable({"alignment": {"method": "made"}})
+    monkeypatch.setattr(loading, "BROKEN", found.broken)
+    monkeypatch.setattr(loading, "METHODS", found.methods)
+    loading._check_usable({"alignment": {"method": "made"}})
 
 
 def test_two_plugins_with_same_method_name_are_both_reported(

@@ -29,7 +29,6 @@ from sinsjax.alignment.inertial_frame.least_squares import reaction_velocity
 from sinsjax.alignment.inertial_frame.method import optimised
 from sinsjax.alignment.methods import METHODS
 from sinsjax.strapdown import sensors
-from sinsjax.study import acting
 from sinsjax.units import ARCMIN
 
 RATE, SECONDS, LATITUDE = 100, 60, 32 * DEG
@@ -186,7 +185,7 @@ def of_methods(names):
 
 def test_initial_heading_is_inactive_for_inertial_frame_methods_only():
     """Each ignores the keys of the others; on some the heading that they begin with acts."""
-    silent = acting.silent(of_methods(list(METHODS)), "phi_u0_deg").reshape(-1, 2)
+    silent = of_methods(list(METHODS)).without_effect("phi_u0_deg").reshape(-1, 2)
     for name, of_method in zip(METHODS, silent, strict=True):
         assert np.all(of_method == (name in NAMES)), name
 

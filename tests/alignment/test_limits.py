@@ -16,7 +16,8 @@ from sinsjax.engine.batch import chunks
 from sinsjax.engine.study_limits import has_floor, hidden_north
 from sinsjax.strapdown import earth
 from sinsjax.strapdown.base_motion import Motion, Sway
-from sinsjax.study.load import Study, study_from_dict
+from sinsjax.study.load import study_from_dict
+from sinsjax.study.study import Study
 from sinsjax.types import Vec3
 
 DEG_PER_H = DEG / 3600

@@ -11,8 +11,7 @@ from sinsjax.engine.build import Scenario
 from sinsjax.execution import run as study_run
 from sinsjax.execution.rerun import rerun
 from sinsjax.execution.tasks import Job, TaskRunner
-from sinsjax.study.acting import first_alike
-from sinsjax.study.load import Study
+from sinsjax.study.study import Study
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -74,5 +73,5 @@ def test_duplicate_variants_have_equal_engine_parameters(study: Study) -> None:
     params = part.group.variants
     samples = np.asarray(params.method.resets.samples)
     rows = np.column_stack([samples, *params.phi]).tolist()
-    pairs = {*zip(first_alike(study)[part.variant_ids], map(tuple, rows), strict=True)}
+    pairs = {*zip(study.duplicate_of[part.variant_ids], map(tuple, rows), strict=True)}
     assert len({first for first, _ in pairs}) == len({row for _, row in pairs}) == len(pairs)

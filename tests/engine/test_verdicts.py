@@ -13,7 +13,7 @@ from sinsjax import analysis
 from sinsjax.errors import InputError
 from sinsjax.execution import run, tables
 from sinsjax.study import success
-from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import load_study, study_to_toml
 
 pytestmark = pytest.mark.optimised(False)

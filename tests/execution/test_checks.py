@@ -22,7 +22,8 @@ from sinsjax.records import Layout, Record, Reference, means, write_csv
 from sinsjax.records.plausible import Finding, StationaryValues, findings
 from sinsjax.records.reference import StoredRecord
 from sinsjax.records.turning import attitudes
-from sinsjax.study.load import Study, load_study, study_from_dict
+from sinsjax.study.load import load_study, study_from_dict
+from sinsjax.study.study import Study
 from sinsjax.units import DEG, DEG_PER_H, micro_g
 
 pytestmark = pytest.mark.optimised(False)

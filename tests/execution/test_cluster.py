@@ -28,7 +28,8 @@ from sinsjax.execution import cluster, run
 from sinsjax.execution import tasks as study_tasks
 from sinsjax.execution.directory import read_manifest
 from sinsjax.platform import compile_cache, runtime, xla
-from sinsjax.study.load import Study, study_from_dict
+from sinsjax.study.load import study_from_dict
+from sinsjax.study.study import Study
 
 pytestmark = [pytest.mark.slow, pytest.mark.optimised(False)]
 needs_two_cores = pytest.mark.skipif(

@@ -25,7 +25,8 @@ from sinsjax.execution.estimates import estimated_curves
 from sinsjax.execution.prepare import Options, prepare
 from sinsjax.execution.results import read_estimates, read_summary
 from sinsjax.execution.tasks import Executor, Job, TaskRunner
-from sinsjax.study.load import Study, study_to_toml
+from sinsjax.study.load import study_to_toml
+from sinsjax.study.study import Study
 
 pytestmark = pytest.mark.optimised(False)
 

@@ -14,7 +14,8 @@ from sinsjax.engine.build import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import forecast, run
 from sinsjax.platform import machine
-from sinsjax.study.load import Study, study_from_dict, with_rate
+from sinsjax.study.load import study_from_dict, with_rate
+from sinsjax.study.study import Study
 from sinsjax.tuning import run_tuning
 
 TUNE = {"searches": ["grid"], "grid_points": 5, "variables": {"p0_yaw_deg": {"low": 1, "high": 80}}}

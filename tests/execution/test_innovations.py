@@ -13,7 +13,8 @@ from sinsjax.execution.source import Source
 from sinsjax.execution.tables import Tables
 from sinsjax.records.reference import StoredRecord
 from sinsjax.report.attitudes import innovations
-from sinsjax.study.load import Study, study_from_dict
+from sinsjax.study.load import study_from_dict
+from sinsjax.study.study import Study
 
 pytestmark = pytest.mark.optimised(False)
 

@@ -11,7 +11,7 @@ from support.studies import STILL, small_study
 from sinsjax.engine import build, companions
 from sinsjax.execution import linearity
 from sinsjax.execution import run as study_run
-from sinsjax.study.load import Study
+from sinsjax.study.study import Study
 from sinsjax.units import ARCMIN
 
 pytestmark = pytest.mark.optimised(False)

@@ -17,7 +17,8 @@ from sinsjax.errors import InputError
 from sinsjax.execution.prepare import Options, prepare
 from sinsjax.records import write_psins
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.load import Study, study_from_dict, study_to_toml
+from sinsjax.study.load import study_from_dict, study_to_toml
+from sinsjax.study.study import Study
 
 pytestmark = pytest.mark.optimised(False)
 

@@ -24,7 +24,8 @@ from sinsjax.execution.results import count_runs, part_marks, read_summary
 from sinsjax.execution.sealed import sealed_parquet
 from sinsjax.records import PSINS_LAYOUT, read_psins, write_psins
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.load import Study, study_from_dict
+from sinsjax.study.load import study_from_dict
+from sinsjax.study.study import Study
 
 pytestmark = pytest.mark.usefixtures("drawn_on_request")
 

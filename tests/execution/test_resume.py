@@ -17,7 +17,7 @@ from sinsjax.execution.directory import read_manifest
 from sinsjax.execution.results import load_stored_study
 from sinsjax.execution.source import Source
 from sinsjax.platform import runtime, xla
-from sinsjax.study.differences import differences
+from sinsjax.study.identity import differences
 from sinsjax.study.load import study_to_toml
 
 pytestmark = pytest.mark.optimised(False)

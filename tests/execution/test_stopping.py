@@ -20,7 +20,7 @@ from sinsjax.execution import run as study_run
 from sinsjax.execution import stopping
 from sinsjax.execution.results import read_summary
 from sinsjax.execution.tasks import Executor, Job, TaskRunner
-from sinsjax.study.load import Study
+from sinsjax.study.study import Study
 
 COLUMNS = ["run_id", "draw_id", "variant_id"]
 

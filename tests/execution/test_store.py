@@ -41,7 +41,8 @@ from sinsjax.execution.tasks import Job, TaskRunner
 from sinsjax.platform import files
 from sinsjax.records import Reference
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.load import Study, study_from_dict
+from sinsjax.study.load import study_from_dict
+from sinsjax.study.study import Study
 
 pytestmark = pytest.mark.optimised(False)
 

@@ -16,8 +16,7 @@ from sinsjax.execution.results import CHUNK_MARK, STUDY_MARK
 from sinsjax.execution.sealed import KEY, sealed_json, sealed_parquet
 from sinsjax.execution.tasks import Job
 from sinsjax.platform import runtime
-from sinsjax.study.differences import sections_of
-from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.identity import fingerprint, sections_of
 from sinsjax.study.load import study_to_toml
 
 STUDY = small_study(study={"curves": True})

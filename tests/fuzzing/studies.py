@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from fuzzing.edits import Quiet, edited, mangled
 from fuzzing.values import TEXTS, misfits, of_field, table
 from sinsjax.alignment.methods import METHODS
-from sinsjax.study.distributions import NUMBERS_DRAWN
 from sinsjax.study.keys import SECTIONS, SWEEPABLE, TUNABLE, rivals
+from sinsjax.study.schema import NUMBERS_DRAWN
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 

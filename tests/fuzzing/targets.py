@@ -24,8 +24,9 @@ from sinsjax.execution.source import Source
 from sinsjax.execution.tables import Tables
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import CONTROL
-from sinsjax.study.fingerprint import fingerprint
-from sinsjax.study.load import Study, load_study, study_from_dict, study_to_toml
+from sinsjax.study.identity import fingerprint
+from sinsjax.study.load import load_study, study_from_dict, study_to_toml
+from sinsjax.study.study import Study
 from sinsjax.tuning import run_tuning
 
 MOST_S = 2.0

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from sinsjax.value_types import Usual
+from sinsjax.value_types import KeyInfo
 
 Strategy = st.SearchStrategy[Any]
 
@@ -106,7 +106,7 @@ def of_type(annotation: Any, metadata: tuple[Any, ...] = ()) -> Strategy:
         parts = [part for part in inside if part is not type(None)]
         return st.one_of([of_type(part, metadata) for part in parts])
     if origin is tuple:
-        usual = tuple(m for m in metadata if isinstance(m, Usual))
+        usual = tuple(m for m in metadata if isinstance(m, KeyInfo))
         if Ellipsis in inside:
             most = next((m.max_length for m in metadata if isinstance(m, MaxLen)), 4)
             least = next((m.min_length for m in metadata if isinstance(m, MinLen)), 0)
@@ -144,8 +144,8 @@ def _bounds(metadata: tuple[Any, ...], low: float, high: float) -> tuple[float, 
         elif isinstance(rule, Lt):
             most = float(rule.lt)  # type: ignore[arg-type]
             high = min(high, most - _CLOSED * max(1.0, abs(most)))
-        elif isinstance(rule, Usual):
-            low, high = max(low, rule.low), min(high, rule.high)
+        elif isinstance(rule, KeyInfo) and rule.usual:
+            low, high = max(low, rule.usual[0]), min(high, rule.usual[1])
     return low, high
 
 

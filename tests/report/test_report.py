@@ -19,7 +19,6 @@ from sinsjax.execution.results import read_summary
 from sinsjax.execution.source import Source
 from sinsjax.report import base, over_axes
 from sinsjax.study.load import study_from_dict
-from sinsjax.study.swept import shown_keys, swept
 
 pytestmark = [pytest.mark.usefixtures("drawn_on_request"), pytest.mark.optimised(False)]
 
@@ -152,7 +151,7 @@ def test_single_draw_or_variant_has_no_comparison(tmp_path, changes):
 def test_zipped_axes_are_plotted_as_one_axis(tmp_path):
     level = {"phi_e0_deg": [0.0, 5.0, 10.0], "phi_n0_deg": [0.0, 5.0, 5.0]}
     study = small_study(axes={"level": level, "phi_u0_deg": [0.0, 30.0]})
-    assert swept(study) == {("phi_e0_deg",): (0.0, 5.0, 10.0), ("phi_u0_deg",): (0.0, 30.0)}
+    assert study.axes_shown == {("phi_e0_deg",): (0.0, 5.0, 10.0), ("phi_u0_deg",): (0.0, 30.0)}
     settle = np.tile([10.0, 20.0, 30.0, 40.0, 50.0, 60.0], 3)
     source = Source(tmp_path, study, "x.toml", summary_of(study, settle_10_s=settle))
     blocks = {block.name: block for block in over_axes.over_axes(source)}
@@ -167,8 +166,8 @@ def test_zipped_axes_are_plotted_as_one_axis(tmp_path):
 def test_zipped_axis_with_repeated_first_key_shows_all_keys():
     both = {"phi_e0_deg": [0.0, 0.0], "phi_n0_deg": [0.0, 5.0]}
     study = small_study(axes={"level": both})
-    assert swept(study) == {("phi_e0_deg", "phi_n0_deg"): ((0.0, 0.0), (0.0, 5.0))}
-    assert shown_keys(study) == ("phi_e0_deg", "phi_n0_deg")
+    assert study.axes_shown == {("phi_e0_deg", "phi_n0_deg"): ((0.0, 0.0), (0.0, 5.0))}
+    assert study.keys_shown == ("phi_e0_deg", "phi_n0_deg")
 
 
 def test_report_of_stopped_study_counts_its_actual_draws(tmp_path):

@@ -12,7 +12,6 @@ from sinsjax.execution import run as study_run
 from sinsjax.execution.source import Source
 from sinsjax.report import auto, over_axes
 from sinsjax.report.base import Picture, Table, Text
-from sinsjax.study.acting import idle_keys
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -57,8 +56,8 @@ def test_tables_section_explains_how_duplicate_variants_count(source: Source) ->
 
 def test_idle_keys_lists_keys_that_differ_between_duplicate_variants() -> None:
     axes = {"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0]}
-    assert idle_keys(small_study(axes=axes)) == ["reset_cycle_s"]
-    assert idle_keys(small_study(axes=axes | {"reset_count": [1, 2]})) == []
+    assert small_study(axes=axes).idle_keys() == ["reset_cycle_s"]
+    assert small_study(axes=axes | {"reset_count": [1, 2]}).idle_keys() == []
 
 
 def test_heat_map_writes_number_of_duplicate_variants_once(source: Source) -> None:

@@ -13,7 +13,6 @@ from sinsjax.execution.source import Source
 from sinsjax.report import auto, over_axes
 from sinsjax.report.base import Table
 from sinsjax.report.groupings import bin_medians, binned
-from sinsjax.study.swept import shown_axes
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -104,7 +103,7 @@ def test_panel_without_values_is_omitted_and_yaw_axis_is_labelled(drawn: Source)
 def test_list_valued_axis_is_plotted_as_categories(tmp_path: Path) -> None:
     times = [[], [0.5], [0.5, 1.0]]
     study = small_study(study=SHORT | {"draws": 4}, axes={"reset_times_s": times})
-    assert shown_axes(study) == ({"reset_times_s": ((), (0.5,), (0.5, 1.0))}, [])
+    assert study.figure_axes == ({"reset_times_s": ((), (0.5,), (0.5, 1.0))}, [])
     run.run_into(study, tmp_path / "out")
     (figure,) = over_axes.over_axes(Source.read(tmp_path / "out"))
     axes = figure.figure.axes[-1]
@@ -114,5 +113,5 @@ def test_list_valued_axis_is_plotted_as_categories(tmp_path: Path) -> None:
 
 def test_numeric_axis_is_shown_before_list_axis() -> None:
     axes = {"reset_times_s": [[], [0.5]], "p0_yaw_deg": [1.0, 2.0]}
-    shown, others = shown_axes(small_study(study=SHORT, axes=axes))
+    shown, others = small_study(study=SHORT, axes=axes).figure_axes
     assert (shown, others) == ({"p0_yaw_deg": (1.0, 2.0)}, ["reset_times_s"])

@@ -10,8 +10,7 @@ from support.studies import small_study
 from sinsjax.alignment.methods import METHODS
 from sinsjax.engine.batch import chunks
 from sinsjax.engine.build import Scenario
-from sinsjax.study.acting import acts, conditions, deciding, first_alike
-from sinsjax.study.keys import SECTIONS
+from sinsjax.study.keys import SECTIONS, acts, conditions, deciding
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -117,7 +116,7 @@ def outcomes(tables: dict[str, Any], key: str, values: list[Any]) -> list[Any]:
 @pytest.mark.parametrize("name", SILENT)
 def test_inactive_key_changes_no_outcome(name: str) -> None:
     tables, key, values = SILENT[name]
-    assert len(set(first_alike(small_study(**tables, axes={key: values})))) == 1
+    assert len(set(small_study(**tables, axes={key: values}).duplicate_of)) == 1
     one, other = outcomes(tables, key, values)
     for a, b in zip(one, other, strict=True):
         np.testing.assert_array_equal(a, b)
@@ -126,7 +125,7 @@ def test_inactive_key_changes_no_outcome(name: str) -> None:
 @pytest.mark.parametrize("name", ACTING)
 def test_active_key_changes_outcome(name: str) -> None:
     tables, key, values = ACTING[name]
-    assert len(set(first_alike(small_study(**tables, axes={key: values})))) == 2
+    assert len(set(small_study(**tables, axes={key: values}).duplicate_of)) == 2
     one, other = outcomes(tables, key, values)
     assert any(not np.array_equal(a, b, equal_nan=True) for a, b in zip(one, other, strict=True))
 

@@ -7,7 +7,7 @@ from support.studies import small_study
 from sinsjax.engine import build
 from sinsjax.errors import InputError
 from sinsjax.execution import run
-from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_from_dict, tables_of
 
 OLD = {"q_reading": "psd", "q_gyro_deg_per_h": 0.18, "q_accel_ug": 60.0}

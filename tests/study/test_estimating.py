@@ -8,7 +8,7 @@ from support.studies import refusal, small_study, small_tables
 from sinsjax.alignment.base import Options
 from sinsjax.alignment.methods import METHODS
 from sinsjax.errors import InputError
-from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_from_dict, tables_of
 
 ESTIMATED = {"estimate": "covariance", "draws": None}

@@ -15,15 +15,10 @@ from hypothesis import strategies as st
 from sinsjax.alignment.methods import METHODS
 from sinsjax.errors import InputError
 from sinsjax.messages import CONTROL
-from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.identity import fingerprint
 from sinsjax.study.keys import SECTION_OF, SECTIONS, SWEEPABLE
-from sinsjax.study.load import (
-    Study,
-    load_study,
-    study_from_dict,
-    study_to_toml,
-    with_rate,
-)
+from sinsjax.study.load import load_study, study_from_dict, study_to_toml, with_rate
+from sinsjax.study.study import Study
 from sinsjax.value_types import Section
 
 *FIRST, LAST = (f"'{name}'" for name in METHODS)
@@ -123,14 +118,19 @@ def merged(base: dict[str, Any], **tables: Any) -> dict[str, Any]:
     return data
 
 
-def refusal(base: dict[str, Any] = SIMULATED, **tables: Any) -> str:
-    """The line of the error, less the file's name that it must begin with."""
+def refusals(base: dict[str, Any] = SIMULATED, **tables: Any) -> list[str]:
+    """The lines of the error, less the file's name that each must begin with."""
     with pytest.raises(InputError) as caught:
         built(base, **tables)
-    line = str(caught.value)
-    assert len(line.splitlines()) == 1
-    assert line.startswith("s.toml: ")
-    return line.removeprefix("s.toml: ")
+    lines = str(caught.value).splitlines()
+    assert all(line.startswith("s.toml: ") for line in lines)
+    return [line.removeprefix("s.toml: ") for line in lines]
+
+
+def refusal(base: dict[str, Any] = SIMULATED, **tables: Any) -> str:
+    """The one line of the error, less the file's name that it must begin with."""
+    (line,) = refusals(base, **tables)
+    return line
 
 
 # What a study gives
@@ -374,9 +374,15 @@ def test_syntax_errors_name_the_line(tmp_path: Path, text: str):
 
 def test_invalid_values_in_file_are_refused_with_file_name(tmp_path: Path):
     path = tmp_path / "s.toml"
-    path.write_text("[study]\nduration_s = nan\nrate_hz = 100")
+    path.write_text(
+        "[study]\nduration_s = nan\nrate_hz = 100\n"
+        "[earth]\nlatitude_deg = 32\n[motion]\nyaw_center_deg = 20"
+    )
     assert_load_refused(path, r"\[study\] duration_s: must be finite, not nan")
-    path.write_text('[study]\n"a\\nb" = 1')
+    path.write_text(
+        '[study]\nduration_s = 60\nrate_hz = 100\n"a\\nb" = 1\n'
+        "[earth]\nlatitude_deg = 32\n[motion]\nyaw_center_deg = 20"
+    )
     assert_load_refused(path, r"\[study\] a b: unknown key")
     path.write_text("[study]\nseed = " + "9" * 5000)
     assert_load_refused(path, "no TOML")
@@ -724,7 +730,11 @@ NUMBERS = [
 @pytest.mark.parametrize(("section", "key"), NUMBERS, ids=".".join)
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, True, "1"], ids=str)
 def test_number_keys_refuse_nan_inf_bool_and_text(section: str, key: str, value: Any):
-    given = STOP if section == "stop_when" else {}
+    given: dict[str, Any] = {}
+    if section == "stop_when":
+        given = STOP
+    elif section == "tune":
+        given = {"variables": {"p0_yaw_deg": {"low": 1.0, "high": 80.0}}}
     assert refusal(**{section: given | {key: value}}).startswith(f"[{section}] {key}: must be ")
     if section in SWEEPABLE:
         zipped = refusal(axes={"name": {key: [value]}})
@@ -737,16 +747,23 @@ def test_missing_required_study_keys_are_refused(key: str):
     data = copy.deepcopy(SIMULATED)
     del data["study"][key]
     assert refusal(data).startswith(f"[study] {key}: required (")
-    assert refusal({}).startswith("[study] duration_s: required (length")
+    assert [line.partition(": required")[0] for line in refusals({})] == [
+        *("[study] duration_s", "[study] rate_hz"),
+        *("[earth] latitude_deg", "[motion] yaw_center_deg"),
+    ]
 
 
 def test_missing_latitude_and_heading_are_refused():
-    assert refusal(SIMULATED, earth={}, motion=3).startswith("[motion]")
+    assert refusals(SIMULATED, earth=3, motion=3) == [
+        "[earth]: must be a table of keys",
+        "[motion]: must be a table of keys",
+    ]
     data = copy.deepcopy(SIMULATED)
     del data["motion"]
     assert refusal(data).startswith("[motion] yaw_center_deg: required (yaw, deg")
     del data["earth"]
-    assert refusal(data).startswith("[earth] latitude_deg: required (latitude, deg")
+    latitude, _ = refusals(data)
+    assert latitude.startswith("[earth] latitude_deg: required (latitude, deg")
 
 
 # Axes and cases
@@ -1030,7 +1047,7 @@ def test_supported_stop_statistics_are_accepted(statistic: str):
     ],
 )
 def test_invalid_stop_rules_are_refused(stop: dict[str, Any], line: str):
-    assert refusal(study={"settle_bands_arcmin": [60]}, stop_when=stop).startswith(line)
+    assert refusals(study={"settle_bands_arcmin": [60]}, stop_when=stop)[0].startswith(line)
 
 
 def test_stop_half_width_of_mean_time_may_exceed_one_second():
@@ -1111,7 +1128,7 @@ def test_record_intervals_round_to_nearest_samples():
     study = built(RECORDED, study={"rate_hz": 199.8}, record={"start_s": [0, 0.004]})
     assert study.record_every == 200
     line = "[study] record_interval_s: 1 s is no whole number of samples of 0.005005005005"
-    assert refusal(study={"rate_hz": 199.8}).startswith(line)
+    assert refusals(study={"rate_hz": 199.8})[0].startswith(line)
 
 
 def test_record_may_supply_sample_rate():
@@ -1276,7 +1293,7 @@ def test_loop_settings_given_in_two_ways_are_refused(one: str, others: tuple[str
     ],
 )
 def test_invalid_passes_are_refused(passes: dict[str, Any], line: str):
-    assert refusal(COMPASS, passes=passes) == f"[passes] {line}"
+    assert refusal(COMPASS, passes=passes, study={"window_s": [0, 100]}) == f"[passes] {line}"
 
 
 def test_passes_are_checked_per_variant():

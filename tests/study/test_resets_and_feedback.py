@@ -12,8 +12,7 @@ from sinsjax.alignment.filters.section import times_of_resets
 from sinsjax.engine.build import Scenario
 from sinsjax.engine.study_limits import scheduled_last_s
 from sinsjax.execution import run as study_run
-from sinsjax.study.acting import first_alike
-from sinsjax.study.fingerprint import fingerprint
+from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_to_toml
 
 pytestmark = pytest.mark.optimised(False)
@@ -143,8 +142,8 @@ def test_reset_feedback_keys_change_fingerprint() -> None:
 def test_reset_at_feedback_makes_reset_restarts_feedback_irrelevant() -> None:
     cases = [{AT: False, RESTARTS: True}, {AT: True, RESTARTS: False}, {AT: True, RESTARTS: True}]
     study = small_study(resets={"reset_times_s": [1.0]}, cases=cases)
-    assert first_alike(study).tolist() == [0, 1, 1]
-    assert first_alike(small_study(axes={"keys": KEYS})).tolist() == [0, 0, 0, 0]
+    assert study.duplicate_of.tolist() == [0, 1, 1]
+    assert small_study(axes={"keys": KEYS}).duplicate_of.tolist() == [0, 0, 0, 0]
     assert f"{AT} = true" in study_to_toml(small_study(resets={AT: True}))
 
 

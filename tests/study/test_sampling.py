@@ -13,10 +13,10 @@ from support.studies import BASE
 
 from sinsjax.errors import InputError
 from sinsjax.study import sampling
-from sinsjax.study.distributions import INITIAL_KEYS, NUMBERS_DRAWN
 from sinsjax.study.keys import SECTION_OF
-from sinsjax.study.load import Study, study_from_dict
-from sinsjax.study.schema import MotionSection, SensorsSection
+from sinsjax.study.load import study_from_dict
+from sinsjax.study.schema import INITIAL_NUMBERS, NUMBERS_DRAWN, MotionSection, SensorsSection
+from sinsjax.study.study import Study
 
 MANY = 1 << 14
 LAWS: dict[str, Any] = {
@@ -78,7 +78,7 @@ def test_drawn_keys_need_as_many_numbers_as_their_section():
         "latitude_deg",
         *MotionSection.model_fields.keys() - {"surge_model"},
         *SensorsSection.model_fields,
-        *INITIAL_KEYS,
+        *INITIAL_NUMBERS,
     }
 
 
@@ -396,7 +396,7 @@ def test_worst_draw_out_of_bounds_is_named_in_any_block(monkeypatch: pytest.Monk
     out = int(np.argmax(np.abs(values) > 360))
     assert out > 1000
     study_of(law, study={"draws": out})
-    monkeypatch.setattr("sinsjax.study.axes._BLOCK", 1000)
+    monkeypatch.setattr("sinsjax.study.rules._BLOCK", 1000)
     line = f"[drawn] yaw_phase_deg: draw {out} gives {float(values[out])!r}: must be "
     assert refusal(law, study={"draws": out + 1}).startswith(line)
 
@@ -442,10 +442,10 @@ RECORDED = {"study": {"duration_s": 300.0, "rate_hz": 100.0}, "record": {"format
 
 
 def test_recorded_study_may_draw_only_initial_keys():
-    laws = {key: {"normal": [0, 1]} for key in INITIAL_KEYS}
+    laws = {key: {"normal": [0, 1]} for key in INITIAL_NUMBERS}
     record = {"format": "psins", "start_s": [0, 10, 20]}
     study = study_from_dict(RECORDED | {"record": record, "drawn": laws})
-    assert study.n_draws == 3 and study.drawn_keys == INITIAL_KEYS
+    assert study.n_draws == 3 and study.drawn_keys == INITIAL_NUMBERS
     for key, reason in (
         ("yaw_center_deg", "does not apply to a recorded study ([motion] is the simulation's)"),
         (
@@ -454,7 +454,7 @@ def test_recorded_study_may_draw_only_initial_keys():
         ),
         (
             "latitude_deg",
-            f"cannot be drawn in a recorded study (what can: {', '.join(INITIAL_KEYS)})",
+            f"cannot be drawn in a recorded study (what can: {', '.join(INITIAL_NUMBERS)})",
         ),
     ):
         with pytest.raises(InputError) as caught:

@@ -12,9 +12,10 @@ from support.studies import small_study
 
 from sinsjax.errors import InputError
 from sinsjax.study import search_space
-from sinsjax.study.fingerprint import fingerprint
-from sinsjax.study.load import Study, study_from_dict, study_to_toml, tables_of, with_point
+from sinsjax.study.identity import fingerprint
+from sinsjax.study.load import study_from_dict, study_to_toml, tables_of, with_point
 from sinsjax.study.search_space import SearchSpace
+from sinsjax.study.study import Study
 
 TIMES = [{"low": 1.0, "high": 3.0}, {"low": 2.0, "high": 5.0}]
 YAW = {"low": 10.0, "high": 90.0}

@@ -8,8 +8,9 @@ import pytest
 
 from sinsjax.alignment.triggers.section import any_trigger
 from sinsjax.errors import InputError
-from sinsjax.study.fingerprint import fingerprint
-from sinsjax.study.load import Study, study_from_dict, study_to_toml
+from sinsjax.study.identity import fingerprint
+from sinsjax.study.load import study_from_dict, study_to_toml
+from sinsjax.study.study import Study
 
 BASE: dict[str, Any] = {
     "study": {"duration_s": 900, "rate_hz": 100},

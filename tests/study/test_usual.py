@@ -10,9 +10,9 @@ from support.studies import BASE, refusal, small_study
 
 from sinsjax import columns
 from sinsjax.errors import InputError
-from sinsjax.study import usual
-from sinsjax.study.fingerprint import fingerprint
-from sinsjax.study.keys import SECTIONS
+from sinsjax.study import rules
+from sinsjax.study.identity import fingerprint
+from sinsjax.study.keys import KEYS, SECTIONS
 from sinsjax.study.load import study_from_dict, study_to_toml
 from sinsjax.study.study import Study
 
@@ -52,14 +52,14 @@ def test_every_key_with_unit_has_usual_range():
     for section, model in SECTIONS.items():
         for key in model.model_fields:
             if columns.split_unit(key)[1] and key not in BOUNDED:
-                assert usual.range_of(section, key), f"[{section}] {key}"
+                assert KEYS[section, key].info.usual, f"[{section}] {key}"
 
 
 def test_defaults_lie_in_usual_range():
     for section, model in SECTIONS.items():
         for key, field in model.model_fields.items():
-            if usual.range_of(section, key):
-                assert usual.doubt(key, field.default, section) is None
+            if KEYS[section, key].info.usual:
+                assert rules.doubt(key, field.default) is None
 
 
 @pytest.mark.parametrize(
@@ -78,7 +78,7 @@ def test_defaults_lie_in_usual_range():
     ],
 )
 def test_unusual_value_is_refused_unless_unchecked(section: str, key: str, value: float):
-    low, high = usual.range_of(section, key)
+    low, high = KEYS[section, key].info.usual
     line = f"[{section}] {key}: {value:.12g} is outside the usual {low:g} to {high:g}"
     line += " ([study] unchecked = true insists on it)"
     assert refusal(**{section: {key: value}}) == line

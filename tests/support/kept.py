@@ -9,7 +9,8 @@ from sinsjax.engine.batch import in_threads
 from sinsjax.execution.directory import DATASETS
 from sinsjax.execution.sealed import KEY, is_intact, sealed_json
 from sinsjax.execution.tasks import EncodedResult, Executor, Task, TaskRunner
-from sinsjax.study.load import Study, study_from_dict
+from sinsjax.study.load import study_from_dict
+from sinsjax.study.study import Study
 from support.studies import BASE, small_study
 
 CHUNK_RUNS = 128

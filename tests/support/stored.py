@@ -14,9 +14,9 @@ from sinsjax.execution.directory import MANIFEST, STUDY
 from sinsjax.execution.results import CHUNK_MARK, STUDY_MARK
 from sinsjax.execution.sealed import sealed_json, sealed_parquet
 from sinsjax.execution.tasks import Job
-from sinsjax.study.differences import sections_of
-from sinsjax.study.fingerprint import fingerprint
-from sinsjax.study.load import Study, study_to_toml
+from sinsjax.study.identity import fingerprint, sections_of
+from sinsjax.study.load import study_to_toml
+from sinsjax.study.study import Study
 
 
 def write_part(path: Path, table: pa.Table, identity: str) -> None:

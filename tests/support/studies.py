@@ -8,7 +8,8 @@ import pytest
 from sinsjax.errors import InputError
 from sinsjax.records import Record, Reference
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.load import Study, study_from_dict
+from sinsjax.study.load import study_from_dict
+from sinsjax.study.study import Study
 
 BASE: dict[str, dict[str, Any]] = {
     "study": {"duration_s": 6.0, "rate_hz": 100.0, "draws": 3, "window_s": [2, 6]},

@@ -23,8 +23,8 @@ from sinsjax.engine.metrics import Criteria, Outcome
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.tasks import Job
-from sinsjax.study.load import Study
 from sinsjax.study.search_space import SearchSpace
+from sinsjax.study.study import Study
 from sinsjax.tuning import descent, estimates, history, objective, run_tuning, search
 from sinsjax.tuning.relaxation import Relaxation
 from sinsjax.tuning.slopes import TANGENT_STEPS, Slope, Softness
@@ -376,7 +376,6 @@ SMOOTH = tuned(
     descent_starts=9,
     descent_steps=3,
     descent_draws=1,
-    evolution_samples=32,
 )
 """Resets that stay where they are, of a kind that cannot be spread."""
 

@@ -1,5 +1,6 @@
 """The search by covariance analysis: what it estimates, how it goes on, what it refuses."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +12,15 @@ from support.studies import STILL, small_study
 import sinsjax
 from sinsjax.errors import InputError
 from sinsjax.execution import run
-from sinsjax.study.load import Study
 from sinsjax.study.search_space import SearchSpace
+from sinsjax.study.study import Study
 from sinsjax.tuning import estimates, evolution, history, objective, search
 
 pytestmark = pytest.mark.optimised(False)
 
 TIMES = [{"low": 1.0, "high": 10.0}, {"low": 1.0, "high": 20.0}]
 FEW = {
-    **{"evolution_screen": 4, "evolution_points": 4, "evolution_steps": 2},
-    **{"evolution_samples": 1024, "evolution_finalists": 3, "feedback_phases": 2},
+    **{"evolution_screen": 4, "evolution_steps": 2, "feedback_phases": 2},
 }
 """What is estimated and judged at once is as many runs in most tests: one program for all."""
 
@@ -38,6 +38,14 @@ def tuned(changes: dict[str, Any] | None = None, **tune: Any) -> Study:
     heading = {"phi_e0_deg": 0.1, "phi_n0_deg": 0.1, "phi_u0_deg": 2.0}
     own = {"study": section, "alignment": heading | {"feedback_interval_s": 1.0}}
     return small_study(tune=tune, **(motion | own | (changes or {})))
+
+
+@pytest.fixture(autouse=True, scope="module")
+def small_generations() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(evolution, "POINTS", 4)
+        patch.setattr(estimates, "SAMPLES", 1024)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -126,9 +134,13 @@ def test_same_seed_gives_same_search_result(found: history.Found) -> None:
     ],
 )
 def test_covariance_search_works_with_any_number_of_variables(
-    variables: dict[str, Any], changes: dict[str, Any], finalists: int
+    monkeypatch: pytest.MonkeyPatch,
+    variables: dict[str, Any],
+    changes: dict[str, Any],
+    finalists: int,
 ) -> None:
-    study = tuned(changes, variables=variables, evolution_finalists=finalists)
+    monkeypatch.setattr(evolution, "FINALISTS", finalists)
+    study = tuned(changes, variables=variables)
     found = evolution.evolve(study)
     space = SearchSpace.of(study)
     assert not found.best.estimated

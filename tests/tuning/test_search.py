@@ -15,8 +15,9 @@ import sinsjax
 from sinsjax.errors import InputError
 from sinsjax.execution.results import read_summary
 from sinsjax.execution.tasks import Job
-from sinsjax.study.load import Study, study_from_dict, tables_of
+from sinsjax.study.load import study_from_dict, tables_of
 from sinsjax.study.search_space import SearchSpace
+from sinsjax.study.study import Study
 from sinsjax.tuning import history, objective, search
 from sinsjax.tuning.history import Evaluation, Found
 from sinsjax.tuning.search import SearchSession

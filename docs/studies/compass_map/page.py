@@ -13,7 +13,6 @@ from sinsjax.plots import Contours, Scale, Shown
 from sinsjax.plots.words import value_text
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
-from sinsjax.study.swept import only
 from sinsjax.units import ARCMIN, DEG
 
 from ..common.settling import median_time, settled
@@ -199,7 +198,7 @@ def _error_maps(source: Source, grid: Grid, rms: NDArray) -> Picture:
     )
     radii = [cycle_radius(study, turn, sigma, length_s) for turn in grid.axes["turn"]]
     low = float(bound_arcmin(study, max(columns)))
-    high = abs(only(study, "phi_u0_deg")) * DEG / ARCMIN
+    high = abs(study.only("phi_u0_deg")) * DEG / ARCMIN
     figure = plots.heat_maps(
         [(TURNS[turn], rms[i].T) for i, turn in enumerate(grid.axes["turn"])],
         "How far from its limit does the heading end? By turn, sigma and record",

@@ -8,7 +8,6 @@ from sinsjax.alignment.compass import design as loops
 from sinsjax.alignment.compass.design import Number
 from sinsjax.alignment.compass.parameters import REVERSALS
 from sinsjax.study.study import Study
-from sinsjax.study.swept import only
 
 TURNS = {
     "velocity": "paper's turn",
@@ -35,8 +34,8 @@ def cycle_radius(
     Returns:
         Spectral radius of a cycle of two passes, of the shape that the numbers broadcast to.
     """
-    delay_s = only(study, "turn_smoothing_s") if smoothing_s is None else smoothing_s
-    damping = only(study, "azimuth_damping")
+    delay_s = study.only("turn_smoothing_s") if smoothing_s is None else smoothing_s
+    damping = study.only("azimuth_damping")
     sigma, stored_s, damping, delay_s = np.broadcast_arrays(sigma, stored_s, damping, delay_s)
     earth = {"gravity": 1.0, "radius": 1.0}
     gains = loops.azimuth_gains(sigma, damping, **earth)

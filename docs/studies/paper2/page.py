@@ -23,7 +23,6 @@ from sinsjax.report.base import Picture, Table
 from sinsjax.report.folder import Page, Sources
 from sinsjax.study.load import one_variant
 from sinsjax.study.study import Study
-from sinsjax.study.swept import only
 from sinsjax.units import ARCMIN, DEG, MICRO
 
 from ..loops.runs import limits_of
@@ -71,7 +70,7 @@ class Case:
 
     def __getitem__(self, key: str) -> Any:
         """The value of a key of the study."""
-        return only(self.study, key)
+        return self.study.only(key)
 
     @property
     def drift(self) -> float:

@@ -11,7 +11,6 @@ from sinsjax.analysis.words import degrees, percent
 from sinsjax.execution.source import Source
 from sinsjax.plots.words import value_text
 from sinsjax.report.base import Table
-from sinsjax.study import acting
 
 from .field import TIMES_S, Cell, Field, Start, angle, reach
 
@@ -142,7 +141,7 @@ def settings(sources: Sequence[Source]) -> Table:
     for source in sources:
         keys = [key for key in source.study.axis_keys if key != "case"]
         texts = {key: np.asarray(list(map(_text, source.study.values(key)))) for key in keys}
-        read = {key: ~acting.silent(source.study, key) for key in keys}
+        read = {key: ~source.study.without_effect(key) for key in keys}
         cases = np.asarray(source.study.values("case"))
         for arm in dict.fromkeys(cases):
             of = cases == arm

@@ -2,7 +2,7 @@
 
 from functools import partial
 
-from sinsjax.alignment.azimuth.section import AzimuthSection, UnscentedSection
+from sinsjax.alignment.azimuth.section import AzimuthSection
 from sinsjax.alignment.description import Implementation
 from sinsjax.alignment.filters.description import filter_description
 from sinsjax.alignment.filters.section import FilterSection, ResetsSection
@@ -18,7 +18,7 @@ def _load(name: str) -> Implementation:
 
     return Implementation(
         partial(build, getattr(prediction, name)),
-        partial(parameters, sigma_points=name == "unscented"),
+        parameters,
         relaxed=relaxed(STATES),
     )
 
@@ -42,7 +42,7 @@ UNSCENTED = filter_description(
     name="unscented",
     summary="the same model with an unscented transform",
     source="Julier (2002); Wan and van der Merwe (2000)",
-    sections={**_SECTIONS, "unscented": UnscentedSection},
+    sections=_SECTIONS,
     load=partial(_load, "unscented"),
     step_s=60e-9,
 )

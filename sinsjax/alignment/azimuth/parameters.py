@@ -1,4 +1,4 @@
-"""[azimuth] and [unscented] as numbers, beside those of every filter."""
+"""[azimuth] as numbers, beside those of every filter."""
 
 from typing import Any
 
@@ -9,10 +9,13 @@ from sinsjax.alignment.azimuth.model import STATES
 from sinsjax.alignment.filters import parameters as filters
 from sinsjax.alignment.parameters import Columns
 
+SIGMA_POINT_ALPHA = 0.5
+"""Spread of the unscented filter's sigma points: alpha sqrt(5) standard deviations."""
 
-def parameters(columns: Columns, site: Any, ug: float, *, sigma_points: bool) -> Any:
+
+def parameters(columns: Columns, site: Any, ug: float) -> Any:
     """Numbers of a filter with a large azimuth, leaves (variants,); see `filters.parameters`."""
     by_angles = columns.each(lambda form: float(form == "angles"), "azimuth_feedback")
-    alpha = columns.column("sigma_point_alpha") if sigma_points else np.ones(columns.count)
+    alpha = np.full(columns.count, SIGMA_POINT_ALPHA)
     of_filter = filters.parameters(STATES, columns, site, ug)
     return of_filter._replace(own=AzimuthParams(by_angles, alpha))

@@ -10,17 +10,14 @@ from sinsjax.value_types import (
     Bandwidth,
     Count,
     Damping,
-    Default,
     Factors,
     Finite,
+    KeyInfo,
     PassNumbers,
-    RunTime,
     Seconds,
     SecondsOrZero,
     Section,
     Times,
-    Usual,
-    Whole,
 )
 
 _DAMPING = 0.5**0.5
@@ -59,31 +56,31 @@ class CompassSection(Section):
         ActsWhere(("adjustment_remainder",), ("adjustment_reading", *_ADJUSTMENTS), _settles),
     )
 
-    level_sigma_per_s: Annotated[Bandwidth | None, Default(0.02)] = Field(
+    level_sigma_per_s: Annotated[Bandwidth | None, KeyInfo(default=0.02)] = Field(
         None, description="sigma of the levelling loop, 1/s; default 0.02"
     )
     level_adjustment_s: Seconds | None = Field(
         None, description="adjustment time of the levelling loop instead of its sigma, s"
     )
-    level_gains: Annotated[tuple[Finite, Finite, Finite], Usual(-1e11, 1e11)] | None = Field(
-        None, description="K1, K2, K3 of the levelling loop instead of its sigma, SI"
+    level_gains: Annotated[tuple[Finite, Finite, Finite], KeyInfo(usual=(-1e11, 1e11))] | None = (
+        Field(None, description="K1, K2, K3 of the levelling loop instead of its sigma, SI")
     )
     level_damping: Damping = Field(_DAMPING, description="damping ratio of the levelling loop")
-    level_time_s: Annotated[SecondsOrZero | None, Default(150.0), RunTime()] = Field(
+    level_time_s: Annotated[SecondsOrZero | None, KeyInfo(default=150.0, time="s")] = Field(
         None, description="levelling before the azimuth loop begins, s; default 150"
     )
-    level_passes: Annotated[Annotated[Count, Field(ge=1)] | None, RunTime("pass")] = Field(
+    level_passes: Annotated[Annotated[Count, Field(ge=1)] | None, KeyInfo(time="pass")] = Field(
         None, description="the same in passes over the stored record"
     )
-    azimuth_sigma_per_s: Annotated[Bandwidth | None, Default(0.01)] = Field(
+    azimuth_sigma_per_s: Annotated[Bandwidth | None, KeyInfo(default=0.01)] = Field(
         None, description="sigma of the azimuth loop, 1/s; default 0.01"
     )
     azimuth_adjustment_s: Seconds | None = Field(
         None, description="adjustment time of the azimuth loop instead of its sigma, s"
     )
-    azimuth_gains: Annotated[tuple[Finite, Finite, Finite, Finite], Usual(-1e11, 1e11)] | None = (
-        Field(None, description="K1 to K4 of the azimuth loop instead of its sigma, SI")
-    )
+    azimuth_gains: (
+        Annotated[tuple[Finite, Finite, Finite, Finite], KeyInfo(usual=(-1e11, 1e11))] | None
+    ) = Field(None, description="K1 to K4 of the azimuth loop instead of its sigma, SI")
     azimuth_damping: Damping = Field(_DAMPING, description="damping ratio of the azimuth loop")
     adjustment_reading: Literal["period", "settling"] = Field(
         "period", description="reading of adjustment times: the damped period, or exp(-sigma T)"
@@ -94,10 +91,10 @@ class CompassSection(Section):
     sigma_factors: Factors = Field(
         (1.0,), description="sigma of the azimuth loop, piece by piece, as factors on it"
     )
-    sigma_times_s: Annotated[Times | None, Whole("sample"), RunTime()] = Field(
+    sigma_times_s: Annotated[Times | None, KeyInfo(whole="sample", time="s")] = Field(
         None, description="update times at which the second and later pieces begin, s"
     )
-    sigma_passes: Annotated[PassNumbers | None, RunTime("pass")] = Field(
+    sigma_passes: Annotated[PassNumbers | None, KeyInfo(time="pass")] = Field(
         None, description="the same as numbers of passes done before"
     )
     allow_unstable: bool = Field(False, description="whether unstable loops are run")

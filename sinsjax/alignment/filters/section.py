@@ -15,18 +15,16 @@ from sinsjax.value_types import (
     ActsWhere,
     AngleSigma,
     Count,
-    Default,
     Factor,
     GyroNoise,
     GyroSigma,
     GyroWalk,
     HeadingSigma,
-    SameAs,
+    KeyInfo,
     Seconds,
     Section,
     SpeedSigma,
     Times,
-    Whole,
 )
 
 Q_DENSITIES = {
@@ -54,10 +52,10 @@ class FilterSection(Section):
     p0_yaw_deg: HeadingSigma = Field(80.0, description="initial heading misalignment, deg")
     p0_gyro_bias_deg_per_h: GyroSigma = Field(0.1, description="gyro bias states, deg/h")
     p0_accel_bias_ug: AccelSigma = Field(500.0, description="accelerometer bias states, ug")
-    q_accel_ug: Annotated[AccelNoise | None, Default(500.0)] = Field(
+    q_accel_ug: Annotated[AccelNoise | None, KeyInfo(default=500.0)] = Field(
         None, description="velocity process noise, ug; default 500; under 'psd' in ug/sqrt(Hz)"
     )
-    q_gyro_deg_per_h: Annotated[GyroNoise | None, Default(0.1)] = Field(
+    q_gyro_deg_per_h: Annotated[GyroNoise | None, KeyInfo(default=0.1)] = Field(
         None, description="attitude process noise, deg/h; default 0.1; under 'psd' deg/h/sqrt(Hz)"
     )
     q_accel_ug_per_sqrt_hz: AccelNoise | None = Field(
@@ -76,10 +74,10 @@ class FilterSection(Section):
     r_reading: Literal["per_update", "psd"] = Field(
         "per_update", description="R of an update: as is, divided by dt"
     )
-    q_scale: Annotated[Factor | None, SameAs(1.0)] = Field(
+    q_scale: Annotated[Factor | None, KeyInfo(same_as=1.0)] = Field(
         None, description="factor on Q; default 1"
     )
-    r_scale: Annotated[Factor | None, SameAs(1.0)] = Field(
+    r_scale: Annotated[Factor | None, KeyInfo(same_as=1.0)] = Field(
         None, description="factor on R; default 1"
     )
 
@@ -134,14 +132,14 @@ class ResetsSection(TriggerKeys):
         ActsWhere(_SET_BY_FULL, ("reset_kind", *_RESETS), _sets_all),
     )
 
-    reset_count: Annotated[Count | None, Default(0)] = Field(
+    reset_count: Annotated[Count | None, KeyInfo(default=0)] = Field(
         None, description="number of resets, a cycle apart; default 0"
     )
     reset_cycle_s: Seconds | None = Field(None, description="time between resets, s")
     reset_first_s: Seconds | None = Field(
         None, description="time of the first of counted resets, s; default: the cycle"
     )
-    reset_times_s: Annotated[Times | None, Whole("sample", merged=True)] = Field(
+    reset_times_s: Annotated[Times | None, KeyInfo(whole="sample", merged=True)] = Field(
         None, description="explicit reset times, s"
     )
     reset_at_feedback: bool = Field(
@@ -152,19 +150,19 @@ class ResetsSection(TriggerKeys):
     )
     reset_kind: Literal["full", "yaw", "scale"] = Field("full", description="what P is set to")
     reset_scale: Factor = Field(10.0, description="factor on P, for kind 'scale'")
-    reset_velocity_m_per_s: Annotated[SpeedSigma | None, SameAs("p0_velocity_m_per_s")] = Field(
-        None, description="what the velocity is reset to, m/s; default: as at the start"
+    reset_velocity_m_per_s: Annotated[SpeedSigma | None, KeyInfo(same_as="p0_velocity_m_per_s")] = (
+        Field(None, description="what the velocity is reset to, m/s; default: as at the start")
     )
-    reset_level_deg: Annotated[AngleSigma | None, SameAs("p0_level_deg")] = Field(
+    reset_level_deg: Annotated[AngleSigma | None, KeyInfo(same_as="p0_level_deg")] = Field(
         None, description="what the level angles are reset to, deg; default: as at the start"
     )
-    reset_yaw_deg: Annotated[HeadingSigma | None, SameAs("p0_yaw_deg")] = Field(
+    reset_yaw_deg: Annotated[HeadingSigma | None, KeyInfo(same_as="p0_yaw_deg")] = Field(
         None, description="what the heading is reset to, deg; default: as at the start"
     )
-    reset_gyro_bias_deg_per_h: Annotated[GyroSigma | None, SameAs("p0_gyro_bias_deg_per_h")] = (
-        Field(None, description="what gyro biases are reset to, deg/h; default: as at the start")
-    )
-    reset_accel_bias_ug: Annotated[AccelSigma | None, SameAs("p0_accel_bias_ug")] = Field(
+    reset_gyro_bias_deg_per_h: Annotated[
+        GyroSigma | None, KeyInfo(same_as="p0_gyro_bias_deg_per_h")
+    ] = Field(None, description="what gyro biases are reset to, deg/h; default: as at the start")
+    reset_accel_bias_ug: Annotated[AccelSigma | None, KeyInfo(same_as="p0_accel_bias_ug")] = Field(
         None,
         description="what accelerometer biases are reset to, ug; default: as at the start",
     )

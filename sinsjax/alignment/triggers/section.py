@@ -9,9 +9,8 @@ from sinsjax.alignment.triggers.description import TRIGGERS
 from sinsjax.value_types import (
     ActsWhere,
     Count,
-    Default,
+    KeyInfo,
     NonNegative,
-    RunTime,
     Seconds,
     SecondsOrZero,
     Section,
@@ -70,15 +69,15 @@ class TriggerKeys(Section):
     trigger_threshold: NonNegative | None = Field(
         None, description="score above which the trigger resets; what a fading one fades by"
     )
-    trigger_window_s: Annotated[Seconds | None, Default(10.0, beside="reset_trigger")] = Field(
-        None, description="what a trigger that looks back sums up, s; default 10"
+    trigger_window_s: Annotated[Seconds | None, KeyInfo(default=10.0, beside="reset_trigger")] = (
+        Field(None, description="what a trigger that looks back sums up, s; default 10")
     )
     trigger_refractory_s: Annotated[
-        SecondsOrZero | None, Default(5.0, beside="reset_trigger"), RunTime()
+        SecondsOrZero | None, KeyInfo(default=5.0, beside="reset_trigger", time="s")
     ] = Field(None, description="least time after the start and after a reset, s; default 5")
     trigger_most: Annotated[
-        Annotated[Count, Field(ge=1)] | None, Default(10, beside="reset_trigger")
+        Annotated[Count, Field(ge=1)] | None, KeyInfo(default=10, beside="reset_trigger")
     ] = Field(None, description="most resets that a trigger calls for; default 10")
-    trigger_until_s: Annotated[Seconds | None, RunTime()] = Field(
+    trigger_until_s: Annotated[Seconds | None, KeyInfo(time="s")] = Field(
         None, description="time after which a trigger calls for none, s; default: no limit"
     )

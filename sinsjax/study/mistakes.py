@@ -1,0 +1,122 @@
+"""Every mistake in a study at once.
+
+A study is built in stages, each of which reports all of its errors; but the later ones need values
+that the earlier ones have accepted. After an error the study is therefore built again without the
+keys in error, until there is nothing new to report.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+from sinsjax.errors import InputError
+from sinsjax.study.changes import copied
+from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, deciding, rivals
+from sinsjax.study.study import Study
+
+_PLACE = re.compile(r"\[(?P<table>[^\]]+)\](?: (?P<key>[^\s:.\[]+))?|(?P<top>[^\s:]+):")
+_STAND_INS = (1e5, 100.0, 45.0, 1.0, 1)
+"""Values for a required key in error: those of a duration, a rate and a latitude among them."""
+_MOST_ROUNDS = 20
+
+Build = Callable[[TomlTable], Study]
+
+
+class Place(NamedTuple):
+    """Where an error is: a table with dots, and a key in it; empty without one."""
+
+    table: str
+    key: str = ""
+
+
+def build_or_report(build: Build, data: TomlTable) -> Study:
+    """Return the study that a function builds from tables.
+
+    Args:
+        build: raises `InputError` with lines that begin ``[table] key``.
+        data: sections by name; left as it is.
+
+    Raises:
+        InputError: a line for every mistake, without those that may follow from another one.
+    """
+    found: dict[str, None] = {}
+    counts: Counter[Place] = Counter()
+    left_out: set[str] = set()
+    for _ in range(_MOST_ROUNDS):
+        try:
+            study = build(data)
+        except InputError as error:
+            lines = {line: _place(line) for line in error.lines}
+        else:
+            if not found:
+                return study
+            break
+        found |= {line: None for line, at in lines.items() if not _follows(at, left_out)}
+        places = {*lines.values()}
+        counts.update(places)
+        left_out |= {place.key or place.table for place in places} | _keys_of_cases(data, places)
+        if "record" in left_out:  # without its record it would be another study
+            break
+        for place in (place for place in places if counts[place] == 1):
+            data = _without(data, place)
+        again = [place for place in places if counts[place] == 2 and place.table in SECTIONS]
+        for place in again:
+            data = _with_stand_in(build, data, place)
+        if not again and all(counts[place] > 1 for place in places):
+            break
+    raise InputError(*found)
+
+
+def _place(line: str) -> Place:
+    match = _PLACE.match(line)
+    return Place(match["table"] or match["top"], match["key"] or "") if match else Place("")
+
+
+def _follows(place: Place, left_out: set[str]) -> bool:
+    """Whether an error may follow from those before, whose keys and tables are left out."""
+    related = {place.key, place.table, *rivals(place.key)}
+    related |= {key for key in SECTION_OF if place.key in deciding(key)}
+    if place.key in SECTION_OF:
+        related |= {*deciding(place.key)}
+    return not left_out.isdisjoint(related)
+
+
+def _keys_of_cases(data: TomlTable, places: set[Place]) -> set[str]:
+    """Return the keys of the cases if they have an error, as they are left out together."""
+    rows = data.get("cases")
+    if all(place.table != "cases" for place in places) or not isinstance(rows, list | tuple):
+        return set()
+    return {key for row in rows if isinstance(row, Mapping) for key in row}
+
+
+def _without(data: TomlTable, place: Place) -> TomlTable:
+    """Return tables without what is at a place; without all cases, and [tune] with its tables."""
+    out = copied(data)
+    path = [*place.table.split("."), *([place.key] if place.key else [])]
+    if path[0] == "cases" or place.table.startswith("tune."):
+        path = path[:1]
+    *tops, last = path
+    table: Any = out
+    for part in tops:
+        table = table.get(part) if isinstance(table, dict) else None
+    if isinstance(table, dict):
+        table.pop(last, None)
+        # Axes or draws with nothing left to vary.
+        if tops and tops[0] in ("axes", "drawn") and not table.keys() - {"sampling"}:
+            return _without(out, Place(".".join(tops)))
+    return out
+
+
+def _with_stand_in(build: Build, data: TomlTable, place: Place) -> TomlTable:
+    """Return tables with the first value for a missing key that is no error itself."""
+    table = data.get(place.table, {})
+    for value in _STAND_INS if isinstance(table, dict) and place.key else ():
+        out = data | {place.table: table | {place.key: value}}
+        try:
+            build(out)
+        except InputError as error:
+            if place in map(_place, error.lines):
+                continue
+        return out
+    return data

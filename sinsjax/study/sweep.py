@@ -1,0 +1,523 @@
+"""Reading the tables that vary a study: [axes] with their zips, [[cases]], [drawn], [tune].
+
+Every value is checked as the key that it stands for. One that is wrong is named by its place, from
+0: ``[axes] phi_u0_deg[3]``, ``[axes.level] phi_e0_deg[0]``, ``[drawn] phi_u0_deg.values[2]``,
+``[tune.variables] reset_times_s[1].low``. All that are wrong are reported.
+"""
+
+import functools
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import UnionType
+from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic_core import ErrorDetails
+
+from sinsjax.errors import ErrorCollector, InputError
+from sinsjax.messages import explained, index, near, rule
+from sinsjax.study.keys import (
+    SECTION_OF,
+    SECTIONS,
+    SIMULATED_ONLY,
+    SWEEPABLE,
+    TUNABLE,
+    TomlTable,
+    rivals,
+    unknown_key,
+)
+from sinsjax.study.resolved import Dimension
+from sinsjax.study.schema import INITIAL_NUMBERS, NUMBERS_DRAWN, Distribution, DrawnSection, Range
+from sinsjax.value_types import Name
+
+TIMES, COUNT = "reset_times_s", "reset_count"
+"""Of the ranges of the one, as many are used as the other says, where both are variables."""
+
+Ranges = dict[str, Range | tuple[Range, ...]]
+
+_LAWS = tuple(Distribution.model_fields)
+_KINDS = tuple(Range.model_fields)
+_VARIABLES, _BASELINE = "[tune.variables]", "[tune.baseline]"
+_TUNING_DRAWS = {"tune_draws": 16, "evaluation_draws": 64}
+_STRICT = ConfigDict(strict=True, allow_inf_nan=False)
+
+
+def dimensions_of(
+    cases: Sequence[TomlTable], zips: Iterable[Dimension], axes: Dimension
+) -> list[Dimension]:
+    """What a sweep is the product of: values by key, those of one dimension going together.
+
+    Args:
+        cases: one table a case.
+        zips: values by key of every zip.
+        axes: values by key, each a dimension of its own.
+
+    Returns:
+        The cases first, as the slowest, a label before their keys; then the zips; then the axes.
+    """
+    keys = sorted(cases[0] if cases else (), key=lambda key: key != "case")
+    joint = {key: tuple(case[key] for case in cases) for key in keys}
+    return [*([joint] if joint else ()), *zips, *({key: axes[key]} for key in axes)]
+
+
+class Sweep(NamedTuple):
+    """What varies a study; attributes as those of `Study`."""
+
+    axes: Dimension
+    zips: dict[str, Dimension]
+    cases: tuple[TomlTable, ...]
+    drawn: DrawnSection | None
+
+    @property
+    def where(self) -> dict[str, str]:
+        """The table, in brackets, of every key that is swept or drawn."""
+        return {
+            **dict.fromkeys(self.axes, "[axes]"),
+            **{key: f"[axes.{name}]" for name, keys in self.zips.items() for key in keys},
+            **dict.fromkeys(self.cases[0] if self.cases else (), "[cases]"),
+            **dict.fromkeys(self.drawn.laws if self.drawn else (), "[drawn]"),
+        }
+
+    def values(self, key: str) -> set[Any]:
+        """The values that a key is swept over; empty where it is not swept."""
+        dimensions = dimensions_of(self.cases, self.zips.values(), self.axes)
+        return {value for dimension in dimensions for value in dimension.get(key, ())}
+
+
+def read_sweep(tables: TomlTable) -> Sweep:
+    """The axes, zips, cases and drawn keys of a study.
+
+    Args:
+        tables: of the file, lists as tuples.
+
+    Raises:
+        InputError: ``[table] key: what is wrong (hint)``.
+    """
+    errors, swept = ErrorCollector(), Sweep({}, {}, (), None)
+    with errors.collect():
+        axes, zips = _axes(tables)
+        swept = swept._replace(axes=axes, zips=zips)
+    with errors.collect():
+        swept = swept._replace(cases=_cases(tables, _named_axes(tables)))
+    taken = {key: f"[{name}]" for name in SWEEPABLE for key in tables.get(name, ())}
+    with errors.collect():
+        swept = swept._replace(drawn=_drawn(tables, taken | swept.where))
+    errors.raise_all()
+    return swept
+
+
+def check_value(value: Any, key: str, place: str) -> Any:
+    """A value of a key, as a study holds it.
+
+    Args:
+        value: to check.
+        key: leaf key, or ``case``.
+        place: what an error names.
+
+    Raises:
+        InputError: it is none.
+    """
+    if value is None:
+        raise InputError(f"{place}: None is no value")
+    try:
+        return _validator(key)(value)
+    except ValidationError as error:
+        raise InputError(
+            *(f"{place}{index(one)}: {explained(one)}" for one in errors_of(error))
+        ) from None
+
+
+def errors_of(error: ValidationError) -> list[ErrorDetails]:
+    """Return the errors of values that a user can mend.
+
+    A list without its wrong entries may be too short, and a default that depends on a wrong value
+    cannot be made.
+    """
+    errors = [one for one in error.errors() if one["type"] != "default_factory_not_called"]
+    with_entries = {_without_entries(one) for one in errors if index(one)}
+    return [one for one in errors if index(one) or one["loc"] not in with_entries]
+
+
+def _without_entries(error: ErrorDetails) -> tuple[int | str, ...]:
+    return tuple(part for part in error["loc"] if not isinstance(part, int))
+
+
+def wrong_value(value: Any, key: str) -> str | None:
+    """Return the rule that a value of a leaf key breaks; None if it breaks none."""
+    try:
+        _validator(key)(value)
+    except ValidationError as error:
+        return rule(error.errors()[0])
+    return None
+
+
+def check_values(values: Iterable[Any], key: str, place: str) -> tuple[Any, ...]:
+    """Return the entries of a list as values of a key, see `check_value`.
+
+    Raises:
+        InputError: some are none; a line for each.
+    """
+    errors, out = ErrorCollector(), []
+    for i, value in enumerate(values):
+        with errors.collect():
+            out.append(check_value(value, key, f"{place}[{i}]"))
+    errors.raise_all()
+    return tuple(out)
+
+
+def _axes(tables: TomlTable) -> tuple[Dimension, dict[str, Dimension]]:
+    """The axes that stand alone, and the zips."""
+    axes, zips, errors = {}, {}, ErrorCollector()
+    for key, values in tables.get("axes", {}).items():
+        with errors.collect():
+            if isinstance(values, Mapping):
+                zips[key] = _zip(tables, key, values)
+            else:
+                axes[key] = _axis("axes", key, values, "record" in tables)
+                _refuse_repeated(axes[key], f"[axes] {key}")
+    taken = set(axes)
+    for name, keys in zips.items():
+        with errors.collect():
+            for key in keys:
+                if key in taken:
+                    raise InputError(f"[axes.{name}] {key}: is an axis already (drop one of them)")
+        taken |= keys.keys()
+    errors.raise_all()
+    return axes, zips
+
+
+def _named_axes(tables: TomlTable) -> set[str]:
+    """Return the keys of all axes, be their values right or wrong."""
+    axes = tables.get("axes", {})
+    zipped = {key for values in axes.values() if isinstance(values, Mapping) for key in values}
+    return zipped | {key for key, values in axes.items() if not isinstance(values, Mapping)}
+
+
+def _zip(tables: TomlTable, name: str, keys: Mapping[str, Any]) -> Dimension:
+    """The axes of a table, which go together."""
+    table = f"axes.{name}"
+    if not keys:
+        raise InputError(f"[{table}]: must not be empty")
+    joint, errors = {}, ErrorCollector()
+    for key, values in keys.items():
+        with errors.collect():
+            joint[key] = _axis(table, key, values, "record" in tables)
+    errors.raise_all()
+    first = next(iter(joint))
+    for key, values in joint.items():
+        if len(values) != len(joint[first]):
+            text = f"has {len(values)} values, {first} has {len(joint[first])}"
+            raise InputError(f"[{table}] {key}: {text} (the axes of a table go together)")
+    _refuse_repeated(list(zip(*joint.values(), strict=True)), f"[{table}] {', '.join(joint)}")
+    return joint
+
+
+def _axis(table: str, key: str, values: Any, recorded: bool) -> tuple[Any, ...]:
+    _check_sweepable(table, key, recorded)
+    if not isinstance(values, tuple):
+        raise InputError(f"[{table}] {key}: must be a list of values, not {values!r}")
+    if not values:
+        raise InputError(f"[{table}] {key}: must not be empty")
+    return check_values(values, key, f"[{table}] {key}")
+
+
+def _cases(tables: TomlTable, axes: set[str]) -> tuple[TomlTable, ...]:
+    """The cases, none of whose keys is an axis."""
+    rows = tables.get("cases", ())
+    if not isinstance(rows, tuple) or not all(isinstance(row, Mapping) for row in rows):
+        raise InputError("[cases]: must be tables that each begin with [[cases]]")
+    if "cases" in tables and not any(rows):
+        raise InputError("[cases]: must not be empty")
+    keys = list(rows[0]) if rows else []
+    errors = ErrorCollector()
+    for key in keys:
+        with errors.collect():
+            if key != "case":
+                _check_sweepable("cases", key, "record" in tables)
+            if key in axes:
+                raise InputError(f"[cases] {key}: is an axis already (drop one of them)")
+    for i, row in enumerate(rows):
+        for key in dict.fromkeys((*keys, *row)):
+            if key not in row or key not in keys:
+                raise InputError(f"[cases] {key}[{i}]: all cases must set the same keys")
+    errors.raise_all()
+    columns = {}
+    for key in keys:
+        with errors.collect():
+            columns[key] = check_values([row[key] for row in rows], key, f"[cases] {key}")
+    errors.raise_all()
+    cases = tuple({key: columns[key][i] for key in keys} for i in range(len(rows)))
+    values = [key for key in keys if key != "case"]
+    place = f"[cases] {', '.join(values) or 'case'}"
+    _refuse_repeated([tuple(case[key] for key in values) for case in cases], place)
+    if "case" in keys:
+        _refuse_repeated([case["case"] for case in cases], "[cases] case")
+    return cases
+
+
+def _drawn(tables: TomlTable, taken: Mapping[str, str]) -> DrawnSection | None:
+    """How keys are drawn, none of which is given elsewhere."""
+    if "drawn" not in tables:
+        return None
+    table = dict(tables["drawn"])
+    sampling = {"sampling": table.pop("sampling")} if "sampling" in table else {}
+    if not table:
+        raise InputError("[drawn]: names no key to draw")
+    laws, errors = {}, ErrorCollector()
+    for key, law in table.items():
+        with errors.collect():
+            _check_drawable(key, "record" in tables)
+            if key in taken:
+                raise InputError(f"[drawn] {key}: is in {taken[key]} already (drop one of them)")
+            laws[key] = _law(key, law)
+    errors.raise_all()
+    try:
+        return DrawnSection.model_validate(sampling | laws)
+    except ValidationError as error:
+        raise InputError(f"[drawn] sampling: {explained(error.errors()[0])}") from None
+
+
+def _law(key: str, table: Any) -> Distribution:
+    """How a key is drawn, every entry of a list checked as the key."""
+    if not isinstance(table, Mapping):
+        example = f"{key} = {{ uniform = [0, 1] }}"
+        raise InputError(f"[drawn] {key}: must be a table such as {example}, not {table!r}")
+    for name in table:
+        if name not in _LAWS:
+            raise InputError(f"[drawn] {key}.{name}: unknown key{near(name, _LAWS)}")
+    if len(table) != 1:
+        given = " and ".join(table) or "none"
+        raise InputError(f"[drawn] {key}: needs one of {', '.join(_LAWS)}, not {given}")
+    ((name, value),) = table.items()
+    place = f"[drawn] {key}.{name}"
+    if value is None:
+        raise InputError(f"{place}: None is no value")
+    try:
+        law = Distribution.model_validate({name: value})
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise InputError(f"{place}{index(first)}: {explained(first)}") from None
+    if name not in ("values", "grid"):
+        return law
+    return Distribution.model_validate({name: check_values(value, key, place)})
+
+
+def _check_sweepable(table: str, key: str, recorded: bool) -> None:
+    section = SECTION_OF.get(key)
+    if key == "start_s":
+        reason = "is no axis (list the start times in [record]: one draw each)"
+    elif section is None:
+        sweepable = [name for name, home in SECTION_OF.items() if home in SWEEPABLE]
+        reason = unknown_key(key, sweepable)
+    elif section == "study":
+        reason = "cannot be swept (all runs of a study share [study])"
+    elif section not in SWEEPABLE:
+        reason = f"cannot be swept (it is a key of [{section}])"
+    elif recorded and section in SIMULATED_ONLY:
+        reason = f"does not apply to a recorded study ([{section}] is the simulation's)"
+    else:
+        return
+    raise InputError(f"[{table}] {key}: {reason}")
+
+
+def _check_drawable(key: str, recorded: bool) -> None:
+    section = SECTION_OF.get(key)
+    if section is None:
+        reason = f"unknown key{near(key, NUMBERS_DRAWN)}"
+    elif key not in NUMBERS_DRAWN:
+        kinds = "latitude_deg, keys of [motion] and [sensors]"
+        reason = f"cannot be drawn (what can: {kinds}, {', '.join(INITIAL_NUMBERS)})"
+    elif recorded and section in SIMULATED_ONLY:
+        reason = f"does not apply to a recorded study ([{section}] is the simulation's)"
+    elif recorded and key not in INITIAL_NUMBERS:
+        reason = f"cannot be drawn in a recorded study (what can: {', '.join(INITIAL_NUMBERS)})"
+    else:
+        return
+    raise InputError(f"[drawn] {key}: {reason}")
+
+
+def _refuse_repeated(values: Sequence[Any], place: str) -> None:
+    seen: dict[Any, int] = {}
+    for i, value in enumerate(values):
+        if seen.setdefault(value, i) < i:
+            raise InputError(f"{place}[{i}]: repeats what [{seen[value]}] says")
+
+
+@functools.cache
+def _validator(key: str) -> Callable[[Any], Any]:
+    annotation: Any = Name
+    if key != "case":
+        field = SECTIONS[SECTION_OF[key]].model_fields[key]
+        annotation = Annotated[field.annotation, field]
+    strict = ConfigDict(strict=True, allow_inf_nan=False)
+    return TypeAdapter(annotation, config=strict).validate_python
+
+
+def read_tuning(table: TomlTable, swept: Mapping[str, str], *, recorded: bool) -> TomlTable:
+    """The section [tune] with its ranges and values checked, and the draws it leaves out.
+
+    Args:
+        table: of the file, lists as tuples.
+        swept: the table, in brackets, of every key that is swept or drawn.
+        recorded: whether the study reads a record.
+
+    Raises:
+        InputError: ``[table] key: what is wrong (hint)``.
+    """
+    table, errors = dict(table), ErrorCollector()
+    for key, default in _TUNING_DRAWS.items():
+        if not recorded:
+            table.setdefault(key, default)
+        elif key in table:
+            text = "does not apply to a recorded study (its start times tune and judge in turn)"
+            with errors.collect():
+                raise InputError(f"[tune] {key}: {text}")
+    for key, read in (("variables", _ranges), ("baseline", _baseline)):
+        with errors.collect():
+            if key in table and not isinstance(table[key], Mapping):
+                raise InputError(f"[tune] {key}: must be a table of keys")
+            if key in table:
+                table[key] = read(table[key], swept)
+    errors.raise_all()
+    return table
+
+
+def _baseline(table: TomlTable, swept: Mapping[str, str]) -> TomlTable:
+    values, errors = {}, ErrorCollector()
+    left = dict.fromkeys(table, _BASELINE)
+    for key, value in table.items():
+        del left[key]
+        with errors.collect():
+            _check_tunable(key, swept, _BASELINE)
+            _check_rivals(key, left, _BASELINE)
+            values[key] = check_value(value, key, f"{_BASELINE} {key}")
+    errors.raise_all()
+    return values
+
+
+def _ranges(table: TomlTable, swept: Mapping[str, str]) -> Ranges:
+    if not table:
+        raise InputError(f"{_VARIABLES}: names no key to tune")
+    ranges: Ranges = {}
+    errors = ErrorCollector()
+    for key, value in table.items():
+        with errors.collect():
+            _check_tunable(key, swept, _VARIABLES)
+            ranges[key] = _kind(key, value)
+    errors.raise_all()
+    times, count = ranges.get(TIMES), ranges.get(COUNT)
+    taken = dict.fromkeys(ranges, _VARIABLES)
+    if isinstance(times, tuple) and isinstance(count, Range):
+        for number in count.candidates or (count.fixed,):
+            if number > len(times):
+                text = f"{number} are more than the {len(times)} ranges of {TIMES}"
+                raise InputError(f"{_VARIABLES} {COUNT}: {text}")
+        del taken[COUNT]
+    for key in taken:
+        _check_rivals(key, taken, _VARIABLES)
+    return ranges
+
+
+def _check_tunable(key: str, swept: Mapping[str, str], place: str) -> None:
+    """Refuse a key that is none, that cannot be tuned, or that the study varies itself."""
+    section = SECTION_OF.get(key)
+    if section is None:
+        known = [name for name, home in SECTION_OF.items() if home in TUNABLE]
+        raise InputError(f"{place} {key}: {unknown_key(key, known)}")
+    if section not in TUNABLE:
+        raise InputError(f"{place} {key}: cannot be tuned (it is a key of [{section}])")
+    if key in swept:
+        raise InputError(f"{place} {key}: is in {swept[key]} already (drop one of them)")
+    _check_rivals(key, swept, place)
+
+
+def _check_rivals(key: str, taken: Mapping[str, str], place: str) -> None:
+    for other in sorted(rivals(key) & taken.keys()):
+        text = f"conflicts with {other} in {taken[other]} (give one of them)"
+        raise InputError(f"{place} {key}: {text}")
+
+
+def _kind(key: str, value: Any) -> Range | tuple[Range, ...]:
+    """The range of a number, the ranges of a list's entries, or the values that a key may have."""
+    place, entries = (
+        f"{_VARIABLES} {key}",
+        _entry_types(SECTIONS[SECTION_OF[key]].model_fields[key].annotation),
+    )
+    if not isinstance(value, tuple):
+        kind = _range(place, key, value)
+        if kind.is_free and entries:
+            raise InputError(f"{place}: needs a list of ranges, one an entry, not one range")
+        if kind.is_free:
+            for name in ("low", "high"):
+                _check_end(check_value(value[name], key, f"{place}.{name}"), place)
+        return kind
+    if not entries:
+        raise InputError(f"{place}: is one number and needs one range, not a list")
+    if not value:
+        raise InputError(f"{place}: must not be empty")
+    if Ellipsis not in entries and len(value) != len(entries):
+        raise InputError(f"{place}: must have {len(entries)} ranges, not {len(value)}")
+    errors, out = ErrorCollector(), []
+    for i, own in enumerate(value):
+        with errors.collect():
+            out.append(_entry(f"{place}[{i}]", own, entries[0]))
+    errors.raise_all()
+    return tuple(out)
+
+
+def _entry(place: str, value: Any, kind_of: Any) -> Range:
+    """The range of one entry of a list whose entries have some type."""
+    kind = _range(place, None, value)
+    if kind.candidates is not None:
+        raise InputError(f"{place}.candidates: are those of a whole key, not of one entry")
+    for name in ("low", "high") if kind.is_free else ("fixed",):
+        try:
+            end = TypeAdapter(kind_of, config=_STRICT).validate_python(value[name])
+        except ValidationError as error:
+            raise InputError(f"{place}.{name}: {explained(error.errors()[0])}") from None
+        if kind.is_free:
+            _check_end(end, place)
+    return kind
+
+
+def _range(place: str, key: str | None, value: Any) -> Range:
+    """A range as the file gives it; with a key, its values are checked as that key's."""
+    if not isinstance(value, Mapping):
+        raise InputError(f"{place}: must be a table such as {{ low = 0, high = 1 }}, not {value!r}")
+    for name in value:
+        if name not in _KINDS:
+            raise InputError(f"{place}.{name}: unknown key{near(name, _KINDS)}")
+    try:
+        kind = Range.model_validate(({"scale": "linear"} if "low" in value else {}) | dict(value))
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = first["loc"][0] if first["loc"] else first.get("ctx", {}).get("key")
+        at = f".{name}{index(first)}" if name else ""
+        raise InputError(f"{place}{at}: {explained(first)}") from None
+    if key is None:
+        return kind
+    if kind.fixed is not None:
+        return kind.model_copy(update={"fixed": check_value(kind.fixed, key, f"{place}.fixed")})
+    if kind.candidates is not None:
+        at = f"{place}.candidates"
+        values = check_values(kind.candidates, key, at)
+        if len(set(values)) < len(values):
+            raise InputError(f"{at}: repeats a value")
+        return kind.model_copy(update={"candidates": values})
+    return kind
+
+
+def _check_end(end: Any, place: str) -> None:
+    if isinstance(end, int):
+        raise InputError(f"{place}: takes whole numbers only (list them as candidates)")
+
+
+def _entry_types(annotation: Any) -> tuple[Any, ...]:
+    """What the entries of a list key are, as a tuple's type says it; nothing for other keys."""
+    origin, inside = get_origin(annotation), get_args(annotation)
+    if origin is tuple:
+        return inside
+    if origin is Annotated:
+        return _entry_types(inside[0])
+    if origin in (Union, UnionType):
+        return next((found for part in inside if (found := _entry_types(part))), ())
+    return ()
