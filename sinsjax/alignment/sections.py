@@ -63,8 +63,8 @@ class AlignmentSection(Section):
         None,
         description="specific force in A(t): 'measured' (default), or 'gravity', of a base at rest",
     )
-    feedback_interval_s: Annotated[Seconds | None, KeyInfo(default=1.0, whole="sample")] = Field(
-        None, description="time between feedbacks, s; default 1"
+    feedback_interval_s: Annotated[Seconds | None, KeyInfo(whole="sample")] = Field(
+        None, description="time between feedbacks, s; default: one sample"
     )
     feedback_time_constant_s: Annotated[SecondsOrZero | None, KeyInfo(default=0.0)] = Field(
         None, description="time constant of the feedback, s; default 0: all is fed back at once"

@@ -125,8 +125,8 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     steps = expected.length_s * study.rate_hz
     lines.append(f"{expected.describe(runtime.usable_cores())}.")
     lines.append(f"Up to {steps:,.0f} steps a run, {steps * expected.runs:,.0f} in all.")
-    if noise := checks.process_noise(study):
-        lines.append(f"{noise}.")
+    compared = (checks.process_noise(study), checks.feedback(study))
+    lines += [f"{line}." for line in compared if line]
     return [*lines, *(f"Warning: {line}" for line in job.warnings)]
 
 

@@ -5,13 +5,12 @@ from collections.abc import Iterator
 import jax
 import numpy as np
 
-from sinsjax.alignment.filters.parameters import q_readings
-from sinsjax.alignment.filters.section import Q_DENSITIES
+from sinsjax.alignment.filters.parameters import level_settling_s, q_readings
+from sinsjax.alignment.filters.section import Q_DENSITIES, WHITE_NOISE, white_density
 from sinsjax.alignment.methods import METHODS, PACKAGES, from_package
 from sinsjax.engine import batch, simulate
 from sinsjax.engine.build import parts
 from sinsjax.engine.lanes import Group, shown, tiles_of
-from sinsjax.engine.simulator import NOISES, errors_of
 from sinsjax.engine.study_limits import hidden_north
 from sinsjax.engine.truth import site_of, starts_of
 from sinsjax.errors import InputError
@@ -28,11 +27,8 @@ from sinsjax.units import DEG_PER_H, micro_g
 
 _BIASES = {"gyro_bias_deg_per_h": 10.0, "accel_bias_ug": 5000.0}
 _TRUST = "[record] trust = true aligns it anyway"
-_NOISE = {
-    "accelerometers": ("q_accel_ug", micro_g(), "accel_noise"),
-    "gyros": ("q_gyro_deg_per_h", DEG_PER_H, "gyro_noise"),
-}
-"""Keys of Q with their units in SI, and the white noise of an increment beside it."""
+_NOISE = {"accelerometers": "q_accel_ug", "gyros": "q_gyro_deg_per_h"}
+"""The keys of Q by the sensors whose noise they stand for."""
 _DRAWS = 1024  # draws in which a drawn period is checked
 
 
@@ -107,46 +103,82 @@ def _odd_covariance(group: Group) -> str | None:
 
 
 def process_noise(study: Study) -> str | None:
-    """What filters take for the sensors' white noise, over what that is, in words.
+    """Compare Q with the white noise of the sensors, as standard deviations, in one sentence.
 
-    Both are standard deviations of an increment, so that 1 is a Q that is the sensors' own. None
-    without a filter, and without white noise that all draws have.
+    The largest axis counts. None without a filter, and without white noise that all draws have.
 
     Args:
         study: checked study with simulated sensors.
     """
-    told = {sensors: _believed(study, *keys) for sensors, keys in _NOISE.items()}
-    parts = [
-        f"{' to '.join(_rounded({min(ratios), max(ratios)}))} times that of the {sensors}"
-        for sensors, ratios in told.items()
-        if ratios
-    ]
-    if not parts:
+    times = {name: _assumed_noise(study, key) for name, key in _NOISE.items()}
+    words = {name: _number_of_times(ratios) for name, ratios in times.items() if ratios}
+    if not words:
         return None
-    return (
-        f"Q of the filter is that of white noise with {' and '.join(parts)} (standard deviations)"
-    )
+    if len(words) == len(_NOISE) and len({*words.values()}) == 1:
+        often = words.popitem()[1]
+        return f"The filter assumes {often}the sensors'{'' if often else ' own'} noise" + (
+            ", in standard deviation" if often else ""
+        )
+    parts = (f"{often}the noise of the {name}" for name, often in words.items())
+    return f"The filter assumes {' and '.join(parts)}, in standard deviation"
 
 
-def _rounded(numbers: set[float]) -> list[str]:
-    return list(dict.fromkeys(f"{float(f'{number:.2g}'):,g}" for number in sorted(numbers)))
-
-
-def _believed(study: Study, q: str, unit: float, noise: str) -> set[float]:
-    """White noise that Q stands for over that of the sensors, for all that a study varies."""
-    forms, using = {q: 1.0, **Q_DENSITIES[q]}, readers(q)
+def _assumed_noise(study: Study, q_key: str) -> set[float]:
+    """Ratios of the noise in Q to that of the sensors, for all variants."""
+    *noises, _ = WHITE_NOISE[q_key]
+    forms, using = {q_key: 1.0, **Q_DENSITIES[q_key]}, readers(q_key)
     readings = q_readings(1 / study.rate_hz)
     ratios: set[float] = set()
     if not study.has("filter"):
         return ratios
-    for point in study.combinations("method", "q_reading", "q_scale", *forms, *NOISES):
-        white = getattr(errors_of(point.get, micro_g(), study.rate_hz), noise)
-        size = float(np.sqrt(np.mean(white**2)))
-        taken = [point[form] * by for form, by in forms.items() if point[form] is not None]
-        if point["method"] in using and taken and size:
+    for point in study.combinations("method", "q_reading", "q_scale", *forms, *noises):
+        white = white_density(q_key, study.rate_hz, *(point[noise] for noise in noises))
+        given = [point[form] * factor for form, factor in forms.items() if point[form] is not None]
+        if point["method"] in using and white:
             scale = 1.0 if point["q_scale"] is None else point["q_scale"]
-            ratios.add(taken[0] * unit * (readings[point["q_reading"]] * scale) ** 0.5 / size)
+            if given:
+                scale *= readings[point["q_reading"]] * study.rate_hz
+            ratios.add((given[0] if given else white) / white * scale**0.5)
     return ratios
+
+
+def _number_of_times(ratios: set[float]) -> str:
+    """``100 times``, ``5 to 20 times``, or nothing for once, before a noun."""
+    text = _span({float(f"{ratio:.2g}") for ratio in ratios})
+    return "" if text == "1" else f"{text} times "
+
+
+def _span(numbers: set[float]) -> str:
+    return " to ".join(f"{number:,g}" for number in sorted({min(numbers), max(numbers)}))
+
+
+def feedback(study: Study) -> str | None:
+    """Compare the time between feedbacks with the settling time of the filter's level.
+
+    None without a filter whose measured velocity tells level alone.
+
+    Args:
+        study: checked study whose rate is known.
+    """
+    if not study.has("filter"):
+        return None
+    every: set[float] = set()
+    settling: set[float] = set()
+    of_level = ("p0_velocity_m_per_s", "p0_level_deg", "r_velocity_m_per_s")
+    of_r = ("r_reading", "r_scale")
+    for point in study.combinations("method", "feedback_interval_s", *of_level, *of_r):
+        method = METHODS[point["method"]]
+        if "filter" not in method.sections or "surge" in method.sections:
+            continue
+        every.add(point["feedback_interval_s"])
+        time_s = level_settling_s(study.rate_hz, *(point[key] for key in (*of_level, *of_r)))
+        settling.add(float(f"{time_s:.2g}"))
+    if not every:
+        return None
+    return (
+        f"The filter feeds back every {_span(every)} s; its level settles in {_span(settling)} s"
+        " (to a tenth of its initial standard deviation)"
+    )
 
 
 def layout_of(study: Study) -> Layout:

@@ -33,7 +33,7 @@ _LATITUDE = 45.0
 _NOTHING = Note("")
 _ABOUT = "Earth rate tells the latitude as well as the gyros know it: put the true one here"
 _ALIGNMENT = """\
-# for a covariance: "kalman_sincos" with [filter] q_reading = "per_sample" (sinsjax keys filter)
+# for a covariance: "kalman_sincos" with the noise of the sensors in [filter] (sinsjax keys filter)
 [alignment]
 method = "inertial"               # needs no numbers of the sensors
 """

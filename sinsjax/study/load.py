@@ -51,6 +51,7 @@ _FILLED = EARTH_CONSTANTS | {
     **{white: 0.0 for white, _ in SECTIONS["sensors"].exclusive},
 }
 """Defaults of keys that depend on other keys, or on whether the study is recorded."""
+_FEEDBACK = "feedback_interval_s"
 _SWEEPS = ("axes", "cases", "drawn")
 _DROPPED = {
     "report": "every study has the same report",
@@ -149,7 +150,8 @@ def replaced(study: Study, changes: Mapping[str, Any]) -> Study:
     Raises:
         InputError: that is no study.
     """
-    tables = changing.without_defaults(tables_of(study), _FILLED)
+    filled = _FILLED | _feedback_each_sample(study.study.rate_hz)
+    tables = changing.without_defaults(tables_of(study), filled)
     return study_from_dict(with_changes(tables, changes, study.name), study.name)
 
 
@@ -362,9 +364,17 @@ def _filled(tables: TomlTable, sweep: Sweep, where: rules.Where, name: str) -> T
                 key not in where and _values_of(about.beside, tables, sweep) - {None, "none"}
             ):
                 values.setdefault(key, about.default)
+    if _FEEDBACK not in where and _FEEDBACK not in unread:
+        sections["alignment"] |= _feedback_each_sample(sections["study"].get("rate_hz"))
     if "constants" in _values_of("earth", tables, sweep):
         sections["earth"] = EARTH_CONSTANTS | sections["earth"]
     return sections | sweep._asdict()
+
+
+def _feedback_each_sample(rate_hz: Any) -> TomlTable:
+    """Return the default of ``feedback_interval_s``; none until the rate is known and right."""
+    known = isinstance(rate_hz, int | float) and 1e-12 <= rate_hz <= 1e12
+    return {_FEEDBACK: 1 / rate_hz} if known else {}
 
 
 def _values_of(key: str, tables: TomlTable, sweep: Sweep) -> set[Any]:

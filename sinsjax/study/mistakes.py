@@ -10,14 +10,15 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+from sinsjax.alignment.filters.section import Q_DENSITIES, WHITE_NOISE
 from sinsjax.errors import InputError
 from sinsjax.study.changes import copied
 from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, deciding, rivals
 from sinsjax.study.study import Study
 
 _PLACE = re.compile(r"\[(?P<table>[^\]]+)\](?: (?P<key>[^\s:.\[]+))?|(?P<top>[^\s:]+):")
-_STAND_INS = (1e5, 100.0, 45.0, 1.0, 1)
-"""Values for a required key in error: those of a duration, a rate and a latitude among them."""
+_STAND_INS = (1e5, 100.0, 45.0, 1.0, 1, "psd")
+"""Values for a required key in error, such as a duration, a rate, a latitude or the unit of Q."""
 _MOST_ROUNDS = 20
 
 Build = Callable[[TomlTable], Study]
@@ -77,6 +78,10 @@ def _follows(place: Place, left_out: set[str]) -> bool:
     """Whether an error may follow from those before, whose keys and tables are left out."""
     related = {place.key, place.table, *rivals(place.key)}
     related |= {key for key in SECTION_OF if place.key in deciding(key)}
+    if place.key in WHITE_NOISE:  # which Q is by default
+        related |= {"sensors", *WHITE_NOISE[place.key][:2]}
+    if place.key == "q_reading":  # whose numbers may be left out
+        related |= {form for key, forms in Q_DENSITIES.items() for form in (key, *forms)}
     if place.key in SECTION_OF:
         related |= {*deciding(place.key)}
     return not left_out.isdisjoint(related)
@@ -112,7 +117,8 @@ def _with_stand_in(build: Build, data: TomlTable, place: Place) -> TomlTable:
     """Return tables with the first value for a missing key that is no error itself."""
     table = data.get(place.table, {})
     for value in _STAND_INS if isinstance(table, dict) and place.key else ():
-        out = data | {place.table: table | {place.key: value}}
+        unit = {"q_reading": "psd"} if place.key in WHITE_NOISE else {}
+        out = data | {place.table: unit | table | {place.key: value}}
         try:
             build(out)
         except InputError as error:

@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from sinsjax import columns
-from sinsjax.alignment.filters.section import OF_RESETS, OF_SCHEDULES, Q_DENSITIES, reset_times
+from sinsjax.alignment.filters.section import OF_RESETS, OF_SCHEDULES, reset_times
 from sinsjax.alignment.methods import METHODS, keys_unread
 from sinsjax.alignment.triggers.section import any_trigger
 from sinsjax.errors import ErrorCollector, InputError
@@ -30,6 +30,7 @@ from sinsjax.study.keys import (
     SECTIONS,
     acts,
 )
+from sinsjax.study.process_noise import check_process_noise
 from sinsjax.study.schema import (
     BIAS_KEYS,
     INITIAL_NUMBERS,
@@ -49,7 +50,6 @@ _BLOCK = 2**19  # draws that are looked at together, which bounds the memory
 _MOST_LOOKED_AT = 2**22  # about one second; with more draws, what a law could give counts
 _SIGMAS = 8.3  # the furthest of 2^52 points of a normal law
 _DEEPEST = 0.99  # of the radius; the least one of an ellipsoid is smaller than its own
-_LEAST_S = 1.0  # the default feedback interval, which also applies to a shorter study
 
 INSIST = "[study] unchecked = true insists on it"
 
@@ -454,7 +454,7 @@ def _check_feedback(study: Study, where: Where) -> None:
     run_s = longest / study.rate_hz
     for point in study.combinations("feedback_interval_s"):
         interval = point["feedback_interval_s"]
-        if interval is not None and interval > max(run_s, _LEAST_S) * (1 + ROUNDING):
+        if interval is not None and interval > run_s * (1 + ROUNDING):
             text = f"{interval:.12g} s is longer than a run of {run_s:.12g} s: nothing would be fed"
             place = where.get("feedback_interval_s", "[alignment]")
             _refuse_at(f"{place} feedback_interval_s", f"{text} back ({INSIST})")
@@ -631,22 +631,12 @@ def _check_tune(study: Study, where: Where) -> None:
         _refuse_at("[tune] searches", "'gradient' needs a variable with low and high")
 
 
-def _check_densities(study: Study, where: Where) -> None:
-    """Refuse a density of Q if Q has other units."""
-    if not study.has("filter"):
-        return
-    readings = {point["q_reading"] for point in study.combinations("q_reading")} - {"psd"}
-    for key in (key for keys in Q_DENSITIES.values() for key in keys):
-        if key in where and readings:
-            _refuse(key, where, f"requires q_reading = 'psd' (it is '{min(readings)}')")
-
-
 Rule = Callable[[Study, Where], None]
 
 KEYS_GIVEN: tuple[Rule, ...] = (
     _check_required,
     _check_methods,
-    _check_densities,
+    check_process_noise,
     _check_estimated,
 )
 """Rules about which keys are given."""

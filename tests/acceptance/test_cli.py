@@ -16,7 +16,7 @@ import pytest
 import tomli_w
 from support.commands import Command, command_line
 from support.kept import everything
-from support.studies import BASE, small_study, swing_deg
+from support.studies import BASE, small_study, swing_deg, with_paper_values
 
 from sinsjax import cli
 from sinsjax.engine import build
@@ -44,7 +44,7 @@ def write_study(folder: Path, **changes: Any) -> Path:
         else:
             data[name] = change
     path = folder / "study.toml"
-    path.write_text(tomli_w.dumps(data), encoding="utf-8")
+    path.write_text(tomli_w.dumps(with_paper_values(data)), encoding="utf-8")
     return path
 
 

@@ -39,6 +39,11 @@ yaw_center_deg = 0.0
 [filtr]
 p0_yaw_deg = 1.0
 
+[filter]
+q_accel_ug = 500.0
+q_gyro_deg_per_h = 0.1
+q_reading = "per_step"
+
 [axes]
 phi_u0_deg = [0, "x", 400]
 
@@ -222,6 +227,11 @@ latitude_deg = 45.0
 yaw_center_deg = 10.0
 lever_arm_m = [1.0, 2.0]
 
+[filter]
+q_accel_ug = 500.0
+q_gyro_deg_per_h = 0.1
+q_reading = "per_step"
+
 [axes]
 accel_bias_ug = [[1.0], [1.0, 2.0, 3.0], [1.0, 2.0]]
 
@@ -303,7 +313,8 @@ def test_validate_reports_search_that_tune_refuses(sinsjax: Command, tmp_path: P
     """The searches of a study that names none have a gradient among them."""
     (tmp_path / "tuned.toml").write_text(
         "[study]\nduration_s = 30.0\nrate_hz = 10.0\n[earth]\nlatitude_deg = 40.0\n"
-        "[motion]\nyaw_center_deg = 0.0\n"
+        "[motion]\nyaw_center_deg = 0.0\n[filter]\nq_accel_ug = 50.0\nq_gyro_deg_per_h = 0.1\n"
+        "q_reading = 'psd'\n"
         "[tune.variables]\nfeedback_interval_s = { low = 1.0, high = 5.0 }\n"
     )
     code, told, error = sinsjax("validate", "tuned")
@@ -319,7 +330,8 @@ def test_validate_reports_planned_runs_and_cost(sinsjax: Command) -> None:
     assert code == 0 and "variants: 56, draws: 16." in told
     assert "896 runs of up to 900 s: roughly" in told and "of memory" in told and "on disk" in told
     assert "Up to 90,000 steps a run, 80,640,000 in all." in told
-    assert "white noise with 100 times that of the accelerometers and 100 times" in told
+    assert "The filter assumes 100 times the sensors' noise, in standard deviation." in told
+    assert "The filter feeds back every 1 s; its level settles in 0.89 s (to a tenth" in told
 
 
 @pytest.mark.parametrize(
@@ -376,7 +388,7 @@ def test_setting_drawn_key_to_value_stops_drawing_it() -> None:
 def test_empty_table_drops_existing_section_or_key(sinsjax: Command) -> None:
     """Another method reads neither [filter] nor the axis of resets of the template."""
     template = package.load_study(files.templates()["sweep"])
-    other = {"alignment.method": "inertial"}
+    other = {"alignment.method": "inertial", "alignment.feedback_interval_s": {}}
     with pytest.raises(package.InputError, match=r"drop it, as by --set filter=\{\}: "):
         template.replace(other)
     with pytest.raises(package.InputError, match=r"drop it, as by --set axes.reset_times_s=\{\}"):

@@ -14,7 +14,7 @@ import pytest
 import tomli_w
 from support.commands import command_line
 from support.stored import store, write_manifest
-from support.studies import BASE, small_study
+from support.studies import BASE, small_study, small_tables
 
 from sinsjax import cli, console
 from sinsjax.errors import InputError, StudyInterrupted
@@ -208,7 +208,7 @@ def test_sweep_and_report_finish_after_broken_pipe(
         done.append("runs")
 
     config = tmp_path / "swing.toml"
-    config.write_text(tomli_w.dumps(BASE))
+    config.write_text(tomli_w.dumps(small_tables()))
     monkeypatch.setattr(run, "run_job", finished)
     monkeypatch.setattr("sinsjax.report.summarise", lambda *_, **__: done.append("report"))
     monkeypatch.setattr(sys, "argv", ["sinsjax", "sweep", str(config), "-o", str(tmp_path / "o")])
@@ -268,7 +268,7 @@ def test_interrupted_sweep_prints_resume_command(
         raise StudyInterrupted("1 of 3 runs are in out")
 
     config = tmp_path / "my study.toml"
-    config.write_text(tomli_w.dumps(BASE))
+    config.write_text(tomli_w.dumps(small_tables()))
     monkeypatch.setattr(run, "run_job", interrupted)
     words = ["sweep", config, "-o", tmp_path / "out", "--draws", 48]
     again = f"sinsjax sweep '{config}' -o {tmp_path / 'out'} --draws 48 --resume"
@@ -293,7 +293,7 @@ def test_sweep_that_cannot_resume_prints_no_forecast(
 ) -> None:
     command, out = command_line(monkeypatch, capsys), tmp_path / "out"
     config = tmp_path / "study.toml"
-    config.write_text(tomli_w.dumps(BASE))
+    config.write_text(tomli_w.dumps(small_tables()))
     out.mkdir()
     (out / "study.toml").write_text(study_to_toml(small_study(study={"draws": 48})))
     write_manifest(out, small_study(study={"draws": 48}))

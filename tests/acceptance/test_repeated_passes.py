@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 import tomli_w
+from support.studies import with_paper_values
 
 from sinsjax import cli
 from sinsjax.engine import batch, build
@@ -346,7 +347,7 @@ SWING = {"pitch_amplitude_deg": 4.0, "pitch_period_s": 7.0, "yaw_center_deg": 10
 def record() -> build.Record:
     settings = {"duration_s": RECORD_S, "rate_hz": 50.0, "draws": 1}
     study = {"study": settings, "earth": {"latitude_deg": 32.0}, "motion": SWING}
-    return build.simulated_record(study_from_dict(study))
+    return build.simulated_record(study_from_dict(with_paper_values(study)))
 
 
 def reference(end_s: float) -> Reference:
@@ -356,13 +357,14 @@ def reference(end_s: float) -> Reference:
 
 
 def recorded(**passes: Any) -> dict[str, Any]:
-    return {
+    tables = {
         "study": {"duration_s": 12.0, "rate_hz": 50.0, "window_s": [1, 4], "curves": True},
         "record": {"format": "psins", "start_s": [0.0, 4.0]},
         "coarse": {"coarse_duration_s": 6.0},
         "passes": passes,
         **QUICK,
     }
+    return with_paper_values(tables)
 
 
 def test_recorded_passes_follow_record_from_every_start_time() -> None:

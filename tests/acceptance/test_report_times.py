@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from rich.console import Console
-from support.studies import refusal, small_study, with_truth
+from support.studies import refusal, small_study, with_paper_values, with_truth
 
 from sinsjax.engine import batch, build
 from sinsjax.engine.lanes import tiles_of
@@ -191,11 +191,12 @@ def record() -> StoredRecord:
 
 def recorded(times: list[float], coarse: dict[str, Any], **tables: Any) -> dict[str, Any]:
     settings = {"duration_s": 4.0, "rate_hz": 100.0, "window_s": [2, 4], "curves": True}
-    return {
+    data = {
         "study": settings | {"report_times_s": times},
         "record": {"format": "psins"},
         "coarse": {"coarse_duration_s": 2.0} | coarse,
-    } | tables
+    }
+    return with_paper_values(data | tables)
 
 
 @pytest.mark.slow

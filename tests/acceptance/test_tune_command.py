@@ -16,7 +16,7 @@ import tomli_w
 from support.commands import Command, command_line
 from support.kept import everything
 from support.stored import told, write_part
-from support.studies import BASE, small_study
+from support.studies import BASE, PAPER, small_study
 
 import sinsjax.tuning
 from sinsjax.engine.build import simulated_record
@@ -414,6 +414,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], list[str], str]] = {
             "sensors": None,
             "axes": None,
             "record": {"format": "psins", "start_s": [0, 1]},
+            "filter": PAPER,
             "tune": {"variables": {"p0_yaw_deg": {"fixed": 3.0}}, "searches": ["grid"]},
         },
         [],

@@ -8,7 +8,7 @@ import pytest
 from oracles.in_engine import ARCMIN
 from oracles.naive import DEG
 from scipy.spatial.transform import Rotation
-from support.studies import STILL, small_study
+from support.studies import STILL, small_study, with_paper_values
 
 from sinsjax.alignment.limits import Biases, mean_attitude, unaided
 from sinsjax.engine import build, simulate
@@ -124,7 +124,7 @@ def study_of(method: str, **changes: Any) -> Study:
         data[name] = data.get(name, {}) | change
     if "latitude_deg" in data.get("drawn", {}):
         del data["earth"]["latitude_deg"]
-    return study_from_dict(data)
+    return study_from_dict(with_paper_values(data))
 
 
 def ends(study: Study) -> dict[int, tuple[np.ndarray, Any]]:

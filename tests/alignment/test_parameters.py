@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.studies import with_paper_values
 
 from sinsjax.engine import build
 from sinsjax.errors import InputError
@@ -29,7 +30,7 @@ def numbers(**tables: Any) -> Any:
     data = copy.deepcopy(BASE)
     for name, table in tables.items():
         data[name] = data.get(name, {}) | table if isinstance(table, dict) else table
-    (part,) = build.parts(study_from_dict(data))
+    (part,) = build.parts(study_from_dict(with_paper_values(data)))
     return part.group.variants.method
 
 
@@ -292,7 +293,7 @@ def test_unstable_compass_is_refused_in_study_with_filters() -> None:
         "axes": {"method": ["kalman5", "compass"]},
         "compass": {"level_gains": PRINTED["level_gains"]},
     }
-    data = BASE | {"alignment": {}} | tables
+    data = with_paper_values(BASE | {"alignment": {}} | tables)
     with pytest.raises(InputError, match="level_gains: .* makes an unstable loop"):
         build.parts(study_from_dict(data))
     assert len(list(build.parts(study_from_dict(data | {"compass": {}})))) == 2

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.studies import BASE, small_study
+from support.studies import BASE, small_study, with_paper_values
 
 from sinsjax.engine import build
 from sinsjax.engine.lanes import Group
@@ -160,9 +160,8 @@ def test_record_count_follows_number_of_passes() -> None:
 
 
 def test_recorded_study_without_record_is_refused() -> None:
-    study = study_from_dict(
-        {"study": {"duration_s": 6.0, "rate_hz": 100.0}, "record": {"format": "psins"}}
-    )
+    tables = {"study": {"duration_s": 6.0, "rate_hz": 100.0}, "record": {"format": "psins"}}
+    study = study_from_dict(with_paper_values(tables))
     with pytest.raises(InputError, match="reads a record"):
         build.parts(study)
 

@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from support.studies import BASE, STILL, small_study
+from support.studies import BASE, PAPER, STILL, small_study
 
 from sinsjax.engine import batch, build
 from sinsjax.engine.simulate import simulate
@@ -139,7 +139,7 @@ def test_study_drawing_only_noise_has_no_extra_program_arguments() -> None:
 
 
 def test_noise_level_can_be_drawn() -> None:
-    data = drawn_study([], axes=THREE["axes"], filter={"q_reading": "psd"})
+    data = drawn_study([], axes=THREE["axes"], filter=PAPER | {"q_reading": "psd"})
     for key in NOISE:
         del data["sensors"][key]
     data["drawn"] = {"gyro_noise_deg_per_h": {"values": [0.0, 0.5]}}

@@ -3,6 +3,7 @@
 import gc
 import json
 import math
+import re
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -11,13 +12,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from support.stored import told
-from support.studies import small_study
+from support.studies import BASE, PAPER, small_study, with_paper_values
 
+from sinsjax.cli.study import describe_plan
 from sinsjax.engine import build
 from sinsjax.errors import InputError, StudyWarning
-from sinsjax.execution import prepare, run
+from sinsjax.execution import checks, prepare, run
 from sinsjax.execution.checks import process_noise, study_warnings
 from sinsjax.execution.directory import read_manifest
+from sinsjax.platform.assets import asset
 from sinsjax.records import Layout, Record, Reference, means, write_csv
 from sinsjax.records.plausible import Finding, StationaryValues, findings
 from sinsjax.records.reference import StoredRecord
@@ -187,7 +190,7 @@ def recorded(**changes: Any) -> Study:
     }
     for name, section in changes.items():
         data[name] = data.get(name, {}) | section
-    return study_from_dict(data)
+    return study_from_dict(with_paper_values(data))
 
 
 def test_hard_findings_are_refused_unless_record_is_trusted(tmp_path: Path) -> None:
@@ -344,14 +347,14 @@ def with_noise(sensors: dict[str, float], **sections: dict[str, Any]) -> Study:
 @pytest.mark.parametrize(
     ("filter_", "told"),
     [
-        ({}, "5 times that of the accelerometers and 100 times that of the gyros"),
+        ({}, "5 times the noise of the accelerometers and 100 times the noise of the gyros"),
         (
             {"q_reading": "psd"},
-            "0.5 times that of the accelerometers and 10 times that of the gyros",
+            "0.5 times the noise of the accelerometers and 10 times the noise of the gyros",
         ),
         (
             {"q_reading": "per_sample", "q_scale": 4.0},
-            "0.1 times that of the accelerometers and 2 times that of the gyros",
+            "0.1 times the noise of the accelerometers and 2 times the noise of the gyros",
         ),
         (
             {
@@ -359,18 +362,41 @@ def with_noise(sensors: dict[str, float], **sections: dict[str, Any]) -> Study:
                 "q_accel_ug_per_sqrt_hz": 1000.0,
                 "q_gyro_arw_deg_per_sqrt_h": 1.0,
             },
-            "1 times that of the accelerometers and 6,000 times that of the gyros",
+            "the noise of the accelerometers and 6,000 times the noise of the gyros",
         ),
+        ({"q_accel_ug": 10000.0}, "100 times the sensors' noise"),
     ],
 )
-def test_process_noise_is_reported_relative_to_white_sensor_noise(
+def test_process_noise_is_compared_with_white_noise_of_sensors(
     filter_: dict[str, Any], told: str
 ) -> None:
     """At 100 Hz, 0.1 deg/h a sample and 1000 ug/sqrt(Hz), which is 10,000 ug a sample."""
     sensors = {"gyro_noise_deg_per_h": 0.1, "accel_vrw_ug_per_sqrt_hz": 1000.0}
     study = with_noise(sensors, filter=filter_)
-    assert process_noise(study) == (
-        f"Q of the filter is that of white noise with {told} (standard deviations)"
+    assert process_noise(study) == f"The filter assumes {told}, in standard deviation"
+
+
+def of_sensors(**sections: Any) -> Study:
+    """A study whose filter has the sensors' own noise as Q."""
+    return study_from_dict({name: table for name, table in (BASE | sections).items() if table})
+
+
+def test_process_noise_of_sensors_is_reported_as_their_own() -> None:
+    assert process_noise(of_sensors()) == "The filter assumes the sensors' own noise"
+    axes = {"gyro_noise_deg_per_h": [0.1, [0.3, 0.1, 0.2]]}
+    sensors = {"accel_noise_ug": 500.0}
+    assert (
+        process_noise(of_sensors(sensors=sensors, axes=axes))
+        == "The filter assumes the sensors' own noise"
+    )
+    scaled = of_sensors(axes={"q_scale": [0.25, 4.0]})
+    assert process_noise(scaled) == (
+        "The filter assumes 0.5 to 2 times the sensors' noise, in standard deviation"
+    )
+    one = of_sensors(filter={"q_accel_ug": 5000.0, "q_reading": "per_sample"})
+    assert process_noise(one) == (
+        "The filter assumes 10 times the noise of the accelerometers and the noise of the gyros,"
+        " in standard deviation"
     )
 
 
@@ -379,4 +405,50 @@ def test_process_noise_is_not_reported_without_filter_or_white_noise() -> None:
     sensors = {"gyro_noise_deg_per_h": 0.1}
     assert process_noise(with_noise(sensors, alignment={"method": "inertial"})) is None
     swept = with_noise(sensors, axes={"q_gyro_deg_per_h": [0.1, 0.2]})
-    assert "white noise with 100 to 200 times that of the gyros" in str(process_noise(swept))
+    assert process_noise(swept) == (
+        "The filter assumes 100 to 200 times the noise of the gyros, in standard deviation"
+    )
+
+
+@pytest.mark.parametrize(
+    "filter_",
+    [
+        PAPER | {"r_reading": "psd"},
+        {"p0_level_deg": 5.0},
+        {"r_velocity_m_per_s": 0.01, "r_scale": 0.25, "p0_velocity_m_per_s": 2.0},
+    ],
+)
+def test_level_of_filter_settles_in_forecast_time(filter_: dict[str, Any]) -> None:
+    """From its P0 to a tenth of it, by sigma of the level in a run."""
+    settings = {"duration_s": 3.0, "rate_hz": 100.0, "draws": 1, "record_interval_s": 0.01}
+    study = of_sensors(study=settings, alignment={"phi_u0_deg": 1.0}, filter=filter_)
+    line = checks.feedback(study)
+    assert line is not None
+    (time_s,) = re.findall(
+        r"every 0.01 s; its level settles in ([0-9.]+) s \(to a tenth of its initial st", line
+    )
+    curves = run.run(study, curves=True).curves.to_pydict()
+    assert study.filter is not None
+    low = np.array(curves["sigma_e_arcmin"]) < 6 * study.filter.p0_level_deg
+    assert float(time_s) == pytest.approx(curves["time_s"][low.argmax()], rel=0.06)
+
+
+def test_feedback_is_compared_with_settling_level_over_whole_sweep() -> None:
+    axes = {"feedback_interval_s": [0.1, 1.0], "r_reading": ["per_update", "psd"]}
+    line = checks.feedback(of_sensors(alignment={}, axes=axes))
+    assert line == (
+        "The filter feeds back every 0.1 to 1 s; its level settles in 0.26 to 0.89 s (to a tenth"
+        " of its initial standard deviation)"
+    )
+    assert checks.feedback(of_sensors(alignment={"method": "compass"})) is None
+    both = checks.feedback(of_sensors(alignment={}, axes={"method": ["inertial", "kalman5"]}))
+    assert both is not None and "every 0.01 s; its level settles in 0.26 s" in both
+
+
+def test_validate_compares_filter_with_sensors_and_feedback() -> None:
+    lines = describe_plan(asset("configs/reset_sweep.toml"), None)
+    assert "The filter assumes 100 times the sensors' noise, in standard deviation." in lines
+    assert (
+        "The filter feeds back every 1 s; its level settles in 0.89 s (to a tenth of its initial"
+        " standard deviation)." in lines
+    )

@@ -20,7 +20,7 @@ import distributed
 import pytest
 import tomli_w
 from support.stored import write_manifest
-from support.studies import BASE, small_study, with_truth
+from support.studies import small_study, small_tables, with_truth
 
 from sinsjax.cli import study as studies
 from sinsjax.engine.build import simulated_record
@@ -377,7 +377,7 @@ def test_forecast_counts_worker_threads_and_remaining_runs(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     config, out = tmp_path / "study.toml", tmp_path / "out"
-    config.write_text(tomli_w.dumps(BASE))
+    config.write_text(tomli_w.dumps(small_tables()))
     runs = (study := small_study()).n_draws * study.n_variants
     out.mkdir()
     write_manifest(out, study, runs_done=runs - 1)

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from support.memory import at_most_mb
 from support.stored import write_manifest
-from support.studies import small_study
+from support.studies import small_study, with_paper_values
 
 from sinsjax.alignment.methods import METHODS
 from sinsjax.engine.build import Scenario
@@ -220,7 +220,7 @@ def test_machine_reports_memory_and_free_disk_space(tmp_path: Path):
 def test_recorded_study_without_rate_is_forecast_at_record_rate():
     section = {"format": "psins", "start_s": [0, 10]}
     data = {"study": {"duration_s": 6.0}, "record": section, "earth": {"latitude_deg": 32.0}}
-    study = study_from_dict(data)
+    study = study_from_dict(with_paper_values(data))
     assert not study.study.rate_hz
     assert forecast.of(with_rate(study, 100.0)).runs == 2
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
-from support.studies import small_study
+from support.studies import small_study, with_paper_values
 
 from sinsjax.engine import build
 from sinsjax.execution import run
@@ -35,7 +35,7 @@ def recorded(cases: list[dict[str, Any]] | None = None, **changes: Any) -> Study
         data[name] = None if section is None else data.get(name, {}) | section
     data["study"].pop("draws")
     kept = {name: {k: v for k, v in s.items() if v is not None} for name, s in data.items() if s}
-    return study_from_dict(kept | ({"cases": cases} if cases else {}))
+    return study_from_dict(with_paper_values(kept | ({"cases": cases} if cases else {})))
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.commands import Command, command_line
-from support.studies import small_study
+from support.studies import PAPER, small_study
 
 import sinsjax
 from sinsjax.engine import build
@@ -68,6 +68,7 @@ def recorded(tmp_path: Path) -> tuple[Path, Path, Study]:
             "earth": {"latitude_deg": 32.0},
             "record": {"format": "psins", "start_s": [0.0, 1.0]},
             "coarse": {"coarse_duration_s": 3.0},
+            "filter": PAPER,
         },
         "swing",
     )

@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 from support.commands import command_line
 from support.kept import STUDIES, everything, rewrite_manifest, study_of
-from support.studies import small_study, with_truth
+from support.studies import small_study, with_paper_values, with_truth
 
 from sinsjax.alignment import methods
 from sinsjax.engine import build
@@ -107,7 +107,7 @@ def recorded_study(**changes: Any) -> Study:
         "coarse": {"coarse_duration_s": 3.0},
         "axes": {"phi_u0_deg": [0.0, 3.0], "reset_times_s": [[], [1.0]]},
     }
-    return study_from_dict(sections | changes)
+    return study_from_dict(with_paper_values(sections | changes))
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,7 @@ from support.kept import (
     sweep_study,
     times,
 )
-from support.studies import small_study
+from support.studies import PAPER, small_study
 
 from sinsjax.engine import build
 from sinsjax.errors import InputError, StudyInterrupted
@@ -422,6 +422,7 @@ def recorded() -> tuple[Study, StoredRecord]:
             "alignment": {"phi_u0_deg": 3.0},
             "record": {"format": "psins", "start_s": [0.0, 1.0]},
             "coarse": {"coarse_duration_s": 3.0},
+            "filter": PAPER,
         }
     )
     time_s = np.arange(0, 6.01, 0.01)

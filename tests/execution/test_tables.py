@@ -12,7 +12,7 @@ import pytest
 from support.chunks import chunk
 from support.kept import everything
 from support.stored import write_manifest, write_part
-from support.studies import BASE, STILL, small_study
+from support.studies import BASE, STILL, small_study, with_paper_values
 
 from sinsjax import columns
 from sinsjax.engine import build
@@ -89,14 +89,20 @@ SAID = {
     ),
     "feedback_interval_s": (
         "s",
-        "swept by the study: time between feedbacks, s; default 1",
+        "swept by the study: time between feedbacks, s; default: one sample",
     ),
     "gravity_m_per_s2": (
         "m/s^2",
         "swept by the study: gravity, m/s^2; constants only, default 9.8",
     ),
     "radius_m": ("m", "swept by the study: radius, m; constants only, default 6378137"),
-    "q_reading": ("", "swept by the study: Q of a step: as is, times dt, times dt^2"),
+    "q_reading": (
+        "",
+        "swept by the study: what the q_ numbers mean, required with them. 'psd': noise densities,"
+        " as in a data sheet. 'per_sample': standard deviation of one sample. 'per_step': standard"
+        " deviation that a filter step adds, as paper 1 prints it; at 100 Hz a hundred times the"
+        " noise of 'per_sample'",
+    ),
 }
 """Unit and meaning of columns of keys."""
 
@@ -114,7 +120,7 @@ def test_key_columns_carry_unit_and_meaning() -> None:
             "q_reading": ["psd", "per_step"],
         },
     }
-    study = study_from_dict(BASE | {"sensors": {}, "earth": {}} | sweep)
+    study = study_from_dict(with_paper_values(BASE | {"sensors": {}, "earth": {}} | sweep))
     told = columns.schema(tables.Tables(study).summary_columns)
     for key, (unit, text) in SAID.items():
         assert told.field(key).metadata == {b"unit": unit.encode(), b"meaning": text.encode()}

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.kept import STUDIES, parts, study_of
-from support.studies import small_study
+from support.studies import PAPER, small_study
 
 from sinsjax.engine import build
 from sinsjax.engine.build import Scenario
@@ -124,6 +124,7 @@ def test_job_identity_depends_on_study_record_and_reference() -> None:
             "study": {"duration_s": 2.0, "rate_hz": 100.0, "window_s": [0, 2]},
             "record": {"format": "psins", "start_s": [0.0, 1.0]},
             "coarse": {"coarse_duration_s": 3.0},
+            "filter": PAPER,
         }
     )
     record = build.simulated_record(small_study())

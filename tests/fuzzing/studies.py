@@ -22,6 +22,7 @@ BASE: dict[str, dict[str, Any]] = {
     "study": {"duration_s": 6.0, "rate_hz": 100.0, "draws": 3},
     "earth": {"latitude_deg": 32.0},
     "motion": {"yaw_center_deg": 10.0},
+    "sensors": {"gyro_noise_deg_per_h": 0.1, "accel_noise_ug": 500.0},
 }
 
 BASES: dict[str, dict[str, Any]] = {
@@ -58,6 +59,7 @@ BASES: dict[str, dict[str, Any]] = {
         "study": {"duration_s": 2.0, "rate_hz": 10.0, "record_interval_s": 0.5},
         "earth": {"latitude_deg": 32.0},
         "record": {"format": "psins", "start_s": [0, 1]},
+        "filter": {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1, "q_reading": "per_sample"},
         "coarse": {"coarse_duration_s": 2.0},
     },
 }

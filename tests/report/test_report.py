@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from support.kept import manifest, rewrite_manifest
 from support.made_up import FLOOR, curves_of, summary_of
 from support.stored import store, told
-from support.studies import STILL, small_study
+from support.studies import STILL, small_study, with_paper_values
 
 from sinsjax import analysis, report
 from sinsjax.analysis.words import percent
@@ -30,7 +30,7 @@ def recorded_study(**changes):
         "record": {"format": "psins", "start_s": [0.0, 10.0, 20.0]},
         **changes,
     }
-    return study_from_dict(data)
+    return study_from_dict(with_paper_values(data))
 
 
 # --- any study ----------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ def test_json_schema_is_up_to_date():
     [
         ("phi_u0_deg", "deg", "0", "all but optimisation, optimisation_position, inertial"),
         ("gravity_m_per_s2", "m/s^2", "9.8", "all"),
-        ("feedback_interval_s", "s", "1", None),
+        ("feedback_interval_s", "s", "one sample", None),
         ("window_s", "s", "the last third of the duration", "all"),
         ("duration_s", "s", "required", "all"),
         ("level_sigma_per_s", "1/s", None, "compass"),

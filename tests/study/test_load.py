@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.studies import with_paper_values
 
 from sinsjax.alignment.methods import METHODS
 from sinsjax.errors import InputError
@@ -107,7 +108,7 @@ DRAWN: dict[str, Any] = {
 
 
 def built(base: dict[str, Any] = SIMULATED, **tables: Any) -> Study:
-    return study_from_dict(merged(base, **tables), "s.toml")
+    return study_from_dict(with_paper_values(merged(base, **tables)), "s.toml")
 
 
 def merged(base: dict[str, Any], **tables: Any) -> dict[str, Any]:
@@ -137,7 +138,7 @@ def refusal(base: dict[str, Any] = SIMULATED, **tables: Any) -> str:
 
 
 def test_defaults_are_filled_in():
-    study = study_from_dict(SIMULATED, "folder/swing.toml")
+    study = study_from_dict(with_paper_values(SIMULATED), "folder/swing.toml")
     assert study.name == "swing"
     assert study.study.window_s == (600.0, 900.0)
     assert (study.n_draws, study.n_variants, study.axis_keys) == (64, 1, ())
@@ -172,9 +173,10 @@ def test_right_handed_axes_orders_are_accepted(order: str):
 
 
 def test_input_tables_are_not_modified():
-    data = copy.deepcopy(SIMULATED)
+    tables = with_paper_values(SIMULATED)
+    data = copy.deepcopy(tables)
     study_from_dict(data)
-    assert data == SIMULATED
+    assert data == tables
 
 
 def test_study_fields_cannot_be_assigned():
@@ -321,7 +323,7 @@ def test_variants_are_numbered_like_itertools_product(sweep: tuple, data: st.Dat
 def test_required_keys_may_be_swept():
     data = merged(SIMULATED, axes={"latitude_deg": [0, 80], "yaw_center_deg": [0, 90]})
     del data["earth"], data["motion"]
-    study = study_from_dict(data)
+    study = study_from_dict(with_paper_values(data))
     assert study.values("latitude_deg") == [0.0, 0.0, 80.0, 80.0]
     assert study_from_dict(tomllib.loads(study_to_toml(study))) == study
 
@@ -433,7 +435,7 @@ def test_invalid_values_in_file_are_refused_with_file_name(tmp_path: Path):
     ],
 )
 def test_resolved_study_reloads_equal(data: dict[str, Any], tmp_path: Path):
-    study = study_from_dict(data)
+    study = study_from_dict(with_paper_values(data))
     text = study_to_toml(study)
     path = tmp_path / "study.toml"
     path.write_text(text, encoding="utf-8")
@@ -500,7 +502,7 @@ def test_fingerprint_ignores_name_key_order_and_explicit_defaults():
         {"motion": {"yaw_center_deg": 21}},
         {"sensors": {"gyro_bias_deg_per_h": [0.1, 0, -0.2]}},
         {"alignment": {"method": "kalman5"}},
-        {"filter": {"q_reading": "per_step"}},
+        {"filter": {"q_scale": 2.0}},
         {"resets": {"reset_kind": "yaw"}},
         {"axes": {"reset_count": [0, 2, 1]}},
         {"cases": [{"case": "small", "phi_u0_deg": 0}, {"case": "large", "phi_u0_deg": 31}]},
@@ -1132,7 +1134,8 @@ def test_record_intervals_round_to_nearest_samples():
 
 
 def test_record_may_supply_sample_rate():
-    study = study_from_dict({"study": {"duration_s": 300.0}, "record": {"format": "psins"}})
+    tables = {"study": {"duration_s": 300.0}, "record": {"format": "psins"}}
+    study = study_from_dict(with_paper_values(tables))
     assert not study.study.rate_hz
     for rate in (100.0, 199.8):
         assert with_rate(study, rate).study.rate_hz == rate
@@ -1151,7 +1154,8 @@ def test_record_may_supply_sample_rate():
         InputError, match=r"\[study\] rate_hz: required \(\[record\] has no time_col"
     ):
         study_from_dict({"study": {"duration_s": 300.0}, "record": csv})
-    study_from_dict({"study": {"duration_s": 300.0}, "record": csv | {"time_column": "t"}})
+    timed = {"study": {"duration_s": 300.0}, "record": csv | {"time_column": "t"}}
+    study_from_dict(with_paper_values(timed))
 
 
 # Compass loops and passes

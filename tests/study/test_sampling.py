@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
-from support.studies import BASE
+from support.studies import BASE, with_paper_values
 
 from sinsjax.errors import InputError
 from sinsjax.study import sampling
@@ -40,7 +40,7 @@ def study_of(laws: dict[str, Any] | None, *, seed: int = 1, **changes: Any) -> S
         data["drawn"] = laws
     for name, change in changes.items():
         data[name] = data.get(name, {}) | change
-    return study_from_dict(data, "s.toml")
+    return study_from_dict(with_paper_values(data), "s.toml")
 
 
 def drawn(laws: dict[str, Any], count: int = MANY, **more: Any) -> dict[str, np.ndarray]:
@@ -429,7 +429,7 @@ def test_drawn_key_counts_as_given():
     with pytest.raises(InputError, match=r"roll_period_s: required where roll_amplitude_deg > 0"):
         study_from_dict(data | {"drawn": laws})
     laws["roll_period_s"] = {"uniform": [5, 6]}
-    study = study_from_dict(data | {"drawn": laws})
+    study = study_from_dict(with_paper_values(data | {"drawn": laws}))
     assert study.drawn_keys == tuple(laws)
     assert study.sensors is not None and study.sensors.gyro_noise_deg_per_h is None
     assert study.sensors.accel_noise_ug is None
@@ -444,7 +444,7 @@ RECORDED = {"study": {"duration_s": 300.0, "rate_hz": 100.0}, "record": {"format
 def test_recorded_study_may_draw_only_initial_keys():
     laws = {key: {"normal": [0, 1]} for key in INITIAL_NUMBERS}
     record = {"format": "psins", "start_s": [0, 10, 20]}
-    study = study_from_dict(RECORDED | {"record": record, "drawn": laws})
+    study = study_from_dict(with_paper_values(RECORDED | {"record": record, "drawn": laws}))
     assert study.n_draws == 3 and study.drawn_keys == INITIAL_NUMBERS
     for key, reason in (
         ("yaw_center_deg", "does not apply to a recorded study ([motion] is the simulation's)"),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.studies import small_study
+from support.studies import PAPER, small_study
 
 from sinsjax.errors import InputError
 from sinsjax.study import search_space
@@ -23,6 +23,7 @@ COMPASS: dict[str, Any] = {"alignment": {"method": "compass", "phi_u0_deg": 1.0}
 RECORDED: dict[str, Any] = {
     "study": {"duration_s": 2.0, "rate_hz": 100.0, "window_s": [0.0, 2.0]},
     "record": {"format": "psins", "start_s": [0.0, 1.0, 2.0]},
+    "filter": PAPER,
 }
 
 

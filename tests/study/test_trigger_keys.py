@@ -5,6 +5,7 @@ import tomllib
 from typing import Any
 
 import pytest
+from support.studies import with_paper_values
 
 from sinsjax.alignment.triggers.section import any_trigger
 from sinsjax.errors import InputError
@@ -62,7 +63,7 @@ def built(**tables: Any) -> Study:
     data = copy.deepcopy(BASE)
     for name, table in tables.items():
         data[name] = data.get(name, {}) | table if isinstance(table, dict) else table
-    return study_from_dict(data, "s.toml")
+    return study_from_dict(with_paper_values(data), "s.toml")
 
 
 def refusal(**tables: Any) -> str:

@@ -5,9 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sinsjax.alignment.methods import METHODS
 from sinsjax.errors import InputError
 from sinsjax.records import Record, Reference
 from sinsjax.records.reference import StoredRecord
+from sinsjax.study.keys import rivals
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
 
@@ -36,10 +38,50 @@ STILL = {f"{angle}_amplitude_deg": 0.0 for angle in ("pitch", "roll", "yaw")}
 """A base whose runs have a limit, however short they are."""
 
 
+PAPER = {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1, "q_reading": "per_step"}
+"""Q as paper 1 prints it, in [filter]."""
+
+FEEDBACK = "feedback_interval_s"
+PAPER_FEEDBACK = {FEEDBACK: 1.0}
+"""The feedback of paper 1, in [alignment]."""
+
+
+def with_paper_values(tables: dict[str, Any]) -> dict[str, Any]:
+    """Give a study with filters paper 1's Q and feedback, except for what it gives itself.
+
+    Tables that are no study, and one shorter than a feedback interval, are left alone.
+    """
+    alignment, filter_, axes = (tables.get(name, {}) for name in ("alignment", "filter", "axes"))
+    cases = tables.get("cases", [])
+    if not all(isinstance(table, dict) for table in (alignment, filter_, axes)):
+        return tables
+    zips = [table for table in axes.values() if isinstance(table, dict)]
+    rows = [row for row in cases if isinstance(row, dict)] if isinstance(cases, list) else []
+    varied = {
+        key: values
+        for table in (axes, *zips)
+        for key, values in table.items()
+        if not isinstance(values, dict)
+    }
+    varied |= {key: [row[key] for row in rows if key in row] for row in rows for key in row}
+    methods = varied.get("method", [alignment.get("method", "kalman5")])
+    if not any("filter" in METHODS[name].sections for name in methods if name in METHODS):
+        return tables
+    given = {*alignment, *filter_, *varied}
+    given |= {other for key in given for other in rivals(key)}
+    paper = {key: value for key, value in PAPER.items() if key not in given}
+    out = tables | {"filter": paper | filter_}
+    duration_s = tables.get("study", {}).get("duration_s")
+    short = isinstance(duration_s, int | float) and duration_s < PAPER_FEEDBACK[FEEDBACK]
+    if FEEDBACK not in given and not short:
+        out["alignment"] = PAPER_FEEDBACK | alignment
+    return out
+
+
 def small_tables(**changes: Any) -> dict[str, Any]:
     """`BASE` with sections changed key by key; lists and new sections are taken as given.
 
-    A key of `BASE` that is changed to None is left out.
+    A key of `BASE` that is changed to None is left out. Filters have `with_paper_values`.
     """
     data: dict[str, Any] = {name: dict(section) for name, section in BASE.items()}
     for name, change in changes.items():
@@ -48,7 +90,7 @@ def small_tables(**changes: Any) -> dict[str, Any]:
             data[name] = {k: v for k, v in merged.items() if v is not None or k not in BASE[name]}
         else:
             data[name] = change
-    return data
+    return with_paper_values(data)
 
 
 def small_study(**changes: Any) -> Study:

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
-from support.studies import STILL, small_study
+from support.studies import PAPER, STILL, small_study
 
 import sinsjax
 from sinsjax.errors import InputError
@@ -111,6 +111,7 @@ def test_record_is_tuned_and_evaluated_on_different_start_times() -> None:
         {
             "study": {"duration_s": 6.0, "rate_hz": 100.0},
             "record": {"format": "psins", "start_s": [0.0, 10.0, 20.0, 30.0, 40.0]},
+            "filter": PAPER,
             "tune": {"variables": {"p0_yaw_deg": YAW}, "searches": ["grid"]},
         }
     )

@@ -1,19 +1,26 @@
 """[filter], [resets] and the feedback of [alignment] as the numbers of a filter."""
 
 import math
+from bisect import bisect_left
 from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
 
 from sinsjax.alignment.base import Site
-from sinsjax.alignment.filters.section import OF_RESETS, Q_DENSITIES, times_of_resets
+from sinsjax.alignment.filters.section import (
+    OF_RESETS,
+    Q_DENSITIES,
+    WHITE_NOISE,
+    times_of_resets,
+    white_density,
+)
 from sinsjax.alignment.filters.stages import FilterParams
 from sinsjax.alignment.filters.states import STATES, StateKind
 from sinsjax.alignment.parameters import Columns, column_or, in_samples
 from sinsjax.alignment.schedules import UNCHANGED, CovarianceReset, Feedback, Resets
 from sinsjax.alignment.triggers.base import TriggerParams
-from sinsjax.units import DEG_PER_H
+from sinsjax.units import DEG, DEG_PER_H, STANDARD_GRAVITY
 
 _COVARIANCE_RESETS: dict[str, tuple[float | None, ...]] = {
     # keep, keep_yaw, renew, renew_yaw; None for the study's factor
@@ -38,10 +45,9 @@ def parameters(states: Sequence[str], columns: Columns, site: Site, ug: float) -
     """
     dt = 1 / columns.rate_hz
     zero = np.zeros(columns.count)
-    reading = columns.each(q_readings(dt).__getitem__, "q_reading")
     q_scale, r_scale = (column_or(columns, key, 1.0) for key in ("q_scale", "r_scale"))
     units = {"q_accel_ug": ug, "q_gyro_deg_per_h": DEG_PER_H}
-    q = {key: (_q(columns, key) * unit) ** 2 * reading * q_scale for key, unit in units.items()}
+    q = {key: _q(columns, key, unit) * q_scale for key, unit in units.items()}
     spread = columns.each(lambda name: 1.0 if name == "per_update" else dt, "r_reading")
     kinds = [STATES[state] for state in states]
     p0 = [_p0(columns, kind, ug) for kind in kinds]
@@ -66,6 +72,35 @@ def q_readings(dt: float) -> dict[str, float]:
     return {"per_step": 1.0, "psd": dt, "per_sample": dt * dt}
 
 
+def level_settling_s(
+    rate_hz: float,
+    p0_velocity_m_per_s: float,
+    p0_level_deg: float,
+    r_velocity_m_per_s: float,
+    r_reading: str,
+    r_scale: float | None,
+) -> float:
+    """Return the time in which the standard deviation of level falls to a tenth of its P0, s.
+
+    In that time a level error phi is a slope g phi of the velocity, measured with R at each sample.
+    The information on it after n samples is 1/p0^2 + S2/R - (S1/R)^2 / (1/p_v^2 + n/R), with S1 and
+    S2 the sums of g t and (g t)^2: from a large p_v it grows as g^2 t^3 / (12 R dt). Q is left out,
+    since its effect comes later.
+    """
+    dt = 1 / rate_hz
+    r = r_velocity_m_per_s**2 * (1.0 if r_scale is None else r_scale)
+    r /= dt if r_reading == "psd" else 1.0
+    step = STANDARD_GRAVITY * dt
+    information_at_start = (p0_level_deg * DEG) ** -2
+
+    def information(n: int) -> float:
+        s1, s2 = step * n * (n + 1) / 2, step**2 * n * (n + 1) * (2 * n + 1) / 6
+        return information_at_start + s2 / r - (s1 / r) ** 2 / (p0_velocity_m_per_s**-2 + n / r)
+
+    longest = range(1, 10**8)
+    return (1 + bisect_left(longest, 100 * information_at_start, key=information)) * dt
+
+
 def _p0(columns: Columns, kind: StateKind, ug: float) -> np.ndarray:
     """The initial variance of a state, (variants,)."""
     if kind.p0 is None:
@@ -73,11 +108,15 @@ def _p0(columns: Columns, kind: StateKind, ug: float) -> np.ndarray:
     return columns.column(kind.p0, ug if kind.unit is None else kind.unit) ** 2
 
 
-def _q(columns: Columns, key: str) -> np.ndarray:
-    """Values of a key of Q, (variants,), from whichever of its forms the study gives."""
-    forms = {key: 1.0, **Q_DENSITIES[key]}
-    given = next(form for form in forms if columns.common(form) is not None)
-    return columns.column(given, forms[given])
+def _q(columns: Columns, key: str, unit: float) -> np.ndarray:
+    """Return the variance that a step adds, (variants,): a form of a key, or the sensors' own."""
+    forms, readings = {key: 1.0, **Q_DENSITIES[key]}, q_readings(1 / columns.rate_hz)
+    given = next((form for form in forms if columns.common(form) is not None), None)
+    if given is None:
+        white = partial(white_density, key, columns.rate_hz)
+        return (columns.each(white, *WHITE_NOISE[key][:2]) * unit) ** 2 * readings["psd"]
+    reading = columns.each(readings.__getitem__, "q_reading")
+    return (columns.column(given, forms[given]) * unit) ** 2 * reading
 
 
 def _reset_to(columns: Columns, kind: StateKind, p0: np.ndarray, ug: float) -> np.ndarray:

@@ -33,6 +33,13 @@ Q_DENSITIES = {
 }
 """Under ``q_reading = "psd"``, the keys that give Q by its true units: factors to the old keys."""
 
+WHITE_NOISE = {
+    "q_accel_ug": ("accel_noise_ug", "accel_vrw_ug_per_sqrt_hz", 1.0),
+    "q_gyro_deg_per_h": ("gyro_noise_deg_per_h", "gyro_arw_deg_per_sqrt_h", 60.0),
+}
+"""Where Q comes from if its keys are left out: the keys of [sensors] for the white noise, as the
+standard deviation of a sample and as a density, and the factor of the density to Q's unit."""
+
 OF_SCHEDULES = ("reset_times_s", "reset_count", "reset_cycle_s", "reset_first_s")
 """The keys that give the times of resets, in the order of `reset_times`."""
 
@@ -52,11 +59,15 @@ class FilterSection(Section):
     p0_yaw_deg: HeadingSigma = Field(80.0, description="initial heading misalignment, deg")
     p0_gyro_bias_deg_per_h: GyroSigma = Field(0.1, description="gyro bias states, deg/h")
     p0_accel_bias_ug: AccelSigma = Field(500.0, description="accelerometer bias states, ug")
-    q_accel_ug: Annotated[AccelNoise | None, KeyInfo(default=500.0)] = Field(
-        None, description="velocity process noise, ug; default 500; under 'psd' in ug/sqrt(Hz)"
+    q_accel_ug: AccelNoise | None = Field(
+        None,
+        description="velocity process noise, ug, in ug/sqrt(Hz) if q_reading = 'psd';"
+        " default: the white noise of the study's accelerometers",
     )
-    q_gyro_deg_per_h: Annotated[GyroNoise | None, KeyInfo(default=0.1)] = Field(
-        None, description="attitude process noise, deg/h; default 0.1; under 'psd' deg/h/sqrt(Hz)"
+    q_gyro_deg_per_h: GyroNoise | None = Field(
+        None,
+        description="attitude process noise, deg/h, in deg/h/sqrt(Hz) if q_reading = 'psd';"
+        " default: the white noise of the study's gyros",
     )
     q_accel_ug_per_sqrt_hz: AccelNoise | None = Field(
         None, description="q_accel_ug under 'psd', by its unit there, ug/sqrt(Hz)"
@@ -67,8 +78,12 @@ class FilterSection(Section):
     q_gyro_arw_deg_per_sqrt_h: GyroWalk | None = Field(
         None, description="the same as an angle random walk, deg/sqrt(h): a 60th of the number"
     )
-    q_reading: Literal["per_step", "psd", "per_sample"] = Field(
-        "per_step", description="Q of a step: as is, times dt, times dt^2"
+    q_reading: Literal["psd", "per_sample", "per_step"] | None = Field(
+        None,
+        description="what the q_ numbers mean, required with them. 'psd': noise densities, as in a"
+        " data sheet. 'per_sample': standard deviation of one sample. 'per_step': standard"
+        " deviation that a filter step adds, as paper 1 prints it; at 100 Hz a hundred times the"
+        " noise of 'per_sample'",
     )
     r_velocity_m_per_s: SpeedSigma = Field(0.1, description="velocity measurement noise, m/s")
     r_reading: Literal["per_update", "psd"] = Field(
@@ -80,6 +95,26 @@ class FilterSection(Section):
     r_scale: Annotated[Factor | None, KeyInfo(same_as=1.0)] = Field(
         None, description="factor on R; default 1"
     )
+
+
+def white_density(q_key: str, rate_hz: float, per_sample: Any, density: Any) -> float | None:
+    """Return the density of the sensors' white noise, in the unit of a key of Q under 'psd'.
+
+    The largest axis counts. None if the study gives no noise, or draws it.
+
+    Args:
+        q_key: key of `WHITE_NOISE`.
+        rate_hz: samples per second.
+        per_sample: value of the key for the standard deviation of a sample.
+        density: value of the key for the density.
+    """
+    if density is not None:
+        return _largest(density) * WHITE_NOISE[q_key][2]
+    return None if per_sample is None else _largest(per_sample) / rate_hz**0.5
+
+
+def _largest(noise: float | tuple[float, ...]) -> float:
+    return max(noise) if isinstance(noise, tuple) else noise
 
 
 _RESETS = ("reset_times_s", "reset_count", "reset_trigger")

@@ -1,0 +1,70 @@
+"""Rules of Q: its keys are given with their unit, or it is the white noise of the sensors."""
+
+from collections.abc import Iterator, Mapping
+
+from sinsjax.alignment.filters.section import Q_DENSITIES, WHITE_NOISE, white_density
+from sinsjax.errors import InputError
+from sinsjax.study.keys import readers
+from sinsjax.study.study import Study
+
+_SENSORS = {"q_accel_ug": "accelerometers", "q_gyro_deg_per_h": "gyros"}
+
+
+def check_process_noise(study: Study, where: Mapping[str, str]) -> None:
+    """Refuse a Q without its unit, a unit without Q, and a Q that nothing gives.
+
+    Args:
+        study: checked study.
+        where: the table, in brackets, of every key that the file gives.
+
+    Raises:
+        InputError: ``[section] key: what is wrong (hint)``.
+    """
+    if not study.has("filter"):
+        return
+    found = [*_check_reading(study, where), *_check_given(study, where)]
+    if found:
+        raise InputError(*(f"{where.get(key, '[filter]')} {key}: {text}" for key, text in found))
+
+
+def _check_reading(study: Study, where: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    densities = [key for forms in Q_DENSITIES.values() for key in forms if key in where]
+    given = [key for key in Q_DENSITIES if key in where]
+    readings = {point["q_reading"] for point in study.combinations("q_reading")}
+    if (given or densities) and "q_reading" not in where:
+        why = "'psd', as a density has no other"
+        if not densities:
+            why = "one of 'psd', 'per_sample', 'per_step'; it used to be 'per_step' by default"
+        yield "q_reading", f"required with {' and '.join([*given, *densities])} ({why})"
+    elif densities and (others := readings - {"psd"}):
+        yield densities[0], f"requires q_reading = 'psd' (it is '{min(others)}')"
+    elif not given and (others := readings - {"psd", None}):
+        why = "without q_ keys, Q is the white noise of the study's sensors"
+        yield "q_reading", f"'{min(others)}' is the unit of q_ keys, and none is given ({why})"
+
+
+def _check_given(study: Study, where: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    for key, (*noises, _) in WHITE_NOISE.items():
+        if where.keys().isdisjoint((key, *Q_DENSITIES[key])):
+            if why := _without_noise(study, key, noises):
+                density = [*Q_DENSITIES[key]][-1]
+                hint = f"give {density} of the data sheet, with q_reading = 'psd'"
+                yield key, f"required ({why}; {hint})"
+
+
+def _without_noise(study: Study, q_key: str, noises: list[str]) -> str | None:
+    """Why the sensors give no Q to a filter, in words; None if they give it to all variants."""
+    using = readers(q_key)
+    if study.is_recorded:
+        if not any(method in using for method in study.methods):
+            return None
+        return f"a record does not give the noise of its {_SENSORS[q_key]}"
+    for point in study.combinations("method", *noises):
+        if point["method"] not in using:
+            continue
+        for noise in noises:
+            if noise in study.drawn_keys:
+                return f"{noise} is drawn, and a filter has one Q in all draws"
+        if not white_density(q_key, 1.0, *(point[noise] for noise in noises)):
+            return f"the {_SENSORS[q_key]} have no white noise in [sensors] to take it from"
+    return None

@@ -1,0 +1,364 @@
+"""Q is the sensors' own white noise unless its keys are given, which come with their unit."""
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tomli_w
+from support.studies import BASE
+
+from sinsjax.engine import build
+from sinsjax.errors import InputError
+from sinsjax.study.identity import fingerprint
+from sinsjax.study.load import load_study, study_from_dict, study_to_toml, with_rate
+from sinsjax.study.study import Study
+
+UG, DEG_PER_H = 9.8e-6, np.pi / 180 / 3600
+RECORDED: dict[str, Any] = {
+    "study": {"duration_s": 300.0},
+    "record": {"format": "psins", "start_s": [0.0, 300.0]},
+}
+GIVEN = {"q_accel_ug": 50.0, "q_gyro_deg_per_h": 0.01, "q_reading": "per_sample"}
+
+
+def tables(base: dict[str, Any] = BASE, **changes: dict[str, Any] | None) -> dict[str, Any]:
+    """Sections with some keys changed; a section or key that is None is left out."""
+    out = {name: dict(section) for name, section in base.items()}
+    for name, change in changes.items():
+        merged = out.pop(name, {}) | (change or {})
+        if change is not None:
+            out[name] = {key: value for key, value in merged.items() if value is not None}
+    return out
+
+
+def study(base: dict[str, Any] = BASE, **changes: dict[str, Any] | None) -> Study:
+    return study_from_dict(tables(base, **changes))
+
+
+def q_of(study: Study) -> np.ndarray:
+    """(variants, 2) Q of a step for velocity and attitude, (m/s)^2 and rad^2."""
+    rows = {}
+    for part in build.parts(study):
+        if part.group.static.method.startswith("kalman"):
+            q = np.array(part.group.variants.method.q)
+            np.testing.assert_array_equal(q[0], q[1])
+            np.testing.assert_array_equal(q[2], q[4])
+            rows |= dict(zip(part.variant_ids.tolist(), q[[0, 2]].T, strict=True))
+    return np.array([rows[variant] for variant in sorted(rows)])
+
+
+def white(velocity: Any, angle: Any) -> np.ndarray:
+    """(variants, 2) from standard deviations of one increment, m/s and rad."""
+    return np.stack(np.broadcast_arrays(np.square(velocity), np.square(angle)), axis=-1)
+
+
+def refusal(base: dict[str, Any] = BASE, **changes: dict[str, Any] | None) -> str:
+    with pytest.raises(InputError) as caught:
+        study(base, **changes)
+    assert len(str(caught.value).splitlines()) == 1
+    return str(caught.value).removeprefix("study: ")
+
+
+# Q of the sensors
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 200.0])
+def test_noise_per_sample_becomes_q_of_one_increment(rate_hz: float) -> None:
+    """A constant error of 500 ug over one sample is a velocity of 500 ug dt."""
+    made = q_of(study(study={"rate_hz": rate_hz}))
+    expected = white(500 * UG / rate_hz, 0.1 * DEG_PER_H / rate_hz)
+    np.testing.assert_allclose(made, expected[None], rtol=1e-12)
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 200.0])
+def test_noise_density_becomes_q_of_one_increment(rate_hz: float) -> None:
+    """After an hour of a random walk of 0.003 deg/sqrt(h) the angle is off by 0.003 deg."""
+    densities = {"gyro_arw_deg_per_sqrt_h": 0.003, "accel_vrw_ug_per_sqrt_hz": 30.0}
+    per_sample = {"gyro_noise_deg_per_h": None, "accel_noise_ug": None}
+    made = q_of(study(study={"rate_hz": rate_hz}, sensors=per_sample | densities))
+    samples = 3600 * rate_hz
+    np.testing.assert_allclose(made[0] * samples, white(30 * UG * 60, np.deg2rad(0.003)), 1e-12)
+
+
+def test_noise_of_noisiest_axis_counts() -> None:
+    sensors = {
+        **{"gyro_noise_deg_per_h": [0.1, 0.3, 0.2], "accel_noise_ug": None},
+        "accel_vrw_ug_per_sqrt_hz": [30.0, 0.0, 10.0],
+    }
+    expected = white(30 * UG * 0.1, 0.3 * DEG_PER_H * 0.01)
+    np.testing.assert_allclose(q_of(study(sensors=sensors)), expected[None], rtol=1e-12)
+
+
+@pytest.mark.parametrize("given", ["psd", "per_sample"])
+def test_default_equals_sensors_noise_given_in_filter(given: str) -> None:
+    factor = {"psd": 0.1, "per_sample": 1.0}[given]
+    filter_ = {"q_accel_ug": 500 * factor, "q_gyro_deg_per_h": 0.1 * factor, "q_reading": given}
+    np.testing.assert_allclose(q_of(study()), q_of(study(filter=filter_)), rtol=1e-12)
+
+
+def test_swept_noise_gives_each_variant_its_own_q() -> None:
+    noise = {"gyro_noise_deg_per_h": [0.1, 0.4], "accel_noise_ug": [500.0, [50.0, 20.0, 10.0]]}
+    made = q_of(study(sensors={"gyro_noise_deg_per_h": None, "accel_noise_ug": None}, axes=noise))
+    velocity = np.array([500, 50, 500, 50]) * UG / 100
+    angle = np.array([0.1, 0.1, 0.4, 0.4]) * DEG_PER_H / 100
+    np.testing.assert_allclose(made, white(velocity, angle), rtol=1e-12)
+
+
+def test_swept_noise_of_other_methods_needs_no_q() -> None:
+    cases = [
+        {"method": "kalman5", "gyro_noise_deg_per_h": 0.1},
+        {"method": "compass", "gyro_noise_deg_per_h": 0.0},
+    ]
+    made = study_from_dict(
+        tables(sensors={"gyro_noise_deg_per_h": None}) | {"cases": cases},
+    )
+    expected = white(500 * UG / 100, 0.1 * DEG_PER_H / 100)
+    np.testing.assert_allclose(q_of(made), expected[None], rtol=1e-12)
+
+
+@pytest.mark.parametrize("reading", ["psd", "per_sample", "per_step"])
+def test_sensors_give_key_that_is_left_out_whatever_unit_of_other(reading: str) -> None:
+    factor = {"psd": 0.01, "per_sample": 1e-4, "per_step": 1.0}[reading]
+    made = q_of(study(filter={"q_accel_ug": 50.0, "q_reading": reading}))
+    expected = [[(50 * UG) ** 2 * factor, (0.1 * DEG_PER_H / 100) ** 2]]
+    np.testing.assert_allclose(made, expected, rtol=1e-12)
+
+
+def test_q_scale_multiplies_noise_of_sensors() -> None:
+    np.testing.assert_allclose(q_of(study(filter={"q_scale": 4.0})), 4 * q_of(study()), rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "method", ["kalman5", "kalman10", "kalman_sincos", "ekf_azimuth", "kalman_surge"]
+)
+def test_all_filters_read_noise_of_sensors(method: str) -> None:
+    own = study(alignment={"method": method, "phi_u0_deg": 5.0})
+    filter_ = {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1, "q_reading": "per_sample"}
+    given = study(alignment={"method": method, "phi_u0_deg": 5.0}, filter=filter_)
+    (made,), (expected,) = build.parts(own), build.parts(given)
+    np.testing.assert_allclose(
+        np.array(made.group.variants.method.q),
+        np.array(expected.group.variants.method.q),
+        rtol=1e-12,
+    )
+
+
+def test_resolved_study_without_q_reloads_equal_and_has_own_fingerprint() -> None:
+    made = study()
+    text = study_to_toml(made)
+    assert "q_" not in text
+    again = study_from_dict(tomllib.loads(text))
+    assert again == made and fingerprint(again) == fingerprint(made)
+    for change in (
+        {"sensors": {"gyro_noise_deg_per_h": 0.2}},
+        {"filter": GIVEN},
+        {"filter": {"q_scale": 2.0}},
+    ):
+        assert fingerprint(study(**change)) != fingerprint(made)
+
+
+# What is refused
+
+BOTH = "q_accel_ug and q_gyro_deg_per_h"
+READINGS = "one of 'psd', 'per_sample', 'per_step'; it used to be 'per_step' by default"
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        (
+            {"filter": {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1}},
+            f"[filter] q_reading: required with {BOTH} ({READINGS})",
+        ),
+        (
+            {"axes": {"q_gyro_deg_per_h": [0.1, 0.2]}},
+            f"[filter] q_reading: required with q_gyro_deg_per_h ({READINGS})",
+        ),
+        (
+            {"filter": {"q_gyro_arw_deg_per_sqrt_h": 0.01}},
+            "[filter] q_reading: required with q_gyro_arw_deg_per_sqrt_h ('psd', as a density has"
+            " no other)",
+        ),
+        (
+            {"filter": {"q_gyro_arw_deg_per_sqrt_h": 0.01, "q_reading": "per_step"}},
+            "[filter] q_gyro_arw_deg_per_sqrt_h: requires q_reading = 'psd' (it is 'per_step')",
+        ),
+        (
+            {"filter": {"q_reading": "per_step"}},
+            "[filter] q_reading: 'per_step' is the unit of q_ keys, and none is given (without q_"
+            " keys, Q is the white noise of the study's sensors)",
+        ),
+        (
+            {"axes": {"q_reading": ["psd", "per_step"]}},
+            "[axes] q_reading: 'per_step' is the unit of q_ keys, and none is given (without q_"
+            " keys, Q is the white noise of the study's sensors)",
+        ),
+    ],
+)
+def test_q_and_its_unit_are_refused_without_each_other(changes: Any, line: str) -> None:
+    assert refusal(**changes) == line
+
+
+def test_cases_with_q_need_its_unit() -> None:
+    cases = [{"q_accel_ug": 1.0}, {"q_accel_ug": 2.0}]
+    with pytest.raises(InputError, match=r"\[filter\] q_reading: required with q_accel_ug \("):
+        study_from_dict(tables() | {"cases": cases})
+    with_unit = [case | {"q_reading": "psd"} for case in cases]
+    made = study_from_dict(tables() | {"cases": with_unit})
+    np.testing.assert_allclose(q_of(made)[:, 0], (np.array([1, 2]) * UG) ** 2 * 0.01, rtol=1e-12)
+
+
+def test_unit_of_densities_alone_is_accepted() -> None:
+    np.testing.assert_array_equal(q_of(study(filter={"q_reading": "psd"})), q_of(study()))
+
+
+def test_tuned_q_needs_its_unit() -> None:
+    tune = {
+        **{"searches": ["sobol"], "objective_band_arcmin": 10.0},
+        "variables": {"q_accel_ug": {"low": 1.0, "high": 10.0}},
+        "baseline": {"q_accel_ug": 5.0},
+    }
+    with pytest.raises(InputError) as caught:
+        study_from_dict(tables() | {"tune": tune})
+    assert str(caught.value) == (
+        "study: [tune.variables] with every range at its low end: [filter] q_reading: required"
+        f" with q_accel_ug ({READINGS})"
+    )
+    with_unit = {"filter": {"q_accel_ug": 5.0, "q_reading": "psd"}}
+    assert study_from_dict(tables(**with_unit) | {"tune": tune}).tune is not None
+
+
+def test_replaced_q_needs_its_unit() -> None:
+    with pytest.raises(InputError, match=r"\[filter\] q_reading: required with q_accel_ug \("):
+        study().replace({"filter.q_accel_ug": 50.0})
+    made = study().replace({"filter.q_accel_ug": 50.0, "filter.q_reading": "per_sample"})
+    again = made.replace({"alignment.phi_u0_deg": 1.0})
+    assert again.filter is not None and again.filter.q_reading == "per_sample"
+    noisier = study().replace({"sensors.gyro_noise_deg_per_h": 0.2})
+    np.testing.assert_allclose(q_of(noisier)[:, 1], 4 * q_of(study())[:, 1], rtol=1e-12)
+
+
+NONE = {"gyro_noise_deg_per_h": None, "accel_noise_ug": None}
+OF_GYROS = "give q_gyro_arw_deg_per_sqrt_h of the data sheet, with q_reading = 'psd'"
+OF_ACCELS = "give q_accel_ug_per_sqrt_hz of the data sheet, with q_reading = 'psd'"
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        (
+            {"sensors": NONE},
+            "[filter] q_accel_ug: required (the accelerometers have no white noise in [sensors] to"
+            f" take it from; {OF_ACCELS})",
+        ),
+        (
+            {"sensors": {"gyro_noise_deg_per_h": 0.0}},
+            "[filter] q_gyro_deg_per_h: required (the gyros have no white noise in [sensors] to"
+            f" take it from; {OF_GYROS})",
+        ),
+        (
+            {
+                "sensors": {"gyro_noise_deg_per_h": None},
+                "axes": {"gyro_arw_deg_per_sqrt_h": [0.01, 0.0]},
+            },
+            "[filter] q_gyro_deg_per_h: required (the gyros have no white noise in [sensors] to"
+            f" take it from; {OF_GYROS})",
+        ),
+        (
+            {
+                "sensors": {"accel_noise_ug": None},
+                "drawn": {"accel_noise_ug": {"uniform": [10.0, 20.0]}},
+            },
+            "[filter] q_accel_ug: required (accel_noise_ug is drawn, and a filter has one Q in all"
+            f" draws; {OF_ACCELS})",
+        ),
+    ],
+)
+def test_filter_without_noise_of_sensors_requires_q(changes: Any, line: str) -> None:
+    assert refusal(**changes) == line
+    assert study(**changes, filter=GIVEN).has("filter")
+    axes = changes.get("axes", {})
+    assert study(**(changes | {"axes": axes | {"method": ["inertial", "compass"]}}))
+
+
+def test_filter_of_record_requires_q() -> None:
+    assert refusal(RECORDED) == (
+        "[filter] q_accel_ug: required (a record does not give the noise of its accelerometers;"
+        f" {OF_ACCELS})"
+    )
+    assert refusal(RECORDED, filter={"q_accel_ug": 5.0, "q_reading": "psd"}) == (
+        "[filter] q_gyro_deg_per_h: required (a record does not give the noise of its gyros;"
+        f" {OF_GYROS})"
+    )
+    assert study(RECORDED, filter=GIVEN).has("filter")
+    assert study(RECORDED, alignment={"method": "inertial"}).is_recorded
+
+
+def mistakes(path: Path) -> tuple[str, ...]:
+    with pytest.raises(InputError) as caught:
+        load_study(path)
+    return caught.value.lines
+
+
+def test_validation_lists_each_missing_key_once(tmp_path: Path) -> None:
+    path = tmp_path / "s.toml"
+    path.write_text(tomli_w.dumps(tables(sensors=NONE, filter={"p0_level_deg": -1.0})))
+    found = [line.removeprefix(f"{path}: ").partition(":")[0] for line in mistakes(path)]
+    assert found == [
+        "[filter] p0_level_deg",
+        "[filter] q_accel_ug",
+        "[filter] q_gyro_deg_per_h",
+    ]
+    path.write_text(tomli_w.dumps(tables(sensors={"gyro_noise_deg_per_h": -0.1})))
+    (line,) = mistakes(path)
+    assert line.startswith(f"{path}: [sensors] gyro_noise_deg_per_h: must be")
+
+
+# Feedback
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 200, 3.0, 0.7])
+def test_feedback_defaults_to_each_sample(rate_hz: float) -> None:
+    settings = {"rate_hz": rate_hz, "duration_s": 600.0, "record_interval_s": 100.0}
+    made = study(study=settings | {"window_s": None}, axes={"p0_yaw_deg": [80.0, 60.0]})
+    assert made.alignment.feedback_interval_s == 1 / rate_hz
+    assert made.values("feedback_interval_s") == [1 / rate_hz] * 2
+    (part,) = build.parts(made)
+    np.testing.assert_array_equal(part.group.variants.method.feedback.every, [1.0, 1.0])
+    assert study_from_dict(tomllib.loads(study_to_toml(made))) == made
+
+
+def test_feedback_of_recorded_study_waits_for_rate_of_record() -> None:
+    made = study(RECORDED, filter=GIVEN)
+    assert made.alignment.feedback_interval_s is None
+    for rate_hz in (100.0, 199.8):
+        assert with_rate(made, rate_hz).alignment.feedback_interval_s == 1 / rate_hz
+    given = study(RECORDED, filter=GIVEN, alignment={"feedback_interval_s": 1.0})
+    assert with_rate(given, 100.0).alignment.feedback_interval_s == 1.0
+
+
+def test_default_feedback_follows_changed_rate() -> None:
+    changed = study().replace({"study.rate_hz": 200.0})
+    assert changed.alignment.feedback_interval_s == 0.005
+    kept = study(alignment={"feedback_interval_s": 1.0}).replace({"study.rate_hz": 200.0})
+    assert kept.alignment.feedback_interval_s == 1.0
+
+
+def test_swept_feedback_has_no_default() -> None:
+    made = study(axes={"feedback_interval_s": [0.1, 1.0]})
+    assert made.alignment.feedback_interval_s is None
+    assert made.values("feedback_interval_s") == [0.1, 1.0]
+
+
+def test_reset_at_default_feedback_is_not_put_off() -> None:
+    made = study(resets={"reset_at_feedback": True, "reset_times_s": [1.23, 6.0]})
+    (part,) = build.parts(made)
+    np.testing.assert_array_equal(part.group.variants.method.resets.samples, [[123.0, 600.0]])
+
+
+def test_faulty_rate_is_the_only_error() -> None:
+    for rate_hz in (0.0, -1.0, "100"):
+        assert refusal(study={"rate_hz": rate_hz}).startswith("[study] rate_hz: must be ")
+    assert "feedback_interval_s" not in refusal(study={"rate_hz": 1e-320})
