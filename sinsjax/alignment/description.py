@@ -21,6 +21,9 @@ INITIAL_KEYS = (
 )
 """The keys of [alignment] that a method reads which begins with an attitude and a velocity."""
 
+COMMON_KEYS = ("position",)
+"""The keys of [alignment] that act on every method, but for those that are silent of them."""
+
 
 @runtime_checkable
 class StudyView(Protocol):
@@ -116,7 +119,9 @@ class Description:
         sections: its sections of a study file, by name; methods may share one.
         reads: keys of [alignment] and [passes] that act on it, but for those that act on all.
         load: makes its `Implementation`, importing JAX.
-        silent: keys of its sections, and of ``reads``, that it takes and that do not act on it.
+        silent: keys of its sections, of ``reads`` and of `COMMON_KEYS` that do not act on it.
+        refuses: keys of its sections, and of [coarse] in a simulated study, that its rules refuse;
+            a change to it drops them.
         has_covariance: whether it has a covariance P.
         has_floor: whether constant sensor biases leave its heading a bias floor that is known.
         gyro_bias_keys: pairs of keys, the sigma of gyro bias states and that of heading beside
@@ -140,6 +145,7 @@ class Description:
     reads: tuple[str, ...]
     load: Callable[[], Implementation]
     silent: tuple[str, ...] = ()
+    refuses: tuple[str, ...] = ()
     has_covariance: bool = True
     has_floor: bool = True
     gyro_bias_keys: tuple[tuple[str, str], ...] = ()

@@ -17,7 +17,7 @@ from typing import Annotated, Any, NamedTuple, get_type_hints
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from sinsjax.alignment.description import Description
+from sinsjax.alignment.description import COMMON_KEYS, Description
 from sinsjax.alignment.guarding import guarded, mistyped, of_package, what
 from sinsjax.errors import InputError
 from sinsjax.messages import near
@@ -120,7 +120,7 @@ def _loaded(point: EntryPoint) -> Description:
             _check_defaults(point, f"[{name}] default of {key}", of_key)
     named = {"silent": method.silent, "gyro_bias_keys": sum(method.gyro_bias_keys, ())}
     for field, keys in named.items():
-        if unknown := sorted({*keys} - method.keys):
+        if unknown := sorted({*keys} - method.keys - {*COMMON_KEYS}):
             hint = near(unknown[0], sorted(method.keys))
             text = f"{unknown[0]!r} is in none of its sections, nor in reads{hint}"
             raise InputError(f"{_named(point)}: {field}: {text}")

@@ -102,18 +102,18 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     from sinsjax.execution import checks
     from sinsjax.execution.prepare import Options, prepare
     from sinsjax.study.changes import parsed
-    from sinsjax.study.load import load_study
+    from sinsjax.study.load import load_with_notes
     from sinsjax.tuning.run_tuning import prepare_tuning
 
     runtime.configure()  # methods of other packages are evaluated
     overrides = parsed(changes or ())
-    study = load_study(config, overrides)
+    study, notes = load_with_notes(config, overrides)
     if study.tune:
         what = f"tunes {', '.join(study.tune.variables)}"
     else:
         draws = "start times" if study.is_recorded else "draws"
         what = f"variants: {study.n_variants:,}, {draws}: {study.n_draws:,}"
-    lines = [f"{config}: valid; {what}."]
+    lines = [f"{config}: valid; {what}.", *notes]
     if study.is_recorded:
         return [*lines, "The record determines the rate, and so how long this takes."]
     if study.tune:

@@ -16,7 +16,8 @@ from sinsjax.execution.tasks import Job
 from sinsjax.platform import runtime
 from sinsjax.records import read_record, read_reference
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.load import load_study, with_rate
+from sinsjax.study.dropping import keys_without_effect
+from sinsjax.study.load import load_with_notes, tables_of, with_rate
 from sinsjax.study.study import Study
 
 
@@ -97,7 +98,7 @@ def prepare(
     """
     runtime.ensure_configured()
     place = None if options.directory is None else directory.results_path(options.directory)
-    study, label = _load(source, overrides, options)
+    study, label, unused = _load(source, overrides, options)
     kind.check_study(study)
     _check_needs_record(study, label, record, reference)
     overwrite, resumes = options.overwrite, options.resume
@@ -105,6 +106,7 @@ def prepare(
         directory.check_unlocked(place)
         kind.check_free(place, overwrite=overwrite, resume=resumes)
     curves, notes = _curves(study, label, options)
+    notes = [*unused, *notes]
     stored = _stored(study, record, reference)
     if stored is not None:
         study = with_rate(study, stored.record.rate_hz)
@@ -131,9 +133,9 @@ def warn_of_doubts(job: Job) -> Job:
     """Return a prepared job after warning of its doubts, as functions of Python do.
 
     Warns:
-        StudyWarning: one for each doubt.
+        StudyWarning: one for each doubt, and one for keys without effect.
     """
-    for line in job.warnings:
+    for line in (*job.warnings, *keys_without_effect(job.study, tables_of(job.study))):
         warnings.warn(line, StudyWarning, stacklevel=3)
     return job
 
@@ -184,16 +186,17 @@ def load_increments(
 
 def _load(
     source: Path | str | Study, overrides: Mapping[str, Any] | None, options: Options
-) -> tuple[Study, str | None]:
-    """The study, and words for it."""
-    label = options.source
+) -> tuple[Study, str | None, list[str]]:
+    """The study, words for it, and lines about keys of its file that its methods do not use."""
+    label, notes = options.source, list[str]()
     if isinstance(source, Study):
         study = source.replace(overrides) if overrides else source
     else:
-        study, label = load_study(source, overrides or {}), label or Path(source)
+        study, notes = load_with_notes(source, overrides or {})
+        label = label or Path(source)
     if isinstance(label, Path):  # an absolute path means nothing on another machine
         label = label.name if label.is_absolute() else label.as_posix()
-    return study, label
+    return study, label, notes
 
 
 def _check_needs_record(

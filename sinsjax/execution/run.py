@@ -17,6 +17,7 @@ from sinsjax.execution.store import MemoryStore, Sink, Store
 from sinsjax.execution.tasks import Executor, Job, Task, TaskRunner
 from sinsjax.platform import runtime
 from sinsjax.records.reference import StoredRecord
+from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
 
 
@@ -119,6 +120,9 @@ def align(
     """
     most = MOST_CURVES if curves is None else None
     options = Options(curves=curves, most_curves=most)
+    if not isinstance(study, Study):  # read here, so that what a change drops is warned of
+        options = options._replace(source=Path(study))
+        study, overrides = load_study(study, overrides), None
     return _results(warn_of_doubts(prepare(study, overrides, record, reference, options)), tell)
 
 

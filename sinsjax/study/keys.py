@@ -226,11 +226,10 @@ def deciding(key: str) -> tuple[str, ...]:
 
 
 def readers(key: str) -> tuple[str, ...]:
-    """Return the methods that a key has an effect on; all of them if no method claims it."""
+    """Return the methods that a key has an effect on: those that claim it, or else all of them."""
     methods = METHODS.values()
-    if not any(key in method.keys for method in methods):
-        return tuple(METHODS)
-    return tuple(m.name for m in methods if key in m.keys and key not in m.silent)
+    claimed = any(key in method.keys for method in methods)
+    return tuple(m.name for m in methods if (key in m.keys or not claimed) and key not in m.silent)
 
 
 def acts(key: str, values: Mapping[str, Any]) -> bool:

@@ -6,6 +6,7 @@ the rules between keys are those of `rules`. Values stay in the units of the fil
 """
 
 import difflib
+import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,10 +16,10 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from sinsjax.alignment.methods import BROKEN, METHODS, SECTIONS_OF_METHODS, keys_unread, unusable
-from sinsjax.errors import ErrorCollector, InputError
+from sinsjax.errors import ErrorCollector, InputError, StudyWarning
 from sinsjax.messages import escape_controls, explained, index, near
 from sinsjax.study import changes as changing
-from sinsjax.study import files, rules, search_space
+from sinsjax.study import dropping, files, rules, search_space
 from sinsjax.study.keys import (
     EARTH_CONSTANTS,
     SECTION_OF,
@@ -70,15 +71,43 @@ def load_study(path: str | Path, changes: Mapping[str, Any] | None = None) -> St
 
     Raises:
         InputError: the file cannot be read, is no TOML or is no study; a line for each mistake.
+
+    Warns:
+        StudyWarning: the changes drop what another method does not read.
     """
+    data, dropped = _read(path, changes)
+    study = study_from_dict(data, str(files.found(path)))
+    for line in dropped:
+        warnings.warn(line, StudyWarning, stacklevel=2)
+    return study
+
+
+def load_with_notes(path: str | Path, changes: Mapping[str, Any]) -> tuple[Study, list[str]]:
+    """Read and check a study file as `load_study`.
+
+    Returns:
+        The study, and what the user should know of keys that its methods do not use, in lines.
+
+    Raises:
+        InputError: as `load_study`.
+    """
+    data, dropped = _read(path, changes)
+    study = study_from_dict(data, str(files.found(path)))
+    return study, [*dropped, *dropping.keys_without_effect(study, data)]
+
+
+def _read(path: str | Path, changes: Mapping[str, Any] | None) -> tuple[TomlTable, list[str]]:
     data = files.read_tables(path)
-    if changes:
-        data = with_changes(data, changes, str(path))
-    return study_from_dict(data, str(files.found(path)))
+    return change_tables(data, changes, str(path)) if changes else (data, [])
 
 
-def with_changes(data: TomlTable, changes: Mapping[str, Any], source: str) -> TomlTable:
-    """A study's tables with some values changed.
+def change_tables(
+    data: TomlTable, changes: Mapping[str, Any], source: str
+) -> tuple[TomlTable, list[str]]:
+    """Change some values of a study's tables, and drop what another method does not read.
+
+    Returns:
+        The tables, and lines that tell the user what was dropped.
 
     Raises:
         InputError: a change names no key, or is nested too deeply.
@@ -88,7 +117,7 @@ def with_changes(data: TomlTable, changes: Mapping[str, Any], source: str) -> To
     except InputError as error:
         raise error.named(source) from None
     files.require_shallow(out, source)
-    return out
+    return dropping.drop_unread(data, out, changes, source)
 
 
 def study_from_dict(data: TomlTable, source: str = "study") -> Study:
@@ -149,10 +178,17 @@ def replaced(study: Study, changes: Mapping[str, Any]) -> Study:
 
     Raises:
         InputError: that is no study.
+
+    Warns:
+        StudyWarning: the changes drop what another method does not read.
     """
     filled = _FILLED | _feedback_each_sample(study.study.rate_hz)
     tables = changing.without_defaults(tables_of(study), filled)
-    return study_from_dict(with_changes(tables, changes, study.name), study.name)
+    tables, dropped = change_tables(tables, changes, study.name)
+    made = study_from_dict(tables, study.name)
+    for line in dropped:
+        warnings.warn(line, StudyWarning, stacklevel=3)
+    return made
 
 
 def one_variant(study: Study, variant: int) -> Study:

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 import tomli_w
 from support.commands import Command, command_line
+from support.studies import BASE
 
 import sinsjax as package
 from sinsjax.cli import options
@@ -386,21 +387,45 @@ def test_setting_drawn_key_to_value_stops_drawing_it() -> None:
 
 
 def test_empty_table_drops_existing_section_or_key(sinsjax: Command) -> None:
-    """Another method reads neither [filter] nor the axis of resets of the template."""
     template = package.load_study(files.templates()["sweep"])
-    other = {"alignment.method": "inertial", "alignment.feedback_interval_s": {}}
-    with pytest.raises(package.InputError, match=r"drop it, as by --set filter=\{\}: "):
-        template.replace(other)
-    with pytest.raises(package.InputError, match=r"drop it, as by --set axes.reset_times_s=\{\}"):
-        template.replace(other | {"filter": {}})
-    study = template.replace(other | {"filter": {}, "axes.reset_times_s": {}})
-    assert study.filter is None and study.axis_keys == ("phi_u0_deg",)
+    assert template.replace({"axes.reset_times_s": {}}).axis_keys == ("phi_u0_deg",)
     assert template.replace({"axes": {}}).n_variants == 1
     drawn = package.load_study("reset_sweep", {"drawn.gyro_bias_deg_per_h.normal": [0.0, 0.1]})
     assert not drawn.replace({"drawn": {}}).drawn_keys
     for place in ("coarse", "axes.p0_yaw_deg", "filter.p0_yaw_deg.high"):
         code, _, error = sinsjax("validate", "reset_phase", "--set", f"{place}={{}}")
         assert (code, error.count("\n")) == (2, 1) and f"{place}: nothing is there to drop" in error
+
+
+DROPPED = (
+    "Dropped, as method inertial does not read them: [alignment] feedback_interval_s, [filter],"
+    " [axes] reset_times_s."
+)
+IDLE = "[alignment] phi_e0_deg, phi_n0_deg, [axes] phi_u0_deg have no effect with method inertial."
+
+
+def test_another_method_needs_no_further_changes(sinsjax: Command, tmp_path: Path) -> None:
+    """It reads neither [filter] nor the axis of resets of the template."""
+    template = files.templates()["sweep"]
+    changes = ("--set", "alignment.method=inertial", "--set", "study.draws=2")
+    code, shown, error = sinsjax("validate", template, *changes)
+    assert (code, error) == (0, "")
+    assert shown.splitlines()[1:3] == [DROPPED, IDLE]
+    code, shown, error = sinsjax("sweep", template, *changes, "-o", tmp_path / "out")
+    assert code == 0 and [shown.count(DROPPED), shown.count(IDLE)] == [1, 1]
+    with pytest.warns(package.StudyWarning, match="Dropped, as method inertial does not read"):
+        study = package.load_study(template).replace({"alignment.method": "inertial"})
+    assert study.filter is None and study.axis_keys == ("phi_u0_deg",)
+    stored = package.load_study(tmp_path / "out" / "study.toml")
+    assert stored.alignment == study.alignment and stored.axes == study.axes
+
+
+def test_keys_without_effect_are_named_before_a_run(sinsjax: Command, tmp_path: Path) -> None:
+    tables = dict(BASE, alignment={"method": "inertial", "ve0_m_per_s": 5.0, "phi_u0_deg": 20.0})
+    (tmp_path / "small.toml").write_text(tomli_w.dumps(tables))
+    line = "[alignment] ve0_m_per_s, phi_u0_deg have no effect with method inertial."
+    assert sinsjax("validate", "small.toml")[1].splitlines()[1] == line
+    assert sinsjax("run", "small.toml", "-o", "out")[1].count(line) == 1
 
 
 def test_dependent_defaults_are_recomputed_on_replace() -> None:

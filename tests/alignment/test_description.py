@@ -9,11 +9,12 @@ from oracles.in_engine import navigation
 from support.studies import small_study
 
 from sinsjax.alignment.base import Options
+from sinsjax.alignment.description import COMMON_KEYS
 from sinsjax.alignment.methods import METHODS
 from sinsjax.alignment.page import page
 from sinsjax.engine.build import Scenario
 from sinsjax.execution import layouts
-from sinsjax.study.keys import SECTIONS, TUNABLE
+from sinsjax.study.keys import COARSE_KEYS, SECTIONS, TUNABLE
 
 methods = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
 
@@ -25,7 +26,8 @@ def test_methods_page_is_up_to_date():
 @methods
 def test_methods_name_only_existing_keys(method):
     known = {key for name in TUNABLE for key in SECTIONS[name].model_fields}
-    assert {*method.reads} <= known and {*method.silent} <= method.keys
+    assert {*method.reads} <= known and {*method.silent} <= {*method.keys, *COMMON_KEYS}
+    assert {*method.refuses} <= {*method.keys, *COARSE_KEYS}
     for pair in method.gyro_bias_keys:
         assert {*pair} <= method.keys
     if relaxed := method.implementation.relaxed:

@@ -377,13 +377,14 @@ def test_syntax_errors_name_the_line(tmp_path: Path, text: str):
 def test_invalid_values_in_file_are_refused_with_file_name(tmp_path: Path):
     path = tmp_path / "s.toml"
     path.write_text(
-        "[study]\nduration_s = nan\nrate_hz = 100\n"
-        "[earth]\nlatitude_deg = 32\n[motion]\nyaw_center_deg = 20"
+        "[study]\nduration_s = nan\nrate_hz = 100\n[earth]\nlatitude_deg = 32\n"
+        "[motion]\nyaw_center_deg = 20\n[alignment]\nmethod = 'inertial'"
     )
     assert_load_refused(path, r"\[study\] duration_s: must be finite, not nan")
     path.write_text(
         '[study]\nduration_s = 60\nrate_hz = 100\n"a\\nb" = 1\n'
-        "[earth]\nlatitude_deg = 32\n[motion]\nyaw_center_deg = 20"
+        "[earth]\nlatitude_deg = 32\n[motion]\nyaw_center_deg = 20\n"
+        "[alignment]\nmethod = 'inertial'"
     )
     assert_load_refused(path, r"\[study\] a b: unknown key")
     path.write_text("[study]\nseed = " + "9" * 5000)

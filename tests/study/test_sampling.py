@@ -458,5 +458,6 @@ def test_recorded_study_may_draw_only_initial_keys():
         ),
     ):
         with pytest.raises(InputError) as caught:
-            study_from_dict(RECORDED | {"drawn": {key: {"values": [1]}}}, "s.toml")
+            drawn = {"drawn": {key: {"values": [1]}}}
+            study_from_dict(with_paper_values(RECORDED | drawn), "s.toml")
         assert str(caught.value) == f"s.toml: [drawn] {key}: {reason}"

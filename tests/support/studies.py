@@ -53,8 +53,9 @@ def with_paper_values(tables: dict[str, Any]) -> dict[str, Any]:
     """
     alignment, filter_, axes = (tables.get(name, {}) for name in ("alignment", "filter", "axes"))
     cases = tables.get("cases", [])
-    if not all(isinstance(table, dict) for table in (alignment, filter_, axes)):
+    if not all(isinstance(table, dict) for table in (alignment, filter_)):
         return tables
+    axes = axes if isinstance(axes, dict) else {}
     zips = [table for table in axes.values() if isinstance(table, dict)]
     rows = [row for row in cases if isinstance(row, dict)] if isinstance(cases, list) else []
     varied = {

@@ -2,7 +2,13 @@
 
 from functools import partial
 
-from sinsjax.alignment.description import INITIAL_KEYS, CheckedStudy, Description, Implementation
+from sinsjax.alignment.description import (
+    COMMON_KEYS,
+    INITIAL_KEYS,
+    CheckedStudy,
+    Description,
+    Implementation,
+)
 
 
 def _load(name: str) -> Implementation:
@@ -39,7 +45,8 @@ _inertial_frame = partial(
     Description,
     sections={},
     reads=INITIAL_KEYS,
-    silent=INITIAL_KEYS,
+    silent=(*INITIAL_KEYS, *COMMON_KEYS),
+    refuses=("coarse_method", "coarse_duration_s", "coarse_then"),
     has_covariance=False,
     rules=(check_passes, check_coarse),
 )

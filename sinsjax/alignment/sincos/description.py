@@ -11,7 +11,7 @@ from sinsjax.alignment.description import Implementation, OwnColumn
 from sinsjax.alignment.filters.description import COLUMNS, OF_BIASES, filter_description
 from sinsjax.alignment.filters.section import FilterSection, ResetsSection, check_resets
 from sinsjax.alignment.sincos.section import SurgeSection, check_no_trigger
-from sinsjax.alignment.triggers.section import check_trigger
+from sinsjax.alignment.triggers.section import TriggerKeys, check_trigger
 from sinsjax.columns import Column
 from sinsjax.units import DEG_PER_H
 
@@ -77,6 +77,7 @@ SURGE = filter_description(
     sections={"filter": FilterSection, "resets": ResetsSection, "surge": SurgeSection},
     load=_load_surge,
     silent=(*OF_BIASES, "p0_yaw_deg", "reset_yaw_deg"),
+    refuses=tuple(TriggerKeys.model_fields),
     rules=(check_no_trigger, check_trigger, check_resets),
     columns=(*COLUMNS, *NORTH_DRIFT),
     has_error_step=False,

@@ -1,0 +1,329 @@
+"""Keys that a study gives and its methods do not use: dropped, or named in one line.
+
+A change of the method drops what the new one does not read. What it reads without effect stays, and
+is named before the study runs.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+from sinsjax.alignment.description import INITIAL_KEYS
+from sinsjax.alignment.methods import METHODS, keys_unread
+from sinsjax.errors import InputError
+from sinsjax.study.changes import copied
+from sinsjax.study.keys import (
+    COARSE_KEYS,
+    SECTION_OF,
+    SECTIONS,
+    SWEEPABLE,
+    TomlTable,
+    acts,
+    conditions,
+    deciding,
+    info,
+    readers,
+)
+from sinsjax.study.study import Study
+
+_AMPLITUDES = tuple(f"{angle}_amplitude_deg" for angle in ("pitch", "roll", "yaw"))
+_MOST_VALUES = 3  # that a line shows of a key
+_VARIABLES = "[tune.variables]"
+
+Table = dict[str, Any]
+Listing = dict[str, list[str]]
+"""Keys by the table, in brackets, that gives them."""
+
+
+def drop_unread(
+    before: Mapping[str, Any], after: TomlTable, changes: Mapping[str, Any], source: str
+) -> tuple[TomlTable, list[str]]:
+    """Drop what the methods of a changed study do not read, unless it had the same before.
+
+    Args:
+        before: the study's tables without the changes.
+        after: its tables with them, left as they are.
+        changes: values by place; a key that is given here stays, whatever the method.
+        source: what an error calls the study.
+
+    Returns:
+        The tables that are left, and a line for the user about what is not.
+
+    Raises:
+        InputError: none of the tuned keys would be left.
+    """
+    methods = _method_names(after)
+    if methods == _method_names(before) or not methods <= METHODS.keys():
+        return after, []
+    given = {_changed_key(place) for place, value in changes.items() if value != {}}
+    out: TomlTable = copied(after)
+    dropped, tuned = _drop(out, _unread_keys(methods, recorded="record" in out) - given)
+    named = _name_methods(methods)
+    if tuned and not out["tune"]["variables"]:
+        raise InputError(
+            f"{source}: {_VARIABLES}: {named} reads none of {', '.join(tuned)} (tune keys that it"
+            " reads, as by --set tune.variables.KEY.low=..., or drop the section by --set tune={})"
+        )
+    repeats = _leave_out_repeats(before, out)
+    parts = []
+    if dropped:
+        verb = "does" if len(methods) == 1 else "do"
+        parts.append(f"Dropped, as {named} {verb} not read them: {', '.join(dropped)}")
+    if repeats:
+        first = "left" if parts else "Left"
+        parts.append(f"{first} out, as they then repeat others: {', '.join(repeats)}")
+    lines = ["; ".join(parts)] if parts else []
+    if "judged_from" not in given and (name := _method_without_floor(out, methods)):
+        value = out["study"].pop("judged_from")
+        lines.append(
+            f"Dropped, as method {name} has no bias floor of heading on this base: [study]"
+            f" judged_from = '{value}'; success is judged from the truth"
+        )
+    return out, [f"{line}." for line in lines]
+
+
+def keys_without_effect(study: Study, tables: Mapping[str, Any]) -> list[str]:
+    """Name the given keys that act on no run of a study, in one line; no line if all of them act.
+
+    Args:
+        study: checked study.
+        tables: that it was made of. If they give every key, as those of a resolved study do, only
+            those that differ from their defaults count as given.
+    """
+    resolved = _gives_every_key(study, tables)
+    idle: dict[str, Listing] = {}  # by the reason
+    for place, table, keys in _places(tables):
+        for key in keys:
+            by_default = resolved and place[1:-1] in SECTIONS and _is_default(key, table[key])
+            if by_default or SECTION_OF.get(key) not in SWEEPABLE:
+                continue
+            if reason := _why_idle(study, key, tuned=place.startswith("[tune")):
+                found = idle.setdefault(reason, {}).setdefault(place, [])
+                found.extend([key] if key not in found else [])
+    parts = []
+    for reason, listing in idle.items():
+        verb = "has" if sum(map(len, listing.values())) == 1 else "have"
+        parts.append(f"{', '.join(_format_listing(listing))} {verb} no effect {reason}")
+    return [f"{'; '.join(parts)}."] if parts else []
+
+
+def _places(tables: Mapping[str, Any]) -> Iterator[tuple[str, Table, list[str]]]:
+    """Every table whose keys may differ between runs: its name in brackets, itself, its keys."""
+    axes, cases, tune = (tables.get(name) for name in ("axes", "cases", "tune"))
+    found = [(f"[{name}]", tables.get(name)) for name in SWEEPABLE]
+    zips = axes.items() if isinstance(axes, Mapping) else ()
+    found += [("[axes]", axes), *((f"[axes.{name}]", table) for name, table in zips)]
+    found += [("[cases]", row) for row in (cases if isinstance(cases, list | tuple) else ())]
+    found += [("[drawn]", tables.get("drawn"))]
+    of_tune = tune if isinstance(tune, Mapping) else {}
+    found += [(_VARIABLES, of_tune.get("variables")), ("[tune.baseline]", of_tune.get("baseline"))]
+    for place, table in found:
+        if isinstance(table, dict):
+            zipped = place == "[axes]"  # a zip may have the name of a key
+            yield place, table, [k for k, v in table.items() if not (zipped and _is_table(v))]
+
+
+def _is_table(value: Any) -> bool:
+    return isinstance(value, Mapping)
+
+
+def _changed_key(place: str) -> str:
+    """The leaf key that a change names."""
+    section, *path = place.split(".")
+    if section == "axes":
+        return path[-1] if path else ""
+    return (path[1:] or [""])[0] if section == "tune" else (path or [""])[0]
+
+
+def _values(tables: Mapping[str, Any], key: str) -> list[Any]:
+    """The values of a key as the tables give them; None of a drawn one."""
+    swept: list[Any] = []
+    fixed: list[Any] = []
+    for place, table, keys in _places(tables):
+        if key not in keys or place.startswith("[tune"):
+            continue
+        if place == "[drawn]":
+            swept.append(None)
+        elif place.startswith("[axes"):
+            swept += table[key] if isinstance(table[key], list | tuple) else []
+        else:
+            (swept if place == "[cases]" else fixed).append(table[key])
+    return swept or fixed
+
+
+def _method_names(tables: Mapping[str, Any]) -> set[str]:
+    default = SECTIONS["alignment"].model_fields["method"].default
+    return {str(value) for value in _values(tables, "method") or [default]}
+
+
+def _name_methods(methods: Iterable[str]) -> str:
+    """Methods as a line names them."""
+    first, *others = sorted(methods)
+    if not others:
+        return f"method {first}"
+    return f"methods {', '.join([first, *others[:-1]])} and {others[-1]}"
+
+
+def _unread_keys(methods: Iterable[str], *, recorded: bool) -> set[str]:
+    """The keys that methods do not read, and those that each of them refuses."""
+    refused = set.intersection(*({*METHODS[name].refuses} for name in methods))
+    if recorded:  # whose coarse alignment precedes every method
+        refused -= {*COARSE_KEYS}
+    return keys_unread(methods) | refused
+
+
+def _drop(out: TomlTable, unread: set[str]) -> tuple[list[str], list[str]]:
+    """Drop keys wherever they are given, and the tables that are then empty.
+
+    Returns:
+        What is dropped, as a line lists it, and the tuned keys among it.
+    """
+    gone: Listing = {}
+    for place, table, keys in _places(out):
+        for key in unread.intersection(keys):
+            del table[key]
+        listed = gone.setdefault(place, [])
+        listed.extend(key for key in keys if key in unread and key not in listed)
+    gone = {place: keys for place, keys in gone.items() if keys}
+    for place in gone:
+        name, _, below = place[1:-1].partition(".")
+        if name == "cases" and not any(map(_has_keys, out["cases"])):
+            del out["cases"]
+        elif name == "drawn" and out["drawn"].keys() <= {"sampling"}:
+            del out["drawn"]
+        elif below and place != _VARIABLES and not out[name][below]:
+            del out[name][below]
+        elif name not in ("alignment", "axes", "cases", "drawn", "tune") and not out[name]:
+            del out[name]
+    if not out.get("axes", True):
+        del out["axes"]
+    listed = _format_listing({p: [] if _is_gone(out, p) else keys for p, keys in gone.items()})
+    return listed, gone.get(_VARIABLES, [])
+
+
+def _has_keys(case: Any) -> bool:
+    """Whether a case has more than its label."""
+    return not isinstance(case, dict) or bool(case.keys() - {"case"})
+
+
+def _is_gone(tables: TomlTable, place: str) -> bool:
+    """Whether there is no more table of a name."""
+    name, _, below = place[1:-1].partition(".")
+    return name not in tables or bool(below) and below not in tables[name]
+
+
+def _format_listing(keys: Listing) -> list[str]:
+    """Keys behind their table; a table alone if it has none."""
+    return [" ".join(filter(None, (place, ", ".join(own)))) for place, own in keys.items()]
+
+
+def _leave_out_repeats(before: Mapping[str, Any], out: TomlTable) -> list[str]:
+    """Leave cases and points of zips out that differ from others no more; return how many."""
+    lines = []
+    cases = out.get("cases")
+    if isinstance(cases, list) and all(map(_is_table, cases)):
+        kept = _first_places(_case_rows(before.get("cases")), _case_rows(cases))
+        lines += _count_left_out(kept, cases, "[cases]")
+        out["cases"] = [cases[i] for i in kept]
+    earlier, axes = (
+        table if isinstance(table, dict) else {} for table in (before.get("axes"), out.get("axes"))
+    )
+    for name, table in axes.items():
+        if _is_table(table) and _is_table(earlier.get(name)):
+            rows = _zip_rows(table)
+            kept = _first_places(_zip_rows(earlier[name]), rows)
+            lines += _count_left_out(kept, rows, f"points of [axes.{name}]")
+            if len(kept) < len(rows):
+                table |= {key: [values[i] for i in kept] for key, values in table.items()}
+    return lines
+
+
+def _case_rows(cases: Any) -> list[Any]:
+    """The values of every case, without its label."""
+    return [_freeze({key: row[key] for key in row if key != "case"}) for row in cases or ()]
+
+
+def _zip_rows(table: Mapping[str, Any]) -> list[Any]:
+    """The values of every point of a zip; none of one whose lists differ in length."""
+    columns = [v if isinstance(v, list | tuple) else () for v in table.values()]
+    same_length = len({*map(len, columns)}) == 1
+    return [*map(_freeze, zip(*columns, strict=True))] if same_length else []
+
+
+def _first_places(before: Sequence[Any], after: Sequence[Any]) -> list[int]:
+    """The places of all rows but of those that have become equal to an earlier one."""
+    if len(before) != len(after) or len({*before}) < len(before):
+        return [*range(len(after))]
+    first: dict[Any, int] = {}
+    return [i for i, row in enumerate(after) if first.setdefault(row, i) == i]
+
+
+def _count_left_out(kept: Sequence[int], rows: Sequence[Any], what: str) -> list[str]:
+    return [f"{len(rows) - len(kept)} of {len(rows)} {what}"] if len(kept) < len(rows) else []
+
+
+def _freeze(value: Any) -> Any:
+    """A value that can be compared with others as a key of a dictionary."""
+    if isinstance(value, Mapping):
+        return frozenset((key, _freeze(entry)) for key, entry in value.items())
+    return tuple(map(_freeze, value)) if isinstance(value, list | tuple) else value
+
+
+def _method_without_floor(tables: TomlTable, methods: set[str]) -> str | None:
+    """Return a method without a bias floor, in a study that its file judges from it."""
+    settings = tables.get("study")
+    judged = settings.get("judged_from") if isinstance(settings, Mapping) else None
+    if judged in (None, "truth") or "record" in tables:
+        return None
+    moves = any(value != 0 for key in _AMPLITUDES for value in _values(tables, key))
+    for name in sorted(methods):
+        if not METHODS[name].has_floor or (METHODS[name].gyro_bias_keys and moves):
+            return name
+    return None
+
+
+def _gives_every_key(study: Study, tables: Mapping[str, Any]) -> bool:
+    for name in SWEEPABLE:
+        if study.has(name):
+            values = dict(getattr(study, name)).items()
+            own = {key for key, value in values if value is not None} - {*study.drawn_keys}
+            if not own <= tables.get(name, {}).keys():
+                return False
+    return True
+
+
+def _is_default(key: str, value: Any) -> bool:
+    default = info(key).default
+    own = SECTIONS[SECTION_OF[key]].model_fields[key].default
+    return _freeze(value) == _freeze(own if default is None else default)
+
+
+def _why_idle(study: Study, key: str, *, tuned: bool) -> str | None:
+    """Why a key acts on no run, in words; None if it acts on one."""
+    varied = {*study.tune.variables, *study.tune.baseline} if study.tune else set()
+    if "method" not in varied and {*study.methods}.isdisjoint(readers(key)):
+        return f"with {_name_methods(study.methods)}"
+    if tuned or not varied.isdisjoint(deciding(key)) or not study.has(SECTION_OF[key]):
+        return None
+    coarse = COARSE_KEYS[::2] if key in INITIAL_KEYS and study.coarse else ()
+    points = list(study.combinations(*dict.fromkeys((*deciding(key), *coarse))))
+    if coarse:
+        points = [p for p in points if not study.has_coarse_stage(*(p[k] for k in coarse))]
+        if not points:
+            return "beside coarse alignment"
+    if any(acts(key, point) for point in points):
+        return None
+    for condition in conditions(key):
+        values = {given: {point[given] for point in points} for given in condition.given}
+        if not any(condition.acts(*(p[given] for given in condition.given)) for p in points):
+            return f"with {', '.join(_format_values(*found) for found in values.items())}"
+    return "in any variant"
+
+
+def _format_values(key: str, values: set[Any]) -> str:
+    """The values that a key takes, as a condition."""
+    if len(values) > _MOST_VALUES:
+        return f"these {key}"
+    if values == {None}:
+        return f"no {key}"
+    shown = [f"{v:g}" if isinstance(v, float) else str(v) for v in sorted(values, key=str)]
+    return f"{key} = {' or '.join(shown)}"

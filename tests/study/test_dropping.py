@@ -1,0 +1,378 @@
+"""Another method for a study: what it does not read is dropped, what it ignores is named."""
+
+import re
+import tomllib
+import warnings
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+import tomli_w
+from support.studies import BASE, small_study, small_tables
+
+from sinsjax import InputError, StudyWarning, load_study
+from sinsjax.alignment.description import COMMON_KEYS
+from sinsjax.alignment.methods import METHODS
+from sinsjax.engine.batch import chunks
+from sinsjax.engine.build import Scenario
+from sinsjax.execution.prepare import prepare
+from sinsjax.execution.run import run
+from sinsjax.study import files
+from sinsjax.study.dropping import drop_unread, keys_without_effect
+from sinsjax.study.keys import SECTION_OF, conditions, readers
+from sinsjax.study.load import load_with_notes, tables_of
+from sinsjax.study.study import Study
+
+SHIPPED = {**files.studies(), **files.templates()}
+FULL = {
+    **BASE,
+    "alignment": {"method": "kalman5", "phi_e0_deg": 5.0, "specific_force": "measured"},
+    "filter": {"p0_yaw_deg": 60.0},
+    "resets": {"reset_kind": "yaw"},
+    "axes": {"reset_times_s": [[2.0], [3.0]], "phi_u0_deg": [10.0, 30.0]},
+}
+"""A study with a section, an axis and keys that not every method reads."""
+
+
+def change_study(
+    changes: dict[str, Any], tables: dict[str, Any], tmp_path: Path
+) -> tuple[Study, list[str]]:
+    """A study file after some changes, and the lines about it."""
+    path = tmp_path / "study.toml"
+    path.write_text(tomli_w.dumps(tables), encoding="utf-8")
+    return load_with_notes(path, changes)
+
+
+def refusal_of_change(changes: dict[str, Any], tables: dict[str, Any], tmp_path: Path) -> str:
+    """The line with which changes of a study file are refused."""
+    with pytest.raises(InputError) as caught:
+        change_study(changes, tables, tmp_path)
+    return str(caught.value).removeprefix(f"{tmp_path / 'study.toml'}: ")
+
+
+def expected_refusal(study: Study, method: str) -> str | None:
+    """Why a shipped study cannot be had with another method, which the user has to decide."""
+    new = METHODS[method]
+    if study.tune and new.keys.isdisjoint(study.tune.variables):
+        return "reads none of"  # nothing is left to tune
+    by_covariance = study.is_estimated or (study.tune and "covariance" in study.tune.searches)
+    if by_covariance and not new.has_error_step:
+        return "covariance analysis knows no linear part of"  # draws take far longer
+    if study.is_recorded and "filter" in new.sections and not study.has("filter"):
+        return "a record does not give the noise of its"  # nor does the study
+    if "coarse_method" in new.refuses and study.passes:
+        return "takes a record in once"  # without passes it would read more data than the others
+    return None
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_method_of_shipped_study_can_be_changed(name: str) -> None:
+    path = SHIPPED[name]
+    study = load_study(path)
+    for method in METHODS:
+        reason = expected_refusal(study, method)
+        if reason is None:
+            made, _ = load_with_notes(path, {"alignment.method": method})
+            assert made.methods == (method,)
+            continue
+        with pytest.raises(InputError, match=reason):
+            load_with_notes(path, {"alignment.method": method})
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_method_of_loaded_study_can_be_replaced(method: str) -> None:
+    study = load_study("reset_sweep")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", StudyWarning)
+        assert study.replace({"alignment.method": method}).methods == (method,)
+
+
+@pytest.mark.representative("kalman10", "inertial")
+@pytest.mark.optimised(False)
+@pytest.mark.parametrize("method", METHODS)
+def test_reset_sweep_runs_with_any_method(method: str) -> None:
+    job = prepare("reset_sweep", {"alignment.method": method, "study.draws": 2})
+    few = {"phi_u0_deg": [0, 30]}
+    if "reset_count" in job.study.axes:
+        few |= {"reset_count": [0, 2], "reset_cycle_s": [10, 20]}
+    short = {"study.duration_s": 150.0, "study.window_s": [100, 150]}
+    study = job.study.replace(short | {f"axes.{key}": values for key, values in few.items()})
+    summary = run(study).summary
+    assert summary.num_rows == 2 * study.n_variants
+    assert np.isfinite(summary["phi_u_arcmin"].to_numpy()).all()
+
+
+def test_line_lists_dropped_sections_keys_and_axes(tmp_path: Path) -> None:
+    study, notes = change_study({"alignment.method": "inertial"}, FULL, tmp_path)
+    assert (study.filter, study.resets, list(study.axes)) == (None, None, ["phi_u0_deg"])
+    assert notes == [
+        "Dropped, as method inertial does not read them: [alignment] specific_force, [filter],"
+        " [resets], [axes] reset_times_s.",
+        "[alignment] phi_e0_deg, [axes] phi_u0_deg have no effect with method inertial.",
+    ]
+
+
+def test_replace_and_load_study_warn_of_what_is_dropped(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text(tomli_w.dumps(FULL), encoding="utf-8")
+    with pytest.warns(StudyWarning, match=r"^Dropped, .*: \[filter\], \[resets\], \[axes\] ") as by:
+        load_study(path).replace({"alignment.method": "compass"})
+    assert len(by) == 1
+    with pytest.warns(StudyWarning, match=r"^Dropped, as method compass does not read them") as by:
+        study = load_study(path, {"alignment.method": "compass"})
+    assert len(by) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        study.replace({"alignment.method": "compass", "alignment.phi_e0_deg": 1.0})
+        study.replace({"alignment.method": "kalman5"})  # which reads whatever compass does not
+
+
+def test_key_given_for_method_that_does_not_read_it_is_refused(tmp_path: Path) -> None:
+    to_inertial = {"alignment.method": "inertial"}
+    line = refusal_of_change(to_inertial | {"filter.p0_yaw_deg": 9.0}, FULL, tmp_path)
+    assert line == "[filter] p0_yaw_deg: does not apply to method inertial"
+    line = refusal_of_change(to_inertial | {"axes.reset_count": [0, 1]}, FULL, tmp_path)
+    assert line.startswith("[axes] reset_count: does not apply to method inertial")
+
+
+def test_unread_keys_of_unchanged_method_are_refused(tmp_path: Path) -> None:
+    tables = FULL | {"compass": {"level_time_s": 9.0}}
+    line = "[compass] level_time_s: does not apply to method kalman5"
+    for changes in ({}, {"study.draws": 4}, {"alignment.method": "kalman5"}):
+        assert refusal_of_change(changes, tables, tmp_path) == line
+
+
+def test_misspelt_method_drops_nothing(tmp_path: Path) -> None:
+    line = refusal_of_change({"alignment.method": "inertail"}, FULL, tmp_path)
+    assert line.startswith("[alignment] method: must be ")
+    assert line.endswith("not 'inertail' (did you mean inertial?)")
+
+
+def test_axis_of_methods_drops_what_none_of_them_reads(tmp_path: Path) -> None:
+    study, notes = change_study({"axes.method": ["inertial", "compass"]}, FULL, tmp_path)
+    assert study.filter is None and list(study.axes) == ["phi_u0_deg", "method"]
+    assert notes == [
+        "Dropped, as methods compass and inertial do not read them: [alignment] specific_force,"
+        " [filter], [resets], [axes] reset_times_s."
+    ]
+    study, notes = change_study({"axes.method": ["inertial", "kalman5"]}, FULL, tmp_path)
+    assert study.filter and study.n_variants == 8 and not notes
+    zipped = {"axes.both.method": ["inertial", "compass"], "axes.both.phi_u0_deg": [1.0, 2.0]}
+    assert change_study(zipped, FULL, tmp_path)[0].filter is None
+    _, notes = change_study(
+        {"axes": {}, "filter": {}, "alignment.method": "compass"}, FULL, tmp_path
+    )
+    assert notes == [
+        "Dropped, as method compass does not read them: [alignment] specific_force, [resets]."
+    ]
+
+
+def test_cases_and_zips_that_become_equal_are_left_out(tmp_path: Path) -> None:
+    cases = [
+        {"case": "a", "method": "kalman5", "p0_yaw_deg": 10.0, "ve0_m_per_s": 0.0},
+        {"case": "b", "method": "kalman10", "p0_yaw_deg": 10.0, "ve0_m_per_s": 0.0},
+        {"case": "c", "method": "compass", "p0_yaw_deg": 20.0, "ve0_m_per_s": 1.0},
+    ]
+    zips = {"policy": {"q_scale": [1.0, 2.0, 3.0], "phi_u0_deg": [5.0, 5.0, 7.0]}}
+    tables = {**BASE, "cases": cases, "axes": zips}
+    study, notes = change_study({"alignment.method": "compass"}, tables, tmp_path)
+    assert study.cases == (
+        {"case": "a", "ve0_m_per_s": 0.0},
+        {"case": "c", "ve0_m_per_s": 1.0},
+    )
+    assert study.zips == {"policy": {"phi_u0_deg": (5.0, 7.0)}}
+    assert notes == [
+        "Dropped, as method compass does not read them: [axes.policy] q_scale, [cases] p0_yaw_deg;"
+        " left out, as they then repeat others: 1 of 3 [cases], 1 of 3 points of [axes.policy]."
+    ]
+    study, notes = change_study({"alignment.method": "kalman5"}, tables, tmp_path)
+    assert study.n_variants == 6
+    assert notes == ["Left out, as they then repeat others: 1 of 3 [cases]."]
+    bare = [{key: case[key] for key in ("case", "method", "p0_yaw_deg")} for case in cases]
+    study, notes = change_study(
+        {"alignment.method": "compass"}, {**BASE, "cases": bare, "axes": zips}, tmp_path
+    )
+    assert not study.cases and "[cases];" in notes[0]
+
+
+def test_empty_zip_and_draws_are_dropped() -> None:
+    before = small_tables(
+        axes={"policy": {"q_scale": [1.0, 2.0]}}, drawn={"p0_yaw_deg": {"uniform": [1.0, 2.0]}}
+    )
+    after = before | {"alignment": before["alignment"] | {"method": "compass"}}
+    out, notes = drop_unread(before, after, {"alignment.method": "compass"}, "study")
+    assert out == small_tables(alignment={"method": "compass"})
+    assert notes == [
+        "Dropped, as method compass does not read them: [alignment] feedback_interval_s, [filter],"
+        " [axes.policy], [drawn]."
+    ]
+    assert "policy" in after["axes"]
+
+
+def test_tuned_keys_are_dropped_while_one_is_left(tmp_path: Path) -> None:
+    template = tomllib.loads(files.text_of("tune"))
+    variables, ranges = template["tune"]["variables"], {"low": 0.1, "high": 9.0}
+    to_compass = {"alignment.method": "compass"}
+    line = refusal_of_change(to_compass, template, tmp_path)
+    assert line.startswith("[tune.variables]: method compass reads none of reset_times_s, p0_yaw")
+    assert line.endswith("or drop the section by --set tune={})")
+    assert change_study(to_compass | {"tune": {}}, template, tmp_path)[0].tune is None
+    variables["ve0_m_per_s"] = ranges
+    study, notes = change_study(to_compass, template, tmp_path)
+    assert study.tune and list(study.tune.variables) == ["ve0_m_per_s"]
+    assert not study.tune.baseline
+    assert "[tune.variables] reset_times_s, p0_yaw_deg, [tune.baseline]" in notes[0]
+    del variables["ve0_m_per_s"]
+    study, notes = change_study({"alignment.method": "kalman_sincos"}, template, tmp_path)
+    assert study.tune and list(study.tune.variables) == ["reset_times_s", "p0_yaw_deg"]
+    assert any("[tune.variables] p0_yaw_deg" in line and "no effect" in line for line in notes)
+
+
+def test_keys_that_method_refuses_are_dropped(tmp_path: Path) -> None:
+    trigger = {"reset_trigger": "nis", "trigger_threshold": 9.0}
+    tables = FULL | {"resets": trigger, "coarse": {"coarse_duration_s": 1.0}}
+    study, notes = change_study({"alignment.method": "kalman_surge"}, tables, tmp_path)
+    assert study.resets and study.resets.reset_trigger is None and study.coarse
+    assert "[resets]" in notes[0]
+    study, notes = change_study({"alignment.method": "optimisation"}, tables, tmp_path)
+    assert study.coarse is None and "[coarse]" in notes[0]
+    recorded = load_study(SHIPPED["car_test"])
+    with pytest.warns(StudyWarning, match="Dropped"):
+        assert recorded.replace({"alignment.method": "inertial"}).coarse
+
+
+def test_judging_from_limit_is_dropped_for_method_without(tmp_path: Path) -> None:
+    limited = FULL | {"study": FULL["study"] | {"judged_from": "floor"}}
+    to_ten = {"alignment.method": "kalman10"}
+    study, notes = change_study(to_ten, limited, tmp_path)
+    assert study.study.judged_from is None
+    assert notes == [
+        "Dropped, as method kalman10 has no bias floor of heading on this base: [study]"
+        " judged_from = 'floor'; success is judged from the truth."
+    ]
+    study, notes = change_study(to_ten | {"study.judged_from": "floor"}, limited, tmp_path)
+    assert study.study.judged_from == "floor" and not notes
+    still = {f"{angle}_amplitude_deg": 0.0 for angle in ("pitch", "roll", "yaw")}
+    parked = limited | {"motion": limited["motion"] | still}
+    assert change_study(to_ten, parked, tmp_path)[0].study.judged_from == "floor"
+    rocked = parked | {"axes": {"pitch_amplitude_deg": [0.0, 1.0]}}
+    assert change_study(to_ten, rocked, tmp_path)[0].study.judged_from is None
+
+
+# Keys without effect
+
+OTHER: dict[str, Any] = {
+    **{"phi_e0_deg": 4.0, "phi_n0_deg": 4.0, "phi_u0_deg": 20.0, "misalignment": "euler"},
+    **{"ve0_m_per_s": 1.0, "vn0_m_per_s": 1.0, "position": "integrated"},
+    **{"p0_yaw_deg": 33.0, "p0_gyro_bias_deg_per_h": 0.3, "p0_accel_bias_ug": 77.0},
+    **{"reset_yaw_deg": 33.0, "reset_gyro_bias_deg_per_h": 0.3, "reset_accel_bias_ug": 77.0},
+}
+"""Another value for each key that is silent for some method."""
+FIRST = {
+    **{"ve0_m_per_s": 0.3, "vn0_m_per_s": 0.3, "phi_e0_deg": 5.0, "phi_n0_deg": 5.0},
+    **{"phi_u0_deg": 30.0, "misalignment": "vector", "position": "fixed"},
+    **{"p0_yaw_deg": 80.0, "p0_gyro_bias_deg_per_h": 0.1, "p0_accel_bias_ug": 500.0},
+    **{"reset_yaw_deg": 70.0, "reset_gyro_bias_deg_per_h": 0.2, "reset_accel_bias_ug": 400.0},
+}
+
+
+def own_keys(method: str) -> list[str]:
+    """The keys of `OTHER` that a method takes."""
+    return [key for key in OTHER if key in METHODS[method].keys or key in COMMON_KEYS]
+
+
+def outcomes(method: str, keys: list[str]) -> list[list[np.ndarray]]:
+    """All numbers of one run: as it is, then with another value for one key after the other."""
+    first = {key: FIRST[key] for key in own_keys(method)}
+    tables: dict[str, Any] = {"alignment": {"method": method} | dict.fromkeys(BASE["alignment"])}
+    if "resets" in METHODS[method].sections:
+        tables["resets"] = {"reset_times_s": [2.37]}
+    cases = [first, *(first | {key: OTHER[key]} for key in keys)]
+    study = small_study(**tables, cases=cases)
+    found: dict[int, list[np.ndarray]] = {}
+    scenario = Scenario(study, curves=True)
+    for number, ids in enumerate(scenario.variant_ids):
+        for chunk in chunks(scenario.part(number, range(1)).group):
+            for row, place in enumerate(chunk.variant):
+                leaves = jax.tree.leaves(chunk.outcome)
+                found[int(ids[place])] = [np.asarray(leaf)[row] for leaf in leaves]
+    return [found[variant] for variant in range(study.n_variants)]
+
+
+def are_equal(one: list[np.ndarray], other: list[np.ndarray]) -> bool:
+    return all(np.array_equal(a, b, equal_nan=True) for a, b in zip(one, other, strict=True))
+
+
+@pytest.mark.representative("kalman5", "kalman_sincos", "inertial")
+@pytest.mark.optimised(False)
+@pytest.mark.parametrize("method", [name for name in METHODS if METHODS[name].silent])
+def test_silent_keys_change_no_bit_of_a_run(method: str) -> None:
+    assert {*METHODS[method].silent} <= OTHER.keys()
+    first, *others = outcomes(method, list(METHODS[method].silent))
+    assert [are_equal(first, other) for other in others] == [True] * len(METHODS[method].silent)
+
+
+@pytest.mark.representative("kalman10")
+@pytest.mark.optimised(False)
+@pytest.mark.parametrize("method", METHODS)
+def test_keys_said_to_act_change_a_run(method: str) -> None:
+    keys = [key for key in own_keys(method) if method in readers(key)]
+    first, *others = outcomes(method, keys)
+    assert [key for key, other in zip(keys, others, strict=True) if are_equal(first, other)] == []
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_line_names_every_given_key_that_is_silent(method: str, tmp_path: Path) -> None:
+    tables: dict[str, Any] = {**BASE, "alignment": {"method": method}}
+    for key in own_keys(method):
+        tables.setdefault(SECTION_OF[key], {})[key] = OTHER[key]
+    if "resets" in METHODS[method].sections:
+        tables["resets"]["reset_times_s"] = [2.0]
+    _, notes = change_study({}, tables, tmp_path)
+    silent = {*METHODS[method].silent}
+    assert len(notes) == bool(silent)
+    for line in notes:
+        assert line.endswith(f"have no effect with method {method}.")
+        assert {*re.findall(r"\w+", line)} & {*OTHER} == silent
+
+
+def test_line_names_keys_whose_condition_does_not_hold(tmp_path: Path) -> None:
+    tables = small_tables(
+        motion={"pitch_amplitude_deg": None, "surge_time_s": 3.0},
+        resets={"reset_kind": "scale", "reset_yaw_deg": 10.0, "reset_times_s": [2.0]},
+        coarse={"coarse_duration_s": 2.0, "coarse_then": "replay"},
+    )
+    _, notes = change_study({}, tables, tmp_path)
+    assert notes == [
+        "[motion] pitch_period_s has no effect with pitch_amplitude_deg = 0; [motion] surge_time_s"
+        " has no effect with surge_m_per_s = 0; [alignment] phi_e0_deg, phi_n0_deg, phi_u0_deg have"
+        " no effect beside coarse alignment; [resets] reset_yaw_deg has no effect with reset_kind ="
+        " scale, reset_times_s = (2.0,), no reset_count, no reset_trigger."
+    ]
+    tables["axes"] = {"pitch_amplitude_deg": [0.0, 1.0], "reset_kind": ["scale", "yaw"]}
+    tables["axes"] |= {"coarse_method": ["none", "inertial"], "surge_m_per_s": [0.0, 0.1]}
+    assert change_study({}, tables, tmp_path)[1] == []
+
+
+def test_key_acts_if_its_condition_is_tuned(tmp_path: Path) -> None:
+    template = tomllib.loads(files.text_of("tune"))
+    template["resets"] = {"reset_kind": "yaw"}
+    assert change_study({}, template, tmp_path)[1] == []
+
+
+def test_keys_of_resolved_study_are_named_only_with_other_values() -> None:
+    study = small_study()
+    assert keys_without_effect(study, tables_of(study)) == []
+    study = small_study(resets={"reset_yaw_deg": 5.0}, alignment={"method": "kalman_sincos"})
+    assert keys_without_effect(study, tables_of(study)) == [
+        "[resets] reset_yaw_deg has no effect with method kalman_sincos."
+    ]
+
+
+def test_functions_of_python_warn_of_keys_without_effect() -> None:
+    study = small_study(alignment={"method": "inertial"})
+    with pytest.warns(StudyWarning, match="phi_u0_deg have no effect with method inertial"):
+        run(study)
+    assert conditions("phi_u0_deg") == ()
