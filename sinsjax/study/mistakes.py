@@ -114,7 +114,10 @@ def _without(data: TomlTable, place: Place) -> TomlTable:
 
 
 def _with_stand_in(build: Build, data: TomlTable, place: Place) -> TomlTable:
-    """Return tables with the first value for a missing key that is no error itself."""
+    """Return tables with the first value for a missing key that is no error itself.
+
+    Without one, a section that a study need not have is left out.
+    """
     table = data.get(place.table, {})
     for value in _STAND_INS if isinstance(table, dict) and place.key else ():
         unit = {"q_reading": "psd"} if place.key in WHITE_NOISE else {}
@@ -125,4 +128,6 @@ def _with_stand_in(build: Build, data: TomlTable, place: Place) -> TomlTable:
             if place in map(_place, error.lines):
                 continue
         return out
+    if place.table in ("stop_when", "tune"):
+        return {name: table for name, table in data.items() if name != place.table}
     return data
