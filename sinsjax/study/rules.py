@@ -20,6 +20,7 @@ from sinsjax.alignment.filters.section import OF_RESETS, OF_SCHEDULES, reset_tim
 from sinsjax.alignment.methods import METHODS, keys_unread
 from sinsjax.alignment.triggers.section import any_trigger
 from sinsjax.errors import ErrorCollector, InputError
+from sinsjax.messages import shortened
 from sinsjax.study import sampling, search_space, success
 from sinsjax.study.keys import (
     COARSE_KEYS,
@@ -323,7 +324,7 @@ def _check_stop(study: Study, where: Where) -> None:
     bands = success.bands(study)
     known = ["success_rate", *(f"{columns.settle_column(band).name}_mean" for band in bands)]
     if study.stop_when.statistic not in known:
-        text = f"'{study.stop_when.statistic}' is none of {', '.join(known)}"
+        text = f"'{shortened(study.stop_when.statistic, 60)}' is none of {', '.join(known)}"
         _refuse("statistic", where, text)
     if study.stop_when.statistic == "success_rate" and study.stop_when.half_width >= 1:
         _refuse(

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, cast, get_args, get_origin
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
 
+from sinsjax.messages import shortened
 from sinsjax.records.layout import Layout, axes, fault
 from sinsjax.value_types import (
     AccelNoise,
@@ -335,7 +336,7 @@ def _axes_order(order: str) -> str:
     try:
         axes(order)
     except ValueError as error:
-        raise invalid(str(error)) from None
+        raise invalid(shortened(str(error))) from None
     return order
 
 
