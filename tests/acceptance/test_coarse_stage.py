@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 from rich.console import Console
-from support.studies import refusal, small_study, with_truth
+from support.studies import refusal, small_study, with_paper_values, with_truth
 
 from sinsjax.engine import build
 from sinsjax.execution import rerun, run
@@ -173,7 +173,7 @@ def test_replayed_record_matches_its_simulation() -> None:
             "record": {"format": "psins"},
             "coarse": {"coarse_duration_s": 2.0},
         }
-        return run.run(study_from_dict(tables | changes), stored)
+        return run.run(study_from_dict(with_paper_values(tables | changes)), stored)
 
     both = recorded(axes={"coarse_then": ["hand_over", "replay"]})
     phi = both.curves["phi_u_arcmin"].to_numpy().reshape(2, 4)[1]

@@ -68,7 +68,7 @@ def merged(*changes: dict[str, Any]) -> dict[str, Any]:
 
 
 def run(*changes: dict[str, Any]) -> study_run.Results:
-    return study_run.run(study_from_dict(merged(*changes)))
+    return study_run.run(study_from_dict(with_paper_values(merged(*changes))))
 
 
 def columns_of(table: pa.Table, run_id: int, *names: str) -> list[list[Any]]:

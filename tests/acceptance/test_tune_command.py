@@ -498,6 +498,7 @@ def test_tune_on_stored_record_splits_start_times(tmp_path: Path, sinsjax_: Comm
         "study": {"duration_s": 2.0, "rate_hz": 100.0, "window_s": [0, 2]},
         "record": {"format": "psins", "start_s": [0.0, 0.5, 1.0]},
         "coarse": {"coarse_duration_s": 3.0},
+        "filter": PAPER,
         "tune": tune,
     }
     assert study_from_dict(data)

@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from support.studies import BASE, STILL, small_study
+from support.studies import BASE, PAPER, STILL, small_study
 
 from sinsjax.engine import batch, build
 from sinsjax.engine.measurements import measured, nothing_read
@@ -243,6 +243,7 @@ def test_allan_variances_match_closed_forms(keys, gyro, accel):
                 "study": {"duration_s": LONG, "rate_hz": RATE, "draws": 128, "seed": 2},
                 "motion": {"yaw_center_deg": 30.0},
                 "sensors": keys,
+                "filter": PAPER,
             }
         )
     )

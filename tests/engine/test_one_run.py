@@ -90,7 +90,7 @@ def test_one_run_of_record_matches_study_at_each_start_time(study: Any) -> None:
         time, stored.dtheta, stored.dv, gyro_unit="rad", accel_unit="m_per_s"
     )
     tables = small_tables(study={"duration_s": 10.0, "rate_hz": None, "draws": None})
-    tables = {name: tables[name] for name in ("study", "earth", "alignment")}
+    tables = {name: tables[name] for name in ("study", "earth", "alignment", "filter")}
     tables["study"] = {"duration_s": 10.0}
     tables["record"] = {"format": "arrays", "start_s": [0.0, 5.0]}
     tables["coarse"] = {"coarse_method": "inertial", "coarse_duration_s": 10.0}
